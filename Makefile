@@ -92,7 +92,7 @@ faults: $(READY) ## Inject 2,000 random faults into builds of a toy workbook; AR
 portable: $(READY) ## Build under other processors' settings and compare; ARGS="ROOM/NOTEBOOK --processor 2004" or "--sample"
 	@$(BIN)/python -m stillwork portable $(ARGS)
 
-accept: $(READY) ## Take a build over into the notebooks, the ledger and the README
+accept: $(READY) ## Copy a build into notebooks/ and figures/, and into what follows from them
 	@$(BIN)/python -m stillwork accept
 
 release: $(READY) ## Write wheel, site and archive to build/release, and try the wheel in an environment of its own

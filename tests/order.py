@@ -15,6 +15,8 @@ LONGEST = (
     "workbook/test_accept.py",
     "motion/test_designing.py",
     "workbook/test_cluster.py",
+    "workbook/test_contributing.py",
+    "workbook/test_variables.py",
     "shared/test_rendering.py",
     "worstcase/test_regression.py",
     "motion/test_joint.py",

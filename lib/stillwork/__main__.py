@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import re
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -19,10 +18,10 @@ sys.modules.setdefault("rfc3987_syntax", None)
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
-    parser, words = _parser()
+    parser = _parser()
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
-        parser.error(f"unknown {unknown[0]!r}{nearest(unknown[0], words if unknown[0][:1] == '-' else ())}")
+        parser.error(f"unknown {unknown[0]!r}{_meant(unknown[0], options.command)}")
     try:
         return _run(**vars(options))
     except BrokenPipeError:  # the reader, e.g. `head`, has seen enough
@@ -56,8 +55,16 @@ def _run(command: "Command", **chosen) -> int:
     return 0
 
 
-def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
-    """The parser, and all its options."""
+def _meant(word: str, command: "Command") -> str:
+    """What an option that a command does not have may have meant: one of its own, or which commands have it."""
+    if word[:1] != "-":
+        return ""
+    name = word.partition("=")[0]
+    others = [each for each, other in COMMANDS.items() if name in other.words]
+    return f"; it is an option of {', '.join(others)}" if others else nearest(name, command.words)
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m stillwork",
         description="The workbook's commands; `make help` lists those that set up the environment by themselves.",
@@ -69,8 +76,7 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         own.set_defaults(command=command)
         for names, how in command.options:
             own.add_argument(*names, **how)
-    usage = " ".join(command.format_usage() for command in commands.choices.values())
-    return parser, re.findall(r"--?[a-z]+", usage)
+    return parser
 
 
 Option = tuple[tuple[str, ...], dict[str, Any]]  # what `add_argument` takes
@@ -108,6 +114,11 @@ class Command(NamedTuple):
     options: tuple[Option, ...] = ()
     needs_checkout: bool = True
     settles: bool = False  # an accept that was killed is finished first
+
+    @property
+    def words(self) -> list[str]:
+        """Its options, as they are typed."""
+        return [name for names, _ in self.options for name in names if name[:1] == "-"]
 
 
 def _number(name: str, metavar: str, help: str, type: Callable = _count, **how) -> Option:
@@ -182,6 +193,7 @@ COMMANDS = {
                 _minutes,
                 dest="budget_min",
             ),
+            _flag("changed", "only studies with a value that moved, in a sample, and those never run"),
         ),
     ),
     "claims": Command(
@@ -210,7 +222,7 @@ COMMANDS = {
         ),
     ),
     "accept": Command(
-        "take the built results over into notebooks/ and the ledger", "stillwork.site.commands:accept"
+        "copy the built results into notebooks/ and figures/", "stillwork.site.commands:accept"
     ),
     "site": Command("write the static site to build/site", "stillwork.site.build:build_site", settles=True),
     "release": Command(
@@ -301,6 +313,7 @@ COMMANDS = {
         (
             _option("room", metavar="ROOM"),
             _option("name", metavar="NAME", help="a number and words, e.g. 09-payload"),
+            _flag("create", "in a room that is not there yet"),
         ),
     ),
     "doctor": Command("compare this environment with environment.txt", "stillwork.workbook.doctor:doctor"),

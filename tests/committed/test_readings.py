@@ -1,19 +1,14 @@
-"""Committed readings belong to the committed code and axes, and one of each study gives the same again."""
-
-import datetime
+"""Committed readings are of the committed axes, and what the code gives now is what stands there."""
 
 import pytest
 
 from stillwork.base import paths
 from stillwork.workbook.claims import load_entries
 from stillwork.workbook.readings.axes import Multiverse, load_axes
-from stillwork.workbook.readings.closure import study_digest
+from stillwork.workbook.readings.checking import compute_again, moves, note, parts_a_day, today
 from stillwork.workbook.readings.command import standings_of
-from stillwork.workbook.readings.results import collect, read_results
-from stillwork.workbook.readings.running import calls_of, compute
+from stillwork.workbook.readings.results import read_results
 from stillwork.workbook.readings.sampling import design
-
-PARTS = 4  # tests that share the studies of a room, for workers to take
 
 
 def studies(room: str) -> list[Multiverse]:
@@ -21,38 +16,29 @@ def studies(room: str) -> list[Multiverse]:
     return load_axes(room)[1] if paths.data(room, "readings.csv").exists() else []
 
 
-@pytest.mark.parametrize("room", paths.ROOMS)
-def test_they_are_of_these_axes_and_this_code(room):
+@pytest.mark.parametrize("room", paths.rooms())
+def test_they_are_of_these_axes(room):
     found = read_results(studies(room))
     assert [each.multiverse.study for each in found] == [each.study for each in studies(room)], (
         "run `make readings`"
     )
     for each in found:
-        assert each.code == study_digest(each.multiverse.function, room), "run `make readings`"
         assert each.design == design(each.multiverse)
 
 
-@pytest.mark.parametrize("part", range(PARTS))
-@pytest.mark.parametrize("room", paths.ROOMS)
-def test_the_first_and_on_other_days_the_last_gives_the_same_again(room, part):
-    """What the first test cannot see: another library, another processor, a table that was edited."""
-    entries, day = load_entries(room), datetime.date.today().toordinal()
-    for multiverse in studies(room)[part::PARTS]:
-        (before,) = read_results([multiverse])
-        runs = list(calls_of(multiverse).items())
-        at, run = runs[-(day % 2)]
-        now = collect(multiverse, before.design, {at: compute(run)})
-        assert now.failures.get(at) == before.failures.get(at)
-        for entry in multiverse.entries:
-            value = before.values[entry][at]
-            room_for = 1e-12 + entries[entry].drift.width(value)
-            assert now.values[entry][at] == pytest.approx(value, rel=0, abs=room_for, nan_ok=True), (
-                run,
-                entry,
-            )
+@pytest.mark.parametrize(
+    ("room", "study"), [(room, each.study) for room in paths.rooms() for each in studies(room)]
+)
+def test_those_whose_turn_it_is_today_come_out_again(room, study):
+    for before in read_results([each for each in studies(room) if each.study == study]):
+        now, tried = compute_again(before, today(), parts_a_day())
+        moved = moves(before, now, tried, load_entries(room))
+        note(before.multiverse, bool(moved))
+        if moved:
+            pytest.fail("\n".join([*moved, f'run make readings ARGS="{room} --changed"']), pytrace=False)
 
 
-@pytest.mark.parametrize("room", paths.ROOMS)
+@pytest.mark.parametrize("room", paths.rooms())
 def test_every_axis_that_moves_an_entry_says_so(room):
     moved = {name: standing.undeclared for name, standing in standings_of(room).items()}
     assert not {name: axes for name, axes in moved.items() if axes}

@@ -6,8 +6,7 @@ import pytest
 from experiments.fixedpoint import Noise, choices, load_oscillator
 from experiments.fixedpoint.metrics import noisy_run
 from experiments.fixedpoint.published import KALMAN, LITERAL, WINDOW, published_controllers
-from readings.defaults import at_the_defaults, require_accepted
-from stillwork.workbook.claims import load_entries
+from readings.defaults import accepted_claims, at_the_defaults, require_accepted
 
 
 @pytest.mark.parametrize("study", ["noise-free", "differentiation"])
@@ -17,9 +16,9 @@ def test_without_leaving_anything_out_the_defaults_give_what_the_notebooks_gave(
 
 @pytest.mark.slow
 def test_two_records_rank_as_the_notebooks_forty():
-    entries = load_entries("fixedpoint")
+    accepted = accepted_claims("fixedpoint")
     for name, value in at_the_defaults("fixedpoint", "rankings", lean=True).items():
-        assert value == round(entries[name].ours), name
+        assert value == round(accepted[name].ours), name
 
 
 def test_at_the_defaults_the_controllers_are_the_published_ones():

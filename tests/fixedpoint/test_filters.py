@@ -231,24 +231,24 @@ def test_sigma_weights(size):
 
 def test_lost_definiteness_is_reported_with_the_sample(approximate):
     """The printed (14) with a large initial variance makes P indefinite in one step."""
-    with pytest.raises(InputError, match="stops being positive definite at sample 1"):
+    with pytest.raises(InputError, match=r"covariance.*sample 1\b"):
         filter_signal(UnscentedKalman(approximate, literal=True, initial_variance=1.0), np.zeros(10))
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda m: UnscentedKalman(m, process=np.array([1e-1, -1e-3])), "process is not positive definite"),
-        (lambda m: UnscentedKalman(m, noise=np.array([1e-2, 0.0])), "noise is not positive definite"),
+        (lambda m: UnscentedKalman(m, process=np.array([1e-1, -1e-3])), r"^process\b"),
+        (lambda m: UnscentedKalman(m, noise=np.array([1e-2, 0.0])), r"^noise\b"),
         (
             lambda m: UnscentedKalman(m, noise=np.array([[1.0, 2.0], [2.0, 1.0]])),
-            "noise is not positive definite",
+            r"^noise\b",
         ),
         (
             lambda m: UnscentedKalman(m, process=np.array([[1.0, 0.5], [0.4, 1.0]])),
-            "process is not symmetric",
+            r"^process\b",
         ),
-        (lambda m: UnscentedKalman(m, process=np.eye(3)), "process has shape"),
+        (lambda m: UnscentedKalman(m, process=np.eye(3)), r"^process\b"),
         (lambda m: UnscentedKalman(m, initial_variance=0.0), "initial_variance"),
         (lambda m: ExtendedKalman(m, noise_deviation=0.0), "noise_deviation"),
         (lambda m: ExtendedKalman(m, initial_deviation=(1.0, -1.0, 1.0)), "initial_deviation"),
@@ -257,28 +257,28 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
         (lambda m: LowPass(-1.0), "bandwidth"),
         (lambda m: SavitzkyGolay(2, 2), "samples"),
         (lambda m: SavitzkyGolay(9, 1), "degree"),
-        (lambda m: filter_signal(LowPass(), np.array([0.0, np.nan])), "measured holds 1 NaN"),
+        (lambda m: filter_signal(LowPass(), np.array([0.0, np.nan])), r"^measured\b"),
         (
             lambda m: filter_signal(UnscentedKalman(m), np.array([np.nan, 0.0])),
-            "measured is NaN at the first",
+            r"^measured\b",
         ),
         (
             lambda m: filter_signal(UnscentedKalman(m), np.array([0.0, np.inf])),
-            "measured holds 1 NaN or infinite",
+            r"^measured\b",
         ),
-        (lambda m: ExtendedKalman(m).step(ExtendedKalman(m).start(), np.nan), "measured is NaN at the first"),
+        (lambda m: ExtendedKalman(m).step(ExtendedKalman(m).start(), np.nan), r"^measured\b"),
         (
             lambda m: ExtendedKalman(m).step(UnscentedKalman(m).start(), 0.0),
-            "state is none of ExtendedKalman",
+            r"^state\b",
         ),
-        (lambda m: ExtendedKalman(m).step(ExtendedKalman(m).start(), [0.0, 1.0]), "measured has shape"),
+        (lambda m: ExtendedKalman(m).step(ExtendedKalman(m).start(), [0.0, 1.0]), r"^measured\b"),
         (lambda m: UnscentedKalman(m).step(UnscentedKalman(m).start(), 0.0, sample_time=0.0), "sample_time"),
-        (lambda m: filter_signal(LowPass(), np.zeros(5), np.zeros(4)), "force has shape"),
-        (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), sample_time=2e-3), "made for 0.001 s"),
+        (lambda m: filter_signal(LowPass(), np.zeros(5), np.zeros(4)), r"^force\b"),
+        (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), sample_time=2e-3), r"^sample_time\b"),
         (lambda m: filter_signal(LowPass(), np.zeros(5), sample_time=0.0), "sample_time"),
-        (lambda m: filter_signal(LowPass(), np.repeat([0.0, 1e308], 50)), "finite numbers at sample"),
-        (lambda m: SavitzkyGolay(sample_time=1e-200).packed(), "packed has no result"),
-        (lambda m: filter_signal(LowPass(2000.0), np.ones(5)), "wants less than 2000 rad/s, or it diverges"),
+        (lambda m: filter_signal(LowPass(), np.repeat([0.0, 1e308], 50)), r"sample 50\b"),
+        (lambda m: SavitzkyGolay(sample_time=1e-200).packed(), r"\bpacked\b"),
+        (lambda m: filter_signal(LowPass(2000.0), np.ones(5)), r"^bandwidth\b"),
     ],
 )
 def test_bad_input(call, message, approximate):

@@ -130,11 +130,11 @@ def test_an_infinite_force_is_reported(exact, approximate, short):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"integration": "implicit"}, "did you mean 'semi-implicit'"),
-        ({"noise": np.zeros(3)}, "noise has shape"),
-        ({"noise": np.full(600, np.nan)}, "noise is NaN at the first sample"),
+        ({"integration": "implicit"}, r"^integration\b"),
+        ({"noise": np.zeros(3)}, r"^noise\b"),
+        ({"noise": np.full(600, np.nan)}, r"^noise\b"),
         ({"resolution": -1.0}, "resolution"),
-        ({"start": (0.0, np.nan)}, "start holds 1 NaN"),
+        ({"start": (0.0, np.nan)}, r"^start\b"),
         ({"bound": 0.5}, "bound"),
     ],
 )
@@ -145,18 +145,18 @@ def test_bad_input(change, message, exact, approximate, short):
 
 
 def test_wrong_controllers(exact, approximate, short):
-    with pytest.raises(InputError, match="kinematics has order 1"):
+    with pytest.raises(InputError, match=r"^kinematics\b"):
         Controller(LowPass(), FlowTransformation(), KinematicDesign(1.0, order=1), approximate)
     slow = Controller(
         SavitzkyGolay(sample_time=2e-3), RobustTransformation(), KinematicDesign(9.0), approximate
     )
-    with pytest.raises(InputError, match=r"the filter was made for 0\.002 s"):
+    with pytest.raises(InputError, match=r"^sample_time\b"):
         simulate(exact, slow, short)
     quick = Controller(LowPass(3000.0), RobustTransformation(), KinematicDesign(9.0), approximate)
-    with pytest.raises(InputError, match=r"bandwidth is 3000 rad/s"):
+    with pytest.raises(InputError, match=r"^bandwidth\b"):
         simulate(exact, quick, short)
     run = simulate(exact, published_controllers(approximate)["low pass"], short)
-    with pytest.raises(InputError, match=r"settle is 0\.6 s"):
+    with pytest.raises(InputError, match=r"^settle\b"):
         judge(run, settle=0.6)
 
 

@@ -354,17 +354,17 @@ def test_a_limited_force_does_not_wind_up(exact, approximate, short):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"noise": np.zeros((2, 3))}, "noise has shape"),
-        ({"noise": np.full((2, 600), np.nan)}, "noise is NaN at the first sample"),
-        ({"lost": "guess"}, "lost is 'guess'"),
-        ({"force_limits": [1.0, 0.0]}, "give numbers above 0"),
-        ({"force_limits": [1.0]}, "force_limits has shape"),
-        ({"start": np.zeros(2)}, "start has shape"),
+        ({"noise": np.zeros((2, 3))}, r"^noise\b"),
+        ({"noise": np.full((2, 600), np.nan)}, r"^noise\b"),
+        ({"lost": "guess"}, r"^lost\b"),
+        ({"force_limits": [1.0, 0.0]}, r"^force_limits\b"),
+        ({"force_limits": [1.0]}, r"^force_limits\b"),
+        ({"start": np.zeros(2)}, r"^start\b"),
         ({"bound": 0.0}, "bound"),
-        ({"trajectories": [asin_trajectory(duration=0.6)]}, "trajectories holds 1; give one for each of 2"),
+        ({"trajectories": [asin_trajectory(duration=0.6)]}, r"^trajectories\b"),
         (
             {"trajectories": [asin_trajectory(duration=0.6), asin_trajectory(duration=0.5)]},
-            "of one length and sample time",
+            r"^trajectories\b",
         ),
     ],
 )
@@ -376,22 +376,22 @@ def test_bad_input(change, message, arm, short):
 
 def test_models_that_do_not_fit(arm, exact, approximate, short):
     parts = LowPass(), RobustTransformation(), KinematicDesign(16.0)
-    with pytest.raises(InputError, match="drive one with simulate_mechanism"):
+    with pytest.raises(InputError, match="simulate_mechanism"):
         simulate(exact, Controller(*parts, arm.approximate), short)
-    with pytest.raises(InputError, match="or drive the plant with simulate"):
+    with pytest.raises(InputError, match=r"\bsimulate\b"):
         simulate_mechanism(arm.exact, Controller(*parts, approximate), [short] * 2)
     three = Mechanism(cart_inertia, cart_bias, 3, [1.0, 0.0, 0.0])
-    with pytest.raises(InputError, match="plant has 2 coordinates, model 3"):
+    with pytest.raises(InputError, match=r"^plant\b"):
         response_gains(arm.exact, three, [0.0, 0.0])
-    with pytest.raises(InputError, match=r"coordinates is 1e[+]12; give a finite number at most 1000"):
+    with pytest.raises(InputError, match=r"^coordinates\b"):
         Mechanism(cart_inertia, cart_bias, 10**12, [1.0])
-    with pytest.raises(InputError, match="fails on 2 coordinates"):
+    with pytest.raises(InputError, match=r"^inertia or bias\b.*\b2\b"):
         Mechanism(cart_inertia, cart_bias, 2, [1.0])
-    with pytest.raises(InputError, match="not symmetric"):
+    with pytest.raises(InputError, match=r"^inertia\b.*symmetric"):
         Mechanism(lopsided, cart_bias, 2, [1.0, 0.0, 0.0])
-    with pytest.raises(InputError, match="unset"):
+    with pytest.raises(InputError, match=r"^inertia or bias\b.*q = \[0\.3 0\.7\]"):
         Mechanism(lambda q, p, out: None, cart_bias, 2, [1.0, 0.0, 0.0])
-    with pytest.raises(InputError, match="not positive definite"):
+    with pytest.raises(InputError, match=r"^inertia\b.*definite"):
         Mechanism(cart_inertia, cart_bias, 2, [-1.0, 0.0, 0.0]).mass([0.0, 0.0])
 
 

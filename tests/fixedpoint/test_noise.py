@@ -39,10 +39,10 @@ def test_same_seed_same_noise():
 @pytest.mark.parametrize(
     ("kind", "amplitude", "message"),
     [
-        ("gausian", 1e-4, "did you mean 'gaussian'"),
-        ("gaussian", 0.0, "noise amplitude is 0"),
-        ("gaussian", -1.0, "noise amplitude is -1"),
-        ("none", 1e-4, "noise amplitude"),
+        ("gausian", 1e-4, "kind"),
+        ("gaussian", 0.0, r"^noise\b"),
+        ("gaussian", -1.0, r"^noise\b"),
+        ("none", 1e-4, r"^noise\b"),
     ],
 )
 def test_bad_input(kind, amplitude, message):

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -53,12 +55,12 @@ def uncompilable(position, velocity, force, parameters):
 
 
 def test_force_must_invert_acceleration():
-    with pytest.raises(InputError, match="force is not the inverse of acceleration"):
+    with pytest.raises(InputError, match=r"^force\b"):
         Plant(whole_acceleration, half_force, np.zeros(1))
 
 
 def test_functions_must_take_four_arguments():
-    with pytest.raises(InputError, match="acceleration or force fails on 0 parameters"):
+    with pytest.raises(InputError, match=r"^acceleration\b"):
         Plant(lambda q, v: 0.0, whole_acceleration, np.zeros(0))
 
 
@@ -72,17 +74,17 @@ def stumbles(position, velocity, force, parameters):
 
 @pytest.mark.parametrize("function", [gives_nothing, stumbles])
 def test_a_function_that_fails_is_named(function):
-    with pytest.raises(InputError, match="acceleration or force fails on 0 parameters"):
+    with pytest.raises(InputError, match=r"^acceleration\b"):
         Plant(function, function, np.zeros(0))
 
 
 def test_a_function_that_numba_cannot_compile_is_named():
-    with pytest.raises(InputError, match="uncompilable cannot be compiled"):
+    with pytest.raises(InputError, match=r"^uncompilable\b"):
         callback(uncompilable, SIGNATURE)
 
 
 def test_parameters_must_be_numbers():
-    with pytest.raises(InputError, match="parameters holds 1 NaN"):
+    with pytest.raises(InputError, match=r"^parameters\b"):
         Plant(whole_acceleration, whole_acceleration, np.array([np.nan]))
     with pytest.raises(InputError, match="mass"):
         VanDerPol(0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -94,12 +96,12 @@ WHOLE = "[exact]\nmass = 1.5\nstiffness = 1\nseparator = 1\nexcitation = 1\ndamp
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[exact]\nmass = 1", "exact: 'stiffness' is missing"),
-        ("[exakt]\nmass = 1", "'exact' is missing; did you mean 'exakt'"),
-        ("[exact]\nmas = 1", "unknown parameter 'mas'; did you mean 'mass'"),
-        ("[exact", "not valid TOML"),
-        ("exact = 3", r"exact is 3; make it a table \[exact\]"),
-        (WHOLE.replace("1.5", "0.0"), r"own.toml: \[exact\] mass is 0"),
+        ("[exact]\nmass = 1", "exact: 'stiffness'"),
+        ("[exakt]\nmass = 1", "'exact'.*'exakt'"),
+        ("[exact]\nmas = 1", r"\[exact\].*'mas'.*'mass'"),
+        ("[exact", r"own\.toml\b"),
+        ("exact = 3", r"\bexact\b"),
+        (WHOLE.replace("1.5", "0.0"), r"\[exact\] mass\b"),
     ],
 )
 def test_wrong_toml(tmp_path, text, message):
@@ -107,10 +109,10 @@ def test_wrong_toml(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(InputError, match=message):
         load_oscillator(file)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match=re.escape(tmp_path.name)):
         load_oscillator(tmp_path)
     file.write_bytes(b"\xff\xfe")
-    with pytest.raises(InputError, match="is not text"):
+    with pytest.raises(InputError, match=r"own\.toml"):
         load_oscillator(file)
-    with pytest.raises(InputError, match="no file"):
+    with pytest.raises(InputError, match=r"none\.toml"):
         load_oscillator(tmp_path / "none.toml")

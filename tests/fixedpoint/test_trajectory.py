@@ -53,13 +53,13 @@ def test_record_gives_back_a_motion():
 
 def test_trajectory_without_derivatives():
     q = np.sin(np.arange(100) * 0.01)
-    with pytest.raises(InputError, match="needs both derivatives at every sample: record_trajectory"):
+    with pytest.raises(InputError, match="record_trajectory"):
         Trajectory(0.01, q)
-    with pytest.raises(InputError, match="velocity is not the derivative of position"):
+    with pytest.raises(InputError, match=r"^velocity\b"):
         Trajectory(0.01, q, np.zeros(100), np.zeros(100))
-    with pytest.raises(InputError, match="velocity is not the derivative of position"):
+    with pytest.raises(InputError, match=r"^velocity\b"):
         Trajectory(0.01, q, 1.05 * np.cos(np.arange(100) * 0.01), -q)  # five per cent off
-    with pytest.raises(InputError, match="acceleration is not the derivative of velocity"):
+    with pytest.raises(InputError, match=r"^acceleration\b"):
         Trajectory(0.01, q, np.cos(np.arange(100) * 0.01), np.zeros(100))
 
 
@@ -70,17 +70,17 @@ def test_trajectory_without_derivatives():
         (lambda: asin_trajectory(frequency_hz=0.0), "frequency_hz"),
         (
             lambda: asin_trajectory(frequency_hz=1e9),
-            "frequency_hz is 1e.09; give a finite number above 0 and below 500",
+            r"^frequency_hz\b",
         ),
         (
             lambda: asin_trajectory(frequency_hz=700.0),
-            "frequency_hz is 700",
+            r"^frequency_hz\b",
         ),  # its samples are those of 300 Hz
         (lambda: trapezoid_trajectory(rounding=0.0), "rounding"),
         (lambda: sine_trajectory(duration=-1.0), "duration"),
         (lambda: sine_trajectory(sample_time=0.0), "sample_time"),
-        (lambda: record_trajectory(np.array([0, 1, 1, 2, 3, 4]), np.zeros(6)), "time must rise"),
-        (lambda: record_trajectory(np.arange(6), np.zeros(5)), "position has shape"),
+        (lambda: record_trajectory(np.array([0, 1, 1, 2, 3, 4]), np.zeros(6)), r"^time\b"),
+        (lambda: record_trajectory(np.arange(6), np.zeros(5)), r"^position\b"),
     ],
 )
 def test_bad_input(call, message):

@@ -79,7 +79,7 @@ def test_published_kinematics():
 def test_a_gain_outside_the_range_warns_with_the_range(exact, approximate):
     assert response_gain(exact, approximate) == pytest.approx(2.0 / 1.5)
     strong = Controller(LowPass(), FlowTransformation(gain=-6.0), KinematicDesign(16.0), approximate)
-    with pytest.warns(ContractionWarning, match=r"local gain -2, outside the contraction range \(-1.5, 0\)"):
+    with pytest.warns(ContractionWarning, match=r"-2\b.*\(-1\.5, 0\)"):
         simulate(exact, strong, sine_trajectory(duration=0.05))
     wrong_sign = Controller(LowPass(), FlowTransformation(gain=1.1), KinematicDesign(16.0), approximate)
     with pytest.warns(ContractionWarning):
@@ -93,11 +93,11 @@ def test_a_gain_outside_the_range_warns_with_the_range(exact, approximate):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: FlowTransformation(gain=0.0), "gain is 0"),
+        (lambda: FlowTransformation(gain=0.0), r"^gain\b"),
         (lambda: FlowTransformation(width=0.0), "width"),
         (lambda: RobustTransformation(offset=-1.0), "offset"),
         (lambda: RobustTransformation(slope=0.0), "slope"),
-        (lambda: RobustTransformation(factor=0.0), "factor is 0"),
+        (lambda: RobustTransformation(factor=0.0), r"^factor\b"),
         (lambda: contraction_range(0.0), "response_gain"),
         (lambda: KinematicDesign(0.0), "exponent"),
         (lambda: KinematicDesign(1.0, integrals=-1), "integrals"),

@@ -59,7 +59,7 @@ def test_divergence_is_counted(monkeypatch, exact, approximate, training):
     family = narrow(monkeypatch, lambda c: np.inf if c.kinematics.exponent > 30 else c.kinematics.exponent)
     [found] = tune(family, exact, approximate, training, NOISE, budget=64, runs=2, seed=1)
     assert 0 < found.diverged < 64 and found.settings["exponent"] <= 30
-    with pytest.raises(InputError, match="every one of 16 settings diverged"):
+    with pytest.raises(InputError, match=r"\b16 settings"):
         tune(
             narrow(monkeypatch, lambda controller: np.inf),
             exact,

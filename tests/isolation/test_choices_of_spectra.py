@@ -8,8 +8,7 @@ from experiments.isolation.floors import flat_floor
 from experiments.isolation.performance import expected_density, record_case
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
-from readings.defaults import at_the_defaults, require_accepted
-from stillwork.workbook.claims import load_entries
+from readings.defaults import accepted_claims, at_the_defaults, require_accepted
 from stillwork.workbook.readings.command import standings_of
 
 
@@ -53,20 +52,20 @@ def test_the_suspension_is_what_was_accepted():
 
 @pytest.mark.slow
 def test_the_lean_form_of_fig_8_is_within_what_it_says_of_what_was_accepted():
-    entries, found = load_entries("isolation"), at_the_defaults("isolation", "power", lean=True)
+    accepted, found = accepted_claims("isolation"), at_the_defaults("isolation", "power", lean=True)
     for direction in choices.ENTRIES:
         name = f"isolation.fig-8.removed.{direction}"
-        assert found[name] == pytest.approx(entries[name].ours, abs=0.15)  # 0.1 to the printed digit
+        assert found[name] == pytest.approx(accepted[name].ours, abs=0.15)  # 0.1 to the printed digit
     for name in ("removed.range", "reaches-the-limit", "limit-in-band"):
         name = f"isolation.fig-8.{name}"
-        assert found[name] == pytest.approx(entries[name].ours, abs=1e-6)
+        assert found[name] == pytest.approx(accepted[name].ours, abs=1e-6)
 
 
 @pytest.mark.slow
 def test_the_lean_form_of_fig_6_says_what_was_accepted_of_all_weights():
-    entries, found = load_entries("isolation"), at_the_defaults("isolation", "tracking", lean=True)
+    accepted, found = accepted_claims("isolation"), at_the_defaults("isolation", "tracking", lean=True)
     for name in ("flat-to-colored", "colored-to-flat", "benefit-shrinks"):
-        assert found[f"isolation.tracking.{name}"] == entries[f"isolation.tracking.{name}"].ours
+        assert found[f"isolation.tracking.{name}"] == accepted[f"isolation.tracking.{name}"].ours
 
 
 def test_counting_the_mains_costs_the_vertical_direction_alone():

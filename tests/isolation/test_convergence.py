@@ -127,7 +127,7 @@ def test_sideways_error_follows_the_mean_update():
         course = follow_sideways(rigid, floor, 60.0, 10.0, 2)
         assert np.sign(course.eigenvalue) == sign
         assert np.abs(np.log(course.size / course.predicted)).max() < 0.15
-    with pytest.raises(InputError, match="no geometry"):
+    with pytest.raises(InputError, match="geometry"):
         follow_sideways(FITTED, FLOOR, 1.0, 10.0, 2)
 
 
@@ -148,14 +148,14 @@ def test_weights_follow_a_switch_to_the_new_optimum_and_as_expected():
         [np.random.default_rng(1)], twin=FITTED, switch=switch, both=both, duration_s=5.0
     )
     assert set(found) >= {"FeLMS all", "FeRLS w4-w6", "FeRLS noise"}
-    with pytest.raises(InputError, match="did you mean 'w4-w6'"):
+    with pytest.raises(InputError, match="'w4-w6'"):
         response.left("w4-w5")
 
 
 def test_expected_course_wants_rising_times():
-    with pytest.raises(InputError, match="rise"):
+    with pytest.raises(InputError, match=r"^time_s\b"):
         mean_course(FITTED, STEADY, "FeRLS", [0.0, 1.0])
-    with pytest.raises(InputError, match="FeRLS"):
+    with pytest.raises(InputError, match=r"^algorithm\b"):
         mean_course(FITTED, STEADY, "FeRL", [1.0])
 
 

@@ -125,11 +125,11 @@ def test_published_size_is_54_parameters():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: direct_run("full", *record(), 0.1, 0.9), "did you mean 'full inverse'"),
-        (lambda: direct_run("Newton", *record(), 0.0, 0.9), "epsilon is 0"),
-        (lambda: direct_run("Newton", *record(), 0.1, 1.1), "forgetting is 1.1"),
-        (lambda: direct_run("Newton", np.ones((2, 5)), np.ones((1, 4)), 0.1, 0.9), "disturbance has shape"),
-        (lambda: multiplications(0, 9), "actuators is 0"),
+        (lambda: direct_run("full", *record(), 0.1, 0.9), r"^form\b"),
+        (lambda: direct_run("Newton", *record(), 0.0, 0.9), r"^epsilon\b"),
+        (lambda: direct_run("Newton", *record(), 0.1, 1.1), r"^forgetting\b"),
+        (lambda: direct_run("Newton", np.ones((2, 5)), np.ones((1, 4)), 0.1, 0.9), r"^disturbance\b"),
+        (lambda: multiplications(0, 9), r"^actuators\b"),
     ],
 )
 def test_bad_input_is_refused(call, message):

@@ -146,7 +146,7 @@ def test_record_becomes_a_floor():
     assert floor.duration == pytest.approx(5.0)
     fine = np.sin(2 * np.pi * 30 * np.arange(25_000) / SAMPLE_RATE)
     assert np.abs(floor.acceleration - fine)[:, 1000:-1000].max() < 2e-3
-    with pytest.raises(InputError, match="holds 2 channels, the plate 1"):
+    with pytest.raises(InputError, match=r"^two\.csv\b"):
         record_floor(Record(np.zeros((2, 300)), 800.0, "m/s^2", ("a", "b"), "two.csv"), channels=1)
 
 
@@ -156,11 +156,11 @@ def test_floors_that_cannot_be_are_refused():
         (lambda: flat_floor(2.0), "low_pass_hz"),
         (lambda: flat_floor(3000.0), "low_pass_hz"),
         (lambda: colored_floor(gain=0.5), "gain"),
-        (lambda: ShapedFloor(unstable[None], np.ones(1)), "unit circle"),
-        (lambda: synthesise_floor([1.0, 0.5], [1.0, 1.0], 1.0, 0), "rise"),
-        (lambda: synthesise_floor([1.0, 2.0], [1.0, -1.0], 1.0, 0), "negative"),
+        (lambda: ShapedFloor(unstable[None], np.ones(1)), r"^sections\b"),
+        (lambda: synthesise_floor([1.0, 0.5], [1.0, 1.0], 1.0, 0), r"^frequencies_hz\b"),
+        (lambda: synthesise_floor([1.0, 2.0], [1.0, -1.0], 1.0, 0), r"^density\b"),
         (lambda: synthesise_floor([1.0, 2.0], [1.0, 1.0], 1.0, 0, common=2.0), "common"),
-        (lambda: ground_floor(1.0, 0, gain=0.0), "gain is 0"),
+        (lambda: ground_floor(1.0, 0, gain=0.0), r"^gain\b"),
     ):
         with pytest.raises(InputError, match=message):
             call()

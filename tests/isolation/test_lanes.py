@@ -56,7 +56,7 @@ def test_one_lane_beyond_a_limit_is_noticed(bad):
 @pytest.mark.parametrize("changed", [lambda a: a.astype(np.float32), lambda a: np.repeat(a, 2)[::2]])
 def test_lanes_of_other_memory_are_refused(changed):
     first, second = arrays()
-    with pytest.raises(TypingError, match="contiguous arrays of float64"):
+    with pytest.raises(TypingError, match="float64"):
         blend(first, changed(second), np.zeros(CHANNELS * RUNS), 1e9, (0,) * RUNS)
 
 
@@ -71,5 +71,5 @@ def test_any_power_of_two(runs):
 
 def test_a_vector_that_would_be_padded_is_refused():
     first, second = (each[..., : CHANNELS * 3].copy() for each in arrays())
-    with pytest.raises(TypingError, match="power of two"):
+    with pytest.raises(TypingError, match="power"):
         blend(first, second, np.zeros(CHANNELS * 3), 1e9, (0,) * 3)

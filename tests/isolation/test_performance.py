@@ -100,7 +100,7 @@ def test_a_weaker_floor_leaves_the_asked_share(twin, weights):
         *(c["floor"] * level[:, None] ** 2 + c["floor noise"] + c["output noise"] for c in (before, after)),
     )
     assert found == pytest.approx(removed, abs=0.02)
-    with pytest.raises(InputError, match="ask for less"):
+    with pytest.raises(InputError, match=r"^removed_percent\b"):
         floor_level_for(twin, flat_floor(), weights, [99.99999, 90.0, 90.0])
 
 
@@ -168,11 +168,11 @@ def test_means_over_bands_keep_what_is_there_and_average_noise():
 
 
 def test_questions_that_have_no_answer(twin):
-    with pytest.raises(InputError, match="no geometry"):
+    with pytest.raises(InputError, match="geometry"):
         central_axes(load_twin("fitted").rig)
-    with pytest.raises(InputError, match="lower the skyhook gain"):
+    with pytest.raises(InputError, match="skyhook"):
         suspension_modes(twin.varied(gain=2000.0))
-    with pytest.raises(InputError, match="did you mean 'FeRLS'"):
+    with pytest.raises(InputError, match=r"^name\b"):
         record_case(twin, flat_floor(), "FERLS", 1.0, 0)
 
 

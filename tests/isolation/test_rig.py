@@ -123,15 +123,15 @@ def test_plate_motion_undoes_its_sensors():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"mass": 0.0}, "mass is 0"),
-        ({"mass": float("nan")}, "mass is nan"),
-        ({"inertia": np.diag([1.0, 1.0, -1.0])}, "positive definite"),
-        ({"inertia": np.diag([1.0, 1.0, 3.0])}, "exceeds the sum"),
-        ({"inertia": [[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, "not symmetric"),
-        ({"stiffness": -1.0}, "stiffness is -1"),
-        ({"damping": np.full(6, -0.1)}, "damping is -0.1"),
-        ({"struts": Lines(RIG.struts.positions, np.tile([0, 0, 1.0], (6, 1)))}, "leave a motion"),
-        ({"floor_sensors": Lines(np.zeros((2, 3)), np.tile([0, 0, 1.0], (2, 1)))}, "same motion"),
+        ({"mass": 0.0}, r"^mass\b"),
+        ({"mass": float("nan")}, r"^mass\b"),
+        ({"inertia": np.diag([1.0, 1.0, -1.0])}, r"^inertia\b.*definite"),
+        ({"inertia": np.diag([1.0, 1.0, 3.0])}, r"^inertia\b"),
+        ({"inertia": [[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, r"^inertia\b.*symmetric"),
+        ({"stiffness": -1.0}, r"^stiffness\b"),
+        ({"damping": np.full(6, -0.1)}, r"^damping\b"),
+        ({"struts": Lines(RIG.struts.positions, np.tile([0, 0, 1.0], (6, 1)))}, r"^struts\b"),
+        ({"floor_sensors": Lines(np.zeros((2, 3)), np.tile([0, 0, 1.0], (2, 1)))}, r"^floor_sensors\b"),
     ],
 )
 def test_bodies_that_cannot_be_are_refused(change, message):
@@ -141,5 +141,5 @@ def test_bodies_that_cannot_be_are_refused(change, message):
 
 
 def test_a_line_needs_a_direction():
-    with pytest.raises(InputError, match="row 1 is zero"):
+    with pytest.raises(InputError, match=r"^directions\b.*\brow 1\b"):
         Lines([[0, 0, 0.0], [1, 0, 0.0]], [[0, 0, 1.0], [0, 0, 0.0]])

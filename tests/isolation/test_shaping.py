@@ -142,23 +142,23 @@ def test_skyhook_is_eq_1():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: shaping.weak_integrator(0, CUTOFF, 1.0, SAMPLE_TIME), "order is 0"),
-        (lambda: shaping.weak_integrator(3, -1.0, 1.0, SAMPLE_TIME), "cutoff is -1"),
-        (lambda: shaping.weak_integrator(3, CUTOFF, 1.0, 0.0), "sample_time is 0"),
-        (lambda: shaping.SecondaryPath(mass=0.0), "mass is 0"),
-        (lambda: shaping.FrequencyNotch(50.0, depth=2.0), "depth is 2"),
-        (lambda: shaping.NoiseShaping(lowpass_hz=5.0), "lowpass_hz is 5; give a finite number above 6"),
+        (lambda: shaping.weak_integrator(0, CUTOFF, 1.0, SAMPLE_TIME), r"^order\b"),
+        (lambda: shaping.weak_integrator(3, -1.0, 1.0, SAMPLE_TIME), r"^cutoff\b"),
+        (lambda: shaping.weak_integrator(3, CUTOFF, 1.0, 0.0), r"^sample_time\b"),
+        (lambda: shaping.SecondaryPath(mass=0.0), r"^mass\b"),
+        (lambda: shaping.FrequencyNotch(50.0, depth=2.0), r"^depth\b"),
+        (lambda: shaping.NoiseShaping(lowpass_hz=5.0), r"^lowpass_hz\b"),
         (
             lambda: shaping.noise_shaping(
                 shaping.NoiseShaping(lowpass_hz=3000.0), shaping.SecondaryPath(), SAMPLE_TIME
             ),
-            "lowpass_hz is 3000; give a finite number below 2500",
+            r"^lowpass_hz\b",
         ),
         (
             lambda: shaping.inverse_secondary_shaping(
                 shaping.NoiseShaping(order=1), shaping.SecondaryPath(), SAMPLE_TIME
             ),
-            "order is 1; the inverse needs",
+            r"^order\b",
         ),
     ],
 )

@@ -55,36 +55,36 @@ def test_actuators_and_sensors_may_sit_elsewhere_than_the_struts():
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("body.mass", None, "body: 'mass' is missing"),
-        ("body.mas", 5.4, "unknown name 'mas'; did you mean 'mass'"),
-        ("body", [1, 2], r"body is \[1, 2\]; give a table \[body\]"),
-        ("struts", 3.0, r"struts is 3.0; give a table"),
-        ("body.mass", -5.4, "mass is -5.4"),
-        ("body.mass", "heavy", "mass is 'heavy'"),
-        ("body.inertia", [[1.0, 0.0], [0.0, 1.0]], "inertia has shape"),
-        ("struts.stiffness", "stiff", "stiffness is not an array"),
-        ("struts.positions", [[0.0, 0.0, 0.0]], "directions has shape"),
-        ("struts.stiffnes", 1.0, "unknown name 'stiffnes'; did you mean 'stiffness'"),
-        ("floor_sensors.directions", None, "floor_sensors: 'directions' is missing"),
-        ("floor_sensors.place", 1.0, "unknown name 'place'"),
-        ("instruments", None, "'instruments' is missing"),
-        ("instruments.sample_rate", 0.0, "sample_rate is 0"),
-        ("instruments.sample_rate", None, "'sample_rate' is missing"),
-        ("instruments.samplerate", 1.0, "did you mean 'sample_rate'"),
-        ("instruments.parasitic_hz", 3000.0, "parasitic_hz is 3000"),
-        ("instruments.floor_noise", -1e-5, "floor_noise is -1e-05"),
-        ("instruments.mains_hz", [50.0], "one amplitude for each"),
-        ("skyhook.gain", -1.0, "gain is -1"),
-        ("skyhook", 225.0, "give a table"),
-        ("feedforward.beta", 0.0, "beta is 0"),
-        ("feedforward.estimate", "ful", "did you mean 'full'"),
-        ("feedforward.estimate", 6, "estimate is 6"),
-        ("feedforward.integrator_order", 2.5, "integrator_order is 2.5"),
-        ("feedforward.shaping.highpass_hz", 400.0, "lowpass_hz is 300"),
-        ("feedforward.path.mass", 0.0, "mass is 0"),
-        ("feedforward.path.actuator_pole_hz", None, "'actuator_pole_hz' is missing"),
-        ("name", None, "'name' is missing"),
-        ("plnt", {}, "unknown name 'plnt'"),
+        ("body.mass", None, "^body: 'mass'"),
+        ("body.mas", 5.4, "^body:.*'mas'.*'mass'"),
+        ("body", [1, 2], r"^body\b"),
+        ("struts", 3.0, r"^struts\b"),
+        ("body.mass", -5.4, r"^mass\b"),
+        ("body.mass", "heavy", r"\bmass\b"),
+        ("body.inertia", [[1.0, 0.0], [0.0, 1.0]], r"\binertia\b"),
+        ("struts.stiffness", "stiff", r"\bstiffness\b"),
+        ("struts.positions", [[0.0, 0.0, 0.0]], r"\bdirections\b"),
+        ("struts.stiffnes", 1.0, "^struts:.*'stiffnes'.*'stiffness'"),
+        ("floor_sensors.directions", None, "^floor_sensors: 'directions'"),
+        ("floor_sensors.place", 1.0, "^floor_sensors:.*'place'"),
+        ("instruments", None, "^model: 'instruments'"),
+        ("instruments.sample_rate", 0.0, r"\bsample_rate\b"),
+        ("instruments.sample_rate", None, "^instruments: 'sample_rate'"),
+        ("instruments.samplerate", 1.0, "^instruments:.*'samplerate'.*'sample_rate'"),
+        ("instruments.parasitic_hz", 3000.0, r"\bparasitic_hz\b"),
+        ("instruments.floor_noise", -1e-5, r"\bfloor_noise\b"),
+        ("instruments.mains_hz", [50.0], r"\bfloor_mains\b"),
+        ("skyhook.gain", -1.0, r"\bgain\b"),
+        ("skyhook", 225.0, r"^skyhook\b"),
+        ("feedforward.beta", 0.0, r"\bbeta\b"),
+        ("feedforward.estimate", "ful", r"\bestimate\b"),
+        ("feedforward.estimate", 6, r"\bestimate\b"),
+        ("feedforward.integrator_order", 2.5, r"\bintegrator_order\b"),
+        ("feedforward.shaping.highpass_hz", 400.0, r"\blowpass_hz\b"),
+        ("feedforward.path.mass", 0.0, r"\bmass\b"),
+        ("feedforward.path.actuator_pole_hz", None, r"^feedforward\.path: 'actuator_pole_hz'"),
+        ("name", None, "^model: 'name'"),
+        ("plnt", {}, "^model:.*'plnt'"),
     ],
 )
 def test_bad_models_are_refused_by_name(path, value, message):
@@ -95,10 +95,10 @@ def test_bad_models_are_refused_by_name(path, value, message):
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("plant.mass", -1.0, "mass is not symmetric and positive"),
-        ("plant.damping", -1.0, "feeds energy"),
-        ("plant.floor_damping", [[1.0]], "floor_damping has shape"),
-        ("plant.floor_inertia", None, "'floor_inertia' is missing"),
+        ("plant.mass", -1.0, r"\bmass\b"),
+        ("plant.damping", -1.0, r"^plant: damping\b"),
+        ("plant.floor_damping", [[1.0]], r"\bfloor_damping\b"),
+        ("plant.floor_inertia", None, "^plant: 'floor_inertia'"),
     ],
 )
 def test_bad_matrices_are_refused_by_name(path, value, message):
@@ -109,21 +109,21 @@ def test_bad_matrices_are_refused_by_name(path, value, message):
 def test_more_sensors_than_actuators_are_refused():
     whole = table()
     whole["platform_sensors"] = {"positions": [[0.1, 0, 0]] * 3, "directions": np.eye(3).tolist()}
-    with pytest.raises(InputError, match="6 actuators and 3 platform sensors"):
+    with pytest.raises(InputError, match=r"\b6\b.*\b3\b.*skyhook"):
         twin_from_table(whole)
 
 
 def test_files_that_are_no_models(tmp_path):
-    with pytest.raises(InputError, match="did you mean 'fitted'"):
+    with pytest.raises(InputError, match=r"^model\b"):
         load_twin("fited")
-    with pytest.raises(InputError, match="no file"):
+    with pytest.raises(InputError, match=r"none\.toml"):
         load_twin(tmp_path / "none.toml")
     broken = tmp_path / "broken.toml"
     broken.write_text("mass = = 1", encoding="utf-8")
-    with pytest.raises(InputError, match="not valid TOML"):
+    with pytest.raises(InputError, match=r"broken\.toml\b"):
         load_twin(broken)
     broken.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="is not text"):
+    with pytest.raises(InputError, match=r"broken\.toml"):
         load_twin(broken)
 
 
@@ -133,5 +133,5 @@ def test_varied_changes_what_it_names_and_refuses_the_rest():
     assert (other.instruments.platform_noise, other.skyhook.gain) == (1e-5, 0.0)
     assert other.feedforward.estimate == "full"
     assert twin.instruments.platform_noise != 1e-5
-    with pytest.raises(InputError, match="did you mean 'platform_noise'"):
+    with pytest.raises(InputError, match=r"^varied:.*'platform_nois'.*'platform_noise'"):
         twin.varied(platform_nois=0.0)

@@ -100,7 +100,7 @@ def test_a_rig_with_one_floor_sensor_is_a_rig():
     shaken = isolate(one, floor, 1)
     assert floor.channels == 1 and list(shaken.moving) == [True, False, False]
     assert shaken.left("FeRLS")[0] < shaken.left("feedback")[0] / 2
-    with pytest.raises(InputError, match="place three apart"):
+    with pytest.raises(InputError, match="place"):
         exact_transmissibility(one, [10.0])
 
 
@@ -145,10 +145,10 @@ def test_ground_stands_in_for_a_missing_record(twin):
 @pytest.mark.parametrize(
     ("rows", "options", "message"),
     [
-        (1000, {}, "too short for an adaptation"),
-        (16_000, {"unit": "mm/ss"}, "did you mean"),
-        (16_000, {"rate": 500.0}, "leave one out"),
-        (16_000, {"channels": ("righ",)}, "did you mean 'right'"),
+        (1000, {}, r"^floor\.csv\b.*\b1 s\b"),
+        (16_000, {"unit": "mm/ss"}, r"^unit\b.*'mm/s'"),
+        (16_000, {"rate": 500.0}, r"^sample_rate\b"),
+        (16_000, {"channels": ("righ",)}, r"^channel\b.*'right'"),
     ],
 )
 def test_records_that_cannot_be_used(twin, tmp_path, rows, options, message):
@@ -163,17 +163,17 @@ def test_records_that_do_not_reach_the_suspension_are_refused(twin, tmp_path, ra
     np.savez(
         tmp_path / "floor.npz", fs=float(rate), a=1e-2 * np.random.default_rng(0).standard_normal(30 * rate)
     )
-    with pytest.raises(InputError, match=f"sampled at {rate} Hz.*suspension frequencies up to 40 Hz.*100 Hz"):
+    with pytest.raises(InputError, match=rf"^floor\.npz\b.*\b{rate} Hz.*40 Hz.*100 Hz"):
         opened(twin, tmp_path / "floor.npz")
 
 
 @pytest.mark.parametrize(
     ("peak", "unit", "message"),
     [
-        (2e4, "m/s^2", r"by up to 2\S*e\+04 m/s.2, beyond 1 g"),
-        (200.0, "m/s^2", r"by up to 2\d\d m/s.2, beyond 1 g"),
-        (10.0, "g", "beyond 1 g"),
-        (1e-2, "nm/s^2", "less than the quietest ground"),
+        (2e4, "m/s^2", r"2\S*e\+04 m/s\^2"),
+        (200.0, "m/s^2", r"2\d\d m/s\^2"),
+        (10.0, "g", r"97\.9 m/s\^2.*'g'"),
+        (1e-2, "nm/s^2", r"'nm/s\^2'"),
     ],
 )
 def test_implausible_floors_are_refused_by_their_unit_and_not_by_the_loop(
@@ -229,7 +229,7 @@ def test_a_sensor_that_drifts_is_told_from_a_floor(twin, tmp_path):
         if not refused:
             assert opened(twin, tmp_path / "floor.npz").channels == 1
             continue
-        with pytest.raises(InputError, match=r"travels 0\.2\d m rms, which is a sensor that drifts"):
+        with pytest.raises(InputError, match=r"0\.2\d m\b"):
             opened(twin, tmp_path / "floor.npz")
 
 
@@ -266,14 +266,14 @@ def test_the_shipped_ground_spectra_are_a_floor_and_each_of_several_its_own(twin
 @pytest.mark.parametrize(
     ("columns", "unit", "message"),
     [
-        ({"frequency": [1, 30], "a": [1, 1]}, "(m/s)^2/Hz", "misses suspension frequencies"),
+        ({"frequency": [1, 30], "a": [1, 1]}, "(m/s)^2/Hz", r"\b1 \w+ 30 Hz"),
         ({"frequency": [1, 300], "a": [1, -1]}, "(m/s)^2/Hz", "negative"),
-        ({"frequency": [1, 300], "a": [1, 1]}, "N^2/Hz", "needs a density of m/s"),
-        ({"frequency": [1, 300], "a": [1, 1]}, "m/s^2 per Hz", "give a density as"),
-        ({"frequency": [1, 300], "a": [1, 1]}, "m/s^2", "say their unit as a density"),
-        ({"frequency": [-1, 0], "a": [1, 1]}, "(m/s)^2/Hz", "0 frequencies above zero"),
-        ({"x": [1, 300], "a": [1, 1]}, "(m/s)^2/Hz", "no column named frequency"),
-        ({"f": [1, 300], **{n: [1, 1] for n in "abcd"}}, "(m/s)^2/Hz", "4 spectra .*choose 1 to 3"),
+        ({"frequency": [1, 300], "a": [1, 1]}, "N^2/Hz", r"^unit\b.*'N\^2/Hz'"),
+        ({"frequency": [1, 300], "a": [1, 1]}, "m/s^2 per Hz", r"^unit\b.*'m/s\^2 per Hz'"),
+        ({"frequency": [1, 300], "a": [1, 1]}, "m/s^2", r"\(m/s\^2\)\^2/Hz"),
+        ({"frequency": [-1, 0], "a": [1, 1]}, "(m/s)^2/Hz", r"'frequency'.*\b0\b"),
+        ({"x": [1, 300], "a": [1, 1]}, "(m/s)^2/Hz", r"\bfrequency\b.*\(m/s\)\^2/Hz"),
+        ({"f": [1, 300], **{n: [1, 1] for n in "abcd"}}, "(m/s)^2/Hz", r"^spectra\.npz\b.*\b4\b"),
     ],
 )
 def test_spectra_that_cannot_be_used(twin, tmp_path, columns, unit, message):
@@ -344,7 +344,7 @@ def test_a_floor_is_described_by_its_own_numbers():
 
 def test_more_channels_than_sensors_are_refused(twin, tmp_path):
     np.savez(tmp_path / "floor.npz", fs=500.0, a=np.zeros((4, 10_000)))
-    with pytest.raises(InputError, match="at most 3 can be used; choose with channels"):
+    with pytest.raises(InputError, match=r"^floor\.npz\b.*\b4\b.*channels"):
         opened(twin, tmp_path / "floor.npz")
 
 

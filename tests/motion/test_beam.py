@@ -68,10 +68,10 @@ def test_published_beam_has_the_published_frequencies():
     [
         (lambda: beam_shapes([0.5, 1.2], 5), "places"),
         (lambda: beam_shapes([[0.5]], 5), "places"),
-        (lambda: beam_shapes([0.5], 1), "rigid-body modes"),
+        (lambda: beam_shapes([0.5], 1), r"^modes\b"),
         (lambda: beam_shapes([0.5], 9), "modes"),
         (lambda: beam_shapes([0.5], 5, 2.0), "taper"),
-        (lambda: published_beam(6), "the beam has 5"),
+        (lambda: published_beam(6), r"^actuators\b"),
     ],
 )
 def test_bad_input_is_named(call, message):

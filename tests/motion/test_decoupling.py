@@ -217,7 +217,7 @@ def test_symmetry_decouples_by_itself_and_defeats_minimal_actuation():
     gain = damping_gain(plant.modes([0, 1, 2, 3]), 0.05)
     coupling = rigid_coupling(plant, gain, decouple(plant))
     assert np.abs(coupling[[0, 1], [1, 0]]).max() < 1e-12 * np.abs(coupling).max()
-    with pytest.raises(InputError, match="cannot move mode 2 without"):
+    with pytest.raises(InputError, match=r"^input_shapes\b.*mode 2\b"):
         scheme_gain("minimal actuation", plant, SETTINGS)
 
 
@@ -326,7 +326,7 @@ def test_noise_models_are_limited_by_the_sensors():
     # On u, one an axis, they always are.
     on_u = [observable_noise_models(decouple(plant).apply(plant)) for plant in map(published_beam, (2, 3, 5))]
     assert on_u == [2, 2, 2]
-    with pytest.raises(InputError, match="not observable"):
+    with pytest.raises(InputError, match="observable"):
         kalman_observer(published_beam(3), published_noise(), 0.03)
 
 
@@ -446,38 +446,38 @@ def test_entries_of_mere_rounding_are_not_drawn():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: decouple(PLANT.modes([2, 3])), "no rigid-body modes"),
-        (lambda: decouple(published_beam(1)), "model has 1 actuator,"),
-        (lambda: decouple(PLANT, (0, 1, 2)), "add actuators"),
+        (lambda: decouple(PLANT.modes([2, 3])), r"^model\b.*rigid"),
+        (lambda: decouple(published_beam(1)), r"^model\b"),
+        (lambda: decouple(PLANT, (0, 1, 2)), r"^model\b.*actuators"),
         (lambda: decouple(PLANT, None, (0, 2)), "sensed"),
         (lambda: decouple(PLANT, (0, 1, 9)), "actuated"),
-        (lambda: rigid_coupling(PLANT, np.zeros((3, 8)), decouple(PLANT)), "gain has shape"),
+        (lambda: rigid_coupling(PLANT, np.zeros((3, 8)), decouple(PLANT)), r"^gain\b"),
         (lambda: low_frequency_slopes(PLANT.state_space(), 0.0), "low_hz"),
         (lambda: low_frequency_slopes(PLANT.state_space(), 1.0, 0.1), "high_hz"),
         (lambda: sample_places(np.random.default_rng(1), 3, -0.1), "spacing"),
-        (lambda: decouple(beam([0.3, 0.3], [0.1, 0.9])), "actuators do not tell"),
-        (lambda: decouple(beam([0.1, 0.9], [0.3, 0.3])), "sensors do not tell"),
-        (lambda: decouple(PLANT).apply(published_beam(3)), "this decoupling is for 2"),
-        (lambda: decoupled_plant(PLANT, decouple(PLANT), np.zeros((3, 10))), "gain goes from 10 states to 3"),
-        (lambda: decoupled_plant(PLANT, decouple(PLANT), np.zeros((2, 12))), "10 states are known"),
-        (lambda: rigid_coupling(PLANT, np.ones((2, 10)), decouple(PLANT)), "velocities"),
-        (lambda: constrained_damping(PLANT, 0.05, (0, 1)), "3 constraints for mode 2 with 2 actuators"),
+        (lambda: decouple(beam([0.3, 0.3], [0.1, 0.9])), "^the actuators"),
+        (lambda: decouple(beam([0.1, 0.9], [0.3, 0.3])), "^the sensors"),
+        (lambda: decouple(PLANT).apply(published_beam(3)), r"^model\b.*\b3\b.*\b2\b"),
+        (lambda: decoupled_plant(PLANT, decouple(PLANT), np.zeros((3, 10))), r"^gain\b"),
+        (lambda: decoupled_plant(PLANT, decouple(PLANT), np.zeros((2, 12))), r"^gain\b.*\b12\b.*\b10\b"),
+        (lambda: rigid_coupling(PLANT, np.ones((2, 10)), decouple(PLANT)), r"^gain\b.*velocities"),
+        (lambda: constrained_damping(PLANT, 0.05, (0, 1)), r"^undisturbed\b"),
         (lambda: constrained_damping(PLANT, 0.05, (0, 7)), "undisturbed"),
         (lambda: constrained_damping(PLANT, 0.05, (-1,)), "undisturbed"),
         (lambda: constrained_damping(PLANT, [0.05, 0.05]), "increase"),
         (lambda: constrained_stiffness(PLANT, -1.0), "factor"),
-        (lambda: constrained_damping(PLANT.modes([0, 1]), 0.1), "no flexible modes"),
-        (lambda: band_passed(PLANT, np.ones((2, 10)), 2.0), "rigid-body mode"),
-        (lambda: band_passed(PLANT, np.zeros((2, 10)), 2.0), "must feed back"),
-        (lambda: band_passed(PLANT, np.zeros((3, 10)), 2.0), "shape"),
+        (lambda: constrained_damping(PLANT.modes([0, 1]), 0.1), r"^model\b.*flexible"),
+        (lambda: band_passed(PLANT, np.ones((2, 10)), 2.0), r"^gain\b.*rigid"),
+        (lambda: band_passed(PLANT, np.zeros((2, 10)), 2.0), r"^gain\b.*flexible"),
+        (lambda: band_passed(PLANT, np.zeros((3, 10)), 2.0), r"^gain\b"),
         (lambda: band_passed(PLANT, damping_gain(PLANT, 0.1), 2.0, 3), "order"),
         (lambda: band_passed(PLANT, damping_gain(PLANT, 0.1), 0.0), "selectivity"),
-        (lambda: half_power_selectivity(PLANT, damping_gain(PLANT.modes([0, 1, 2]), 0.1)), "one mode only"),
-        (lambda: minimal_order(PLANT.state_space()), "stable"),
-        (lambda: added_damping(PLANT, PLANT.modes([0, 1, 2]).state_space()), "fewer oscillating modes"),
-        (lambda: scheme_gain("over-actuation", PLANT, SETTINGS), "takes 3"),
-        (lambda: scheme_gain("total actuation", PLANT, SETTINGS), "takes 5"),
-        (lambda: scheme_gain("over actuation", PLANT, SETTINGS), "over-actuation"),
+        (lambda: half_power_selectivity(PLANT, damping_gain(PLANT.modes([0, 1, 2]), 0.1)), r"^gain\b"),
+        (lambda: minimal_order(PLANT.state_space()), r"^gain\b.*stable"),
+        (lambda: added_damping(PLANT, PLANT.modes([0, 1, 2]).state_space()), r"^system\b"),
+        (lambda: scheme_gain("over-actuation", PLANT, SETTINGS), "'over-actuation'"),
+        (lambda: scheme_gain("total actuation", PLANT, SETTINGS), "'total actuation'"),
+        (lambda: scheme_gain("over actuation", PLANT, SETTINGS), r"^name\b.*'over actuation'"),
         (lambda: with_scheme("undamped", PLANT, replace(SETTINGS, damped=4)), "modes"),
         (lambda: replace(SETTINGS, selectivity=0.0), "selectivity"),
         (lambda: replace(SETTINGS, common_selectivity=-1.0), "common_selectivity"),

@@ -82,7 +82,7 @@ def test_the_typical_error_of_one_machine_is_its_own_and_of_none_unknown(reduced
     alone = typical_placement_error(reduced, 0.035, SAMPLE_TIME, "robust", machines=1, spread=0.0)
     assert alone == placement_error(reduced, gain, 0.035, SAMPLE_TIME)
     assert np.isnan(typical_placement_error(reduced, 0.035, 1e-7, "Ackermann", machines=5))
-    with pytest.raises(InputError, match=r"method is 'robst'.*did you mean 'robust'"):
+    with pytest.raises(InputError, match=r"^method\b"):
         typical_placement_error(reduced, 0.035, SAMPLE_TIME, "robst")
 
 
@@ -123,29 +123,29 @@ def test_a_late_force_damps_as_the_loop_stepped_by_hand_decays(reduced):
 
 
 def test_bad_gains_and_machines_are_refused(reduced):
-    with pytest.raises(InputError, match="shape"):
+    with pytest.raises(InputError, match=r"^gain\b.*\("):
         sampled_feedback(reduced, np.zeros((1, 6)), SAMPLE_TIME)
-    with pytest.raises(InputError, match="shape"):
+    with pytest.raises(InputError, match=r"^gain\b.*\("):
         placement_error(reduced, np.zeros((2, 8)), 0.03, SAMPLE_TIME)
-    with pytest.raises(InputError, match="rigid body"):
+    with pytest.raises(InputError, match=r"^gain\b.*rigid"):
         sampled_feedback(reduced, np.ones((1, 8)), SAMPLE_TIME)
-    with pytest.raises(InputError, match="no longer oscillates"):
+    with pytest.raises(InputError, match=r"^gain\b.*mode\b"):
         sampled_feedback(reduced, 50 * damping_gain(reduced, 0.035), SAMPLE_TIME)
-    with pytest.raises(InputError, match="2 inputs"):
+    with pytest.raises(InputError, match=r"^model\b.*\b2 inputs"):
         discrete_damping_gain(
             replace(reduced, input_shapes=np.ones((4, 2)), feedthrough=np.zeros((1, 2))), 0.03, SAMPLE_TIME
         )
-    with pytest.raises(InputError, match="node"):
+    with pytest.raises(InputError, match=r"^input_shapes\b"):
         discrete_damping_gain(
             replace(reduced, input_shapes=np.array([[1.0], [1], [0], [1]])), 0.03, SAMPLE_TIME
         )
-    with pytest.raises(InputError, match="too long"):
+    with pytest.raises(InputError, match=r"^sample_time\b.*1396 Hz"):
         discrete_damping_gain(reduced, 0.03, 4e-4)
-    with pytest.raises(InputError, match="damping ratios"):
+    with pytest.raises(InputError, match=r"^increase\b"):
         discrete_damping_gain(reduced, 1.0, SAMPLE_TIME)
-    with pytest.raises(InputError, match="no flexible modes"):
+    with pytest.raises(InputError, match=r"^model\b.*flexible"):
         discrete_damping_gain(reduced.modes([0]), 0.03, SAMPLE_TIME)
-    with pytest.raises(InputError, match="one frequency"):
+    with pytest.raises(InputError, match=r"^model\b.*frequency"):
         discrete_damping_gain(
             replace(reduced, frequencies=reduced.frequencies[[0, 1, 1, 2]]), 0.03, SAMPLE_TIME
         )
@@ -258,25 +258,25 @@ def test_delayed_models_answer_the_same_later(samples, seed):
 
 def test_bad_delays_forms_and_models_are_refused(reduced, observer):
     for delay in (1.5, -1, 2.0):
-        with pytest.raises(InputError, match="whole number"):
+        with pytest.raises(InputError, match=r"^delay\b"):
             observer.estimator(observer.flexible_outputs, "filter", delay)
-    with pytest.raises(InputError, match="at least 1"):
+    with pytest.raises(InputError, match=r"^delay\b"):
         observer.estimator(observer.flexible_outputs, "predictor", 0)
     with pytest.raises(InputError, match="form"):
         observer.estimator(observer.flexible_outputs, "smoother", 1)
     with pytest.raises(InputError, match="rows"):
         observer.estimator(np.zeros((1, 3)))
-    with pytest.raises(InputError, match="continuous"):
+    with pytest.raises(InputError, match=r"^model\b.*continuous"):
         delayed(reduced.state_space(), 1)
     with pytest.raises(InputError, match="gain"):
         replace(observer, gain=np.zeros((3, 1)))
     with pytest.raises(InputError, match="unstable"):
         replace(observer, gain=np.zeros_like(observer.gain))
-    with pytest.raises(InputError, match="velocities"):
+    with pytest.raises(InputError, match=r"^model\b.*velocities"):
         discrete_kalman_observer(replace(reduced, measures="velocity"), published_noise(), SAMPLE_TIME)
-    with pytest.raises(InputError, match="band-pass"):
+    with pytest.raises(InputError, match=r"^selection\b"):
         discrete_compensator(observer, Application(damping=0.03, selectivity=2.0, selection="pole placement"))
-    with pytest.raises(InputError, match="only MC and AD"):
+    with pytest.raises(InputError, match=r"^application\b"):
         discrete_compensator(observer, Application(stiffness=1.2))
     with pytest.raises(InputError, match="observable"):
         blind = reduced.output_shapes.copy()

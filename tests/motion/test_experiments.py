@@ -180,18 +180,21 @@ HITS = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 2.0, 0.5, 0.0]])
     [
         (lambda: Drive(0.0, 1.0, 1.0, 1.0, 1.0), "inertia"),
         (lambda: Drive(1.0, -1.0, 1.0, 1.0, 1.0), "friction"),
-        (lambda: closed_loop_response(np.zeros(100), np.zeros(100), np.zeros(100), 1.0, 60), "two segments"),
+        (lambda: closed_loop_response(np.zeros(100), np.zeros(100), np.zeros(100), 1.0, 60), r"^segment\b"),
         (
             lambda: closed_loop_response(np.zeros(100), np.zeros(99), np.zeros(100), 1.0, 10),
-            "inputs has shape",
+            r"^inputs\b",
         ),
-        (lambda: impact_response(np.zeros((0, 9)), np.zeros((0, 9)), 1.0), "force (holds no hit|is empty)"),
-        (lambda: impact_response(1e-160 * HITS, HITS, 1.0), "too large or too small"),
-        (lambda: impact_response(HITS, 1e300 * HITS, 1.0), "too large or too small"),
-        (lambda: fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0)), [], (110.0, 1990.0)), "at least one"),
+        (lambda: impact_response(np.zeros((0, 9)), np.zeros((0, 9)), 1.0), r"^force\b"),
+        (lambda: impact_response(1e-160 * HITS, HITS, 1.0), r"^force\b"),
+        (lambda: impact_response(HITS, 1e300 * HITS, 1.0), r"^force\b"),
+        (
+            lambda: fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0)), [], (110.0, 1990.0)),
+            r"^guesses_hz\b",
+        ),
         (
             lambda: fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0)), [3000.0], (110.0, 1990.0)),
-            "inside band_hz",
+            r"^guesses_hz\b.*band_hz",
         ),
         (
             lambda: fit_modes(
@@ -201,7 +204,7 @@ HITS = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 2.0, 0.5, 0.0]])
                 [800.0, 1500.0],
                 (110.0, 1990.0),
             ),
-            "mass is not positive",
+            r"\bmass\b",
         ),
         (lambda: three_masses([1.0, 1.0], [1.0, 1.0]), "masses"),
     ],

@@ -146,18 +146,18 @@ def test_velocity_observer_leaves_the_rigid_position_out():
     ("call", "message"),
     [
         (lambda: damping_gain(MODEL, 0.1, "best"), "selection"),
-        (lambda: damping_gain(MODEL.modes([0]), 0.1), "no flexible modes"),
+        (lambda: damping_gain(MODEL.modes([0]), 0.1), r"^model\b.*flexible"),
         (
             lambda: damping_gain(replace(MODEL, input_shapes=MODEL.input_shapes * [[1], [0], [1], [1]]), 0.1),
-            "node",
+            r"^input_shapes\b",
         ),
-        (lambda: fed_back(MODEL, damping_gain(MODEL, 5.0)), "no longer oscillates"),
-        (lambda: place(chain([1.0, 2.0]).state_space(), np.zeros(4)), "2 inputs"),
+        (lambda: fed_back(MODEL, damping_gain(MODEL, 5.0)), r"^gain\b"),
+        (lambda: place(chain([1.0, 2.0]).state_space(), np.zeros(4)), r"^model\b.*\b2 inputs"),
         (
             lambda: place(
                 StateModel(-np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))), [-1.0, -2.0]
             ),
-            "not controllable",
+            r"^model\b.*controllable",
         ),
         (
             lambda: damping_gain(
@@ -167,23 +167,23 @@ def test_velocity_observer_leaves_the_rigid_position_out():
                 0.1,
                 "pole placement",
             ),
-            "not controllable",  # two modes of one frequency cannot be told apart by one actuator
+            r"^model\b.*controllable",  # two modes of one frequency cannot be told apart by one actuator
         ),
         (
             lambda: stiffness_gain(
                 replace(MODEL, input_shapes=MODEL.input_shapes * [[1], [0], [1], [1]]), 1.5
             ),
-            "node",
+            r"^input_shapes\b",
         ),
-        (lambda: damping_gain(MODEL, 1.2, "pole placement"), "below 1"),
-        (lambda: place(MODEL.state_space(), 1j * np.arange(8.0)), "conjugate pairs"),
+        (lambda: damping_gain(MODEL, 1.2, "pole placement"), r"^increase\b"),
+        (lambda: place(MODEL.state_space(), 1j * np.arange(8.0)), r"^poles\b"),
         (lambda: Application(damping=-0.1), "damping"),
         (lambda: Application(selection="best"), "selection"),
         (
             lambda: compensator(
                 stage_observer(5), Application(damping=0.1, selection="pole placement", selectivity=2.0)
             ),
-            "band-pass",
+            r"^selection\b",
         ),
     ],
 )

@@ -95,9 +95,7 @@ def test_mixed_inequalities_bound_the_norms_of_their_loop(seed):
 
 def test_a_level_below_what_can_be_kept_shows_status_and_residuals():
     _, two, _, peak = optimum(0)
-    with pytest.raises(
-        InputError, match=r"'\w*PrimalInfeasible' after \d+ iterations, residuals .* \(primal\)"
-    ):
+    with pytest.raises(InputError, match=r"'\w*PrimalInfeasible'.*\d+ iterations.*\(primal\)"):
         mixed_lmi(two, 0.1 * peak, 100.0, 0.7, 0.4)
 
 
@@ -112,13 +110,13 @@ def test_a_loop_that_breaks_what_the_solver_claims_is_refused(lie, monkeypatch):
 
     monkeypatch.setattr(matrix_inequalities, "_by_inequalities", inaccurate)
     level = (0.7 if lie == "claim" else 0.5) * peak
-    with pytest.raises(InputError, match=r"'optimal\w*' with H2 norm .* at level .* relative residual"):
+    with pytest.raises(InputError, match=r"'optimal\w*'.*H2 norm.*level.*residual"):
         mixed_lmi(two, level, 100.0, 0.7, 0.4)
 
 
 def test_arguments_of_the_mixed_problem_are_named():
     plant, two = weighed(0)
-    with pytest.raises(InputError, match="1 performance outputs"):
+    with pytest.raises(InputError, match=r"^plant\b.*\b1 performance"):
         mixed_lmi(plant, 1.0, 1.0, 0.7, 0.4)
     with pytest.raises(InputError, match="level"):
         mixed_lmi(two, 0.0, 1.0, 0.7, 0.4)
@@ -132,11 +130,9 @@ def test_infeasible_inequalities_show_the_status():
     b = np.array([[1.0, 0.0], [1.0, 1.0]])
     model = StateModel(a, b, np.array([[1.0, 1.0], [1.0, 1.0]]), np.zeros((2, 2)))
     plant = GeneralisedPlant(model, exogenous=1, performance=1)
-    with pytest.raises(
-        InputError, match=r"Clarabel reports '\w+' after \d+ iterations, residuals|relative residual"
-    ):
+    with pytest.raises(InputError, match=r"Clarabel|residual"):
         h2_lmi(plant, 1.0, 1.0)
-    with pytest.raises(InputError, match=r"no stabilising solution|relative residual|stable"):
+    with pytest.raises(InputError, match=r"Riccati|residual|stable"):
         h2_riccati(plant, 1.0, 1.0)
 
 
@@ -244,19 +240,19 @@ def test_an_inaccurate_solution_is_refused_with_its_residual(monkeypatch):
         return status, 0.99 * least, controller
 
     monkeypatch.setattr(matrix_inequalities, "_by_inequalities", inaccurate)
-    with pytest.raises(InputError, match=r"'optimal\w*' with H2 norm .* relative residual"):
+    with pytest.raises(InputError, match=r"'optimal\w*'.*H2 norm.*residual"):
         h2_lmi(toy(), 0.7, 0.4)
 
 
 def test_feedthrough_and_wrong_shapes_are_named():
     model = StateModel(-np.eye(1), np.ones((1, 2)), np.ones((2, 1)), np.array([[1.0, 0.0], [0.0, 0.0]]))
-    with pytest.raises(InputError, match="feedthrough from w to z"):
+    with pytest.raises(InputError, match="feedthrough"):
         h2_riccati(GeneralisedPlant(model, 1, 1), 1.0, 1.0)
-    with pytest.raises(InputError, match="leave controls"):
+    with pytest.raises(InputError, match=r"\b2 exogenous.*\b1 performance"):
         GeneralisedPlant(model, 2, 1)
-    with pytest.raises(InputError, match="effort and noise"):
+    with pytest.raises(InputError, match=r"^effort\b"):
         regularised(toy(), 0.0, 1.0)
-    with pytest.raises(InputError, match="controller has shape"):
+    with pytest.raises(InputError, match=r"^controller\b"):
         toy().close(StateModel(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))))
 
 
@@ -323,10 +319,10 @@ def test_a_plant_in_discrete_time_is_refused_and_closed_in_its_own():
     m = toy().model
     sampled = GeneralisedPlant(StateModel(m.a, m.b, m.c, m.d, sample_time=0.1), exogenous=4, performance=2)
     for synthesis in (h2_riccati, h2_lmi):
-        with pytest.raises(InputError, match="discrete time"):
+        with pytest.raises(InputError, match=r"^plant\b.*discrete"):
             synthesis(sampled, 0.7, 0.4)
     gain = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), -0.1 * np.ones((1, 2)))
-    with pytest.raises(InputError, match="sample times"):
+    with pytest.raises(InputError, match=r"^models\b"):
         sampled.close(gain)
     assert toy().close(gain).sample_time == 0.0
     assert sampled.close(StateModel(gain.a, gain.b, gain.c, gain.d, 0.1)).sample_time == 0.1
@@ -349,7 +345,7 @@ def test_a_loop_of_feedthroughs_without_a_solution_is_refused():
     plant = GeneralisedPlant(
         StateModel(-np.eye(1), np.ones((1, 2)), np.ones((2, 1)), np.diag([0.0, 2.0])), 1, 1
     )
-    with pytest.raises(InputError, match="no unique solution"):
+    with pytest.raises(InputError, match="feedthrough"):
         plant.close(StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), 0.5 * np.eye(1)))
 
 
@@ -359,20 +355,18 @@ def test_a_loop_of_feedthroughs_without_a_solution_is_refused():
 def test_what_no_synthesis_takes_is_named(synthesis):
     """Efforts and noises of a wrong number or sign, and a plant whose norm no controller makes finite."""
     _, two = weighed(0)
-    with pytest.raises(
-        InputError, match=r"effort has shape \(2,\); give a number, or one for each control: 1"
-    ):
+    with pytest.raises(InputError, match=r"^effort\b"):
         synthesis(two, effort=[0.1, 0.2], noise=0.1)
-    with pytest.raises(InputError, match="noise is negative"):
+    with pytest.raises(InputError, match=r"^noise\b"):
         synthesis(two, effort=0.1, noise=[0.1, -0.1])
-    with pytest.raises(InputError, match="takes more effort"):
+    with pytest.raises(InputError, match=r"^effort\b.*more effort"):
         synthesis(two)
     m = two.model
     fed = GeneralisedPlant(StateModel(m.a, m.b, m.c, np.eye(*m.d.shape)), two.exogenous, two.performance)
-    with pytest.raises(InputError, match="feedthrough from w to z"):
+    with pytest.raises(InputError, match="feedthrough"):
         synthesis(fed, effort=0.1, noise=0.1)
     static = StateModel(np.zeros((0, 0)), np.zeros((0, 5)), np.zeros((4, 0)), m.d)
-    with pytest.raises(InputError, match="no states"):
+    with pytest.raises(InputError, match=r"^plant\b.*states"):
         synthesis(GeneralisedPlant(static, 4, 2), effort=0.1, noise=0.1)
 
 
@@ -385,10 +379,10 @@ def test_a_solver_that_stops_a_little_short_is_judged_by_its_loop(seed):
 
 
 def test_a_norm_below_zero_is_refused():
-    with pytest.raises(InputError, match="claimed is -1; give a finite number at least 0"):
+    with pytest.raises(InputError, match=r"^claimed\b"):
         H2Synthesis(toy().model, 1.0, 1.0, -1.0)
 
 
 def test_an_optimum_that_no_float_keeps_says_what_would_help():
-    with pytest.raises(InputError, match="the optimum is a loop without a trusted norm, add effort or noise"):
+    with pytest.raises(InputError, match=r"norm.*effort"):
         h2_riccati(regular(132, 1.0))

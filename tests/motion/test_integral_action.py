@@ -84,15 +84,15 @@ def test_small_gain_loop_is_the_whole_loop_opened_at_the_unknown_modes():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: slope([1.0], [1.0]), "at least two"),
-        (lambda: slope([1.0, 2.0], [0.0, 1.0]), "not 0"),
-        (lambda: static_gain(stage().state_space()), "pole at the origin"),
+        (lambda: slope([1.0], [1.0]), r"^omega and response\b"),
+        (lambda: slope([1.0, 2.0], [0.0, 1.0]), r"^omega and response\b"),
+        (lambda: static_gain(stage().state_space()), r"^model\b.*origin"),
         (lambda: keeps_integral_action(stage_compensator(5, DESIGNS["MC"]), "both"), "application"),
         (
             lambda: small_gain(
                 np.array([1.0]), PLANT, 8, 0.0, stage_compensator(5, DESIGNS["MC"]), CONTROLLER.state_space()
             ),
-            "nothing is discarded",
+            r"^retained\b",
         ),
     ],
 )

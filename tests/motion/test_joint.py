@@ -318,14 +318,17 @@ def test_explorer_says_when_a_loop_is_unstable():
     ("call", "message"),
     [
         (lambda: JointDesign(process=0.0), "process"),
-        (lambda: JointDesign(damping=(0.1, 0.1)), "damping has shape"),
+        (lambda: JointDesign(damping=(0.1, 0.1)), r"^damping\b"),
         (lambda: JointDesign(selectivity=(1.0, -1.0, 1.0)), "selectivity"),
         (lambda: search(PUBLISHED, "all", []), "free"),
         (lambda: search(PUBLISHED, "joint", [], aim="speed"), "aim"),
-        (lambda: search(replace(PUBLISHED, bandwidth_hz=400.0), "joint", [serve(stage())]), "unstable"),
+        (
+            lambda: search(replace(PUBLISHED, bandwidth_hz=400.0), "joint", [serve(stage())]),
+            r"^start\b.*unstable",
+        ),
         (lambda: search(PUBLISHED, "joint", [], limit=0.5), "limit"),
         (lambda: search(PUBLISHED, "joint", [], force=0.0), "force"),
-        (lambda: meet(PUBLISHED, [serve(stage(), 0.3)], 0.3), "delay is 0.3"),
+        (lambda: meet(PUBLISHED, [serve(stage(), 0.3)], 0.3), r"^delay\b"),
         (lambda: starts(0, 1), "count"),
     ],
 )

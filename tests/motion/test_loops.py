@@ -227,7 +227,7 @@ def test_a_search_does_not_end_at_an_unstable_design_whose_peaks_are_low():
             [unstable], FAMILY, [PeakConstraint("input_sensitivity", limit)], 20.0, 60.0, lowest=True
         )
         assert found.design_hz == pytest.approx(30.0, abs=1e-3) and found.function == "stability"
-    with pytest.raises(Infeasible, match="stability of loop 1 fails"):
+    with pytest.raises(Infeasible, match=r"\b40 \w+ 60 Hz.*stability.*loop 1\b"):
         maximise_bandwidth([unstable], FAMILY, [PeakConstraint("input_sensitivity")], 40.0, 60.0, lowest=True)
 
 
@@ -239,9 +239,9 @@ def test_a_loop_that_is_not_a_number_is_no_feasible_one():
             return found
 
     limits, family = [PeakConstraint("input_sensitivity")], lambda hertz: (PidFamily(5.0)(hertz),) * 2
-    with pytest.raises(InputError, match=r"input_sensitivity of loop 1 is not a number at 0.1055 Hz"):
+    with pytest.raises(InputError, match=r"^input_sensitivity\b"):
         maximise_bandwidth([Broken()], family, limits, 1.5, 50.0, lowest=True)
-    with pytest.raises(InputError, match="is not a number"):
+    with pytest.raises(InputError, match=r"^input_sensitivity\b.*number"):
         holds([Broken()], family(2.0), limits, refine=False)
 
 
@@ -284,24 +284,24 @@ def test_of_constraints_that_are_equal_but_for_rounding_the_first_is_active(firs
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: maximise_bandwidth([], FAMILY, [PeakConstraint("input_sensitivity")]), "loops is empty"),
+        (lambda: maximise_bandwidth([], FAMILY, [PeakConstraint("input_sensitivity")]), r"^loops\b"),
         (
             lambda: holds(
                 [make_loop(stage().at([0], [4]))], (FAMILY(20.0),), [PeakConstraint("true_tracking")]
             ),
-            "give Pid",
+            r"^controller\b",
         ),
         (
             lambda: maximise_bandwidth(
                 [CoupledCarts()], FAMILY, [PeakConstraint("true_tracking")], ratio=1e6
             ),
-            "ratio is 1e[+]06",
+            r"^ratio\b",
         ),
-        (lambda: maximise_bandwidth([make_loop(stage().at([0], [4]))], FAMILY, []), "constraints is empty"),
-        (lambda: PeakConstraint("sensitivity"), "input_sensitivity"),
+        (lambda: maximise_bandwidth([make_loop(stage().at([0], [4]))], FAMILY, []), r"^constraints\b"),
+        (lambda: PeakConstraint("sensitivity"), r"^function\b"),
         (lambda: PeakConstraint("input_sensitivity", 0.9), "limit"),
-        (lambda: stage_bandwidth("PDI"), "did you mean 'PID'"),
-        (lambda: make_loop(stage()), "one input and one output"),
+        (lambda: stage_bandwidth("PDI"), r"^name\b"),
+        (lambda: make_loop(stage()), r"^plant\b.*plant\.at"),
         (
             lambda: maximise_bandwidth(
                 stage_loops(DESIGNS["PID"]),
@@ -311,19 +311,19 @@ def test_of_constraints_that_are_equal_but_for_rounding_the_first_is_active(firs
                 90.0,
                 4,
             ),
-            "no bandwidth from 60 to 90 Hz",
+            r"\b60 \w+ 90 Hz",
         ),
         (
             lambda: maximise_bandwidth(
                 [make_loop(stage().at([0], [4]))], FAMILY, [PeakConstraint("input_sensitivity")], 5.0, 9.0, 4
             ),
-            "raise it",
+            r"high_hz = 9\b",
         ),
         (
             lambda: channel(closed_loop(stage().at([0], [4]), None, FAMILY(30.0).state_space()), "x", "u"),
-            "unknown",
+            "^channel 'x'",
         ),
-        (lambda: closed_loop(stage(), None, FAMILY(30.0).state_space()), "numbers of inputs"),
+        (lambda: closed_loop(stage(), None, FAMILY(30.0).state_space()), r"^compensator or controller\b"),
         (
             lambda: interconnect(
                 [StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)))],
@@ -331,7 +331,7 @@ def test_of_constraints_that_are_equal_but_for_rounding_the_first_is_active(firs
                 np.ones((1, 1)),
                 np.ones((1, 1)),
             ),
-            "no unique solution",
+            "feedthrough",
         ),
     ],
 )

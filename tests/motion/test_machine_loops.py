@@ -152,9 +152,7 @@ def test_the_lowest_of_two_intervals_is_taken():
     ).design_hz == pytest.approx(20.0, abs=1e-3)
     ended = maximise_bandwidth([machine_plant], family, limits, 5.0, 80.0, lowest=True)
     assert ended.design_hz == pytest.approx(80.0) and ended.function == "the end of the search"
-    with pytest.raises(
-        InputError, match=r"at 25 Hz input sensitivity of loop 1 fails at .* with a peak of \d"
-    ):
+    with pytest.raises(InputError, match=r"25 Hz input sensitivity.*loop 1\b"):
         maximise_bandwidth([machine_plant], gapped, limits, 25.0, 50.0, lowest=True)
 
 
@@ -193,6 +191,6 @@ def test_a_measurement_of_the_model_gives_the_model_sampled_or_not(tmp_path):
 
 def test_sample_times_that_differ_are_refused(tmp_path):
     plant = machine_of(tmp_path, "collocated").sensors[0]
-    with pytest.raises(InputError, match="there is a delay without one"):
+    with pytest.raises(InputError, match=r"^compensator\b"):
         make_loop(plant, delay=1)
     assert {limit.function for limit in SAFE} == set(FUNCTIONS)

@@ -114,16 +114,16 @@ def test_undamped_matrices_are_the_limit_of_small_damping():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: truncate(stage(), 9), "the model has 8 modes"),
+        (lambda: truncate(stage(), 9), r"^modes\b"),
         (lambda: truncate(stage(), 0), "modes"),
-        (lambda: truncate(chain([1.0, 1.0]), 1, 2), "the model has 2 modes"),
+        (lambda: truncate(chain([1.0, 1.0]), 1, 2), r"^modes\b"),
         (lambda: roll_off(stage(), -1.0), "cutoff_hz"),
-        (lambda: chain([1.0]), "two positive masses"),
+        (lambda: chain([1.0]), r"^masses\b"),
         (lambda: stage(1.5), "damping_ratio"),
         (lambda: parameters("robot"), "machine"),
         (lambda: transition(0.0, 0.1, 1e-4), "omega"),
         (lambda: transition(1.0, 0.1, 1e-4, "rough"), "variant"),
-        (lambda: discrete_compliance(stage().state_space()), "continuous time"),
+        (lambda: discrete_compliance(stage().state_space()), r"^model\b.*continuous"),
     ],
 )
 def test_bad_input_is_named(call, message):
@@ -135,5 +135,5 @@ def test_bad_input_is_named(call, message):
 def test_a_deviation_whose_square_is_no_number_is_named(deviation, monkeypatch):
     table = Table({"noise": {"process": deviation, "reference": 1.0, "sensor": 1.0}}, "machines.toml")
     monkeypatch.setattr(machines, "parameters", lambda _: table)
-    with pytest.raises(InputError, match=r"machines\.toml: process is"):
+    with pytest.raises(InputError, match=r"^machines\.toml: process\b"):
         machines.published_noise()

@@ -241,7 +241,7 @@ def test_a_suspension_in_an_octave_of_few_lines_is_found(tmp_path):
     machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
     assert machine.mass == pytest.approx(8.0, rel=0.02)
     assert machine.sensors[0].frequencies / (2 * np.pi) == pytest.approx([6.0, 130.0, 310.0], rel=0.01)
-    with pytest.raises(InputError, match=r"mirrored_sensor: a.npz stands on springs .* \(false\)"):
+    with pytest.raises(InputError, match=r"^mirrored_sensor\b"):
         build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=True)
 
 
@@ -279,7 +279,7 @@ def test_a_matrix_of_responses_is_taken_one_by_one(tmp_path):
     matrix = np.array([[accelerance(hertz, m + 10 * n, []) for n in (1, 2)] for m in (1, 2, 3)])
     for name, stored in (("last", matrix), ("first", np.moveaxis(matrix, -1, 0))):
         np.savez(tmp_path / f"{name}.npz", frequency=hertz, h=stored)
-        with pytest.raises(InputError, match=r"holds 6 responses; choose with response='h\[1,1\]'"):
+        with pytest.raises(InputError, match=r"\.npz\b.*h\[1,1\]"):
             load_machine(tmp_path / f"{name}.npz")
         taken = load_machine(tmp_path / f"{name}.npz", response="h[3,2]").accelerance
         assert taken.response == pytest.approx(matrix[2, 1], rel=1e-12)
@@ -298,15 +298,15 @@ def test_diagram_marks_the_machine_and_little_else():
 
 def test_bad_arguments_are_refused():
     omega = np.linspace(1.0, 2.0, 20)
-    with pytest.raises(InputError, match="at least 40 lines for order 10"):
+    with pytest.raises(InputError, match=r"^omega\b.*\b40\b"):
         complex_frequency_poles(omega, np.ones((20, 1, 1)), np.ones(20), 10)
     measured = noisy(np.random.default_rng(0), np.arange(5.0, 99.0), 1.0, [], 1e-3)
-    with pytest.raises(InputError, match="guesses_hz must be empty or hold frequencies all inside"):
+    with pytest.raises(InputError, match=r"^guesses_hz\b"):
         identify_modes(measured, (5.0, 98.0), [200.0])
     for band, size in (((300.0, 400.0), 1.0), ((5.0, 20.0), 1.0), ((5.0, 98.0), 0.0), ((5.0, 98.0), 1e200)):
-        with pytest.raises(InputError, match="give at least 32 lines of a response in 1/kg"):
+        with pytest.raises(InputError, match=r"^measured\b.*\b32\b"):
             identify_modes(measured._replace(response=size * measured.response), band)
-    with pytest.raises(InputError, match="omega must ascend from above 0"):
+    with pytest.raises(InputError, match=r"^omega\b"):
         stabilisation(np.arange(50.0), np.ones((50, 1, 1)))
-    with pytest.raises(InputError, match="no resonance stands out"):
+    with pytest.raises(InputError, match=r"\b98 Hz.*modes_hz"):
         identify_modes(measured, (5.0, 98.0))

@@ -90,8 +90,8 @@ def test_other_forms_of_numbers_are_taken_and_nonsense_is_named():
     assert moved[1] == pytest.approx(moved[0], rel=1e-6) and np.array_equal(moved[2], moved[0])
     assert holds((loop,), pid, [*SAFE]) and not holds([loop], PidFamily(40.0)(80.0), SAFE)
     for call, message in (
-        (lambda: holds([], pid, SAFE), "loops is empty"),
-        (lambda: holds([loop], pid, []), "constraints is empty"),
+        (lambda: holds([], pid, SAFE), r"^loops\b"),
+        (lambda: holds([loop], pid, []), r"^constraints\b"),
         (lambda: holds([loop], 3.0, SAFE), "controller"),
         (lambda: doubted_loops([loop], [[1.0, 0.9]]), "factors"),
         (lambda: doubted_loops([loop], "12"), "moves"),

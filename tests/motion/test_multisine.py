@@ -200,18 +200,18 @@ def test_smoothing_keeps_a_constant(noisy):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: random_phase_multisine(np.random.default_rng(0), 7, 1.0), "samples is 7"),
-        (lambda: random_phase_multisine(np.random.default_rng(0), 8, 0.0), "rms is 0"),
-        (lambda: _run(realisations=1), "one realisation"),
-        (lambda: _run(periods=0), "periods is 0"),
-        (lambda: _run(sensors=3), "loop has shape"),
-        (lambda: _fit(modes=0), "modes is 0"),
-        (lambda: _fit(deviation=np.zeros(200)), "deviation must be positive"),
-        (lambda: _fit(rigid=3), "rigid_modes is 3"),
-        (lambda: _fit(modes=50), "at least 530 lines"),
+        (lambda: random_phase_multisine(np.random.default_rng(0), 7, 1.0), r"^samples\b"),
+        (lambda: random_phase_multisine(np.random.default_rng(0), 8, 0.0), r"^rms\b"),
+        (lambda: _run(realisations=1), r"^inputs\b"),
+        (lambda: _run(periods=0), r"^periods\b"),
+        (lambda: _run(sensors=3), r"^loop\b"),
+        (lambda: _fit(modes=0), r"^modes\b"),
+        (lambda: _fit(deviation=np.zeros(200)), r"^deviation\b"),
+        (lambda: _fit(rigid=3), r"^rigid_modes\b"),
+        (lambda: _fit(modes=50), r"^omega\b.*\b530\b"),
         (
             lambda: rig_experiment(GEOMETRY, SETTINGS, 4.0).deviation(np.array([10.0]), 1.0, 0),
-            "averages is 0",
+            r"^averages\b",
         ),
     ],
 )
@@ -221,7 +221,7 @@ def test_bad_input_is_named(call, message):
 
 
 def test_unstable_loop_is_refused():
-    with pytest.raises(InputError, match="unstable"):
+    with pytest.raises(InputError, match=r"^loop\b.*unstable"):
         records_of(SETTINGS, 60.0, 0, 1.0, 2, samples=16)
 
 

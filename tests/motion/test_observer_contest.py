@@ -141,7 +141,7 @@ def test_caught_errors_do_not_hide_what_was_tried(told, written):
             pass"""
     )
     given = told[1:]
-    with pytest.raises(Disqualified, match="reads files"), ForeignObserver(written(sly)) as observer:
+    with pytest.raises(Disqualified, match="files"), ForeignObserver(written(sly)) as observer:
         observer.start([given])
         observer.step([0], np.zeros((1, 1)), np.zeros((1, 1)))
 
@@ -232,11 +232,11 @@ def test_the_contest_goes_on_without_the_disqualified(written, capsys):
 
 
 def test_a_file_that_is_not_there_and_a_name_that_is_taken_are_told(written):
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match=r"^nowhere\.py\b"):
         ForeignObserver("nowhere.py")
-    with pytest.raises(InputError, match="'Kalman' is an entrant already"):
+    with pytest.raises(InputError, match="'Kalman'"):
         run_contest("a test", 1, [str(written(KALMAN, "Kalman.py"))])
-    with pytest.raises(InputError, match="two files have one name"):
+    with pytest.raises(InputError, match="observers"):
         run_contest("a test", 1, ["here/mine.py", "there/mine.py"])
 
 
@@ -400,7 +400,7 @@ def test_who_has_no_knobs_has_nothing_to_tune(tmp_path, monkeypatch):
     assert tuning.positions("Kalman").shape == (1, 0)
     monkeypatch.setattr(tuning, "FILE", tmp_path / "settings.toml")
     for name in ("Kalman", "particle"):
-        with pytest.raises(InputError, match=f"name is '{name}'; use one of"):
+        with pytest.raises(InputError, match=rf"^name\b.*'{name}'"):
             tuning.main([name])
     assert not tuning.FILE.exists()
 
@@ -449,7 +449,7 @@ def test_an_entrant_that_comes_later_stands_where_it_would_have_stood(small):
     others = ranked(
         measured(run_contest("another", 2, only=["zero"], plants=("drive",), doubts=("none",), loops=1)[0])
     )
-    with pytest.raises(InputError, match="other scans"):
+    with pytest.raises(InputError, match="scans"):
         joined(before, others)
 
 

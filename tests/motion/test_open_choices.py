@@ -68,8 +68,8 @@ def test_explorers_draw_labelled_curves(draw):
 @pytest.mark.parametrize(
     ("selectivity", "noise_model", "named"),
     [
-        ([], [1.0], "selectivity must hold"),
-        ([2.0], [], "noise_model must hold"),
+        ([], [1.0], r"^selectivity\b"),
+        ([2.0], [], r"^noise_model\b"),
         ([2.0], [-1.0], "noise_model"),
     ],
 )

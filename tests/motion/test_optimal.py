@@ -216,7 +216,7 @@ def test_a_norm_survives_weak_regularisation(problem):
 
 
 def test_plants_and_observers_that_the_problem_does_not_take_are_named(problem):
-    with pytest.raises(InputError, match="no feedthrough"):
+    with pytest.raises(InputError, match=r"^plant\b.*feedthrough"):
         ObserverProblem(truncate(stage().at([0], [4]), 4, 3), problem.controller, 0.035, 2.0, SCALES)
-    with pytest.raises(InputError, match="other modes"):
+    with pytest.raises(InputError, match=r"^observer\b"):
         problem.read(kalman_observer(truncate(stage().at([0], [4]), 3, 0), published_noise()))

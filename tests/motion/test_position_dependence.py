@@ -104,27 +104,27 @@ def test_a_table_errs_with_the_square_of_its_spacing(plant):
 
 
 def test_places_off_the_structure_and_on_nodes_are_refused(plant):
-    with pytest.raises(InputError, match="outside the grid"):
+    with pytest.raises(InputError, match=r"^places\b.*0\.31 m"):
         at_place(plant, GRID, 0.31)
-    with pytest.raises(InputError, match="outside the table"):
+    with pytest.raises(InputError, match=r"^places\b.*0\.04"):
         damping_table(plant, GRID, [0.03, 0.05], DAMPING, SAMPLE_TIME).at([0.04, 0.06])
-    with pytest.raises(InputError, match=r"node of mode 1 at 0\.108"):
+    with pytest.raises(InputError, match=r"^places\b.*mode 1\b.*0\.108"):
         damping_table(plant, GRID, [0.05, 0.15], DAMPING, SAMPLE_TIME)
     node = nodes(plant, GRID, 2)[0]
     with pytest.raises(InputError, match=f"at {node:g} m"):
         damping_along(plant, GRID, [0.05, node], DAMPING, SAMPLE_TIME)
-    with pytest.raises(InputError, match="ascending"):
+    with pytest.raises(InputError, match=r"^places\b"):
         damping_table(plant, GRID, [0.05, 0.03], DAMPING, SAMPLE_TIME)
     with pytest.raises(InputError, match="moves"):
         at_place(plant, GRID, 0.1, "table")
-    with pytest.raises(InputError, match="one input"):
+    with pytest.raises(InputError, match=r"^plant\b.*input"):
         at_place(modal_model(np.eye(2), np.eye(2), np.eye(2), np.eye(2)), [0, 1], 0.5)
-    with pytest.raises(InputError, match="mode is 8"):
+    with pytest.raises(InputError, match=r"^mode\b"):
         nodes(plant, GRID, 8)
 
 
 def test_observability_lost_along_a_trajectory_is_named(plant):
-    with pytest.raises(InputError, match=r"mode 1 is not observable at 0\.108"):
+    with pytest.raises(InputError, match=r"^mode\b"):
         require_seen(plant, GRID, np.linspace(0.08, 0.13, 200), [0, 1])
     require_seen(plant, GRID, np.linspace(0.0, 0.3, 200), [0])
     tilted = modal_model(
@@ -134,7 +134,7 @@ def test_observability_lost_along_a_trajectory_is_named(plant):
         np.array([[1.0, 0, 0], [0, 0, 0], [-1.0, 0, 0]]),
         0.01,
     )  # its outputs see the rigid body with either sign
-    with pytest.raises(InputError, match="mode 0 is not observable"):
+    with pytest.raises(InputError, match=r"^mode\b"):
         pass_node(tilted, [0.0, 0.1, 0.2], np.linspace(0.05, 0.15, 50), 1, NoiseIntensities(1.0, 1e-6), 1e-3)
 
 
@@ -188,7 +188,7 @@ def test_standing_on_a_node_loses_the_mode_and_passing_it_faster_loses_less(plan
         for v in (0.5, 5.0)
     )
     assert fast < slow < 1
-    with pytest.raises(InputError, match="no sample"):
+    with pytest.raises(InputError, match=r"^start and end\b"):
         stood.worst(0.5, 0.6)
     with pytest.raises(InputError, match="mode"):
         pass_node(known, GRID, np.full(10, node), 0, published_noise(), sample_time)

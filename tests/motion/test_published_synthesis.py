@@ -135,18 +135,18 @@ def test_h_infinity_filter_of_a_random_walk(theta):
 
 def test_no_filter_of_a_random_walk_keeps_a_level_below_one_for_long():
     assert smallest_level(random_walk(2000), [[1.0]]) == pytest.approx(1.0, rel=2e-3)
-    with pytest.raises(InputError, match=r"no filter keeps level 0\.98 beyond sample"):
+    with pytest.raises(InputError, match=r"0\.98.*sample"):
         hinfinity_gains(random_walk(2000), [[1.0]], 0.98)
 
 
 @pytest.mark.parametrize("wanted", [[[0.0]], [[1e-200]], np.zeros((0, 1))])
 def test_what_every_level_keeps_has_no_smallest_one(wanted):
-    with pytest.raises(InputError, match="wanted is zero"):
+    with pytest.raises(InputError, match=r"^wanted\b"):
         smallest_level(random_walk(5), wanted)
 
 
 def test_a_model_without_a_measurement_is_refused():
-    with pytest.raises(InputError, match="c holds 1 sample;"):
+    with pytest.raises(InputError, match=r"^c\b"):
         random_walk(1)
 
 
@@ -181,16 +181,16 @@ def test_norms_are_homogeneous_down_to_zero_and_up_to_what_can_be_written(size):
 def test_norms_beyond_the_range_of_numbers_are_refused():
     huge = StateModel(*matrices(("-2", "1e200", "1e200", "0")))
     for norm in (h2_norm, hinf_norm):
-        with pytest.raises(InputError, match="beyond the range"):
+        with pytest.raises(InputError, match=r"^model\b"):
             norm(huge)
     assert h2_norm(StateModel(*matrices(("-2", "1e200", "1e-200", "0")))) == pytest.approx(0.5, rel=1e-12)
 
 
 def test_a_singular_plant_names_what_it_needs():
     singular = plant(("-1", "1 1", "1; 1", "0 0; 1 0"), 1, 1)
-    with pytest.raises(InputError, match="takes more effort"):
+    with pytest.raises(InputError, match=r"^effort and noise\b.*more effort"):
         h2_riccati(singular, 0.0, 0.0)
-    with pytest.raises(InputError, match="takes more noise"):
+    with pytest.raises(InputError, match=r"^effort and noise\b.*more noise"):
         h2_riccati(plant(("-1", "1 1", "1; 1", "0 1; 0 0"), 1, 1), 0.0, 0.0)
 
 

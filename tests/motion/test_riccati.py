@@ -102,34 +102,34 @@ def test_a_stable_mode_need_not_be_driven():
     [
         (lambda: NoiseIntensities(0.0, 1.0), "process"),
         (lambda: NoiseIntensities(1.0, -1.0), "sensor"),
-        (lambda: continuous_gain([[0.0]], [[1.0]], [[1.0]], 1.0, 0.0), "sensor is not positive definite"),
+        (lambda: continuous_gain([[0.0]], [[1.0]], [[1.0]], 1.0, 0.0), r"^sensor\b"),
         (
             lambda: continuous_gain(-np.eye(2), np.eye(2), np.eye(2), [[2.0, 1.0], [0.0, 2.0]], 1.0),
-            "process is not symmetric",
+            r"^process\b",
         ),
         (
             lambda: discrete_gain(np.eye(2) / 2, np.eye(2), np.eye(2), 1.0, [[2.0, 0.0], [1.0, 2.0]]),
-            "sensor is not symmetric",
+            r"^sensor\b",
         ),
-        (lambda: continuous_gain(np.diag([0.0, -1.0]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "not observable"),
-        (lambda: discrete_gain(np.diag([1.0, 0.5]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "not observable"),
-        (lambda: continuous_gain(-np.eye(2), np.eye(2), np.zeros((1, 2)), 1.0, 1.0), "c is zero"),
+        (lambda: continuous_gain(np.diag([0.0, -1.0]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "observable"),
+        (lambda: discrete_gain(np.diag([1.0, 0.5]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "observable"),
+        (lambda: continuous_gain(-np.eye(2), np.eye(2), np.zeros((1, 2)), 1.0, 1.0), r"^c\b"),
         (
             lambda: discrete_gain(np.eye(2) / 2, np.zeros((2, 1)), np.ones((1, 2)), 1.0, 1.0),
-            "noise_input is zero",
+            r"^noise_input\b",
         ),
-        (lambda: continuous_gain([[0, 1], [0, 0]], [[1], [0]], [[1, 0]], 1.0, 1.0), "not driven"),
-        (lambda: discrete_gain([[1, 1], [0, 1]], [[1], [0]], [[1, 0]], 1.0, 1.0), "not driven"),
+        (lambda: continuous_gain([[0, 1], [0, 0]], [[1], [0]], [[1, 0]], 1.0, 1.0), "noise_input"),
+        (lambda: discrete_gain([[1, 1], [0, 1]], [[1], [0]], [[1, 0]], 1.0, 1.0), "noise_input"),
         (lambda: kalman_observer(stage().at([0], [4]), published_noise(), -1.0), "noise_model"),
         (
             lambda: kalman_observer(
                 ModalModel(np.full(2, 9.0), np.zeros(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))),
                 published_noise(),
             ),
-            "not observable",  # one sensor cannot tell two undamped modes of one frequency apart
+            "observable",  # one sensor cannot tell two undamped modes of one frequency apart
         ),
         (lambda: stage_observer(0), "position"),
-        (lambda: stage_observer(8), "masses 1 to 7"),
+        (lambda: stage_observer(8), r"^position\b"),
     ],
 )
 def test_bad_input_is_named(call, message):
@@ -145,9 +145,9 @@ def test_an_observer_without_gain_is_refused():
 
 def test_a_large_residual_is_refused(monkeypatch):
     monkeypatch.setattr(riccati, "WORST_RESIDUAL", 1e-30)
-    with pytest.raises(InputError, match="relative residual"):
+    with pytest.raises(InputError, match="residual"):
         continuous_gain([[0.0, 1.0], [-3.0, -0.1]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
-    with pytest.raises(InputError, match="relative residual"):
+    with pytest.raises(InputError, match="residual"):
         discrete_gain([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
 
 

@@ -345,29 +345,29 @@ def test_channels_of_the_closed_loop_are_three_wide(loops):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: replace(GEOMETRY, mass=0.0), "mass is 0"),
-        (lambda: replace(GEOMETRY, sensors=(0.5, 1.2)), "sensors is 1.2"),
-        (lambda: replace(GEOMETRY, left_out=4), "left_out is 4"),
-        (lambda: plate_modes(1.0, 0.3, 20, degree=4), "degree is 4"),
-        (lambda: replace(GEOMETRY, poisson=0.6), "poisson is 0.6"),
-        (lambda: plate_modes(1.0, 0.3, 3).shapes([1.1], [0.0]), "off the plate"),
-        (lambda: decoupling(GEOMETRY, (0, 2), (0, 1, 2)), "do not see all"),
-        (lambda: detuned(rig_model(GEOMETRY, 0), np.zeros(3)), "errors has shape"),
-        (lambda: detuned(rig_model(GEOMETRY, 0), np.full(8, -1.0)), "above -1"),
+        (lambda: replace(GEOMETRY, mass=0.0), r"^mass\b"),
+        (lambda: replace(GEOMETRY, sensors=(0.5, 1.2)), r"^sensors\b"),
+        (lambda: replace(GEOMETRY, left_out=4), r"^left_out\b"),
+        (lambda: plate_modes(1.0, 0.3, 20, degree=4), r"^degree\b"),
+        (lambda: replace(GEOMETRY, poisson=0.6), r"^poisson\b"),
+        (lambda: plate_modes(1.0, 0.3, 3).shapes([1.1], [0.0]), r"^xi and eta\b"),
+        (lambda: decoupling(GEOMETRY, (0, 2), (0, 1, 2)), r"^actuators\b"),
+        (lambda: detuned(rig_model(GEOMETRY, 0), np.zeros(3)), r"^errors\b"),
+        (lambda: detuned(rig_model(GEOMETRY, 0), np.full(8, -1.0)), r"^errors\b.*-1\b"),
         (
             lambda: make_rig_loop(
                 rig_model(GEOMETRY), None, decoupling(GEOMETRY, (0, 1, 2), (0, 1, 2)), SAMPLE_TIME
             ),
-            "three inputs",
+            r"^plant\b.*plant\.at",
         ),
         (
             lambda: rig_compensator(
                 rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, SAMPLE_TIME), target_damping=0.001
             ),
-            "target_damping is 0.001",
+            r"^target_damping\b",
         ),
-        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, 0.0), "sample_time is 0"),
-        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, SAMPLE_TIME, 0.0), "noise_model is 0"),
+        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, 0.0), r"^sample_time\b"),
+        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, SAMPLE_TIME, 0.0), r"^noise_model\b"),
     ],
 )
 def test_bad_input_is_named(call, message):
@@ -377,9 +377,9 @@ def test_bad_input_is_named(call, message):
 
 def test_infeasible_and_unbounded_searches_say_so(loops):
     family = rig_controllers(GEOMETRY.edge_masses)
-    with pytest.raises(InputError, match="no bandwidth from 20 to 60 Hz"):
+    with pytest.raises(InputError, match=r"\b20 \w+ 60 Hz"):
         maximise_rig_bandwidth(loops["Original"], family, low_hz=20.0)
-    with pytest.raises(InputError, match="raise it to find the limit"):
+    with pytest.raises(InputError, match=r"high_hz = 2\b"):
         maximise_rig_bandwidth(loops["Original"], family, high_hz=2.0)
 
 

@@ -69,7 +69,7 @@ def test_output_variance_solves_the_lyapunov_equation():
     covariance = linalg.solve_discrete_lyapunov(a, b @ b.T)
     expected = np.diag(c @ covariance @ c.T + d @ d.T)
     np.testing.assert_allclose(output_variance(a, b, c, d), expected, rtol=1e-9)
-    with pytest.raises(InputError, match="not stable enough"):
+    with pytest.raises(InputError, match=r"^a\b.*stable"):
         output_variance(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
 
 
@@ -176,7 +176,7 @@ def test_placed_poles_have_the_wanted_damping_and_equal_modes_are_refused():
     twins = ModalModel(
         np.array([600.0, 600.0]), np.zeros(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
     )
-    with pytest.raises(InputError, match="cannot be placed"):
+    with pytest.raises(InputError, match=r"\bpoles\b.*\bmodel\b"):
         placed_damping(twins, 0.04, 1e-4)
 
 
@@ -250,9 +250,9 @@ def test_diagonal_entries_never_exceed_singular_values(study):
 
 def test_bad_input_is_named(loops):
     trajectory = Levelling(0.33335, np.ones((3, 1), complex))
-    with pytest.raises(InputError, match="not a multiple"):
+    with pytest.raises(InputError, match=r"^period\b"):
         levelling_error(loops["Original"][0], PIDS, trajectory, SILENT, np.random.default_rng(0))
-    with pytest.raises(InputError, match="period is 0"):
+    with pytest.raises(InputError, match=r"^period\b"):
         Levelling(0.0, np.ones((3, 1), complex))
     fast = rig_controllers(GEOMETRY.edge_masses)(60.0, 60.0)
     with pytest.raises(InputError, match="unstable"):

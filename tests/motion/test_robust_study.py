@@ -111,11 +111,11 @@ def test_errors_have_the_law_that_was_asked_for():
 def test_shapes_follow_the_grid_and_refuse_to_leave_it():
     plant, grid = stage(), np.arange(7.0)
     np.testing.assert_allclose(shapes_along(plant, grid, [2.0, 5.0]), plant.output_shapes[[2, 5]], atol=1e-14)
-    with pytest.raises(InputError, match="outside the grid"):
+    with pytest.raises(InputError, match=r"^places\b"):
         shapes_along(plant, grid, [3.0, 6.1])
-    with pytest.raises(InputError, match="ascend"):
+    with pytest.raises(InputError, match=r"^grid\b"):
         shapes_along(plant, grid[::-1], [3.0])
-    with pytest.raises(InputError, match="outside the grid"):
+    with pytest.raises(InputError, match=r"^places\b"):
         published_scan(spacing=0.02)
 
 
@@ -176,7 +176,7 @@ def test_a_covariance_that_overflows_is_reported_with_the_sample():
     model, _, _ = small_model()
     faster = replace(model, a=1e100 * model.a, c=0 * model.c)
     with (
-        pytest.raises(InputError, match="gain leaves the finite numbers at sample 2"),
+        pytest.raises(InputError, match=r"gain.*sample 2\b"),
         np.errstate(all="ignore"),
     ):
         kalman_gains(faster)
@@ -185,13 +185,13 @@ def test_a_covariance_that_overflows_is_reported_with_the_sample():
 def test_an_estimate_that_overflows_is_reported_with_the_sample():
     model, u, y = small_model()
     gains = kalman_gains(model)
-    with pytest.raises(InputError, match="the estimate leaves the finite numbers at sample 4"):
+    with pytest.raises(InputError, match=r"estimate.*sample 4\b"):
         estimate(replace(gains, forward=1e100 * gains.forward, gain=0 * gains.gain), u, y, np.ones(3))
 
 
 def test_hinfinity_filter_below_the_smallest_level_is_refused():
     model, _, _ = small_model()
-    with pytest.raises(InputError, match="no filter keeps level"):
+    with pytest.raises(InputError, match="level"):
         hinfinity_gains(model, np.eye(3), 0.9 * smallest_level(model, np.eye(3)))
 
 
@@ -213,7 +213,7 @@ def test_bank_is_bayes_rule():
     states, weights = bank_estimate(others, u[None], y[None])
     np.testing.assert_allclose(states[0], naive.bank(twins, u, y), rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(weights.sum(axis=0), 1, rtol=1e-12)
-    with pytest.raises(InputError, match="models is empty"):
+    with pytest.raises(InputError, match=r"^models\b"):
         bank_estimate([], u[None], y[None])
 
 
@@ -274,7 +274,7 @@ def test_tuning_finds_the_cheapest_knob(scan):
     assert tuning.best == tuning.knobs[np.argmin(again)]
     with pytest.raises(InputError, match="tries"):
         contests.tune("Kalman", told, records, 1)
-    with pytest.raises(InputError, match="did you mean 'Kalman'"):
+    with pytest.raises(InputError, match=r"^name\b"):
         contests.tune("Kalmann", told, records, 3)
 
 
@@ -298,11 +298,11 @@ def test_tracking_trial_repeats_and_compares_all_cases():
 def test_shapes_that_do_not_fit_the_uncertain_modes_are_named(scan):
     model = filter_model(scan)
     sampled = sampled_derivatives(scan.nominal, scan.sample_time)
-    with pytest.raises(InputError, match="shapes has shape"):
+    with pytest.raises(InputError, match=r"^shapes\b"):
         sampled.along(model, scan.shapes)
-    with pytest.raises(InputError, match="shapes has shape"):
+    with pytest.raises(InputError, match=r"^shapes\b"):
         sampled.along(model, scan.shapes[:-1, None, :])
-    with pytest.raises(InputError, match="mode 2 is uncertain"):
+    with pytest.raises(InputError, match=r"^shapes\b.*mode 2\b"):
         sampled.along(model, scan.shapes[:, None, :2])
 
 

@@ -48,16 +48,16 @@ def test_table_holds_stationary_gains_and_interpolates_linearly(scan, table):
 
 
 def test_schedules_outside_the_grid_are_refused(table):
-    with pytest.raises(InputError, match="outside the table"):
+    with pytest.raises(InputError, match=r"^places\b"):
         table.at([0.1, 0.31])
-    with pytest.raises(InputError, match="ascending"):
+    with pytest.raises(InputError, match=r"^grid\b"):
         gain_table(np.eye(2), np.eye(2), np.ones((2, 1, 2)), [0.1, 0.0], np.eye(2), np.eye(1))
 
 
 def test_a_place_where_a_mode_is_lost_is_named():
     a = np.diag([1.0, 1.01])
     rows = np.array([[[1.0, 1.0]], [[1.0, 0.0]]])
-    with pytest.raises(InputError, match=r"at 0\.2 m"):
+    with pytest.raises(InputError, match=r"0\.2 m\b"):
         gain_table(a, np.eye(2), rows, [0.1, 0.2], np.eye(2), np.eye(1))
 
 
@@ -68,7 +68,7 @@ def test_a_mode_that_is_lost_on_the_way_is_named_with_its_place():
     rows = np.array([[[1.0 - 10 * p, 0.0]] for p in places])
     table = gain_table(a, np.eye(2), rows[[0, -1]], [0.0, 0.2], np.eye(2), np.eye(1))
     model = TimeVaryingModel(a, np.ones((2, 1)), np.eye(2), rows, np.eye(2), np.eye(1), np.eye(2))
-    with pytest.raises(InputError, match=r"at 0\.1 m \(sample 20\).*not observable"):
+    with pytest.raises(InputError, match=r"0\.1 m \(sample 20\).*observable"):
         scheduled_gains(model, table, places)
     short = TimeVaryingModel(a, np.ones((2, 1)), np.eye(2), rows[:15], np.eye(2), np.eye(1), np.eye(2))
     assert scheduled_gains(short, table, places[:15]).samples == 15
@@ -77,14 +77,14 @@ def test_a_mode_that_is_lost_on_the_way_is_named_with_its_place():
 def test_two_modes_that_one_sensor_cannot_tell_apart_are_lost_everywhere():
     rows = np.ones((5, 1, 2))
     model = TimeVaryingModel(np.eye(2), np.ones((2, 1)), np.eye(2), rows, np.eye(2), np.eye(1), np.eye(2))
-    with pytest.raises(InputError, match="sample 0"):
+    with pytest.raises(InputError, match=r"sample 0\b"):
         require_observable_along(model, np.arange(5.0))
 
 
 def test_empty_schedules_are_named(table):
-    with pytest.raises(InputError, match="places is empty"):
+    with pytest.raises(InputError, match=r"^places\b"):
         table.at([])
-    with pytest.raises(InputError, match="places is empty"):
+    with pytest.raises(InputError, match=r"^places\b"):
         shapes_along(stage(), GRID, [])
 
 
@@ -158,11 +158,11 @@ def test_unstable_loops_and_moves_that_do_not_fit_are_refused(scan):
     gains = kalman_gains(observer_model(scan, 1e-4, 2e-18))
     with pytest.raises(InputError, match="unstable"):
         run_applied(scan, gains, PidFamily(stage_mass())(900.0), stage_mass(), noise)
-    with pytest.raises(InputError, match="outside the grid"):
+    with pytest.raises(InputError, match=r"^places\b"):
         position_scan(stage(), GRID, scan.setpoint, 0.2)
     cases = {"AD": ("AD", PidFamily(stage_mass())(40.0))}
     rest = (2, 0.005, 12.5, (0.01, 1e-9, 1e-9), np.random.default_rng(0))
-    with pytest.raises(InputError, match="shorten"):
+    with pytest.raises(InputError, match=r"^setpoint\b"):
         compare_schedules(stage(), 0.2 * GRID, scan.setpoint, cases, *rest)
     with pytest.raises(InputError, match="application"):
         compare_schedules(stage(), GRID, scan.setpoint, {"x": ("ad", cases["AD"][1])}, *rest)

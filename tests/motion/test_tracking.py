@@ -179,39 +179,39 @@ def test_noise_has_the_power_that_the_norm_predicts():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: from_snap([], [], 1e-3), "segments is empty"),
-        (lambda: from_snap([1.0], [1.5e-3], 1e-3), "multiples of sample_time"),
-        (lambda: from_snap([1.0], [0.0], 1e-3), "multiples of sample_time"),
+        (lambda: from_snap([], [], 1e-3), r"^segments\b"),
+        (lambda: from_snap([1.0], [1.5e-3], 1e-3), r"^durations\b"),
+        (lambda: from_snap([1.0], [0.0], 1e-3), r"^durations\b"),
         (
             lambda: Setpoint(1e-3, from_snap([1.0, -3.0], [0.01, 0.02], 1e-3), (0.0, 0.01), 0.01),
-            "moves backwards",
+            r"^derivatives\b",
         ),
         (
             lambda: replace(SHORT, derivatives=SHORT.derivatives * [[-1.0], [1.0], [1.0], [1.0], [1.0]]),
-            "moves backwards",  # the velocity says otherwise
+            r"^derivatives\b",  # the velocity says otherwise
         ),
         (lambda: replace(SHORT, scan=(0.02, 0.01)), "scan"),
-        (lambda: replace(SHORT, scan=(0.0, 1.0)), "within the 0.01 s of the move"),
-        (lambda: tracking_error(error_loop(UNSTABLE), SHORT, Feedforward()), "loop is unstable"),
+        (lambda: replace(SHORT, scan=(0.0, 1.0)), r"^scan\b.*0\.01 s"),
+        (lambda: tracking_error(error_loop(UNSTABLE), SHORT, Feedforward()), "unstable"),
         (
             lambda: error_loop(closed_loop(FREE, None, TWICE)),
-            "10 inputs and 8 outputs; give .* one actuator",
+            r"^loop\b.*\b10\b.*\b8\b",
         ),
-        (lambda: fit_feedforward(error_loop(UNSTABLE), SHORT), "loop is unstable"),
-        (lambda: noise_error(UNSTABLE, 1e-4, 9, {"w": 1.0}, np.random.default_rng(1)), "loop is unstable"),
-        (lambda: cumulative_power(UNSTABLE, 1e-4, {"w": 1.0}, np.array([1.0, 2.0])), "loop is unstable"),
-        (lambda: cumulative_power(UNSTABLE, 1e-4, {"w": -1.0}, np.array([1.0, 2.0])), "deviations"),
+        (lambda: fit_feedforward(error_loop(UNSTABLE), SHORT), "unstable"),
+        (lambda: noise_error(UNSTABLE, 1e-4, 9, {"w": 1.0}, np.random.default_rng(1)), "unstable"),
+        (lambda: cumulative_power(UNSTABLE, 1e-4, {"w": 1.0}, np.array([1.0, 2.0])), "unstable"),
+        (lambda: cumulative_power(UNSTABLE, 1e-4, {"w": -1.0}, np.array([1.0, 2.0])), r"^deviations\['w'\]"),
         (lambda: point_to_point(-1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 1e-3), "snap"),
         (lambda: point_to_point(1.0, 1.0, 1.0, 1.0, 0.1, 0.2, 1e-3), "settling"),
         (lambda: moving(np.zeros(5), 1.0, 10.0), "exposure"),
-        (lambda: moving([0.0, np.nan], 1.0, 2.0), "error holds"),
-        (lambda: rms([]), "empty"),
+        (lambda: moving([0.0, np.nan], 1.0, 2.0), r"^error\b"),
+        (lambda: rms([]), r"^error\b"),
         (lambda: average_reduction(0.0), "bandwidth_ratio"),
         (
             lambda: fit_feedforward(
                 error_loop(closed_loop(PLANT, None, CONTROLLER)), published_setpoint(), ()
             ),
-            "basis is empty",
+            r"^basis\b",
         ),
         (
             lambda: fit_feedforward(
@@ -227,7 +227,7 @@ def test_noise_has_the_power_that_the_norm_predicts():
             lambda: noise_error(
                 closed_loop(PLANT, None, CONTROLLER), 1e-4, 9, {"x": 1.0}, np.random.default_rng()
             ),
-            "deviations",
+            r"^deviations\b",
         ),
     ],
 )
@@ -247,7 +247,7 @@ def test_cumulative_power_is_that_of_a_long_record():
     assert np.sqrt(power.measured[-1]) == pytest.approx(rms(record[1]), rel=0.05)
     low, high = band_power(power, PLANT.frequencies[1])
     assert 0 < high and 0 < low < power.true[-1]
-    with pytest.raises(InputError, match="Nyquist"):
+    with pytest.raises(InputError, match=r"^omega\b.*Nyquist"):
         cumulative_power(loop, sample_time, noise, np.array([1.0, 1e6]))
 
 

@@ -118,14 +118,12 @@ def test_units_in_the_file_are_obeyed(tmp_path, bracket):
 def test_units_that_contradict_the_file_or_each_other_are_refused(tmp_path):
     columns = {"real (g/N)": ACCELERANCE.real, "imag (g/N)": ACCELERANCE.imag}
     file = write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns)
-    with pytest.raises(
-        InputError, match=r"a.csv: response_unit is 'm/s\^2', but the file says 'g'; leave it out"
-    ):
+    with pytest.raises(InputError, match=r"^a\.csv: response_unit\b"):
         load_machine(file, "m/s^2")
-    with pytest.raises(InputError, match="force_unit is 'kN', but the file says 'N'"):
+    with pytest.raises(InputError, match=r"\bforce_unit\b"):
         load_machine(file, force_unit="kN")
     assert load_machine(file, "g", "N").kind == "frequency response"
-    with pytest.raises(InputError, match=r"the response is in m/s\^2 and in g; give one unit"):
+    with pytest.raises(InputError, match=r"m/s\^2 and.* g\b"):
         load_machine(
             hits(tmp_path, **{"acceleration 1 (m/s^2)": np.ones(512), "acceleration 2 (g)": np.ones(512)})
         )
@@ -142,9 +140,7 @@ def test_decibels_say_what_they_refer_to(tmp_path):
 def test_an_unknown_unit_is_not_taken_for_none(tmp_path, bracket):
     columns = {f"real {bracket}": ACCELERANCE.real, f"imag {bracket}": ACCELERANCE.imag}
     file = write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns)
-    with pytest.raises(
-        InputError, match=r"a\.csv: real .*: the unit is not known; use m/s\^2, .* or give response_unit"
-    ):
+    with pytest.raises(InputError, match=r"^a\.csv: real\b.*response_unit"):
         load_machine(file)
     assert load_machine(file, "g", "N").kind == "frequency response"
 
@@ -173,7 +169,7 @@ def test_templates_are_one_machine():
 
 
 def test_a_machine_without_sensors_is_refused():
-    with pytest.raises(InputError, match="sensors is empty"):
+    with pytest.raises(InputError, match=r"^sensors\b"):
         Machine((), 10.0, "nowhere")
 
 
@@ -261,7 +257,7 @@ def test_a_use_without_a_feasible_bandwidth_is_a_result(found):
     asked = reach(machine, {"PID": None}, retained=3, intensities=INTENSITIES, search_hz=(300.0, 400.0))
     assert asked["PID"].recommended is None and "no bandwidth from 300 to 400 Hz" in asked["PID"].reason
     assert asked["PID"].summary == {"on the model (Hz)": "none", "on the measurement (Hz)": "none"}
-    with pytest.raises(InputError, match="no loop has a feasible bandwidth"):
+    with pytest.raises(InputError, match="feasible"):
         paint_sensitivities(asked, machine)
 
 
@@ -299,36 +295,40 @@ BAD = {
     "nothing known": (
         lambda f: write_csv(f / "a.csv", x=HERTZ, y=HERTZ),
         {},
-        "it holds x, y, not a frequency resp",
+        r"\bx, y\b",
     ),
-    "no response": (lambda f: write_csv(f / "a.csv", frequency=HERTZ, phase=HERTZ), {}, "no response beside"),
+    "no response": (
+        lambda f: write_csv(f / "a.csv", frequency=HERTZ, phase=HERTZ),
+        {},
+        r"\bresponse\b.*frequency",
+    ),
     "falling frequency": (
         lambda f: write_csv(f / "a.csv", frequency=HERTZ[::-1], real=HERTZ, imag=HERTZ),
         {},
-        "does not rise",
+        "frequency",
     ),
     "few lines": (
         lambda f: write_csv(f / "a.csv", frequency=HERTZ[:9], real=HERTZ[:9], imag=HERTZ[:9]),
         {},
-        "9 usable lines are too few",
+        r"\b9\b.*\b32\b",
     ),
     "gap": (
         lambda f: write_csv(f / "a.csv", frequency=HERTZ, real=np.where(HERTZ > 90, np.nan, 1), imag=HERTZ),
         {},
-        "NaN or infinite",
+        r"\bresponse\b.*NaN",
     ),
     "unit of a response": (
         two_parts,
         {"response_unit": "V"},
-        "give an acceleration, a velocity or a position",
+        r"\bresponse_unit\b",
     ),
-    "unit of a force": (two_parts, {"force_unit": "m"}, "give a force such as N"),
-    "misspelt unit": (two_parts, {"response_unit": "m/s^3"}, "did you mean 'm/s"),
-    "one hit short": (lambda f: hits(f, responses=1), {}, "force holds 2 hits of 512 samples"),
+    "unit of a force": (two_parts, {"force_unit": "m"}, r"\bforce_unit\b"),
+    "misspelt unit": (two_parts, {"response_unit": "m/s^3"}, r"\bunit\b.*'m/s\^3'"),
+    "one hit short": (lambda f: hits(f, responses=1), {}, r"\bforce\b.*\b2\b"),
     "dead response": (
         lambda f: hits(f, **{"acceleration 2": np.zeros(512)}),
         {},
-        "response does not move in hit 2",
+        r"\bresponse\b.*\bhit 2\b",
     ),
 }
 
@@ -350,9 +350,9 @@ def test_a_record_that_is_cut_is_noted_and_not_padded(tmp_path):
 
 def test_two_responses_want_a_choice(tmp_path):
     np.savez(tmp_path / "a.npz", frequency=HERTZ, h11=ACCELERANCE, h21=solved(HERTZ, 1))
-    with pytest.raises(InputError, match="holds 2 responses; choose with response='h11'"):
+    with pytest.raises(InputError, match=r"^a\.npz\b.*'h11'"):
         load_machine(tmp_path / "a.npz")
-    with pytest.raises(InputError, match="did you mean 'h21'"):
+    with pytest.raises(InputError, match=r"\bresponse\b.*'h21'"):
         load_machine(tmp_path / "a.npz", response="h2")
     chosen = load_machine(tmp_path / "a.npz", response="h21")
     assert chosen.notes[0] == "taken: h21"
@@ -368,17 +368,17 @@ MATRICES = {"M": MASS, "K": STIFFNESS, "input": [1.0, 0, 0], "output": [[0.0, 0,
     [
         (
             {"K": STIFFNESS + np.diag([2e7, 0, 0])},
-            "has 0 rigid-body modes; .* above 3 times that of its suspension",
+            r"^a\.npz\b.*\b0 rigid",
         ),
-        ({"K": STIFFNESS[:2, :2]}, "K has shape"),
-        ({"K": STIFFNESS + np.eye(3)[[1, 2, 0]]}, "stiffness is not symmetric"),
-        ({"M": np.diag([4.0, 4, 0])}, "mass is not positive definite"),
-        ({"input": [1.0, 0]}, "input holds 2 numbers for 3 nodes"),
-        ({"input": [1.0, 0, -1]}, "does not move the rigid body"),
-        ({"output": [[1.0, 0, 0], [0, 0, 2]]}, "the sensors see rigid bodies of 12, 6 kg"),
-        ({"output": [[1.0, 0]]}, "output has shape"),
-        ({"D": np.diag([1e3, 0, 0])}, "damping_matrix does not decouple"),
-        ({"K": 1j * STIFFNESS}, "K is complex"),
+        ({"K": STIFFNESS[:2, :2]}, r"\bK\b"),
+        ({"K": STIFFNESS + np.eye(3)[[1, 2, 0]]}, r"\bstiffness\b"),
+        ({"M": np.diag([4.0, 4, 0])}, r"\bmass\b"),
+        ({"input": [1.0, 0]}, r"\binput\b"),
+        ({"input": [1.0, 0, -1]}, r"\binput and output\b"),
+        ({"output": [[1.0, 0, 0], [0, 0, 2]]}, "12, 6 kg"),
+        ({"output": [[1.0, 0]]}, r"\boutput\b"),
+        ({"D": np.diag([1e3, 0, 0])}, r"\bdamping_matrix\b"),
+        ({"K": 1j * STIFFNESS}, r"\bK\b"),
     ],
 )
 def test_matrices_that_cannot_be_used_say_why(tmp_path, change, message):
@@ -389,24 +389,24 @@ def test_matrices_that_cannot_be_used_say_why(tmp_path, change, message):
 
 def test_matrices_without_input_are_refused(tmp_path):
     np.savez(tmp_path / "a.npz", M=MASS, K=STIFFNESS)
-    with pytest.raises(InputError, match="input is missing"):
+    with pytest.raises(InputError, match=r"\binput\b"):
         load_machine(tmp_path / "a.npz")
 
 
 def test_bands_outside_the_measurement_and_flat_responses_are_refused(tmp_path):
     measured = load_machine(two_parts(tmp_path)[0]).accelerance
     assert whole_band(measured, (0.0, 0.0)) == pytest.approx((5.0, 999.0))
-    with pytest.raises(InputError, match=r"holds 0 lines .* runs from 5 to 999 Hz; give a band inside"):
+    with pytest.raises(InputError, match=r"\b2000 \w+ 3000 Hz.*\b5 \w+ 999 Hz"):
         whole_band(measured, (2000.0, 3000.0))
     found = identify_modes(measured, (5.0, 999.0)).model.frequencies[1:] / (2 * np.pi)
     assert found == pytest.approx([356.0, 616.0], rel=0.01)
-    with pytest.raises(InputError, match="no resonance stands out from 5 to 100 Hz; say where"):
+    with pytest.raises(InputError, match=r"\b5 \w+ 100 Hz.*modes_hz"):
         identify_modes(measured, (5.0, 100.0))
-    with pytest.raises(InputError, match="disturbance is 0"):
+    with pytest.raises(InputError, match=r"^disturbance\b"):
         Intensities(0.0, 1e-9, 1e-4)
 
 
 def test_a_file_of_neither_form_is_no_machine():
     nothing = MachineFile("matrices", "empty.npz")
-    with pytest.raises(InputError, match=r"file\.model is None; give ModalModel"):
+    with pytest.raises(InputError, match=r"^file\.model\b"):
         build_machine(nothing, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from stillwork.workbook.claims import load_entries
+from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.readings.axes import load_axes
 from stillwork.workbook.readings.running import calls_of, compute
 
@@ -17,7 +17,12 @@ def at_the_defaults(room: str, study: str, lean: bool) -> dict[str, float]:
 
 def require_accepted(room: str, study: str) -> None:
     """With nothing left out every entry has the value that was accepted, but for its drift."""
-    entries = load_entries(room)
+    accepted = accepted_claims(room)
     for name, value in at_the_defaults(room, study, lean=False).items():
-        ours = entries[name].ours
-        assert abs(value - ours) <= entries[name].drift.width(ours) + 1e-12, name
+        ours = accepted[name].ours
+        assert abs(value - ours) <= accepted[name].entry.drift.width(ours) + 1e-12, name
+
+
+def accepted_claims(room: str) -> dict[str, Claim]:
+    """What the committed figures hold, by entry."""
+    return {claim.entry.id: claim for claim in ledger(room=room)}

@@ -59,6 +59,7 @@ def test_it_holds_what_python_imports():
     ("file", "moves"),
     [
         ("lib/plain.py", True),
+        ("lib/commented.py", False),
         ("lib/apart.py", False),
         ("data/motion/rig.toml", True),
         ("data/motion/deep/record.csv", True),
@@ -72,7 +73,8 @@ def test_the_digest_moves_with_code_and_data_and_nothing_else(tmp_path, file, mo
     for name in ("lib/plain.py", "lib/apart.py", "data/motion/rig.toml", "data/motion/deep/record.csv"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("1\n")
-    (tmp_path / "lib/study.py").write_text("import plain\n")
+    (tmp_path / "lib/commented.py").write_text('"""Of words."""\n\n\n2  # alone\n')
+    (tmp_path / "lib/study.py").write_text("import plain, commented\n")
     before = digest(tmp_path)
     (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / file).write_text("2\n")
@@ -86,6 +88,6 @@ def digest(root):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STILLWORK_ROOT", str(root))
         patch.syspath_prepend(root / "lib")
-        closure.study_digest.cache_clear()
-        closure.syntax_tree.cache_clear()
+        for kept in (closure.study_digest, closure.syntax_tree, closure._code):
+            kept.cache_clear()
         return closure.study_digest("study:f", "motion")

@@ -67,7 +67,7 @@ def test_entries_without_a_size_or_a_judgment_are_drawn_too(outcomes, name):
 
 def test_without_values_there_is_no_curve(outcomes):
     found = outcomes(A + B + study("spread"))
-    with pytest.raises(InputError, match=r"motion.never has no value under any reading"):
+    with pytest.raises(InputError, match=r"motion\.never"):
         paint_specification_curve(found, stand(found)["motion.never"])
 
 
@@ -86,5 +86,5 @@ def test_the_page_colours_as_much_as_agrees(outcomes):
 
 
 def test_a_room_without_readings_has_no_page():
-    with pytest.raises(InputError, match="run `make readings` first"):
+    with pytest.raises(InputError, match=r"^room motion\b"):
         paint_room_readings("motion", [])

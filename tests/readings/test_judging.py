@@ -197,9 +197,7 @@ def test_without_one_it_is_the_interval_over_the_seeds(outcomes):
 
 
 def test_an_interval_needs_seeds(outcomes):
-    with pytest.raises(
-        InputError, match=r"motion.table-1.sum is judged by an interval; give its study an axis"
-    ):
+    with pytest.raises(InputError, match=r"^motion\.table-1\.sum\b.*'seed'"):
         judged(outcomes(ledger=BY_INTERVAL))
 
 

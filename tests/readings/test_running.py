@@ -129,10 +129,10 @@ def test_a_reading_that_a_broken_pool_refuses_is_not_lost(workbook, tmp_path, br
 @pytest.mark.parametrize(
     ("function", "message"),
     [
-        ("incomplete", "motion.table-1.sum is missing from what it returns"),
-        ("talkative", "talkative: motion.other is not among its entries"),
-        ("deaf", "deaf cannot take the axes that touch its entries: .*'b'"),
-        ("absent", "readings.toy_work has no function 'absent'"),
+        ("incomplete", r"\bincomplete: motion\.table-1\.sum\b"),
+        ("talkative", r"\btalkative: motion\.other\b"),
+        ("deaf", r"\bdeaf\b.*'b'"),
+        ("absent", r"readings\.toy_work\b.*'absent'"),
     ],
 )
 def test_a_study_that_does_not_keep_to_its_form_stops_the_run(workbook, tmp_path, function, message):
@@ -143,7 +143,7 @@ def test_a_study_that_does_not_keep_to_its_form_stops_the_run(workbook, tmp_path
 
 def test_a_module_that_is_not_there_is_named(workbook, tmp_path):
     _, multiverses = workbook(A + study().replace("readings.toy_work", "readings.none"))
-    with pytest.raises(InputError, match=r"there is no module 'readings.none'"):
+    with pytest.raises(InputError, match=r"'readings\.none'"):
         run(multiverses, tmp_path)
 
 
@@ -182,7 +182,7 @@ def test_another_checkout_on_a_worker_is_refused(workbook, tmp_path, monkeypatch
     own = running.study_digest
     answers = iter(["0" * 64])
     monkeypatch.setattr(running, "study_digest", lambda *given: next(answers, own(*given)))
-    with pytest.raises(InputError, match="the worker's checkout differs"):
+    with pytest.raises(InputError, match=r"readings\.toy_work:sums\b"):
         run(multiverses, tmp_path)
 
 
@@ -298,4 +298,5 @@ def test_a_budget_is_a_time(budget, capsys):
 
 def test_a_room_that_does_not_exist_is_named(capsys):
     assert main(["readings", "moton"]) == 2
-    assert "there is no room 'moton'; did you mean 'motion'?" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "room is 'moton'" in said and "did you mean 'motion'" in said

@@ -21,7 +21,6 @@ unit = "m"
 published = 3.0
 kind = "value"
 tolerance = { absolute = 1.0, source = "printed digits" }
-ours = 2.0
 
 [motion.table-1.product]
 place = "Table 1"

@@ -1,3 +1,4 @@
+import re
 from decimal import Decimal
 from fractions import Fraction
 
@@ -36,9 +37,9 @@ def test_what_is_no_text_is_near_nothing(word):
 def test_the_sample_at_which_a_run_overflows_is_named(axis, sample):
     values = np.zeros((3, 4))
     values[1, 2] = values[2, 3] = np.nan
-    with pytest.raises(InputError, match=f"^the run leaves the finite numbers at sample {sample}; stop$"):
-        require_finite_run("the run", values, "stop", axis=axis)
-    require_finite_run("the run", np.zeros((3, 4)), "stop", axis=axis)
+    with pytest.raises(InputError, match=rf"^motion\b.*\bsample {sample}\b"):
+        require_finite_run("motion", values, "stop", axis=axis)
+    require_finite_run("motion", np.zeros((3, 4)), "stop", axis=axis)
 
 
 def test_one_of_a_thing_is_no_plural():
@@ -48,9 +49,7 @@ def test_one_of_a_thing_is_no_plural():
 
 def test_choice():
     assert require_choice("floor", "flat", ["flat", "colored"]) == "flat"
-    with pytest.raises(
-        InputError, match=r"floor is 'flt'; use one of 'flat', 'colored'; did you mean 'flat'\?"
-    ):
+    with pytest.raises(InputError, match=r"^floor\b.*'flt'.*'flat', 'colored'.*'flat'"):
         require_choice("floor", "flt", ["flat", "colored"])
 
 
@@ -78,7 +77,7 @@ def test_a_finite_number_passes_unchanged(value):
     ],
 )
 def test_what_is_no_finite_number_is_refused(value):
-    with pytest.raises(InputError, match=r"x is .*give a finite number"):
+    with pytest.raises(InputError, match=r"^x\b"):
         require_number("x", value)
 
 
@@ -93,18 +92,18 @@ def test_bounds_hold_as_named(value, bound):
         if good:
             assert require_number("x", value, **{option: bound}) == value
         else:
-            with pytest.raises(InputError, match=f"give a finite number {option.replace('_', ' ')}"):
+            with pytest.raises(InputError, match=rf"^x\b.*{re.escape(format(bound, 'g'))}$"):
                 require_number("x", value, **{option: bound})
 
 
 def test_both_bounds_are_told():
-    with pytest.raises(InputError, match=r"forgetting is 1.5; give a finite number above 0 and at most 1"):
+    with pytest.raises(InputError, match=r"^forgetting\b.*1\.5\b.*\b0\b.*\b1$"):
         require_number("forgetting", 1.5, above=0, at_most=1)
 
 
 @pytest.mark.parametrize("value", [0, -1, 1.0, True, "3", None])
 def test_counts_are_whole_and_positive(value):
-    with pytest.raises(InputError, match=r"runs is .*; give a whole number, at least 1"):
+    with pytest.raises(InputError, match=r"^runs\b"):
         require_count("runs", value)
 
 
@@ -130,23 +129,22 @@ def test_a_view_becomes_contiguous():
 def test_the_first_bad_entry_is_named(value, data):
     where = tuple(data.draw(st.integers(0, n - 1)) for n in value.shape)
     value[where] = data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
-    with pytest.raises(InputError) as error:
+    with pytest.raises(InputError, match=rf"^x\b.*{re.escape(str(where))}"):
         require_array("x", value)
-    assert f"x holds 1 NaN or infinite values, the first at index {where}" in str(error.value)
 
 
 @pytest.mark.parametrize(
     ("value", "options", "message"),
     [
-        ([[1.0], [2.0, 3.0]], {}, "x is not an array of numbers"),
-        (["a"], {}, "x is not an array of numbers"),
-        ([1j], {}, "x is complex; give real numbers"),
-        (np.ones(2, complex), {}, "x is complex; give real numbers"),
-        ([1.0], {"ndim": 2}, r"x has shape \(1,\); give an array with 2 axes"),
-        (1.0, {"ndim": 1}, r"x has shape \(\); give an array with 1 axes"),
-        (np.zeros((2, 3)), {"shape": (2, 4)}, r"x has shape \(2, 3\); give 2 x 4"),
-        (np.zeros((2, 3)), {"shape": (None, 4)}, "give any x 4"),
-        (np.zeros(3), {"shape": (3, 1)}, "give 3 x 1"),
+        ([[1.0], [2.0, 3.0]], {}, r"^x\b"),
+        (["a"], {}, r"^x\b"),
+        ([1j], {}, r"^x\b.*complex"),
+        (np.ones(2, complex), {}, r"^x\b.*complex"),
+        ([1.0], {"ndim": 2}, r"^x\b.*\(1,\).*\b2 axes"),
+        (1.0, {"ndim": 1}, r"^x\b.*\(\).*\b1 axes"),
+        (np.zeros((2, 3)), {"shape": (2, 4)}, r"^x\b.*\(2, 3\).*\b2 x 4"),
+        (np.zeros((2, 3)), {"shape": (None, 4)}, r"^x\b.*\bx 4"),
+        (np.zeros(3), {"shape": (3, 1)}, r"^x\b.*\b3 x 1"),
     ],
 )
 def test_wrong_shapes_are_told(value, options, message):
@@ -163,5 +161,5 @@ def test_an_object_that_fails_when_asked_for_its_number_is_named():
         def __float__(self):
             raise RuntimeError("no number today")
 
-    with pytest.raises(InputError, match=r"gain is .*not a number; give a finite number"):
+    with pytest.raises(InputError, match=r"^gain\b"):
         require_number("gain", Broken())

@@ -1,7 +1,6 @@
 import json
 import math
 import tomllib
-from dataclasses import replace
 
 import pytest
 from hypothesis import assume, given
@@ -53,7 +52,7 @@ def test_interval_tolerance_looks_at_the_interval_only(published, ours, one, oth
 
 def test_an_interval_rule_without_an_interval_is_refused():
     claim = Claim(entry(tolerance=Tolerance("x", interval=0.95)), 2.0)
-    with pytest.raises(InputError, match=r"pass interval=\(low, high\)"):
+    with pytest.raises(InputError, match=r"interval=\(low, high\)"):
         claim.verdict  # noqa: B018
 
 
@@ -88,7 +87,7 @@ def test_how_many_runs_a_threshold_takes():
 
 def test_a_threshold_needs_an_interval():
     claim = Claim(entry("ordering", published=1.0, threshold=0.9), 1.0)
-    with pytest.raises(InputError, match=r"interval of a fraction over runs; pass interval=\(low, high\)"):
+    with pytest.raises(InputError, match=r"^motion\.gain\b.*interval=\(low, high\)"):
         claim.verdict  # noqa: B018
 
 
@@ -152,32 +151,6 @@ def test_deviation_is_relative_and_has_no_meaning_at_zero():
     assert Claim(entry()).deviation is None
 
 
-@given(values, st.floats(-0.01, 0.01))
-def test_moved_is_farther_than_another_machines_rounding(accepted, step):
-    ours = accepted * (1 + step)
-    distance = abs(ours - accepted) / abs(accepted)
-    assume(abs(distance - 1e-3) > 1e-9)
-    assert Claim(entry(ours=accepted), ours).moved == (distance > 1e-3)
-
-
-@pytest.mark.parametrize(
-    ("drift", "ours", "moved"),
-    [
-        (Tolerance("resolution of the fit", absolute=0.002), 0.0013, False),
-        (Tolerance("resolution of the fit", absolute=0.002), -0.0027, True),
-        (Tolerance("spread over processors", relative=0.5), -0.0004, False),
-        (Tolerance("spread over processors", relative=0.5), -0.0001, True),
-    ],
-)
-def test_an_entry_may_say_how_far_it_moves_with_the_machine(drift, ours, moved):
-    assert Claim(entry("slope", published=0.0, ours=-0.0006, drift=drift), ours).moved == moved
-
-
-def test_what_was_accepted_as_zero_may_come_out_as_rounding():
-    assert not Claim(entry(ours=0.0), 1e-16).moved
-    assert Claim(entry(ours=0.0), 1e-6).moved
-
-
 @pytest.mark.parametrize(
     ("kind", "published", "tolerance", "ours", "text"),
     [
@@ -210,35 +183,25 @@ def test_no_digit_is_shown_that_the_drift_lets_turn(ours, room, text):
     assert Claim(entry(drift=drift), ours).shown(3) == text
 
 
-def test_nothing_accepted_has_not_moved_and_identities_never_do():
-    assert not Claim(entry(), 5.0).moved
-    residual = entry("exact", published=0.0, tolerance=Tolerance("x", absolute=1e-9), ours=1e-16)
-    assert not Claim(residual, 3e-15).moved
-    check = entry("check", published=None, tolerance=Tolerance("x", absolute=1e-7), ours=4e-8)
-    assert not Claim(check, 6e-8).moved
-    assert Claim(entry("check", tolerance=Tolerance("x", absolute=1e-7), ours=2.0), 2.1).moved
-    assert Claim(replace(check, expected=4e-8), 6e-8).moved
-
-
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"kind": "vlaue"}, "kind is 'vlaue'.*did you mean 'value'"),
-        ({"kind": "value", "tolerance": None}, "a value needs a tolerance"),
-        ({"kind": "ordering", "tolerance": Tolerance("x", absolute=1)}, "ordering takes no tolerance"),
-        ({"kind": "reported"}, "say in reason why it is not judged"),
-        ({"basis": "guessed"}, "basis is 'guessed'"),
-        ({"place": ""}, "place is empty"),
-        ({"quantity": ""}, "quantity is empty"),
-        ({"published": math.nan}, "published is nan"),
-        ({"published": None}, "published is missing; only a check or what is reported goes without"),
-        ({"expected": 2.0}, "only a check of a size that is not published takes expected"),
-        ({"kind": "check", "expected": 2.0}, "only a check of a size that is not published takes expected"),
-        ({"threshold": 0.9}, "only a fraction of runs takes a threshold"),
-        ({"kind": "ordering", "threshold": 1.5}, "threshold is 1.5"),
-        ({"better": "higher"}, "better is 'higher'"),
-        ({"kind": "ordering", "better": "larger"}, "ordering takes no better"),
-        ({"drift": Tolerance("x", interval=0.95)}, "drift takes relative or absolute"),
+        ({"kind": "vlaue"}, r"\bkind\b"),
+        ({"kind": "value", "tolerance": None}, r"^motion\.gain\b.*tolerance"),
+        ({"kind": "ordering", "tolerance": Tolerance("x", absolute=1)}, r"\btolerance\b"),
+        ({"kind": "reported"}, r"\breason\b"),
+        ({"basis": "guessed"}, r"\bbasis\b"),
+        ({"place": ""}, r"\bplace\b"),
+        ({"quantity": ""}, r"\bquantity\b"),
+        ({"published": math.nan}, r"\bpublished\b"),
+        ({"published": None}, r"\bpublished\b"),
+        ({"expected": 2.0}, r"\bexpected\b"),
+        ({"kind": "check", "expected": 2.0}, r"\bexpected\b"),
+        ({"threshold": 0.9}, r"\bthreshold\b"),
+        ({"kind": "ordering", "threshold": 1.5}, r"\bthreshold\b"),
+        ({"better": "higher"}, r"\bbetter\b"),
+        ({"kind": "ordering", "better": "larger"}, r"\bbetter\b"),
+        ({"drift": Tolerance("x", interval=0.95)}, r"\bdrift\b"),
     ],
 )
 def test_an_incomplete_entry_is_refused(fields, message):
@@ -249,10 +212,10 @@ def test_an_incomplete_entry_is_refused(fields, message):
 @pytest.mark.parametrize(
     ("rules", "message"),
     [
-        ({}, "exactly one"),
-        ({"relative": 0.1, "absolute": 0.1}, "exactly one"),
-        ({"relative": -0.1}, "at least 0"),
-        ({"relative": 0.1, "source": ""}, "say in source"),
+        ({}, r"^tolerance\b.*relative, absolute and interval"),
+        ({"relative": 0.1, "absolute": 0.1}, r"^tolerance\b.*relative, absolute and interval"),
+        ({"relative": -0.1}, r"^tolerance\b.*-0\.1"),
+        ({"relative": 0.1, "source": ""}, r"^tolerance\b.*\bsource\b"),
     ],
 )
 def test_a_tolerance_has_one_rule_and_a_source(rules, message):
@@ -302,7 +265,8 @@ def test_reads_nested_ids(workbook):
     assert list(entries) == ["motion.table-1.pid", "motion.order"]
     assert entries["motion.table-1.pid"].tolerance == Tolerance("digits", relative=0.03)
     assert entries["motion.order"].room == "motion"
-    assert load_entries("isolation") == {}
+    with pytest.raises(InputError, match="room"):
+        load_entries("isolation")
 
 
 def test_reads_the_drift_of_an_entry(workbook):
@@ -328,26 +292,26 @@ def test_a_ledger_is_parsed_once_and_again_when_its_text_changes(workbook, monke
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("published = 37.0", "publishd = 37.0", "motion.table-1.pid: unknown field 'publishd'; did you mean"),
-        ("published = 37.0", "", "motion.table-1.pid: .*published"),
+        ("published = 37.0", "publishd = 37.0", r"^motion\.table-1\.pid\b.*'publishd'.*'published'"),
+        ("published = 37.0", "", r"^motion\.table-1\.pid\b.*published"),
         (
             "published = 37.0",
             "published = 37.0\ncounterfactual = 1",
-            "counterfactual is 1; give true or false",
+            r"\bcounterfactual\b",
         ),
-        ('source = "digits"', 'sauce = "digits"', "motion.table-1.pid: unknown field 'sauce'"),
+        ('source = "digits"', 'sauce = "digits"', r"^motion\.table-1\.pid\b.*'sauce'"),
         (
             "tolerance",
             "drift = { absolut = 1 }\ntolerance",
-            "unknown field 'absolut'; did you mean 'absolute'",
+            "'absolut'.*'absolute'",
         ),
-        ("tolerance", "drift = { absolute = 1 }\ntolerance", "motion.table-1.pid: .*source"),
-        ("37.0", "'high'", "(?s)motion.table-1.pid: .*published"),
-        ("[motion.order]", "[motion.order", "not valid TOML"),
+        ("tolerance", "drift = { absolute = 1 }\ntolerance", r"^motion\.table-1\.pid\b.*source"),
+        ("37.0", "'high'", r"(?s)^motion\.table-1\.pid\b.*published"),
+        ("[motion.order]", "[motion.order", r"published\.toml\b"),
         (
             "[motion.table-1.pid]",
             "[motion]\nx = 1\n[motion.table-1.pid]",
-            "motion.x: a value outside any entry",
+            r"^motion\.x\b",
         ),
     ],
 )
@@ -360,22 +324,22 @@ def test_a_wrong_ledger_names_the_entry(workbook, old, new, message):
 
 def test_a_claim_of_an_unknown_entry_names_the_nearest(workbook):
     workbook()
-    with pytest.raises(InputError, match=r"no entry 'motion.ordr'; did you mean 'motion.order'\?"):
+    with pytest.raises(InputError, match=r"'motion\.ordr'.*'motion\.order'"):
         make_claim("motion.ordr", 1.0)
-    with pytest.raises(InputError, match=r"room is 'moton'; .*did you mean 'motion'"):
+    with pytest.raises(InputError, match=r"^room\b"):
         make_claim("moton.order", 1.0)
 
 
 @pytest.mark.parametrize("interval", [None, (1.0, math.inf)])
 def test_only_finite_values_are_claimed(workbook, interval):
     workbook()
-    with pytest.raises(InputError, match=r"motion.order"):
+    with pytest.raises(InputError, match=r"^motion\.order\b"):
         make_claim("motion.order", math.nan if interval is None else 1.0, interval)
 
 
 def test_an_interval_begins_with_its_lower_end(workbook):
     workbook()
-    with pytest.raises(InputError, match=r"motion.order: interval is \(2, 1\); give the lower end first"):
+    with pytest.raises(InputError, match=r"^motion\.order: interval\b"):
         make_claim("motion.order", 1.0, (2.0, 1.0))
 
 
@@ -404,7 +368,6 @@ def test_the_ledger_joins_entries_with_what_was_found(workbook):
         "reason": "",
         "notebook": "motion/01-x",
     }
-    assert [claim.entry.id for claim in ledger(room="isolation")] == []
 
 
 def test_a_value_without_the_interval_that_its_entry_asks_for_is_not_built(workbook):
@@ -426,10 +389,10 @@ def test_half_written_results_do_not_count(workbook):
 def test_a_value_claimed_twice_or_unknown_is_refused(workbook):
     found = {"motion.order": {"ours": 1.0}}
     workbook(**{"01-x": found, "02-y": found})
-    with pytest.raises(InputError, match="claimed by motion/01-x and by motion/02-y"):
+    with pytest.raises(InputError, match=r"motion/01-x.*motion/02-y"):
         ledger()
     workbook(LEDGER.replace("motion.order", "motion.other"))
-    with pytest.raises(InputError, match=r"no entry 'motion.order'; did you mean 'motion.other'"):
+    with pytest.raises(InputError, match=r"'motion\.order'.*'motion\.other'"):
         ledger()
 
 

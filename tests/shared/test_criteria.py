@@ -83,9 +83,9 @@ def test_every_band_from_8_to_80_hz_counts_and_no_other():
 
 
 def test_bad_questions_are_answered():
-    with pytest.raises(InputError, match="did you mean 'VC-C'"):
+    with pytest.raises(InputError, match=r"^name\b.*'VC-C'"):
         criterion_velocity("VCC", [10.0])
-    with pytest.raises(InputError, match="8 to 80 Hz"):
+    with pytest.raises(InputError, match=r"^centres_hz\b"):
         criterion_met([1.0], [1e-6])
-    with pytest.raises(InputError, match="wider or finer"):
+    with pytest.raises(InputError, match=r"^frequencies_hz\b"):
         one_third_octave_velocity([10.0, 10.1], [1.0, 1.0])

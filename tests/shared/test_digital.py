@@ -116,11 +116,11 @@ def test_a_table_gives_a_controller(tmp_path):
 
 
 BAD = {
-    "no file": (None, "cannot be read .*; give a JSON or TOML file"),
-    "text": ("hello", "is no controller"),
-    "a list": ("[1]", "is no controller"),
-    "another file": ("{}", "'format' is missing"),
-    "another format": ('{"format": "x"}', "this reads 'stillwork controller 1'"),
+    "no file": (None, r"a\.json\b"),
+    "text": ("hello", r"^a\.json\b"),
+    "a list": ("[1]", r"^a\.json\b"),
+    "another file": ("{}", r"^a\.json: 'format'"),
+    "another format": ('{"format": "x"}', r"^a\.json: format\b"),
 }
 
 
@@ -136,15 +136,15 @@ def test_files_that_hold_no_controller_say_why(tmp_path, name):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"state_space": {"a": [[1]], "b": [[1]], "c": [[1]]}}, "'d' is missing"),
-        ({"low": [5.0], "high": [-5.0]}, "low is not below high"),
-        ({"inputs": []}, "name 0 and 1 signals for a model of 1 and 1"),
-        ({"inputs": "e"}, "give a list"),
-        ({"anti_windup": [[1.0]] * 4}, "anti_windup has shape"),
-        ({"anti_windup": {}}, "anti_windup is not an array of numbers"),
-        ({"anti_windup": [[1e9]] * 5}, "unstable while its output is limited"),
-        ({"delay_samples": -1}, "delay is -1"),
-        ({"sample_time_s": 0.0}, "in continuous time"),
+        ({"state_space": {"a": [[1]], "b": [[1]], "c": [[1]]}}, r"^a\.json: state_space: 'd'"),
+        ({"low": [5.0], "high": [-5.0]}, r"^low\b"),
+        ({"inputs": []}, r"^inputs and outputs\b"),
+        ({"inputs": "e"}, r"^a\.json: inputs\b"),
+        ({"anti_windup": [[1.0]] * 4}, r"^anti_windup\b"),
+        ({"anti_windup": {}}, r"^anti_windup\b"),
+        ({"anti_windup": [[1e9]] * 5}, r"^anti_windup\b.*unstable"),
+        ({"delay_samples": -1}, r"^delay\b"),
+        ({"sample_time_s": 0.0}, r"^model\b.*continuous"),
     ],
 )
 def test_controllers_that_cannot_run_say_why(tmp_path, change, message):
@@ -165,14 +165,14 @@ def test_integrators_in_a_row_and_outputs_that_show_none_have_no_back_calculatio
     double = StateModel(
         np.array([[1.0, 1.0], [0.0, 1.0]]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), SAMPLE_TIME
     )
-    with pytest.raises(InputError, match="integrators in a row"):
+    with pytest.raises(InputError, match=r"^model\b.*anti_windup"):
         anti_windup(double, 0.1)
     hidden = StateModel(np.eye(1), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), SAMPLE_TIME)
-    with pytest.raises(InputError, match="integrators in a row"):
+    with pytest.raises(InputError, match=r"^model\b.*anti_windup"):
         anti_windup(hidden, 0.1)
 
 
 def test_an_output_that_follows_from_itself_is_refused():
     model = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ones((1, 2)), SAMPLE_TIME)
-    with pytest.raises(InputError, match="follows from the limited output of the same sample"):
+    with pytest.raises(InputError, match=r"^model\b.*output"):
         DigitalController(model, ("e",), ("f",))

@@ -69,7 +69,7 @@ def test_files_that_describe_nothing_say_why_and_leave_nothing(tmp_path, capsys,
 def test_nothing_is_overwritten_and_nothing_half_written(tmp_path):
     out = tmp_path / "out"
     write_folder(out, {"a.c": "1"})
-    with pytest.raises(InputError, match="is not empty; nothing is overwritten"):
+    with pytest.raises(InputError, match="nothing_is_overwritten"):
         write_folder(out, {"a.c": "2"})
     assert read(out) == {"a.c": "1"}
     with pytest.raises(AttributeError):

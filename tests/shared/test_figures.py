@@ -75,14 +75,14 @@ def test_a_name_stands_in_the_first_row_of_its_block(tmp_path):
 
 def test_a_file_that_is_no_table_of_a_figure_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text("time,x\n0,1\n")
-    with pytest.raises(InputError, match="whose first line is not 'panel,series,x,y,z'"):
+    with pytest.raises(InputError, match=r"^path\b.*panel,series"):
         figures.read_table(tmp_path / "a.csv")
 
 
 def test_a_name_that_would_read_as_the_one_above_is_refused(tmp_path, monkeypatch):
     figure, _ = labelled()
     monkeypatch.setattr(figures, "plotted", lambda figure: [("one", "", "0", "0", "")])
-    with pytest.raises(InputError, match="series '' has no name and reads"):
+    with pytest.raises(InputError, match="series ''"):
         figures.save(figure, tmp_path / "a")
 
 
@@ -157,7 +157,7 @@ def test_saving_leaves_a_readers_own_figure_as_it_is(tmp_path, layout, parts, dr
             panel.plot([1, 2, 4], [1, 3, 2])
             panel.set(xlabel="t (s)", ylabel="y (m)")
     if parts and layout == "compressed":  # matplotlib has none
-        with pytest.raises(InputError, match="figure has no such layout"):
+        with pytest.raises(InputError, match=r"^figure"):
             figures.save(figure, tmp_path / "a")
         return
     if drawn:
@@ -222,7 +222,7 @@ def test_an_axis_without_a_label_is_refused():
     axes[0].set_xlabel("time (s)")
     axes[0].plot([1, 2])
     axes[1].plot([1, 2])
-    with pytest.raises(InputError, match="panel 2 has no axis labels"):
+    with pytest.raises(InputError, match=r"^panel 2\b"):
         figures.plotted(figure)
 
 

@@ -79,7 +79,8 @@ def workbook(tmp_path) -> Path:
     package = root / "lib" / "stillwork"
     (package / "base").mkdir(parents=True)
     (root / "data").mkdir()
-    for name in ("__init__", "checks", "garbage", "kernel_cache", "kernel_folder", "kernels", "paths"):
+    needed = ("checks", "garbage", "kernel_cache", "kernel_folder", "kernels", "paths", "source_digest", "toml_files")
+    for name in ("__init__", *needed):
         shutil.copy(Path(stillwork.__file__).parent / "base" / f"{name}.py", package / "base")
     shutil.copy(Path(stillwork.__file__), package)
     (package / "caller.py").write_text(CALLER)
@@ -150,6 +151,25 @@ def test_the_folders_that_the_environment_names_are_obeyed(workbook, tmp_path):
     assert not (workbook / "build").exists()
 
 
+# The user's own places for machine code, numba's rule for them, and one where nothing of the workbook's can be written.
+PLACES = (
+    {"NUMBA_CACHE_DIR": "{own}"},
+    {"NUMBA_CACHE_LOCATOR_CLASSES": "InTreeCacheLocator"},
+    {"STILLWORK_ROOT": "{own}", "NUMBA_CACHE_DIR": ""},
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", PLACES)
+def test_a_change_of_a_called_kernel_is_seen_wherever_machine_code_is_kept(workbook, tmp_path, place):
+    own = {name: value.format(own=tmp_path / "own") for name, value in place.items()}
+    called = workbook / "lib" / "stillwork" / "called.py"
+    for factor, value in ((2, 21), (3, 31), (2, 21)):
+        called.write_text(CALLED.format(factor=factor))
+        assert run(workbook, **own)[0] == value
+    assert run(workbook, **own) == [21, 0]
+
+
 def test_the_cache_folder_is_the_one_that_the_driver_gives(monkeypatch):
     monkeypatch.setenv("STILLWORK_KERNELS", "/given")
     assert cache_folder() == "/given"
@@ -175,7 +195,8 @@ def test_folders_of_other_digests_go_after_a_week_without_use(workbook):
 
     first = asked()
     used = Path(first.stdout.readline().strip())
-    assert {folder.name for folder in every.iterdir()} == {used.name, "2" * 16, "own"}
+    folders = {folder.name for folder in every.iterdir() if folder.is_dir()}
+    assert folders == {used.name, "2" * 16, "own"}
 
     os.utime(used, (1e9, 1e9))  # as after a long session, which has it in use
     (workbook / "lib" / "stillwork" / "called.py").write_text(CALLED.format(factor=3))
@@ -185,6 +206,28 @@ def test_folders_of_other_digests_go_after_a_week_without_use(workbook):
     (workbook / "lib" / "stillwork" / "called.py").write_text(CALLED.format(factor=4))
     asked().communicate("\n")
     assert not used.exists()
+
+
+@pytest.mark.slow
+def test_a_comment_in_a_file_of_kernels_compiles_that_file_alone(workbook):
+    """Its own kernels, whose machine code numba keys by the file; not those that call them."""
+    assert run(workbook) == [21, 1]
+    folders = _kernel_folders(workbook)
+    package = workbook / "lib" / "stillwork"
+    called = package / "called.py"
+    called.write_text(f"# Why, in a comment.\n{called.read_text()}")
+    assert run(workbook) == [21, 0]
+    caller = package / "caller.py"
+    caller.write_text(f"# Why, in a comment.\n{caller.read_text()}")
+    assert run(workbook) == [21, 1]
+    assert _kernel_folders(workbook) == folders
+    called.write_text(called.read_text().replace("2", "3"))
+    assert run(workbook) == [31, 1]
+    assert len(_kernel_folders(workbook)) == len(folders) + 1
+
+
+def _kernel_folders(workbook: Path) -> set[str]:
+    return {each.name for each in (workbook / "build" / "kernels").iterdir() if each.is_dir()}
 
 
 @pytest.mark.slow

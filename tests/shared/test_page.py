@@ -85,7 +85,7 @@ def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_p
 )
 def test_a_figure_has_a_name_and_no_path(workbook, name):
     page, figure = Page("motion/01-x"), drawing()
-    with pytest.raises(InputError, match=r"name is .*; give at most 100 letters, digits"):
+    with pytest.raises(InputError, match=r"^name\b"):
         page.save(name, figure)
     assert [file for file in workbook.rglob("*") if file.is_file()] == [
         workbook / "data/motion/published.toml"
@@ -95,17 +95,17 @@ def test_a_figure_has_a_name_and_no_path(workbook, name):
 
 @pytest.mark.parametrize("wrong", [None, "fig-1", drawing().axes[0], Figure().subfigures(1, 1)])
 def test_only_a_whole_figure_is_saved(workbook, wrong):
-    with pytest.raises(InputError, match=r"figure is .*; give Figure"):
+    with pytest.raises(InputError, match=r"^figure\b"):
         Page("motion/01-x").save("fig-1", wrong)
 
 
 @pytest.mark.parametrize(
     ("claim", "value", "interval", "message"),
     [
-        ("n" * 300, 1.0, None, "room is 'nnn"),
-        ("motion.order", 1.5, None, "motion.order is 1.5; give a finite number at least 0 and at most 1"),
-        ("motion.order", 1.0, (-0.1, 1.0), "lower end of the interval is -0.1"),
-        ("motion.order", 1.0, (0.9, 1.1), "upper end of the interval is 1.1"),
+        ("n" * 300, 1.0, None, r"^room\b"),
+        ("motion.order", 1.5, None, r"^motion\.order\b"),
+        ("motion.order", 1.0, (-0.1, 1.0), r"^motion\.order\b.*-0\.1\b"),
+        ("motion.order", 1.0, (0.9, 1.1), r"^motion\.order\b.*\b1\.1\b"),
     ],
 )
 def test_a_claim_that_cannot_be_is_refused(workbook, claim, value, interval, message):
@@ -142,9 +142,7 @@ def test_a_formula_that_cannot_be_set_is_named(workbook, wrong, layout):
     figure = drawing()
     figure.set_layout_engine(layout or "none")
     figure.axes[0].set_ylabel(wrong)
-    with pytest.raises(
-        InputError, match=r"figure has the text .*, which cannot be set; mend its formula"
-    ) as told:
+    with pytest.raises(InputError, match=r"^figure\b") as told:
         Page("motion/01-x").save("fig-1", figure)
     assert repr(wrong) in str(told.value)
 
@@ -152,9 +150,9 @@ def test_a_formula_that_cannot_be_set_is_named(workbook, wrong, layout):
 @pytest.mark.parametrize(
     ("rounding", "message"),
     [
-        ({"lime": "residual"}, "rounding is 'lime'.*did you mean 'line'"),
-        ({"line": ""}, "say why 'line'"),
-        ({"line": " "}, "say why 'line'"),
+        ({"lime": "residual"}, r"^rounding\b"),
+        ({"line": ""}, r"^rounding\b.*'line'"),
+        ({"line": " "}, r"^rounding\b.*'line'"),
     ],
 )
 def test_a_note_names_a_series_and_a_reason(workbook, rounding, message):
@@ -177,7 +175,7 @@ def test_a_note_names_a_series_and_a_reason(workbook, rounding, message):
     ],
 )
 def test_a_page_has_a_room_and_a_name(name):
-    with pytest.raises(InputError, match="give 'room/name'"):
+    with pytest.raises(InputError, match=r"^notebook\b"):
         Page(name)
 
 
@@ -190,7 +188,7 @@ def test_two_pages_do_not_share_claims(workbook):
 def test_the_root_is_the_checkout_or_what_the_variable_says(workbook, monkeypatch, tmp_path):
     assert paths.root() == workbook
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "nowhere"))
-    with pytest.raises(FileNotFoundError, match="set STILLWORK_ROOT"):
+    with pytest.raises(FileNotFoundError, match="STILLWORK_ROOT"):
         paths.root()
     monkeypatch.delenv("STILLWORK_ROOT")
     assert (paths.root() / "lib" / "stillwork").is_dir()

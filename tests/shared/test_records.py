@@ -77,7 +77,7 @@ def test_csv_without_names_needs_a_rate(tmp_path):
     record = load_record(path, "m/s^2", sample_rate=RATE)
     assert record.names == ("column 1", "column 2")
     assert record.signals == pytest.approx(SIGNALS, rel=1e-12)
-    with pytest.raises(InputError, match="give sample_rate in Hz or a column named time"):
+    with pytest.raises(InputError, match=r"^a\.txt\b.*sample_rate"):
         load_record(path, "m/s^2")
 
 
@@ -95,7 +95,7 @@ def test_npz_and_mat_agree_with_csv(tmp_path):
 
 def test_channels_are_chosen_by_name_and_order(good_csv):
     assert load_record(good_csv, "g", channels=["right"]).signals[0] == pytest.approx(SIGNALS[1] * 9.80665)
-    with pytest.raises(InputError, match="did you mean 'right'"):
+    with pytest.raises(InputError, match=r"^channel\b.*'right'"):
         load_record(good_csv, "g", channels=["rigth"])
 
 
@@ -124,7 +124,7 @@ def test_units(unit, factor, si):
 
 
 def test_unknown_unit_names_the_nearest():
-    with pytest.raises(InputError, match="did you mean 'mm/s'"):
+    with pytest.raises(InputError, match=r"^unit\b.*'mm/s'"):
         unit_factor("mm/sec")
     assert "kg" not in UNITS  # a mass, not a thousand times gravity
 
@@ -157,14 +157,14 @@ def defect(name, time=TIME, signals=SIGNALS):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("nan", r"channel right: 1 value missing .* t = 0.154 s \(row 78\); cut"),
-        ("gap", r"1 gap\(s\) in time, the first of 0.502 s after t = 0.798 s; cut"),
-        ("backwards", r"time does not rise after row 300 .*; sort or cut"),
-        ("uneven", "time is uneven: a step .* interpolate"),
-        ("drifting", "time is uneven: an instant .* interpolate"),
-        ("milliseconds", "implausible .* time is wanted in s"),
-        ("microseconds as seconds", "implausible"),
-        ("short", "holds 100 samples, too short a record; give at least 256"),
+        ("nan", r"channel right\b.*\(row 78\)"),
+        ("gap", r"0\.502 s.*t = 0\.798 s"),
+        ("backwards", r"\btime\b.*row 300\b"),
+        ("uneven", r"\btime\b.*t = 0\.6\d* s"),
+        ("drifting", r"\btime\b.*t = 2\.0\d* s"),
+        ("milliseconds", r"0\.5 Hz"),
+        ("microseconds as seconds", r"5e\+08 Hz"),
+        ("short", r"\b100\b.*\b256\b"),
     ],
 )
 def test_defects_are_named_with_the_way_out(tmp_path, name, message):
@@ -179,23 +179,23 @@ def test_missing_values_in_a_csv_are_found(tmp_path):
         for n, (t, a, b) in enumerate(zip(TIME, *SIGNALS, strict=True))
     ]
     (tmp_path / "a.csv").write_text("time,left,right\n" + "\n".join(rows))
-    with pytest.raises(InputError, match=r"channel right: 1 value missing .*row 6"):
+    with pytest.raises(InputError, match=r"channel right\b.* 1 .*\brow 6\b"):
         load_record(tmp_path / "a.csv", "m/s^2")
 
 
 def test_an_empty_channel_is_not_dropped_in_silence(tmp_path):
     rows = [f"{t},{a},nan" for t, a in zip(TIME, SIGNALS[0], strict=True)]
     (tmp_path / "a.csv").write_text("time,left,right\n" + "\n".join(rows))
-    with pytest.raises(InputError, match="channel right: 1000 values missing"):
+    with pytest.raises(InputError, match=r"channel right\b.*\b1000\b"):
         load_record(tmp_path / "a.csv", "m/s^2")
 
 
 def test_contradicting_rates_and_too_many_channels(good_csv):
-    with pytest.raises(InputError, match=r"sample_rate is 600 Hz, but 'time .s.' .* says 500 Hz"):
+    with pytest.raises(InputError, match=r"^sample_rate\b"):
         load_record(good_csv, "m/s^2", sample_rate=600.0)
-    with pytest.raises(InputError, match=r"holds 2 channels \(left, right\), at most 1"):
+    with pytest.raises(InputError, match=r"^floor\.csv\b.*\(left, right\)"):
         load_record(good_csv, "m/s^2", most_channels=1)
-    with pytest.raises(InputError, match="sample_rate is -5"):
+    with pytest.raises(InputError, match=r"^sample_rate\b"):
         load_record(good_csv, "m/s^2", sample_rate=-5.0)
 
 
@@ -204,10 +204,10 @@ def test_unequal_lengths_and_no_channels(tmp_path):
     with pytest.raises(InputError, match="a: 1000, b: 900"):
         load_record(tmp_path / "a.npz", "m/s^2")
     np.savez(tmp_path / "b.npz", t=TIME)
-    with pytest.raises(InputError, match="holds no channel"):
+    with pytest.raises(InputError, match=r"^b\.npz\b.*channel"):
         load_record(tmp_path / "b.npz", "m/s^2")
     np.savez(tmp_path / "c.npz", a=np.zeros((3, 4, 5)), fs=RATE)
-    with pytest.raises(InputError, match="give channels by samples"):
+    with pytest.raises(InputError, match=r"'a'.*\(3, 4, 5\)"):
         load_record(tmp_path / "c.npz", "m/s^2")
 
 
@@ -220,7 +220,7 @@ def test_reading_executes_nothing(tmp_path):
     np.savez(tmp_path / "a.npz", a=np.array([Bomb()], dtype=object), fs=RATE)
     (tmp_path / "b.npz").write_bytes(pickle.dumps(Bomb()))
     for name in ("a.npz", "b.npz"):
-        with pytest.raises(InputError, match=r"cannot be read .* save plain numeric arrays"):
+        with pytest.raises(InputError, match=rf"^{name}\b"):
             load_record(tmp_path / name, "m/s^2")
 
 
@@ -244,14 +244,14 @@ def npy(array):
 @pytest.mark.parametrize(
     ("members", "options", "message"),
     [
-        ([("a.npy", npy(SIGNALS)), ("read.me", b"notes")], {}, "its member 'read.me' is no array"),
-        ([("a.npy", b"no array")], {}, "its member 'a' is no array"),
-        ([("a.npy", npy(np.zeros(10**6)))], {"said": 2**33}, "it unpacks to 8.6e[+]09 bytes, more than 4 GB"),
-        ([("a.npy", npy(np.zeros(10**6)))] * 2, {"compression": zipfile.ZIP_BZIP2}, "'a.npy' is compressed"),
-        ([(f"{n}.npy", b"") for n in range(10_001)], {}, "it holds 10001 members, more than 10000"),
-        ([("a.npy", npy(SIGNALS).replace(b"(2, 1000)", b"(2, 10**9"))], {}, "cannot be read"),
-        ([("a.npy", npy(SIGNALS).replace(b"(2, 1000), }   ", b"(2, 10000000),}"))], {}, "cannot be read"),
-        ([], {}, "holds no"),
+        ([("a.npy", npy(SIGNALS)), ("read.me", b"notes")], {}, r"'read\.me'"),
+        ([("a.npy", b"no array")], {}, "'a'"),
+        ([("a.npy", npy(np.zeros(10**6)))], {"said": 2**33}, r"8\.6e[+]09.*4 GB"),
+        ([("a.npy", npy(np.zeros(10**6)))] * 2, {"compression": zipfile.ZIP_BZIP2}, r"'a\.npy'"),
+        ([(f"{n}.npy", b"") for n in range(10_001)], {}, r"\b10001\b.*\b10000\b"),
+        ([("a.npy", npy(SIGNALS).replace(b"(2, 1000)", b"(2, 10**9"))], {}, r"^a\.npz\b"),
+        ([("a.npy", npy(SIGNALS).replace(b"(2, 1000), }   ", b"(2, 10000000),}"))], {}, r"^a\.npz\b"),
+        ([], {}, r"^a\.npz\b.*channel"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:Duplicate name")
@@ -267,7 +267,7 @@ def test_an_archive_behind_something_else_is_none(tmp_path):
     np.savez(tmp_path / "a.npz", a=SIGNALS)
     path = tmp_path / "a.npz"
     path.write_bytes(b"prefix" + path.read_bytes())
-    with pytest.raises(InputError, match="it is no archive") as refusal:
+    with pytest.raises(InputError, match="archive") as refusal:
         load_record(path, "m/s^2", sample_rate=RATE)
     assert "pickle" not in str(refusal.value)
 
@@ -275,7 +275,7 @@ def test_an_archive_behind_something_else_is_none(tmp_path):
 def test_the_memory_of_the_numbers_is_limited_not_that_of_the_file_alone(tmp_path, monkeypatch):
     np.savez(tmp_path / "a.npz", a=np.zeros((2, 1000), np.int8))
     monkeypatch.setattr(datafiles, "MOST_BYTES", 8_000)  # the archive takes 2,000 bytes and a line of names
-    with pytest.raises(InputError, match=r"a\.npz makes 1\.6e\+04 bytes of numbers"):
+    with pytest.raises(InputError, match=r"^a\.npz\b"):
         datafiles.read_columns(tmp_path / "a.npz")
 
 
@@ -283,7 +283,7 @@ def test_a_path_may_be_a_text(tmp_path):
     write_csv(tmp_path / "a.csv", SIGNALS, ["left", "right"])
     for read in (datafiles.read_arrays, datafiles.read_columns):
         np.testing.assert_array_equal(read(str(tmp_path / "a.csv"))["left"], SIGNALS[0])
-    with pytest.raises(InputError, match="holds no measured function"):
+    with pytest.raises(InputError, match=r"^a\.uff\b.*\b58\b"):
         read_universal(str(tmp_path / "a.uff"))
 
 
@@ -316,17 +316,17 @@ def test_cut_files_give_our_error(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.csv", "", "is empty"),
-        ("a.csv", "time,x\n0,1\n0.1,oops\n", "'oops' in row 2 is not a number"),
-        ("a.csv", "time,x\n2024-01-31T10:00:00.5,1\n", "row 1 is a date or a time of day; give seconds"),
-        ("a.csv", "time;x\n31.01.2024 10:00;1\n", "is a date or a time of day"),
-        ("a.csv", "time,x\n10:00:01.250,1\n", "is a date or a time of day"),
-        ("a.csv", "time,x\n1.2.3,1\n", "is not a number"),
-        ("a.csv", "time,x\n0,1\n0.1,1,2,3\n", "not a table: row 2 holds 4 values for 2 columns"),
-        ("a.csv", "time,x\n0,1,5\n0.1,1,2\n", "names 2 columns and holds 3"),
-        ("a.tsv", "\r,", "is not a table"),
-        ("a.xlsx", "", "files of type '.xlsx' are not read; export"),
-        ("a.mat", "not a mat file" * 20, "save it with -v7"),
+        ("a.csv", "", r"^a\.csv\b.*empty"),
+        ("a.csv", "time,x\n0,1\n0.1,oops\n", r"column x: 'oops'.*row 2\b"),
+        ("a.csv", "time,x\n2024-01-31T10:00:00.5,1\n", r"column time\b.*\brow 1\b"),
+        ("a.csv", "time;x\n31.01.2024 10:00;1\n", r"column time\b.*\brow 1\b"),
+        ("a.csv", "time,x\n10:00:01.250,1\n", r"column time\b.*\brow 1\b"),
+        ("a.csv", "time,x\n1.2.3,1\n", r"column time: '1\.2\.3'"),
+        ("a.csv", "time,x\n0,1\n0.1,1,2,3\n", r"row 2 .*\b4\b.*\b2\b"),
+        ("a.csv", "time,x\n0,1,5\n0.1,1,2\n", r"\b2 columns.*\b3\b"),
+        ("a.tsv", "\r,", r"^a\.tsv\b"),
+        ("a.xlsx", "", r"\bfiles\b"),
+        ("a.mat", "not a mat file" * 20, r"^a\.mat\b.*-v7"),
     ],
 )
 def test_files_that_are_no_records(tmp_path, name, content, message):
@@ -337,17 +337,17 @@ def test_files_that_are_no_records(tmp_path, name, content, message):
 
 def test_only_a_motion_becomes_an_acceleration():
     force = Record(SIGNALS, RATE, "N", ("a", "b"), "hammer.csv")
-    with pytest.raises(InputError, match=r"hammer\.csv is in N; an acceleration needs m/s\^2"):
+    with pytest.raises(InputError, match=r"^hammer\.csv\b"):
         to_acceleration(force)
 
 
 def test_missing_file_and_bad_record(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match=r"none\.csv"):
         load_record(tmp_path / "none.csv", "m/s^2")
     for options, message in (
-        ({"unit": "mm/s"}, "convert"),
-        ({"names": ("a",)}, "name each"),
-        ({"signals": np.full((2, 300), np.nan)}, "NaN"),
+        ({"unit": "mm/s"}, r"^unit\b.*'mm/s'"),
+        ({"names": ("a",)}, r"^names\b"),
+        ({"signals": np.full((2, 300), np.nan)}, r"^signals\b.*NaN"),
     ):
         fields = {"signals": SIGNALS, "sample_rate": RATE, "unit": "m/s", "names": ("a", "b"), "source": "x"}
         with pytest.raises(InputError, match=message):
@@ -431,7 +431,7 @@ def test_a_column_without_a_name_is_refused_with_both_counts(tmp_path):
     rows = "\n".join(f"{n / 100},{n % 7},{n % 5}" for n in range(400))
     file = tmp_path / "floor.csv"
     file.write_text(f"time,a\n{rows}\n")
-    with pytest.raises(InputError, match="names 2 columns and holds 3"):
+    with pytest.raises(InputError, match=r"\b2 columns.*\b3\b"):
         load_record(file, "m/s^2")
 
 
@@ -446,6 +446,6 @@ def test_a_channel_that_never_moves_is_refused(tmp_path):
     rows = "\n".join(f"{n / 100},{n % 7},9.81" for n in range(400))
     file = tmp_path / "floor.csv"
     file.write_text(f"time,a,stuck\n{rows}\n")
-    with pytest.raises(InputError, match="channel stuck stands at"):
+    with pytest.raises(InputError, match=r"channel stuck\b"):
         load_record(file, "m/s^2")
     assert load_record(file, "m/s^2", channels=["a"]).names == ("a",)

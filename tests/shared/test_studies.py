@@ -71,18 +71,18 @@ def test_trials_run_at_once():
 
 @pytest.mark.parametrize("executor", [None, "threads"])
 def test_an_error_in_a_trial_comes_through(executor):
-    with ThreadPoolExecutor(2) as pool, pytest.raises(ValueError, match="no convergence"):
+    with ThreadPoolExecutor(2) as pool, pytest.raises(ValueError, match="convergence"):
         run_study(trials.failing, 3, 1, executor=pool if executor else None, progress=False)
 
 
 def test_trials_must_return_the_same_quantities():
-    with pytest.raises(InputError, match="different quantities"):
+    with pytest.raises(InputError, match=r"^trial\b"):
         run_study(trials.uneven, 20, 1, progress=False)
 
 
 @pytest.mark.parametrize("runs", [0, -1, True])
 def test_runs_is_a_count(runs):
-    with pytest.raises(InputError, match="runs is"):
+    with pytest.raises(InputError, match=r"^runs\b"):
         run_study(trials.draw, runs, 1, progress=False)
 
 
@@ -135,9 +135,9 @@ def test_wilsons_interval_solves_wilsons_equation(runs, data):
 
 @pytest.mark.parametrize("interval", [mean_interval, spread_interval])
 def test_one_run_has_no_interval(interval):
-    with pytest.raises(InputError, match="takes at least 2"):
+    with pytest.raises(InputError, match=r"^values\b"):
         interval([1.0])
     with pytest.raises(InputError, match="level"):
         interval([1.0, 2.0], 1.0)
-    with pytest.raises(InputError, match="values holds 1 NaN"):
+    with pytest.raises(InputError, match=r"^values\b"):
         interval([1.0, np.nan])

@@ -83,24 +83,24 @@ def test_what_cannot_be_used_says_why(tmp_path):
     import pyuff
 
     short, long = function("time", TIME[:300], ROWS[0][:300]), function("time", TIME, ROWS[0], node=2)
-    with pytest.raises(InputError, match="functions over different axes of time"):
+    with pytest.raises(InputError, match=r"^a\.uff\b.*axes"):
         read_universal(write_universal(tmp_path / "a.uff", [short, long]))
     (tmp_path / "b.uff").write_text("no universal file\n")
-    with pytest.raises(InputError, match="holds no measured function"):
+    with pytest.raises(InputError, match=r"^b\.uff\b"):
         read_universal(tmp_path / "b.uff")
     whole = write_universal(tmp_path / "c.uff", [long]).read_text()
     cut = whole.splitlines()
     (tmp_path / "c.uff").write_text("\n".join([*cut[:30], "    -1"]) + "\n")
-    with pytest.raises(InputError, match="announces 600 values and holds"):
+    with pytest.raises(InputError, match=r"^c\.uff\b.*\b600\b"):
         read_universal(tmp_path / "c.uff")
     (tmp_path / "d.uff").write_text("\n".join([*cut[:20], 40 * "x", "    -1"]) + "\n")
-    with pytest.raises(InputError, match="cannot be read as a universal file"):
+    with pytest.raises(InputError, match=r"^d\.uff\b"):
         read_universal(tmp_path / "d.uff")
     binary = write_universal(tmp_path / "e.uff", [function("time", TIME, ROWS[0], binary=1)])
     lines = binary.read_bytes().split(b"\n")
     lines[8] = b"%10d" % 9 + lines[8][10:]  # no type that dataset 58 knows
     binary.write_bytes(b"\n".join(lines))
-    with pytest.raises(InputError, match=r"e\.uff: a function announces 600 values and holds 0; export"):
+    with pytest.raises(InputError, match=r"^e\.uff\b.*\b600\b.*\b0\b"):
         read_universal(tmp_path / "e.uff")
     inches = pyuff.prepare_164(
         units_code=7,
@@ -111,5 +111,5 @@ def test_what_cannot_be_used_says_why(tmp_path):
         temp=1.8,
         temp_offset=459.67,
     )
-    with pytest.raises(InputError, match=r"unit system 7 .* export it in SI units"):
+    with pytest.raises(InputError, match=r"^f\.uff\b.*unit system 7\b"):
         read_universal(write_universal(tmp_path / "f.uff", [inches, long]))

@@ -17,8 +17,8 @@ import yaml
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site import metadata
-from stillwork.site.derived import works
 from stillwork.site.metadata import binder, codemeta, crate, project, release_date, zenodo
+from stillwork.site.papers import cited
 
 CRATE = json.loads((paths.root() / "ro-crate-metadata.json").read_text(encoding="utf-8"))
 CITATION = yaml.safe_load((paths.root() / "CITATION.cff").read_text(encoding="utf-8"))
@@ -126,10 +126,10 @@ DEPOSIT = {
 
 
 def test_zenodos_record_is_a_deposit_of_software(public):
-    for made in (zenodo(works()), (paths.root() / ".zenodo.json").read_text(encoding="utf-8")):
+    for made in (zenodo(cited()), (paths.root() / ".zenodo.json").read_text(encoding="utf-8")):
         record = json.loads(made)
         jsonschema.validate(record, DEPOSIT)
-        assert all(work["work"] in record["description"] for work in works().values())
+        assert all(paper["paper"] in record["description"] for paper in cited().values())
     with pytest.raises(jsonschema.ValidationError, match="upload_type"):
         jsonschema.validate(record | {"upload_type": "program"}, DEPOSIT)
 
@@ -179,9 +179,9 @@ def public(request, monkeypatch):
 
 def test_an_address_stands_in_every_record_once_there_is_one(public):
     records = (
-        json.loads(codemeta(works())).get("codeRepository", ""),
-        json.loads(zenodo(works())).get("related_identifiers", [{"identifier": ""}])[0]["identifier"],
-        next(each for each in json.loads(crate(works(), []))["@graph"] if each["@id"] == "./").get("url", ""),
+        json.loads(codemeta(cited())).get("codeRepository", ""),
+        json.loads(zenodo(cited())).get("related_identifiers", [{"identifier": ""}])[0]["identifier"],
+        next(each for each in json.loads(crate(cited(), []))["@graph"] if each["@id"] == "./").get("url", ""),
     )
     assert set(records) == {public}
 
@@ -194,7 +194,7 @@ def test_binder_opens_a_notebook_of_the_release_where_there_is_an_address(public
 
 
 def test_all_tell_of_one_version_and_one_day():
-    record = json.loads(zenodo(works()))
+    record = json.loads(zenodo(cited()))
     day = date.fromisoformat(release_date())
     assert CITATION["date-released"] == day
     assert record["publication_date"] == ENTITIES["./"]["datePublished"] == day.isoformat()

@@ -236,7 +236,7 @@ def test_a_smaller_sign_is_a_sign(formula):
     "formula", [r"\href{javascript:alert(1)}{x}", r'\class{a" onclick="x}{y}', r"\style{position:fixed}{x}"]
 )
 def test_a_formula_makes_no_link_and_no_style(formula):
-    with pytest.raises(InputError, match=r"the formula .* sets (href|class|style); write"):
+    with pytest.raises(InputError, match=r"formula.*(href|class|style)"):
         mathml(formula)
 
 

@@ -31,7 +31,7 @@ def workbook(tmp_path, monkeypatch):
 
 def test_what_is_not_committed_is_not_released(workbook):
     (workbook / "CITATION.cff").write_text("version: 0.1.0\ntitle: toy\n")
-    with pytest.raises(InputError, match=r"CITATION\.cff is not committed, and 1 in all; commit"):
+    with pytest.raises(InputError, match=r"^CITATION\.cff\b"):
         release.release()
 
 
@@ -51,11 +51,11 @@ def test_a_tree_that_changes_while_the_release_is_made_is_not_released(workbook,
     monkeypatch.setattr(release, "try_wheel", lambda *files: 0)
     git = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "-C", str(workbook)]
     change["now"] = lambda: subprocess.run([*git, "commit", "-q", "--allow-empty", "-m", "more"]).returncode
-    with pytest.raises(InputError, match="was checked out when the release began"):
+    with pytest.raises(InputError, match=r"[0-9a-f]{40}.*[0-9a-f]{40}"):
         release.release()
     assert not (workbook / "build/release").exists()
     change["now"] = lambda: bool((workbook / "new.py").write_text(""))
-    with pytest.raises(InputError, match=r"new\.py is not committed"):
+    with pytest.raises(InputError, match=r"^new\.py\b"):
         release.release()
     (workbook / "new.py").unlink()
     change["now"] = lambda: 0
@@ -70,7 +70,7 @@ def test_a_tree_that_changes_while_the_release_is_made_is_not_released(workbook,
 def test_versions_that_differ_are_found(workbook, file, text):
     assert release.same_version() == "0.1.0"
     (workbook / file).write_text(text)
-    with pytest.raises(InputError, match=rf"{file} states version 0\.2\.0, pyproject\.toml 0\.1\.0"):
+    with pytest.raises(InputError, match=rf"^{file}\b.*0\.2\.0.*pyproject\.toml.*0\.1\.0"):
         release.same_version()
 
 

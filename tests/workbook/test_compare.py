@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
@@ -215,12 +215,42 @@ def claim(ours, interval=None, **fields):
     return Claim(Entry("motion.a", "p", "q", "", "value", 1.0, rule, **fields), ours, interval)
 
 
-def test_a_value_may_move_by_its_drift():
-    assert same_value(claim(1.0005), claim(1.0))
-    assert not same_value(claim(1.002), claim(1.0))
-    room = Tolerance("a hundredth of the fit's resolution", absolute=0.01)
-    assert same_value(claim(0.002, drift=room), claim(-0.003, drift=room))
-    assert not same_value(claim(0.02, drift=room), claim(-0.003, drift=room))
+@given(st.floats(0.01, 100), st.floats(-0.01, 0.01))
+def test_a_value_may_move_by_a_thousandth(accepted, step):
+    now = accepted * (1 + step)
+    distance = abs(now - accepted) / accepted
+    assume(abs(distance - 1e-3) > 1e-9)
+    assert same_value(claim(now), claim(accepted)) == (distance < 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("drift", "now", "same"),
+    [
+        (Tolerance("resolution of the fit", absolute=0.002), 0.0013, True),
+        (Tolerance("resolution of the fit", absolute=0.002), -0.0027, False),
+        (Tolerance("spread over processors", relative=0.5), -0.0004, True),
+        (Tolerance("spread over processors", relative=0.5), -0.0001, False),
+    ],
+)
+def test_an_entry_may_say_how_far_it_moves_with_the_machine(drift, now, same):
+    assert same_value(claim(now, drift=drift), claim(-0.0006, drift=drift)) == same
+
+
+def test_what_was_accepted_as_zero_may_come_out_as_rounding():
+    assert same_value(claim(1e-16), claim(0.0))
+    assert not same_value(claim(1e-6), claim(0.0))
+
+
+def test_what_an_identity_leaves_is_rounding():
+    rule = Tolerance("rounding", absolute=1e-7)
+
+    def residual(ours, kind="check", published=None, expected=None):
+        return Claim(Entry("motion.a", "p", "q", "", kind, published, rule, expected=expected), ours)
+
+    assert same_value(residual(6e-8), residual(4e-8))
+    assert same_value(residual(3e-15, "exact", 0.0), residual(1e-16, "exact", 0.0))
+    assert not same_value(residual(2.1, published=1.0), residual(2.0, published=1.0))
+    assert not same_value(residual(6e-8, expected=4e-8), residual(4e-8, expected=4e-8))
 
 
 def test_the_ends_of_an_interval_may_move_by_the_drift_of_the_larger():

@@ -15,7 +15,8 @@ from workbook.toy import cell, notebook
 @pytest.fixture
 def workbook(tmp_path, monkeypatch):
     """Write a notebook of the room `motion` with this parameters cell and read it."""
-    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "motion").mkdir(parents=True)
+    (tmp_path / "data" / "motion" / "published.toml").touch()
     (tmp_path / "notebooks" / "motion").mkdir(parents=True)
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
 
@@ -63,25 +64,25 @@ def test_a_notebook_may_have_no_parameters(workbook):
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("a: int = 1\nseed = 1", r"line 2: 'seed = 1' declares no parameter"),
-        ("import numpy", r"line 1: 'import numpy' declares no parameter"),
-        ("a: int = 1\n\nseed: int", r"line 3: 'seed: int' declares no parameter"),
-        ("seed: int = 1 +", r"line 1: .* is not Python"),
-        ("seed: int = 2 * 3", r"does not have a literal value"),
-        ("seed: int = get()", r"does not have a literal value"),
-        ("seed: Path = 'x'", r"a literal value or a plain type"),
-        ("seed: int = 1.0", r"is not an int"),
-        ("seed: int = True", r"is not an int"),
-        ("rate: float = '1'", r"is not a float"),
-        ("bands: list[float] = [1, 'x']", r"is not a list\[float\]"),
-        ("pair: tuple[int, int] = (1, 2, 3)", r"is not a tuple\[int, int\]"),
+        ("a: int = 1\nseed = 1", "line 2: 'seed = 1'"),
+        ("import numpy", "line 1: 'import numpy'"),
+        ("a: int = 1\n\nseed: int", "line 3: 'seed: int'"),
+        ("seed: int = 1 +", r"line 1\b.*Python"),
+        ("seed: int = 2 * 3", r"line 1\b.*2 \* 3"),
+        ("seed: int = get()", r"line 1\b.*get\(\)"),
+        ("seed: Path = 'x'", r"line 1\b.*'x'"),
+        ("seed: int = 1.0", r"line 1\b.*\bint\b"),
+        ("seed: int = True", r"line 1\b.*\bint\b"),
+        ("rate: float = '1'", r"line 1\b.*\bfloat\b"),
+        ("bands: list[float] = [1, 'x']", r"list\[float\]"),
+        ("pair: tuple[int, int] = (1, 2, 3)", r"tuple\[int, int\]"),
     ],
 )
 def test_a_malformed_line_is_named(workbook, source, message):
     with pytest.raises(InputError, match=message) as error:
         workbook(source)
     assert "01-x.ipynb: parameters cell" in str(error.value)
-    assert "write 'name: type = literal  # comment'" in str(error.value)
+    assert "name: type = literal" in str(error.value)
 
 
 CODE = '{"cell_type": "code", "id": "a", "metadata": {}, "source": "1"}'
@@ -103,7 +104,14 @@ CODE = '{"cell_type": "code", "id": "a", "metadata": {}, "source": "1"}'
 )
 def test_a_file_that_is_no_notebook(workbook, tmp_path, text):
     (tmp_path / "notebooks/motion/01-x.ipynb").write_text(text)
-    with pytest.raises(InputError, match="not a notebook"):
+    with pytest.raises(InputError, match="nbformat"):
+        read_notebook("motion/01-x")
+
+
+def test_two_cells_of_one_id_are_refused(workbook, tmp_path):
+    cells = [cell("title", "# A", "markdown"), cell("3f2a9c1b", "x = 1"), cell("3f2a9c1b", "y = 2")]
+    (tmp_path / "notebooks/motion/01-x.ipynb").write_text(notebook(cells))
+    with pytest.raises(InputError, match="3f2a9c1b"):
         read_notebook("motion/01-x")
 
 
@@ -161,7 +169,7 @@ def test_reads_what_a_shell_gives(annotation, text, value):
     ],
 )
 def test_refuses_another_type(annotation, text):
-    with pytest.raises(InputError, match="parameter x is"):
+    with pytest.raises(InputError, match=r"^parameter x\b"):
         Parameter("x", annotation, None).read(text)
 
 
@@ -186,11 +194,11 @@ def test_assign_keeps_what_differs_and_drops_who_has_none(workbook):
     chosen = assign(select(), {"seed": "1", "rate": "3"})
     assert [(n.name, changed) for n, changed in chosen] == [("motion/01-x", {"rate": 3.0})]
     assert [changed for _, changed in assign(select(), {})] == [{}, {}]
-    with pytest.raises(InputError, match="did you mean 'runs'"):
+    with pytest.raises(InputError, match=r"'run'.*'runs'"):
         assign(select(), {"run": "3"})
-    with pytest.raises(InputError, match=r"'forgetting'; it has seed, rate$"):
+    with pytest.raises(InputError, match=r"'forgetting'.* seed, rate$"):
         assign(select("motion/01-x"), {"forgetting": "3"})
-    with pytest.raises(InputError, match=r"'forgetting'; they have seed, rate, runs$"):
+    with pytest.raises(InputError, match=r"'forgetting'.* seed, rate, runs$"):
         assign(select(), {"forgetting": "3"})
 
 
@@ -211,24 +219,18 @@ def test_a_variant_has_a_folder_whatever_its_values(workbook, tmp_path):
 
 def test_of_many_parameters_the_nearest_are_named(workbook):
     many = workbook("\n".join(f"level_{k}: int = {k}  # of the noise" for k in range(20)))
-    with pytest.raises(
-        InputError, match=r"no parameter 'x'; it has 20, nearest are level_\d+, level_\d+, level_\d+$"
-    ):
+    with pytest.raises(InputError, match=r"'x'.*\b20\b.* level_\d+, level_\d+, level_\d+$"):
         assign([many], {"x": "1"})
 
 
 def test_a_number_that_a_room_lacks_gets_the_nearest_of_the_room(workbook):
     for name in ("03-a", "09-longer-words", "12-b", "13-c"):
         workbook("seed: int = 1  # of the noise", f"motion/{name}")
-    with pytest.raises(
-        InputError, match=r"'motion/99'; did you mean 'motion/09-longer-words' or 'motion/\S+' or"
-    ):
+    with pytest.raises(InputError, match=r"'motion/99'.*'motion/09-longer-words'.*'motion/\S+'"):
         select("motion/99")
 
 
 def test_a_setting_of_the_processor_is_a_name_and_a_value(monkeypatch):
     monkeypatch.setenv(pinned.OTHER, "QEMU_CPU=Nehalem foo")
-    with pytest.raises(
-        InputError, match=r"holds 'foo'; give NAME=VALUE words, of NPY_.*portable --processor NAME$"
-    ):
+    with pytest.raises(InputError, match=r"^STILLWORK_PROCESSOR\b.*'foo'.*NPY_.*--processor"):
         pinned.settings()

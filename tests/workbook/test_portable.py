@@ -28,7 +28,7 @@ def built(monkeypatch):
         asked[processor.name] = names
         apart = ("fig-2-3.png",) if processor.name.startswith("2004") else ()
         found = [
-            Comparison(name, 3, 1e-9, apart * (name == "motion/02-model-reduction"), (), (), ())
+            Comparison(name, 3, 1e-9, apart * (name == "motion/02-model-reduction"), (), (), (), ())
             for name in names
         ]
         return found, 0
@@ -64,7 +64,7 @@ def test_notebooks_and_a_processor_are_chosen_by_name(built):
 
 @pytest.mark.parametrize("wrong", [{"processor": "2025"}, {"targets": ["motion/99"]}])
 def test_what_is_not_there_is_refused_before_anything_is_built(built, wrong):
-    with pytest.raises(InputError, match=r"2004, SSE2 alone; 2011|there is no notebook or room"):
+    with pytest.raises(InputError, match=r"2004, SSE2|'motion/99'"):
         module.portable(**wrong)
     assert not built
 
@@ -78,13 +78,13 @@ def test_the_emulated_processor_runs_where_it_and_notebooks_are_named(built, mon
     monkeypatch.setattr(module.shutil, "which", lambda name: f"/usr/bin/{name}")
     assert module.portable(["motion/02-model-reduction"], processor="qemu") == 0
     assert list(built) == [module.EMULATED.name]
-    with pytest.raises(InputError, match="runs what is named, some fifteen times slower; give ROOM/NOTEBOOK"):
+    with pytest.raises(InputError, match=r"^qemu\b.*ROOM/NOTEBOOK"):
         module.portable(processor="qemu")
 
 
 def test_an_emulator_that_is_missing_is_named_with_its_package(built, monkeypatch):
     monkeypatch.setattr(module.shutil, "which", lambda _: None)
-    with pytest.raises(InputError, match="there is no qemu-x86_64; install qemu-user"):
+    with pytest.raises(InputError, match="qemu-user"):
         module.portable(["motion/02-model-reduction"], processor="qemu")
     assert not built
 

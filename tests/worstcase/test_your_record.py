@@ -165,17 +165,17 @@ def test_a_useless_model_is_named_and_not_drawn():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"band_hz": (100.0, 1500.0)}, r"holds 0 to 500 Hz: give a band inside it, or \(0, 0\)"),
-        ({"quiet_hz": (400.0, 400.1)}, "holds 0 spectral lines"),
-        ({"channels": ("drive (V)", "")}, "give both or none"),
-        ({"channels": ("drive", "plate (m/s^2)")}, r"did you mean 'drive \(V\)'"),
-        ({"units": ("Volt", "m/s^2")}, "unit is 'Volt'"),
+        ({"band_hz": (100.0, 1500.0)}, r"^band_hz\b.*\b0 \w+ 500 Hz"),
+        ({"quiet_hz": (400.0, 400.1)}, r"^quiet_hz\b.*\b0 spectral"),
+        ({"channels": ("drive (V)", "")}, "input_channel and output_channel"),
+        ({"channels": ("drive", "plate (m/s^2)")}, r"^channel\b.*'drive \(V\)'"),
+        ({"units": ("Volt", "m/s^2")}, r"^unit\b"),
         (
             {"units": ("m/s^2", "g")},
-            r"input_unit is m/s\^2, .* names the channel 'drive \(V\)'; give input_unit V",
+            r"^input_unit\b",
         ),
-        ({"noise": (-1.0, 0.0)}, "noise is -1"),
-        ({"sample_rate": 500.0}, "leave one out or mend it"),
+        ({"noise": (-1.0, 0.0)}, r"^noise\b"),
+        ({"sample_rate": 500.0}, r"^sample_rate\b"),
     ],
 )
 def test_records_that_cannot_be_used(options, message):
@@ -186,10 +186,10 @@ def test_records_that_cannot_be_used(options, message):
 def test_too_many_channels_and_too_short_records(tmp_path, template):
     rng = np.random.default_rng(0)
     np.savez(tmp_path / "a.npz", fs=1000.0, u=rng.standard_normal(400), y=rng.standard_normal((2, 400)))
-    with pytest.raises(InputError, match=r"holds 3 channels \(u, y 1, y 2\); name the two"):
+    with pytest.raises(InputError, match=r"^a\.npz\b.*\(u, y 1, y 2\)"):
         open_pair(tmp_path / "a.npz")
     short, _ = open_pair(tmp_path / "a.npz", channels=("u", "y 1"))
-    with pytest.raises(InputError, match=r"memory is 640 samples; give more than 16 .* at most 200"):
+    with pytest.raises(InputError, match=r"^memory\b"):
         fit_pair(short, 8, 640)
-    with pytest.raises(InputError, match="too few for 32 taps; give 512 samples or at most 25 taps"):
+    with pytest.raises(InputError, match=r"\b32 taps"):
         window_lengths(32, 400)

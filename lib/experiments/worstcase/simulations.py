@@ -205,7 +205,7 @@ def tracking_trial(
     min_max = run_silently(MinMax(bound, forgetting, update), regressors, outputs)
     tracks = {
         "min_max": min_max.estimates,
-        "rls": run_silently(LeastSquares(forgetting), regressors, outputs).estimates,
+        "rls": run_silently(LeastSquares(forgetting, 1e4), regressors, outputs).estimates,
         "ridge": run_silently(Ridge(penalty, forgetting), regressors, outputs).estimates,
         "zero": np.zeros_like(truth),
     }

@@ -9,12 +9,12 @@ import time
 from pathlib import Path
 
 from numba import config
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.serialize import dumps
 
 from stillwork.base.garbage import no_collection
-from stillwork.base.kernel_folder import cache_folder
+from stillwork.base.kernel_folder import cache_folder, kernels_digest
 
 try:
     import fcntl
@@ -73,7 +73,7 @@ class CodeCache(FunctionCache):
 
 
 class _ContentLocator(_CacheLocator):
-    """Place of a kernel's code: below `cache_folder`, or NUMBA_CACHE_DIR, by what the kernel's file says.
+    """Place of a kernel's code: below `_folder`, by what the kernel's file says.
 
     Neither its path nor its time counts, so that a copy of the workbook finds what the original compiled.
     """
@@ -83,7 +83,7 @@ class _ContentLocator(_CacheLocator):
         self._line = py_func.__code__.co_firstlineno
         self._digest = hashlib.sha256(Path(py_file).read_bytes()).hexdigest()
         folder = f"{Path(py_file).parent.name}_{self._digest[:16]}"
-        self._folder = os.path.join(config.CACHE_DIR or cache_folder(), folder)
+        self._folder = os.path.join(_folder(), folder)
 
     def get_cache_path(self):
         return self._folder
@@ -97,7 +97,7 @@ class _ContentLocator(_CacheLocator):
     @classmethod
     def from_function(cls, py_func, py_file):
         """None, for numba to try its own places, where there is no file or no folder to write to."""
-        if not os.path.isfile(py_file) or not (config.CACHE_DIR or cache_folder()):
+        if not os.path.isfile(py_file) or not _folder():
             return None
         try:
             locator = cls(py_func, py_file)
@@ -105,6 +105,11 @@ class _ContentLocator(_CacheLocator):
         except OSError:
             return None
         return locator
+
+
+def _folder() -> str:
+    """The user's folder for machine code, NUMBA_CACHE_DIR, with one in it for the kernels as they are; else ours."""
+    return os.path.join(config.CACHE_DIR, kernels_digest()) if config.CACHE_DIR else cache_folder()
 
 
 class _CheckedCode(CompileResultCacheImpl):
@@ -127,6 +132,15 @@ class KernelCache(CodeCache):
     """The cache of a kernel of the package."""
 
     _impl_class = _CheckedCode  # type: ignore[assignment]
+
+    def __init__(self, py_func):
+        super().__init__(py_func)
+        locator = self._impl.locator
+        if not isinstance(
+            locator, _ContentLocator
+        ):  # numba's own places, which look at the kernel's file alone
+            stamp = (locator.get_source_stamp(), kernels_digest())
+            self._cache_file = IndexDataCacheFile(self._cache_path, self._impl.filename_base, stamp)
 
 
 def _locked(path: str):

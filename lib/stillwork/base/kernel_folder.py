@@ -6,10 +6,12 @@ import os
 import re
 import shutil
 import time
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 from stillwork.base import paths
+from stillwork.base.source_digest import code_digest
 
 try:
     import fcntl
@@ -18,6 +20,7 @@ except ImportError:  # not a Unix: a folder counts as used by its time alone
 
 FOLDER_VARIABLE = "STILLWORK_KERNELS"
 PACKAGES = ("stillwork", "experiments")  # those beside each other that have kernels
+NAME = re.compile("[0-9a-f]{16}")
 KEPT = 7 * 24 * 3600  # s, without use
 
 
@@ -25,8 +28,8 @@ def cache_folder() -> str:
     """Folder for the machine code of the kernels as they are written now.
 
     Numba's own rule looks at the file of a kernel, not at those of the kernels it calls: after a change of one
-    of these it would go on with the old code. So the folder's name is a digest of every file that has kernels, which
-    all import what makes them from `stillwork.base`.
+    of these it would go on with the old code. So the folder's name is a digest of the code (`code_digest`) of every
+    file that has kernels, which all import what makes them from `stillwork.base`.
     Who starts many processes asks once and hands the answer on in ``STILLWORK_KERNELS``. Empty, which is numba's
     rule, where there is no workbook to write to.
     """
@@ -37,21 +40,38 @@ def cache_folder() -> str:
 
 
 @cache
-def _folder_by_content() -> str:
-    digest = hashlib.sha256()
+def kernels_digest() -> str:
+    """Digest of the code of every file that has kernels: machine code follows from kernels that it calls, too."""
     library = Path(__file__).parents[2]
-    for file in sorted(each for package in PACKAGES for each in (library / package).rglob("*.py")):
-        text = file.read_bytes()
-        if b"stillwork.base.kernel" in text:
-            digest.update(text)
+    files = sorted(each for package in PACKAGES for each in (library / package).rglob("*.py"))
+    texts = [text for file in files if b"stillwork.base.kernel" in (text := file.read_bytes())]
+    name, known = "", None
+    # To parse them takes a quarter of a second, so what it gave is kept.
+    with contextlib.suppress(OSError):
+        known = paths.root() / "build" / "kernels" / f"{_digest(texts)}.code"
+        name = known.read_text()
+    if not NAME.fullmatch(name):
+        name = _digest(code_digest(text).encode() for text in texts)
+        if known and known.parent.is_dir():
+            with contextlib.suppress(OSError):
+                known.write_text(name)
+    return name
+
+
+@cache
+def _folder_by_content() -> str:
     try:
-        folder = paths.root() / "build" / "kernels" / digest.hexdigest()[:16]
+        folder = paths.root() / "build" / "kernels" / kernels_digest()
         if not folder.exists():
             folder.mkdir(parents=True, exist_ok=True)
             _remove_unused(folder.parent)
     except OSError:
         return ""
     return str(folder)
+
+
+def _digest(texts: Iterable[bytes]) -> str:
+    return hashlib.sha256(b"\0".join(texts)).hexdigest()[:16]
 
 
 @cache
@@ -64,13 +84,16 @@ def _use(folder: str) -> None:
 
 
 def _remove_unused(every: Path) -> None:
-    """Remove the folders of other digests that were not used for a week and are not in use."""
-    for folder in every.iterdir():
-        if not re.fullmatch("[0-9a-f]{16}", folder.name):
+    """Remove the folders of other digests that were not used for a week and are not in use, and what led there."""
+    for each in every.iterdir():
+        if not NAME.fullmatch(each.stem):
             continue
         with contextlib.suppress(OSError):
-            if time.time() - folder.stat().st_mtime > KEPT and not _in_use(folder):
-                shutil.rmtree(folder, ignore_errors=True)
+            if time.time() - each.stat().st_mtime > KEPT:
+                if each.suffix == ".code":
+                    each.unlink()
+                elif not _in_use(each):
+                    shutil.rmtree(each, ignore_errors=True)
 
 
 def _in_use(folder: Path) -> bool:

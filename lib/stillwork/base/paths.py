@@ -1,9 +1,11 @@
 """Where things stand: the workbook's root folder, its rooms, and where a notebook writes."""
 
+import math
 import os
 from pathlib import Path
 
-ROOMS = ("isolation", "motion", "worstcase", "fixedpoint")
+from stillwork.base.checks import InputError, nearest, require_number, shown
+from stillwork.base.toml_files import read_toml
 
 OUTPUT_VARIABLE, ROOT_VARIABLE = "STILLWORK_OUTPUT", "STILLWORK_ROOT"
 
@@ -19,6 +21,34 @@ def root() -> Path:
             f"no workbook at {folder} (no data/ folder); set STILLWORK_ROOT to a checkout of stillwork"
         )
     return folder
+
+
+def rooms() -> tuple[str, ...]:
+    """The rooms, which are the folders of ``data/`` with a ledger, by the `order` in their ``paper.toml``, then by name.
+
+    It reads what belongs to every room. What a notebook calls asks `require_room`, which reads nothing: else a room
+    that is added would make the results of the others stale.
+    """
+    there = [file.parent.name for file in (root() / "data").glob("*/published.toml")]
+    return tuple(sorted(filter(is_room, there), key=lambda room: (_order(room), room)))
+
+
+def _order(room: str) -> float:
+    file = data(room, "paper.toml")
+    given = read_toml(file) if file.is_file() else {}
+    return require_number(f"{file}: order", given["order"]) if "order" in given else math.inf
+
+
+def is_room(name: str) -> bool:
+    """Whether there is such a room."""
+    return name.isidentifier() and os.path.isfile(data(name, "published.toml"))  # however long the name
+
+
+def require_room(name: str) -> str:
+    """Return `name` when it is a room's, else raise `InputError` with the nearest one."""
+    if not isinstance(name, str) or not is_room(name):
+        raise InputError(f"room is {shown(name)}; use one of {', '.join(rooms())}{nearest(name, rooms())}")
+    return name
 
 
 def data(room: str, name: str = "") -> Path:

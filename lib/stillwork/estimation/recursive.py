@@ -45,6 +45,9 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
     -----
     ZeroEstimateWarning
         When a min-max bound is so large that every estimate is zero.
+    GrowthLimitWarning
+        When the record ends while `growth_limit` of least squares holds a variance down: that unknown is not
+        excited, or follows slowly.
 
     Examples
     --------
@@ -62,7 +65,24 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
             ZeroEstimateWarning,
             stacklevel=3,
         )
+    if track.held.any():
+        warn_held(np.flatnonzero(track.held), stacklevel=4)
     return track
+
+
+class GrowthLimitWarning(UserWarning):
+    """A guard against wind-up acts at the end: what it holds down is not excited, or follows slowly."""
+
+
+def warn_held(unknowns, stacklevel: int) -> None:
+    """Warn that `growth_limit` holds the variance of these unknowns down."""
+    warnings.warn(
+        f"growth_limit holds the variance of unknown {', '.join(map(str, unknowns))} down at the last sample: nothing "
+        "excites it, or its regressor has become much smaller and its estimate follows slowly; excite it, leave it "
+        "out, or give a larger growth_limit",
+        GrowthLimitWarning,
+        stacklevel=stacklevel,
+    )
 
 
 @checked(missing=True)
@@ -132,6 +152,8 @@ class RecursiveStepper:
     ----------
     samples : int
         How many samples were seen.
+    held : ndarray of bool, shape (unknowns,)
+        Whose variance `growth_limit` of least squares held down at the last sample.
 
     Raises
     ------
@@ -165,6 +187,11 @@ class RecursiveStepper:
         self._row, self._shape = self._rows[0], (self._unknowns,)
         self._track = empty_track(self._rows)
         self._bounds = self._estimator.bounds(self.samples - self.samples % AHEAD, AHEAD)
+
+    @property
+    def held(self) -> np.ndarray:
+        """Whose variance a limit held down at the last sample, shape (unknowns,)."""
+        return self._estimator.held(self._state)
 
     def __getstate__(self):
         return self._estimator, self._unknowns, self.samples, self._excited, self._warned, self._state

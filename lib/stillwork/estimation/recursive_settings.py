@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.front_door import by_value
@@ -11,6 +11,7 @@ from stillwork.estimation import rank_one
 from stillwork.estimation.recursive_kernels import known_length, run_least_squares, run_min_max, run_ridge
 
 UPDATES = ("exact", "approximate", "fast")
+START = 1e6  # how much more the largest sample of a regressor counts than the start, where that follows from the data
 
 
 @by_value
@@ -22,6 +23,7 @@ class Track:
     errors: Float64[np.ndarray, " samples"]  # y_t - a_t'x_(t-1), before the sample is used
     alphas: Float64[np.ndarray, " samples"]  # x_t = (R_t + alpha_t I)^-1 s_t; infinite where x_t = 0
     evaluations: Int64[np.ndarray, " samples"]  # of the secular function, a step
+    held: Bool[np.ndarray, " unknowns"]  # whose variance `growth_limit` held down at the last sample
 
 
 class _Recursion:
@@ -78,8 +80,28 @@ class _Recursion:
         """
         out = empty_track(rows)
         self.fill(state, self.bounds(first, len(rows)), rows, outputs, *out)
-        estimates, *others = out
-        return Track(estimates.T, *others)
+        estimates, errors, alphas, evaluations = out
+        return Track(estimates.T, errors, alphas, evaluations, self.held(state))
+
+    def held(self, state) -> np.ndarray:
+        """Which unknowns' variance a limit held down at the last sample; none without a limit.
+
+        Parameters
+        ----------
+        state : tuple of ndarray
+            From `start`.
+
+        Returns
+        -------
+        ndarray of bool, shape (unknowns,)
+
+        Examples
+        --------
+        >>> settings = estimation.LeastSquares(0.98)
+        >>> settings.held(settings.start(unknowns=2))
+        array([False, False])
+        """
+        return state[4] > 0 if isinstance(self, LeastSquares) else np.zeros(len(state[1]), bool)
 
 
 class _MinMaxUpdate(_Recursion):
@@ -265,12 +287,15 @@ class LeastSquares(_Recursion):
     ----------
     forgetting : float
         lambda, between 0 and 1.
-    initial_covariance : float
-        P_0 = initial_covariance I: large means that the start at x = 0 is not believed.
+    initial_covariance : float, optional
+        P_0 = initial_covariance I, in the unit of 1 / regressor^2: large means that the start at x = 0 is not
+        believed. Without it the start follows from the data, so that no unit matters: zero is believed a
+        millionth as much as the sample in which the regressor was largest so far.
     growth_limit : float
         How far an element of the diagonal of P may grow beyond P_0, at least 1; ``inf`` for the textbook's
         recursion. Without excitation P grows as 1 / forgetting^t: it leaves the finite numbers, and long before
-        that its return breaks the recursion. Information is added only where P exceeds the limit.
+        that its return breaks the recursion. Information is added only where P exceeds the limit; `held` of the
+        track tells for which unknowns it was at the last sample.
 
     Raises
     ------
@@ -289,17 +314,18 @@ class LeastSquares(_Recursion):
     """
 
     forgetting: float
-    initial_covariance: float = 1e4
+    initial_covariance: float | None = None
     growth_limit: float = 1e6
 
     def __post_init__(self):
         require_number("forgetting", self.forgetting, above=0.0, below=1.0)
-        require_number("initial_covariance", self.initial_covariance, above=0.0)
+        if self.initial_covariance is not None:
+            require_number("initial_covariance", self.initial_covariance, above=0.0)
         if not (isinstance(self.growth_limit, float) and self.growth_limit == np.inf):
             require_number("growth_limit", self.growth_limit, at_least=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
-        """P, x and the limits of the diagonal of P before the first sample.
+        """P, x, the limits of the diagonal of P, the largest squares and the limits that act, before the first sample.
 
         Parameters
         ----------
@@ -309,16 +335,20 @@ class LeastSquares(_Recursion):
         Returns
         -------
         tuple of ndarray
-            Of shapes (unknowns, unknowns), (unknowns,) and (unknowns,).
+            The first of shape (unknowns, unknowns), the others (unknowns,).
 
         Examples
         --------
         >>> estimation.LeastSquares(0.98, initial_covariance=1e3).start(unknowns=1)[0]
         array([[1000.]])
         """
-        initial = float(self.initial_covariance)
-        limits = np.full(unknowns, initial * float(self.growth_limit))
-        return initial * np.eye(unknowns), np.zeros(unknowns), limits
+        if self.initial_covariance is None:
+            initial, limit, largest = 0.0, np.inf, 0.0
+        else:  # given once for all: no sample is larger than infinity
+            initial = float(self.initial_covariance)
+            limit, largest = initial * float(self.growth_limit), np.inf
+        vectors = (np.full(unknowns, each) for each in (0.0, limit, largest, 0.0))
+        return initial * np.eye(unknowns), *vectors
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
         """As of all estimators, without bounds.
@@ -345,7 +375,8 @@ class LeastSquares(_Recursion):
         >>> estimates[-1].round(3)
         array([2.])
         """
-        run_least_squares(rows, outputs, float(self.forgetting), *state, *track[:2])
+        settings = float(self.forgetting), START, float(self.growth_limit)
+        run_least_squares(rows, outputs, *settings, *state, *track[:2])
 
 
 @by_value

@@ -24,11 +24,16 @@ from stillwork.base.checks import (
     require_kind,
     require_number,
 )
-from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.adaptive import INFLATION, FeLms, FeRls
+from stillwork.estimation.covariance_forms import FORMS, factor_of
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently, triangle
 from stillwork.estimation.online import run_felms, run_ferls
-from stillwork.estimation.recursive import require_finite_squares, require_squares
+from stillwork.estimation.recursive import require_finite_squares, require_squares, warn_held
+from stillwork.estimation.recursive_kernels import admit_start, believe_start
+from stillwork.estimation.recursive_settings import START
 from stillwork.estimation.secular import ROUNDING
+
+SHARE = 1e-5  # regularisation of least mean squares over the largest |x|^2, where it follows from the data
 
 
 class _NotNumbers(InputError, TypeError):
@@ -421,8 +426,8 @@ class LeastMeanSquares(_LinearRegressor):
     ----------
     step_size : float
         Above 0 and below 2; 1 meets every sample exactly, less averages over more of them.
-    regularisation : float
-        Above 0, in squared units of the features.
+    regularisation : float, optional
+        Above 0, in squared units of the features; without it 1e-5 of the largest |x|^2 so far.
     initial_coef : array_like, shape (features,) or (outputs, features), optional
         Where to start; zero without.
     complex_data : bool
@@ -453,20 +458,27 @@ class LeastMeanSquares(_LinearRegressor):
     """
 
     step_size: Any = 0.1
-    regularisation: Any = 1e-5
+    regularisation: Any = None
     initial_coef: Any = None
     complex_data: Any = False
 
     def _start(self, features, outputs):
-        return self._initial(self.initial_coef, features, outputs)
+        # the estimate, and the largest |x|^2 so far
+        return self._initial(self.initial_coef, features, outputs), 0.0
 
     def _advance(self, state, rows, outputs, weights):
-        coef = state.copy()
-        settings = FeLms(self.step_size, self.regularisation)
+        coef = state[0].copy()
+        settings = FeLms(self.step_size, SHARE if self.regularisation is None else self.regularisation)
         require_number("step_size", self.step_size, below=2.0)
+        squares = np.einsum("ij,ij->i", rows, rows)
+        largest = np.maximum.accumulate(np.append(state[1], squares))
+        if self.regularisation is None:
+            # a share of the largest so far is a constant beside rows in units of that one
+            unit = np.sqrt(np.where(largest[1:] > 0, largest[1:], 1.0))[:, None]
+            rows, outputs = rows / unit, outputs / unit
         steps = settings.step_size, settings.regularisation, settings.trace_copies(1)
         run_felms(coef, *steps, *_record(rows, outputs), False)
-        return coef, coef
+        return (coef, largest[-1]), coef
 
 
 @dataclass(eq=False)
@@ -482,9 +494,10 @@ class RecursiveLeastSquares(_WeightedRegressor):
         lambda in (0, 1]; 1 weighs all samples alike.
     initial_coef : array_like, shape (features,) or (outputs, features), optional
         Estimate before the first sample; zero without.
-    initial_covariance : float or array_like
-        P before the first sample, its diagonal, or one number for all of it: large where the initial estimate is not
-        believed. Of complex data that of the real parts, then of the imaginary ones, or one number.
+    initial_covariance : float or array_like, optional
+        P before the first sample, its diagonal, or one number for all of it, in units of 1 / feature^2: large where the
+        initial estimate is not believed. Of complex data that of the real parts, then of the imaginary ones, or one
+        number. Without it P follows from the data, as in `LeastSquares`, so that no unit of a feature matters.
     growth_limit : float
         Guard against wind-up, as `growth_limit` of `FeRls`: how far the variance of a coefficient may grow while
         nothing excites it; ``inf`` for none. Without forgetting there is no wind-up, and it is not used.
@@ -494,6 +507,8 @@ class RecursiveLeastSquares(_WeightedRegressor):
         Whether X and y may be complex.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
+    held_ : ndarray, shape (features,)
+        Share of the last time constant, 0 to 1, in which `growth_limit` held the variance of a coefficient down.
     n_features_in_ : int
         Number of features.
 
@@ -501,6 +516,11 @@ class RecursiveLeastSquares(_WeightedRegressor):
     ------
     InputError
         When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+
+    Warns
+    -----
+    GrowthLimitWarning
+        From `fit`, when `growth_limit` held a variance down through the last time constant.
 
     Notes
     -----
@@ -521,10 +541,46 @@ class RecursiveLeastSquares(_WeightedRegressor):
 
     forgetting: Any = 1.0
     initial_coef: Any = None
-    initial_covariance: Any = 1e4
+    initial_covariance: Any = None
     growth_limit: Any = 1e6
     form: Any = "safe"
     complex_data: Any = False
+
+    def fit(self, X, y, sample_weight=None):
+        """As of every regressor here, with a warning where a guard acts at the end.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+        sample_weight : array_like, shape (samples,), optional
+            Weight of each squared error; a weight of zero is a lost sample.
+
+        Returns
+        -------
+        estimator
+            Itself, with `coef_`.
+
+        Raises
+        ------
+        InputError
+            When a setting is out of its range, a table does not fit, or no sample is without NaN.
+
+        Warns
+        -----
+        GrowthLimitWarning
+            When `growth_limit` held a variance down through the last time constant.
+
+        Examples
+        --------
+        >>> X, y = [[1.0], [2.0], [3.0]], [2.0, 4.0, 99.0]
+        >>> estimation.RecursiveLeastSquares().fit(X, y, sample_weight=[1, 1, 0]).coef_.round(3)  # the last is lost
+        array([2.])
+        """
+        super().fit(X, y, sample_weight)
+        if (self.held_ > 0.5).any():
+            warn_held(np.flatnonzero(self.held_ > 0.5), stacklevel=3)
+        return self
 
     @property
     def covariance_(self):
@@ -532,31 +588,72 @@ class RecursiveLeastSquares(_WeightedRegressor):
         covariance, n = self._fitted()._state[1].covariance, self.n_features_in_
         return covariance[:n, :n] + 1j * covariance[n:, :n] if self.complex_data else covariance
 
+    @property
+    def held_(self):
+        """Share of the last time constant in which `growth_limit` held a variance down, shape (features,)."""
+        return self._fitted()._state[1].held[: self.n_features_in_]
+
     def _start(self, features, outputs):
-        return self._initial(self.initial_coef, features, outputs), self._settings().start(features)
+        # the estimate, P, and the largest square of each feature so far; infinite where P was given
+        coef, recursion = (
+            self._initial(self.initial_coef, features, outputs),
+            self._settings().start(features),
+        )
+        if self.initial_covariance is not None:
+            return coef, recursion, np.full(features, np.inf)
+        recursion.levels[0] = np.inf
+        return coef, recursion, np.zeros(features)
 
     def _settings(self) -> FeRls:
         forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         limit = self.growth_limit if forgetting < 1 else np.inf
         if self.complex_data:
             forgetting = np.sqrt(forgetting)  # two rows a sample
-        return FeRls(self.initial_covariance, float(forgetting), limit, self.form)
+        initial = START if self.initial_covariance is None else self.initial_covariance
+        return FeRls(initial, float(forgetting), limit, self.form)
 
     def _advance(self, state, rows, outputs, weights):
+        coef, largest, first = state[0].copy(), state[2].copy(), 0
         recursion = state[1].copy()._replace(forgetting=self._settings().forgetting)
-        if (
-            self.complex_data
-        ):  # the first of two rows is forgotten once more than the second: give it that back
+        together = 2 if self.complex_data else 1  # rows of one sample
+        squares = np.square(rows).reshape(len(weights), together, -1).sum(axis=1)
+        squares /= np.where(weights > 0, weights, 1.0)[:, None]
+        if self.complex_data:
+            # the first of two rows is forgotten once more than the second: give it that back
             rows[::2] /= np.sqrt(recursion.forgetting)
             outputs[::2] /= np.sqrt(recursion.forgetting)
-        coef = state[0].copy()
-        stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *_record(rows, outputs), False)
-        if stopped < len(rows):
-            raise InputError(
-                "initial_covariance, growth_limit and X together make the covariance indefinite; give a smaller "
-                "initial_covariance, a finite growth_limit, features of similar size, or form 'UD'"
-            )
-        return (coef, recursion), coef
+        while first < len(squares):
+            if (squares[first] > largest).any():
+                recursion = self._believe_start(coef, recursion, largest, squares[first])
+                largest = np.fmax(largest, squares[first])
+            # up to the next sample with a feature that is larger than ever before
+            ahead = np.flatnonzero((squares[first:] > largest).any(axis=1))
+            last = first + int(ahead[0]) if len(ahead) else len(squares)
+            part = slice(together * first, together * last)
+            record = _record(rows[part], outputs[part])
+            stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False)
+            if stopped < len(record[0]):
+                raise InputError(
+                    "initial_covariance, growth_limit and X together make the covariance indefinite; give a smaller "
+                    "initial_covariance, a finite growth_limit, features of similar size, or form 'UD'"
+                )
+            first = last
+        return (coef, recursion, largest), coef
+
+    def _believe_start(self, coef, recursion, largest, squares):
+        # P with the start believed as `LeastSquares` does; `coef` moves in place
+        start = self._initial(self.initial_coef, len(squares), len(coef))
+        covariance, levels, gain = recursion.covariance, recursion.levels.copy(), np.zeros(len(squares))
+        rise = (squares - largest) / START
+        for i in np.flatnonzero(rise > 0):
+            if largest[i] == 0:
+                covariance[i, i], levels[0, i] = 0.0, np.inf
+            admit_start(covariance, i, rise[i])
+            levels[0, i] = min(levels[0, i], recursion.allowance / INFLATION * START / squares[i])
+        for i in np.flatnonzero((rise > 0) & (largest > 0)):
+            share = believe_start(covariance, i, rise[i], gain)
+            coef += share * np.outer(start[:, i] - coef[:, i], gain)
+        return recursion._replace(matrix=factor_of(FORMS[recursion.form], covariance), levels=levels)
 
 
 @dataclass(eq=False)

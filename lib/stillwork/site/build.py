@@ -15,11 +15,11 @@ from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site import picture, reference, search
 from stillwork.site.benchmarks import benchmarks
-from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
 from stillwork.site.metadata import address, binder, project
 from stillwork.site.pages import NotebookPage, read_page
+from stillwork.site.papers import papers
 from stillwork.site.specification import curves
 from stillwork.site.standing import class_of, stands
 from stillwork.site.states import kept_states, make_states
@@ -58,8 +58,8 @@ def site_files() -> dict[str, bytes]:
     states = kept_states(wanted)
     modules = reference.read_modules()
     guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
-    standings = {entry: each for room in paths.ROOMS for entry, each in standings_of(room).items()}
-    rooms = [_room(name, work, claims, pages, standings) for name, work in works().items()]
+    standings = {entry: each for room in paths.rooms() for entry, each in standings_of(room).items()}
+    rooms = [_room(name, paper, claims, pages, standings) for name, paper in papers().items()]
     render = _renderer(
         rooms=[room for room in rooms if room["pages"] or room["counts"]],
         # Of a folder its front stands in the navigation and leads to the others.
@@ -152,7 +152,7 @@ def _neighbours(page: NotebookPage, pages: list[NotebookPage]) -> list[tuple[str
 
 
 def _room(
-    name: str, work: dict, claims: list[Claim], pages: list[NotebookPage], standings: dict[str, Standing]
+    name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage], standings: dict[str, Standing]
 ) -> dict:
     """What a template shows of a room."""
     mine = [claim for claim in claims if claim.entry.room == name]
@@ -160,17 +160,17 @@ def _room(
     joints = {curve.standing.joint.group: curve.standing.joint for curve in drawn if curve.standing.joint}
     return {
         "name": name,
-        **work,
+        **paper,
         "counts": Counter(map(column, mine)),
         "picture": picture.draw(mine),
         "curves": drawn,
         "joints": [joint for joint in joints.values() if len(joint.ours) > 1],
         "classes": Counter(curve.standing.class_ for curve in drawn if curve.standing.class_),
-        "headline": _said(work["headline"], mine),
-        "found": _said(work["found"], mine),
-        "rests": [entry for entry in work["rests"] if any(claim.entry.id == entry for claim in mine)],
+        "headline": _said(paper["headline"], mine),
+        "found": _said(paper["found"], mine),
+        "rests": [entry for entry in paper["rests"] if any(claim.entry.id == entry for claim in mine)],
         "hero": next(
-            (each for page in pages for each in page.figures if each.path == f"figures/{work['hero']}"), None
+            (each for page in pages for each in page.figures if each.path == f"figures/{paper['hero']}"), None
         ),
         "orderings": Counter(column(claim) for claim in mine if claim.entry.kind == "ordering"),
         "pages": [page for page in pages if page.room == name],

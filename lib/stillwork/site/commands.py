@@ -16,8 +16,8 @@ def refresh() -> str:
     return ", ".join(refresh()) or "all current"
 
 
-def new(room: str, name: str) -> list[str]:
+def new(room: str, name: str, create: bool) -> list[str]:
     """Write the files of a new result; returns their paths, and what comes next."""
     from stillwork.site.scaffold import new_result
 
-    return [*new_result(room, name), f'fill them in, then: make figures ARGS="{room}/{name}"']
+    return [*new_result(room, name, create), f'fill them in, then: make figures ARGS="{room}/{name}"']

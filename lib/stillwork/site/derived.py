@@ -1,17 +1,16 @@
 """Committed files that follow from others: README blocks, the index notebook, manifests, the picture of the house."""
 
 import json
-import tomllib
 from collections import Counter
 from collections.abc import Callable
 from html import escape
-from pathlib import Path
 
 from stillwork.base import paths
 from stillwork.site import metadata
 from stillwork.site.house import paint_house
 from stillwork.site.metadata import project
 from stillwork.site.pages import Figure, NotebookPage, read_page
+from stillwork.site.papers import cited, papers
 from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.notebooks import METADATA, notebook_text
 from stillwork.workbook.publish import replace_file
@@ -25,7 +24,6 @@ from stillwork.workbook.report import (
 )
 from stillwork.workbook.tasks import tasks
 
-WORKS = Path(__file__).parent / "works.toml"
 GALLERY_BEGIN, GALLERY_END = "<!-- gallery:begin -->", "<!-- gallery:end -->"
 CODECHECK = "https://codecheck.org.uk/spec/config/2.0/"
 
@@ -46,9 +44,9 @@ def derived_files() -> dict[str, str]:
         "README.md": _readme,
         "notebooks/index.ipynb": _index,
         "codecheck.yml": _codecheck,
-        "codemeta.json": lambda _pages, _claims: metadata.codemeta(works()),
-        ".zenodo.json": lambda _pages, _claims: metadata.zenodo(works()),
-        "ro-crate-metadata.json": lambda pages, _claims: metadata.crate(works(), pages),
+        "codemeta.json": lambda _pages, _claims: metadata.codemeta(cited()),
+        ".zenodo.json": lambda _pages, _claims: metadata.zenodo(cited()),
+        "ro-crate-metadata.json": lambda pages, _claims: metadata.crate(cited(), pages),
         "docs/house.svg": _house,
     }
     for name in ("README.md", "docs/house.svg"):  # a workbook may do without
@@ -57,11 +55,6 @@ def derived_files() -> dict[str, str]:
     if _present("CITATION.cff") is None:  # and one that is not published
         del makers[".zenodo.json"], makers["ro-crate-metadata.json"]
     return {name: make(pages, claims) for name, make in makers.items()}
-
-
-def works() -> dict[str, dict]:
-    """Title, source, claim and headline of each room's work."""
-    return tomllib.loads(WORKS.read_text(encoding="utf-8"))
 
 
 def _present(name: str) -> str | None:
@@ -79,10 +72,10 @@ def _readme(pages: list[NotebookPage], _claims: list[Claim]) -> str:
 def _gallery(pages: list[NotebookPage]) -> str:
     """A row of pictures a room, one a notebook, each leading to its notebook."""
     lines = []
-    for room, work in works().items():
+    for room, paper in papers().items():
         shown = [(page, figure) for page in pages if page.room == room and (figure := _face(page))]
         if shown:
-            lines += [f"**{work['title']}** (`{room}`)", ""]
+            lines += [f"**{paper['title']}** (`{room}`)", ""]
             for page, figure in shown:
                 title = escape(page.title)
                 lines.append(
@@ -102,25 +95,26 @@ def _face(page: NotebookPage) -> Figure | None:
 def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
     shown = columns(claims)
     parts = [
-        "# The house\n\nFour rooms, one published work each; one notebook a result. Run a notebook with "
+        "# The house\n\nA room for each published work; one notebook a result. Run a notebook with "
         "*Run > Run All Cells*, change its cell of parameters, or move the sliders of its explorer.",
         "## What agrees with the published works\n\n"
         + "\n".join(
             [
                 "| room | work | " + " | ".join(shown) + " |",
                 "|---|---|" + "---:|" * len(shown),
-                *(_row(room, work, claims, shown) for room, work in works().items()),
+                *(_row(room, paper, claims, shown) for room, paper in papers().items()),
             ]
         ),
     ]
-    for room, work in works().items():
+    for room, paper in papers().items():
         mine = [page for page in pages if page.room == room]
         if mine:
             listing = "\n".join(
                 f"- [{page.title}]({page.name}.ipynb){_verdicts(page.claims)}" for page in mine
             )
-            first = _headline(work, claims)
-            parts.append(f"## {work['title']} (`{room}`)\n\n{work['claimed']}\n\n{first}{listing}")
+            first = _headline(paper, claims)
+            said = f"{paper['claimed']}\n\n" if paper["claimed"] else ""
+            parts.append(f"## {paper['title']} (`{room}`)\n\n{said}{first}{listing}")
     parts.append(
         "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, "
         "`lib/experiments/` their machines, studies and pictures, `data/` the published numbers and "
@@ -139,12 +133,12 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
     return notebook_text({"cells": cells, "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5})
 
 
-def _headline(work: dict, claims: list[Claim]) -> str:
+def _headline(paper: dict, claims: list[Claim]) -> str:
     """What the work says first, as a table that ends with a blank line; empty where the ledger has none of it."""
     by_id = {claim.entry.id: claim for claim in claims}
     rows = [
         f"| {each['says']} | {published_quantity(claim)} | {our_quantity(claim)} | {claim.judgement} |"
-        for each in work["headline"]
+        for each in paper["headline"]
         if (claim := by_id.get(each["entry"]))
     ]
     if not rows:
@@ -152,10 +146,10 @@ def _headline(work: dict, claims: list[Claim]) -> str:
     return "\n".join(["| the work says | published | ours | verdict |", "|---|---|---|---|", *rows]) + "\n\n"
 
 
-def _row(room: str, work: dict[str, str], claims: list[Claim], shown: list[str]) -> str:
+def _row(room: str, paper: dict, claims: list[Claim], shown: list[str]) -> str:
     counts = Counter(column(claim) for claim in claims if claim.entry.room == room)
     numbers = " | ".join(str(counts[name]) for name in shown)
-    return f"| `{room}` | {work['work']} | {numbers} |"
+    return f"| `{room}` | {paper['paper']} | {numbers} |"
 
 
 def _verdicts(claims: tuple[Claim, ...]) -> str:
@@ -168,13 +162,13 @@ def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
     lines += [f"  title: {_quoted(project()['description'])}", "  authors:"]
     lines += [f"    - name: {_quoted(author['name'])}" for author in project()["authors"]]
     lines.append("manifest:")
+    sources = {room: paper["paper"] for room, paper in papers().items()}
     for page in pages:
-        source = works()[page.room]["work"]
         for figure in page.figures:
             if figure.csv:
                 about = [claim for claim in page.claims if page.figure_of(claim) == figure]
                 places = ", ".join(dict.fromkeys(claim.entry.place.partition(",")[0] for claim in about))
-                comment = f"{page.title}. {source}" + (f"; {places}" if places else "")
+                comment = f"{page.title}. {sources[page.room]}" + (f"; {places}" if places else "")
                 lines += _output(f"{figure.path}.png", comment)
                 lines += _output(f"{figure.path}.csv", f"the numbers plotted in {figure.name}.png")
         if page.claims:

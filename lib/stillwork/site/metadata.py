@@ -42,8 +42,8 @@ def release_date() -> str:
     )
 
 
-def codemeta(works: dict[str, dict]) -> str:
-    """``codemeta.json``; `works` are the published works by room."""
+def codemeta(papers: dict[str, dict]) -> str:
+    """``codemeta.json``; `papers` are the published works by room."""
     about = project()
     record = {
         "@context": "https://w3id.org/codemeta/3.0",
@@ -59,17 +59,17 @@ def codemeta(works: dict[str, dict]) -> str:
         "runtimePlatform": f"Python {about['requires-python']}",
         "softwareRequirements": _requirements(about),
         "referencePublication": [
-            {"@type": "ScholarlyArticle", "name": work["work"], "description": work["source"]}
-            for work in works.values()
+            {"@type": "ScholarlyArticle", "name": paper["paper"], "description": paper["source"]}
+            for paper in papers.values()
         ],
     }
     return _text(record)
 
 
-def zenodo(works: dict[str, dict]) -> str:
+def zenodo(papers: dict[str, dict]) -> str:
     """``.zenodo.json``: the fields of a deposit of software."""
     about = project()
-    sources = "; ".join(f"{work['work']} ({work['source']})" for work in works.values())
+    sources = "; ".join(f"{paper['paper']} ({paper['source']})" for paper in papers.values())
     record = {
         "title": f"{about['name']}: {about['description'][0].lower()}{about['description'][1:]}",
         "upload_type": "software",
@@ -89,7 +89,7 @@ def zenodo(works: dict[str, dict]) -> str:
     return _text(record)
 
 
-def crate(works: dict[str, dict], pages: list[NotebookPage]) -> str:
+def crate(papers: dict[str, dict], pages: list[NotebookPage]) -> str:
     """``ro-crate-metadata.json``: each notebook as the software that made its pictures and tables."""
     about = project()
     entities, actions = [], []
@@ -119,8 +119,13 @@ def crate(works: dict[str, dict], pages: list[NotebookPage]) -> str:
     makers = [{"@id": each["@id"]} for each in people]
     makers = makers[0] if len(makers) == 1 else makers  # the crate's recommendation for a single value
     articles = [
-        {"@id": f"#{room}", "@type": "ScholarlyArticle", "name": work["work"], "description": work["source"]}
-        for room, work in works.items()
+        {
+            "@id": f"#{room}",
+            "@type": "ScholarlyArticle",
+            "name": paper["paper"],
+            "description": paper["source"],
+        }
+        for room, paper in papers.items()
     ]
     descriptor = {
         "@id": "ro-crate-metadata.json",

@@ -73,9 +73,12 @@ class Folder:
 def folders(modules: list[Module]) -> list[Folder]:
     """The modules by folder, in the order of the house: the toolbox from the ground up, the workbook, the rooms."""
     found = []
-    for name in (*TOOLBOX, "workbook", *paths.ROOMS):
-        mine = [module for module in modules if module.folder == name]
-        package = next(module for module in mine if module.name.count(".") == 1)
+    packages = {module.name: module for module in modules if module.name.count(".") == 1}
+    wanted = [f"stillwork.{name}" for name in (*TOOLBOX, "workbook")]
+    for name in [*wanted, *(f"experiments.{room}" for room in paths.rooms())]:
+        if not (package := packages.get(name)):
+            continue  # a room whose notebooks share nothing
+        mine = [module for module in modules if module.name == name or module.name.startswith(f"{name}.")]
         names = face_names(ast.parse(package.source))
         by_name = {module.name: module for module in mine}
         public = tuple(
@@ -83,7 +86,7 @@ def folders(modules: list[Module]) -> list[Folder]:
             for each in sorted(names, key=str.lower)
         )
         inner = tuple(module for module in mine if module is not package)
-        found.append(Folder(name, package.doc, public, inner))
+        found.append(Folder(package.folder, package.doc, public, inner))
     return found
 
 
@@ -106,7 +109,7 @@ def library_files() -> list[Path]:
 def read_modules() -> list[Module]:
     """The toolbox's and the workbook's modules and those of the rooms, in this order, each sorted by name."""
     files = [file for file in library_files() if file != LIBRARY / "__init__.py"]
-    for room in paths.ROOMS:
+    for room in paths.rooms():
         files += sorted((LIBRARY.parent / "experiments" / room).rglob("*.py"))
     return [_module(file) for file in files]
 

@@ -1,11 +1,22 @@
 """A new result: its notebook, its ledger entry and its test, which run as they are and wait to be filled in."""
 
 import re
+from keyword import iskeyword
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_choice
+from stillwork.base.checks import InputError, nearest
 from stillwork.workbook.notebooks import METADATA, notebook_file, notebook_text
 from stillwork.workbook.publish import replace_file
+
+PAPER = """\
+# What the front page says of the paper. Every field may be left out; CONTRIBUTING.md lists them, under "Add a room".
+title = "{title}"
+paper = "Title of the paper"
+# source = "Where it was published: with it, the paper is cited"
+# by = "Author, year"
+# claimed = "What it claims, in a sentence."
+# headline = [{{ says = "What it says of itself first", entry = "{room}.{key}.decrement" }}]
+"""
 
 # A worked example stands in each place, so that the build, the ledger and the test run from the first minute.
 ENTRY = """
@@ -26,6 +37,15 @@ STORY = """\
 *Work, section 0: Fig. 0.*
 
 What is claimed, what we do, what came out. The example: a free vibration decays by the same factor each period."""
+
+MODEL = """\
+## The model
+
+$$\\ddot x + 2 \\zeta \\omega_0 \\dot x + \\omega_0^2 x = 0, \\qquad
+\\delta = \\ln \\frac{x(t)}{x(t + T)} = \\frac{2 \\pi \\zeta}{\\sqrt{1 - \\zeta^2}}$$
+
+with the displacement $x$, the relative damping $\\zeta$ and the natural frequency $\\omega_0$ (rad/s). A period takes $T$;
+$\\delta$ is the logarithmic decrement."""
 
 IMPORTS = """\
 import numpy as np
@@ -77,22 +97,29 @@ def test_the_decrement_is_that_of_an_integrated_oscillator(damping):
 '''
 
 
-def new_result(room: str, name: str) -> list[str]:
-    """Write the three files of a new result; returns their paths.
+def new_result(room: str, name: str, create: bool = False) -> list[str]:
+    """Write the three files of a new result, and of a new room what is said of its paper; returns their paths.
 
     Parameters
     ----------
     room : str
-        Of `stillwork.base.paths.ROOMS`.
+        A room's name.
     name : str
         ``nn-result``, e.g. ``09-payload``.
+    create : bool
+        Whether the room is a new one, which this begins.
 
     Raises
     ------
     InputError
-        When there is no such room, the name has another form, or it is taken.
+        When there is no such room (or, to be created, it is there), a name has another form, or it is taken.
     """
-    require_choice("room", room, paths.ROOMS)
+    if create:
+        _require_new_room(room)
+    elif not paths.is_room(room):
+        raise InputError(
+            f"there is no room {room!r}{nearest(room, paths.rooms())}; to begin it, give --create"
+        )
     if not re.fullmatch(r"\d\d-[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
         raise InputError(f"name is {name!r}; give a number and words like '09-payload'")
     key = name.partition("-")[2]
@@ -112,16 +139,27 @@ def new_result(room: str, name: str) -> list[str]:
     written = {
         notebook: notebook_text(_notebook(words)),
         test: TEST.format(**words),
-        ledger: before + ENTRY.format(**words),
+        ledger: (before + ENTRY.format(**words)).lstrip("\n"),
     }
+    if create:
+        about = {**words, "title": room.replace("_", " ").capitalize()}
+        written[paths.data(room, "paper.toml")] = PAPER.format(**about)
     for file, text in written.items():
         replace_file(file, text.encode())
     return [file.relative_to(paths.root()).as_posix() for file in written]
 
 
+def _require_new_room(room: str) -> None:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", room) or iskeyword(room):
+        raise InputError(f"room is {room!r}; give small letters, digits and _, as Python's modules have")
+    if paths.is_room(room):
+        raise InputError(f"the room {room} is there already; leave out --create")
+
+
 def _notebook(words: dict[str, str]) -> dict:
     cells = [
         _cell("title", STORY.format(**words), "markdown"),
+        _cell("model", MODEL, "markdown"),
         _cell("imports", IMPORTS.format(**words)),
         _cell("parameters", PARAMETERS, tags=["parameters"]),
         _cell("figure-text", "## Fig. 0", "markdown"),

@@ -1,4 +1,4 @@
-"""Takes a build's results over: figures, outputs into the notebooks, our values into the ledger, what follows from it.
+"""Copies a build into the tree: figures and claims, outputs into the notebooks, and what follows from them.
 
 What agrees with the committed results keeps its committed bytes, so an accept that moves nothing changes nothing.
 What somebody changes in the tree meanwhile stays: accepting writes only what it changed itself, and nothing at all
@@ -12,18 +12,16 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import tomlkit
-
 from stillwork.base import paths
-from stillwork.workbook.claims import Claim, ledger
-from stillwork.workbook.compare import Comparison, compare, same_outputs
+from stillwork.workbook.claims import Claim, claims_text, ledger
+from stillwork.workbook.compare import Comparison, compare, found_claims, same_outputs
 from stillwork.workbook.durations import FILE, durations, updated
 from stillwork.workbook.lock import alone, interrupts, unwound
 from stillwork.workbook.notebooks import cleaned, notebook_text, select
 from stillwork.workbook.publish import RECORD, Edited, replace_all, replace_file, seconds_taken, trial
 from stillwork.workbook.tasks import Task, tasks
 
-SHELVES = ("notebooks", "data", "figures")  # of what is committed, where accepting writes
+SHELVES = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
 OWN = (".png", ".csv", ".json")  # what builds write there; anything else is somebody's
 READINGS = 20  # of the tree, before somebody who writes in it all the time is asked to stop
 
@@ -52,13 +50,12 @@ def accept(refresh: Callable[[], object]) -> int:
                         print(f"stale: {task.label}: {'; '.join(reasons[:3])}")
                     print("nothing accepted; run `make figures` first")
                     return 1
-                for task, comparison in [(task, compare(task)) for task in built]:
+                compared = [(task, compare(task)) for task in built]
+                for task, comparison in compared:
                     _take_over(task, comparison, copy)
                 _note_durations(built, copy)
                 with _rooted(copy):
                     claims = ledger()
-                    for room in paths.ROOMS:
-                        _write_ours(room, [claim for claim in claims if claim.entry.room == room])
                     refresh()
                 after = _committed(copy)
             with interrupts() as caught:
@@ -67,15 +64,15 @@ def accept(refresh: Callable[[], object]) -> int:
         except (OSError, Edited) as error:
             print(f"nothing accepted: {error}")
             return 1
+    for _, comparison in compared:
+        for line in comparison.moved:
+            print(f"moved: {line}")
     _say(claims, built)
     print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries: {len(names)} files changed")
     return 128 + caught[0] if caught else 0
 
 
 def _say(claims: list[Claim], built: list[Task]) -> None:
-    for claim in claims:
-        if claim.moved:
-            print(f"moved: {claim.entry.id}: {claim.entry.ours:.6g} -> {claim.ours:.6g}")
     for claim in claims:
         if claim.ours is None:
             print(f"claimed by no notebook: {claim.entry.id}")
@@ -173,13 +170,15 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
     taken |= {name for name in now if not name.endswith((".png", ".csv", ".json"))}
     if "rounding.json" in now:
         taken.add("rounding.json")
-    if comparison.claims or "claims.json" not in before:
+    content = {name: (task.target / name).read_bytes() for name in now}
+    if "claims.json" in now:
+        content["claims.json"] = _claims_kept(task, home / "claims.json", comparison)
         taken.add("claims.json")
-    taken = {name for name in taken & now if not _same(home / name, task.target / name)}
+    taken = {name for name in taken & now if not _same(home / name, content[name])}
     if taken or now - before or _made_under(home) != _made_under(task.target):
         taken |= (now - before) | {"provenance.json"}
     for name in taken:
-        replace_file(home / name, (task.target / name).read_bytes())
+        replace_file(home / name, content[name])
     for name in before - now:
         if name.endswith(OWN):
             (home / name).unlink()
@@ -201,8 +200,16 @@ def _made_under(folder: Path) -> list | None:
     return [provenance.get("environment_sha256"), provenance.get("parameters")]
 
 
-def _same(one: Path, other: Path) -> bool:
-    return one.is_file() and one.read_bytes() == other.read_bytes()
+def _claims_kept(task: Task, committed: Path, comparison: Comparison) -> bytes:
+    """What was found, with the committed value wherever it agrees: then many small steps cannot add up unseen."""
+    now, before = found_claims(task.target / "claims.json"), found_claims(committed)
+    return claims_text(
+        {name: each if name in comparison.claims else before[name] for name, each in now.items()}
+    ).encode()
+
+
+def _same(file: Path, content: bytes) -> bool:
+    return file.is_file() and file.read_bytes() == content
 
 
 def _take_over_outputs(task: Task, file: Path) -> None:
@@ -213,27 +220,3 @@ def _take_over_outputs(task: Task, file: Path) -> None:
             cell["outputs"] = before["outputs"]
     if (text := notebook_text(executed)) != file.read_text(encoding="utf-8"):
         replace_file(file, text.encode())
-
-
-def _write_ours(room: str, claims: list[Claim]) -> None:
-    file = paths.data(room, "published.toml")
-    news = [claim for claim in claims if claim.ours is not None and (claim.entry.ours is None or claim.moved)]
-    if not news:
-        return
-    document = tomlkit.parse(file.read_text(encoding="utf-8"))
-    for claim in news:
-        entry = document
-        for part in claim.entry.id.split("."):
-            entry = entry[part]
-        _set_ours(entry, claim.ours)
-    replace_file(file, tomlkit.dumps(document).encode())
-
-
-def _set_ours(entry: tomlkit.items.Table, value: float) -> None:
-    """After the entry's own keys: comments behind them belong to what comes next."""
-    body = entry.value.body
-    following = []
-    while body[-1][0] is None:
-        following.insert(0, body.pop())
-    entry["ours"] = value
-    body.extend(following)

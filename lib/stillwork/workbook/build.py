@@ -12,7 +12,7 @@ from stillwork.base import paths
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.workbook.durations import durations
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
-from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
+from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, still, with_ledger
 from stillwork.workbook.jupyter_kernel import stop
 from stillwork.workbook.lock import alone, interrupts, settle
 from stillwork.workbook.pinned import EMULATOR, environment
@@ -135,7 +135,8 @@ def _publish(task: Task, outcome: Outcome, made_from) -> Failure | None:
         reads = {name: value for name, value in outcome.reads.items() if name not in known}
         inputs = {**task.inputs, **with_ledger(reads, claimed)}
         # After the ledger was read here: what changes from now on makes the results stale.
-        now = {name: digest for name in outcome.reads if (digest := present(name)) is not None}
+        kept = {name: still(name, value) for name, value in outcome.reads.items()}
+        now = {name: value for name, value in kept.items() if value is not None}
         if different := changes(outcome.reads, now):
             # What was compiled from such a library may lie beside code that did not change.
             shutil.rmtree(cache_folder(), ignore_errors=True)

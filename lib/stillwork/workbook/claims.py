@@ -1,7 +1,8 @@
 """The ledger: every published number, the value replicated here, and the verdict on the pair.
 
-A room's published numbers stand in ``data/<room>/published.toml``; what a notebook found stands in
-``figures/<room>/<notebook>/claims.json``. A verdict is computed from the two and never written down.
+A room's published numbers stand in ``data/<room>/published.toml``, entered by hand; what a notebook found stands in
+``figures/<room>/<notebook>/claims.json``, written by a build. A verdict is computed from the two and never written
+down.
 """
 
 import json
@@ -87,8 +88,6 @@ class Entry:
         difference of large ones, or a fit to rounding, moves by more than a part of itself.
     basis : str
         ``predicted``; ``fitted`` or ``calibrated`` when the published value itself went into the model.
-    ours : float or None
-        What the last accepted build gave.
     reason : str
         Why it deviates or cannot be judged.
     threshold : float or None
@@ -112,7 +111,6 @@ class Entry:
     tolerance: Tolerance | None = None
     drift: Tolerance = DRIFT
     basis: str = "predicted"
-    ours: float | None = None
     reason: str = ""
     threshold: float | None = None
     better: str | None = None
@@ -133,8 +131,6 @@ class Entry:
             raise InputError(
                 f"{self.id}: published is missing; only a check or what is reported goes without"
             )
-        if self.ours is not None:
-            require_number(f"{self.id}: ours", self.ours)
         if self.kind in ("value", "exact", "slope") and self.tolerance is None:
             raise InputError(f"{self.id}: a {self.kind} needs a tolerance with a source")
         if self.kind in ("reported", "ordering") and self.tolerance is not None:
@@ -252,17 +248,6 @@ class Claim:
             return None
         return abs(self.ours - self.entry.published) / abs(self.entry.published)
 
-    @property
-    def moved(self) -> bool:
-        """Whether the value left the accepted one by more than a machine's rounding can explain."""
-        accepted = self.entry.ours
-        if accepted is None or self.ours is None:
-            return False
-        if self.entry.is_residual:
-            return False
-        drift = self.entry.drift
-        return abs(self.ours - accepted) > 1e-12 and not drift.allows(accepted, self.ours, None)
-
     def shown(self, digits: int) -> str:
         """Ours as text; of what is rounding the bound that it keeps: an identity's residual, or less than its drift."""
         entry = self.entry
@@ -311,12 +296,9 @@ def load_entries(room: str) -> dict[str, Entry]:
     Raises
     ------
     InputError
-        When an entry is incomplete or holds an unknown field; the message names it.
+        When there is no such room, or an entry is incomplete or holds an unknown field; the message names it.
     """
-    require_choice("room", room, paths.ROOMS)
-    file = paths.data(room, "published.toml")
-    if not file.exists():
-        return {}
+    file = paths.data(paths.require_room(room), "published.toml")
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -324,7 +306,7 @@ def load_entries(room: str) -> dict[str, Entry]:
     return dict(_parsed(file, text))
 
 
-@lru_cache(maxsize=len(paths.ROOMS))  # a notebook reads the same text at every check
+@lru_cache(maxsize=32)  # a notebook reads the same text at every check
 def _parsed(file: Path, text: str) -> dict[str, Entry]:
     try:
         tree = tomllib.loads(text)
@@ -386,7 +368,7 @@ class ClaimsTable:
             for claim in self.claims
         }
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        file.write_text(claims_text(found), encoding="utf-8")
 
     def __repr__(self) -> str:
         rows = [("claim", "place", "published", "ours", "interval", "unit", "verdict")]
@@ -405,6 +387,11 @@ class ClaimsTable:
             if c.entry.reason and c.verdict not in AGREEMENT
         ]
         return "\n".join(lines + (["", *reasons] if reasons else []))
+
+
+def claims_text(found: dict[str, dict]) -> str:
+    """The text of a ``claims.json``."""
+    return json.dumps(found, indent=1) + "\n"
 
 
 def make_claim(
@@ -458,7 +445,7 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
     figures = figures or paths.root() / "figures"
     claims = {
         name: Claim(entry)
-        for each in ([room] if room else paths.ROOMS)
+        for each in ([room] if room else paths.rooms())
         for name, entry in load_entries(each).items()
     }
     pattern = f"{room or '[!.]*'}/[!.]*/claims.json"  # a build's half-written folders are hidden

@@ -4,7 +4,7 @@ from importlib import import_module
 from json import dumps
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, nearest
+from stillwork.base.checks import InputError
 
 
 def figures(targets: list[str], settings: list[str], **how) -> int:
@@ -27,8 +27,8 @@ def claims(room: str | None, entry: str | None, json: bool, built: bool) -> str:
     from stillwork.workbook import report, tasks
     from stillwork.workbook.claims import ledger
 
-    if room not in (None, *paths.ROOMS):
-        raise InputError(f"there is no room {room!r}{nearest(room, paths.ROOMS)}")
+    if room is not None:
+        paths.require_room(room)
     found = ledger(tasks.built() if built else None, room)
     if entry:
         found = [report.find(found, entry)]

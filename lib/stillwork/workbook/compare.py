@@ -68,6 +68,8 @@ class Comparison:
         Ids of the code cells that print something else.
     claims : tuple of str
         Ids of the ledger's entries whose value left the committed one by more than its drift.
+    moved : tuple of str
+        Those of them that had a value before, with both values.
     verdicts : tuple of str
         Those of them whose verdict is another, with both.
     """
@@ -78,6 +80,7 @@ class Comparison:
     files: tuple[str, ...]
     cells: tuple[str, ...]
     claims: tuple[str, ...]
+    moved: tuple[str, ...]
     verdicts: tuple[str, ...]
 
     @property
@@ -91,13 +94,14 @@ def compare(task: Task) -> Comparison:
     names |= {file.stem for folder in (task.target, task.committed) for file in folder.glob("*.csv")}
     off = {name: difference(task.target / name, task.committed / name) for name in sorted(names)}
     apart = tuple(name for name, each in off.items() if each is None)
-    moved, verdicts = _claims(task)
+    claims, moved, verdicts = _claims(task)
     return Comparison(
         task.notebook.name,
         len(names),
         max((each for each in off.values() if each is not None), default=0.0),
         apart,
         tuple(_cells(task)),
+        claims,
         moved,
         verdicts,
     )
@@ -359,27 +363,28 @@ def printed(output: dict) -> str:
     return "".join(text or "")
 
 
-def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Entries whose value moved, and those whose verdict did."""
-    now, before = (_found(folder / "claims.json") for folder in (task.target, task.committed))
+def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Entries whose claim is another; of these, where it had one before, values and verdicts, each before and now."""
+    now, before = (found_claims(folder / "claims.json") for folder in (task.target, task.committed))
     entries = _entries(task.notebook.room, (task.committed.parents[2] / "data").as_posix())
-    moved, verdicts = [], []
+    claims, moved, verdicts = [], [], []
     for name in sorted(set(now) | set(before)):
         if name not in now or name not in before or name not in entries:
-            moved.append(name)
+            claims.append(name)
             continue
         if entries[name].needs_interval and not ("interval" in now[name] and "interval" in before[name]):
-            moved.append(name)
+            claims.append(name)
             continue
-        claims = [
+        new, old = (
             Claim(entries[name], each["ours"], tuple(each["interval"]) if "interval" in each else None)
             for each in (now[name], before[name])
-        ]
-        if claims[0].verdict != claims[1].verdict:
-            verdicts.append(f"{name}: {claims[1].verdict} -> {claims[0].verdict}")
-        if claims[0].verdict != claims[1].verdict or not same_value(*claims):
-            moved.append(name)
-    return tuple(moved), tuple(verdicts)
+        )
+        if new.verdict != old.verdict:
+            verdicts.append(f"{name}: {old.verdict} -> {new.verdict}")
+        if new.verdict != old.verdict or not same_value(new, old):
+            claims.append(name)
+            moved.append(f"{name}: {old.ours:.6g} -> {new.ours:.6g}")
+    return tuple(claims), tuple(moved), tuple(verdicts)
 
 
 def same_value(now: Claim, before: Claim) -> bool:
@@ -401,7 +406,7 @@ def _entries(room: str, _data: str) -> dict:
     return load_entries(room)
 
 
-def _found(file: Path) -> dict:
+def found_claims(file: Path) -> dict:
     """The claims in a file; none where it is missing or damaged, so that all of them count as moved."""
     try:
         found = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}

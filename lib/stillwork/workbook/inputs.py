@@ -4,34 +4,41 @@ Some of it is known before anything runs: code cells, parameters, the pins of en
 settings. The rest is what the kernel was seen to read (`stillwork.workbook.kernel_process.watch`): the modules of
 the library that it imported, the data it opened, files and modules that a parameter led to. A module that no cell
 leads to is no input, so an edit of it makes nothing stale.
+
+A module below `MODULES` stands with two digests, of its bytes and of its code (`code_digest`): while its bytes are the
+same nothing is parsed, and when they are not, its code decides. All else stands with one, of its bytes.
 """
 
 import json
 import os
 import platform
+import re
 import tomllib
 from functools import lru_cache
 from pathlib import Path
 
 from stillwork.base import paths
+from stillwork.base.source_digest import code_digest
 from stillwork.workbook.environment import pins
 from stillwork.workbook.notebooks import Notebook
-from stillwork.workbook.pinned import settings
+from stillwork.workbook.pinned import passed_inputs, settings
 from stillwork.workbook.publish import digest
 
 ENVIRONMENT = ("environment: ", "setting ")
 KNOWN_BEFORE = ("cell ", "order ", "parameter ", "file ", *ENVIRONMENT)
 LEDGER = "ledger "
 VALUES = ("parameter ", *ENVIRONMENT)  # inputs kept as they are; of the others a digest
+MODULES = ("lib/", "notebooks/")
 
 _digests: dict[tuple, str] = {}
+_codes: dict[str, str] = {}  # of modules, by the digest of their bytes
 
 
 def environment_inputs() -> dict[str, str]:
-    """The pins of environment.txt, the Python and the processor's settings."""
+    """The pins of environment.txt, the Python, the processor's settings and variables that may move numbers."""
     found = {f"environment: {name}": version for name, version in pins().items()}
     found["environment: Python"] = platform.python_version()
-    return found | {f"setting {name}": value for name, value in settings().items()}
+    return found | {f"setting {name}": value for name, value in {**passed_inputs(), **settings()}.items()}
 
 
 def notebook_inputs(notebook: Notebook, values: dict[str, object]) -> dict[str, str]:
@@ -47,7 +54,7 @@ def notebook_inputs(notebook: Notebook, values: dict[str, object]) -> dict[str, 
 
 
 def read_inputs(log: Path) -> dict[str, str]:
-    """What a kernel read, by its path below the workbook or whole, with the digest that it had then.
+    """What a kernel read, by its path below the workbook or whole, with the digests that it had then.
 
     A file that changed between two readings has no digest that any file could have: it will be found to differ.
 
@@ -68,7 +75,29 @@ def read_inputs(log: Path) -> dict[str, str]:
     for read in lines:
         name = _name(read["path"])
         found[name] = read["digest"] if found.get(name, read["digest"]) == read["digest"] else "two"
-    return found
+    return {name: " ".join(filter(None, (value, _code(name, value)))) for name, value in found.items()}
+
+
+def _code(name: str, wanted: str | None) -> str | None:
+    """Digest of a module's code, if its bytes have the digest `wanted`; None for anything else."""
+    if wanted is None or not (name.startswith(MODULES) and name.endswith(".py")):
+        return None
+    if wanted not in _codes:
+        try:
+            source = (paths.root() / name).read_bytes()
+        except OSError:
+            return None
+        if digest(source) != wanted:  # it changed meanwhile
+            return None
+        _codes[wanted] = code_digest(source)
+    return _codes[wanted]
+
+
+def still(name: str, before: str) -> str | None:
+    """`before`, if a file or the listing of a folder is still what had it; else what it has now, None without it."""
+    now = present(name)
+    content, _, code = before.partition(" ")
+    return before if now == content or (code and code == _code(name, now)) else now
 
 
 def present(name: str) -> str | None:
@@ -94,7 +123,7 @@ def present_again(before: dict[str, str]) -> dict[str, str]:
     for name in before:
         if name.startswith(LEDGER):
             continue
-        if not name.startswith(KNOWN_BEFORE) and (now := present(name)) is not None:
+        if not name.startswith(KNOWN_BEFORE) and (now := still(name, before[name])) is not None:
             found[name] = now
     entries: dict[str, str] = {}
     for room in {name.removeprefix(LEDGER).partition(".")[0] for name in before if name.startswith(LEDGER)}:
@@ -105,10 +134,9 @@ def present_again(before: dict[str, str]) -> dict[str, str]:
 def with_ledger(reads: dict[str, str], claimed: set[str]) -> dict[str, str]:
     """`reads` with the ledger's entries in place of its files: those that the notebook claims.
 
-    All of a room's entries where a module that it imported takes published values from the ledger by itself. What
-    the last accepted build gave (``ours``) is no input: it follows from the results.
+    All of a room's entries where a module that it imported takes published values from the ledger by itself.
     """
-    rooms = {room for room in paths.ROOMS if f"data/{room}/published.toml" in reads}
+    rooms = {found[1] for name in reads if (found := re.fullmatch(r"data/(\w+)/published\.toml", name))}
     kept = {
         name: value
         for name, value in reads.items()
@@ -146,14 +174,14 @@ def changes(before: dict[str, str], now: dict[str, str]) -> list[str]:
 
 
 def ledger_inputs(room: str) -> dict[str, str]:
-    """A digest of every entry of a room, without ``ours``; of the whole file where it is malformed."""
+    """A digest of every entry of a room; of the whole file where it is malformed."""
     try:
         return dict(_entries(room, paths.data(room, "published.toml").read_bytes()))
     except FileNotFoundError:
         return {}
 
 
-@lru_cache(maxsize=len(paths.ROOMS))  # every notebook of a room asks; parsing takes 20 ms
+@lru_cache(maxsize=32)  # every notebook of a room asks; parsing takes 20 ms
 def _entries(room: str, text: bytes) -> dict[str, str]:
     try:
         tree = tomllib.loads(text.decode())
@@ -163,8 +191,7 @@ def _entries(room: str, text: bytes) -> dict[str, str]:
 
     def walk(branch, path):
         if not isinstance(branch, dict) or "place" in branch:
-            kept = {k: v for k, v in branch.items() if k != "ours"} if isinstance(branch, dict) else branch
-            found[f"{LEDGER}{'.'.join(path)}"] = digest(json.dumps(kept, default=str).encode())
+            found[f"{LEDGER}{'.'.join(path)}"] = digest(json.dumps(branch, default=str).encode())
         else:
             for name, twig in branch.items():
                 walk(twig, (*path, name))

@@ -2,6 +2,7 @@
 
 import difflib
 import json
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,18 +52,23 @@ def read_notebook(name: str) -> Notebook:
     Raises
     ------
     InputError
-        When it is no notebook or its parameters cell has another form; the message names the line.
+        When it is no notebook, two of its cells have one id, or its parameters cell has another form; the message
+        names the id or the line.
     """
     file = notebook_file(name)
     source = file.read_text(encoding="utf-8")
     try:
-        cells = [cell for cell in json.loads(source)["cells"] if cell["cell_type"] == "code"]
+        every = json.loads(source)["cells"]
+        cells = [cell for cell in every if cell["cell_type"] == "code"]
         tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
         code = {cell["id"]: _text(cell) for cell in cells if cell not in tagged}
+        twice = [name for name, count in Counter(cell["id"] for cell in every).items() if count > 1]
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
             f"{file}: not a notebook whose cells have ids (nbformat 4.5); save it again from Jupyter"
         ) from None
+    if twice:
+        raise InputError(f"{file}: several cells have the id {twice[0]!r}; give each its own")
     if len(tagged) > 1:
         raise InputError(f"{file}: {len(tagged)} cells are tagged 'parameters'; keep one")
     parameters = read_parameters(str(file), _text(tagged[0])) if tagged else {}
@@ -84,7 +90,9 @@ def select(*targets: str) -> list[Notebook]:
     """
     folder = paths.root() / "notebooks"
     names = [
-        f"{room}/{file.stem}" for room in paths.ROOMS for file in sorted((folder / room).glob("[!.]*.ipynb"))
+        f"{room}/{file.stem}"
+        for room in paths.rooms()
+        for file in sorted((folder / room).glob("[!.]*.ipynb"))
     ]
     wanted = {
         target: target.removeprefix("notebooks/").removesuffix(".ipynb").rstrip("/") for target in targets

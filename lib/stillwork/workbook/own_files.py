@@ -40,7 +40,7 @@ def own_file(path: Path) -> str:
         room = next(iter(table))
         if path.name == "readings.toml" and "studies" in table:
             return f"the {len(table[room])} choices that the work of the room {room} leaves open; to try them: python -m stillwork readings {room}"
-        if room in paths.ROOMS:
+        if paths.is_room(room):
             return (
                 f"the published numbers of the room {room}; how they stand: python -m stillwork claims {room}"
             )

@@ -34,7 +34,7 @@ class Page:
 
     def __post_init__(self):
         room, _, name = require_kind("notebook", self.notebook, str).partition("/")
-        if room not in paths.ROOMS or not _NAME.fullmatch(name):
+        if not paths.is_room(room) or not _NAME.fullmatch(name):
             raise InputError(
                 f"notebook is {shown(self.notebook)}; give 'room/name', e.g. 'isolation/02-convergence'"
             )

@@ -218,7 +218,7 @@ def summary() -> str:
         "| room | numbers | " + " | ".join(shown) + " |",
         "|---|" + "---:|" * (len(shown) + 1),
     ]
-    for room in paths.ROOMS:
+    for room in paths.rooms():
         mine = [claim for claim in claims if claim.entry.room == room]
         counts = Counter(map(column, mine))
         if mine:

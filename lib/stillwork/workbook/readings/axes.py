@@ -173,7 +173,7 @@ def load_axes(room: str) -> tuple[dict[str, Axis], list[Multiverse]]:
     InputError
         When a field is unknown or missing, a default is not among the options, or an entry does not exist.
     """
-    require_choice("room", room, paths.ROOMS)
+    paths.require_room(room)
     file = paths.data(room, "readings.toml")
     if not file.exists():
         return {}, []

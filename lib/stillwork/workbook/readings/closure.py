@@ -9,21 +9,22 @@ from pathlib import Path
 import stillwork
 from stillwork.base import paths
 from stillwork.base.checks import InputError
+from stillwork.base.source_digest import code_digest
 from stillwork.workbook.publish import digest
 
 LIBRARY = Path(stillwork.__file__).parents[1]
-OWN_RESULTS = ("published.toml", "readings.toml", "readings.csv")
+OWN_RESULTS = ("paper.toml", "published.toml", "readings.toml", "readings.csv")
 
 
 @cache  # for the life of the process: what it has imported does not change under it either
 def study_digest(function: str, room: str) -> str:
-    """Digest of the source of ``package.module:function`` and all it imports, and of the room's data.
+    """Digest of the code of ``package.module:function`` and of all it imports, and of the room's data.
 
     The ledger and the readings are left out: they say what is asked for, not what comes out.
     """
     lines = [function]
     for name, file in sorted(modules(function.partition(":")[0]).items()):
-        lines.append(f"{name} {digest(file.read_bytes())}")
+        lines.append(f"{name} {_code(file)}")
     folder = paths.data(room)
     for file in sorted(folder.rglob("*")):
         path = file.relative_to(folder).as_posix()
@@ -99,6 +100,11 @@ def _behind_face(package: str, file: Path, name: str, roots: list[Path]) -> Iter
 def _texts(node) -> list[str]:
     each = ast.walk(node) if node is not None else ()
     return [one.value for one in each if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+
+
+@cache
+def _code(file: Path) -> str:
+    return code_digest(file.read_bytes())
 
 
 @cache

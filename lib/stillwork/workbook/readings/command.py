@@ -5,19 +5,33 @@ import math
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, nearest
 from stillwork.workbook.claims import load_entries
 from stillwork.workbook.lock import held, interrupts, settle
 from stillwork.workbook.publish import replace_file
-from stillwork.workbook.readings.axes import load_axes
+from stillwork.workbook.readings.axes import Multiverse, load_axes
+from stillwork.workbook.readings.checking import (
+    age,
+    drawn,
+    forget,
+    has_moved,
+    is_older,
+    moves,
+    note,
+    parts_a_day,
+    today,
+)
 from stillwork.workbook.readings.journal import Journal
 from stillwork.workbook.readings.judging import DEPENDS, FAILS, HOLDS, Standing, judge
 from stillwork.workbook.readings.results import Outcomes, read_results, results_text
-from stillwork.workbook.readings.running import run_readings
+from stillwork.workbook.readings.running import calls_of, run_readings
 from stillwork.workbook.report import screen, table
 from stillwork.workbook.workers import client_of, cores, processes
+
+SAMPLED = 3  # parts a day of `checking.DAYS`, at least, that decide whether a study is computed again
+SHOWN = 3  # of the values that moved
 
 RUNNING = "readings of this checkout are being tried already; wait for them or stop them"
 
@@ -28,6 +42,7 @@ def compute_readings(
     jobs: int | None = None,
     scheduler: str | None = None,
     budget_min: float | None = None,
+    changed: bool = False,
 ) -> int:
     """Run the readings of a room, or of all; returns the exit code (1: not whole yet, 128 + signal: interrupted).
 
@@ -40,17 +55,18 @@ def compute_readings(
         Address of a Dask scheduler whose workers compute.
     budget_min : float, optional
         After so many minutes, of all rooms together, no reading is begun; the next run goes on from there.
+    changed : bool
+        Only studies with a value that moved, in a sample of today's; those whose axes changed, or that never ran.
     """
-    if room not in (None, *paths.ROOMS):
-        raise InputError(f"there is no room {room!r}{nearest(room, paths.ROOMS)}")
+    rooms = paths.rooms() if room is None else [paths.require_room(room)]
     end = time.monotonic() + 60 * budget_min if budget_min is not None else math.inf
     whole = True
     settle()
     with held("readings/lock", RUNNING), interrupts() as caught, contextlib.ExitStack() as stack:
         executor, at_once = _executor(stack, jobs, scheduler)
-        for each in [room] if room else paths.ROOMS:
+        for each in rooms:
             if not caught:
-                whole &= _compute_room(each, executor, at_once, end, lambda: bool(caught))
+                whole &= _compute_room(each, executor, at_once, end, lambda: bool(caught), changed)
     return 128 + caught[0] if caught else int(not whole)
 
 
@@ -63,30 +79,69 @@ def _executor(stack: contextlib.ExitStack, jobs: int | None, scheduler: str | No
     return (lambda: client.get_executor(pure=False)), 2 * max(sum(client.nthreads().values()), 1)
 
 
-def _compute_room(room: str, executor, at_once: int, end: float, stopped) -> bool:
+def _compute_room(room: str, executor, at_once: int, end: float, stopped, changed: bool) -> bool:
     axes, multiverses = load_axes(room)
     if not multiverses:
         return True
     folder = paths.root() / "build" / "readings"
-    done = run_readings(
-        multiverses,
-        executor,
-        Journal(folder / f"{room}.jsonl"),
-        at_once=at_once,
-        budget_s=end - time.monotonic(),
-        stopped=stopped,
-    )
+    journal = Journal(folder / f"{room}.jsonl")
+
+    def run(wanted: list[Multiverse], runs_of) -> list[Outcomes]:
+        budget_s = end - time.monotonic()
+        return run_readings(
+            wanted, executor, journal, at_once=at_once, budget_s=budget_s, stopped=stopped, runs_of=runs_of
+        )
+
+    kept = _unmoved(room, multiverses, run, journal) if changed else []
+    names = {each.multiverse.study for each in kept}
+    others = [each for each in multiverses if each.study not in names]
+    done = kept + run(others, calls_of)
     if len(done) < len(multiverses):
         names = {each.study for each in multiverses} - {each.multiverse.study for each in done}
         print(f"{room}: not whole yet: {', '.join(sorted(names))}; run the same again to go on")
         return False
+    done.sort(key=lambda each: multiverses.index(each.multiverse))
     # Whatever build or accept runs: neither writes this file, nor makes anything of it.
     replace_file(paths.data(room, "readings.csv"), results_text(done).encode())
+    for each in others:
+        forget(each)
     done = read_results(multiverses)  # what is judged is what was written
     standings = judge(done, load_entries(room), axes)
     print(standings_text(room, done, standings, screen()))
     _paint(room, done, standings)
     return True
+
+
+def _unmoved(room: str, multiverses: list[Multiverse], run, journal: Journal) -> list[Outcomes]:
+    """Committed results that the code as it is gave, or that came out again in a sample of today's."""
+    entries, day, parts = load_entries(room), today(), max(parts_a_day(), SAMPLED)
+    committed = {each.multiverse.study: each for each in read_results(multiverses)}
+    kept, older = [], []
+    for each in committed.values():
+        if not has_moved(each.multiverse):
+            (older if is_older(each) else kept).append(each)
+        elif not is_older(
+            each
+        ):  # not the code changed, but what it runs on: what it gave before is no answer
+            for call in calls_of(each.multiverse).values():
+                journal.found.pop(call.key, None)
+
+    def sample(multiverse: Multiverse) -> dict:
+        runs = calls_of(multiverse)
+        return {at: runs[at] for at in drawn(multiverse, runs, day, parts)}
+
+    for now in run([each.multiverse for each in older], sample):
+        multiverse = now.multiverse
+        before, tried = committed[multiverse.study], list(sample(multiverse))
+        moved = moves(before, now, tried, entries)
+        note(multiverse, bool(moved))
+        if moved:
+            more = f" (and {len(moved) - SHOWN} more)" if len(moved) > SHOWN else ""
+            print("\n".join(moved[:SHOWN]) + more)
+        else:
+            kept.append(before)
+            print(f"{multiverse.study}: as before in {len(tried)} of {before.failed.size} readings, kept")
+    return kept
 
 
 def standings_text(room: str, studies: list[Outcomes], standings: dict[str, Standing], width: int) -> str:
@@ -143,4 +198,6 @@ def standings_of(room: str) -> dict[str, Standing]:
     run = paths.data(room, "readings.csv").exists()
     if run and (changed := [each.study for each in multiverses if each.study not in known]):
         print(f"{room}: the axes of {', '.join(changed)} changed: run `make readings`", file=sys.stderr)
-    return judge(studies, load_entries(room), axes)
+    standings = judge(studies, load_entries(room), axes)
+    ages = {entry: age(each) for each in studies for entry in each.multiverse.entries}
+    return {name: replace(standing, age=ages[name]) for name, standing in standings.items()}

@@ -74,6 +74,8 @@ class Standing:
     undeclared : tuple of str
         Axes that move it and do not say so; known only where all readings were computed.
     joint : Joint or None
+    age : str
+        What is to be said of values that older code has computed; empty for those of the code as it is.
     """
 
     entry: Entry
@@ -84,6 +86,7 @@ class Standing:
     shares: Shares | None = None
     undeclared: tuple[str, ...] = ()
     joint: Joint | None = None
+    age: str = ""
 
     @property
     def tried(self) -> int:
@@ -143,6 +146,7 @@ class Standing:
                 for axis in self.axes
             ],
             "joint": self._joint(),
+            "age": self.age,
         }
 
     def _joint(self) -> dict | None:

@@ -123,6 +123,7 @@ def run_readings(
     at_once: int = 2,
     budget_s: float = math.inf,
     stopped: Callable[[], bool] = lambda: False,
+    runs_of: Callable[[Multiverse], dict[tuple[int, int], Call]] = calls_of,
 ) -> list[Outcomes]:
     """Compute what the journal does not hold yet; returns the studies that are whole.
 
@@ -140,8 +141,10 @@ def run_readings(
         After so many seconds no reading is begun.
     stopped : callable
         When this tells so, what is under way is given up, too.
+    runs_of : callable
+        The runs of a study that are wanted, all of them by default.
     """
-    plans = [(multiverse, calls_of(multiverse)) for multiverse in multiverses]
+    plans = [(multiverse, runs_of(multiverse)) for multiverse in multiverses]
     missing = {run.key: run for _, runs in plans for run in runs.values() if run.key not in journal.found}
     waiting = deque(_spread([list(runs.values()) for _, runs in plans], missing))
     end = time.monotonic() + budget_s

@@ -1,0 +1,64 @@
+"""A digest of what a module's source does: wording and layout are no part of it.
+
+The keys of notebooks, of studies and of kernels' machine code (`stillwork.base.kernel_folder`) hold it.
+"""
+
+import ast
+import hashlib
+
+
+def code_digest(source: bytes) -> str:
+    """Digest of a module's code, without what cannot act when it runs.
+
+    Left out are comments, blank lines, line breaks and brackets that change nothing, `pass`, strings that stand alone
+    (docstrings among them), the annotations of functions that no decorator sees, and those of local variables. Kept
+    are the annotations of decorated functions, of class bodies and of a module's own names: validation, dataclasses
+    and whoever else reads annotations at run time find them there.
+
+    Source that Python cannot read has the digest of its bytes.
+    """
+    try:
+        tree = _Acting().visit(ast.parse(source))
+    except (SyntaxError, ValueError):
+        return hashlib.sha256(source).hexdigest()
+    return hashlib.sha256(ast.dump(tree).encode(errors="surrogatepass")).hexdigest()
+
+
+class _Acting(ast.NodeTransformer):
+    """Removes what cannot act."""
+
+    def __init__(self):
+        self._around: type = ast.Module  # what the statement stands in: a module, a class or a function
+
+    def visit_Expr(self, node):
+        if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            return None
+        return self.generic_visit(node)
+
+    def visit_Pass(self, node):
+        return None
+
+    def visit_ClassDef(self, node):
+        return self._inside(ast.ClassDef, node)
+
+    def visit_FunctionDef(self, node):
+        if not node.decorator_list and self._around is not ast.ClassDef:
+            node.returns = None
+            each = node.args
+            for argument in (*each.posonlyargs, *each.args, each.vararg, *each.kwonlyargs, each.kwarg):
+                if argument is not None:
+                    argument.annotation = None
+        return self._inside(ast.FunctionDef, node)
+
+    visit_AsyncFunctionDef = visit_FunctionDef
+
+    def visit_AnnAssign(self, node):
+        if self._around is ast.FunctionDef:  # Python never evaluates it there
+            node.annotation = ast.Constant(None)
+        return self.generic_visit(node)
+
+    def _inside(self, kind: type, node):
+        around, self._around = self._around, kind
+        self.generic_visit(node)
+        self._around = around
+        return node
