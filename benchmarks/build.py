@@ -155,7 +155,8 @@ def checkout(commit: str) -> Iterator[Path]:
         raise SystemExit(f"there is no checkout of {commit!r}: {done.stderr.decode().strip()}")
     with tempfile.TemporaryDirectory() as folder:
         with tarfile.open(fileobj=io.BytesIO(done.stdout)) as whole:
-            whole.extractall(folder, filter="data")
+            whole.extraction_filter = getattr(tarfile, "data_filter", None)  # none before Python 3.11.4
+            whole.extractall(folder)
         yield Path(folder)
 
 

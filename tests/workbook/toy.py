@@ -204,7 +204,7 @@ class Toy:
 
 def set_signals(*ignored: int) -> None:
     """Set how a process begins: a background job of a shell, and all that it starts, ignores interrupts."""
-    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN if number in ignored else signal.SIG_DFL)
 
 

@@ -162,7 +162,8 @@ def installed(name: str, content: bytes, source: bytes) -> Iterator[Callable[[tu
                 for each in whole.getmembers()
                 if each.name.partition("/")[2] == "pyproject.toml" or "/tests/" in each.name
             ]
-            whole.extractall(place / "source", inside, filter="data")
+            whole.extraction_filter = getattr(tarfile, "data_filter", None)  # none before Python 3.11.4
+            whole.extractall(place / "source", inside)
         (checkout,) = (place / "source").iterdir()
         quiet = [f"-pno:{each}" for each in ("nbval", "anyio", "cacheprovider")]
 
