@@ -40,7 +40,17 @@ def enclose_peaks(loop: Loop, pid: Pid, written: StateModel | None = None) -> di
     Returns
     -------
     dict of str to Enclosure
-        One for each of `control.bandwidth.FUNCTIONS`, magnitudes; infinite and proven of an unstable loop.
+        One for each of `control.bandwidth.FUNCTIONS`, magnitudes; infinite and proven of an unstable loop. The
+        inverse of the output sensitivity's is the distance that the loop keeps from -1 at least.
+
+    Raises
+    ------
+    InputError
+        When an argument is not of its kind.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), section 3.2.
 
     Examples
     --------

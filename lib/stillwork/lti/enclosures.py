@@ -15,7 +15,7 @@ from math import inf, nextafter
 import numpy as np
 from scipy import linalg
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_array, require_flag
 from stillwork.base.front_door import by_value, checked
 from stillwork.lti.discretisation import continuous_poles
 from stillwork.lti.peaks import refine_peak, resonance_grid
@@ -42,7 +42,16 @@ class Enclosure:
     low, high : float
         The quantity is at least, and at most, so large.
     proven : bool
-        False: the numbers are an estimate.
+        False: nothing is known of it.
+
+    Raises
+    ------
+    InputError
+        When the lower number is above the higher one.
+
+    References
+    ----------
+    Moore, Kearfott and Cloud, Introduction to Interval Analysis (2009).
 
     Examples
     --------
@@ -54,8 +63,27 @@ class Enclosure:
     high: float
     proven: bool
 
+    def __post_init__(self):
+        for name in ("low", "high"):
+            number = require_array(name, getattr(self, name), shape=(), infinite=True)
+            object.__setattr__(self, name, float(number))
+        object.__setattr__(self, "proven", require_flag("proven", self.proven))
+        if self.low > self.high:
+            raise InputError(f"low is {self.low:g}, above high, {self.high:g}; give the lower number first")
+
     def in_db(self) -> "Enclosure":
-        """The same of 20 log10, rounded outwards."""
+        """The same of 20 log10, rounded outwards.
+
+        Returns
+        -------
+        Enclosure
+            In dB.
+
+        Examples
+        --------
+        >>> bool(lti.Enclosure(1.0, 2.0, True).in_db().high > 6.02)
+        True
+        """
         low, high = (20 * np.log10(each) if each > 0 else -inf for each in (self.low, self.high))
         return Enclosure(_outward(float(low), -1), _outward(float(high), 1), self.proven)
 
@@ -71,6 +99,7 @@ def _outward(value: float, sign: int) -> float:
     return value
 
 
+@by_value
 @dataclass(frozen=True)
 class Quotients:
     """A matrix of quotients n(w) / d(w), w on the imaginary axis; a sampled model's by z = (1 + w) / (1 - w)."""
@@ -144,6 +173,7 @@ def _estimate(model: StateModel) -> float:
     return float(max(peak, 0.0 if h else np.linalg.norm(model.d, 2)))
 
 
+@checked
 def quotients(model: StateModel) -> Quotients:
     """The transfer matrix of a model in integers."""
     numerators, denominator = in_z(model)
@@ -152,6 +182,7 @@ def quotients(model: StateModel) -> Quotients:
     return turned(numerators, denominator)
 
 
+@checked
 def turned(numerators: list[list[Polynomial]], denominator: Polynomial) -> Quotients:
     """Quotients in w of those in z, none of higher degree than the denominator."""
     degree = len(denominator) - 1
@@ -160,6 +191,7 @@ def turned(numerators: list[list[Polynomial]], denominator: Polynomial) -> Quoti
     )
 
 
+@checked
 def in_z(model: StateModel) -> tuple[list[list[Polynomial]], Polynomial]:
     """Numerators and denominator of C (zI - A)^-1 B + D in z (in s), coefficients multiplied by one power of two."""
     scale = linalg.matrix_balance(model.a, permute=False, separate=True)[1][0] if len(model.a) else np.ones(0)
@@ -234,11 +266,13 @@ def _characteristic(a: np.ndarray) -> Polynomial:
     return found[::-1]
 
 
+@checked
 def multiply(one: Polynomial, other: Polynomial) -> Polynomial:
     """The product of two polynomials."""
     return [int(each) for each in np.convolve(np.array(one, dtype=object), np.array(other, dtype=object))]
 
 
+@checked
 def add(one: Polynomial, other: Polynomial, factor: int = 1) -> Polynomial:
     """The first and `factor` times the second."""
     size = max(len(one), len(other))
@@ -299,6 +333,7 @@ def enclose_quotients(matrix: Quotients, estimate: float) -> Enclosure:
     return Enclosure(float(floor), float(ceiling), True)
 
 
+@checked
 def is_below(matrix: Quotients, level: float) -> bool | None:
     """Whether every singular value on the axis is below the level: at True at most so large, at False at least somewhere."""
     square = Fraction(level) ** 2
@@ -308,7 +343,7 @@ def is_below(matrix: Quotients, level: float) -> bool | None:
     count = len(rows[0])
     whole = multiply(matrix.denominator, _mirrored(matrix.denominator))
     whole = [square.numerator * each for each in whole]
-    entries = []
+    entries: list[list[Polynomial]] = []
     for i in range(count):
         entries.append([])
         for j in range(count):
