@@ -12,7 +12,8 @@ from stillwork.lti.state_space import StateModel
 NOTHING = 1e-15
 TOLERANCE = 1e-10  # of the H-infinity norm, relative
 GRID = 200  # frequencies at which a model that no pole lifts above its feedthrough is looked at first
-MOST_DOUBT = 1e-6  # of the power that a Lyapunov equation gives, or of the H-infinity norm, relative
+MOST_DOUBT = 1e-6  # of the power that a Lyapunov equation gives, relative
+MOST_SPREAD = 1e-4  # of the H-infinity norm: by how much it may move with the rounding of A
 
 
 @checked
@@ -107,10 +108,10 @@ def _require_harmless(model: StateModel, omega: np.ndarray, level: float) -> Non
     def sizes(matrices: np.ndarray) -> np.ndarray:
         return np.linalg.norm(matrices, 2, axis=(1, 2))
 
-    rounding = 2 * np.finfo(float).eps * np.linalg.norm(model.a, 2)
-    doubt = rounding * sizes(left) * sizes(right)
+    # Each number of A by itself: its zeros and ones are exact.
+    doubt = 2 * np.finfo(float).eps * sizes(np.abs(left) @ np.abs(model.a) @ np.abs(right))
     worst = max(np.max(sizes(model.d + left @ model.b) + doubt) - level, doubt[-1])
-    if not worst <= MOST_DOUBT * level:
+    if not worst <= MOST_SPREAD * level:
         raise InputError(
             f"model leaves an uncertainty of {worst:.1e} in a norm of {level:.1e} (scaled) by the "
             "rounding of its numbers; it is too close to instability, or needs other states or units"
