@@ -13,6 +13,7 @@ from stillwork.base.checks import InputError, require_count, require_number
 from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop
 from stillwork.control.c_code import controller_code, require_names
 from stillwork.control.digital import DigitalController, biquads, runnable
+from stillwork.control.loop_enclosures import proven_peaks
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.exporting import require_free, write_folder
@@ -159,6 +160,7 @@ def design_file(
         f"{machine.source}: {taken.kind}; {machine.mass:.4g} kg; first resonance at {machine.resonances_hz[0]:.4g} Hz",
         *machine.notes,
         *(f"{use}: {row}{found[use].reason and '; ' + found[use].reason}" for use, row in rows.items()),
+        proven_peaks((*loops, *safe[best].doubted_loops), pid, [each.model for each in controllers]),
         f"taken: {best}, stopped by {safe[best].summary['stopped by']}",
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
         f"{folder}: {', '.join(sorted(files))}",

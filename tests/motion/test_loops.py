@@ -217,7 +217,7 @@ def test_a_loop_of_several_axes_is_searched_alike(lowest, refine):
 def test_a_search_does_not_end_at_an_unstable_design_whose_peaks_are_low():
     unstable = SimpleNamespace(
         omega=np.ones(3),
-        at=lambda pid, omega=None: SimpleNamespace(input_sensitivity=np.full(3, 1.5)),
+        at=lambda pid, omega=(1.0,) * 3: SimpleNamespace(input_sensitivity=np.full(len(omega), 1.5)),
         within=lambda pid, part: None,
         poles=lambda pid: np.array([-1.0 if pid.gain < FAMILY(30.0).gain else 1.0 + 0j]),
         crossing_hz=lambda pid: 1.0,

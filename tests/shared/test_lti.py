@@ -349,3 +349,27 @@ def test_a_norm_beside_an_integrator_is_right_or_refused(make, leak):
                 assert lti.h2_norm(model) == pytest.approx(exact_h2_norm(a, b, c), rel=1e-6)
                 answered += 1
     assert answered or leak < 1e-6
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_peak_of_light_modes_in_a_random_basis_is_right_or_refused(seed, unit):
+    """In a random basis the rounding of A moves poles that are as near to the axis as a millionth of their frequency."""
+    rng, answered, wrong = np.random.default_rng(seed), 0, 0
+    for _ in range(30):
+        modes = int(rng.integers(2, 6))
+        damping = 10 ** rng.uniform(-6, -2, modes)
+        shapes = rng.normal(size=(modes, 1)), rng.normal(size=(1, modes))
+        plain = lti.ModalModel(
+            np.sort(10 ** rng.uniform(0, 3, modes)), damping, *shapes, np.zeros((1, 1))
+        ).state_space()
+        basis = rng.normal(size=(2 * modes, 2 * modes))
+        back = np.linalg.inv(basis)
+        skew = lti.StateModel(basis @ plain.a @ back, unit * basis @ plain.b, plain.c @ back, plain.d)
+        exact = lti.enclose_hinf_norm(skew)  # of these very numbers, by integers
+        with suppress(InputError):
+            norm = lti.hinf_norm(skew).magnitude
+            assert exact.proven and exact.low * (1 - 1e-4) <= norm <= exact.high * (1 + 1e-4)
+            answered += 1
+            wrong += not norm == pytest.approx(unit * lti.hinf_norm(plain).magnitude, rel=1e-3)
+    assert answered >= 10 and not wrong

@@ -29,15 +29,13 @@ FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
 OTHER_ORDER = ("input_sensitivity_2", "output_sensitivity_2")
 
 
-SENSITIVITIES = tuple(name for name in (*FUNCTIONS, *OTHER_ORDER) if "sensitivity" in name)
+# Where a closed-loop pole may lift a response: distances from its frequency, in widths of the pole.
+WIDTHS = np.array([0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
+NEAR = 0.9  # of the limit: between such points no peak grows by more
 
 
 class Infeasible(InputError):
     """No design within the range of a search is stable and below every constraint."""
-
-
-class _Unstable(InputError):
-    """A design whose poles were not looked for on the way."""
 
 
 @by_value
@@ -255,8 +253,7 @@ class Loop:
         1.856
         """
         require_choice("function", function, (*FUNCTIONS, *OTHER_ORDER))
-        magnitude = np.abs(getattr(self.at(controller), function))
-        return refine_peak(lambda w: getattr(self.at(controller, w), function), self.omega, magnitude)
+        return _Design([self], controller, [], refine=True).peak(0, function)
 
     @checked
     def poles(self, controller: Pid) -> Complex128[np.ndarray, " states"]:
@@ -473,7 +470,8 @@ def maximise_bandwidth(
 
     A scan from above finds the highest interval that is feasible (it looks at grid values first, which reject
     nothing that is); its upper end is then bisected with refined peaks and eigenvalues. With `lowest` a scan from
-    below finds the first such interval: no loop on the way up to its end breaks a constraint.
+    below finds the first such interval: no loop on the way up to its end breaks a constraint. A peak is looked for
+    on the loop's grid and around every closed-loop pole, and the design that is returned has been checked as a whole.
 
     Parameters
     ----------
@@ -591,8 +589,8 @@ def _bisected(
         found = design(good).violation()
         if found is None:
             break
-        if good == feasible:
-            raise _Unstable(f"the design at {good:g} Hz is unstable, although its peaks are low")
+        if found[:2] in watched:
+            raise InputError(f"loops: the design at {good:g} Hz was feasible, and is not any more")
         watched.add(found[:2])
     if bad < first:
         stopped = design(bad).violation() or stopped
@@ -610,22 +608,14 @@ def _lowest(
     tolerance_hz: float,
     refine: bool,
     ratio: float,
-    careful: bool = False,
 ) -> Bandwidth:
-    """See `maximise_bandwidth`.
-
-    A loop that keeps 1 / limit away from the point -1 does not get past it by a step of which its gain, in the square
-    of the bandwidth, grows by less: poles are looked for at the first feasible design and at the end alone, unless
-    `careful`.
-    """
+    """See `maximise_bandwidth`."""
     grid = np.geomspace(low_hz, high_hz, 2 + int(np.log(high_hz / low_hz) / np.log(ratio)))
-    kept = [each.limit for each in constraints if each.function in SENSITIVITIES]
-    careful = careful or min(kept, default=np.inf) * (ratio**2 - 1) >= 1
-    first, peaks = None, {(each.function, number) for each in constraints for number in range(len(loops))}
+    first: int | None = None
     stopped: Violation | None = None
     for k, design_hz in enumerate(grid):
         design = _Design(loops, family(design_hz), constraints, refine)
-        fails = design.above() or design.violation(None if first is None or careful else peaks)
+        fails = design.above() or design.violation()
         if fails and (first is not None or not k):
             stopped = design.violation()
         if fails and first is not None:
@@ -646,10 +636,7 @@ def _lowest(
         good = bad = grid[-1]
     else:
         good, bad = grid[k - 1], grid[k]
-    try:
-        found = _bisected(loops, family, constraints, good, bad, stopped, tolerance_hz, refine)
-    except _Unstable:
-        return _lowest(loops, family, constraints, low_hz, high_hz, tolerance_hz, refine, ratio, careful=True)
+    found = _bisected(loops, family, constraints, good, bad, stopped, tolerance_hz, refine)
     return replace(found, lowest_hz=float(grid[first]))
 
 
@@ -684,15 +671,41 @@ class _Design:
         self._response = cache(lambda number: loops[number].at(controller))
         self._poles = cache(lambda number: loops[number].poles(controller))
         self._magnitude = cache(self._read)
-        self._peak = cache(self._highest)
+        self._near_poles = cache(self._around)
+        self._seen = cache(self._look)
+        self.peak = cache(self._highest)
+
+    def _around(self, number: int) -> tuple[np.ndarray, Any]:
+        """Frequencies at and around the closed-loop poles, and the response there."""
+        loop, poles = self.loops[number], self._poles(number)
+        poles = poles[poles.imag >= 0]
+        offsets = np.abs(poles.real)[:, None] * np.concatenate([-WIDTHS, WIDTHS])
+        omega = np.concatenate([(poles.imag[:, None] + offsets).ravel(), np.abs(poles)])
+        low, high = loop.omega[0], loop.omega[-1]
+        if isinstance(loop, Loop):  # it answers beyond its grid
+            low, high = 0.0, (1 - 1e-9) * np.pi / loop.sample_time if loop.sample_time else np.inf
+        omega = np.setdiff1d(np.minimum(omega[omega > low], high), loop.omega)
+        return omega, loop.at(self.controller, omega) if len(omega) else None
+
+    def _look(self, number: int, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Magnitudes on the loop's grid, and around the closed-loop poles where peaks are refined."""
+        omega, magnitude = self.loops[number].omega, self._magnitude(number, name)
+        if not self.refine:
+            return omega, magnitude
+        more, response = self._near_poles(number)
+        if not len(more):
+            return omega, magnitude
+        omega = np.concatenate([omega, more])
+        magnitude = np.concatenate([magnitude, np.abs(getattr(response, name))])
+        order = np.argsort(omega)
+        order = order[~np.isnan(magnitude[order])]  # at an undamped pole of the plant itself
+        return omega[order], magnitude[order]
 
     def _highest(self, number: int, name: str) -> Peak:
-        loop, magnitude = self.loops[number], self._magnitude(number, name)
-        if not self.refine:
-            return Peak(float(magnitude.max()), float(loop.omega[magnitude.argmax()]))
-        return refine_peak(
-            lambda w: getattr(loop.at(self.controller, w), name), loop.omega, magnitude, near=0.97
-        )
+        loop, (omega, magnitude) = self.loops[number], self._seen(number, name)
+        if not self.refine or np.isinf(magnitude.max()):
+            return Peak(float(magnitude.max()), float(omega[magnitude.argmax()]))
+        return refine_peak(lambda w: getattr(loop.at(self.controller, w), name), omega, magnitude, near=NEAR)
 
     def _read(self, number: int, name: str) -> np.ndarray:
         magnitude = np.abs(getattr(self._response(number), name))
@@ -729,11 +742,9 @@ class _Design:
         worst, excess = None, 1.0
         for number, constraint in self._asked(watched):
             name, limit = constraint.function, constraint.limit
-            if (
-                self._magnitude(number, name).max() < 0.97 * limit * excess
-            ):  # no peak grows by 3 % between grid points
+            if self._seen(number, name)[1].max() < NEAR * limit * excess:
                 continue
-            peak = self._peak(number, name)
+            peak = self.peak(number, name)
             if peak.magnitude > (1.0 if worst is None else 1 + TIE) * excess * limit:
                 worst, excess = (name, number, peak), peak.magnitude / limit
         if worst is not None:

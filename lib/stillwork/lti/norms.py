@@ -12,6 +12,8 @@ from stillwork.lti.state_space import StateModel
 NOTHING = 1e-15
 TOLERANCE = 1e-10  # of the H-infinity norm, relative
 GRID = 200  # frequencies at which a model that no pole lifts above its feedthrough is looked at first
+MOST_DOUBT = 1e-6  # of the power that a Lyapunov equation gives, relative
+MOST_SPREAD = 1e-4  # of the H-infinity norm: by how much it may move with the rounding of A
 
 
 @checked
@@ -33,7 +35,7 @@ def hinf_norm(model: StateModel) -> Peak:
     Raises
     ------
     InputError
-        When the model is unstable or in discrete time.
+        When the model is unstable or in discrete time, or too ill-conditioned for its rounding to be harmless.
 
     References
     ----------
@@ -59,7 +61,7 @@ def hinf_norm(model: StateModel) -> Peak:
     def gains(omega: np.ndarray) -> np.ndarray:
         return np.linalg.norm(np.moveaxis(scaled.frequency_response(omega), -1, 0), ord=2, axis=(1, 2))
 
-    start = np.concatenate([[0.0], np.abs(scaled.poles), np.abs(scaled.poles.imag)])
+    resonances = start = np.concatenate([[0.0], np.abs(scaled.poles), np.abs(scaled.poles.imag)])
     values, ends = gains(start), np.linalg.norm(d, 2)
     level, where = values.max(), start[values.argmax()]
     # Near the size of the feedthrough the Hamiltonian loses the crossings, which move to infinity. There the model is
@@ -89,7 +91,31 @@ def hinf_norm(model: StateModel) -> Peak:
         if values.max() <= raised:
             break
         level, where = values.max(), middle[values.argmax()]
+    if passes:
+        _require_harmless(scaled, np.append(resonances, where), level)
     return Peak(_finite(level * units[0] * units[1]), float(where * rate))
+
+
+def _require_harmless(model: StateModel, omega: np.ndarray, level: float) -> None:
+    """Refuse a model that may, with A a rounding away from its own, exceed the level at one of these frequencies.
+
+    With A + E, C (sI - A)^-1 B moves by C (sI - A)^-1 E (sI - A)^-1 B to first order.
+    """
+    n = len(model.a)
+    inverse = np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - model.a)
+    left, right = model.c @ inverse, inverse @ model.b
+
+    def sizes(matrices: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(matrices, 2, axis=(1, 2))
+
+    # Each number of A by itself: its zeros and ones are exact.
+    doubt = 2 * np.finfo(float).eps * sizes(np.abs(left) @ np.abs(model.a) @ np.abs(right))
+    worst = max(np.max(sizes(model.d + left @ model.b) + doubt) - level, doubt[-1])
+    if not worst <= MOST_SPREAD * level:
+        raise InputError(
+            f"model leaves an uncertainty of {worst:.1e} in a norm of {level:.1e} (scaled) by the "
+            "rounding of its numbers; it is too close to instability, or needs other states or units"
+        )
 
 
 def _turned(model: StateModel) -> StateModel:
@@ -132,9 +158,6 @@ def _crossings(model: StateModel, level: float) -> np.ndarray:
     values = linalg.eigvals(hamiltonian)
     imaginary = np.abs(values.real) < 1e-8 * np.maximum(np.abs(values), 1e-8)
     return np.unique(np.abs(values[imaginary].imag))
-
-
-MOST_DOUBT = 1e-6  # of the power that a Lyapunov equation gives, relative
 
 
 @checked
