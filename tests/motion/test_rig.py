@@ -22,6 +22,8 @@ from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
 from experiments.motion.rig_loops import (
     MEASURES,
+    RigLoop,
+    _Stage,
     make_rig_loop,
     maximise_rig_bandwidth,
     sampled_controller,
@@ -318,6 +320,32 @@ def test_search_on_a_coarse_grid_finds_the_peaks_between_its_points(loops):
     assert np.abs(coarse.omega / (2 * np.pi * 138) - 1).min() > 0.005  # two widths of the first resonance
     found = maximise_rig_bandwidth([coarse], family)
     assert np.max(fine.at(found.pids)) < SIX_DB * (1 + 1e-3)
+
+
+def test_a_stage_knows_what_its_loop_answers(loops):
+    """On a grid that has gained points too, to the last bit: a search must not depend on what it asked before."""
+    family, loop = rig_controllers(GEOMETRY.edge_masses), loops["MC and AD"][0]
+    before = _Stage(loop)
+    designs = [family(hertz, 1.2 * hertz) for hertz in (5.0, 10.0, 12.0)]
+    for pids in designs[:2]:
+        before.at(pids)
+    stage = before.denser(designs[1])
+    assert len(stage.omega) > len(loop.omega)
+    for pids in designs:
+        np.testing.assert_array_equal(stage.at(pids), stage.loop.at(pids))
+        np.testing.assert_array_equal(stage.poles(pids), loop.poles(pids))
+
+
+def test_a_search_looks_for_the_crossings_once_and_for_no_poles_twice(loops, monkeypatch):
+    asked = {"crossing_hz": [], "poles": []}
+    for name, seen in asked.items():
+        own = getattr(RigLoop, name)
+        monkeypatch.setattr(
+            RigLoop, name, lambda loop, pids, own=own, seen=seen: seen.append(tuple(pids)) or own(loop, pids)
+        )
+    found = maximise_rig_bandwidth(loops["AD"], rig_controllers(GEOMETRY.edge_masses))
+    assert asked["crossing_hz"] == [found.pids] * len(loops["AD"])
+    assert all(asked["poles"].count(pids) <= len(loops["AD"]) for pids in asked["poles"])
 
 
 def test_equal_peaks_name_the_first_function(loops):

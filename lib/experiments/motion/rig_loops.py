@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from experiments.motion.rig import EdgeDecoupling
 from experiments.motion.rig_control import RigCompensator
 from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_choice
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, PeakConstraint, maximise_bandwidth
@@ -41,8 +42,13 @@ PEAK_TOLERANCE = 1e-4  # relative, by which a peak may grow between the points o
 
 def sampled_controller(pids: Sequence[Pid], decoupling: EdgeDecoupling, sample_time: float) -> StateModel:
     """Gamma C_fb Upsilon, from the errors at the sensors to forces."""
-    blocks = [tustin(pid.state_space(), sample_time) for pid in pids]
+    blocks = [_sampled(pid, sample_time) for pid in pids]
     return interconnect(blocks, np.zeros((3, 3)), decoupling.sensing, decoupling.actuation)
+
+
+@lru_cache(maxsize=64)  # one controller closes the loop at every position
+def _sampled(pid: Pid, sample_time: float) -> StateModel:
+    return tustin(pid.state_space(), sample_time)
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,7 @@ class RigLoop:
     def _warped(self) -> Float64[np.ndarray, " frequencies"]:
         return prewarped(self.omega, self.sample_time)
 
+    @checked
     def at(self, pids: Sequence[Pid], omega: np.ndarray | None = None) -> "Sizes":
         """Sizes of the loop functions on the grid, or at other frequencies (rad/s)."""
         loop = self if omega is None else self.on(omega)
@@ -81,9 +88,9 @@ class RigLoop:
         """Sizes on a part of the grid."""
         return replace(self, omega=self.omega[part], parts=self.parts[part]).at(pids)
 
-    def denser(self, pids: Sequence[Pid]) -> "RigLoop":
-        """The loop on its grid with more points around every local maximum near the limit."""
-        values, w = np.array(self.at(pids)), self.omega
+    def denser(self, sizes: "Sizes") -> "RigLoop":
+        """The loop on its grid with more points around every local maximum of these that is near the limit."""
+        values, w = np.array(sizes), self.omega
         inner = (values[:, 1:-1] >= values[:, :-2]) & (values[:, 1:-1] >= values[:, 2:])
         places = 1 + np.unique(np.nonzero(inner & (values[:, 1:-1] > 0.8 * SIX_DB))[1])
         if not len(places):
@@ -106,8 +113,13 @@ class RigLoop:
         """Closed loop in discrete time; its signals are `stillwork.control.loops.INPUTS` and ``OUTPUTS``."""
         block = None if self.compensator is None else self.compensator.realised
         controller = sampled_controller(pids, self.decoupling, self.sample_time)
-        return closed_loop(zoh_modes(self.plant, self.sample_time), block, controller)
+        return closed_loop(self._held, block, controller)
 
+    @cached_property  # one plant is closed with every controller
+    def _held(self) -> StateModel:
+        return zoh_modes(self.plant, self.sample_time)
+
+    @checked
     def poles(self, pids: Sequence[Pid]) -> Complex128[np.ndarray, " states"]:
         """Closed-loop poles, rad/s."""
         return continuous_poles(self.closed(pids).poles, self.sample_time)
@@ -116,6 +128,7 @@ class RigLoop:
         """Largest magnitude of the closed-loop poles in discrete time; below 1 the loop is stable."""
         return float(np.exp(self.poles(pids).real.max() * self.sample_time))
 
+    @checked
     def crossing_hz(self, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
         """First 0 dB crossing of the diagonal entries of P_eq C_fb (Definition 1.2.1), Hz."""
         upsilon, gamma = self.decoupling.sensing, self.decoupling.actuation
@@ -243,11 +256,12 @@ def maximise_rig_bandwidth(
 
     All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
     """
-    loops = [replace(loop, measure=require_choice("measure", measure, MEASURES)) for loop in loops]
+    stages = [_Stage(replace(loop, measure=require_choice("measure", measure, MEASURES))) for loop in loops]
+    family = cache(family)
 
     def raised(along: Callable[[float], tuple[Pid, ...]], start: float) -> Bandwidth:
         found = maximise_bandwidth(
-            loops,
+            stages,
             along,
             LIMITS,
             start,
@@ -267,16 +281,59 @@ def maximise_rig_bandwidth(
         together = raised(lambda hz: family(hz, hz), low_hz).design_hz
         rotation = raised(lambda hz, z=together: family(z, hz), together).design_hz
         last = raised(lambda hz, turned=rotation: family(hz, turned), together)
-        loops = [loop.denser(last.controller) for loop in loops]
-        found = np.array([np.max(loop.at(last.controller), axis=1) for loop in loops])
+        stages = [stage.denser(last.controller) for stage in stages]
+        found = np.array([np.max(stage.at(last.controller), axis=1) for stage in stages])
         if found.max() <= SIX_DB * (1 + PEAK_TOLERANCE):
             break
     else:
         raise InputError(
             "the peaks between the points of a grid do not settle; give loops with more frequencies"
         )
-    radius = np.array([loop.radius(last.controller) for loop in loops])
-    return RigBandwidth((last.design_hz, rotation), last.crossing_hz, last.controller, found, radius)
+    return RigBandwidth(
+        (last.design_hz, rotation),
+        np.array([stage.loop.crossing_hz(last.controller) for stage in stages]),
+        last.controller,
+        found,
+        np.array([stage.radius(last.controller) for stage in stages]),
+    )
+
+
+class _Stage:
+    """A loop as the search above needs it, which asks it for the same thing again and again.
+
+    A stage begins where the one before ended, and the first of a round goes through the same designs on a grid that
+    has gained points: the others are known. No grid moves a pole. Crossings are those of the final design alone.
+    """
+
+    def __init__(self, loop: RigLoop, before: "_Stage | None" = None):
+        self.loop, self.omega, self.within = loop, loop.omega, loop.within
+        self.poles = before.poles if before else cache(loop.poles)
+        self._known: dict[tuple[Pid, ...], Sizes] = {}
+        self._before = before._known if before else {}
+        self._old = np.isin(loop.omega, before.omega) if before else np.zeros(len(loop.omega), bool)
+        self._more = replace(loop, omega=loop.omega[~self._old], parts=loop.parts[~self._old])
+
+    def at(self, pids: tuple[Pid, ...], omega: np.ndarray | None = None) -> Sizes:
+        if omega is not None:
+            return self.loop.at(pids, omega)
+        if pids not in self._known:
+            self._known[pids] = self._grown(pids) if pids in self._before else self.loop.at(pids)
+        return self._known[pids]
+
+    def _grown(self, pids: tuple[Pid, ...]) -> Sizes:
+        sizes = np.empty((len(FUNCTIONS), len(self.omega)))
+        sizes[:, self._old], sizes[:, ~self._old] = self._before[pids], self._more.at(pids)
+        return Sizes(*sizes)
+
+    def radius(self, pids: tuple[Pid, ...]) -> float:
+        return float(np.exp(self.poles(pids).real.max() * self.loop.sample_time))
+
+    def crossing_hz(self, pids: tuple[Pid, ...]) -> np.ndarray:
+        return np.zeros(len(pids))
+
+    def denser(self, pids: tuple[Pid, ...]) -> "_Stage":
+        loop = self.loop.denser(self.at(pids))
+        return self if loop is self.loop else _Stage(loop, self)
 
 
 @kernel

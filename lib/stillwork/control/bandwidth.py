@@ -574,6 +574,7 @@ def _bisected(
     watched = {stopped[:2]}
     feasible, first = good, bad
     designs: dict[float, _Design] = {}
+    above = None  # what was exceeded last, and is likely to be again
 
     def design(at: float) -> _Design:
         if at not in designs:
@@ -584,7 +585,9 @@ def _bisected(
         good, bad = feasible, first
         while bad - good > resolved:
             middle = (good + bad) / 2
-            fails = design(middle).above(watched) or design(middle).violation(watched)
+            if above is None or not _still(*above, design(middle).controller):
+                above = design(middle).above(watched)
+            fails = above or design(middle).violation(watched)
             good, bad = (good, middle) if fails else (middle, bad)
         found = design(good).violation()
         if found is None:
