@@ -1,6 +1,8 @@
 """Whole or not at all, also when the swap itself is cut short."""
 
 import contextlib
+import errno
+import io
 import os
 import shutil
 from collections.abc import Callable
@@ -510,3 +512,124 @@ def test_a_file_in_the_place_of_a_folder_is_left_and_nothing_is_changed(tmp_path
     with pytest.raises(Edited, match="notebooks/a"):
         change(tmp_path, {"figures/a": b"1", "notebooks/a": b"1"})
     assert content(tmp_path) == {"notebooks": b"in the way"}
+
+
+ERRORS = (("once", errno.EMFILE), ("done", errno.EIO), ("from then on", errno.EROFS))
+CHANGES = ("replace", "rename", "link", "unlink", "mkdir", "rmdir", "symlink", "fsync")
+CALLS = {os: (*CHANGES, "open", "stat", "lstat", "scandir", "listdir", "readlink"), io: ("open",)}
+
+
+def fail_at(monkeypatch, steps: int, number: int, how: str = "once") -> list[str]:
+    """Let call number `steps` of the file system fail with this error: once, with its work done, or all from then on."""
+    done: list[str] = []
+
+    def counted(name, call):
+        def step(*arguments, **options):
+            done.append(name)
+            if len(done) - 1 < steps or (len(done) - 1 > steps and how != "from then on"):
+                return call(*arguments, **options)
+            if how == "done" and name in ("replace", "rename"):
+                call(*arguments, **options)
+            raise OSError(number, os.strerror(number), str(arguments[:1]))
+
+        return step
+
+    for module, names in CALLS.items():
+        for name in names:
+            monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
+    return done
+
+
+def outcome_of(call: Callable) -> str:
+    try:
+        call()
+    except Edited:
+        return "edited"
+    except InputError:
+        return "decided"
+    except OSError:
+        return "nothing"
+    return "done"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "number"), ERRORS)
+def test_an_error_of_the_disk_leaves_a_change_as_it_says(tmp_path, monkeypatch, number, how):
+    """An error is one at any step: where nothing was changed it says so, else the next command does the rest."""
+    seen = set()
+    for steps in count():
+        shutil.rmtree(tmp_path)
+        change(tmp_path, BEFORE)
+        with monkeypatch.context() as patch:
+            done = fail_at(patch, steps, number, how)
+            outcome = outcome_of(lambda: change(tmp_path, CHANGED))
+        if len(done) <= steps:
+            break
+        at = f"{steps} {done[steps]}"
+        assert outcome != "edited", at
+        if outcome == "nothing":
+            assert shelves(tmp_path) == BEFORE, at
+            finish(tmp_path)
+            assert shelves(tmp_path) == BEFORE, at
+        finish(tmp_path)
+        assert (shelves(tmp_path) == AFTER) == (outcome != "nothing"), at
+        assert not list(tmp_path.glob(".accepting*")), at
+        seen.add(outcome)
+    assert seen == {"nothing", "decided", "done"}
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.EIO])
+def test_an_error_of_the_disk_while_a_change_is_finished_leaves_it_to_the_next_command(
+    half, monkeypatch, number, tmp_path_factory
+):
+    copies = tmp_path_factory.mktemp("copies")
+    seen = set()
+    for steps in count():
+        root = copies / str(steps)
+        shutil.copytree(half, root)
+        with monkeypatch.context() as patch:
+            done = fail_at(patch, steps, number)
+            outcome = outcome_of(lambda: finish(root))  # noqa: B023  called here
+        if len(done) <= steps:
+            break
+        assert outcome in ("decided", "done", "nothing"), done[steps]
+        finish(root)
+        assert shelves(root) == AFTER, done[steps]
+        assert not list(root.glob(".accepting*")), done[steps]
+        seen.add(outcome)
+    assert "decided" in seen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "number"), ERRORS)
+def test_an_error_of_the_disk_leaves_a_record_as_it_says(tmp_path, monkeypatch, number, how):
+    target = tmp_path / "room" / "notebook"
+    seen = set()
+    for steps in count():
+        replace_record(target, OLD, {"cell a": "1"})
+        with monkeypatch.context() as patch:
+            done = fail_at(patch, steps, number, how)
+            outcome = outcome_of(lambda: replace_record(target, NEW, {"cell a": "2"}))
+        if len(done) <= steps:
+            break
+        assert read_record(target) == ({"cell a": "2" if outcome == "done" else "1"}, []), done[steps]
+        tidy(target)
+        assert len(os.listdir(target.with_name(".notebook"))) == 1
+        seen.add(outcome)
+    assert seen == {"nothing", "done"}
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.EIO])
+def test_an_error_of_the_disk_while_a_record_is_read_is_no_damage(tmp_path, monkeypatch, number):
+    target = tmp_path / "notebook"
+    replace_record(target, NEW, {"cell a": "1"})
+    for steps in count():
+        with monkeypatch.context() as patch:
+            done = fail_at(patch, steps, number)
+            try:
+                assert read_record(target) == ({"cell a": "1"}, []), done[steps]
+            except OSError as error:
+                assert error.errno == number
+        if len(done) <= steps:
+            break
+    assert steps > 3

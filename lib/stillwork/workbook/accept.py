@@ -122,7 +122,7 @@ def _committed(folder: Path) -> dict[str, bytes]:
     """What stands on the shelves and beside them, by path below `folder`."""
     files, seen = list(folder.iterdir()), set()
     for shelf in SHELVES:
-        for place, below, names in os.walk(folder / shelf, followlinks=True):
+        for place, below, names in os.walk(folder / shelf, onerror=_unless_gone, followlinks=True):
             files += [Path(place, name) for name in names]
             if (real := os.path.realpath(place)) in seen:  # a link that leads back
                 below.clear()
@@ -134,6 +134,12 @@ def _committed(folder: Path) -> dict[str, bytes]:
         with contextlib.suppress(FileNotFoundError):  # an editor's own, gone since
             found[file.relative_to(folder).as_posix()] = file.read_bytes()
     return found
+
+
+def _unless_gone(error: OSError) -> None:
+    """Of a folder that the disk does not list nobody knows what it holds."""
+    if not isinstance(error, FileNotFoundError):
+        raise error
 
 
 @contextlib.contextmanager

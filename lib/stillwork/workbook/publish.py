@@ -1,10 +1,12 @@
 """Results appear whole or not at all: written beside their place, then put in it by one step."""
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
 import shutil
+import stat
 import uuid
 from itertools import count
 from pathlib import Path
@@ -13,6 +15,9 @@ from typing import NoReturn
 from stillwork.base.checks import InputError
 
 RECORD, MANIFEST = "record.json", "manifest.json"
+
+# What an error says of a path that holds no file. Any other (too many open files, a disk that fails) says nothing of it.
+NO_FILE = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 
 
 def replace_record(
@@ -48,9 +53,9 @@ def replace_record(
         if target.is_dir() and not target.is_symlink():  # not ours: out of the way, and removed with the rest
             target.rename(home / uuid.uuid4().hex[:12])
         os.replace(link, target)
-    except BaseException:
-        shutil.rmtree(new, ignore_errors=True)
-        raise
+    except OSError:
+        if not _shows(target, new):
+            raise
     finally:
         tidy(target)
 
@@ -62,11 +67,14 @@ def read_record(target: Path) -> tuple[dict[str, str], list[str]] | None:
     -------
     (inputs, complaints) or None
         None where nothing was built.
+
+    Raises
+    ------
+    OSError
+        When the disk does not say.
     """
-    try:
-        text = (target / RECORD).read_bytes()
-    except OSError:
-        return None if not target.exists() else ({}, ["its record is missing"])
+    if (text := _content(target / RECORD)) is None:
+        return None if _mode(target) is None else ({}, ["its record is missing"])
     if (record := _unsealed(text, "inputs", "outputs")) is None:
         return {}, ["its record is damaged"]
     complaints = []
@@ -87,15 +95,26 @@ def seconds_taken(target: Path) -> float | None:
 
 
 def tidy(target: Path) -> None:
-    """Remove what lies beside `target` and is not the version that it shows: older ones, and what a kill left."""
+    """Remove what lies beside `target` and is not the version that it shows: older ones, and what a kill left.
+
+    What cannot be removed stays for the next time.
+    """
     home = _home(target)
-    if home.is_dir():
-        shown = os.readlink(target) if target.is_symlink() else ""
-        for each in home.iterdir():
-            if shown != f"{home.name}/{each.name}":
+    with contextlib.suppress(OSError):
+        for each in home.iterdir() if home.is_dir() else ():
+            if not _shows(target, each):
                 shutil.rmtree(each) if each.is_dir() and not each.is_symlink() else each.unlink()
-        if not any(home.iterdir()):
-            home.rmdir()
+        home.rmdir()  # an error where one version is shown
+
+
+def _shows(target: Path, version: Path) -> bool:
+    """Whether `target` is the link to a version."""
+    try:
+        return os.readlink(target) == f"{version.parent.name}/{version.name}"
+    except OSError as error:
+        if error.errno in (*NO_FILE, errno.EINVAL):  # no link
+            return False
+        raise
 
 
 def replace_folder(target: Path, files: dict[str, bytes]) -> None:
@@ -182,14 +201,16 @@ def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]
             if before is not None:
                 _keep(root, name, new / "old")
         _write(new / MANIFEST, _sealed({"files": planned}))
-        for place, _, names in os.walk(new):
+        for place, _, names in os.walk(new, onerror=_raise):
             for each in (*names, "."):
                 _flush(Path(place, each))
         new.rename(decided)
-    except BaseException:
-        shutil.rmtree(new, ignore_errors=True)
-        raise
-    _flush(root)
+    except BaseException as error:
+        if not isinstance(error, OSError) or not unfinished(
+            root
+        ):  # else it is decided, whatever the rename says
+            shutil.rmtree(new, ignore_errors=True)
+            raise
     if others := _carry_out(root):
         raise Edited(others)
 
@@ -222,10 +243,11 @@ def finish(root: Path) -> None:
 def _carry_out(root: Path) -> list[str]:
     """Put what was decided in its place, or take it back for what others changed; returns the names of that."""
     new, decided = _journal(root)
-    record = _unsealed(_content(decided / MANIFEST), "files")
-    if record is None:
-        _set_aside(decided, MANIFEST)
     try:
+        _flush(root)
+        record = _unsealed(_content(decided / MANIFEST), "files")
+        if record is None:
+            _set_aside(decided, MANIFEST)
         if others := _put(root, record["files"]):
             _take_back(root, record["files"])
         for folder in {folder for name in record["files"] for folder in Path(name).parents}:
@@ -235,7 +257,7 @@ def _carry_out(root: Path) -> list[str]:
         shutil.rmtree(new, ignore_errors=True)
     except OSError as error:
         raise InputError(
-            f"accepted, but not all of it is in its place ({error}); mend that and repeat the command"
+            f"accepted, but not all of it is in its place ({error}); repair that and repeat the command"
         ) from None
     return others
 
@@ -312,7 +334,8 @@ def trial(root: Path) -> Path:
 
 def unfinished(root: Path) -> bool:
     """Whether a `replace_all` was decided and then cut short."""
-    return _journal(root)[1].is_dir()
+    mode = _mode(_journal(root)[1])
+    return mode is not None and stat.S_ISDIR(mode)
 
 
 def leftovers(root: Path) -> bool:
@@ -332,25 +355,43 @@ def _digest(content: bytes | None) -> str | None:
     return None if content is None else digest(content)
 
 
+def _raise(error: OSError) -> NoReturn:
+    raise error
+
+
 def _content(file: Path) -> bytes | None:
-    """None for what cannot be read, such as a link to nowhere."""
+    """None for no file, such as a link to nowhere. An error of the disk is none: it may be another the next time."""
     try:
         return file.read_bytes()
-    except OSError:
-        return None
+    except OSError as error:
+        if error.errno in NO_FILE:
+            return None
+        raise
+
+
+def _mode(path: Path) -> int | None:
+    """Kind of what stands there, a link as itself; None for nothing."""
+    try:
+        return os.lstat(path).st_mode
+    except OSError as error:
+        if error.errno in NO_FILE:
+            return None
+        raise
 
 
 def _state(file: Path) -> str | None:
     """Digest of what stands there: None for nothing, empty for what is no file."""
-    return (_digest(_content(file)) or "") if os.path.lexists(file) else None
+    return None if _mode(file) is None else _digest(_content(file)) or ""
 
 
 def _stamp(file: Path) -> tuple[int, ...] | None:
     """What changes with every change of a file."""
     try:
         found = os.stat(file)
-    except OSError:
-        return None
+    except OSError as error:
+        if error.errno in NO_FILE:
+            return None
+        raise
     return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
@@ -391,7 +432,7 @@ def _home(target: Path) -> Path:
 
 def _files(folder: Path) -> set[str]:
     found = set()
-    for place, _, names in os.walk(folder):
+    for place, _, names in os.walk(folder, onerror=_raise):
         found |= {Path(place, name).relative_to(folder).as_posix() for name in names}
     return found
 
