@@ -109,7 +109,8 @@ class _ContentLocator(_CacheLocator):
 
 def _folder() -> str:
     """The user's folder for machine code, NUMBA_CACHE_DIR, with one in it for the kernels as they are; else ours."""
-    return os.path.join(config.CACHE_DIR, kernels_digest()) if config.CACHE_DIR else cache_folder()
+    named = config.CACHE_DIR  # type: ignore[attr-defined]  # numba sets it from the environment
+    return os.path.join(named, kernels_digest()) if named else cache_folder()
 
 
 class _CheckedCode(CompileResultCacheImpl):
