@@ -157,10 +157,18 @@ class StateModel:
         scale, a, _, _ = self._decomposed
         b, c = self.b / scale[:, None], self.c * scale
         solved = np.zeros((len(omega), *b.shape), complex)
-        for part in _coupled(a):  # each drives only later ones: a line of delays is as many as it has samples
+        for (
+            part
+        ) in self._coupled:  # each drives only later ones: a line of delays is as many as it has samples
             shifted = point[:, None, None] * np.eye(len(part)) - a[np.ix_(part, part)]
             solved[:, part] = np.linalg.solve(shifted, b[part] + a[part] @ solved)
         return response + np.moveaxis(c @ solved, 0, -1)
+
+    @cached_property  # a peak between grid points is asked for again and again
+    def _coupled(self) -> list[np.ndarray]:
+        """States that drive each other, as parts of the whole in an order in which a part is driven by earlier ones alone."""
+        count, label = csgraph.connected_components(self._decomposed[1] != 0, connection="strong")
+        return [np.flatnonzero(label == part) for part in range(count)]
 
     @property
     def _decomposed(self):
@@ -212,12 +220,6 @@ class StateModel:
         control = require_package("control")
 
         return control.StateSpace(self.a, self.b, self.c, self.d, self.sample_time or 0)
-
-
-def _coupled(a: np.ndarray) -> list[np.ndarray]:
-    """States that drive each other, as parts of the whole in an order in which a part is driven by earlier ones alone."""
-    count, label = csgraph.connected_components(a != 0, connection="strong")
-    return [np.flatnonzero(label == part) for part in range(count)]
 
 
 # Models that differ in their inputs and outputs alone, as the channels of a loop or the gains of a feedforward, have
