@@ -193,6 +193,7 @@ def catalogue() -> dict:
         "from_control": (lti.from_control, {"system": state}),
         "h2_norm": (lti.h2_norm, {"model": state}),
         "hinf_norm": (lti.hinf_norm, {"model": state}),
+        "enclose_h2_norm": (lti.enclose_h2_norm, {"model": state}),
         "enclose_hinf_norm": (lti.enclose_hinf_norm, {"model": state}),
         "Enclosure": (lti.Enclosure, {"low": 1.0, "high": 2.0, "proven": True}),
         "interconnect": (lti.interconnect, {"models": [state], **joined, "direct": np.zeros((1, 1))}),
