@@ -31,11 +31,15 @@ OTHER_ORDER = ("input_sensitivity_2", "output_sensitivity_2")
 
 # Where a closed-loop pole may lift a response: distances from its frequency, in widths of the pole.
 WIDTHS = np.array([0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
-NEAR = 0.9  # of the limit: between such points no peak grows by more
+NEAR = 0.97  # of the limit: between such points no peak grows by more
 
 
 class Infeasible(InputError):
     """No design within the range of a search is stable and below every constraint."""
+
+
+class _Unseen(InputError):
+    """A design that a scan found feasible, its closed-loop poles unseen, and that is not."""
 
 
 @by_value
@@ -592,8 +596,8 @@ def _bisected(
         found = design(good).violation()
         if found is None:
             break
-        if found[:2] in watched:
-            raise InputError(f"loops: the design at {good:g} Hz was feasible, and is not any more")
+        if good == feasible:
+            raise _Unseen(f"loops: the design at {good:g} Hz was feasible, and is not any more")
         watched.add(found[:2])
     if bad < first:
         stopped = design(bad).violation() or stopped
@@ -611,14 +615,24 @@ def _lowest(
     tolerance_hz: float,
     refine: bool,
     ratio: float,
+    careful: bool = False,
 ) -> Bandwidth:
-    """See `maximise_bandwidth`."""
+    """See `maximise_bandwidth`.
+
+    A loop that keeps 1 / limit away from the point -1 does not get past it by a step of which its gain, in the square
+    of the bandwidth, grows by less: poles are looked for at the first feasible design and at the end alone, unless
+    `careful`, which it becomes where the end does not stand.
+    """
     grid = np.geomspace(low_hz, high_hz, 2 + int(np.log(high_hz / low_hz) / np.log(ratio)))
+    kept = [each.limit for each in constraints if "sensitivity" in each.function]
+    careful = careful or min(kept, default=np.inf) * (ratio**2 - 1) >= 1
+    peaks = {(each.function, number) for each in constraints for number in range(len(loops))}
     first: int | None = None
     stopped: Violation | None = None
     for k, design_hz in enumerate(grid):
-        design = _Design(loops, family(design_hz), constraints, refine)
-        fails = design.above() or design.violation()
+        whole = first is None or careful
+        design = _Design(loops, family(design_hz), constraints, refine, near_poles=whole)
+        fails = design.above() or design.violation(None if whole else peaks)
         if fails and (first is not None or not k):
             stopped = design.violation()
         if fails and first is not None:
@@ -639,7 +653,12 @@ def _lowest(
         good = bad = grid[-1]
     else:
         good, bad = grid[k - 1], grid[k]
-    found = _bisected(loops, family, constraints, good, bad, stopped, tolerance_hz, refine)
+    try:
+        found = _bisected(loops, family, constraints, good, bad, stopped, tolerance_hz, refine)
+    except _Unseen:
+        if careful:
+            raise
+        return _lowest(loops, family, constraints, low_hz, high_hz, tolerance_hz, refine, ratio, careful=True)
     return replace(found, lowest_hz=float(grid[first]))
 
 
@@ -666,8 +685,14 @@ class _Design:
     """A controller under the constraints, and what its loops have answered: a search asks more than once."""
 
     def __init__(
-        self, loops: Sequence[SearchLoop], controller, constraints: Sequence[PeakConstraint], refine: bool
+        self,
+        loops: Sequence[SearchLoop],
+        controller,
+        constraints: Sequence[PeakConstraint],
+        refine: bool,
+        near_poles: bool = True,
     ):
+        self.near_poles = near_poles and refine
         self.loops, self.controller, self.constraints, self.refine = loops, controller, constraints, refine
         if any(isinstance(loop, Loop) for loop in loops):
             require_kind("controller", controller, Pid)  # that of several axes has one each
@@ -691,9 +716,9 @@ class _Design:
         return omega, loop.at(self.controller, omega) if len(omega) else None
 
     def _look(self, number: int, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Magnitudes on the loop's grid, and around the closed-loop poles where peaks are refined."""
+        """Magnitudes on the loop's grid, and around the closed-loop poles with `near_poles`."""
         omega, magnitude = self.loops[number].omega, self._magnitude(number, name)
-        if not self.refine:
+        if not self.near_poles:
             return omega, magnitude
         more, response = self._near_poles(number)
         if not len(more):

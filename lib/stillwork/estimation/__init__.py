@@ -8,6 +8,7 @@ __all__, __getattr__, __dir__ = face(
         "adaptive": ("FeLms", "FeRls"),
         "bound_choice": ("choose_bound",),
         "coordinate_filters": ("ExtendedKalman", "LowPass", "UnscentedKalman"),
+        "covariance_enclosures": ("enclose_covariance",),
         "filtering": ("filter_signal",),
         "h2": ("H2Synthesis", "h2_riccati"),
         "matrix_inequalities": ("h2_lmi", "mixed_lmi"),
