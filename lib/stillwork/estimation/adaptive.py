@@ -21,6 +21,7 @@ from stillwork.base.checks import (
     require_choice,
     require_count,
     require_number,
+    require_room,
 )
 from stillwork.base.front_door import by_value, check_fields, checked, own_arrays
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
@@ -247,6 +248,7 @@ class FeRls:
                 f"initial_covariance has shape {initial.shape} for {counted(regressors, 'regressor')}; "
                 "give one value for each, or a single number"
             )
+        require_room("regressors", regressors, regressors)
         covariance = initial if initial.ndim == 2 else np.diag(np.broadcast_to(initial, regressors))
         covariance = (covariance + covariance.T) / 2
         dtype = np.dtype(self.dtype)
