@@ -107,7 +107,7 @@ class _ContentLocator(_CacheLocator):
         return locator
 
 
-def _folder() -> str:
+def _folder():
     """The user's folder for machine code, NUMBA_CACHE_DIR, with one in it for the kernels as they are; else ours."""
     return os.path.join(config.CACHE_DIR, code_digest()) if config.CACHE_DIR else cache_folder()
 
