@@ -112,7 +112,7 @@ def test_a_view_is_kept_in_the_address(front):
 def test_an_address_of_a_row_shows_it_whatever_the_filters_say(front, site):
     row = next(row for row, claim in BY_ID.items() if claim.verdict == "deviates")
     front.open((site / "ledger.html").as_uri() + f"?verdict=replicated#{row}")
-    WebDriverWait(front.driver, 5).until(lambda _: row in front.run(ROWS))
+    assert WebDriverWait(front.driver, 5).until(lambda _: row in front.run(ROWS))
 
 
 def test_rows_with_readings_tell_their_class(front):

@@ -36,7 +36,7 @@ def test_a_picture_enlarges_by_keyboard_and_closes_again(page):
 def test_the_pictures_button_closes_it(page):
     page.run("document.querySelector('a.zoom').click()")
     page.driver.find_element(By.CSS_SELECTOR, "dialog[open] button").click()
-    WebDriverWait(page.driver, 10).until(lambda _: not dialogs(page))
+    assert WebDriverWait(page.driver, 10).until(lambda _: not dialogs(page))
 
 
 def test_one_button_opens_and_closes_all_code(page):

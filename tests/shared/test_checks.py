@@ -18,6 +18,14 @@ from stillwork.base.checks import (
     require_finite_run,
     require_number,
 )
+from stillwork.estimation.adaptive import FeRls
+from stillwork.estimation.recursive import RecursiveStepper
+from stillwork.estimation.recursive_settings import LeastSquares
+from stillwork.estimation.windows import end_point_weights
+from stillwork.identification.regressors import arx_regressors, exponential_weights, fir_regressors
+from stillwork.lti.delays import delayed
+from stillwork.lti.peaks import resonance_grid
+from stillwork.lti.state_space import StateModel
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -163,3 +171,24 @@ def test_an_object_that_fails_when_asked_for_its_number_is_named():
 
     with pytest.raises(InputError, match=r"^gain\b"):
         require_number("gain", Broken())
+
+
+@pytest.mark.parametrize(
+    ("name", "ask"),
+    [
+        ("regressors", lambda: FeRls(1.0).start(30_000)),
+        ("unknowns", lambda: RecursiveStepper(LeastSquares(0.9), unknowns=30_000)),
+        ("taps", lambda: fir_regressors(np.ones(60), taps=30_000_000)),
+        (
+            "input_lags",
+            lambda: arx_regressors(np.ones(60), np.ones(60), output_lags=1, input_lags=30_000_000),
+        ),
+        ("rows", lambda: exponential_weights(10**12, 0.9)),
+        ("samples", lambda: end_point_weights(10**12, 2)),
+        ("samples", lambda: delayed(StateModel(np.eye(1), np.eye(1), np.eye(1), np.eye(1), 0.1), 30_000)),
+        ("around", lambda: resonance_grid(np.array([-1 + 9j]), 1.0, 2.0, points=9, around=10**12)),
+    ],
+)
+def test_a_request_that_cannot_end_is_refused_with_its_size(name, ask):
+    with pytest.raises(InputError, match=rf"^{name} asks for .* GB"):
+        ask()

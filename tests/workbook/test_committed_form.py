@@ -295,7 +295,9 @@ def test_without_git_a_notebook_is_saved_as_it_is(checkout):
 
 def test_the_library_alone_leaves_a_server_as_it_is(tmp_path, monkeypatch):
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
-    lab._load_jupyter_server_extension(SimpleNamespace())  # no contents manager to register with
+    server = SimpleNamespace()  # no contents manager to register with
+    lab._load_jupyter_server_extension(server)
+    assert vars(server) == {}
 
 
 def test_an_installed_checkout_names_the_extension_to_every_server(tmp_path, monkeypatch):

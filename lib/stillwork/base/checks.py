@@ -15,6 +15,7 @@ else:
     Converted = ArrayLike
 
 MOST_COUNT = 2**63 - 1  # numpy's own whole numbers hold no more
+MOST_BYTES = 4e9  # of an array that a count asks for; more of them are several of these
 MOST_SAMPLES = 1e8  # of what a duration and a sample time ask for; a slip of units asks for more
 
 
@@ -126,6 +127,16 @@ def require_samples(name: str, count: float) -> int:
     if not count <= MOST_SAMPLES:
         raise InputError(f"{name} asks for {count:.3g} samples; give at most {MOST_SAMPLES:g}, times in s")
     return round(count)
+
+
+def require_room(name: str, *shape: int) -> None:
+    """Raise `InputError` where the array of floats that `name` asks for is larger than any machine should try."""
+    size = 8 * math.prod(shape)
+    if size > MOST_BYTES:
+        wanted = " x ".join(map(str, shape))
+        raise InputError(
+            f"{name} asks for {wanted} numbers, {size / 1e9:.3g} GB; give so few that they take {MOST_BYTES / 1e9:g} GB"
+        )
 
 
 def require_whole(name: str, value) -> int:

@@ -113,14 +113,20 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
     return door
 
 
-def check_fields(instance) -> None:
-    """Hold the fields of a dataclass against their annotations; called first in its ``__post_init__``.
+def check_fields(instance, *, infinite: Collection[str] = ()) -> None:
+    """Hold the fields of a dataclass against their annotations, and keep what these say.
 
-    One that computes with its fields is `checked` itself.
+    It is called first in ``__post_init__``: an unsigned number that stays one counts below zero from the top. The
+    fields in `infinite` may be an infinity, which stands for no limit. What computes with its fields is `checked`
+    itself.
     """
     for name, check in checks_of(instance.__class__).items():
         value = getattr(instance, name)
-        if (fit := check(name, value)) is not value:
+        if name in infinite and isinstance(value, float | np.floating) and value == np.inf:
+            fit = float(value)
+        else:
+            fit = check(name, value)
+        if fit is not value:
             object.__setattr__(instance, name, fit)
     own_arrays(instance)
 

@@ -107,7 +107,7 @@ class _ContentLocator(_CacheLocator):
         return locator
 
 
-def _folder() -> str:
+def _folder():
     """The user's folder for machine code, NUMBA_CACHE_DIR, with one in it for the kernels as they are; else ours."""
     named = config.CACHE_DIR  # type: ignore[attr-defined]  # numba sets it from the environment
     return os.path.join(named, kernels_digest()) if named else cache_folder()

@@ -73,6 +73,7 @@ class PeakConstraint:
     limit: float = SIX_DB  # largest magnitude, above 1
 
     def __post_init__(self):
+        check_fields(self)
         require_choice("function", self.function, (*FUNCTIONS, *OTHER_ORDER))
         require_number("limit", self.limit, above=1.0)
 

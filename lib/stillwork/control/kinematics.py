@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import require_count, require_number
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 
 
 @by_value
@@ -48,6 +48,7 @@ class KinematicDesign:
     order: int = 2
 
     def __post_init__(self):
+        check_fields(self)
         require_number("exponent", self.exponent, above=0)
         require_count("integrals", self.integrals, at_least=0)
         require_count("order", self.order)

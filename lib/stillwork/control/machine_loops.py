@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import (
     FUNCTIONS,
@@ -58,6 +58,7 @@ class Intensities:
     drift: float
 
     def __post_init__(self):
+        check_fields(self)
         for name in ("disturbance", "sensor", "drift"):
             require_number(name, getattr(self, name), above=0.0)
 

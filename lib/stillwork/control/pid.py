@@ -21,6 +21,7 @@ class Notch:
     width: float = 0.1  # zeta_2; the thesis prints 0.2 = 2 zeta_2
 
     def __post_init__(self):
+        check_fields(self)
         require_number("omega", self.omega, above=0.0)
         require_number("depth", self.depth, at_least=0.0)
         require_number("width", self.width, above=0.0)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_number
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import pasted_kernel
 
 
@@ -47,6 +47,7 @@ class FlowTransformation:
     width: float = 3.0
 
     def __post_init__(self):
+        check_fields(self)
         if require_number("gain", self.gain) == 0:
             raise InputError("gain is 0, which never adapts; give a negative number")
         require_number("width", self.width, above=0)
@@ -74,6 +75,7 @@ class RobustTransformation:
     slope: float = 9e-2 / 4e7  # A_c, s^2/m
 
     def __post_init__(self):
+        check_fields(self)
         require_number("offset", self.offset, above=0)
         if require_number("factor", self.factor) == 0:
             raise InputError("factor is 0, which never adapts; give a negative number")

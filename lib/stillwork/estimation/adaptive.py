@@ -21,8 +21,9 @@ from stillwork.base.checks import (
     require_choice,
     require_count,
     require_number,
+    require_room,
 )
-from stillwork.base.front_door import by_value, checked, own_arrays
+from stillwork.base.front_door import by_value, check_fields, checked, own_arrays
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
@@ -78,6 +79,7 @@ class FeLms:
     trace: str = "regressors"
 
     def __post_init__(self):
+        check_fields(self)
         require_number("step_size", self.step_size, above=0.0)
         require_number("regularisation", self.regularisation, above=0.0)
         require_choice("trace", self.trace, ("regressors", "literal"))
@@ -190,8 +192,9 @@ class FeRls:
 
     @checked
     def __post_init__(self):
+        check_fields(self, infinite=("growth_limit",))
         require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
-        if not (isinstance(self.growth_limit, float) and self.growth_limit == np.inf):
+        if self.growth_limit != np.inf:
             require_number("growth_limit", self.growth_limit, at_least=1.0)
         require_choice("form", self.form, ("safe", *FORMS))
         require_choice("dtype", self.dtype, ("float64", "float32"))
@@ -245,6 +248,7 @@ class FeRls:
                 f"initial_covariance has shape {initial.shape} for {counted(regressors, 'regressor')}; "
                 "give one value for each, or a single number"
             )
+        require_room("regressors", regressors, regressors)
         covariance = initial if initial.ndim == 2 else np.diag(np.broadcast_to(initial, regressors))
         covariance = (covariance + covariance.T) / 2
         dtype = np.dtype(self.dtype)

@@ -47,6 +47,7 @@ class MovingWindow:
     error_from_measurement = True  # which position the controller compares with the nominal one
 
     def __post_init__(self):
+        check_fields(self)
         require_count("length", self.length)
 
     @checked
@@ -85,6 +86,7 @@ class LowPass:
     error_from_measurement = True
 
     def __post_init__(self):
+        check_fields(self)
         require_number("bandwidth", self.bandwidth, above=0)
 
     @checked
@@ -115,6 +117,7 @@ class SavitzkyGolay:
     error_from_measurement = True
 
     def __post_init__(self):
+        check_fields(self)
         require_count("degree", self.degree, at_least=2)
         require_count("samples", self.samples, at_least=self.degree + 1)
         require_number("sample_time", self.sample_time, above=0)

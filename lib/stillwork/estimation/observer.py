@@ -44,6 +44,7 @@ class NoiseIntensities:
     sensor: float  # R, m^2
 
     def __post_init__(self):
+        check_fields(self)
         require_number("process", self.process, above=0.0)
         require_number("sensor", self.sensor, above=0.0)
 

@@ -6,7 +6,15 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, counted, require_array, require_count, require_number, shown
+from stillwork.base.checks import (
+    InputError,
+    counted,
+    require_array,
+    require_count,
+    require_number,
+    require_room,
+    shown,
+)
 from stillwork.base.front_door import checked
 from stillwork.estimation import recursive_kernels
 from stillwork.estimation.min_max import ZeroEstimateWarning
@@ -175,6 +183,7 @@ class RecursiveStepper:
             )
         self._estimator = estimator
         self._unknowns = require_count("unknowns", unknowns)
+        require_room("unknowns", unknowns, unknowns)
         self.samples = 0
         self._excited = self._warned = False
         self._lay_out(estimator.start(self._unknowns))

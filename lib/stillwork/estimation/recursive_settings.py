@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
-from stillwork.base.front_door import by_value
+from stillwork.base.front_door import by_value, check_fields
 from stillwork.estimation import rank_one
 from stillwork.estimation.recursive_kernels import known_length, run_least_squares, run_min_max, run_ridge
 
@@ -229,6 +229,7 @@ class MinMax(_MinMaxUpdate):
     iterations: int = 1
 
     def __post_init__(self):
+        check_fields(self)
         require_number("bound", self.bound, at_least=0.0)
         require_number("forgetting", self.forgetting, above=0.0, below=1.0)
         self._check()
@@ -271,6 +272,7 @@ class GrowingMinMax(_MinMaxUpdate):
     iterations: int = 1
 
     def __post_init__(self):
+        check_fields(self)
         require_number("row_bound", self.row_bound, at_least=0.0)
         self._check()
 
@@ -318,10 +320,11 @@ class LeastSquares(_Recursion):
     growth_limit: float = 1e6
 
     def __post_init__(self):
+        check_fields(self, infinite=("growth_limit",))
         require_number("forgetting", self.forgetting, above=0.0, below=1.0)
         if self.initial_covariance is not None:
             require_number("initial_covariance", self.initial_covariance, above=0.0)
-        if not (isinstance(self.growth_limit, float) and self.growth_limit == np.inf):
+        if self.growth_limit != np.inf:
             require_number("growth_limit", self.growth_limit, at_least=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
@@ -388,6 +391,7 @@ class Ridge(_Recursion):
     forgetting: float  # lambda, between 0 and 1
 
     def __post_init__(self):
+        check_fields(self)
         require_number("penalty", self.penalty, above=0.0)
         require_number("forgetting", self.forgetting, above=0.0, below=1.0)
 

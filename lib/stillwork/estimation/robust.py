@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from jaxtyping import Float64
 
 from stillwork.base.algebra import (
     add_scaled,
@@ -41,10 +41,10 @@ class NormBound:
     Every array has the samples first; without that axis it stands for all of them.
     """
 
-    m: ArrayLike  # (samples, outputs, directions), m
-    e_a: ArrayLike  # (samples, rows, states)
-    e_b: ArrayLike  # (samples, rows, inputs)
-    e_g: ArrayLike  # (samples, rows, disturbances)
+    m: Float64[np.ndarray, "..."]  # (samples, outputs, directions), m
+    e_a: Float64[np.ndarray, "..."]  # (samples, rows, states)
+    e_b: Float64[np.ndarray, "..."]  # (samples, rows, inputs)
+    e_g: Float64[np.ndarray, "..."]  # (samples, rows, disturbances)
 
     def __post_init__(self):
         check_fields(self)
@@ -55,10 +55,10 @@ class NormBound:
 class Derivatives:
     """Derivatives of A, B, G and C by every uncertain parameter, (5.22) and after."""
 
-    a: ArrayLike  # (parameters, states, states)
-    b: ArrayLike  # (parameters, states, inputs)
-    g: ArrayLike  # (parameters, states, disturbances)
-    c: ArrayLike  # (samples, parameters, outputs, states)
+    a: Float64[np.ndarray, "_ _ _"]  # (parameters, states, states)
+    b: Float64[np.ndarray, "_ _ _"]  # (parameters, states, inputs)
+    g: Float64[np.ndarray, "_ _ _"]  # (parameters, states, disturbances)
+    c: Float64[np.ndarray, "_ _ _ _"]  # (samples, parameters, outputs, states)
 
     def __post_init__(self):
         check_fields(self)

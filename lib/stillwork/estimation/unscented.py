@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from stillwork.base.algebra import cholesky_root, copy_matrix
 from stillwork.base.checks import require_number
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import borrowing_kernel, pasted_kernel
 from stillwork.estimation.gaussian import (
     COVARIANCE,
@@ -42,6 +42,7 @@ class SigmaPoints:
     kappa: float = 0.0
 
     def __post_init__(self):
+        check_fields(self)
         require_number("alpha", self.alpha, above=0)
         require_number("beta", self.beta)
         require_number("kappa", self.kappa, above=-1)

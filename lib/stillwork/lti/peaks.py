@@ -14,6 +14,7 @@ from stillwork.base.checks import (
     require_count,
     require_number,
     require_one_each,
+    require_room,
 )
 from stillwork.base.front_door import checked
 
@@ -59,6 +60,8 @@ def resonance_grid(
     centre, poles = centre[centre > 0], poles[first[centre > 0]]
     width = np.maximum(np.abs(poles.real), 1e-7 * centre)
     reach = np.arcsinh(0.5 * centre / width)
+    require_room("points", points)
+    require_room("around", len(centre), 2 * around + 1)
     steps = np.linspace(-1, 1, 2 * around + 1) if around else np.zeros(0)
     offsets = width[:, None] * np.sinh(reach[:, None] * steps)
     low, high = 2 * np.pi * low_hz, 2 * np.pi * high_hz

@@ -1,0 +1,104 @@
+"""Every model keeps Python's numbers and arrays of its annotations, whatever types of number it was given."""
+
+import inspect
+import json
+import subprocess
+import sys
+import typing
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+NUMBERS = (np.int8, np.int16, np.int64, np.uint8, np.uint16, np.uint64, np.float32, np.float64, np.longdouble)
+KINDS = (int, float)
+
+
+def instances() -> dict[str, object]:
+    """One of each class whose values a caller gives, out of the good calls of the fuzzing."""
+    sys.path.append(str(BENCHMARKS))
+    from fuzzing.calls import catalogue
+
+    found: dict[str, object] = {}
+
+    def add(value) -> None:
+        if isinstance(value, tuple | list):
+            for each in value:
+                add(each)
+        elif is_dataclass(value) and not inspect.isclass(value) and hasattr(value, "__post_init__"):
+            found.setdefault(f"{type(value).__module__}.{type(value).__name__}", value)
+            for field in fields(value):
+                add(getattr(value, field.name))
+
+    for function, good in catalogue().values():
+        add(getattr(function, "__self__", None))
+        add(list(good.values()))
+        if inspect.isclass(function) and is_dataclass(function):
+            add(function(**good))
+    return {name: each for name, each in found.items() if name.startswith("stillwork.")}
+
+
+def kept_otherwise(model) -> list[str]:
+    """Fields that hold another type than the annotation says, and what they were given."""
+    found = []
+    hints = typing.get_type_hints(type(model))
+    for field in fields(model):
+        value, hint = getattr(model, field.name), hints[field.name]
+        kinds = [kind for kind in (hint, *typing.get_args(hint)) if kind in KINDS]
+        if kinds and type(value) in KINDS:
+            for number in NUMBERS:
+                with np.errstate(all="ignore"):
+                    given = np.array(value).astype(number)[()]
+                if float(given) != value or (kinds == [int] and given.dtype.kind == "f"):
+                    continue
+                kept = getattr(replace(model, **{field.name: given}), field.name)
+                if type(kept) not in kinds or kept != value:
+                    found.append(f"{field.name} = {number.__name__}: {type(kept).__name__}")
+        elif isinstance(value, np.ndarray) and value.dtype == float and field.init:
+            single = value.astype(np.float32)
+            for given in (single, value.tolist(), np.asfortranarray(value)):
+                if np.array_equal(given, value):
+                    kept = getattr(replace(model, **{field.name: given}), field.name)
+                    good = isinstance(kept, np.ndarray) and kept.dtype == float and kept.flags.carray
+                    if not good or not np.array_equal(kept, value):
+                        found.append(f"{field.name}: {type(kept).__name__}")
+    return found
+
+
+def windows_differ(whole: type) -> list[str]:
+    """Which window filters and designs give something else for a whole number of another type."""
+    from stillwork.control.kinematics import KinematicDesign
+    from stillwork.estimation.coordinate_filters import MovingWindow, SavitzkyGolay
+    from stillwork.estimation.filtering import filter_signal
+
+    position = 0.25 + 5.0 * 1e-3 * np.arange(40)
+    pairs = (
+        (filter_signal(MovingWindow(whole(15)), position), filter_signal(MovingWindow(15), position)),
+        (
+            filter_signal(SavitzkyGolay(whole(15), whole(2)), position),
+            filter_signal(SavitzkyGolay(15, 2), position),
+        ),
+    )
+    found = [type(one).__name__ for one, other in pairs if one != other]
+    gains = KinematicDesign(10.0, order=whole(2), integrals=whole(1)).gains
+    return found if np.array_equal(gains, KinematicDesign(10.0).gains) else [*found, "KinematicDesign"]
+
+
+@pytest.mark.slow
+def test_every_model_keeps_what_its_annotations_say():
+    """In a process of its own: here the tests' type checker would answer first."""
+    done = subprocess.run([sys.executable, __file__], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    models, kept, windows = json.loads(done.stdout)
+    assert models > 30
+    assert kept == {}
+    assert windows == {}
+
+
+if __name__ == "__main__":
+    models = instances()
+    kept = {name: found for name, model in models.items() if (found := kept_otherwise(model))}
+    differ = {whole.__name__: found for whole in NUMBERS[:6] if (found := windows_differ(whole))}
+    print(json.dumps([len(models), kept, differ]))
