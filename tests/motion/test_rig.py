@@ -23,7 +23,7 @@ from experiments.motion.rig_designs import observer_model, published_settings, r
 from experiments.motion.rig_loops import (
     MEASURES,
     RigLoop,
-    _Stage,
+    Stage,
     make_rig_loop,
     maximise_rig_bandwidth,
     sampled_controller,
@@ -325,7 +325,7 @@ def test_search_on_a_coarse_grid_finds_the_peaks_between_its_points(loops):
 def test_a_stage_knows_what_its_loop_answers(loops):
     """On a grid that has gained points too, to the last bit: a search must not depend on what it asked before."""
     family, loop = rig_controllers(GEOMETRY.edge_masses), loops["MC and AD"][0]
-    before = _Stage(loop)
+    before = Stage(loop)
     designs = [family(hertz, 1.2 * hertz) for hertz in (5.0, 10.0, 12.0)]
     for pids in designs[:2]:
         before.at(pids)

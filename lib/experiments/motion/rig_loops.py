@@ -256,7 +256,7 @@ def maximise_rig_bandwidth(
 
     All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
     """
-    stages = [_Stage(replace(loop, measure=require_choice("measure", measure, MEASURES))) for loop in loops]
+    stages = [Stage(replace(loop, measure=require_choice("measure", measure, MEASURES))) for loop in loops]
     family = cache(family)
 
     def raised(along: Callable[[float], tuple[Pid, ...]], start: float) -> Bandwidth:
@@ -298,14 +298,14 @@ def maximise_rig_bandwidth(
     )
 
 
-class _Stage:
+class Stage:
     """A loop as the search above needs it, which asks it for the same thing again and again.
 
     A stage begins where the one before ended, and the first of a round goes through the same designs on a grid that
     has gained points: the others are known. No grid moves a pole. Crossings are those of the final design alone.
     """
 
-    def __init__(self, loop: RigLoop, before: "_Stage | None" = None):
+    def __init__(self, loop: RigLoop, before: "Stage | None" = None):
         self.loop, self.omega, self.within = loop, loop.omega, loop.within
         self.poles = before.poles if before else cache(loop.poles)
         self._known: dict[tuple[Pid, ...], Sizes] = {}
@@ -331,9 +331,9 @@ class _Stage:
     def crossing_hz(self, pids: tuple[Pid, ...]) -> np.ndarray:
         return np.zeros(len(pids))
 
-    def denser(self, pids: tuple[Pid, ...]) -> "_Stage":
+    def denser(self, pids: tuple[Pid, ...]) -> "Stage":
         loop = self.loop.denser(self.at(pids))
-        return self if loop is self.loop else _Stage(loop, self)
+        return self if loop is self.loop else Stage(loop, self)
 
 
 @kernel

@@ -162,7 +162,8 @@ def shown(value) -> str:
         text = repr(value)
     except Exception:  # a reader's own object, or an int of more digits than Python writes
         return f"a {type(value).__name__} that cannot be shown"
-    return one_line(text if len(text) <= 80 else f"{text[:77]}...")
+    # both ends: of a path the last part tells most
+    return one_line(text if len(text) <= 80 else f"{text[:37]}...{text[-40:]}")
 
 
 def require_array(

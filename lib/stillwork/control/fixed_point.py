@@ -252,16 +252,19 @@ class IntegrationWarning(UserWarning):
     """A plant that is moved by one Euler step a sample is not the plant."""
 
 
-def warn_long_steps(plant: Plant, start, sample_time: float) -> None:
+@checked
+def warn_long_steps(plant: Plant, start: ArrayLike, sample_time: float) -> None:
     """Warn where an Euler step a sample is too long for the free motion of a plant around its start."""
-    by_position, by_velocity, _ = partial_derivatives(plant, float(start[0]), float(start[1]), 0.0)
+    position, velocity = require_array("start", start, shape=(2,))
+    require_number("sample_time", sample_time, above=0.0)
+    by_position, by_velocity, _ = partial_derivatives(plant, float(position), float(velocity), 0.0)
     turn = max(abs(by_position) ** 0.5, abs(by_velocity)) * sample_time
     if turn >= LONGEST_TURN:
         warnings.warn(
             f"integration by one Euler step a sample is too coarse: the plant's free motion turns or decays by {turn:.2g} "
             "rad in a sample; use integration='exact'",
             IntegrationWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 

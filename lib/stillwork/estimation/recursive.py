@@ -74,7 +74,7 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
             stacklevel=3,
         )
     if track.held.any():
-        warn_held(np.flatnonzero(track.held), stacklevel=4)
+        warn_held(np.flatnonzero(track.held), stacklevel=5)
     return track
 
 
@@ -82,10 +82,12 @@ class GrowthLimitWarning(UserWarning):
     """A guard against wind-up acts at the end: what it holds down is not excited, or follows slowly."""
 
 
-def warn_held(unknowns, stacklevel: int) -> None:
-    """Warn that `growth_limit` holds the variance of these unknowns down."""
+@checked
+def warn_held(unknowns: ArrayLike, stacklevel: int) -> None:
+    """Warn that `growth_limit` holds the variance of these unknowns, by number, down."""
+    numbers = ", ".join(f"{unknown:g}" for unknown in require_array("unknowns", unknowns, ndim=1))
     warnings.warn(
-        f"growth_limit holds the variance of unknown {', '.join(map(str, unknowns))} down at the last sample: nothing "
+        f"growth_limit holds the variance of unknown {numbers} down at the last sample: nothing "
         "excites it, or its regressor has become much smaller and its estimate follows slowly; excite it, leave it "
         "out, or give a larger growth_limit",
         GrowthLimitWarning,

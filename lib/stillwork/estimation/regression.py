@@ -579,7 +579,7 @@ class RecursiveLeastSquares(_WeightedRegressor):
         """
         super().fit(X, y, sample_weight)
         if (self.held_ > 0.5).any():
-            warn_held(np.flatnonzero(self.held_ > 0.5), stacklevel=3)
+            warn_held(np.flatnonzero(self.held_ > 0.5), stacklevel=4)
         return self
 
     @property

@@ -19,7 +19,7 @@ from stillwork.base.checks import InputError, require_array, require_flag
 from stillwork.base.front_door import by_value, checked
 from stillwork.lti.discretisation import continuous_poles
 from stillwork.lti.peaks import refine_peak, resonance_grid
-from stillwork.lti.state_space import StateModel, _coupled
+from stillwork.lti.state_space import StateModel, coupled_states
 
 WIDTH = 1e-8  # relative, to either side of an estimate
 STEPS = 8.0  # factor by which a bound moves away from an estimate that it does not enclose
@@ -202,7 +202,7 @@ def in_z(model: StateModel) -> tuple[list[list[Polynomial]], Polynomial]:
     (b_int, b_up), (c_int, c_up) = _exact(model.b, scale[:, None], -1), _exact(model.c, scale, 1)
     n = len(a)
     characteristic: Polynomial = [1]
-    for part in _coupled(a) if n else ():
+    for part in coupled_states(a) if n else ():
         characteristic = multiply(characteristic, _characteristic(a_int[np.ix_(part, part)]))
     markov, driven = [], b_int
     for _ in range(n):

@@ -157,9 +157,8 @@ class StateModel:
         scale, a, _, _ = self._decomposed
         b, c = self.b / scale[:, None], self.c * scale
         solved = np.zeros((len(omega), *b.shape), complex)
-        for (
-            part
-        ) in self._coupled:  # each drives only later ones: a line of delays is as many as it has samples
+        # Each part drives only later ones: a line of delays is as many as it has samples.
+        for part in self._coupled:
             shifted = point[:, None, None] * np.eye(len(part)) - a[np.ix_(part, part)]
             solved[:, part] = np.linalg.solve(shifted, b[part] + a[part] @ solved)
         return response + np.moveaxis(c @ solved, 0, -1)
@@ -167,8 +166,7 @@ class StateModel:
     @cached_property  # a peak between grid points is asked for again and again
     def _coupled(self) -> list[np.ndarray]:
         """States that drive each other, as parts of the whole in an order in which a part is driven by earlier ones alone."""
-        count, label = csgraph.connected_components(self._decomposed[1] != 0, connection="strong")
-        return [np.flatnonzero(label == part) for part in range(count)]
+        return coupled_states(self._decomposed[1])
 
     @property
     def _decomposed(self):
@@ -242,6 +240,13 @@ def _decomposition(a: bytes, states: int) -> tuple[np.ndarray, np.ndarray, np.nd
 
 def _matrix(a: bytes, states: int) -> Float64[np.ndarray, "states states"]:
     return np.frombuffer(a).reshape(states, states)
+
+
+@checked
+def coupled_states(a: Float64[np.ndarray, "states states"]) -> list[np.ndarray]:
+    """States that drive each other by A, as parts of the whole, each driven by itself and by parts before it alone."""
+    count, label = csgraph.connected_components(a != 0, connection="strong")
+    return [np.flatnonzero(label == part) for part in range(count)]
 
 
 @checked
