@@ -53,7 +53,10 @@ class TrueMachine:
         """A, b, c of the exact zero-order hold: the force of a period arrives late by the delay."""
         whole = int(np.floor(self.delay / sample_time + 1e-9))
         part = max(self.delay - whole * sample_time, 0.0)
-        rates = [(0.0, self.friction), *((w * w, 2 * z * w) for w, z in zip(self.frequencies, self.damping, strict=True))]
+        rates = [
+            (0.0, self.friction),
+            *((w * w, 2 * z * w) for w, z in zip(self.frequencies, self.damping, strict=True)),
+        ]
         gains = np.append(1.0, self.shares) / self.mass
         n = 2 * len(rates)
         a, old, new, c = np.zeros((n, n)), np.zeros(n), np.zeros(n), np.zeros(n)
@@ -157,7 +160,10 @@ def judge(machine: TrueMachine, controller, sample_time: float) -> tuple[float, 
     radius = float(np.abs(linalg.eigvals(loop)).max())
     poles = np.angle(np.concatenate([linalg.eigvals(a), linalg.eigvals(loop)])) / sample_time
     near = np.concatenate([machine.frequencies, np.abs(poles)])[:, None]
-    omega = [np.geomspace(1, 0.999 * np.pi / sample_time, 800), (near * (1 + np.linspace(-0.02, 0.02, 41))).ravel()]
+    omega = [
+        np.geomspace(1, 0.999 * np.pi / sample_time, 800),
+        (near * (1 + np.linspace(-0.02, 0.02, 41))).ravel(),
+    ]
     omega = np.concatenate(omega)
     omega = np.unique(omega[(omega > 1) & (omega < np.pi / sample_time)])
     for _ in range(2):  # once more, finer, about the highest peaks
@@ -166,7 +172,9 @@ def judge(machine: TrueMachine, controller, sample_time: float) -> tuple[float, 
         k_r, k_y = response(a, b, c, d, z)
         sizes = np.abs([1 / (1 - k_y * p), 1 - k_r * p / (1 - k_y * p)])
         peaks = omega[np.argsort(sizes.max(axis=0))[-8:]]
-        omega = np.unique(np.concatenate([peaks, *(each * (1 + np.linspace(-2e-3, 2e-3, 41)) for each in peaks)]))
+        omega = np.unique(
+            np.concatenate([peaks, *(each * (1 + np.linspace(-2e-3, 2e-3, 41)) for each in peaks)])
+        )
         omega = omega[omega < np.pi / sample_time]
         best = sizes.max(axis=1) if _ == 0 else np.maximum(best, sizes.max(axis=1))
     return (*(float(each) for each in 20 * np.log10(best)), radius)
@@ -177,7 +185,9 @@ def response(a, b, c, d, z):
     h, q = linalg.hessenberg(a, calc_q=True)
     left, right = c @ q, q.T @ b
     # Balanced solves of all frequencies at once: these are small matrices.
-    solved = np.linalg.solve(z[:, None, None] * np.eye(len(a)) - h, np.broadcast_to(right, (len(z), *right.shape)))
+    solved = np.linalg.solve(
+        z[:, None, None] * np.eye(len(a)) - h, np.broadcast_to(right, (len(z), *right.shape))
+    )
     return (left @ solved)[:, 0].T + d.T
 
 
@@ -204,9 +214,11 @@ def worst(machine: TrueMachine, controller, box: dict, sample_time: float, rng, 
     """Largest peaks (dB) and pole over corners, draws and a search from the worst of them."""
     size = 3 * len(machine.frequencies) + 3
     at = lambda place: np.array(judge(moved(machine, box, place), controller, sample_time))  # noqa: E731
-    best, radius, start, names = at(np.zeros(size)), 0.0, np.zeros(size), ("frequency", "residue", "damping")
+    best, start, names = at(np.zeros(size)), np.zeros(size), ("frequency", "residue", "damping")
     used = [bool(np.any(box.get(name, 0.0))) for name in names]
-    used = np.append(np.repeat(used, len(machine.frequencies)), [bool(box.get(name)) for name in ("gain", "mass", "delay")])
+    used = np.append(
+        np.repeat(used, len(machine.frequencies)), [bool(box.get(name)) for name in ("gain", "mass", "delay")]
+    )
     top, whole = best[:2].max(), best
     for draw in range(draws):
         place = rng.choice([-1.0, 0.0, 1.0], size) if draw % 2 else rng.uniform(-1, 1, size)
@@ -247,7 +259,11 @@ def main(first: int = 0, last: int = 50, draws: int = DRAWS) -> None:
         machine = draw_machine(rng, 1 / rate, 0.45 * rate)
         measured = bool(rng.integers(2))
         noise = 10 ** rng.uniform(-4, -2)
-        own = min(int(rng.integers(0, 2)), int(machine.delay * rate + 1e-9)) if measured else machine.delay * rate
+        own = (
+            min(int(rng.integers(0, 2)), int(machine.delay * rate + 1e-9))
+            if measured
+            else machine.delay * rate
+        )
         start = time.process_time()
         with tempfile.TemporaryDirectory() as folder:
             file, out = Path(folder) / "machine.npz", Path(folder) / "out"
@@ -279,8 +295,10 @@ def main(first: int = 0, last: int = 50, draws: int = DRAWS) -> None:
             f"S {found[0]:.2f} dB, r to e {found[1]:.2f} dB, poles {found[2]:.6f}; {spent[-1]:.0f} s",
             flush=True,
         )
-    print(f"{last - first} machines, {sum(refused.values())} refused, {len(above)} above {LIMIT_DB} dB {above}, "
-          f"{len(unstable)} unstable {unstable}; {np.mean(spent or [0]):.1f} s of CPU each, at most {max(spent or [0]):.0f} s")
+    print(
+        f"{last - first} machines, {sum(refused.values())} refused, {len(above)} above {LIMIT_DB} dB {above}, "
+        f"{len(unstable)} unstable {unstable}; {np.mean(spent or [0]):.1f} s of CPU each, at most {max(spent or [0]):.0f} s"
+    )
     for reason, count in refused.most_common():
         print(f"  {count} refused: {reason}")
 

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
-from stillwork.control.digital import load_controller
+from stillwork.control.digital import from_biquads, load_controller
 from stillwork.control.machine_loops import Intensities, applications, pid_family, reach
 from stillwork.control.machine_tuning import DesignSettings, varied
 from stillwork.designing import ADDED_DAMPING, INTENSITIES, SELECTIVITY, design_file
@@ -24,6 +25,7 @@ from stillwork.lti.modal import ModalModel, modal_model
 
 TEMPLATES = paths.data("motion", "your_machine")
 RATE = 1e4
+BOX = {"frequency": 0.05, "gain": 0.05}
 MASS = np.diag([30.0, 10.0])
 STIFFNESS = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]])
 PAIR = modal_model(MASS, STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005)
@@ -49,13 +51,48 @@ def test_it_writes_all_of_it(written):
     assert (
         len(held["provenance"]["sha256"]) == 64
         and held["gains"]["gain"] > 0
-        and len(held["biquads_of_the_pid"]) == 2
+        and held["biquads"]["relative_error"] < 1e-9
     )
     page = (folder / "report.html").read_text()
     assert "&lt;pair&gt;.npz" in page and "<pair>" not in page and page.count("data:image/png;base64,") == 2
     assert not re.search(r"(src|href)=\"http|<script", page)
     assert said[0].endswith("40 kg; first resonance at 225.1 Hz") and said[-3].startswith("taken: ")
-    assert held["provenance"]["doubt_of_the_resonances"] == 0.05
+    assert held["provenance"]["uncertainty"] == {
+        "frequency": [0.0, 0.05], "residue": [0.0, 0.0], "damping": [0.0, 0.0], "gain": 0.05, "mass": 0.0, "delay": 0.0
+    }  # fmt: skip
+    assert "resonances" in said[-3] and "± 5 %" in said[-3]
+
+
+@pytest.mark.slow
+def test_the_biquads_are_the_whole_controller(written):
+    """By SciPy alone: as sections of r - y and of r they move as the matrices do, and hold the machine by themselves."""
+    held = json.loads((written[0] / "controller.json").read_text())
+    space, sections = held["state_space"], held["biquads"]
+    a, b, c, d = (np.array(space[name]) for name in "abcd")
+    a, b, d = a + b[:, 2:] @ c, b[:, :2] + b[:, 2:] @ d[:, :2], d[:, :2]  # it is told its own force
+    z = np.exp(1j * np.geomspace(1e-3, 3.1, 200))
+    k_r, k_y = np.array([(c @ np.linalg.solve(each * np.eye(len(a)) - a, b) + d)[0] for each in z]).T
+    feedback = signal.sosfreqz(sections["feedback"], np.angle(z))[1]
+    assert feedback == pytest.approx(-k_y, rel=1e-8)
+    added = signal.sosfreqz(sections["reference"], np.angle(z))[1] if sections["reference"] else 0.0
+    assert np.abs(feedback + added - k_r).max() < 1e-8 * np.abs(k_r).max()
+    assert held["provenance"]["use"] == "PID" or sections["reference"]
+    top, bottom = signal.sos2tf(sections["feedback"])
+    late = modal_model(MASS, STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005).state_space()
+    a, b, c, d, _ = signal.cont2discrete((late.a, late.b, late.c, late.d), 1 / RATE)
+    plant = signal.StateSpace(
+        np.block([[a, b], [np.zeros((1, 5))]]),
+        np.eye(5)[:, 4:],
+        np.append(c, [[0.0]], axis=1),
+        [[0.0]],
+        dt=1 / RATE,
+    )
+    cascade = from_biquads(sections["feedback"], 1 / RATE)
+    loop = np.block([
+        [plant.A - plant.B @ cascade.d @ plant.C, plant.B @ cascade.c],
+        [-cascade.b @ plant.C, cascade.a],
+    ])  # fmt: skip
+    assert np.abs(np.linalg.eigvals(loop)).max() < 1 and len(top) == len(bottom)
 
 
 @pytest.mark.slow
@@ -92,10 +129,10 @@ def test_what_would_help_is_what_it_would_give(written, tmp_path):
     use = {"": held["application"] and Application(**held["application"])}
     own = {each: held[each] for each in ("retained", "notches", "lead")}
     own["intensities"] = Intensities(**held["intensities"])
-    found = reach(machine, use, sample_time=1 / RATE, delay=1, doubt=0.05, **own)[""].on_model
+    found = reach(machine, use, sample_time=1 / RATE, delay=1, uncertainty=BOX, **own)[""].on_model
     assert f"{found.crossing_hz[0]:.1f}" == hertz
     page = (folder / "report.html").read_text()
-    assert f"<td>{words}</td><td>{hertz}</td>" in page and "with resonances moved (dB)" in page
+    assert f"<td>{words}</td><td>{hertz}</td>" in page and "at the worst places of the box (dB)" in page
 
 
 @pytest.mark.slow
@@ -106,7 +143,13 @@ def test_settings_are_varied_and_never_for_less(written):
     gained = []
     for name in ("PID", "MC"):
         application = applications(ADDED_DAMPING, SELECTIVITY)[name]
-        how = {"retained": 5, "intensities": INTENSITIES, "sample_time": 1 / RATE, "delay": 1, "doubt": 0.05}
+        how = {
+            "retained": 5,
+            "intensities": INTENSITIES,
+            "sample_time": 1 / RATE,
+            "delay": 1,
+            "uncertainty": BOX,
+        }
         first = reach(machine, {name: application}, **how)[name].on_model
         found = float(re.search(r"on the model \(Hz\) ([0-9.]+)", said[name])[1])
         gained.append(found / first.crossing_hz[0])
@@ -182,13 +225,13 @@ def test_the_c_moves_the_machine_and_lets_go_of_its_limit(written, tmp_path):
 
 @pytest.mark.slow
 def test_a_late_measurement_is_designed_for_and_each_sensor_gets_its_controller(tmp_path, capsys):
-    """The template 150 us late, two samples: six decibels hold on what was measured, by the loop's own equation."""
+    """The template 150 us late, one sample and a half: six decibels hold on what was measured, by the loop's own equation."""
     hertz, size, phase = np.loadtxt(TEMPLATES / "frequency_response.csv", delimiter=",", skiprows=2).T
     measured = size * np.exp(1j * np.radians(phase) - 2j * np.pi * hertz * 1.5e-4)
     np.savez(tmp_path / "late.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": measured})
     out = tmp_path / "out"
     arguments = ["--rate", "10000", "--out", str(out), "--mirrored-sensor", "--precision", "single"]
-    arguments += ["--name", "axis", "--delay", "0", "--doubt", "0"]
+    arguments += ["--name", "axis", "--delay", "0", "--uncertainty", "none"]
     assert main(["design", str(tmp_path / "late.npz"), *arguments]) == 0
     said = capsys.readouterr().out
     assert "on the measurement (Hz)" in said and "taken: " in said and "the response is 150 us late" in said
@@ -196,7 +239,7 @@ def test_a_late_measurement_is_designed_for_and_each_sensor_gets_its_controller(
     assert "typedef float axis_1_real;" in (out / "axis_1.h").read_text()
     assert "on the measurement (dB)" in (out / "report.html").read_text()
     held = json.loads((out / "axis_1.json").read_text())
-    assert held["provenance"]["delay_samples_of_the_loop"] == 2
+    assert held["provenance"]["delay_samples_of_the_loop"] == pytest.approx(1.5, abs=0.01)
     turn = 2j * np.pi * hertz / RATE
     plant = -measured / (2 * np.pi * hertz) ** 2 * -np.expm1(-turn) / turn
     k_r, k_y = load_controller(out / "axis_1.json").linear.frequency_response(2 * np.pi * hertz)[0]
@@ -242,7 +285,9 @@ def test_a_folder_with_something_in_it_is_refused_first(tmp_path):
         ({"limit": -5.0}, "limit is -5; give a finite number above 0"),
         ({"limit": float("nan")}, "limit is nan"),
         ({"delay": -1}, "delay is -1"),
-        ({"doubt": 1.0}, "doubt is 1"),
+        ({"uncertainty": "gain=1"}, "uncertainty: gain is 1"),
+        ({"uncertainty": "gain"}, "uncertainty holds 'gain'"),
+        ({"uncertainty": {"colour": 0.1}}, "uncertainty is 'colour'"),
     ],
 )
 def test_settings_are_asked_before_anything_is_computed(tmp_path, change, message):

@@ -37,7 +37,7 @@ NO_SOURCE = {
     ),
     "found for this toolbox": (
         *("lti.resonance_grid", "identification.coloured_noise_bound", "control.asin_trajectory"),
-        "control.worst_factors",
+        "control.worst_place",
     ),
 }
 OUR_OWN = {face for faces in NO_SOURCE.values() for face in faces}

@@ -16,11 +16,11 @@ __all__, __getattr__, __dir__ = face(
         "fixed_point_mechanism": ("simulate_mechanism",),
         "kinematics": ("KinematicDesign",),
         "loops": ("closed_loop",),
-        "moved_resonances": ("worst_factors",),
         "mechanism": ("Mechanism",),
         "pid": ("PidFamily",),
         "setpoint": ("point_to_point",),
         "trajectory": ("asin_trajectory",),
         "transformation": ("FlowTransformation",),
+        "uncertainty": ("Uncertainty", "worst_place"),
     },
 )

@@ -194,7 +194,10 @@ class ModalFit:
     mass_deviation: float  # relative
     turned: bool  # whether the response is counted against the force
     diagram: Stabilisation  # where the modes were looked for
+    # relative, of each mode's part of the response
+    residue_deviation: Float64[np.ndarray, " modes"] = field(default_factory=lambda: np.zeros(0))
     delay: float = 0.0  # s, by which the response is late; the model is without
+    delay_deviation: float = 0.0  # s, whether or not a delay was found
     # rad/s, resonances beyond the band
     cut: Float64[np.ndarray, " cut"] = field(default_factory=lambda: np.zeros(0))
 
@@ -521,6 +524,10 @@ class _Accelerance:
             gains[0] -= line @ residual[below] / (line @ line)
         jacobian = np.hstack([linear, moving * np.tile(gains[FIXED:], 2)])
         spread = _spread(jacobian, linear @ gains - self.goal)
+        # What a delay would add is a part of no other number's error: the model is without.
+        seen = linear @ gains
+        lag = -1j * self.omega * (seen[: len(self.omega)] + 1j * seen[len(self.omega) :])
+        late = float(_spread(np.column_stack([jacobian, _stacked(lag)]), seen - self.goal)[-1])
         # The model has no growth of the compliance and no mode beyond the band: its gains are those that do best without.
         every, count = modes.shape[1], int(np.sum(modes[0] <= np.log(self.omega[-1])))
         kept = linear[:, [1, *range(FIXED, FIXED + count)]]
@@ -549,8 +556,10 @@ class _Accelerance:
             float(spread[rigid] / abs(gains[rigid])),
             sign < 0,
             diagram,
-            self.delay,
-            np.exp(modes[0, count:]),
+            residue_deviation=np.abs(spread[FIXED : FIXED + count] / gains[FIXED : FIXED + count]),
+            delay=self.delay,
+            delay_deviation=late,
+            cut=np.exp(modes[0, count:]),
         )
 
 
