@@ -417,7 +417,9 @@ def _sections(
     _, gain, zeros = best
     zeros, poles = (_conjugate(1 + each) for each in (zeros, poles))
     sections = signal.zpk2sos(zeros, poles, gain)
-    for _ in range(len(poles) - len(zeros)):  # SciPy puts a zero at 0, a sample too early, for each that lacks
+    for _ in range(
+        len(poles) - len(zeros)
+    ):  # SciPy puts a zero at 0, a sample too early, for each that lacks
         late = np.flatnonzero(sections[:, 2] == 0)
         if not len(late):
             return None

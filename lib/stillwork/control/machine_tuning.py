@@ -7,7 +7,7 @@ from typing import Any
 from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control.applications import Application
-from stillwork.control.bandwidth import Loop, PeakConstraint, holds
+from stillwork.control.bandwidth import Loop, PeakConstraint, holds, make_loop
 from stillwork.control.machine_loops import (
     SAFE,
     Intensities,
@@ -82,7 +82,7 @@ def tuned(
     require_number("delay", delay, at_least=0.0)
     spread = uncertainty_of(machine, uncertainty)
     # One grid for all settings: what the box holds there is the same for each.
-    plain = observed_loops(machine.sensors, None, 0, None, None, sample_time, delay)
+    plain = [make_loop(sensor, sample_time=sample_time, delay=delay) for sensor in machine.sensors]
     boxes = [] if spread.is_empty else [make_box(loop, spread) for loop in plain]
     _, highest = search_range(machine, sample_time)
     for name, size in STEPS.items():

@@ -133,6 +133,10 @@ def _fitted(
         notes.append(
             f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz"
         )
+    if model.drag:
+        notes.append(
+            f"on viscous friction: b/m is {model.drag:.4g} 1/s, {model.drag * _mass(model):.4g} N s/m"
+        )
     if len(model.frequencies) < 2:
         raise InputError(
             f"{file.source} has no flexible mode from {band[0]:g} to {band[1]:g} Hz; widen fit_hz"
