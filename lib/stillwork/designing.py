@@ -13,7 +13,7 @@ import stillwork
 from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, PeakConstraint
 from stillwork.control.c_code import controller_code, require_names
-from stillwork.control.digital import DigitalController, equivalent_biquads, from_biquads, runnable
+from stillwork.control.digital import DigitalController, equivalent_biquads, from_biquads, in_units, runnable
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box, uncertainty_of
@@ -47,6 +47,8 @@ def design_file(
     loop_hz: tuple[float, float] = (0.0, 0.0),
     mirrored_sensor: bool = False,
     uncertainty: str | Mapping[str, float] = "",
+    counts: float = 0.0,
+    motor_constant: float = 0.0,
     **reading,
 ) -> list[str]:
     """Design a controller for the machine in `file` and write it, in C and otherwise, into a new folder.
@@ -61,7 +63,7 @@ def design_file(
         Samples from a measurement to the force that follows from it, whole or not, beside the hold and beside a delay
         that the measured response itself holds, which is found and added as it is.
     limit : float
-        Largest force, N.
+        Largest output of the controller: force in N, torque in N m, or current in A.
     name, precision : str
         See `controller_code`. Of several sensors each gets a controller, with its number behind the name.
     fit_hz : tuple of float
@@ -75,6 +77,11 @@ def design_file(
         ``residue`` and ``damping`` of each mode, of ``gain`` and ``mass``, and ``delay`` in s. What is not named is
         that of `UNCERTAINTY`, or nothing after ``none``. The intervals of a fit come on top. Every constraint holds
         all over that box; see `reach`.
+    counts : float
+        Encoder counts of a unit of the position, m or rad: the controller then reads r and y in counts. 0: it reads the
+        unit itself.
+    motor_constant : float
+        N/A or N m/A: the controller then sets a current, A. 0: it sets what drives the machine in the file.
     **reading
         Other arguments of `load_machine`.
 
@@ -93,10 +100,21 @@ def design_file(
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
     sample_time = 1 / require_number("rate", rate, above=0.0)
+    for each, value in (("counts", counts), ("motor_constant", motor_constant)):
+        require_number(each, value, at_least=0.0)
     delay = require_number("delay", delay, at_least=0.0)
     uncertainty = asked_uncertainty(uncertainty)
     source = Path(file)
     taken = load_machine(source, **reading)
+    position, drive = taken.units
+    if counts and position == "count":
+        raise InputError(f"{source.name} is in counts already; leave counts out")
+    if motor_constant and drive not in ("N", "N m"):
+        raise InputError(
+            f"{source.name} is driven in {drive}; a motor_constant is for N or N m, leave it out"
+        )
+    own_units = "count" if counts else position, "A" if motor_constant else drive
+    scales = counts or 1.0, 1 / motor_constant if motor_constant else 1.0
     machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
     lowest, resonance = search_range(machine, 0.0)[0], float(machine.resonances_hz[0])
     # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
@@ -129,14 +147,18 @@ def design_file(
     pid, loops = safe[best].recommended.controller, safe[best].model_loops
     about = {
         "gains": asdict(pid),
-        "units": "SI: m, N, s, rad/s; gain N/m, integrator, differentiator and low_pass rad/s",
+        "units": f"inputs {own_units[0]}, output {own_units[1]}; gain {drive}/{position}, integrator, differentiator and "
+        "low_pass rad/s",
         "provenance": {
             "made_by": f"stillwork {stillwork.__version__} design",
             "file": source.name,
             "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
             "machine": taken.kind,
             "notes": list(machine.notes),
-            "mass_kg": machine.mass,
+            "mass": machine.mass,
+            "mass_unit": machine.mass_unit,
+            "encoder_counts": counts or None,
+            "motor_constant": motor_constant or None,
             "resonances_hz": machine.resonances_hz.tolist(),
             "use": best,
             "settings": asdict(settings[best]),
@@ -145,30 +167,38 @@ def design_file(
             "design_hz": safe[best].recommended.design_hz,
         },
     }
-    controllers = [runnable(pid, loop.compensator, limit, about) for loop in loops]
-    controllers = [
-        replace(each, about=about | {"biquads": checked_biquads(each, loop)})
-        for each, loop in zip(controllers, loops, strict=True)
-    ]
+    controllers = [runnable(pid, loop.compensator, limit / scales[1], about, taken.units) for loop in loops]
     peaks = recheck(safe[best], controllers)
     worst = max(size for each in peaks.values() for size in each.values())
     if worst > ALLOWED_DB:
         raise InputError(f"{source.name}: the sampled controller peaks at {worst:.2f} dB; sample faster")
     margins = over_the_box(safe[best], spread)
     helps = _improvements(machine, settings[best], how, safe[best])
+    written = [
+        each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers
+    ]
+    written = [
+        replace(each, about=about | {"biquads": checked_biquads(each, loop, *scales)})
+        for each, loop in zip(written, loops, strict=True)
+    ]
     files = {}
-    for number, controller in enumerate(controllers, 1):
-        own = name if len(controllers) == 1 else f"{name}_{number}"
+    for number, controller in enumerate(written, 1):
+        own = name if len(written) == 1 else f"{name}_{number}"
         files[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
         files |= controller_code(controller, own, precision)
-    pages = machine, found, best, controllers, peaks, helps, box_table(machine, spread, margins), rate, delay
+    rates = f"{rate:g} Hz", f"{delay:.4g} samples ({1e6 * delay / rate:.4g} us) and the hold"
+    most = f"{limit:g} {own_units[1]}" if np.isfinite(limit) else "none: give --limit"
+    facts = [*zip(("rate", "delay of the loop", "limit of the output"), (*rates, most), strict=True)]
+    if own_units != taken.units:
+        facts.append(("the controller's own units", f"{own_units[0]} in, {own_units[1]} out"))
+    pages = machine, found, best, controllers, peaks, helps, box_table(machine, spread, margins), facts
     files["report.html"] = report(*pages, sorted(files))
     write_folder(folder, files)
     rows = {
         use: ", ".join(f"{key} {value}" for key, value in each.summary.items()) for use, each in found.items()
     }
     return [
-        f"{machine.source}: {taken.kind}; {machine.mass:.4g} kg; first resonance at {machine.resonances_hz[0]:.4g} Hz",
+        f"{machine.source}: {taken.kind}; {machine.mass:.4g} {machine.mass_unit}; first resonance at {machine.resonances_hz[0]:.4g} Hz",
         *machine.notes,
         *(f"{use}: {row}{found[use].reason and '; ' + found[use].reason}" for use, row in rows.items()),
         f"taken: {best}, stopped by {safe[best].summary['stopped by']}",
@@ -309,16 +339,20 @@ def recheck(reached: Reached, controllers: list[DigitalController]) -> dict[str,
     return found
 
 
-def checked_biquads(controller: DigitalController, loop: Loop) -> dict | None:
-    """The sections of the whole controller as its file holds them; None unless they alone stabilise the model."""
+def checked_biquads(
+    controller: DigitalController, loop: Loop, position: float = 1.0, drive: float = 1.0
+) -> dict | None:
+    """The sections of the whole controller as its file holds them; None unless they alone stabilise the model.
+
+    A unit of the loop's position and of its force hold so many of the controller's.
+    """
     found = equivalent_biquads(controller)
     if found is None:
         return None
     own = from_biquads(found.feedback, loop.sample_time)
     plant = loop.sampled_plant
-    unit = float(np.abs(own.d[0, 0])) or 1.0  # with forces in it no part of the loop is larger than another
-    a = np.block([[plant.a, unit * plant.b @ own.c / unit], [-own.b @ plant.c, own.a]])
-    a[: len(plant.a), : len(plant.a)] -= plant.b @ own.d @ plant.c
+    into, out = plant.b / drive, plant.c * position
+    a = np.block([[plant.a - into @ own.d @ out, into @ own.c], [-own.b @ out, own.a]])
     radius = float(np.abs(np.linalg.eigvals(a)).max())
     if radius >= 1:
         return None
@@ -348,21 +382,17 @@ def report(
     peaks: dict[str, dict[str, float]],
     helps: list[list[str]],
     box: list[list[str]],
-    rate: float,
-    delay: float,
+    about: list[tuple[str, str]],
     files: list[str],
 ) -> str:
     """One page: the machine, how far each use of an observer gets, what was taken, its peaks, and how to run it."""
     reached = found[best]
     where = list(next(iter(peaks.values())))
     sizes = [[SHOWN[name], *(f"{each[column]:.2f}" for column in where)] for name, each in peaks.items()]
-    limit = controllers[0].high[0]
     facts = [
-        ["mass", f"{machine.mass:.4g} kg"],
+        ["mass" if machine.units[0] == "m" else "inertia", f"{machine.mass:.4g} {machine.mass_unit}"],
         ["resonances", ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz) + " Hz"],
-        ["rate", f"{rate:g} Hz"],
-        ["delay of the loop", f"{delay:.4g} samples ({1e6 * delay / rate:.4g} us) and the hold"],
-        ["limit of the force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
+        *map(list, about),
         *(["note", note] for note in machine.notes),
     ]
     return page(
@@ -408,7 +438,7 @@ def paint_machine(machine: Machine):
         omega = 2 * np.pi * hertz
         size = 20 * np.log10(np.abs(omega**2 * sensor.frequency_response(omega)[0, 0]))
         axis.semilogx(hertz, size, linewidth=1.0, label=f"model, sensor {number}")
-    axis.set(xlabel="frequency (Hz)", ylabel="accelerance (dB re 1/kg)")
+    axis.set(xlabel="frequency (Hz)", ylabel=f"acceleration over force (dB re 1/({machine.mass_unit}))")
     axis.legend()
     return figure
 

@@ -251,11 +251,18 @@ def observed_controller(controller: StateModel, compensator: StateModel) -> Stat
 
 
 @checked(infinite=True)
-def runnable(pid: Pid, compensator: StateModel, limit: float | ArrayLike, about: dict) -> DigitalController:
+def runnable(
+    pid: Pid,
+    compensator: StateModel,
+    limit: float | ArrayLike,
+    about: dict,
+    units: tuple[str, str] = ("m", "N"),
+) -> DigitalController:
     """A sampled loop's controller as a processor runs it: Tustin's PID with the compensator, limits to both sides.
 
     The integrator tracks a limited force within the root of integral and differential time; the observer is told it.
-    The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite.
+    The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite. `units` are those of the
+    position and of the force.
     """
     limit = require_array("limit", limit, shape=(), infinite=True)
     sample_time = compensator.sample_time
@@ -264,12 +271,33 @@ def runnable(pid: Pid, compensator: StateModel, limit: float | ArrayLike, about:
     winding = np.vstack([np.zeros((len(compensator.a), 1)), anti_windup(feedback, tracking_time)])
     return DigitalController(
         observed_controller(feedback, compensator),
-        ("r (m)", "y (m)"),
-        ("f (N)",),
+        tuple(f"{name} ({units[0]})" for name in "ry"),
+        (f"f ({units[1]})",),
         -limit,
         limit,
         winding,
         about=about,
+    )
+
+
+@checked
+def in_units(
+    controller: DigitalController, position: float, drive: float, units: tuple[str, str]
+) -> DigitalController:
+    """A controller of `runnable` in other units, of which a unit of its position and of its force hold so many."""
+    require_number("position", position, above=0.0)
+    require_number("drive", drive, above=0.0)
+    m, n = controller.model, len(controller.inputs)
+    b = np.hstack([m.b[:, :n] / position, m.b[:, n:] / drive])
+    model = StateModel(m.a, b, m.c * drive, m.d * drive / position, m.sample_time)
+    return replace(
+        controller,
+        model=model,
+        inputs=tuple(f"{name} ({units[0]})" for name in "ry"),
+        outputs=(f"f ({units[1]})",),
+        low=controller.low * drive,
+        high=controller.high * drive,
+        anti_windup=controller.anti_windup / drive,
     )
 
 
