@@ -27,7 +27,7 @@ from stillwork.base.checks import InputError  # noqa: E402
 from stillwork.designing import design_file  # noqa: E402
 
 LIMIT_DB = 6.01
-DRAWS, SWEEPS = 120, 2  # random places in the box, and looks along each axis from the worst of them
+DRAWS, SWEEPS = 60, 1  # random places in the box, and looks along each axis from the worst of them
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ ADDED_DAMPING, SELECTIVITY, RETAINED = 0.02, 2.0, 5
 ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
 NOTCHED = "PID with notches"
 UNCERTAINTY = {"frequency": 0.05, "gain": 0.05}  # of a machine of which nothing else is said
+SHOWN_FROM = 0.01  # %, of what the box holds
 WORTH = 0.01  # relative gain of bandwidth below which a change of the machine is none
 
 
@@ -173,6 +174,10 @@ def design_file(
     if worst > ALLOWED_DB:
         raise InputError(f"{source.name}: the sampled controller peaks at {worst:.2f} dB; sample faster")
     margins = over_the_box(safe[best], spread)
+    if margins and (worst := 20 * np.log10(max(margins.values()))) > ALLOWED_DB:
+        raise InputError(
+            f"{source.name}: somewhere in the box a peak of {worst:.2f} dB was found at last; ask for a little more uncertainty"
+        )
     helps = _improvements(machine, settings[best], how, safe[best])
     written = [
         each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers
@@ -254,14 +259,14 @@ def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) 
     words = {"frequency": "resonances", "residue": "parts of the modes", "damping": "damping ratios"}
     for name, title in words.items():
         shares = 100 * np.asarray(getattr(spread, name))[1:]
-        if shares.any():
+        if np.any(shares >= SHOWN_FROM):
             same = np.ptp(shares) < 0.05 * shares.max()
             each = [f"± {share:.2g} % at {at:.4g} Hz" for share, at in zip(shares, hertz[1:], strict=True)]
             rows.append([title, f"± {shares.max():.3g} %" if same else ", ".join(each)])
     for name, title in (("gain", "gain, motor constant"), ("mass", "mass")):
-        if share := getattr(spread, name):
-            rows.append([title, f"± {100 * share:.2g} %"])
-    if spread.delay:
+        if (share := 100 * getattr(spread, name)) >= SHOWN_FROM:
+            rows.append([title, f"± {share:.2g} %"])
+    if spread.delay > 1e-9:
         rows.append(["delay", f"± {1e6 * spread.delay:.2g} us"])
     if margins:
         largest = max(margins["input_sensitivity"], margins["output_sensitivity"])

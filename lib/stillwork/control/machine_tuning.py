@@ -83,7 +83,7 @@ def tuned(
     spread = uncertainty_of(machine, uncertainty)
     # One grid for all settings: what the box holds there is the same for each.
     plain = [make_loop(sensor, sample_time=sample_time, delay=delay) for sensor in machine.sensors]
-    boxes = [] if spread.is_empty else [make_box(loop, spread) for loop in plain]
+    boxes = [] if spread.is_empty else [make_box(loop, spread, fine=False) for loop in plain]
     _, highest = search_range(machine, sample_time)
     for name, size in STEPS.items():
         for factor in (size, 1 / size):

@@ -28,6 +28,7 @@ STARTS, SWEEPS = 4, 2
 GRID = {"points": 800, "around": 60}
 EXCESS = 1.0005  # times a limit, 0.004 dB: what is handed out keeps it within 0.01 dB
 MOST_DAMPED = 0.999
+SLIGHT = 1e-3  # share of a damping ratio that changes no peak worth the while
 
 
 @by_value
@@ -228,7 +229,7 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
     turn = np.exp(-1j * omega * sample_time * whole)
     gains = plant.output_shapes[0] * plant.input_shapes[:, 0]
     count = 3 + len(STEPS)
-    many = 3 if np.any(uncertainty.damping) else 1
+    many = 3 if np.any(uncertainty.damping > SLIGHT) else 1
     parts = np.zeros((len(omega), len(gains), many * count), complex)
     places, ratios = np.zeros(parts.shape), np.zeros(parts.shape[1:])
     sizes = np.ones(len(gains), int)
@@ -236,7 +237,9 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
         zip(plant.frequencies, plant.damping, uncertainty.frequency, strict=True)
     ):
         own = (
-            np.array([0.0]) if not uncertainty.damping[k] else np.array([0.0, -1, 1]) * uncertainty.damping[k]
+            np.array([0.0])
+            if uncertainty.damping[k] <= SLIGHT
+            else np.array([0.0, -1, 1]) * uncertainty.damping[k]
         )
         tried = _places(omega, w, z, share, sample_time) if share else np.full((1, len(omega)), w)
         sizes[k] = len(own) * len(tried)
