@@ -37,6 +37,7 @@ NO_SOURCE = {
     ),
     "found for this toolbox": (
         *("lti.resonance_grid", "identification.coloured_noise_bound", "control.asin_trajectory"),
+        "control.Uncertainty",
         "control.worst_place",
     ),
 }

@@ -36,7 +36,7 @@ SLIGHT = 1e-3  # share of a damping ratio that changes no peak worth the while
 class Uncertainty:
     """How far a machine may be from its model: half the widths of a box around the model's numbers.
 
-    Attributes
+    Parameters
     ----------
     frequency, residue, damping : array_like, shape (modes,)
         Share of each mode's frequency, of its part of the response and of its damping ratio; one number for all
@@ -52,6 +52,12 @@ class Uncertainty:
     ------
     InputError
         When a share is negative or not below 1, or the delay negative.
+
+    Examples
+    --------
+    >>> box = control.Uncertainty(frequency=0.05, gain=0.1)
+    >>> box.is_empty, control.Uncertainty().is_empty
+    (False, True)
     """
 
     frequency: Converted = 0.0
@@ -73,8 +79,7 @@ class Uncertainty:
             require_number(name, getattr(self, name), at_least=0.0, below=1.0)
         require_number("delay", self.delay, at_least=0.0)
 
-    @checked
-    def of_modes(self, plant: ModalModel) -> "Uncertainty":
+    def _of_modes(self, plant: ModalModel) -> "Uncertainty":
         """The same with a number for each mode of a plant, 0 for its first, the rigid body or the suspension."""
         spread = {}
         for name in NAMES[:3]:
@@ -126,7 +131,7 @@ def uncertainty_of(machine: Machine, asked: Mapping[str, float]) -> Uncertainty:
             found[name] = np.append(0.0, np.clip(asked.get(name, 0.0) + NORMAL * spread, 0.0, WIDEST))
         found["mass"] = min(asked.get("mass", 0.0) + NORMAL * fit.mass_deviation, WIDEST)
         found["delay"] = asked.get("delay", 0.0) + NORMAL * fit.delay_deviation
-    return Uncertainty(**found).of_modes(model)
+    return Uncertainty(**found)._of_modes(model)
 
 
 @checked
@@ -220,7 +225,7 @@ def worst_place(
 def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
     """What the plant of a loop may be at each frequency; `fine`: also on the loop's own grid."""
     plant, sample_time = loop.plant, loop.sample_time
-    uncertainty = uncertainty.of_modes(plant)
+    uncertainty = uncertainty._of_modes(plant)
     top = min(loop.omega[-1], 0.998 * np.pi / sample_time if sample_time else np.inf)
     omega = _grid(plant, uncertainty, sample_time, loop.omega[0], top)
     if fine:
@@ -325,6 +330,7 @@ class Box(NamedTuple):
     gain: float
     delays: np.ndarray  # s, the middle first
 
+    @checked(infinite=True)
     def worst(
         self,
         loop: Loop,
