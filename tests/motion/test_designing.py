@@ -20,7 +20,7 @@ from stillwork.control.machine_loops import applications, pid_family, reach
 from stillwork.control.machine_tuning import DesignSettings, varied
 from stillwork.designing import ADDED_DAMPING, INTENSITIES, SELECTIVITY, design_file
 from stillwork.identification.machine import Machine, build_machine
-from stillwork.identification.machine_files import load_machine
+from stillwork.identification.machine_files import load_machine, stated_units
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel, modal_model
 
@@ -313,6 +313,12 @@ def test_a_machine_that_turns_is_designed_in_the_drives_own_units(written, tmp_p
 def test_units_that_no_machine_has_are_refused(tmp_path, change, message):
     with pytest.raises(InputError, match=message):
         design_file(str(TEMPLATES / "matrices.csv"), str(tmp_path / "out"), RATE, **change)
+
+
+def test_a_phase_and_a_frequency_in_rad_are_no_motion_of_the_machine():
+    names = ["frequency (rad/s)", "magnitude (dB re 1 m/s^2/N)", "phase (rad)"]
+    assert stated_units(names) == ("m/s^2", "N")
+    assert stated_units(["omega (rad/s)", "magnitude", "phase (rad)"]) == ("", "")
 
 
 @pytest.mark.parametrize(

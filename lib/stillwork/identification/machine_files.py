@@ -26,6 +26,8 @@ PADDING = 4  # lengths of a record that has died out: zeros appended to it give 
 LONGEST_HIT = 0.2  # part of a record during which the force may exceed a tenth of its peak
 DIED_OUT = 0.02  # of the peak, what the last tenth of a record may still hold
 _PLAIN = ("", "-", "1", "s", "ms", "rad", "deg", "degrees", "°")  # in brackets of time, phase and coherence
+_FREQUENCIES = ("frequency", "frequencies", "freq", "freqs", "f", "hz", "hertz", "omega")
+_ANGLES = (*_FREQUENCIES, "phase", "angle", "w")
 _HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
 
 
@@ -202,7 +204,10 @@ def stated_units(names: Iterable[str]) -> tuple[str, str]:
             said = {"response": top, "force": below}
         else:
             kinds = (("response", tuple(MOVES)), ("force", DRIVES))
-            said = {kind: whole for kind, wanted in kinds if is_unit(whole, wanted)}
+            # rad and rad/s behind a phase and a frequency are no motion of the machine.
+            said = {
+                kind: whole for kind, wanted in kinds if _word(name) not in _ANGLES and is_unit(whole, wanted)
+            }
         for kind, unit in said.items():
             if unit_factor(units.setdefault(kind, unit)) != unit_factor(unit):
                 raise InputError(
@@ -391,7 +396,7 @@ def _matrix(arrays: dict[str, np.ndarray], *words: str) -> np.ndarray | None:
 def _frequency_name(arrays: dict[str, np.ndarray]) -> str | None:
     return _named(
         {name: array for name, array in arrays.items() if array.size > 1},
-        *("frequency", "frequencies", "freq", "freqs", "f", "hz", "hertz", "omega"),
+        *_FREQUENCIES,
     )
 
 
