@@ -369,7 +369,7 @@ def catalogue() -> dict:
         "enclose_peaks": (c.enclose_peaks, {"loop": search, "pid": pid(20.0)}),
         "make_loop": (c.make_loop, {"plant": model, "low_hz": 1.0, "high_hz": 1000.0, "points": 30, "around": 2}),
         "maximise_bandwidth": (c.maximise_bandwidth, {"loops": [search], "family": pid, "constraints": [c.PeakConstraint("input_sensitivity")], "low_hz": 5.0, "high_hz": 100.0, "scan": 10, "tolerance_hz": 0.5}),
-        "worst_factors": (c.worst_factors, {"loop": search, "controller": pid(20.0), "function": "true_tracking", "shares": [0.0, *[0.05] * (len(model.frequencies) - 1)]}),
+        "worst_place": (c.worst_place, {"loop": search, "controller": pid(20.0), "function": "true_tracking", "uncertainty": c.Uncertainty(frequency=0.05, gain=0.1)}),
         "modified_feedforward": (c.modified_feedforward, {"compensator": c.compensator(observer, c.Application(True)), "controller": pid(10.0).state_space()}),
         "point_to_point": (c.point_to_point, {"snap": 1e4, "jerk": 100.0, "acceleration": 2.0, "velocity": 0.1, "cruise": 0.02, "settling": 0.005, "sample_time": 1e-3}),
         "random_gain": (c.random_gain, {"deviation": 1.0}),

@@ -3,25 +3,26 @@
 import hashlib
 import html
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 import stillwork
-from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop
+from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, PeakConstraint
 from stillwork.control.c_code import controller_code, require_names
-from stillwork.control.digital import DigitalController, biquads, runnable
+from stillwork.control.digital import DigitalController, equivalent_biquads, from_biquads, in_units, runnable
 from stillwork.control.loop_enclosures import proven_peaks
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
 from stillwork.control.machine_tuning import DesignSettings, tuned
+from stillwork.control.uncertainty import NAMES, Uncertainty, make_box, uncertainty_of
 from stillwork.exporting import require_free, write_folder
 from stillwork.html_page import page, picture, table
 from stillwork.identification.machine import Machine, brought_forward, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
-from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel
 from stillwork.workbook import figures
 
@@ -30,7 +31,8 @@ INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
 ADDED_DAMPING, SELECTIVITY, RETAINED = 0.02, 2.0, 5
 ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
 NOTCHED = "PID with notches"
-WHOLE = 0.05  # of a sample, by which a found delay may exceed whole ones and be no sample more
+UNCERTAINTY = {"frequency": 0.05, "gain": 0.05}  # of a machine of which nothing else is said
+SHOWN_FROM = 0.01  # %, of what the box holds
 WORTH = 0.01  # relative gain of bandwidth below which a change of the machine is none
 
 
@@ -39,14 +41,16 @@ def design_file(
     folder: str,
     rate: float,
     *,
-    delay: int = 1,
+    delay: float = 1.0,
     limit: float = np.inf,
     name: str = "controller",
     precision: str = "double",
     fit_hz: tuple[float, float] = (0.0, 0.0),
     loop_hz: tuple[float, float] = (0.0, 0.0),
     mirrored_sensor: bool = False,
-    doubt: float = 0.05,
+    uncertainty: str | Mapping[str, float] = "",
+    counts: float = 0.0,
+    motor_constant: float = 0.0,
     **reading,
 ) -> list[str]:
     """Design a controller for the machine in `file` and write it, in C and otherwise, into a new folder.
@@ -57,11 +61,11 @@ def design_file(
         See `load_machine`; the folder is new or empty.
     rate : float
         Samples a second of the controller, Hz.
-    delay : int
-        Samples from a measurement to the force that follows from it, beside the hold and beside a delay that the
-        measured response itself holds, which is found and added in whole samples.
+    delay : float
+        Samples from a measurement to the force that follows from it, whole or not, beside the hold and beside a delay
+        that the measured response itself holds, which is found and added as it is.
     limit : float
-        Largest force, N.
+        Largest output of the controller: force in N, torque in N m, or current in A.
     name, precision : str
         See `controller_code`. Of several sensors each gets a controller, with its number behind the name.
     fit_hz : tuple of float
@@ -70,8 +74,16 @@ def design_file(
         Band in which the measurement stands for the plant, where it can be trusted; (0, 0): that of the fit.
     mirrored_sensor : bool
         Serve a second sensor, too, at which every flexible mode has the other sign.
-    doubt : float
-        Share by which each resonance may be lower or higher than found: every constraint holds there, too. See `reach`.
+    uncertainty : str or mapping of str to float
+        How far the machine may be from what was found, e.g. ``frequency=0.05,gain=0.1``: shares of ``frequency``,
+        ``residue`` and ``damping`` of each mode, of ``gain`` and ``mass``, and ``delay`` in s. What is not named is
+        that of `UNCERTAINTY`, or nothing after ``none``. The intervals of a fit come on top. Every constraint holds
+        all over that box; see `reach`.
+    counts : float
+        Encoder counts of a unit of the position, m or rad: the controller then reads r and y in counts. 0: it reads the
+        unit itself.
+    motor_constant : float
+        N/A or N m/A: the controller then sets a current, A. 0: it sets what drives the machine in the file.
     **reading
         Other arguments of `load_machine`.
 
@@ -90,21 +102,36 @@ def design_file(
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
     sample_time = 1 / require_number("rate", rate, above=0.0)
-    delay = require_count("delay", delay, at_least=0)
-    require_number("doubt", doubt, at_least=0.0, below=1.0)
+    for each, value in (("counts", counts), ("motor_constant", motor_constant)):
+        require_number(each, value, at_least=0.0)
+    delay = require_number("delay", delay, at_least=0.0)
+    uncertainty = asked_uncertainty(uncertainty)
     source = Path(file)
     taken = load_machine(source, **reading)
+    position, drive = taken.units
+    if counts and position == "count":
+        raise InputError(f"{source.name} is in counts already; leave counts out")
+    if motor_constant and drive not in ("N", "N m"):
+        raise InputError(
+            f"{source.name} is driven in {drive}; a motor_constant is for N or N m, leave it out"
+        )
+    own_units = "count" if counts else position, "A" if motor_constant else drive
+    scales = counts or 1.0, 1 / motor_constant if motor_constant else 1.0
     machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
     lowest, resonance = search_range(machine, 0.0)[0], float(machine.resonances_hz[0])
     # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
     require_number("rate", rate, above=10 * lowest, at_most=resonance / np.sqrt(np.finfo(float).eps))
     if delay * sample_time * lowest >= 1:
         raise InputError(
-            f"delay is {delay}, a period of the lowest bandwidth ({lowest:.3g} Hz) or more; give fewer samples"
+            f"delay is {delay:g}, a period of the lowest bandwidth ({lowest:.3g} Hz) or more; give fewer samples"
         )
-    late = max(int(np.ceil(machine.fit.delay / sample_time - WHOLE)), 0) if machine.fit else 0
-    machine, delay = brought_forward(machine, late * sample_time), delay + late
-    how = {"doubt": doubt, "sample_time": sample_time, "delay": delay}
+    if (
+        machine.fit
+    ):  # what is early is no part of a machine: the measurement is only made to agree with the model
+        machine = brought_forward(machine, machine.fit.delay)
+        delay += max(machine.fit.delay, 0.0) / sample_time
+    spread = uncertainty_of(machine, uncertainty)
+    how = {"uncertainty": uncertainty, "sample_time": sample_time, "delay": delay}
     settings, found = {}, {}
     for use, application in ({"PID": None, NOTCHED: None} | applications(ADDED_DAMPING, SELECTIVITY)).items():
         first = DesignSettings(application, RETAINED, INTENSITIES, use == NOTCHED)
@@ -120,51 +147,134 @@ def design_file(
     # In the order of the uses, so that of equals the simplest is taken.
     best = max(safe, key=lambda use: round(_crossing(safe[use]), 2))
     pid, loops = safe[best].recommended.controller, safe[best].model_loops
-    sections = biquads(tustin(pid.state_space(), sample_time))
     about = {
         "gains": asdict(pid),
-        "units": "SI: m, N, s, rad/s; gain N/m, integrator, differentiator and low_pass rad/s",
-        "biquads_of_the_pid": None if sections is None else sections.tolist(),
+        "units": f"inputs {own_units[0]}, output {own_units[1]}; gain {drive}/{position}, integrator, differentiator and "
+        "low_pass rad/s",
         "provenance": {
             "made_by": f"stillwork {stillwork.__version__} design",
             "file": source.name,
             "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
             "machine": taken.kind,
             "notes": list(machine.notes),
-            "mass_kg": machine.mass,
+            "mass": machine.mass,
+            "mass_unit": machine.mass_unit,
+            "encoder_counts": counts or None,
+            "motor_constant": motor_constant or None,
             "resonances_hz": machine.resonances_hz.tolist(),
             "use": best,
             "settings": asdict(settings[best]),
-            "doubt_of_the_resonances": doubt,
+            "uncertainty": {name: np.asarray(getattr(spread, name)).tolist() for name in NAMES},
             "delay_samples_of_the_loop": delay,
             "design_hz": safe[best].recommended.design_hz,
         },
     }
-    controllers = [runnable(pid, loop.compensator, limit, about) for loop in loops]
+    controllers = [runnable(pid, loop.compensator, limit / scales[1], about, taken.units) for loop in loops]
     peaks = recheck(safe[best], controllers)
     worst = max(size for each in peaks.values() for size in each.values())
     if worst > ALLOWED_DB:
         raise InputError(f"{source.name}: the sampled controller peaks at {worst:.2f} dB; sample faster")
+    margins = over_the_box(safe[best], spread)
+    if margins and (worst := 20 * np.log10(max(margins.values()))) > ALLOWED_DB:
+        raise InputError(
+            f"{source.name}: somewhere in the box a peak of {worst:.2f} dB was found at last; ask for a little more uncertainty"
+        )
     helps = _improvements(machine, settings[best], how, safe[best])
+    written = [
+        each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers
+    ]
+    written = [
+        replace(each, about=about | {"biquads": checked_biquads(each, loop, *scales)})
+        for each, loop in zip(written, loops, strict=True)
+    ]
     files = {}
-    for number, controller in enumerate(controllers, 1):
-        own = name if len(controllers) == 1 else f"{name}_{number}"
+    for number, controller in enumerate(written, 1):
+        own = name if len(written) == 1 else f"{name}_{number}"
         files[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
         files |= controller_code(controller, own, precision)
-    files["report.html"] = report(machine, found, best, controllers, peaks, helps, doubt, rate, sorted(files))
+    rates = f"{rate:g} Hz", f"{delay:.4g} samples ({1e6 * delay / rate:.4g} us) and the hold"
+    most = f"{limit:g} {own_units[1]}" if np.isfinite(limit) else "none: give --limit"
+    facts = [*zip(("rate", "delay of the loop", "limit of the output"), (*rates, most), strict=True)]
+    if own_units != taken.units:
+        facts.append(("the controller's own units", f"{own_units[0]} in, {own_units[1]} out"))
+    pages = machine, found, best, controllers, peaks, helps, box_table(machine, spread, margins), facts
+    files["report.html"] = report(*pages, sorted(files))
     write_folder(folder, files)
     rows = {
         use: ", ".join(f"{key} {value}" for key, value in each.summary.items()) for use, each in found.items()
     }
     return [
-        f"{machine.source}: {taken.kind}; {machine.mass:.4g} kg; first resonance at {machine.resonances_hz[0]:.4g} Hz",
+        f"{machine.source}: {taken.kind}; {machine.mass:.4g} {machine.mass_unit}; first resonance at {machine.resonances_hz[0]:.4g} Hz",
         *machine.notes,
         *(f"{use}: {row}{found[use].reason and '; ' + found[use].reason}" for use, row in rows.items()),
-        proven_peaks((*loops, *safe[best].doubted_loops), pid, [each.model for each in controllers]),
+        proven_peaks((*loops, *safe[best].perturbed), pid, [each.model for each in controllers]),
         f"taken: {best}, stopped by {safe[best].summary['stopped by']}",
+        f"the promise holds for {'; '.join(map(' '.join, box_table(machine, spread, margins)))}",
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
         f"{folder}: {', '.join(sorted(files))}",
     ]
+
+
+def asked_uncertainty(said: str | Mapping[str, float]) -> dict[str, float]:
+    """Shares by `NAMES`: those of `UNCERTAINTY`, and what is said; ``none``: nothing but what is said."""
+    if not isinstance(said, str):
+        named = dict(said)
+    else:
+        words = [each.strip() for each in said.split(",") if each.strip()]
+        named = {}
+        for word in words:
+            name, _, value = word.partition("=")
+            if word == "none":
+                continue
+            try:
+                named[name.strip()] = float(value)
+            except ValueError:
+                raise InputError(
+                    f"uncertainty holds {word!r}; give NAME=SHARE of {', '.join(NAMES)}, commas between, or none"
+                ) from None
+        if "none" not in words:
+            named = UNCERTAINTY | named
+    for name, value in named.items():
+        require_choice("uncertainty", name, NAMES)
+        below = {} if name == "delay" else {"below": 1.0}
+        require_number(f"uncertainty: {name}", value, at_least=0.0, **below)
+    return {name: value for name, value in named.items() if value}
+
+
+def over_the_box(reached: Reached, spread: Uncertainty) -> dict[str, float]:
+    """Largest magnitude of each loop function all over the box, by another search than the design's: more starts."""
+    if spread.is_empty:
+        return {}
+    pid = reached.recommended.controller
+    constraints = [PeakConstraint(name) for name in FUNCTIONS]
+    sizes = [
+        [size for size, _ in make_box(loop, spread).worst(loop, pid, constraints, every=True, starts=24)]
+        for loop in reached.model_loops
+    ]
+    return dict(zip(FUNCTIONS, np.max(sizes, axis=0).tolist(), strict=True))
+
+
+def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) -> list[list[str]]:
+    """What the box holds and what is left over it, in words."""
+    rows = []
+    hertz = machine.sensors[0].frequencies / (2 * np.pi)
+    words = {"frequency": "resonances", "residue": "parts of the modes", "damping": "damping ratios"}
+    for name, title in words.items():
+        shares = 100 * np.asarray(getattr(spread, name))[1:]
+        if np.any(shares >= SHOWN_FROM):
+            same = np.ptp(shares) < 0.05 * shares.max()
+            each = [f"± {share:.2g} % at {at:.4g} Hz" for share, at in zip(shares, hertz[1:], strict=True)]
+            rows.append([title, f"± {shares.max():.3g} %" if same else ", ".join(each)])
+    for name, title in (("gain", "gain, motor constant"), ("mass", "mass")):
+        if (share := 100 * getattr(spread, name)) >= SHOWN_FROM:
+            rows.append([title, f"± {share:.2g} %"])
+    if spread.delay > 1e-9:
+        rows.append(["delay", f"± {1e6 * spread.delay:.2g} us"])
+    if margins:
+        largest = max(margins["input_sensitivity"], margins["output_sensitivity"])
+        sizes = ", ".join(f"{SHOWN[name]} {20 * np.log10(size):.2f} dB" for name, size in margins.items())
+        rows.append(["largest over all of it", f"{sizes}; modulus margin {1 / largest:.3f}"])
+    return rows
 
 
 def _reached(machine: Machine, settings: DesignSettings, how: dict) -> Reached:
@@ -223,8 +333,8 @@ def _improvements(machine: Machine, settings: DesignSettings, how: dict, reached
 def recheck(reached: Reached, controllers: list[DigitalController]) -> dict[str, dict[str, float]]:
     """Largest peaks in dB of the controllers' own numbers, by function and by loops: all that the search looked at."""
     looked = {"on the model (dB)": reached.model_loops}
-    if reached.doubted_loops:
-        looked["with resonances moved (dB)"] = reached.doubted_loops
+    if reached.perturbed:
+        looked["at the worst places of the box (dB)"] = reached.perturbed
     if reached.loops is not reached.model_loops:
         looked["on the measurement (dB)"] = reached.loops
     found: dict[str, dict[str, float]] = {name: {} for name in FUNCTIONS}
@@ -234,6 +344,32 @@ def recheck(reached: Reached, controllers: list[DigitalController]) -> dict[str,
         for name, size in zip(FUNCTIONS, peaks, strict=True):
             found[name][where] = float(20 * np.log10(size))
     return found
+
+
+def checked_biquads(
+    controller: DigitalController, loop: Loop, position: float = 1.0, drive: float = 1.0
+) -> dict | None:
+    """The sections of the whole controller as its file holds them; None unless they alone stabilise the model.
+
+    A unit of the loop's position and of its force hold so many of the controller's.
+    """
+    found = equivalent_biquads(controller)
+    if found is None:
+        return None
+    own = from_biquads(found.feedback, loop.sample_time)
+    plant = loop.sampled_plant
+    into, out = plant.b / drive, plant.c * position
+    a = np.block([[plant.a - into @ own.d @ out, into @ own.c], [-own.b @ out, own.a]])
+    radius = float(np.abs(np.linalg.eigvals(a)).max())
+    if radius >= 1:
+        return None
+    return {
+        "law": "f = feedback(r - y) + reference(r), without limits; null: nothing is added",
+        "feedback": found.feedback.tolist(),
+        "reference": None if found.reference is None else found.reference.tolist(),
+        "relative_error": found.error,
+        "spectral_radius_with_the_model": radius,
+    }
 
 
 def own_functions(loop: Loop, controller: DigitalController) -> np.ndarray:
@@ -252,21 +388,18 @@ def report(
     controllers: list[DigitalController],
     peaks: dict[str, dict[str, float]],
     helps: list[list[str]],
-    doubt: float,
-    rate: float,
+    box: list[list[str]],
+    about: list[tuple[str, str]],
     files: list[str],
 ) -> str:
     """One page: the machine, how far each use of an observer gets, what was taken, its peaks, and how to run it."""
     reached = found[best]
     where = list(next(iter(peaks.values())))
     sizes = [[SHOWN[name], *(f"{each[column]:.2f}" for column in where)] for name, each in peaks.items()]
-    limit = controllers[0].high[0]
     facts = [
-        ["mass", f"{machine.mass:.4g} kg"],
+        ["mass" if machine.units[0] == "m" else "inertia", f"{machine.mass:.4g} {machine.mass_unit}"],
         ["resonances", ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz) + " Hz"],
-        ["rate", f"{rate:g} Hz"],
-        ["doubt of the resonances", f"{100 * doubt:g} %"],
-        ["limit of the force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
+        *map(list, about),
         *(["note", note] for note in machine.notes),
     ]
     return page(
@@ -275,6 +408,7 @@ def report(
         taken=html.escape(best),
         stopped=html.escape(reached.summary["stopped by"]),
         facts=table([], facts),
+        box=table([], box or [["everything", "as the model has it: no uncertainty was asked for"]]),
         uses=uses_table(found),
         peaks=table(["peak", *where], sizes),
         helps=table(["change", "bandwidth (Hz)"], helps or [["nothing that was tried", ""]]),
@@ -311,7 +445,7 @@ def paint_machine(machine: Machine):
         omega = 2 * np.pi * hertz
         size = 20 * np.log10(np.abs(omega**2 * sensor.frequency_response(omega)[0, 0]))
         axis.semilogx(hertz, size, linewidth=1.0, label=f"model, sensor {number}")
-    axis.set(xlabel="frequency (Hz)", ylabel="accelerance (dB re 1/kg)")
+    axis.set(xlabel="frequency (Hz)", ylabel=f"acceleration over force (dB re 1/({machine.mass_unit}))")
     axis.legend()
     return figure
 

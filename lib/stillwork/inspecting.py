@@ -119,7 +119,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         if file.model is not None:
             machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
             resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
-            yield f"{kind} of a machine of {machine.mass:.4g} kg, first resonances at {resonances} Hz"
+            yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}, first resonances at {resonances} Hz"
             settings["mirrored_sensor"] = str(
                 len(machine.sensors) == 1 and machine.sensors[0].rigid_modes > 0
             ).lower()

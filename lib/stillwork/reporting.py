@@ -138,7 +138,7 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     band = said.get("fit_hz", (0.0, 0.0))
     machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
     known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
-    yield f"{kind} of a machine of {machine.mass:.4g} kg{known}"
+    yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}{known}"
     yield from machine.notes
     yield "Modes", _modes(machine) + picture(paint_machine(machine), "accelerance")
     if machine.fit:

@@ -7,23 +7,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from shared.compiled import compiled, pointer
+from stillwork import designing
 from stillwork.__main__ import main
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
-from stillwork.control.digital import load_controller
-from stillwork.control.machine_loops import Intensities, applications, pid_family, reach
+from stillwork.control.digital import from_biquads, load_controller
+from stillwork.control.machine_loops import applications, pid_family, reach
 from stillwork.control.machine_tuning import DesignSettings, varied
 from stillwork.designing import ADDED_DAMPING, INTENSITIES, SELECTIVITY, design_file
 from stillwork.identification.machine import Machine, build_machine
-from stillwork.identification.machine_files import load_machine
+from stillwork.identification.machine_files import load_machine, stated_units
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel, modal_model
 
 TEMPLATES = paths.data("motion", "your_machine")
 RATE = 1e4
+BOX = {"frequency": 0.05, "gain": 0.05}
 MASS = np.diag([30.0, 10.0])
 STIFFNESS = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]])
 PAIR = modal_model(MASS, STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005)
@@ -45,17 +48,52 @@ def test_it_writes_all_of_it(written):
         "controller.c", "controller.h", "controller.json", "report.html"
     }  # fmt: skip
     held = json.loads((folder / "controller.json").read_text())
-    assert held["provenance"]["mass_kg"] == pytest.approx(40.0) and held["high"] == [40.0]
+    assert held["provenance"]["mass"] == pytest.approx(40.0) and held["high"] == [40.0]
     assert (
         len(held["provenance"]["sha256"]) == 64
         and held["gains"]["gain"] > 0
-        and len(held["biquads_of_the_pid"]) == 2
+        and held["biquads"]["relative_error"] < 1e-9
     )
     page = (folder / "report.html").read_text()
     assert "&lt;pair&gt;.npz" in page and "<pair>" not in page and page.count("data:image/png;base64,") == 2
     assert not re.search(r"(src|href)=\"http|<script", page)
-    assert said[0].endswith("40 kg; first resonance at 225.1 Hz") and said[-3].startswith("taken: ")
-    assert held["provenance"]["doubt_of_the_resonances"] == 0.05
+    assert said[0].endswith("40 kg; first resonance at 225.1 Hz") and said[-4].startswith("taken: ")
+    assert held["provenance"]["uncertainty"] == {
+        "frequency": [0.0, 0.05], "residue": [0.0, 0.0], "damping": [0.0, 0.0], "gain": 0.05, "mass": 0.0, "delay": 0.0
+    }  # fmt: skip
+    assert "resonances" in said[-3] and "± 5 %" in said[-3]
+
+
+@pytest.mark.slow
+def test_the_biquads_are_the_whole_controller(written):
+    """By SciPy alone: as sections of r - y and of r they move as the matrices do, and hold the machine by themselves."""
+    held = json.loads((written[0] / "controller.json").read_text())
+    space, sections = held["state_space"], held["biquads"]
+    a, b, c, d = (np.array(space[name]) for name in "abcd")
+    a, b, d = a + b[:, 2:] @ c, b[:, :2] + b[:, 2:] @ d[:, :2], d[:, :2]  # it is told its own force
+    z = np.exp(1j * np.geomspace(1e-3, 3.1, 200))
+    k_r, k_y = np.array([(c @ np.linalg.solve(each * np.eye(len(a)) - a, b) + d)[0] for each in z]).T
+    feedback = signal.sosfreqz(sections["feedback"], np.angle(z))[1]
+    assert feedback == pytest.approx(-k_y, rel=1e-8)
+    added = signal.sosfreqz(sections["reference"], np.angle(z))[1] if sections["reference"] else 0.0
+    assert np.abs(feedback + added - k_r).max() < 1e-8 * np.abs(k_r).max()
+    assert held["provenance"]["use"] == "PID" or sections["reference"]
+    top, bottom = signal.sos2tf(sections["feedback"])
+    late = modal_model(MASS, STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005).state_space()
+    a, b, c, d, _ = signal.cont2discrete((late.a, late.b, late.c, late.d), 1 / RATE)
+    plant = signal.StateSpace(
+        np.block([[a, b], [np.zeros((1, 5))]]),
+        np.eye(5)[:, 4:],
+        np.append(c, [[0.0]], axis=1),
+        [[0.0]],
+        dt=1 / RATE,
+    )
+    cascade = from_biquads(sections["feedback"], 1 / RATE)
+    loop = np.block([
+        [plant.A - plant.B @ cascade.d @ plant.C, plant.B @ cascade.c],
+        [-cascade.b @ plant.C, cascade.a],
+    ])  # fmt: skip
+    assert np.abs(np.linalg.eigvals(loop)).max() < 1 and len(top) == len(bottom)
 
 
 @pytest.mark.slow
@@ -80,22 +118,19 @@ def test_the_written_controller_keeps_six_decibels_by_python_control(written, fa
 
 
 @pytest.mark.slow
-def test_what_would_help_is_what_it_would_give(written, tmp_path):
-    """Twice the damping: the file searched afresh with that damping ratio, by the settings that were written down."""
+def test_what_would_help_is_what_it_would_give(written):
+    """Under PID alone: the machine searched afresh without its delay, and at twice the rate."""
     folder, said = written
-    words = "twice the damping of its modes:"
-    hertz = re.match(rf"what would help most: .*?{words} ([0-9.]+) Hz", said[-2])[1]
-    held = json.loads((folder / "controller.json").read_text())["provenance"]["settings"]
-    np.savez(tmp_path / "pair.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
-    file = load_machine(tmp_path / "pair.npz", damping_ratio=0.01)
-    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
-    use = {"": held["application"] and Application(**held["application"])}
-    own = {each: held[each] for each in ("retained", "notches", "lead")}
-    own["intensities"] = Intensities(**held["intensities"])
-    found = reach(machine, use, sample_time=1 / RATE, delay=1, doubt=0.05, **own)[""].on_model
-    assert f"{found.crossing_hz[0]:.1f}" == hertz
+    machine, own = Machine((PAIR,), 40.0, "pair"), {"retained": 5, "intensities": INTENSITIES}
+    how = {"sample_time": 1 / RATE, "delay": 1.0, "uncertainty": BOX}
+    changes = ({}, {"delay": 0.0}, {"sample_time": 0.5 / RATE})
+    before, prompt, fast = (reach(machine, {"": None}, **own, **how | each)[""] for each in changes)
+    helps = designing._improvements(machine, DesignSettings(None, 5, INTENSITIES), how, before)
+    gains = [each.on_model.crossing_hz[0] for each in (prompt, fast)]
+    assert helps == [["no delay:", f"{gains[0]:.1f}"], ["twice the rate:", f"{gains[1]:.1f}"]]
+    assert gains[0] > gains[1] > 1.2 * before.on_model.crossing_hz[0]
     page = (folder / "report.html").read_text()
-    assert f"<td>{words}</td><td>{hertz}</td>" in page and "with resonances moved (dB)" in page
+    assert said[-2].startswith("what would help most: ") and "at the worst places of the box (dB)" in page
 
 
 @pytest.mark.slow
@@ -106,7 +141,13 @@ def test_settings_are_varied_and_never_for_less(written):
     gained = []
     for name in ("PID", "MC"):
         application = applications(ADDED_DAMPING, SELECTIVITY)[name]
-        how = {"retained": 5, "intensities": INTENSITIES, "sample_time": 1 / RATE, "delay": 1, "doubt": 0.05}
+        how = {
+            "retained": 5,
+            "intensities": INTENSITIES,
+            "sample_time": 1 / RATE,
+            "delay": 1,
+            "uncertainty": BOX,
+        }
         first = reach(machine, {name: application}, **how)[name].on_model
         found = float(re.search(r"on the model \(Hz\) ([0-9.]+)", said[name])[1])
         gained.append(found / first.crossing_hz[0])
@@ -182,13 +223,13 @@ def test_the_c_moves_the_machine_and_lets_go_of_its_limit(written, tmp_path):
 
 @pytest.mark.slow
 def test_a_late_measurement_is_designed_for_and_each_sensor_gets_its_controller(tmp_path, capsys):
-    """The template 150 us late, two samples: six decibels hold on what was measured, by the loop's own equation."""
+    """The template 150 us late, one sample and a half: six decibels hold on what was measured, by the loop's own equation."""
     hertz, size, phase = np.loadtxt(TEMPLATES / "frequency_response.csv", delimiter=",", skiprows=2).T
     measured = size * np.exp(1j * np.radians(phase) - 2j * np.pi * hertz * 1.5e-4)
     np.savez(tmp_path / "late.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": measured})
     out = tmp_path / "out"
     arguments = ["--rate", "10000", "--out", str(out), "--mirrored-sensor", "--precision", "single"]
-    arguments += ["--name", "axis", "--delay", "0", "--doubt", "0"]
+    arguments += ["--name", "axis", "--delay", "0", "--uncertainty", "none"]
     assert main(["design", str(tmp_path / "late.npz"), *arguments]) == 0
     said = capsys.readouterr().out
     assert "on the measurement (Hz)" in said and "taken: " in said and "the response is 150 us late" in said
@@ -196,7 +237,7 @@ def test_a_late_measurement_is_designed_for_and_each_sensor_gets_its_controller(
     assert "typedef float axis_1_real;" in (out / "axis_1.h").read_text()
     assert "on the measurement (dB)" in (out / "report.html").read_text()
     held = json.loads((out / "axis_1.json").read_text())
-    assert held["provenance"]["delay_samples_of_the_loop"] == 2
+    assert held["provenance"]["delay_samples_of_the_loop"] == pytest.approx(1.5, abs=0.01)
     turn = 2j * np.pi * hertz / RATE
     plant = -measured / (2 * np.pi * hertz) ** 2 * -np.expm1(-turn) / turn
     k_r, k_y = load_controller(out / "axis_1.json").linear.frequency_response(2 * np.pi * hertz)[0]
@@ -234,6 +275,78 @@ def test_a_folder_with_something_in_it_is_refused_first(tmp_path):
         design_file("missing.csv", str(tmp_path), RATE)
 
 
+@pytest.mark.slow
+def test_a_machine_that_turns_is_designed_in_the_drives_own_units(written, tmp_path):
+    """The same numbers in rad and N m give the same controller; in counts and A it is that one between two gains."""
+    np.savez(tmp_path / "turns.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
+    counts, constant = 20_000 / (2 * np.pi), 0.8
+    said = design_file(
+        str(tmp_path / "turns.npz"), str(tmp_path / "out"), RATE, limit=40.0 / constant,
+        counts=counts, motor_constant=constant, response_unit="rad", force_unit="N m",
+    )  # fmt: skip
+    assert "40 kg m^2" in said[0]
+    turned, plain = (load_controller(each / "controller.json") for each in (tmp_path / "out", written[0]))
+    assert turned.inputs == ("r (count)", "y (count)") and turned.outputs == ("f (A)",)
+    rng = np.random.default_rng(0)
+    moves = 1e-6 * rng.standard_normal((2, 400))
+    assert constant * turned.run(counts * moves) == pytest.approx(plain.run(moves), rel=1e-6, abs=1e-9)
+    large = np.vstack([np.full(50, 1e-2), np.zeros(50)])
+    assert constant * turned.run(counts * large) == pytest.approx(plain.run(large), rel=1e-6, abs=1e-6)
+    held = [json.loads((each / "controller.json").read_text()) for each in (tmp_path / "out", written[0])]
+    sections = [each["biquads"]["feedback"] for each in held]
+    turn = np.geomspace(1e-3, 3, 50)
+    responses = [signal.sosfreqz(each, turn)[1] for each in sections]
+    assert counts * constant * responses[0] == pytest.approx(responses[1], rel=1e-7)
+    assert held[0]["provenance"]["mass_unit"] == "kg m^2"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"force_unit": "A", "motor_constant": 2.0}, "motor_constant"),
+        ({"response_unit": "count", "counts": 100.0}, "counts"),
+        ({"response_unit": "V"}, "response_unit"),
+        ({"force_unit": "rad"}, "force_unit"),
+        ({"force_unit": "kN"}, "matrices"),
+    ],
+)
+def test_units_that_no_machine_has_are_refused(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        design_file(str(TEMPLATES / "matrices.csv"), str(tmp_path / "out"), RATE, **change)
+
+
+def test_a_phase_and_a_frequency_in_rad_are_no_motion_of_the_machine():
+    names = ["frequency (rad/s)", "magnitude (dB re 1 m/s^2/N)", "phase (rad)"]
+    assert stated_units(names) == ("m/s^2", "N")
+    assert stated_units(["omega (rad/s)", "magnitude", "phase (rad)"]) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("header", "units", "mass_unit"),
+    [
+        ("h ((rad/s^2)/(N m))", ("rad", "N m"), "kg m^2"),
+        ("h (rad/Nm)", ("rad", "N m"), "kg m^2"),
+        ("h (rad/s/A)", ("rad", "A"), "A/(rad/s^2)"),
+        ("h (counts/V)", ("count", "V"), "V/(count/s^2)"),
+        ("h (um/N)", ("m", "N"), "kg"),
+    ],
+)
+def test_the_header_of_a_response_says_in_what_a_machine_moves(tmp_path, header, units, mass_unit):
+    """An inertia of 2 in the units that the header says, prefixes taken out."""
+    omega = 2 * np.pi * np.arange(20.0, 300.0)
+    response = 0.5 / (1j * omega) ** 2 * (1 + 0.4 * omega**2 / (600.0**2 - omega**2 + 12j * omega))
+    if "^2" in header:
+        response = response * (1j * omega) ** 2
+    elif "/s/" in header:
+        response = response * 1j * omega
+    factor = 1e6 if "um" in header else 1.0
+    np.savez(tmp_path / "turns.npz", **{"frequency (Hz)": omega / (2 * np.pi), header: factor * response})
+    file = load_machine(tmp_path / "turns.npz")
+    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    assert (file.units, machine.units, machine.mass_unit) == (units, units, mass_unit)
+    assert machine.mass == pytest.approx(2.0, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -242,7 +355,9 @@ def test_a_folder_with_something_in_it_is_refused_first(tmp_path):
         ({"limit": -5.0}, r"^limit\b"),
         ({"limit": float("nan")}, r"^limit\b"),
         ({"delay": -1}, r"^delay\b"),
-        ({"doubt": 1.0}, r"^doubt\b"),
+        ({"uncertainty": "gain=1"}, r"^uncertainty\b.*gain"),
+        ({"uncertainty": "gain"}, r"^uncertainty\b.*gain"),
+        ({"uncertainty": {"colour": 0.1}}, r"^uncertainty\b.*colour"),
     ],
 )
 def test_settings_are_asked_before_anything_is_computed(tmp_path, change, message):

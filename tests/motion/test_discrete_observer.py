@@ -23,7 +23,8 @@ from stillwork.control.feedback import band_pass, damping_gain, fed_back
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti import StateModel, simulate, zoh
 from stillwork.lti.delays import delayed
-from stillwork.lti.discretisation import zoh_modes
+from stillwork.lti.discretisation import late_modes, zoh_modes
+from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 
 SAMPLE_TIME = 1e-4
@@ -286,3 +287,34 @@ def test_bad_delays_forms_and_models_are_refused(reduced, observer):
 
 def test_the_explorer_draws_a_late_loop():
     assert paint_sampled(10.0, 0.035, "yes", "filter, one sample late").axes
+
+
+def braked(drag):
+    """A free body with one mode, on viscous friction."""
+    shapes = np.array([[0.3], [0.2]])
+    frequencies, damping = np.array([0.0, 900.0]), np.array([0.0, 0.01])
+    return ModalModel(frequencies, damping, shapes, np.array([[0.3, -0.2]]), np.zeros((1, 1)), drag=drag)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.3, 0.8])
+def test_the_observer_of_a_late_force_follows_its_machine(late):
+    """Without noise it has what there is at every sample, and one that takes the force for prompt has not."""
+    model = braked(2.0)
+    noise, forces = NoiseIntensities(1.0, 1e-12), np.random.default_rng(0).standard_normal(200)
+    sampled, old = late_modes(model, SAMPLE_TIME, late)
+    x, y = np.zeros((201, 4)), np.zeros(200)
+    for k in range(200):
+        y[k] = (sampled.c @ x[k])[0]
+        before = forces[k - 1] if k else 0.0
+        x[k + 1] = sampled.a @ x[k] + sampled.b[:, 0] * forces[k] + old[:, 0] * before
+    missed = []
+    for known in (late, 0.0):
+        estimator = discrete_kalman_observer(model, noise, SAMPLE_TIME, late=known).estimator(np.eye(4))
+        state, errors = np.zeros(len(estimator.a)), []
+        for k in range(200):
+            given = np.array([forces[k], y[k]])
+            errors.append(estimator.c @ state + estimator.d @ given - x[k])
+            state = estimator.a @ state + estimator.b @ given
+        missed.append(np.abs(errors).max(axis=0) / np.abs(x).max(axis=0))
+    assert missed[0].max() < 1e-9
+    assert not late or missed[1].max() > 1e-3

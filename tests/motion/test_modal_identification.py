@@ -310,3 +310,39 @@ def test_bad_arguments_are_refused():
         stabilisation(np.arange(50.0), np.ones((50, 1, 1)))
     with pytest.raises(InputError, match=r"\b98 Hz.*modes_hz"):
         identify_modes(measured, (5.0, 98.0))
+
+
+# --------------------------------------------------------------------------------------------------------- friction
+
+
+@pytest.mark.parametrize(
+    ("friction", "noise", "late"), [(100.0, 0.0, 0.0), (300.0, 0.01, 0.0), (300.0, 0.01, 1e-4)]
+)
+def test_a_body_on_viscous_friction_keeps_its_mass_and_invents_nothing(friction, noise, late):
+    """10 kg with a resonance at 90 Hz: b s beside m s^2, by the equation of motion alone."""
+    omega = 2 * np.pi * np.arange(4.0, 160.0, 0.25)
+    s, own = 1j * omega, 2 * np.pi * 90.0
+    errors = np.random.default_rng(1).standard_normal((2, len(omega)))
+    response = (
+        s**2
+        * np.exp(-s * late)
+        * (1 / (10.0 * s**2 + friction * s) + 0.1 / (s**2 + 2 * 0.01 * own * s + own**2))
+        * (1 + noise * (errors[0] + 1j * errors[1]) / np.sqrt(2))
+    )
+    measured = Identified(omega, response, np.full(len(omega), 1 / (1 + noise**2)))
+    fit = identify_modes(measured, (4.0, 159.75))
+    model = fit.model
+    assert 1 / (model.input_shapes[0, 0] * model.output_shapes[0, 0]) == pytest.approx(10.0, rel=3e-3)
+    assert model.frequencies[1:] / (2 * np.pi) == pytest.approx([90.0], rel=1e-4)
+    assert 10.0 * model.drag == pytest.approx(friction, rel=2e-2)
+    assert fit.delay == pytest.approx(late, abs=1e-5)
+
+
+def test_a_body_without_friction_is_given_none():
+    omega = 2 * np.pi * np.arange(4.0, 160.0, 0.25)
+    s, own = 1j * omega, 2 * np.pi * 90.0
+    errors = np.random.default_rng(1).standard_normal((2, len(omega)))
+    response = 0.1 + 0.1 * s**2 / (s**2 + 2 * 0.01 * own * s + own**2)
+    response = response * (1 + 0.01 * (errors[0] + 1j * errors[1]) / np.sqrt(2))
+    fit = identify_modes(Identified(omega, response, np.full(len(omega), 1 / (1 + 1e-4))), (4.0, 159.75))
+    assert fit.model.drag == 0.0

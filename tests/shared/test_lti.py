@@ -9,14 +9,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import signal
+from scipy import linalg, signal
 
 from experiments.motion.machines import chain, stage
 from naive.motion import exact_h2_norm, exponential, step_by_step
 from stillwork import lti
 from stillwork.base.checks import InputError
-from stillwork.lti.delays import delayed
-from stillwork.lti.discretisation import prewarped, tustin, tustin_sections, zoh_modes
+from stillwork.lti.delays import delayed, split_delay
+from stillwork.lti.discretisation import (
+    late_modes,
+    prewarped,
+    tustin,
+    tustin_sections,
+    zoh_modes,
+    zoh_response,
+)
+from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.lti.peaks import refine_peak
 from stillwork.lti.state_space import constant
 
@@ -373,3 +381,92 @@ def test_a_peak_of_light_modes_in_a_random_basis_is_right_or_refused(seed, unit)
             answered += 1
             wrong += not norm == pytest.approx(unit * lti.hinf_norm(plain).magnitude, rel=1e-3)
     assert answered >= 10 and not wrong
+
+
+# ------------------------------------------------------------------------------------------ parts of a sample, friction
+
+
+def braked(drag):
+    """A free body with one mode, on viscous friction."""
+    shapes = np.array([[0.3], [0.2]])
+    frequencies, damping = np.array([0.0, 900.0]), np.array([0.0, 0.01])
+    return ModalModel(frequencies, damping, shapes, np.array([[0.3, -0.2]]), np.zeros((1, 1)), drag=drag)
+
+
+def held_by_steps(model, sample_time, late, samples, forces):
+    """States at the samples, by the exponential over each stretch of constant force."""
+    continuous = model.state_space()
+    n = len(continuous.a)
+
+    def stretch(length):
+        whole = linalg.expm(np.block([[continuous.a, continuous.b], [np.zeros((1, n + 1))]]) * length)
+        return whole[:n, :n], whole[:n, n]
+
+    (before, old), (after, new) = stretch(late * sample_time), stretch((1 - late) * sample_time)
+    states, x = np.zeros((samples + 1, n)), np.zeros(n)
+    for k in range(samples):
+        x = before @ x + old * (forces[k - 1] if k else 0.0)
+        x = after @ x + new * forces[k]
+        states[k + 1] = x
+    return states
+
+
+@pytest.mark.parametrize("late", [0.0, 1e-6, 0.2, 0.5, 0.999])
+@pytest.mark.parametrize("drag", [0.0, 1e-6, 3.0, 2e3, 1e6])
+def test_a_force_that_is_late_by_a_part_of_a_sample_acts_so_on_a_body_with_friction(late, drag):
+    model = braked(drag)
+    sample_time, forces = 1e-3, np.random.default_rng(0).standard_normal(40)
+    sampled, old = late_modes(model, sample_time, late)
+    wanted = held_by_steps(model, sample_time, late, 40, forces)
+    x = np.zeros(4)
+    for k in range(40):
+        x = sampled.a @ x + sampled.b[:, 0] * forces[k] + old[:, 0] * (forces[k - 1] if k else 0.0)
+        assert x == pytest.approx(wanted[k + 1], rel=1e-8, abs=1e-9 * np.abs(wanted[1:]).max())
+    assert np.array_equal(late_modes(model, sample_time, 0.0)[0].b, zoh_modes(model, sample_time).b)
+
+
+@pytest.mark.parametrize("drag", [0.0, 5.0])
+def test_the_late_response_is_that_of_the_late_states(drag):
+    model = braked(drag)
+    omega = np.array([20.0, 300.0, 905.0, 3000.0])
+    sampled, old = late_modes(model, 1e-3, 0.37)
+    z = np.exp(1j * omega * 1e-3)
+    wanted = [
+        (sampled.c @ np.linalg.solve(each * np.eye(4) - sampled.a, sampled.b + old / each))[0, 0]
+        for each in z
+    ]
+    assert zoh_response(model, 1e-3, omega, 0.37)[0, 0] == pytest.approx(np.array(wanted), rel=1e-9)
+
+
+def test_friction_is_in_poles_response_and_states_alike():
+    model = braked(7.0)
+    states, omega = model.state_space(), np.array([0.5, 7.0, 900.0])
+    assert np.sort_complex(model.poles) == pytest.approx(np.sort_complex(linalg.eigvals(states.a)), abs=1e-9)
+    assert model.frequency_response(omega) == pytest.approx(states.frequency_response(omega), rel=1e-9)
+    with pytest.raises(InputError, match="drag"):
+        replace(model, drag=-1.0)
+
+
+def test_matrices_keep_the_friction_of_the_whole_body():
+    """Rayleigh damping alpha M + beta K brakes the free body at the rate alpha."""
+    mass = np.diag([3.0, 1.0])
+    stiffness = 1e6 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    made = modal_model(
+        mass, stiffness, [[1.0], [0.0]], [[0.0, 1.0]], damping_matrix=4.0 * mass + 1e-5 * stiffness
+    )
+    omega = np.array([1.0, 50.0, 1150.0])
+    wanted = [
+        np.linalg.solve(stiffness + 1j * w * (4.0 * mass + 1e-5 * stiffness) - w**2 * mass, [1.0, 0.0])[1]
+        for w in omega
+    ]
+    assert made.drag == pytest.approx(4.0, rel=1e-6)
+    assert made.frequency_response(omega)[0, 0] == pytest.approx(np.array(wanted), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("samples", "wanted"), [(0.0, (0, 0.0)), (2.0, (2, 0.0)), (1.25, (1, 0.25)), (2.9999999999, (3, 0.0))]
+)
+def test_a_delay_is_whole_samples_and_a_part(samples, wanted):
+    assert split_delay(samples) == pytest.approx(wanted)
+    with pytest.raises(InputError, match="samples"):
+        split_delay(-0.1)

@@ -95,8 +95,8 @@ def test_inspections_end_in_a_command(line, checkout, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("line", CODE)
 def test_a_design_writes_the_files_that_the_guide_names(line, checkout, tmp_path):
-    """Without its doubt, whose search other tests hold; six decibels on what was measured, by the loop's equation."""
-    words = [*shlex.split(line)[3:], "--doubt", "0"]
+    """Without its box, whose search other tests hold; six decibels on what was measured, by the loop's equation."""
+    words = [*shlex.split(line)[3:], "--uncertainty", "none"]
     words[words.index("--out") + 1] = str(tmp_path / "code")
     assert main(words) == 0
     told = set(re.findall(r"`((?:controller|report)\.\w+)`", GUIDE))

@@ -17,11 +17,11 @@ __all__, __getattr__, __dir__ = face(
         "kinematics": ("KinematicDesign",),
         "loop_enclosures": ("enclose_peaks",),
         "loops": ("closed_loop",),
-        "moved_resonances": ("worst_factors",),
         "mechanism": ("Mechanism",),
         "pid": ("PidFamily",),
         "setpoint": ("point_to_point",),
         "trajectory": ("asin_trajectory",),
         "transformation": ("FlowTransformation",),
+        "uncertainty": ("Uncertainty", "worst_place"),
     },
 )

@@ -16,11 +16,11 @@ from stillwork.base.rounding import TIE
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
 from stillwork.control.pid import Pid
-from stillwork.lti.delays import delayed
-from stillwork.lti.discretisation import continuous_poles, prewarped, tustin, zoh_modes, zoh_response
+from stillwork.lti.delays import delayed, split_delay
+from stillwork.lti.discretisation import continuous_poles, late_modes, prewarped, tustin, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import Peak, refine_peak, resonance_grid
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel
 
 SIX_DB = 10 ** (6 / 20)  # not 2
 
@@ -114,7 +114,7 @@ class Loop:
     plant_response: Complex128[np.ndarray, " frequencies"] = field(repr=False)
     compensator_response: Complex128[np.ndarray, "2 2 frequencies"] = field(repr=False)
     sample_time: float = 0.0  # s; 0: continuous time
-    delay: int = 0  # samples from command to force
+    delay: float = 0.0  # samples from command to force, whole or not
 
     def __post_init__(self):
         check_fields(self)
@@ -153,9 +153,9 @@ class Loop:
             hold = -np.expm1(-turn) / turn
             return self.plant.frequency_response(omega)[0, 0] * hold * np.exp(-turn * self.delay)
         compliance = self.plant.feedthrough[0, 0] * np.expm1(-turn)  # it shows the force of the sample before
-        return (zoh_response(self.plant, self.sample_time, omega)[0, 0] + compliance) * np.exp(
-            -turn * self.delay
-        )
+        whole, late = split_delay(self.delay)
+        held_response = zoh_response(self.plant, self.sample_time, omega, late)[0, 0]
+        return (held_response + compliance) * np.exp(-turn * whole)
 
     def _controlled(self, controller: Pid, omega: np.ndarray) -> np.ndarray:
         return controller.frequency_response(
@@ -292,7 +292,7 @@ class Loop:
         pid = tustin(controller.state_space(), self.sample_time)
         unit = float(np.abs(pid.d[0, 0]))  # N/m: with forces in it no part of the loop is larger than another
         loop = closed_loop(
-            _scaled(self._held, [unit], [1.0]),
+            _scaled(self.sampled_plant, [unit], [1.0]),
             _scaled(self.compensator, [unit, 1.0], [unit, 1.0]),
             _scaled(pid, [1.0], [unit]),
         )
@@ -328,13 +328,18 @@ class Loop:
         return bool(np.all(self.poles(controller).real < 0))
 
     @cached_property
-    def _held(self) -> StateModel:
+    def sampled_plant(self) -> StateModel:
         """The sampled plant, late, its compliance showing the force of the sample before."""
-        held = zoh_modes(self.plant, self.sample_time)
-        last = StateModel(np.zeros((1, 1)), np.ones((1, 1)), held.d, np.zeros((1, 1)), self.sample_time)
-        modes = StateModel(held.a, held.b, held.c, np.zeros((1, 1)), self.sample_time)
-        plant = interconnect([modes, last], np.zeros((2, 2)), np.ones((2, 1)), np.ones((1, 2)))
-        return delayed(plant, self.delay)
+        whole, late = split_delay(self.delay)
+        held, before = late_modes(self.plant, self.sample_time, late)
+        n = len(held.a)
+        a, b = (
+            np.zeros((n + 1, n + 1)),
+            np.append(held.b, [[1.0]], axis=0),
+        )  # the last state: the force before
+        a[:n, :n], a[:n, n:] = held.a, before
+        c = np.hstack([held.c, held.d])
+        return delayed(StateModel(a, b, c, np.zeros((1, 1)), self.sample_time), whole)
 
     @checked
     def crossing_hz(self, controller: Pid) -> float:
@@ -382,7 +387,7 @@ def make_loop(
     points: int = 600,
     around: int = 40,
     sample_time: float = 0.0,
-    delay: int = 0,
+    delay: float = 0.0,
 ) -> Loop:
     """Prepare a loop: responses of everything but the controller, on a grid refined around every pole.
 
@@ -396,8 +401,8 @@ def make_loop(
         Grid, see `stillwork.lti.resonance_grid`; that of a sampled loop ends at half of its rate.
     sample_time : float
         Sample time, s; 0: continuous time.
-    delay : int
-        Samples that the force is late; of a sampled loop alone.
+    delay : float
+        Samples that the force is late, whole or not; of a sampled loop alone.
 
     Returns
     -------
@@ -424,7 +429,7 @@ def make_loop(
     observer = no_observer(plant) if compensator is None else compensator
     if compensator is None:
         observer = replace(observer, sample_time=sample_time)
-    require_count("delay", delay, at_least=0)
+    require_number("delay", delay, at_least=0.0)
     if observer.sample_time != sample_time or (delay and not sample_time):
         raise InputError(
             "compensator has another sample time than sample_time, or there is a delay without one"

@@ -1,7 +1,7 @@
 """A controller as a processor runs it: sampled, limited without winding up, started without a bump."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,6 +33,7 @@ KEPT = (
     *("format", "sample_time_s", "inputs", "outputs", "state_space", "low", "high", "anti_windup"),
     *("delay_samples", "start"),
 )
+ALIKE = 1e-9  # to which sections must respond like the controller that they stand for
 SAME = 1e-6  # to which biquads must agree with their model, or they are left out
 
 
@@ -250,11 +251,18 @@ def observed_controller(controller: StateModel, compensator: StateModel) -> Stat
 
 
 @checked(infinite=True)
-def runnable(pid: Pid, compensator: StateModel, limit: float | ArrayLike, about: dict) -> DigitalController:
+def runnable(
+    pid: Pid,
+    compensator: StateModel,
+    limit: float | ArrayLike,
+    about: dict,
+    units: tuple[str, str] = ("m", "N"),
+) -> DigitalController:
     """A sampled loop's controller as a processor runs it: Tustin's PID with the compensator, limits to both sides.
 
     The integrator tracks a limited force within the root of integral and differential time; the observer is told it.
-    The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite.
+    The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite. `units` are those of the
+    position and of the force.
     """
     limit = require_array("limit", limit, shape=(), infinite=True)
     sample_time = compensator.sample_time
@@ -263,12 +271,33 @@ def runnable(pid: Pid, compensator: StateModel, limit: float | ArrayLike, about:
     winding = np.vstack([np.zeros((len(compensator.a), 1)), anti_windup(feedback, tracking_time)])
     return DigitalController(
         observed_controller(feedback, compensator),
-        ("r (m)", "y (m)"),
-        ("f (N)",),
+        tuple(f"{name} ({units[0]})" for name in "ry"),
+        (f"f ({units[1]})",),
         -limit,
         limit,
         winding,
         about=about,
+    )
+
+
+@checked
+def in_units(
+    controller: DigitalController, position: float, drive: float, units: tuple[str, str]
+) -> DigitalController:
+    """A controller of `runnable` in other units, of which a unit of its position and of its force hold so many."""
+    require_number("position", position, above=0.0)
+    require_number("drive", drive, above=0.0)
+    m, n = controller.model, len(controller.inputs)
+    b = np.hstack([m.b[:, :n] / position, m.b[:, n:] / drive])
+    model = StateModel(m.a, b, m.c * drive, m.d * drive / position, m.sample_time)
+    return replace(
+        controller,
+        model=model,
+        inputs=tuple(f"{name} ({units[0]})" for name in "ry"),
+        outputs=(f"f ({units[1]})",),
+        low=controller.low * drive,
+        high=controller.high * drive,
+        anti_windup=controller.anti_windup / drive,
     )
 
 
@@ -340,6 +369,109 @@ def biquads(model: StateModel) -> np.ndarray | None:
     sections = signal.zpk2sos(zeros, poles, gain)
     found = signal.sosfreqz(sections, omega * model.sample_time)[1]
     return sections if np.abs(found - wanted).max() <= SAME * np.abs(wanted).max() else None
+
+
+class EquivalentBiquads(NamedTuple):
+    """A controller of r and y as a drive takes it, f = feedback(r - y) + reference(r), between its limits."""
+
+    feedback: np.ndarray  # (sections, 6)
+    reference: np.ndarray | None  # (sections, 6); None: nothing is added
+    error: float  # largest relative difference from the controller's own response
+
+
+@checked(infinite=True)
+def equivalent_biquads(controller: DigitalController) -> EquivalentBiquads | None:
+    """Second-order sections of the whole linear map of a controller from (r, y) to f, an observer's part included.
+
+    None where a pole lies outside the unit circle, the integrator of the reference's part does not cancel, or the
+    sections do not respond as the controller does, to `ALIKE` at each frequency.
+    """
+    m = controller.linear
+    if m.d.shape != (1, 2):
+        raise InputError("controller must have the inputs r and y and one output")
+    feedback = StateModel(m.a, -m.b[:, 1:], m.c, -m.d[:, 1:], m.sample_time)
+    together = m.b.sum(axis=1, keepdims=True), m.d.sum(axis=1, keepdims=True)
+    reference = StateModel(m.a, together[0], m.c, together[1], m.sample_time)
+    omega = np.geomspace(1e-4, 0.99, 400) * np.pi / m.sample_time
+    wanted, beside = (each.frequency_response(omega)[0, 0] for each in (feedback, reference))
+    found = _sections(feedback, omega, wanted, np.abs(wanted), forgets=False)
+    if found is None:
+        return None
+    sections, error = found
+    if np.abs(beside).max() <= AT_ONE * np.abs(wanted).min():  # without an observer r and y count alike
+        return EquivalentBiquads(sections, None, error)
+    # What r adds counts beside all that r does.
+    size = np.maximum(np.abs(wanted + beside), np.abs(beside))
+    added = _sections(reference, omega, beside, size, forgets=True)
+    return None if added is None else EquivalentBiquads(sections, added[0], max(error, added[1]))
+
+
+def _sections(
+    model: StateModel, omega: np.ndarray, wanted: np.ndarray, size: np.ndarray, forgets: bool
+) -> tuple[np.ndarray, float] | None:
+    """Sections of a stable model and their largest error over a size; with `forgets` its integrators must cancel."""
+    # Of z - 1: near 1, where a fast sampled controller has its poles and zeros, z itself has lost its digits.
+    lifted = _minimal(replace(model, a=model.a - np.eye(len(model.a))))
+    zeros, poles = lifted.zeros, lifted.poles
+    poles[np.abs(poles) < AT_ONE] = 0.0
+    if np.any(np.abs(1 + poles[poles != 0]) >= 1):
+        return None
+    for pole in poles:  # what the input does not reach, or the output does not show
+        apart = np.abs(zeros - pole)
+        if len(zeros) and apart.min() < (SAME if pole == 0 else AT_ONE):
+            zeros, poles = np.delete(zeros, apart.argmin()), np.delete(poles, np.abs(poles - pole).argmin())
+    if forgets and np.any(poles == 0):
+        return None
+    step = 2j * np.sin(omega * model.sample_time / 2) * np.exp(0.5j * omega * model.sample_time)
+
+    def shape():
+        return np.exp(np.log(step[:, None] - zeros).sum(axis=1) - np.log(step[:, None] - poles).sum(axis=1))
+
+    first = shape()
+    gain = float(np.sum((first.conj() * wanted).real / size**2) / np.sum(np.abs(first / size) ** 2))
+    best = (np.inf, gain, zeros)
+    for _ in range(4):  # Gauss and Newton, on the error of both halves of the circle
+        now = gain * shape() / size
+        error = wanted / size - now
+        if not np.abs(error).max() < best[0]:
+            break
+        best = (float(np.abs(error).max()), gain, zeros)
+        slopes = now[:, None] * np.column_stack([np.ones(len(step)), -1 / (step[:, None] - zeros)])
+        turned = now.conj()[:, None] * np.column_stack(
+            [np.ones(len(step)), -1 / (step.conj()[:, None] - zeros)]
+        )
+        moves = np.linalg.lstsq(np.vstack([slopes, turned]), np.append(error, error.conj()), rcond=1e-10)[0]
+        gain, zeros = gain * (1 + moves[0].real), zeros + moves[1:]
+    _, gain, zeros = best
+    zeros, poles = (_conjugate(1 + each) for each in (zeros, poles))
+    sections = signal.zpk2sos(zeros, poles, gain)
+    for _ in range(
+        len(poles) - len(zeros)
+    ):  # SciPy puts a zero at 0, a sample too early, for each that lacks
+        late = np.flatnonzero(sections[:, 2] == 0)
+        if not len(late):
+            return None
+        sections[late[0], :3] = 0.0, *sections[late[0], :2]
+    found = signal.sosfreqz(sections, omega * model.sample_time)[1]
+    worst = float(np.abs((found - wanted) / size).max())
+    return (sections, worst) if worst <= ALIKE else None
+
+
+def _minimal(model: StateModel) -> StateModel:
+    """Without the states that no coefficient leads to from the input, or from which none leads to the output."""
+    links = (model.a != 0) | np.eye(len(model.a), dtype=bool)
+    reached, seen = np.any(model.b, axis=1), np.any(model.c, axis=0)
+    for _ in range(len(links)):
+        reached, seen = links @ reached, seen @ links
+    kept = reached & seen
+    return replace(model, a=model.a[np.ix_(kept, kept)], b=model.b[kept], c=model.c[:, kept])
+
+
+def _conjugate(roots: np.ndarray) -> np.ndarray:
+    """The roots with each pair exactly conjugate, and what is real but for rounding real."""
+    real = np.abs(roots.imag) <= AT_ONE * np.maximum(np.abs(roots), 1)
+    upper = roots[~real & (roots.imag > 0)]
+    return np.concatenate([upper, upper.conj(), roots[real].real.astype(complex)])
 
 
 class LibraryObjects(NamedTuple):

@@ -7,7 +7,14 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.checks import (
+    Converted,
+    InputError,
+    require_array,
+    require_choice,
+    require_count,
+    require_number,
+)
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control.applications import Application, filtered_estimates
 from stillwork.control.discrete_damping import discrete_damping_gain
@@ -15,7 +22,7 @@ from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.estimation.observer import FlexibleEstimates, NoiseIntensities, with_walk
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.delays import delayed
-from stillwork.lti.discretisation import zoh, zoh_modes
+from stillwork.lti.discretisation import late_modes, zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
@@ -38,12 +45,15 @@ class DiscreteObserver(FlexibleEstimates):
     gain: ArrayLike  # (states, outputs), of the filter, K; the predictor's is L = AK
     covariance: Float64[np.ndarray, "states states"]  # P(k|k-1)
     sample_time: float  # s
+    before: Converted = 0.0  # (states, inputs), of the force of the sample before, which a late one follows
 
     @checked
     def __post_init__(self):
         check_fields(self)
         gain = require_array("gain", self.gain, shape=(len(self.a), len(self.c)))
         object.__setattr__(self, "gain", gain)
+        before = np.broadcast_to(require_array("before", self.before), self.b.shape)
+        object.__setattr__(self, "before", before)
         require_array("covariance", self.covariance, shape=self.a.shape)
         require_number("sample_time", self.sample_time, above=0.0)
         if np.any(np.abs(linalg.eigvals(self.a - self.a @ self.gain @ self.c)) >= 1):
@@ -82,7 +92,8 @@ class DiscreteObserver(FlexibleEstimates):
         inputs, outputs = self.b.shape[1], len(self.c)
         d = self.model.feedthrough
         kept = np.eye(len(self.a)) - self.gain @ self.c
-        a = np.block([[self.a @ kept, -self.a @ self.gain @ d], [np.zeros((inputs, len(self.a) + inputs))]])
+        old = self.before - self.a @ self.gain @ d
+        a = np.block([[self.a @ kept, old], [np.zeros((inputs, len(self.a) + inputs))]])
         b = np.block([[self.b, self.a @ self.gain], [np.eye(inputs), np.zeros((inputs, outputs))]])
         read, now = rows @ kept, rows @ self.gain  # of the filter, which sees the measurement of this sample
         if form == "predictor":
@@ -93,17 +104,21 @@ class DiscreteObserver(FlexibleEstimates):
 
 @checked
 def discrete_kalman_observer(
-    model: ModalModel, noise: NoiseIntensities, sample_time: float, noise_model: float | None = None
+    model: ModalModel,
+    noise: NoiseIntensities,
+    sample_time: float,
+    noise_model: float | None = None,
+    late: float = 0.0,
 ) -> DiscreteObserver:
     r"""Stationary discrete Kalman observer, (4.7) and section 4.1.3, with the process noise at the plant input.
 
     The model is reduced, its feedthrough the compliance T_DC. The noises, Q_nu (N^2/s) of the random walk at the
     plant input among them, are intensities of the continuous design: they become variances by the factor 1/Ts, which
-    changes no gain.
+    changes no gain. The force, not the disturbance, may begin `late` by a part of a sample.
     """
     if model.measures != "position":
         raise InputError("model measures velocities; this observer is for positions")
-    sampled = zoh_modes(model, sample_time)
+    sampled, (late_model, before) = zoh_modes(model, sample_time), late_modes(model, sample_time, late)
     a, b, c = sampled.a, sampled.b, sampled.c
     inputs = b.shape[1]
     g, q = b, noise.process / sample_time * np.eye(inputs)
@@ -112,7 +127,8 @@ def discrete_kalman_observer(
         a, b, g, c = with_walk(a, b, c, np.eye(inputs))
         q = linalg.block_diag(q, noise_model * sample_time * np.eye(inputs))
     solved = discrete_gain(a, g, c, q, noise.sensor / sample_time)
-    return DiscreteObserver(model, a, b, c, solved.filter_gain, solved.covariance, sample_time)
+    b, before = (np.vstack([each, np.zeros((len(a) - len(each), inputs))]) for each in (late_model.b, before))
+    return DiscreteObserver(model, a, b, c, solved.filter_gain, solved.covariance, sample_time, before)
 
 
 @checked

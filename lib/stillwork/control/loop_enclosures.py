@@ -85,7 +85,7 @@ def _functions(loop: Loop, pid: Pid, written: StateModel | None) -> dict[str, tu
 
     With P = p / q and the command (k_r r + k_y y + k_f f) / k the loop's own polynomial is q (k - k_f) - k_y p.
     """
-    [[p]], q = in_z(loop._held if loop.sample_time else loop.plant.state_space())
+    [[p]], q = in_z(loop.sampled_plant if loop.sample_time else loop.plant.state_space())
     [[o_uu, o_uy], [o_yu, o_yy]], o = in_z(loop.compensator)
     feedback = pid.state_space()
     [[c]], rest = in_z(tustin(feedback, loop.sample_time) if loop.sample_time else feedback)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
@@ -18,12 +19,19 @@ from stillwork.control.bandwidth import (
     maximise_bandwidth,
 )
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
-from stillwork.control.moved_resonances import harmful_factors, moved_loop
 from stillwork.control.pid import Pid, PidFamily
+from stillwork.control.uncertainty import (
+    Perturbation,
+    corners,
+    harmful_places,
+    make_box,
+    perturbed_loops,
+    uncertainty_of,
+)
 from stillwork.estimation.observer import NoiseIntensities, kalman_observer
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, whole_band
-from stillwork.lti.delays import delayed
+from stillwork.lti.delays import delayed, split_delay
 from stillwork.lti.discretisation import prewarped
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
@@ -33,8 +41,8 @@ SAFE = tuple(PeakConstraint(name) for name in FUNCTIONS)  # also the true error 
 SHOWN = {"input_sensitivity": "S_I", "output_sensitivity": "S_O", "true_tracking": "r to e_true"}
 ABOVE_SUSPENSION = 2.0  # of a machine on springs to the ground: lowest bandwidth sought, over its suspension
 HIGHEST_NOTCH = 0.8  # of half the rate
-NORMAL = 1.96  # standard deviations either side of a number, 95 %
-WIDEST = 0.9  # share by which a resonance may be lower at most
+ROUNDS = 40  # of looking for another place in the box that does harm
+THOROUGH = 16  # starts at each frequency in the last one
 SEARCH = (1 / 40, 1.0)  # of the first resonance: where bandwidths are sought
 
 
@@ -140,7 +148,7 @@ def observed_loops(
     noise: NoiseIntensities,
     noise_model: float | None,
     sample_time: float = 0.0,
-    delay: int = 0,
+    delay: float = 0.0,
 ) -> list[Loop]:
     """One loop a plant, each with its own observer; sampled where there is a `sample_time` (s)."""
     return [
@@ -163,12 +171,12 @@ def observing_compensator(
     noise: NoiseIntensities,
     noise_model: float | None,
     sample_time: float = 0.0,
-    delay: int = 0,
+    delay: float = 0.0,
 ) -> StateModel:
     """Compensator on an observer of the plant's first `retained` modes and the compliance of the others.
 
     The suspension of a machine on springs to the ground counts as its rigid body. With a `sample_time` it is
-    sampled, takes the newest measurement, and knows the `delay` of the force in samples.
+    sampled, takes the newest measurement, and knows the `delay` of the force in samples, whole or not.
     """
     reduced = truncate(plant, retained, len(plant.frequencies) - retained)
     if not reduced.rigid_modes:
@@ -178,35 +186,15 @@ def observing_compensator(
         reduced = replace(reduced, **free)
     if not sample_time:
         return compensator(kalman_observer(reduced, noise, noise_model), application)
-    observer = discrete_kalman_observer(reduced, noise, sample_time, noise_model)
+    whole, late = split_delay(delay)
+    observer = discrete_kalman_observer(reduced, noise, sample_time, noise_model, late)
     block = discrete_compensator(observer, application, "filter", 0)
-    if not delay:
+    if not whole:
         return block
-    line = delayed(constant(np.ones((1, 1)), sample_time), delay)
+    line = delayed(constant(np.ones((1, 1)), sample_time), whole)
     feedback, outside = np.zeros((3, 3)), np.zeros((3, 2))
     feedback[0, 2] = outside[1, 1] = outside[2, 0] = 1
     return interconnect([block, line], feedback, outside, np.eye(2, 3))
-
-
-@checked
-def doubted_shares(machine: Machine, doubt: float) -> np.ndarray:
-    """Share by which each frequency of the sensors may differ: `doubt`, or the interval of 95 % of the fit if wider.
-
-    The rigid body or its suspension stays; without a doubt nothing moves.
-    """
-    frequencies = machine.sensors[0].frequencies
-    shares = np.full(len(frequencies), require_number("doubt", doubt, at_least=0.0, below=1.0))
-    shares[0] = 0.0
-    if doubt and machine.fit is not None:
-        spread = NORMAL * machine.fit.deviation[1 - machine.sensors[0].rigid_modes :] / frequencies[1:]
-        shares[1:] = np.clip(spread, shares[1:], WIDEST)
-    return shares
-
-
-@checked
-def doubted_loops(loops: Sequence[Loop], moves: Sequence[np.ndarray]) -> tuple[Loop, ...]:
-    """All loops with the frequencies multiplied by the first factors, then by the next ones."""
-    return tuple(moved_loop(loop, factors) for factors in moves for loop in loops)
 
 
 @by_value
@@ -224,8 +212,8 @@ class Reached:
         One a sensor; on the measurement where there is one.
     model_loops : tuple of Loop
         The same on the model.
-    doubted_loops : tuple of Loop
-        The same on the model with its resonances lower, higher, then where they do most harm; empty without a doubt.
+    perturbed : tuple of Loop
+        The same at places of the box around the model: two corners, then where most harm is done; empty without a box.
     reason : str
         Why no bandwidth was found; empty when one was.
     """
@@ -235,7 +223,7 @@ class Reached:
     extra_turns: int | None
     loops: tuple[Loop, ...]
     model_loops: tuple[Loop, ...]
-    doubted_loops: tuple[Loop, ...] = ()
+    perturbed: tuple[Loop, ...] = ()
     reason: str = ""
 
     @property
@@ -277,11 +265,9 @@ class Reached:
         if stop is not None:
             moved, sensor = divmod(stop.loop, len(self.model_loops))
             place = f" of sensor {sensor + 1}" if stop.function in FUNCTIONS else ""
-            doubt = ("", " with lower resonances", " with higher resonances", " with moved resonances")[
-                min(moved, 3)
-            ]
+            where = " somewhere in the box" if moved else ""
             name = SHOWN.get(stop.function, stop.function)
-            row["stopped by"] = f"{name}{place} at {stop.peak.omega / (2 * np.pi):.0f} Hz{doubt}"
+            row["stopped by"] = f"{name}{place} at {stop.peak.omega / (2 * np.pi):.0f} Hz{where}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
         if self.extra_turns is not None:
             row["extra turns"] = str(self.extra_turns)
@@ -299,8 +285,8 @@ def reach(
     search_hz: tuple[float, float] = (0.0, 0.0),
     constraints: Sequence[PeakConstraint] = SAFE,
     sample_time: float = 0.0,
-    delay: int = 0,
-    doubt: float = 0.0,
+    delay: float = 0.0,
+    uncertainty: Mapping[str, float] = MappingProxyType({}),
     notches: bool = False,
     lead: float = 3.0,
 ) -> dict[str, Reached]:
@@ -326,11 +312,11 @@ def reach(
         By default both sensitivities and r to e_true, each at most 6 dB.
     sample_time : float
         Sample time, s; 0: continuous time.
-    delay : int
-        Samples from command to force.
-    doubt : float
-        Share by which each resonance may be lower or higher than the model's, whatever the others do, or the interval
-        of a fit where that is wider: the constraints hold all over that box.
+    delay : float
+        Samples from command to force, whole or not.
+    uncertainty : mapping of str to float
+        How far the machine may be from the model, by the fields of `Uncertainty`, the intervals of a fit beside it:
+        the constraints hold all over that box. Empty: on the model alone.
     notches : bool
         Give the controller a notch at each resonance that the observer holds and the rate reaches.
     lead : float
@@ -346,16 +332,18 @@ def reach(
         ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
         band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
     low, high = search_hz if any(search_hz) else search_range(machine, sample_time)
-    shares = doubted_shares(machine, doubt)
+    spread = uncertainty_of(machine, uncertainty)
+    places = corners(spread)
     family = pid_family(machine, lead, retained if notches else 1, sample_time)
     found = {}
     for name, application in chosen.items():
         settings = observer_settings(machine, application, retained, intensities)
         modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
         loops, on_data, turns = modelled, None, None
-        doubted = doubted_loops(modelled, (1 - shares, 1 + shares) if doubt else ())
+        perturbed = perturbed_loops(modelled, places)
+        boxes = [make_box(loop, spread) for loop in modelled] if places else []
         search = partial(_search, family=family, limits=constraints, refine=True)
-        on_model, reason = search((*loops, *doubted), low=low, high=high)
+        on_model, reason = search((*loops, *perturbed), low=low, high=high)
         if measured is not None:
             loops = tuple(
                 on_measurement(loop, measured, 1.0, band, mirror)
@@ -363,30 +351,35 @@ def reach(
             )
             on_data, other = search(loops, low=low, high=high, refine=False)
             reason = reason or other
-        while doubted and on_model is not None:
-            pid = _lower(on_model, on_data).controller
-            new = doubted_loops(modelled, harmful_factors(modelled, pid, constraints, shares))
-            if not new:
+        for count in range(ROUNDS if places else 0):
+            if on_model is None:
                 break
+            pid = _lower(on_model, on_data).controller
+            harm: list[Perturbation] = []
+            for starts in (1, THOROUGH):
+                harm = harm or harmful_places(modelled, pid, constraints, boxes, starts)
+            if not harm:
+                break
+            new = perturbed_loops(modelled, harm)
             ends = on_model.lowest_hz, _lower(on_model, on_data).design_hz
-            before, doubted = len(modelled) + len(doubted), (*doubted, *new)
+            before, perturbed = len(modelled) + len(perturbed), (*perturbed, *new)
             on_model, _ = search(new, low=ends[0], high=ends[1])
             if on_model is not None:  # the loops before hold up to there
                 on_model = replace(on_model, loop=before + on_model.loop)
             else:
-                on_model, other = search((*modelled, *doubted), low=low, high=high)
+                on_model, other = search((*modelled, *perturbed), low=low, high=high)
                 reason = reason or other
+            if count == ROUNDS - 1 and on_model is not None:
+                on_model, reason = None, "new places in the box do harm again and again"
         if on_model is not None:
             crossings = [loop.crossing_hz(on_model.controller) for loop in modelled]
             on_model = replace(on_model, crossing_hz=np.array(crossings))
-        elif doubted:
-            reason += (
-                f" (loops from {len(loops) + 1} on: resonances moved by up to {100 * shares.max():.3g} %)"
-            )
+        elif perturbed:
+            reason += f" (loops from {len(loops) + 1} on: somewhere in the box)"
         if on_data is not None:
             lower = _lower(on_model, on_data)
             turns = sum(abs(extra_turns(loop, lower.controller)) for loop in loops)
-        found[name] = Reached(on_model, on_data, turns, loops, modelled, doubted, reason)
+        found[name] = Reached(on_model, on_data, turns, loops, modelled, perturbed, reason)
     return found
 
 

@@ -1,24 +1,22 @@
 """The settings of a controller and its observer that get a machine furthest: one look around at each of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control.applications import Application
-from stillwork.control.bandwidth import Loop, PeakConstraint, holds
+from stillwork.control.bandwidth import Loop, PeakConstraint, holds, make_loop
 from stillwork.control.machine_loops import (
     SAFE,
     Intensities,
-    doubted_loops,
-    doubted_shares,
     observed_loops,
     observer_settings,
     pid_family,
     search_range,
 )
-from stillwork.control.moved_resonances import harmful_factors
+from stillwork.control.uncertainty import harmful_places, make_box, uncertainty_of
 from stillwork.identification.machine import Machine
 
 # One step of each setting; tried up, then down, again and again while the bandwidth grows.
@@ -49,38 +47,43 @@ def tuned(
     settings: DesignSettings,
     design_hz: float,
     *,
-    doubt: float,
+    uncertainty: Mapping[str, float],
     sample_time: float,
-    delay: int,
+    delay: float,
     constraints: Sequence[PeakConstraint] = SAFE,
 ) -> DesignSettings:
     """Settings that hold the constraints on the model at a higher bandwidth than those given do at `design_hz`."""
 
-    def loops_of(each: DesignSettings) -> tuple[list[Loop], list[Loop]]:
+    def loops_of(each: DesignSettings) -> list[Loop]:
         chosen = observer_settings(machine, each.application, each.retained, each.intensities)
-        loops = observed_loops(machine.sensors, each.application, *chosen, sample_time, delay)
-        return loops, [*loops, *doubted_loops(loops, (1 - shares, 1 + shares) if doubt else ())]
+        return observed_loops(machine.sensors, each.application, *chosen, sample_time, delay)
 
     def pushed(each: DesignSettings) -> float:
         """The bandwidth up to which these settings hold, from the best so far on; that itself if they hold no more."""
         try:
-            modelled, loops = loops_of(each)
+            loops = loops_of(each)
         except InputError:  # no observer can be made with these
             return design_hz
         family = pid_family(machine, each.lead, each.retained if each.notches else 1, sample_time)
-        reached = design_hz
+        reached, answers = (
+            design_hz,
+            [loop.compensator.frequency_response(box.omega) for loop, box in zip(loops, boxes, strict=False)],
+        )
         while (
             PUSH * reached < highest
             and holds(loops, pid := family(PUSH * reached), constraints)
-            and not (doubt and harmful_factors(modelled, pid, constraints, shares))
+            and not harmful_places(loops, pid, constraints, boxes, 1, answers, first=True)
         ):
             reached *= PUSH
         return reached
 
     require_number("design_hz", design_hz, above=0.0)
     require_number("sample_time", sample_time, above=0.0)
-    require_count("delay", delay, at_least=0)
-    shares = doubted_shares(machine, doubt)
+    require_number("delay", delay, at_least=0.0)
+    spread = uncertainty_of(machine, uncertainty)
+    # One grid for all settings: what the box holds there is the same for each.
+    plain = [make_loop(sensor, sample_time=sample_time, delay=delay) for sensor in machine.sensors]
+    boxes = [] if spread.is_empty else [make_box(loop, spread, fine=False) for loop in plain]
     _, highest = search_range(machine, sample_time)
     for name, size in STEPS.items():
         for factor in (size, 1 / size):

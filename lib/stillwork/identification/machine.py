@@ -30,11 +30,19 @@ class Machine:
     fit: ModalFit | None = None  # of `measured`
     mirrored: tuple[bool, ...] = (False,)  # by sensor: whether it is the assumed mirror image of the first
     notes: tuple[str, ...] = ()  # what was done to it, and what to mind
+    units: tuple[str, str] = ("m", "N")  # of the position and of what drives it
 
     def __post_init__(self):
         check_fields(self)
         if not self.sensors:
             raise InputError("sensors is empty; give the model of at least one sensor")
+
+    @property
+    def mass_unit(self) -> str:
+        """Of `mass`: kg, kg m^2 of an inertia, or drive over acceleration."""
+        position, drive = self.units
+        known = {("m", "N"): "kg", ("rad", "N m"): "kg m^2"}
+        return known.get(self.units, f"{drive}/({position}/s^2)")
 
     @property
     def resonances_hz(self) -> Float64[np.ndarray, " modes"]:
@@ -133,6 +141,11 @@ def _fitted(
         notes.append(
             f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz"
         )
+    if model.drag:
+        notes.append(
+            f"on viscous friction: {model.drag:.4g} 1/s of the mass, {model.drag * _mass(model):.4g} "
+            f"{file.units[1]}/({file.units[0]}/s)"
+        )
     if len(model.frequencies) < 2:
         raise InputError(
             f"{file.source} has no flexible mode from {band[0]:g} to {band[1]:g} Hz; widen fit_hz"
@@ -168,7 +181,7 @@ def _fitted(
             f"lines {spacing:.3g} Hz apart do not resolve a resonance {widths.min():.3g} Hz wide: its peak may lie "
             "between them"
         )
-    return Machine((model,), _mass(model), file.source, measured, fit, notes=tuple(notes))
+    return Machine((model,), _mass(model), file.source, measured, fit, notes=tuple(notes), units=file.units)
 
 
 def _built(file: MachineFile, model: ModalModel) -> Machine:
@@ -202,7 +215,9 @@ def _built(file: MachineFile, model: ModalModel) -> Machine:
     notes = ("counted against the force, turned",) if turned else ()
     if suspended:
         notes += (f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz",)
-    return Machine(sensors, masses[0], file.source, mirrored=(False,) * len(sensors), notes=notes)
+    return Machine(
+        sensors, masses[0], file.source, mirrored=(False,) * len(sensors), notes=notes, units=file.units
+    )
 
 
 def _mass(model: ModalModel) -> float:

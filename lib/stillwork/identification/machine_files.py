@@ -13,16 +13,21 @@ from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
-from stillwork.signals.records import MOTION_UNITS, UNITS_SAID, is_time, sampling_rate, unit_factor
+from stillwork.signals.records import UNITS_SAID, is_time, sampling_rate, unit_factor
 
 FORMS = (
     "a frequency response (frequency, and complex values or magnitude and phase), hammer records (force and "
     "response), or the matrices M and K"
 )
+POSITIONS, DRIVES = ("m", "rad", "count"), ("N", "N m", "A", "V")
+# Of an acceleration, a velocity and a position
+MOVES = {f"{each}{over}": (each, k) for each in POSITIONS for k, over in enumerate(("/s^2", "/s", ""))}
 PADDING = 4  # lengths of a record that has died out: zeros appended to it give a finer grid
 LONGEST_HIT = 0.2  # part of a record during which the force may exceed a tenth of its peak
 DIED_OUT = 0.02  # of the peak, what the last tenth of a record may still hold
 _PLAIN = ("", "-", "1", "s", "ms", "rad", "deg", "degrees", "°")  # in brackets of time, phase and coherence
+_FREQUENCIES = ("frequency", "frequencies", "freq", "freqs", "f", "hz", "hertz", "omega")
+_ANGLES = (*_FREQUENCIES, "phase", "angle", "w")
 _HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
 
 
@@ -33,10 +38,14 @@ class MachineFile:
 
     kind: str  # ``frequency response``, ``hammer records`` or ``matrices``
     source: str  # file name
-    # acceleration over force in 1/kg; coherence is NaN where the file has none
+    # acceleration over force in 1/kg, or in what `units` make of it; coherence is NaN where the file has none
     accelerance: Identified | None = None
     model: ModalModel | None = None  # from force to the position of every sensor
     notes: tuple[str, ...] = ()  # what was done to it
+    units: tuple[str, str] = (
+        "m",
+        "N",
+    )  # of the position and of what drives it: ("rad", "N m"), ("count", "A"), ...
 
     def __post_init__(self):
         check_fields(self)
@@ -81,7 +90,9 @@ def load_machine(
     file : str or Path
     response_unit, force_unit : str
         Of the response and of the force, e.g. ``m/s^2``, ``g``, ``um`` and ``N``, ``kN``; empty: as the brackets in
-        the file say, or m/s^2 and N where it does not. Not for matrices.
+        the file say, or m/s^2 and N (of a rotation N m) where it does not. A machine that turns is in ``rad`` (or
+        ``rad/s``, ``rad/s^2``) and ``N m``; a drive's own units are ``count`` and ``A`` or ``V``. Of matrices they
+        only name what these are in.
     sample_rate : float, optional
         Hz, of hammer records without a time or a rate.
     response : str
@@ -111,25 +122,27 @@ def load_machine(
     try:
         kind = kind_of(arrays)
         if kind == "matrices":
-            return MachineFile(kind, file.name, model=_from_matrices(arrays, damping_ratio))
+            units = _machine_units(response_unit or "m", force_unit)
+            factor = unit_factor(response_unit or "m")[0] / unit_factor(force_unit or units[2])[0]
+            if factor != 1:
+                raise InputError(
+                    "matrices are in m and N, rad and N m or the like, without m, u or k in front"
+                )
+            model = _from_matrices(arrays, damping_ratio)
+            return MachineFile(kind, file.name, model=model, units=(units[0], units[2]))
         named = response.partition("[")[0]
         stated = stated_units([each for each in (response, named) if each in arrays] or arrays)
         response_unit = _agreed("response_unit", response_unit, stated[0])
         force_unit = _agreed("force_unit", force_unit, stated[1])
         silent = [name for name, unit in (("response", response_unit), ("force", force_unit)) if not unit]
-        response_unit, force_unit = response_unit or "m/s^2", force_unit or "N"
-        factor, unit = unit_factor(response_unit)
-        force, force_si = unit_factor(force_unit)
+        response_unit = response_unit or "m/s^2"
         if silent and (unknown := _unknown_unit(arrays)):
             raise InputError(
                 f"{unknown}: the unit is not known; use {UNITS_SAID}, or give response_unit and force_unit"
             )
-        if unit not in MOTION_UNITS:
-            raise InputError(
-                f"response_unit is {response_unit!r}; give an acceleration, a velocity or a position"
-            )
-        if force_si != "N":
-            raise InputError(f"force_unit is {force_unit!r}; give a force such as N, mN or kN")
+        position, derivatives, drive = _machine_units(response_unit, force_unit)
+        force_unit = force_unit or drive
+        factor, force = unit_factor(response_unit)[0], unit_factor(force_unit)[0]
         if kind == "hammer records":
             found, notes = _from_hammer(arrays, sample_rate, file.name)
         else:
@@ -140,9 +153,24 @@ def load_machine(
         notes += (
             f"nothing says the unit of {' and '.join(silent)}; taken for {response_unit} over {force_unit}",
         )
-    derivatives = MOTION_UNITS.index(unit)
     scaled = factor / force * found.response * (1j * found.omega) ** derivatives
-    return MachineFile(kind, file.name, found._replace(response=scaled), notes=notes)
+    return MachineFile(kind, file.name, found._replace(response=scaled), notes=notes, units=(position, drive))
+
+
+def _machine_units(response_unit: str, force_unit: str) -> tuple[str, int, str]:
+    """Unit of the position, how many derivatives the response lacks, and the unit of what drives it."""
+    _, unit = unit_factor(response_unit)
+    if unit not in MOVES:
+        raise InputError(
+            f"response_unit is {response_unit!r}; give an acceleration, a velocity or a position"
+        )
+    position, derivatives = MOVES[unit]
+    _, drive = unit_factor(force_unit or ("N m" if position == "rad" else "N"))
+    if drive not in DRIVES:
+        raise InputError(
+            f"force_unit is {force_unit!r}; give a force such as N or kN, a torque N m, or A or V"
+        )
+    return position, derivatives, drive
 
 
 @checked
@@ -171,12 +199,15 @@ def stated_units(names: Iterable[str]) -> tuple[str, str]:
     for name in names:
         whole = _in_brackets(name)
         top, _, below = whole.rpartition("/")
-        top = top.strip("() ")
-        if is_unit(top, MOTION_UNITS) and is_unit(below, ("N",)):
+        top, below = top.strip("() "), below.strip("() ")
+        if is_unit(top, tuple(MOVES)) and is_unit(below, DRIVES):
             said = {"response": top, "force": below}
         else:
-            kinds = (("response", MOTION_UNITS), ("force", ("N",)))
-            said = {kind: whole for kind, wanted in kinds if is_unit(whole, wanted)}
+            kinds = (("response", tuple(MOVES)), ("force", DRIVES))
+            # rad and rad/s behind a phase and a frequency are no motion of the machine.
+            said = {
+                kind: whole for kind, wanted in kinds if _word(name) not in _ANGLES and is_unit(whole, wanted)
+            }
         for kind, unit in said.items():
             if unit_factor(units.setdefault(kind, unit)) != unit_factor(unit):
                 raise InputError(
@@ -365,7 +396,7 @@ def _matrix(arrays: dict[str, np.ndarray], *words: str) -> np.ndarray | None:
 def _frequency_name(arrays: dict[str, np.ndarray]) -> str | None:
     return _named(
         {name: array for name, array in arrays.items() if array.size > 1},
-        *("frequency", "frequencies", "freq", "freqs", "f", "hz", "hertz", "omega"),
+        *_FREQUENCIES,
     )
 
 

@@ -28,6 +28,8 @@ FLOOR = 0.1  # relative noise of a line below which all lines weigh the same
 SMOOTH = 9  # lines over which a response's size and its noise are averaged
 LEAST = 0.5  # relative error that a mode must prevent, root mean square over its own width
 SURE = 30.0  # times the mean square error beside it, that the sum of squares without a mode must grow by
+RUBBED = 0.7  # part of the squares without friction that may be left with it
+RESONANT = 0.2  # damping ratio of a pole that may be a resonance beside friction
 CANCELLED = 3.0  # times the response at its frequency, that a mode's own part may have
 NEAR_GUESS = 5e-3  # of a frequency, within which a pole that settles takes the place of a guess
 UNSETTLED = 1e-3  # damping ratio of a guess that no such pole is near
@@ -194,7 +196,10 @@ class ModalFit:
     mass_deviation: float  # relative
     turned: bool  # whether the response is counted against the force
     diagram: Stabilisation  # where the modes were looked for
+    # relative, of each mode's part of the response
+    residue_deviation: Float64[np.ndarray, " modes"] = field(default_factory=lambda: np.zeros(0))
     delay: float = 0.0  # s, by which the response is late; the model is without
+    delay_deviation: float = 0.0  # s, whether or not a delay was found
     # rad/s, resonances beyond the band
     cut: Float64[np.ndarray, " cut"] = field(default_factory=lambda: np.zeros(0))
 
@@ -312,6 +317,26 @@ def identify_modes(
         raise InputError("guesses_hz must be empty or hold frequencies all inside band_hz")
     problem = _Accelerance(measured, band_hz)
     diagram = stabilisation(problem.omega, problem.target[:, None, None])
+    free = _identified(problem, diagram, guesses, band_hz)
+    # A free body on viscous friction, where that says more with no more modes than without.
+    if not free[0].grounded:
+        rubbed = _Accelerance(measured, band_hz)
+        if rubbed.rub(np.log(diagram.settled())):
+            try:
+                other = _identified(rubbed, diagram, guesses, band_hz)
+            except InputError:
+                return free[0].fit(free[1], diagram)
+            left = [each.cost(modes) for each, modes in (free, other)]
+            fewer = free[1].shape[1] - other[1].shape[1]
+            if not other[0].grounded and (
+                left[1] < RUBBED * left[0] if fewer <= 0 else left[1] < left[0] / RUBBED
+            ):
+                return other[0].fit(other[1], diagram)
+    return free[0].fit(free[1], diagram)
+
+
+def _identified(problem, diagram, guesses, band_hz):
+    """The modes of `identify_modes`, and the problem with its delay and friction as they were found."""
     settled = np.log(diagram.settled())
     ends = CUT + np.log([[problem.omega[-1]], [1.0]])
     problem.bring_forward(np.hstack([settled[:, :MOST_FITTED], ends]))
@@ -339,7 +364,8 @@ def identify_modes(
             "modes_hz, or widen fit_hz"
         )
     problem.bring_forward(modes)
-    return problem.fit(problem.refined(modes, 60) if problem.delay else modes, diagram)
+    problem.rub_again(modes)
+    return problem, problem.refined(modes, 60) if problem.delay or problem.drag else modes
 
 
 class _Accelerance:
@@ -364,6 +390,7 @@ class _Accelerance:
         self.weight = 1 / (size * np.hypot(1.0, noise / FLOOR))
         self.goal = _stacked(self.target * self.weight)
         self.delay = 0.0  # s, by which the response was late
+        self.drag = 0.0  # 1/s, of the rigid body
         self.grounded = False  # then no rigid body is free, and a third term of the series takes its column
 
     def columns(self, modes, derivatives=True):
@@ -373,6 +400,9 @@ class _Accelerance:
         own = -(w**2) / (frequency**2 - w**2 + loss)
         fixed = -((w / w[-1]) ** np.array([[6 if self.grounded else 0], [2], [4]]))
         fixed[0] *= -1
+        if self.drag and not self.grounded:
+            fixed = fixed.astype(complex)
+            fixed[0] = 1j * w / (1j * w + self.drag)
         parts = [*fixed, own]
         if derivatives:
             moved = own**2 / w**2
@@ -436,6 +466,61 @@ class _Accelerance:
             self.delay += float(found.x)
             self.target = self.target * np.exp(1j * self.omega * found.x)
             self.goal = _stacked(self.target * self.weight)
+
+    def cost(self, modes):
+        """Squares that these modes leave."""
+        residual = self.solved(modes)[1]
+        return residual @ residual
+
+    def rub(self, settled):
+        """Look for viscous friction and a delay at once; whether any friction explains the response far better.
+
+        Of the settled poles those that are no resonance, by their damping, are left out: they stand for what is sought.
+        """
+        modes = settled[:, np.exp(settled[1]) < RESONANT][:, :MOST_FITTED]
+        if not modes.size:
+            return False
+        first = np.exp(modes[0].min())
+        trials = np.append(0.0, np.geomspace(self.omega[0] / 100, first, 60))
+        left = self.left_with(modes, trials)
+        best = int(left.argmin())
+        noise = left[best] / (2 * len(self.omega))
+        if not best or left[0] - left[best] < SURE * noise or left[best] > RUBBED * left[0]:
+            return False
+        self.drag = self.finer(modes, trials, best)
+        return True
+
+    def rub_again(self, modes):
+        """The friction that leaves least with these modes, moved a little."""
+        if self.drag:
+            trials = self.drag * np.geomspace(0.5, 2, 41)
+            self.drag = self.finer(modes, trials, int(self.left_with(modes, trials).argmin()))
+
+    def finer(self, modes, trials, best):
+        """The least between the neighbours of the best of the trials."""
+        ends = trials[max(best - 1, 1)], trials[min(best + 1, len(trials) - 1)]
+        found = minimize_scalar(
+            lambda drag: float(self.left_with(modes, np.array([drag]))[0]),
+            bounds=(min(ends), max(ends)),
+            method="bounded",
+            options={"xatol": 1e-6 * trials[best]},
+        )
+        return float(found.x)
+
+    def left_with(self, modes, drags):
+        """Squares left by these modes, moved a little, a delay, and each friction: the rigid body's column alone differs."""
+        before, self.drag = self.drag, 0.0
+        linear, moving = self.columns(modes)
+        self.drag = before
+        lag = -1j * self.omega * self.target * self.weight  # a little delay of all of it
+        q, _, _ = _orthogonal(np.column_stack([linear[:, 1:], moving, _stacked(lag)]))
+        goal = self.goal - q @ (q.T @ self.goal)
+        found = []
+        for drag in drags:
+            column = _stacked(1j * self.omega / (1j * self.omega + drag) * self.weight)
+            column = column - q @ (q.T @ column)
+            found.append(goal @ goal - (column @ goal) ** 2 / (column @ column))
+        return np.array(found)
 
     def found(self, modes, settled):
         """These modes and those of the settled poles that stand, in rounds."""
@@ -521,6 +606,10 @@ class _Accelerance:
             gains[0] -= line @ residual[below] / (line @ line)
         jacobian = np.hstack([linear, moving * np.tile(gains[FIXED:], 2)])
         spread = _spread(jacobian, linear @ gains - self.goal)
+        # What a delay would add is a part of no other number's error: the model is without.
+        seen = linear @ gains
+        lag = -1j * self.omega * (seen[: len(self.omega)] + 1j * seen[len(self.omega) :])
+        late = float(_spread(np.column_stack([jacobian, _stacked(lag)]), seen - self.goal)[-1])
         # The model has no growth of the compliance and no mode beyond the band: its gains are those that do best without.
         every, count = modes.shape[1], int(np.sum(modes[0] <= np.log(self.omega[-1])))
         kept = linear[:, [1, *range(FIXED, FIXED + count)]]
@@ -539,6 +628,7 @@ class _Accelerance:
             shapes[:, None],
             (shapes * np.sign(residues))[None, :],
             np.array([[sign * own[0] / self.omega[-1] ** 2]]),
+            drag=0.0 if self.grounded else self.drag,
         )
         return ModalFit(
             model,
@@ -549,8 +639,10 @@ class _Accelerance:
             float(spread[rigid] / abs(gains[rigid])),
             sign < 0,
             diagram,
-            self.delay,
-            np.exp(modes[0, count:]),
+            residue_deviation=np.abs(spread[FIXED : FIXED + count] / gains[FIXED : FIXED + count]),
+            delay=self.delay,
+            delay_deviation=late,
+            cut=np.exp(modes[0, count:]),
         )
 
 

@@ -1,10 +1,17 @@
-"""Whole samples of delay in discrete models."""
+"""Delays of discrete models: whole samples, and what a delay holds beside them."""
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_count, require_room
+from stillwork.base.checks import InputError, require_count, require_number, require_room
 from stillwork.base.front_door import checked
 from stillwork.lti.state_space import StateModel
+
+
+@checked
+def split_delay(samples: float) -> tuple[int, float]:
+    """Whole samples of a delay and the part of one beside them; what is whole but for rounding counts as whole."""
+    whole = int(np.floor(require_number("samples", samples, at_least=0.0) + 1e-9))
+    return whole, max(samples - whole, 0.0) if samples - whole > 1e-9 else 0.0
 
 
 @checked

@@ -1,5 +1,7 @@
 """Discretisation: by zero-order hold exactly, of modes in closed form and of any model, and by Tustin's rule."""
 
+import math
+
 import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
@@ -18,18 +20,42 @@ def zoh_modes(model: ModalModel, sample_time: float) -> StateModel:
     The transition matrix is (2.29) of the observer thesis taken to the modal states; the input matrix keeps
     the damping that (2.33) leaves out.
     """
+    return late_modes(model, sample_time, 0.0)[0]
+
+
+@checked
+def late_modes(
+    model: ModalModel, sample_time: float, late: float
+) -> tuple[StateModel, Float64[np.ndarray, "states inputs"]]:
+    """As `zoh_modes`, of a force that begins `late` by a part of a sample, below 1; and the old force's input matrix.
+
+    Until it begins the force of the sample before acts: x_{k+1} = A x_k + B u_k + B_old u_{k-1}.
+    """
     require_number("sample_time", sample_time, above=0.0)
+    require_number("late", late, at_least=0.0, below=1.0)
     n = len(model.frequencies)
-    blocks, gains = _held(model.frequencies, model.damping, sample_time)
+    blocks, gains, old = _late(model.frequencies, model.damping, sample_time, late, model.drag)
     a = np.zeros((n, 2, n, 2))
     a[np.arange(n), :, np.arange(n), :] = blocks
-    b = gains[:, :, None] * model.input_shapes[:, None, :]
+    b, before = (
+        (each[:, :, None] * model.input_shapes[:, None, :]).reshape(2 * n, -1) for each in (gains, old)
+    )
     continuous = model.state_space()
-    return StateModel(a.reshape(2 * n, 2 * n), b.reshape(2 * n, -1), continuous.c, continuous.d, sample_time)
+    return StateModel(a.reshape(2 * n, 2 * n), b, continuous.c, continuous.d, sample_time), before
+
+
+def _late(w, z, sample_time: float, late: float, drag: float):
+    """Transition matrices, gains of the new force and of the old one; see `late_modes`."""
+    blocks, gains = _held(w, z, sample_time, drag)
+    if not late:
+        return blocks, gains, np.zeros_like(gains)
+    after, new = _held(w, z, (1 - late) * sample_time, drag)
+    _, old = _held(w, z, late * sample_time, drag)
+    return blocks, new, np.einsum("kij,kj->ki", after, old)
 
 
 def _held(
-    w, z, sample_time: float
+    w, z, sample_time: float, drag: float = 0.0
 ) -> tuple[Float64[np.ndarray, "modes 2 2"], Float64[np.ndarray, "modes 2"]]:
     """Transition matrix and input gains of each mode for itself, over one sample with its force held."""
     s = np.sqrt(1 - z**2)
@@ -48,6 +74,18 @@ def _held(
     gains = np.empty((len(w), 2))
     gains[:, 0] = np.divide(lifted, w**2, out=np.full(len(w), sample_time**2 / 2), where=flexible)
     gains[:, 1] = decay * sinc
+    if drag and not flexible.all():  # what moves freely loses speed: exp(-drag t)
+        free = ~flexible
+        lost = drag * sample_time
+        once = sample_time * -np.expm1(-lost) / lost
+        # 1/2 - x/6 + x^2/24 - ...: the closed form cancels where little is lost
+        twice = (
+            sum((-lost) ** k / math.factorial(k + 2) for k in range(8))
+            if lost < 0.1
+            else (lost + np.expm1(-lost)) / lost**2
+        )
+        blocks[free, 0, 1], blocks[free, 1, 1] = once, np.exp(-lost)
+        gains[free, 0], gains[free, 1] = sample_time**2 * twice, once
     return blocks, gains
 
 
@@ -191,25 +229,32 @@ def sampled_modes(
     damping: Float64[np.ndarray, " modes"],
     sample_time: float,
     omega: Float64[np.ndarray, "... frequencies"],
+    late: float = 0.0,
+    drag: float = 0.0,
 ) -> Complex128[np.ndarray, "modes frequencies"]:
     """Force to position of each mode for itself (mass 1), sampled with a zero-order hold, in closed form.
 
-    `omega` is the same for all modes, or holds a row for each.
+    `omega` is the same for all modes, or holds a row for each. The force may begin `late` by a part of a sample, and
+    what moves freely lose its speed at the rate `drag` (1/s).
     """
-    blocks, gains = _held(frequencies, damping, sample_time)
+    blocks, gains, old = _late(frequencies, damping, sample_time, late, drag)
     # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
     lifted = np.exp(1j * omega * sample_time) - 1
     first, second = blocks[:, 0, 0, None] - 1, blocks[:, 1, 1, None] - 1
     cross = blocks[:, 0, 1, None] * blocks[:, 1, 0, None]
     determinant = lifted**2 - lifted * (first + second) + first * second - cross
-    return ((lifted - second) * gains[:, :1] + blocks[:, 0, 1, None] * gains[:, 1:]) / determinant
+    position, velocity = gains[:, :1], gains[:, 1:]
+    if late:
+        before = np.exp(-1j * omega * sample_time)
+        position, velocity = position + before * old[:, :1], velocity + before * old[:, 1:]
+    return ((lifted - second) * position + blocks[:, 0, 1, None] * velocity) / determinant
 
 
 @checked
 def zoh_response(
-    model: ModalModel, sample_time: float, omega: Float64[np.ndarray, " frequencies"]
+    model: ModalModel, sample_time: float, omega: Float64[np.ndarray, " frequencies"], late: float = 0.0
 ) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
-    """Response of the zero-order-hold equivalent, mode by mode in closed form."""
+    """Response of the zero-order-hold equivalent, mode by mode in closed form; the force `late` as in `late_modes`."""
     residues = model.output_shapes[:, None, :] * model.input_shapes.T[None]
-    modes = sampled_modes(model.frequencies, model.damping, sample_time, omega)
+    modes = sampled_modes(model.frequencies, model.damping, sample_time, omega, late, model.drag)
     return residues @ modes + model.feedthrough[:, :, None]

@@ -8,7 +8,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, counted, require_array, require_choice
+from stillwork.base.checks import InputError, counted, require_array, require_choice, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel
 
@@ -35,11 +35,13 @@ class ModalModel:
         D, the compliance of modes that are left out.
     measures : str
         "position" or "velocity".
+    drag : float
+        1/s, viscous friction over mass of the rigid body: :math:`\ddot\eta + c\dot\eta = \phi_a^T f`.
 
     Raises
     ------
     InputError
-        When sizes do not fit, frequencies do not ascend or a damping is not in [0, 1).
+        When sizes do not fit, frequencies do not ascend, a damping is not in [0, 1) or the drag negative.
 
     References
     ----------
@@ -58,6 +60,7 @@ class ModalModel:
     output_shapes: Float64[np.ndarray, "outputs modes"]  # phi_s
     feedthrough: Float64[np.ndarray, "outputs inputs"]  # compliance T_DC
     measures: str = "position"  # or "velocity"
+    drag: float = 0.0  # c, 1/s: rate at which the rigid body loses its speed
 
     def __post_init__(self):
         check_fields(self)
@@ -77,6 +80,7 @@ class ModalModel:
         if np.any(self.damping[self.frequencies == 0] != 0):
             raise InputError("damping of a mode of zero frequency must be 0: its ratio has no meaning")
         require_choice("measures", self.measures, ("position", "velocity"))
+        require_number("drag", self.drag, at_least=0.0)
 
     @property
     def rigid_modes(self) -> int:
@@ -88,7 +92,7 @@ class ModalModel:
         """Both poles of every mode."""
         w, z = self.frequencies, self.damping
         upper = w * (-z + 1j * np.sqrt(1 - z**2))
-        return np.concatenate([upper, upper.conj()])
+        return np.concatenate([upper, np.where(w > 0, upper.conj(), -self.drag)])
 
     @checked
     def modes(self, chosen: Sequence[int] | slice) -> "ModalModel":
@@ -239,10 +243,15 @@ class ModalModel:
         w, z = self.frequencies[:, None], self.damping[:, None]
         residues = self.output_shapes[:, None, :] * self.input_shapes.T[None]
         with np.errstate(all="ignore"):  # what is not finite is refused
-            modal = 1 / ((w - omega) * (w + omega) + 2j * z * w * omega)
+            modal = 1 / ((w - omega) * (w + omega) + 2j * z * w * omega + 1j * self._drags[:, None] * omega)
             if self.measures == "velocity":
                 modal = modal * (1j * omega)
             return residues @ modal + self.feedthrough[:, :, None]
+
+    @property
+    def _drags(self) -> np.ndarray:
+        """Drag of what moves freely, 1/s."""
+        return np.where(self.frequencies > 0, 0.0, self.drag)
 
     @checked
     def state_space(self) -> StateModel:
@@ -265,7 +274,7 @@ class ModalModel:
         position, velocity = np.arange(0, 2 * n, 2), np.arange(1, 2 * n, 2)
         a[position, velocity] = 1
         a[velocity, position] = -(self.frequencies**2)
-        a[velocity, velocity] = -2 * self.damping * self.frequencies
+        a[velocity, velocity] = -2 * self.damping * self.frequencies - self._drags
         b[velocity] = self.input_shapes
         c[:, position if self.measures == "position" else velocity] = self.output_shapes
         return StateModel(a, b, c, self.feedthrough)
@@ -312,7 +321,7 @@ def modal_model(
     damping_ratio : float or array_like, shape (modes,)
         Modal damping of the flexible modes; used when there is no `damping_matrix`.
     damping_matrix : array_like, shape (nodes, nodes), optional
-        Damping that the mode shapes decouple (proportional damping), N s/m.
+        Damping that the mode shapes decouple (proportional damping), N s/m; of the rigid body its friction.
 
     Returns
     -------
@@ -349,22 +358,33 @@ def modal_model(
     floor = 1e-10 * max(squares[-1], 0)
     if squares[0] < -floor:
         raise InputError("stiffness has a negative eigenvalue; a structure needs a semidefinite matrix")
-    w = np.sqrt(np.where(squares > floor, squares, 0))
+    w, drag = np.sqrt(np.where(squares > floor, squares, 0)), 0.0
     if damping_matrix is None:
         ratio = np.broadcast_to(require_array("damping_ratio", damping_ratio), (n,))
         ratio = np.where(w > 0, ratio, 0.0)
     else:
         modal = shapes.T @ require_array("damping_matrix", damping_matrix, shape=(n, n)) @ shapes
-        own = np.where(w > 0, np.diag(modal), 0.0)
-        if np.abs(modal - np.diag(own)).max() > 1e-8 * np.abs(modal).max():
+        own, loose = np.diag(modal).copy(), 1e-8 * np.abs(modal).max()
+        free = own[w == 0]
+        if (
+            len(free) and free.max() > loose and np.ptp(free) <= loose
+        ):  # friction brakes all that moves freely alike
+            drag = float(free.mean())
+        own[w == 0] = drag
+        if np.abs(modal - np.diag(own)).max() > loose:
             raise InputError(
                 "damping_matrix does not decouple in the mode shapes; give damping_ratio instead"
             )
-        ratio = np.divide(own, 2 * w, out=np.zeros(n), where=w > 0)
+        ratio = np.divide(np.where(w > 0, own, 0.0), 2 * w, out=np.zeros(n), where=w > 0)
     input_map = require_array("input_map", input_map, shape=(n, None))
     output_map = require_array("output_map", output_map, shape=(None, n))
     return ModalModel(
-        w, ratio, shapes.T @ input_map, output_map @ shapes, np.zeros((len(output_map), input_map.shape[1]))
+        w,
+        ratio,
+        shapes.T @ input_map,
+        output_map @ shapes,
+        np.zeros((len(output_map), input_map.shape[1])),
+        drag=drag,
     )
 
 

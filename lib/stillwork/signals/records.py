@@ -24,7 +24,20 @@ from stillwork.signals.datafiles import read_columns
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
 MOTION_UNITS = ("m/s^2", "m/s", "m")
-_QUANTITIES = (*MOTION_UNITS, "N", "V", "A", "Pa", "rad", "rad/s", "rad/s^2")
+_QUANTITIES = (
+    *MOTION_UNITS,
+    "N",
+    "N m",
+    "V",
+    "A",
+    "Pa",
+    "rad",
+    "rad/s",
+    "rad/s^2",
+    "count",
+    "count/s",
+    "count/s^2",
+)
 SI_UNITS = (*_QUANTITIES, "1")
 _PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 # What a unit means: factor to SI, and the SI unit.
@@ -72,7 +85,8 @@ class Record:
     sample_rate : float
         Hz.
     unit : str
-        Of SI: ``m/s^2``, ``m/s``, ``m``, ``N``, ``V``, ``A``, ``Pa``, ``rad``, ``rad/s``, ``rad/s^2`` or ``1``.
+        ``m/s^2``, ``m/s``, ``m``, ``N``, ``N m``, ``V``, ``A``, ``Pa``, ``rad``, ``rad/s``, ``rad/s^2``, ``count``,
+        ``count/s``, ``count/s^2`` or ``1``.
     names : tuple of str
         One a channel.
     source : str
@@ -204,6 +218,7 @@ def load_record(
 def unit_factor(unit: str) -> tuple[float, str]:
     """Factor to SI and the SI unit of `unit`; an unknown one raises `InputError` that names the nearest."""
     plain = unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "^2").replace("s2", "s^2")
+    plain = re.sub(r"^([munk]?)N[-*· ]?m$", r"\1N m", plain.replace("counts", "count"))
     if plain not in UNITS:
         raise InputError(f"unit is {unit!r}; use {UNITS_SAID}{nearest(plain, UNITS)}")
     return UNITS[plain]

@@ -1,0 +1,509 @@
+"""A machine that is not quite its model: the box of its numbers, the place in it that does most harm, the loop there."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
+from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.kernels import kernel
+from stillwork.control.bandwidth import FUNCTIONS, Loop, PeakConstraint, make_loop
+from stillwork.control.pid import Pid
+from stillwork.identification.machine import Machine
+from stillwork.lti.delays import split_delay
+from stillwork.lti.discretisation import sampled_modes
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.peaks import resonance_grid
+
+NAMES = ("frequency", "residue", "damping", "gain", "mass", "delay")
+NORMAL = 1.96  # standard deviations either side of a number, 95 %
+WIDEST = 0.9  # share by which a number may be lower at most
+STEPS = np.linspace(-1, 1, 25)  # to places of a mode beside its resonance, dense at its width, that are tried
+TURNS = np.linspace(-1, 1, 5)  # of the delay's interval, that are tried
+STARTS, SWEEPS = 4, 2
+GRID = {"points": 800, "around": 60}
+EXCESS = 1.0005  # times a limit, 0.004 dB: what is handed out keeps it within 0.01 dB
+MOST_DAMPED = 0.999
+SLIGHT = 1e-3  # share of a damping ratio that changes no peak worth the while
+
+
+@by_value
+@dataclass(frozen=True)
+class Uncertainty:
+    """How far a machine may be from its model: half the widths of a box around the model's numbers.
+
+    Parameters
+    ----------
+    frequency, residue, damping : array_like, shape (modes,)
+        Share of each mode's frequency, of its part of the response and of its damping ratio; one number for all
+        flexible modes. The rigid body has none.
+    gain : float
+        Share of the whole response: the motor constant, or the sensor's scale.
+    mass : float
+        Share of the rigid body's mass, the flexible part apart.
+    delay : float
+        s.
+
+    Raises
+    ------
+    InputError
+        When a share is negative or not below 1, or the delay negative.
+
+    Examples
+    --------
+    >>> box = control.Uncertainty(frequency=0.05, gain=0.1)
+    >>> box.is_empty, control.Uncertainty().is_empty
+    (False, True)
+    """
+
+    frequency: Converted = 0.0
+    residue: Converted = 0.0
+    damping: Converted = 0.0
+    gain: float = 0.0
+    mass: float = 0.0
+    delay: float = 0.0
+
+    @checked
+    def __post_init__(self):
+        check_fields(self)
+        for name in NAMES[:3]:
+            shares = require_array(name, getattr(self, name))
+            if shares.ndim > 1 or not np.all((shares >= 0) & (shares < 1)):
+                raise InputError(f"{name} must hold shares of at least 0 and below 1; 0 for what is known")
+            object.__setattr__(self, name, shares)
+        for name in ("gain", "mass"):
+            require_number(name, getattr(self, name), at_least=0.0, below=1.0)
+        require_number("delay", self.delay, at_least=0.0)
+
+    def _of_modes(self, plant: ModalModel) -> "Uncertainty":
+        """The same with a number for each mode of a plant, 0 for its first, the rigid body or the suspension."""
+        spread: dict[str, Any] = {}
+        for name in NAMES[:3]:
+            value = getattr(self, name)
+            if value.ndim and value.shape != plant.frequencies.shape:
+                raise InputError(f"{name} holds {value.size} shares; give one, or one a mode of the plant")
+            shares = np.broadcast_to(value, plant.frequencies.shape).copy()
+            shares[0] = 0.0
+            spread[name] = shares
+        return replace(self, **spread)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether everything is known."""
+        return not any(np.any(getattr(self, name)) for name in NAMES)
+
+
+class Perturbation(NamedTuple):
+    """A place in the box: factors on the modes' numbers and on the whole, and what is added to the delay."""
+
+    frequencies: Float64[np.ndarray, " modes"]
+    residues: Float64[np.ndarray, " modes"]
+    damping: Float64[np.ndarray, " modes"]
+    gain: float = 1.0
+    delay: float = 0.0  # s
+
+
+@checked
+def uncertainty_of(machine: Machine, asked: Mapping[str, float]) -> Uncertainty:
+    """What is asked for, by `NAMES`, and the fit's intervals of 95 % beside it: a machine changes after it was measured.
+
+    Nothing asked for is no uncertainty at all.
+    """
+    for name, value in asked.items():
+        require_choice("uncertainty", name, NAMES)
+        require_number(
+            f"uncertainty: {name}", value, at_least=0.0, **{} if name == "delay" else {"below": 1.0}
+        )
+    model, fit = machine.sensors[0], machine.fit
+    found: dict = dict(asked)
+    if fit is not None and asked:
+        flexible = slice(1 - model.rigid_modes, None)  # a suspension is fitted like a mode
+        known = {
+            "frequency": fit.deviation[flexible] / model.frequencies[1:],
+            "damping": fit.damping_deviation[flexible] / model.damping[1:],
+            "residue": fit.residue_deviation[flexible],
+        }
+        for name, spread in known.items():
+            found[name] = np.append(0.0, np.clip(asked.get(name, 0.0) + NORMAL * spread, 0.0, WIDEST))
+        found["mass"] = min(asked.get("mass", 0.0) + NORMAL * fit.mass_deviation, WIDEST)
+        found["delay"] = asked.get("delay", 0.0) + NORMAL * fit.delay_deviation
+    return Uncertainty(**found)._of_modes(model)
+
+
+@checked
+def perturbed_loop(loop: Loop, place: Perturbation) -> Loop:
+    """The same observer and sample time on a plant at a place of the box; two of its frequencies may change places."""
+    plant = loop.plant
+    rows = [
+        require_array(name, values, shape=plant.frequencies.shape)
+        for name, values in zip(Perturbation._fields, place[:3], strict=False)
+    ]
+    if not min(row.min() for row in rows) > 0 or not place.gain > 0:
+        raise InputError("place must hold factors above 0")
+    frequencies, residues, damping = rows
+    plant = replace(
+        plant,
+        damping=np.minimum(plant.damping * damping, MOST_DAMPED),
+        output_shapes=plant.output_shapes * residues * place.gain,
+        feedthrough=plant.feedthrough * place.gain,
+    ).moved(frequencies * plant.frequencies)
+    delay = loop.delay
+    if loop.sample_time:
+        delay = max(loop.delay + place.delay / loop.sample_time, 0.0)
+    return make_loop(plant, loop.compensator, sample_time=loop.sample_time, delay=delay)
+
+
+@checked
+def perturbed_loops(loops: Sequence[Loop], places: Sequence[Perturbation]) -> tuple[Loop, ...]:
+    """All loops at the first place, then at the next ones."""
+    return tuple(perturbed_loop(loop, place) for place in places for loop in loops)
+
+
+@checked
+def corners(uncertainty: Uncertainty) -> list[Perturbation]:
+    """Two places to begin with: all frequencies low and the gain high, and all of both high; none without a box."""
+    if uncertainty.is_empty:
+        return []
+    ones = np.ones_like(uncertainty.frequency)
+    gain = 1 + uncertainty.gain
+    return [
+        Perturbation(1 + sign * uncertainty.frequency, ones, 1 - uncertainty.damping, gain, uncertainty.delay)
+        for sign in (-1, 1)
+    ]
+
+
+@checked
+def worst_place(
+    loop: Loop, controller: Pid, function: str, uncertainty: Uncertainty
+) -> tuple[float, Perturbation]:
+    """Largest magnitude of a loop function over the box, and the place that leads there.
+
+    At each frequency of a grid the box's numbers are moved one after the other to where the magnitude is largest, from
+    several starts: a mode's frequency and damping over a list of places, dense at its width, its part, the gain and
+    the mass by the closed form of a ratio of quadratics. As a bounded sensitivity never lets the loop pass -1, the
+    loop is stable in the whole box when it is in its middle.
+
+    Parameters
+    ----------
+    loop : Loop
+        On a model.
+    controller : Pid
+    function : str
+        One of `FUNCTIONS`.
+    uncertainty : Uncertainty
+
+    Returns
+    -------
+    tuple
+        The magnitude, and the `Perturbation`.
+
+    Raises
+    ------
+    InputError
+        When the box does not fit the plant.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    >>> loop, pid = control.make_loop(stage), control.PidFamily(11.0)(15.0)
+    >>> box = control.Uncertainty(frequency=0.05)
+    >>> size, place = control.worst_place(loop, pid, "input_sensitivity", box)
+    >>> bool(size > loop.peak(pid, "input_sensitivity").magnitude), place.frequencies  # lower is worse
+    (True, array([1.  , 0.95]))
+    """
+    require_choice("function", function, FUNCTIONS)
+    box = make_box(loop, uncertainty)
+    ((size, place),) = box.worst(loop, controller, [PeakConstraint(function)], every=True)
+    return size, place
+
+
+@checked
+def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
+    """What the plant of a loop may be at each frequency; `fine`: also on the loop's own grid."""
+    plant, sample_time = loop.plant, loop.sample_time
+    uncertainty = uncertainty._of_modes(plant)
+    top = min(loop.omega[-1], 0.998 * np.pi / sample_time if sample_time else np.inf)
+    omega = _grid(plant, uncertainty, sample_time, loop.omega[0], top)
+    if fine:
+        omega = np.unique(np.concatenate([omega, loop.omega]))
+    whole, late = split_delay(loop.delay)
+    turn = np.exp(-1j * omega * sample_time * whole)
+    gains = plant.output_shapes[0] * plant.input_shapes[:, 0]
+    count = 3 + len(STEPS)
+    many = 3 if np.any(uncertainty.damping > SLIGHT) else 1
+    parts = np.zeros((len(omega), len(gains), many * count), complex)
+    places, ratios = np.zeros(parts.shape), np.zeros(parts.shape[1:])
+    sizes = np.ones(len(gains), int)
+    for k, (w, z, share) in enumerate(
+        zip(plant.frequencies, plant.damping, uncertainty.frequency, strict=True)
+    ):
+        own = (
+            np.array([0.0])
+            if uncertainty.damping[k] <= SLIGHT
+            else np.array([0.0, -1, 1]) * uncertainty.damping[k]
+        )
+        tried = _places(omega, w, z, share, sample_time) if share else np.full((1, len(omega)), w)
+        sizes[k] = len(own) * len(tried)
+        for j, more in enumerate(own):
+            columns = slice(j * len(tried), (j + 1) * len(tried))
+            ratio = min(z * (1 + more), MOST_DAMPED)
+            parts[:, k, columns] = (
+                gains[k] * _unit(omega, tried, ratio, sample_time, late, plant.drag) * turn
+            ).T
+            places[:, k, columns] = tried.T
+            ratios[k, columns] = 1 + more
+    fixed = plant.feedthrough[0, 0] * turn
+    if sample_time:
+        fixed = fixed * np.exp(-1j * omega * sample_time)  # it shows the force of the sample before
+    low, high = 1 - uncertainty.residue, 1 + uncertainty.residue
+    low[0], high[0] = 1 / (1 + uncertainty.mass), 1 / (1 - uncertainty.mass)
+    delays = uncertainty.delay * TURNS if uncertainty.delay and sample_time else np.zeros(1)
+    # A delay of less than nothing there is not.
+    delays = np.maximum(delays, -loop.delay * sample_time)
+    middle = len(delays) // 2
+    delays = np.append(delays[middle], np.delete(delays, middle))
+    return Box(omega, parts, sizes, places, ratios, fixed, low, high, uncertainty.gain, delays)
+
+
+def _grid(plant, uncertainty, sample_time, low, high) -> np.ndarray:
+    """Dense at each mode and at both ends of its interval, as it is seen, and in between."""
+    flexible = plant.frequencies > 0
+    w, z = plant.frequencies[flexible], plant.damping[flexible]
+    share = uncertainty.frequency[flexible]
+    ends = np.concatenate([w * (1 - share), w, w * (1 + share)])
+    between = (w * (1 + share * np.linspace(-1.02, 1.02, 121)[:, None])).ravel()
+    if sample_time:
+        ends, between = (_folded(each, sample_time) for each in (ends, between))
+    upper = ends * (-np.tile(z, 3) + 1j)
+    grid = resonance_grid(upper[ends > 0], low / (2 * np.pi), high / (2 * np.pi), **GRID)
+    between = between[(between > low) & (between < high)]
+    return np.unique(np.concatenate([grid, between]))
+
+
+def _folded(omega, sample_time):
+    """Where a sampled response shows a frequency."""
+    rate = 2 * np.pi / sample_time
+    return np.abs(omega - rate * np.round(omega / rate))
+
+
+def _places(omega, w, z, share, sample_time) -> np.ndarray:
+    """Frequencies of a mode that are tried at each frequency: lowest, highest, found, beside a line."""
+    low, high = w * (1 - share), w * (1 + share)
+    turns = np.round(w * sample_time / (2 * np.pi))
+    folded = 2 * np.pi * turns / sample_time if sample_time else 0.0
+    seen = np.abs(folded + (-1 if w < folded else 1) * omega)
+    width = max(z, 1e-7)
+    reach = np.arcsinh(2 * share / width)
+    beside = seen * (1 + width * np.sinh(reach * STEPS[:, None]))
+    ends = np.broadcast_to(np.array([[low], [high], [w]]), (3, len(omega)))
+    return np.concatenate([ends, np.clip(beside, low, high)])
+
+
+def _unit(omega, frequencies, ratio, sample_time, late, drag) -> np.ndarray:
+    """Responses of modes of mass 1 at places (places, frequencies), each element with a frequency of its own."""
+    if not sample_time:
+        loss = np.where(frequencies > 0, 2 * ratio * frequencies, drag)
+        return 1 / (frequencies**2 - omega**2 + 1j * loss * omega)
+    spread = np.broadcast_to(omega, frequencies.shape)
+    if np.ptp(frequencies[:, 0]) == 0 and len(frequencies) == 1:
+        return sampled_modes(frequencies[:, 0], np.array([ratio]), sample_time, omega, late, drag)
+    flat = frequencies.ravel()
+    found = sampled_modes(flat, np.full(flat.shape, ratio), sample_time, spread.reshape(-1, 1), late, drag)
+    return found.reshape(frequencies.shape)
+
+
+class Box(NamedTuple):
+    """The parts of a plant on a grid at all places that are tried."""
+
+    omega: np.ndarray  # (frequencies,), rad/s
+    parts: np.ndarray  # (frequencies, modes, places), m/N
+    sizes: np.ndarray  # (modes,), how many of the places there are
+    places: np.ndarray  # (frequencies, modes, places), rad/s
+    ratios: np.ndarray  # (modes, places), factors on the damping
+    fixed: np.ndarray  # (frequencies,), m/N, of the compliance
+    low: np.ndarray  # (modes,), least factor on each part ...
+    high: np.ndarray  # ... and largest
+    gain: float
+    delays: np.ndarray  # s, the middle first
+
+    @checked(infinite=True)
+    def worst(
+        self,
+        loop: Loop,
+        controller: Pid,
+        constraints: Sequence[PeakConstraint],
+        *,
+        every: bool = False,
+        starts: int = STARTS,
+        compensator: np.ndarray | None = None,
+        first: bool = False,
+    ) -> list[tuple[float, Perturbation]]:
+        """Places where a constraint is exceeded, the worst of each, with the magnitude there.
+
+        `every`: in any case; `first`: not the worst but the first that is found.
+        """
+        if compensator is None:
+            compensator = loop.compensator.frequency_response(self.omega)
+        (o_uu, o_uy), (o_yu, o_yy) = compensator
+        c = loop._controlled(controller, self.omega)
+        turn = 1 - c * o_yu - o_uu
+        slope = c * (1 - o_yy) - o_uy
+        above = {
+            "input_sensitivity": (1 - o_uu, -o_uy),
+            "output_sensitivity": (turn, np.zeros_like(turn)),
+            "true_tracking": (turn, slope - c),
+        }
+        found = []
+        late = np.exp(-1j * self.omega[:, None] * self.delays)
+        for constraint in constraints:
+            ratio = np.stack([*above[constraint.function], turn, slope], axis=1)
+            least = 0.0 if every else EXCESS * constraint.limit
+            size, row, taken, parts, gain, delay = _worst(
+                ratio, self.parts, self.sizes, self.fixed, self.low, self.high,
+                1 - self.gain, 1 + self.gain, late, least**2, starts, SWEEPS, first,
+            )  # fmt: skip
+            if row < 0:
+                continue
+            frequencies = loop.plant.frequencies
+            modes = np.arange(len(taken))
+            there = self.places[row, modes, taken]
+            moved = np.divide(there, frequencies, out=np.ones(len(there)), where=frequencies > 0)
+            place = Perturbation(moved, parts, self.ratios[modes, taken], gain, float(self.delays[delay]))
+            found.append((math.sqrt(size), place))
+        return found
+
+
+@kernel
+def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, least, starts, sweeps, first):
+    """Largest square of |(a + bP)/(c + dP)| above `least`, P anywhere in the box: its row and what P is made of."""
+    rows, modes = parts.shape[0], parts.shape[1]
+    best, best_row, best_gain, best_late = least, -1, 1.0, 0
+    best_taken, best_parts = np.zeros(modes, np.int64), np.ones(modes)
+    taken, factors = np.zeros(modes, np.int64), np.ones(modes)
+    for row in range(rows):
+        a, b, c, d = ratio[row, 0], ratio[row, 1], ratio[row, 2], ratio[row, 3]
+        # No place can exceed what is sought where even the triangle inequality does not.
+        middle, radius = fixed[row], 0.0
+        for k in range(modes):
+            nominal = 2 if sizes[k] > 2 and sizes[k] != 3 else 0
+            own = parts[row, k, nominal]
+            middle += own
+            far, size = 0.0, 0.0
+            for j in range(sizes[k]):
+                far = max(far, abs(parts[row, k, j] - own))
+                size = max(size, abs(parts[row, k, j]))
+            radius += far + max(high[k] - 1, 1 - low[k]) * size
+        scale = max(most_gain - 1, 1 - least_gain)
+        turned = 0.0
+        for j in range(late.shape[1]):
+            turned = max(turned, abs(late[row, j] - 1))
+        radius += (scale + turned * (1 + scale)) * (abs(middle) + radius)
+        below = abs(c + d * middle) - abs(d) * radius
+        if below > 0 and (abs(a + b * middle) + abs(b) * radius) ** 2 <= best * below**2:
+            continue
+        for start in range(starts):
+            gain, when = 1.0, 0
+            whole = fixed[row]
+            for k in range(modes):
+                if start < 3:
+                    taken[k] = start if start < sizes[k] else 0
+                else:
+                    taken[k] = ((row + 1) * 7919 * (k + 1) + start * 104729) % sizes[k]
+                factors[k] = 1.0
+                whole += parts[row, k, taken[k]]
+            for _ in range(sweeps):
+                for k in range(modes):
+                    others = whole - factors[k] * parts[row, k, taken[k]]
+                    turn = gain * late[row, when]
+                    if sizes[k] > 1:
+                        most = -1.0
+                        for j in range(sizes[k]):
+                            p = turn * (others + factors[k] * parts[row, k, j])
+                            over, under = a + b * p, c + d * p
+                            size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
+                            if size > most:
+                                most, taken[k] = size, j
+                    own = parts[row, k, taken[k]]
+                    if high[k] > low[k]:
+                        base = turn * others
+                        factors[k] = _along(
+                            a + b * base, b * turn * own, c + d * base, d * turn * own, low[k], high[k]
+                        )
+                    whole = others + factors[k] * own
+                most = -1.0
+                for j in range(late.shape[1]):
+                    p = gain * late[row, j] * whole
+                    over, under = a + b * p, c + d * p
+                    size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
+                    if size > most:
+                        most, when = size, j
+                if most_gain > least_gain:
+                    p = late[row, when] * whole
+                    gain = _along(a, b * p, c, d * p, least_gain, most_gain)
+            p = gain * late[row, when] * whole
+            over, under = a + b * p, c + d * p
+            size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
+            if size > best:
+                best, best_row, best_gain, best_late = size, row, gain, when
+                best_taken[:] = taken
+                best_parts[:] = factors
+        if first and best_row >= 0:
+            break
+    return best, best_row, best_taken, best_parts, best_gain, best_late
+
+
+@kernel
+def _along(a, b, c, d, low, high):
+    """Where |a + xb| / |c + xd| is largest from low to high: at an end, or where its slope, a quadratic, is zero."""
+    a0, a1, a2 = a.real**2 + a.imag**2, a.real * b.real + a.imag * b.imag, b.real**2 + b.imag**2
+    c0, c1, c2 = c.real**2 + c.imag**2, c.real * d.real + c.imag * d.imag, d.real**2 + d.imag**2
+    p, q, r = a2 * c1 - a1 * c2, a2 * c0 - a0 * c2, a1 * c0 - a0 * c1
+    tried = (low, high, low, high)
+    root = q * q - 4 * p * r
+    if root > 0:
+        half = -0.5 * (q + math.copysign(math.sqrt(root), q))
+        first = half / p if p != 0 else low
+        second = r / half if half != 0 else low
+        tried = (low, high, min(max(first, low), high), min(max(second, low), high))
+    best, most = low, -1.0
+    for x in tried:
+        size = (a0 + 2 * a1 * x + a2 * x * x) / (c0 + 2 * c1 * x + c2 * x * x)
+        if size > most:
+            best, most = x, size
+    return best
+
+
+@checked
+def harmful_places(
+    loops: Sequence[Loop],
+    controller: Pid,
+    constraints: Sequence[PeakConstraint],
+    boxes: Sequence[Box],
+    starts: int = STARTS,
+    compensators: Sequence[np.ndarray] = (),
+    first: bool = False,
+) -> list[Perturbation]:
+    """Places of the box where a loop exceeds a constraint, the worst of each; empty when none is found.
+
+    `compensators` are the responses of the loops' own on the grids of the boxes; of the `first` place no other matters.
+    """
+    if not compensators:
+        compensators = [
+            loop.compensator.frequency_response(box.omega) for loop, box in zip(loops, boxes, strict=False)
+        ]
+    found = []
+    for constraint in constraints:
+        worst = [
+            each
+            for loop, box, own in zip(loops, boxes, compensators, strict=False)
+            for each in box.worst(loop, controller, [constraint], starts=starts, compensator=own, first=first)
+        ]
+        if worst:
+            found.append(max(worst, key=lambda each: each[0])[1])
+            if first:
+                break
+    return found

@@ -1,0 +1,226 @@
+"""Machines somewhere in a box: the worst place against draws of it, and what `design` promises by other hands."""
+
+import itertools
+import runpy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.control.bandwidth import FUNCTIONS, holds, make_loop
+from stillwork.control.c_code import controller_code
+from stillwork.control.digital import runnable
+from stillwork.control.machine_loops import SAFE, applications, observed_loops, observer_settings, reach
+from stillwork.control.machine_tuning import DesignSettings, tuned
+from stillwork.control.pid import PidFamily
+from stillwork.control.uncertainty import (
+    Perturbation,
+    Uncertainty,
+    perturbed_loop,
+    perturbed_loops,
+    uncertainty_of,
+    worst_place,
+)
+from stillwork.designing import INTENSITIES
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine import Machine, build_machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.identification.modal_fit import identify_modes
+from stillwork.lti.modal import modal_model
+
+STIFFNESS = np.array([[3e7, -3e7, 0], [-3e7, 5e7, -2e7], [0, -2e7, 2e7]])
+CHAIN = modal_model(np.diag([20.0, 10, 10]), STIFFNESS, [[1.0], [0], [0]], [[0.0, 0, 1]], damping_ratio=0.005)
+ONES = np.ones(3)
+SAMPLED = {"sample_time": 1e-4, "delay": 1.37}
+WHOLE = Uncertainty(frequency=0.05, residue=0.1, damping=0.3, gain=0.1, mass=0.03, delay=1e-5)
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return runpy.run_path(str(paths.root() / "benchmarks" / "machines.py"))
+
+
+def place(frequencies=ONES, residues=ONES, damping=ONES, gain=1.0, delay=0.0):
+    return Perturbation(np.array(frequencies), np.array(residues), np.array(damping), gain, delay)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, SAMPLED, {"sample_time": 1.4e-3}])
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_the_worst_place_is_the_worst_of_a_grid(options, function):
+    """The last sample time folds the second mode back below half the rate."""
+    loop, pid = make_loop(CHAIN, **options), PidFamily(40.0)(12.0)
+    size, worst = worst_place(loop, pid, function, Uncertainty(frequency=0.05))
+    sides = itertools.product(np.linspace(0.95, 1.05, 9), repeat=2)
+    grid = max(perturbed_loop(loop, place([1.0, *each])).peak(pid, function).magnitude for each in sides)
+    there = perturbed_loop(loop, worst).peak(pid, function).magnitude
+    assert there >= 0.999 * grid and size == pytest.approx(there, rel=2e-3)
+    assert worst.frequencies[0] == 1 and np.all(np.abs(worst.frequencies - 1) <= 0.05 + 1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_no_draw_of_a_whole_box_is_worse(function):
+    """All that a machine has moves at once, in corners and inside; an observer's loop with a delay of 1.37 samples."""
+    machine = Machine((CHAIN,), 40.0, "chain")
+    use = applications(0.02, 2.0)["MC and AD"]
+    settings = observer_settings(machine, use, 3, INTENSITIES)
+    (loop,) = observed_loops([CHAIN], use, *settings, *SAMPLED.values())
+    pid = PidFamily(40.0)(12.0)
+    size, worst = worst_place(loop, pid, function, WHOLE)
+    assert perturbed_loop(loop, worst).peak(pid, function).magnitude == pytest.approx(size, rel=2e-3)
+    rng = np.random.default_rng(0)
+    for draw in range(150):
+        x = rng.choice([-1.0, 1.0], 12) if draw % 2 else rng.uniform(-1, 1, 12)
+        x[[0, 6]] = 0.0  # of the rigid body neither frequency nor damping
+        moved = place(1 + 0.05 * x[:3], 1 + 0.1 * x[3:6], 1 + 0.3 * x[6:9], 1 + 0.1 * x[9], 1e-5 * x[10])
+        moved.residues[0] = 1 / (1 + 0.03 * x[11])
+        assert perturbed_loop(loop, moved).peak(pid, function).magnitude < 1.002 * size
+
+
+@pytest.mark.parametrize("name", ["frequency", "residue", "damping", "gain", "mass", "delay"])
+def test_each_number_of_the_box_counts(name):
+    """Alone and small it makes the peak larger than none does, by as much as its place has by itself."""
+    loop, pid = make_loop(CHAIN, **SAMPLED), PidFamily(40.0)(30.0)
+    box = Uncertainty(**{name: {"delay": 2e-5, "damping": 0.5}.get(name, 0.1)})
+    size, worst = worst_place(loop, pid, "input_sensitivity", box)
+    assert size > (1 + 1e-5) * loop.peak(pid, "input_sensitivity").magnitude
+    there = perturbed_loop(loop, worst).peak(pid, "input_sensitivity").magnitude
+    assert there == pytest.approx(size, rel=2e-3)
+
+
+def test_close_resonances_may_change_places():
+    """The moved plant term by term: each mode keeps its shapes and its damping ratio."""
+    factors, omega = [1.0, 1.5, 0.7], np.array([100.0, 1500.0, 2500.0])
+    moved = CHAIN.frequencies * factors
+    assert moved[1] > moved[2]
+    gains = CHAIN.output_shapes[0] * CHAIN.input_shapes[:, 0] * np.array([1.0, 0.9, 1.2]) * 1.1
+    damping = CHAIN.damping * np.array([1.0, 2.0, 0.5])
+    parts = gains / (moved**2 - omega[:, None] ** 2 + 2j * damping * moved * omega[:, None])
+    there = place(factors, [1.0, 0.9, 1.2], [1.0, 2.0, 0.5], 1.1)
+    found = perturbed_loop(make_loop(CHAIN), there).plant.frequency_response(omega)[0, 0]
+    assert found == pytest.approx(parts.sum(axis=1), rel=1e-9)
+
+
+def test_where_nothing_is_uncertain_the_worst_is_the_peak():
+    loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
+    size, found = worst_place(loop, pid, "input_sensitivity", Uncertainty())
+    assert size == pytest.approx(loop.peak(pid, "input_sensitivity").magnitude, rel=1e-3)
+    assert np.array_equal(found.frequencies, ONES) and found.gain == 1
+
+
+def test_a_mode_that_is_seen_folded_back_is_worst_where_it_meets_another():
+    """Of 412 Hz sampled at 625 Hz 213 Hz are seen, beside the first mode: no end of the interval is the worst place.
+
+    Six times as high as any limit, the peak is so narrow that it lies between the lines and the places tried.
+    """
+    light = replace(CHAIN, damping=0.2 * CHAIN.damping)
+    loop, pid = make_loop(light, sample_time=1.6e-3), PidFamily(40.0)(40.0)
+    size, found = worst_place(loop, pid, "input_sensitivity", Uncertainty(frequency=[0.0, 0.0, 0.05]))
+    sizes = {
+        factor: perturbed_loop(loop, place([1.0, 1.0, factor])).peak(pid, "input_sensitivity").magnitude
+        for factor in np.linspace(0.95, 1.05, 101)
+    }
+    assert size >= 0.99 * max(sizes.values()) > 2 * max(sizes[0.95], sizes[1.05])
+    assert perturbed_loop(loop, found).peak(pid, "input_sensitivity").magnitude == pytest.approx(
+        size, rel=2e-2
+    )
+
+
+def test_boxes_that_do_not_fit_are_refused():
+    loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
+    for shares in ([0.05], [0.0, -0.1, 0.0], [0.0, 1.0, 0.0]):
+        with pytest.raises(InputError, match="frequency"):
+            worst_place(loop, pid, "input_sensitivity", Uncertainty(frequency=shares))
+    for name, value in {"gain": 1.0, "mass": -0.1, "delay": -1e-6}.items():
+        with pytest.raises(InputError, match=name):
+            Uncertainty(**{name: value})
+    with pytest.raises(InputError, match="place"):
+        perturbed_loop(loop, place([1.0, -1.0, 1.0]))
+
+
+def test_other_forms_of_numbers_are_taken_and_nonsense_is_named():
+    loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
+    frozen = np.array([1.0, 0.95, 1.05])
+    frozen.flags.writeable = False
+    forms = [frozen, frozen.astype(np.float32), frozen.tolist()]
+    moved = [perturbed_loops([loop], [place()._replace(frequencies=each)])[0].plant for each in forms]
+    assert moved[1].frequencies == pytest.approx(moved[0].frequencies, rel=1e-6)
+    assert np.array_equal(moved[2].frequencies, moved[0].frequencies)
+    assert holds((loop,), pid, [*SAFE]) and not holds([loop], PidFamily(40.0)(80.0), SAFE)
+    for call, message in (
+        (lambda: holds([], pid, SAFE), "loops is empty"),
+        (lambda: holds([loop], pid, []), "constraints is empty"),
+        (lambda: holds([loop], 3.0, SAFE), "controller"),
+        (lambda: perturbed_loop(loop, place([1.0, 0.9])), "frequencies"),
+    ):
+        with pytest.raises(InputError, match=message):
+            call()
+
+
+def test_settings_are_not_tuned_for_nonsense():
+    machine, settings = Machine((CHAIN,), 40.0, "chain"), DesignSettings(None, 5, INTENSITIES)
+    good = {"design_hz": 10.0, "uncertainty": {"frequency": 0.05}, "sample_time": 1e-4, "delay": 1}
+    for name, value in {
+        "design_hz": np.nan, "uncertainty": {"frequency": 1.5}, "sample_time": 0.0, "delay": -1
+    }.items():  # fmt: skip
+        with pytest.raises(InputError, match=name):
+            tuned(machine, settings, **good | {name: value})
+
+
+def test_what_a_fit_does_not_know_comes_on_top_of_what_is_asked_for():
+    omega = 2 * np.pi * np.arange(20.0, 900.0)
+    rng = np.random.default_rng(0)
+    noise = 1 + 0.3 * (rng.standard_normal(len(omega)) + 1j * rng.standard_normal(len(omega)))
+    accelerance = -(omega**2) * CHAIN.frequency_response(omega)[0, 0] * noise
+    fit = identify_modes(Identified(omega, accelerance, np.ones(len(omega))), (20.0, 899.0))
+    machine = Machine((fit.model,), 40.0, "noisy", fit=fit)
+    known = 1.96 * fit.deviation / fit.model.frequencies[1:]
+    found = uncertainty_of(machine, {"frequency": 0.05, "delay": 1e-6})
+    assert found.frequency == pytest.approx([0.0, *(0.05 + known)])
+    assert found.mass == pytest.approx(1.96 * fit.mass_deviation)
+    assert found.delay == pytest.approx(1e-6 + 1.96 * fit.delay_deviation)
+    assert found.residue[1:] == pytest.approx(1.96 * fit.residue_deviation)
+    assert uncertainty_of(machine, {}).is_empty
+
+
+@pytest.mark.slow
+def test_the_intervals_of_a_fit_hold_what_is_there():
+    """Delays and parts of the modes of 40 noisy responses: within their intervals of 95 % as often as that says."""
+    omega = 2 * np.pi * np.arange(20.0, 900.0)
+    accelerance = -(omega**2) * CHAIN.frequency_response(omega)[0, 0]
+    parts = (CHAIN.output_shapes[0] * CHAIN.input_shapes[:, 0])[1:]
+    inside = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        noise = 1 + 0.02 * (rng.standard_normal(len(omega)) + 1j * rng.standard_normal(len(omega)))
+        fit = identify_modes(Identified(omega, accelerance * noise, np.ones(len(omega))), (20.0, 899.0))
+        found = (fit.model.output_shapes[0] * fit.model.input_shapes[:, 0])[1:]
+        inside.append(np.abs(found / parts - 1) <= 1.96 * fit.residue_deviation)
+    assert 0.8 < np.mean(inside) <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [1.2, 2.0])
+def test_six_decibels_hold_on_the_true_machine_in_the_whole_box(tmp_path, bench, delay):
+    """By SciPy alone, with what the compiled C does: a mode against the force that its phase holds, and 1.2 samples."""
+    sample_time, box = 1e-4, {"frequency": 0.05, "gain": 0.1, "damping": 0.2}
+    true = bench["TrueMachine"](
+        40.0, 0.0, 2 * np.pi * np.array([180.0]), np.array([0.01]), np.array([-1.0]), delay * sample_time
+    )
+    bench["write_matrices"](tmp_path / "machine.npz", true)
+    machine = build_machine(
+        load_machine(tmp_path / "machine.npz"), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False
+    )
+    use = {"MC and AD": applications(0.02, 2.0)["MC and AD"]}
+    how = {"sample_time": sample_time, "delay": delay, "uncertainty": box}
+    found = reach(machine, use, retained=5, intensities=INTENSITIES, **how)["MC and AD"]
+    controller = runnable(found.recommended.controller, found.loops[0].compensator, np.inf, {})
+    for file, text in controller_code(controller, "controller").items():
+        (tmp_path / file).write_text(text)
+    read = bench["linear_map"](tmp_path)
+    peak, error, radius = bench["worst"](true, read, box, sample_time, np.random.default_rng(5), 30)
+    assert max(peak, error) < 6.01 and radius < 1
+    assert max(peak, error) > 5.9  # the box is used up, not stayed away from
