@@ -195,6 +195,7 @@ def catalogue() -> dict:
         "hinf_norm": (lti.hinf_norm, {"model": state}),
         "enclose_h2_norm": (lti.enclose_h2_norm, {"model": state}),
         "enclose_hinf_norm": (lti.enclose_hinf_norm, {"model": state}),
+        "is_proven_stable": (lti.is_proven_stable, {"model": state}),
         "Enclosure": (lti.Enclosure, {"low": 1.0, "high": 2.0, "proven": True}),
         "interconnect": (lti.interconnect, {"models": [state], **joined, "direct": np.zeros((1, 1))}),
         "modal_model": (lti.modal_model, {"mass": np.eye(2), "stiffness": np.array([[2.0, -1], [-1, 2]]), "input_map": np.ones((2, 1)), "output_map": np.ones((1, 2)), "damping_ratio": 0.01}),

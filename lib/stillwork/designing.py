@@ -179,7 +179,7 @@ def design_file(
         raise InputError(
             f"{source.name}: somewhere in the box a peak of {worst:.2f} dB was found at last; ask for a little more uncertainty"
         )
-    helps = _improvements(machine, settings[best], how, safe[best])
+    helps = improvements(machine, settings[best], how, safe[best])
     written = [
         each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers
     ]
@@ -299,7 +299,7 @@ def _crossing(reached: Reached) -> float:
     return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0
 
 
-def _improvements(machine: Machine, settings: DesignSettings, how: dict, reached: Reached) -> list[list[str]]:
+def improvements(machine: Machine, settings: DesignSettings, how: dict, reached: Reached) -> list[list[str]]:
     """Changes of the machine that raise the bandwidth of the same settings on the model, and to what, the best first."""
 
     def changed(change) -> Machine:

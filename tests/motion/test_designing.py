@@ -125,7 +125,7 @@ def test_what_would_help_is_what_it_would_give(written):
     how = {"sample_time": 1 / RATE, "delay": 1.0, "uncertainty": BOX}
     changes = ({}, {"delay": 0.0}, {"sample_time": 0.5 / RATE})
     before, prompt, fast = (reach(machine, {"": None}, **own, **how | each)[""] for each in changes)
-    helps = designing._improvements(machine, DesignSettings(None, 5, INTENSITIES), how, before)
+    helps = designing.improvements(machine, DesignSettings(None, 5, INTENSITIES), how, before)
     gains = [each.on_model.crossing_hz[0] for each in (prompt, fast)]
     assert helps == [["no delay:", f"{gains[0]:.1f}"], ["twice the rate:", f"{gains[1]:.1f}"]]
     assert gains[0] > gains[1] > 1.2 * before.on_model.crossing_hz[0]

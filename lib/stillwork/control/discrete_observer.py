@@ -52,7 +52,7 @@ class DiscreteObserver(FlexibleEstimates):
         check_fields(self)
         gain = require_array("gain", self.gain, shape=(len(self.a), len(self.c)))
         object.__setattr__(self, "gain", gain)
-        before = np.broadcast_to(require_array("before", self.before), self.b.shape)
+        before = np.broadcast_to(require_array("before", self.before), self.b.shape).copy()
         object.__setattr__(self, "before", before)
         require_array("covariance", self.covariance, shape=self.a.shape)
         require_number("sample_time", self.sample_time, above=0.0)

@@ -57,7 +57,7 @@ def enclose_peaks(loop: Loop, pid: Pid, written: StateModel | None = None) -> di
     >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
     >>> loop, pid = control.make_loop(mass, sample_time=1e-4, delay=1), control.PidFamily(10.0)(50.0)
     >>> print(control.enclose_peaks(loop, pid)["output_sensitivity"].in_db())
-    at most 5.8316, proven
+    at most 6.0694, proven
     """
     found = dict.fromkeys(FUNCTIONS, Enclosure(0.0, inf, False))
     for name, (numerator, denominator) in _functions(loop, pid, written).items():

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -217,8 +217,34 @@ def worst_place(
     """
     require_choice("function", function, FUNCTIONS)
     box = make_box(loop, uncertainty)
-    ((size, place),) = box.worst(loop, controller, [PeakConstraint(function)], every=True)
-    return size, place
+    ((_, place),) = box.worst(loop, controller, [PeakConstraint(function)], every=True)
+    return _refined(loop, controller, function, uncertainty._of_modes(loop.plant), place)
+
+
+def _refined(loop, controller, function, uncertainty, place) -> tuple[float, Perturbation]:
+    """The place with each mode's frequency moved, within its width, to where the peak itself is largest."""
+    from scipy.optimize import minimize_scalar
+
+    def size(moved):
+        return perturbed_loop(loop, moved).peak(controller, function).magnitude
+
+    best = size(place), place
+    for k in np.flatnonzero(uncertainty.frequency):
+        share, now = uncertainty.frequency[k], best[1].frequencies[k]
+        width = max(4 * loop.plant.damping[k], 1e-7)
+        ends = max(now * (1 - width), 1 - share), min(now * (1 + width), 1 + share)
+
+        def at(factor, k=k, here=best[1]):
+            frequencies = here.frequencies.copy()
+            frequencies[k] = factor
+            return here._replace(frequencies=frequencies)
+
+        found = minimize_scalar(
+            lambda factor: -size(at(factor)), bounds=ends, method="bounded", options={"xatol": width / 1e3}
+        )
+        if -found.fun > best[0]:
+            best = float(-found.fun), at(float(found.x))
+    return best
 
 
 @checked

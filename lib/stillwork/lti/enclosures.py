@@ -56,7 +56,7 @@ class Enclosure:
     Examples
     --------
     >>> print(lti.Enclosure(1.95, 1.9952, True).in_db())
-    at most 5.9997, proven
+    at most 5.9998, proven
     """
 
     low: float
@@ -145,7 +145,26 @@ def enclose_hinf_norm(model: StateModel) -> Enclosure:
 
 @checked
 def is_proven_stable(model: StateModel) -> bool | None:
-    """Whether all poles lie in the region of stability; None where that is not proven."""
+    """Whether all poles lie in the region of stability, proven from the model's very numbers.
+
+    Parameters
+    ----------
+    model : StateModel
+
+    Returns
+    -------
+    bool or None
+        None where neither is proven.
+
+    References
+    ----------
+    Gantmacher, The Theory of Matrices (1959), chapter XV: Routh's array, here with directed rounding.
+
+    Examples
+    --------
+    >>> lti.is_proven_stable(lti.StateModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    True
+    """
     return _hurwitz(quotients(model).denominator)
 
 
