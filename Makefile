@@ -65,7 +65,7 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 		--nbval-begun $(BEGUN) --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
 	$(call part,what is committed,$(UNDER_PINS) $(BIN)/python -m pytest tests/committed \
 		-p no:nbval -p no:anyio -n logical --dist worksteal)
-	@awk '{ all += $$(NF - 2); print } END { printf "%-20s%6d s\n", "all of them", all }' $(PARTS); ! grep -q FAILED $(PARTS)
+	@awk '{ all += $$(NF - 2); print } END { printf "%-20s%6d s\n", "all of them", all }' $(PARTS) && ! grep -q FAILED $(PARTS)
 
 quick: $(READY) ## The unit tests that take less than half a second of CPU each
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" $(ARGS)

@@ -2,7 +2,7 @@
 
 import time
 
-from stillwork.workbook.readings.checking import At, drawn
+from stillwork.workbook.readings.checking import At, drawn, moved_before
 from stillwork.workbook.readings.results import Outcomes, collect
 from stillwork.workbook.readings.running import calls_of, compute
 
@@ -10,10 +10,14 @@ LIGHT = 2.0  # s of CPU; a study that takes less is computed whole
 
 
 def compute_again(before: Outcomes, day: int, parts: int = 1) -> tuple[Outcomes, list[At]]:
-    """What the runs of a day give here and now, and which they are; all runs, where the study is light."""
+    """What the runs of a day give here and now, and which they are; all runs, where the study is light.
+
+    With them, those that had moved when they were tried last.
+    """
     runs = calls_of(before.multiverse)
     found, spent = {}, []
-    for at in drawn(before.multiverse, runs, day, parts):
+    again = [at for at in moved_before(before.multiverse) if at in runs]
+    for at in dict.fromkeys([*drawn(before.multiverse, runs, day, parts), *again]):
         begin = time.process_time()
         found[at] = compute(runs[at])
         spent.append(time.process_time() - begin)

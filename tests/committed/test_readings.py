@@ -35,9 +35,9 @@ def test_those_whose_turn_it_is_today_come_out_again(room, part):
     found = []
     for before in read_results(studies(room)[part::PARTS]):
         now, tried = compute_again(before, today(), parts_a_day())
-        moved = moves(before, now, tried, load_entries(room))
-        note(before.multiverse, bool(moved))
-        found += moved
+        moved = {at: lines for at in tried if (lines := moves(before, now, [at], load_entries(room)))}
+        note(before.multiverse, moved)
+        found += [line for at in sorted(moved) for line in moved[at]]
     if found:
         pytest.fail("\n".join([*found, f'run make readings ARGS="{room} --changed"']), pytrace=False)
 

@@ -21,6 +21,7 @@ from stillwork.workbook.readings.checking import (
     DAYS,
     age,
     drawn,
+    moved_before,
     moves,
     note,
     parts_a_day,
@@ -70,6 +71,20 @@ def test_a_light_study_is_computed_whole(outcomes, monkeypatch, light, count):
     now, tried = compute_again(found, day=3)
     assert len(tried) == count
     assert moves(found, now, tried, load_entries("motion")) == []
+
+
+def test_what_moved_is_tried_again_on_other_days(outcomes, monkeypatch, tmp_path):
+    """Else a failed test would pass on the day after."""
+    monkeypatch.setattr(again, "LIGHT", 0.0)
+    before = keep(outcomes(NOISY), tmp_path)
+    days = {at: day for day in range(18) for at in drawn(before.multiverse, ALL, day)}
+    note(before.multiverse, [(3, 1), (99, 0)])  # of the latter there is no run any more
+    _, tried = compute_again(before, days[3, 1] + 1)
+    assert (3, 1) in tried and len(tried) == 2
+    note(before.multiverse, [])
+    assert moved_before(before.multiverse) == []
+    _, tried = compute_again(before, days[3, 1] + 1)
+    assert len(tried) == 1
 
 
 @pytest.mark.parametrize("function", ["noisy", "spread", "raising"])
@@ -135,9 +150,9 @@ def test_results_say_that_older_code_gave_them(outcomes, tmp_path):
     assert age(found) == ""
     before = keep(found, tmp_path)
     assert "not sampled" in age(before)
-    note(found.multiverse, moved=True)
+    note(found.multiverse, moved=[(3, 0)])
     assert "moved" in age(before)
-    note(found.multiverse, moved=False)
+    note(found.multiverse, moved=[])
     assert age(before).endswith(f"sampled again on {datetime.date.today()}")
     assert standings_of("motion")["motion.order"].as_dict()["age"] == age(before)
 

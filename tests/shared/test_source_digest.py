@@ -150,6 +150,11 @@ def locals_of(function: ast.FunctionDef) -> list[ast.AnnAssign]:
         ("assert x", "", False),
         ("x = 1_000", "x = 1000", True),
         ("def", "def ", False),  # which Python cannot read
+        (
+            "x = " + "+".join("1" * 20_000),
+            "x = " + "+".join("1" * 20_001),
+            False,
+        ),  # nor this, nested too deep
     ],
 )
 def test_annotations_are_a_part_of_it_where_somebody_reads_them(before, after, same):

@@ -1,6 +1,9 @@
 """What a contributor does first, done in a copy: a cell added in Jupyter, a new result, a new room."""
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,7 +14,7 @@ pytestmark = pytest.mark.slow
 
 # As Jupyter saves them: ids of chance, lines as a list; it leaves an empty cell behind the last that was run.
 ADDED = [
-    {"id": "3f2a9c1b", "source": ["def double(value):\n", "    return 2 * value\n", "\n", "\n", "double(2)"]},
+    {"id": "3f2a9c1b", "source": ["def double(value):\n", "    return 2*value\n", "double( 2 )"]},
     {"id": "70b1e4d2-9a51-4c0e", "source": []},
 ]
 
@@ -72,6 +75,9 @@ def test_a_cell_added_in_jupyter_is_accepted_as_it_is(toy, monkeypatch):
     assert [cell["id"] for cell in cells[-2:]] == [cell["id"] for cell in ADDED]
     assert cells[-2]["outputs"][0]["data"] == {"text/plain": ["4"]}
     assert committed(toy, monkeypatch).failed == set()
+    settings = ["--config", f"{Path(__file__).parents[2]}/pyproject.toml"]
+    style = [sys.executable, "-m", "ruff", "format", "--check", *settings, "notebooks"]
+    assert subprocess.run(style, cwd=toy.root).returncode == 0
 
 
 def test_a_new_result_and_a_new_room_pass_as_they_are_written(toy, monkeypatch):

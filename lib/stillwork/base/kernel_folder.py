@@ -47,7 +47,7 @@ def kernels_digest() -> str:
     texts = [text for file in files if b"stillwork.base.kernel" in (text := file.read_bytes())]
     name, known = "", None
     # To parse them takes a quarter of a second, so what it gave is kept.
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, UnicodeDecodeError):
         known = paths.root() / "build" / "kernels" / f"{_digest(texts)}.code"
         name = known.read_text()
     if not NAME.fullmatch(name):

@@ -11,7 +11,7 @@ def code_digest(source: bytes) -> str:
     """Digest of a module's `code`; source that Python cannot read has the digest of its bytes."""
     try:
         text = ast.dump(code(source)).encode(errors="surrogatepass")
-    except (SyntaxError, ValueError):
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # the last two where it nests too deep
         text = source
     return hashlib.sha256(text).hexdigest()
 

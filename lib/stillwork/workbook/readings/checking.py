@@ -82,9 +82,9 @@ def _kind(outcomes: Outcomes, at: At) -> str:
     return outcomes.failures.get(at, "").partition(":")[0]
 
 
-def note(multiverse: Multiverse, moved: bool) -> None:
-    """Keep what came of a sample of a study today: whether a value moved, with the code as it is."""
-    record = {"code": _code(multiverse), "date": f"{datetime.date.today()}", "moved": moved}
+def note(multiverse: Multiverse, moved: Iterable[At]) -> None:
+    """Keep what came of a sample of a study today: the runs with a value that moved, with the code as it is."""
+    record = {"code": _code(multiverse), "date": f"{datetime.date.today()}", "moved": sorted(moved)}
     replace_file(_record(multiverse), json.dumps(record).encode())
 
 
@@ -95,7 +95,12 @@ def forget(multiverse: Multiverse) -> None:
 
 def has_moved(multiverse: Multiverse) -> bool:
     """Whether a value of the study was found to have moved, with the code as it is."""
-    return _noted(multiverse).get("moved", False)
+    return bool(_noted(multiverse).get("moved"))
+
+
+def moved_before(multiverse: Multiverse) -> list[At]:
+    """Runs that had moved in the last sample, whatever the code was: another day must not pass them over."""
+    return [(point, seed) for point, seed in _record_of(multiverse).get("moved", ())]
 
 
 def is_older(outcomes: Outcomes) -> bool:
@@ -120,12 +125,18 @@ def _code(multiverse: Multiverse) -> str:
 
 def _noted(multiverse: Multiverse) -> dict:
     """What was noted of the code as it is; empty without."""
+    record = _record_of(multiverse)
+    return record if record.get("code") == _code(multiverse) else {}
+
+
+def _record_of(multiverse: Multiverse) -> dict:
+    """What was noted last; empty without, or where nobody can read it."""
     try:
         record = json.loads(_record(multiverse).read_text(encoding="utf-8"))
-        fits = record["code"] == _code(multiverse) and {"date", "moved"} <= record.keys()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        moved = [(int(point), int(seed)) for point, seed in record["moved"]]
+        return {"code": record["code"], "date": record["date"], "moved": moved}
+    except (OSError, ValueError, KeyError, TypeError):
         return {}
-    return record if fits else {}
 
 
 def _record(multiverse: Multiverse) -> Path:

@@ -18,6 +18,7 @@ from stillwork.workbook.readings.checking import (
     forget,
     has_moved,
     is_older,
+    moved_before,
     moves,
     note,
     parts_a_day,
@@ -30,7 +31,9 @@ from stillwork.workbook.readings.running import calls_of, run_readings
 from stillwork.workbook.report import screen, table
 from stillwork.workbook.workers import client_of, cores, processes
 
-SAMPLED = 3  # parts a day of `checking.DAYS`, at least, that decide whether a study is computed again
+SAMPLED = (
+    4  # parts a day of `checking.DAYS`, at least, that decide whether a study is computed again: those of CI
+)
 SHOWN = 3  # of the values that moved
 
 RUNNING = "readings of this checkout are being tried already; wait for them or stop them"
@@ -128,13 +131,14 @@ def _unmoved(room: str, multiverses: list[Multiverse], run, journal: Journal) ->
 
     def sample(multiverse: Multiverse) -> dict:
         runs = calls_of(multiverse)
-        return {at: runs[at] for at in drawn(multiverse, runs, day, parts)}
+        again = [at for at in moved_before(multiverse) if at in runs]
+        return {at: runs[at] for at in (*drawn(multiverse, runs, day, parts), *again)}
 
     for now in run([each.multiverse for each in older], sample):
         multiverse = now.multiverse
         before, tried = committed[multiverse.study], list(sample(multiverse))
         moved = moves(before, now, tried, entries)
-        note(multiverse, bool(moved))
+        note(multiverse, [at for at in tried if moves(before, now, [at], entries)])
         if moved:
             more = f" (and {len(moved) - SHOWN} more)" if len(moved) > SHOWN else ""
             print("\n".join(moved[:SHOWN]) + more)
