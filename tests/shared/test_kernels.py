@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 
 import numba
@@ -380,3 +381,38 @@ def test_a_call_of_what_counts_references_is_found():
     assert list(counted({name: ast.parse(text) for name, text in sources.items()})) == [
         (("stillwork.b", "both"), ("stillwork.a", "make"))
     ]
+
+
+LIBRARY = Path(stillwork.__file__).parents[1]
+
+
+def imported_names(source: bytes) -> dict[str, Path]:
+    """Names that a module takes from the library, with the files that they come from."""
+    return {
+        alias.asname or alias.name: LIBRARY.joinpath(*node.module.split(".")).with_suffix(".py")
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("stillwork.", "experiments."))
+        for alias in node.names
+    }
+
+
+def test_what_a_kernel_names_comes_from_files_that_its_machine_code_is_kept_by():
+    """A constant is frozen into the machine code; of a file without kernels a change of it would go unseen."""
+    elsewhere, kernels = [], 0
+    for file in sorted(LIBRARY.rglob("*.py")):
+        if b"stillwork.base.kernel" not in (source := file.read_bytes()):
+            continue
+        module = import_module(".".join(file.relative_to(LIBRARY).with_suffix("").parts))
+        taken = imported_names(source)
+        for name, kernel in vars(module).items():
+            if (
+                isinstance(kernel, numba.core.registry.CPUDispatcher)
+                and kernel.py_func.__module__ == module.__name__
+            ):
+                kernels += 1
+                used = taken.keys() & set(kernel.py_func.__code__.co_names)
+                elsewhere += [
+                    (name, each) for each in used if b"stillwork.base.kernel" not in taken[each].read_bytes()
+                ]
+    assert kernels > 100
+    assert elsewhere == []

@@ -22,7 +22,8 @@ from stillwork.estimation.coordinate_filters import (
     UnscentedKalman,
     require_sample_time,
 )
-from stillwork.estimation.filtering import filter_step, model_of
+from stillwork.estimation.filter_step import filter_step
+from stillwork.estimation.filtering import model_of
 from stillwork.estimation.plant import Plant, force_slope, partial_derivatives
 
 INTEGRATIONS = ("exact", "semi-implicit", "explicit")

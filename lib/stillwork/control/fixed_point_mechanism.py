@@ -33,8 +33,9 @@ from stillwork.control.held_force import HELD_ROWS, move_mechanism_held
 from stillwork.control.mechanism import Mechanism, forward_dynamics, inverse_dynamics, response_gains
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import warn_outside_contraction
-from stillwork.estimation.coordinate_filters import Packed, require_sample_time
-from stillwork.estimation.filtering import filter_step, model_of
+from stillwork.estimation.coordinate_filters import require_sample_time
+from stillwork.estimation.filter_step import Packed, filter_step
+from stillwork.estimation.filtering import model_of
 
 
 @checked(missing=True)

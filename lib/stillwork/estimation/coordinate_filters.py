@@ -1,12 +1,11 @@
 """Filters with one interface: from the noisy coordinate to position, velocity and acceleration.
 
-A filter is a frozen description that packs itself for the kernel in `stillwork.estimation.filtering`, which
+A filter is a frozen description that packs itself for the kernel in `stillwork.estimation.filter_step`, which
 runs over a record or inside the controller's loop.
 """
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -15,22 +14,11 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.estimation.extended import plant_extended_step
+from stillwork.estimation.filter_step import EXTENDED, LOW_PASS, SAVITZKY_GOLAY, UNSCENTED, WINDOW, Packed
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, require_covariance
 from stillwork.estimation.plant import Plant
 from stillwork.estimation.unscented import SigmaPoints, plant_unscented_step
 from stillwork.estimation.windows import end_point_weights
-
-WINDOW, LOW_PASS, UNSCENTED, EXTENDED, SAVITZKY_GOLAY = range(5)
-
-
-class Packed(NamedTuple):
-    """A filter as the kernels take it: which one, its numbers, and a workspace that starts at zero."""
-
-    kind: int
-    options: np.ndarray  # float64, one axis
-    process: np.ndarray  # Q, two axes; empty where there is none
-    noise: np.ndarray  # R
-    work: np.ndarray  # three axes
 
 
 def _packed(kind, options, work_shape, process=((),), noise=((),)):

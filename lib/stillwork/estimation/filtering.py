@@ -1,4 +1,4 @@
-"""Running a filter: the one kernel that knows them all, and a whole record through it."""
+"""Running a filter over a whole record."""
 
 from dataclasses import dataclass
 
@@ -10,20 +10,13 @@ from stillwork.base.checks import InputError, require_array, require_finite_run,
 from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import borrowing_kernel
 from stillwork.estimation.coordinate_filters import (
-    LOW_PASS,
-    SAVITZKY_GOLAY,
-    UNSCENTED,
-    WINDOW,
     ExtendedKalman,
     Filter,
     UnscentedKalman,
     require_sample_time,
 )
-from stillwork.estimation.extended import plant_extended_step
-from stillwork.estimation.low_pass import low_pass_step
+from stillwork.estimation.filter_step import filter_step
 from stillwork.estimation.plant import Plant
-from stillwork.estimation.unscented import plant_unscented_step
-from stillwork.estimation.windows import moving_window_step, savitzky_golay_step
 
 
 @by_value
@@ -119,28 +112,6 @@ def _unit_mass_force(position, velocity, acceleration, parameters):
 
 
 UNIT_MASS = Plant(_unit_mass_acceleration, _unit_mass_force, np.zeros(0))
-
-
-@borrowing_kernel
-def filter_step(device, acceleration, plant, sample_time, measured, force, estimate):
-    """Advance one filter by one sample; `estimate` (position, velocity, acceleration) is read and written."""
-    kind, options, process, noise, work = device
-    if kind == WINDOW:
-        moving_window_step(options, work, sample_time, measured, estimate)
-        return True
-    if kind == LOW_PASS:
-        low_pass_step(options[0], work, sample_time, measured, estimate)
-        return True
-    if kind == SAVITZKY_GOLAY:
-        savitzky_golay_step(options, work, sample_time, measured, estimate)
-        return True
-    if kind == UNSCENTED:
-        return plant_unscented_step(
-            options, process, noise, work, acceleration, plant, sample_time, measured, force, estimate
-        )
-    return plant_extended_step(
-        options, process, noise, work, acceleration, plant, sample_time, measured, force, estimate
-    )
 
 
 @borrowing_kernel
