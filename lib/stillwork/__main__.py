@@ -194,6 +194,7 @@ COMMANDS = {
                 dest="budget_min",
             ),
             _flag("changed", "only studies with a value that moved, in a sample, and those never run"),
+            _text("study", "NAME", "only this study of the room, all of it"),
         ),
     ),
     "claims": Command(

@@ -172,8 +172,11 @@ TEST = ("pytest", "tests/committed/test_readings.py", "-q", "-p", "no:nbval", "-
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("value", "passes"), [("4.002", True), ("4.1", False)])
-def test_the_tests_find_a_committed_value_that_was_edited(outcomes, tmp_path, value, passes):
+@pytest.mark.parametrize(
+    ("value", "passes", "command"),
+    [("4.002", True, ()), ("4.1", False, ("--changed",)), ("4.1", False, ("--study", "toy"))],
+)
+def test_the_tests_find_a_committed_value_that_was_edited(outcomes, tmp_path, value, passes, command):
     """By hand, or by code that changed since."""
     found = outcomes()
     keep(found, tmp_path, ("3,1,1,1,4,1,", f"3,1,1,1,{value},1,"))
@@ -182,8 +185,8 @@ def test_the_tests_find_a_committed_value_that_was_edited(outcomes, tmp_path, va
     file = tmp_path / "data/motion/readings.csv"
     if not passes:
         assert "motion.table-1.sum at a 1, b 1, seed 1: 4.1 before, 4 now" in done.stdout
-        assert 'make readings ARGS="motion --changed"' in done.stdout
-        assert run(tmp_path, "stillwork", "readings", "motion", "--jobs", "1", "--changed").returncode == 0
+        assert 'make readings ARGS="motion --study toy"' in done.stdout
+        assert run(tmp_path, "stillwork", "readings", "motion", "--jobs", "1", *command).returncode == 0
         assert file.read_text() == results_text([found])
 
 

@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import replace
 
 from stillwork.base import paths
+from stillwork.base.checks import InputError, require_choice
 from stillwork.workbook.claims import load_entries
 from stillwork.workbook.lock import held, interrupts, settle
 from stillwork.workbook.publish import replace_file
@@ -46,6 +47,7 @@ def compute_readings(
     scheduler: str | None = None,
     budget_min: float | None = None,
     changed: bool = False,
+    study: str | None = None,
 ) -> int:
     """Run the readings of a room, or of all; returns the exit code (1: not whole yet, 128 + signal: interrupted).
 
@@ -60,7 +62,13 @@ def compute_readings(
         After so many minutes, of all rooms together, no reading is begun; the next run goes on from there.
     changed : bool
         Only studies with a value that moved, in a sample of today's; those whose axes changed, or that never ran.
+    study : str, optional
+        Only this study of the room, and all of it, whatever was computed before.
     """
+    if study is not None:
+        if room is None:
+            raise InputError("study needs its room; name it before: readings ROOM --study NAME")
+        require_choice("study", study, [each.study for each in load_axes(paths.require_room(room))[1]])
     rooms = paths.rooms() if room is None else [paths.require_room(room)]
     end = time.monotonic() + 60 * budget_min if budget_min is not None else math.inf
     whole = True
@@ -69,7 +77,7 @@ def compute_readings(
         executor, at_once = _executor(stack, jobs, scheduler)
         for each in rooms:
             if not caught:
-                whole &= _compute_room(each, executor, at_once, end, lambda: bool(caught), changed)
+                whole &= _compute_room(each, executor, at_once, end, lambda: bool(caught), changed, study)
     return 128 + caught[0] if caught else int(not whole)
 
 
@@ -82,7 +90,7 @@ def _executor(stack: contextlib.ExitStack, jobs: int | None, scheduler: str | No
     return (lambda: client.get_executor(pure=False)), 2 * max(sum(client.nthreads().values()), 1)
 
 
-def _compute_room(room: str, executor, at_once: int, end: float, stopped, changed: bool) -> bool:
+def _compute_room(room: str, executor, at_once: int, end: float, stopped, changed: bool, study) -> bool:
     axes, multiverses = load_axes(room)
     if not multiverses:
         return True
@@ -95,7 +103,12 @@ def _compute_room(room: str, executor, at_once: int, end: float, stopped, change
             wanted, executor, journal, at_once=at_once, budget_s=budget_s, stopped=stopped, runs_of=runs_of
         )
 
-    kept = _unmoved(room, multiverses, run, journal) if changed else []
+    if study is not None:
+        kept = [each for each in read_results(multiverses) if each.multiverse.study != study]
+        for call in calls_of(next(each for each in multiverses if each.study == study)).values():
+            journal.found.pop(call.key, None)
+    else:
+        kept = _unmoved(room, multiverses, run, journal) if changed else []
     names = {each.multiverse.study for each in kept}
     others = [each for each in multiverses if each.study not in names]
     done = kept + run(others, calls_of)
