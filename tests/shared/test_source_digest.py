@@ -173,3 +173,9 @@ def test_whoever_reads_words_or_annotations_at_run_time_reads_what_the_digest_se
         for node in ast.walk(ast.parse(file.read_bytes())):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "checked":
                 assert not any(isinstance(each, ast.Name | ast.Attribute) for each in node.args), file
+
+
+@pytest.mark.parametrize("annotation", ["(y := {})", "g({})"])
+def test_an_annotation_that_acts_is_part_of_it(annotation):
+    one, other = (f"def f(x: {annotation.format(number)}):\n    return x\n".encode() for number in (3, 4))
+    assert code_digest(one) != code_digest(other)

@@ -21,10 +21,18 @@ def code(source: bytes) -> ast.Module:
 
     Left out are comments, blank lines, line breaks and brackets that change nothing, `pass`, strings that stand alone
     (docstrings among them), the annotations of functions that no decorator sees, and those of local variables. Kept
-    are the annotations of decorated functions, of class bodies and of a module's own names: validation, dataclasses
-    and whoever else reads annotations at run time find them there.
+    are annotations that call or assign something, and those of decorated functions, of class bodies and of a module's own
+    names: validation, dataclasses and whoever else reads annotations at run time find them there.
     """
     return _Acting().visit(ast.parse(source))
+
+
+def _acting_part(annotation: ast.expr | None) -> ast.expr | None:
+    """The annotation where Python does more than look names up when it defines the function; else None."""
+    acts = annotation is not None and any(
+        isinstance(part, ast.Call | ast.NamedExpr) for part in ast.walk(annotation)
+    )
+    return annotation if acts else None
 
 
 class _Acting(ast.NodeTransformer):
@@ -46,11 +54,11 @@ class _Acting(ast.NodeTransformer):
 
     def visit_FunctionDef(self, node):
         if not node.decorator_list and self._around is not ast.ClassDef:
-            node.returns = None
+            node.returns = _acting_part(node.returns)
             each = node.args
             for argument in (*each.posonlyargs, *each.args, each.vararg, *each.kwonlyargs, each.kwarg):
                 if argument is not None:
-                    argument.annotation = None
+                    argument.annotation = _acting_part(argument.annotation)
         return self._inside(ast.FunctionDef, node)
 
     visit_AsyncFunctionDef = visit_FunctionDef
