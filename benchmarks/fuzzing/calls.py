@@ -47,6 +47,8 @@ PARTS = {
 REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
 # Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing, no limit) is a stated result.
 MAY_BE_INFINITE = {
+    *("enclose_covariance", "enclose_peaks", "enclose_quotients"),  # where nothing is proven
+    *("enclose_hinf_norm", "enclose_h2_norm"),  # and of unstable models
     "min_max_solve",
     "run",
     "coupling_onset",
@@ -370,6 +372,7 @@ def catalogue() -> dict:
         "enclose_peaks": (c.enclose_peaks, {"loop": search, "pid": pid(20.0)}),
         "make_loop": (c.make_loop, {"plant": model, "low_hz": 1.0, "high_hz": 1000.0, "points": 30, "around": 2}),
         "maximise_bandwidth": (c.maximise_bandwidth, {"loops": [search], "family": pid, "constraints": [c.PeakConstraint("input_sensitivity")], "low_hz": 5.0, "high_hz": 100.0, "scan": 10, "tolerance_hz": 0.5}),
+        "Uncertainty": (c.Uncertainty, {"frequency": 0.05, "residue": 0.1, "damping": 0.2, "gain": 0.05, "mass": 0.02, "delay": 1e-5}),
         "worst_place": (c.worst_place, {"loop": search, "controller": pid(20.0), "function": "true_tracking", "uncertainty": c.Uncertainty(frequency=0.05, gain=0.1)}),
         "modified_feedforward": (c.modified_feedforward, {"compensator": c.compensator(observer, c.Application(True)), "controller": pid(10.0).state_space()}),
         "point_to_point": (c.point_to_point, {"snap": 1e4, "jerk": 100.0, "acceleration": 2.0, "velocity": 0.1, "cruise": 0.02, "settling": 0.005, "sample_time": 1e-3}),

@@ -20,7 +20,10 @@ ODD = (
 
 def same(rng: np.random.Generator, value):
     """`value` in another form that holds the same numbers: it must be taken like the original."""
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of several lengths
+        return value
     if array.dtype.kind != "f" or array.ndim == 0:
         return value
     frozen = array.copy()

@@ -14,7 +14,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.serialize import dumps
 
 from stillwork.base.garbage import no_collection
-from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder, kernels_digest
+from stillwork.base.kernel_folder import cache_folder, kernels_digest
 
 try:
     import fcntl
@@ -108,11 +108,9 @@ class _ContentLocator(_CacheLocator):
 
 
 def _folder():
-    """Where machine code is kept: the folder that was handed on, one in NUMBA_CACHE_DIR for the kernels as they are, ours."""
+    """The user's folder for machine code, NUMBA_CACHE_DIR, with one in it for the kernels as they are; else ours."""
     named = config.CACHE_DIR  # type: ignore[attr-defined]  # numba sets it from the environment
-    if named and not os.environ.get(FOLDER_VARIABLE):
-        return os.path.join(named, kernels_digest())
-    return cache_folder()
+    return os.path.join(named, kernels_digest()) if named else cache_folder()
 
 
 class _CheckedCode(CompileResultCacheImpl):

@@ -41,7 +41,12 @@ def cache_folder() -> str:
 
 @cache
 def kernels_digest() -> str:
-    """Digest of the code of every file that has kernels: machine code follows from kernels that it calls, too."""
+    """Digest of the code of every file that has kernels: machine code follows from kernels that it calls, too.
+
+    The name of the folder that was handed on, where one was: then no folder is searched.
+    """
+    if handed := os.environ.get(FOLDER_VARIABLE):
+        return Path(handed).name
     library = Path(__file__).parents[2]
     files = sorted(each for package in PACKAGES for each in (library / package).rglob("*.py"))
     texts = [text for file in files if b"stillwork.base.kernel" in (text := file.read_bytes())]

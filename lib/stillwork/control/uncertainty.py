@@ -374,6 +374,10 @@ class Box(NamedTuple):
         """
         if compensator is None:
             compensator = loop.compensator.frequency_response(self.omega)
+        if np.shape(compensator) != (2, 2, len(self.omega)):
+            raise InputError(
+                f"compensator has shape {np.shape(compensator)}; give its response, {(2, 2, len(self.omega))}"
+            )
         (o_uu, o_uy), (o_yu, o_yy) = compensator
         c = loop._controlled(controller, self.omega)
         turn = 1 - c * o_yu - o_uu

@@ -217,8 +217,8 @@ def run_least_squares(
 ):
     """Exponentially weighted recursive least squares, covariance form, P kept below limits of its diagonal.
 
-    At a sample with a larger square than all before (`largest`) the start at x = 0 is believed as much as that square
-    over `start`, and the limit is `growth` times the inverse of this. `held` tells which limits acted at the last sample.
+    At a sample that is larger than all before (`largest`) the start at x = 0 is believed as much as its square over
+    `start`, and the limit is `growth` times the inverse of this. `held` tells which limits acted at the last sample.
     """
     n = len(estimate)
     gain = np.zeros(n)
@@ -228,19 +228,20 @@ def run_least_squares(
         errors[t] = error = minus_row(outputs[t], rows, t, estimate)
         larger = False
         for i in range(n):
-            rise[i] = row[i] * row[i] - largest[i]
-            larger |= rise[i] > 0.0
+            larger |= abs(row[i]) > largest[i]
         if larger:
             for i in range(n):
-                if rise[i] > 0.0:
+                rise[i] = 0.0
+                if abs(row[i]) > largest[i]:
+                    rise[i] = row[i] * row[i] - largest[i] * largest[i]
                     admit_start(covariance, i, rise[i] / start)
             for i in range(n):
                 if rise[i] > 0.0:
                     if largest[i] > 0.0:
                         share = believe_start(covariance, i, rise[i] / start, gain)
                         add_scaled(-share * estimate[i], gain, estimate)
-                    largest[i] = row[i] * row[i]
-                    limits[i] = start / largest[i] * growth
+                    largest[i] = abs(row[i])
+                    limits[i] = start / (row[i] * row[i]) * growth
             error = minus_row(outputs[t], rows, t, estimate)
         _, shrink = update_covariance(covariance, row, forgetting, gain)
         share = error * shrink

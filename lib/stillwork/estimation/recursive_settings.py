@@ -328,7 +328,7 @@ class LeastSquares(_Recursion):
             require_number("growth_limit", self.growth_limit, at_least=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
-        """P, x, the limits of the diagonal of P, the largest squares and the limits that act, before the first sample.
+        """P, x, the limits of the diagonal of P, the largest regressors and the limits that act, before the first sample.
 
         Parameters
         ----------

@@ -107,6 +107,15 @@ class Quotients:
     numerators: list[list[Polynomial]]
     denominator: Polynomial
 
+    def __post_init__(self):
+        rows = self.numerators if isinstance(self.numerators, list) else [None]
+        every = [each for row in rows for each in (row if isinstance(row, list) else [None])]
+        for name, given in (("numerators", every), ("denominator", [self.denominator])):
+            if not all(isinstance(each, list) and all(type(x) is int for x in each) for each in given):
+                raise InputError(
+                    f"{name} holds no lists of coefficients; give whole numbers, lowest power first"
+                )
+
 
 @checked(infinite=True)
 def enclose_hinf_norm(model: StateModel) -> Enclosure:
