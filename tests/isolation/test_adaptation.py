@@ -11,9 +11,9 @@ from stillwork.estimation.adaptive import (
     felms_update,
     ferls_ud_update,
     ferls_update,
-    hold_covariance,
+    hold_triangle,
 )
-from stillwork.estimation.covariance_forms import FORMS, TRIANGLE, covariance_of, factor_of
+from stillwork.estimation.covariance_forms import FORMS, covariance_of, factor_of
 from stillwork.estimation.online import (
     AdaptationStepper,
     UnstableAdaptation,
@@ -165,7 +165,7 @@ def test_limit_is_added_information():
     levels[0], free[0] = limits, np.inf
     _, reached = ferls_update(weights, covariance, 0.9, levels, np.inf, np.empty(5), psi, e)
     assert reached
-    hold_covariance(TRIANGLE, covariance, 0.9, levels, np.empty(5), np.empty(5), 0)
+    hold_triangle(covariance, 0.9, levels, np.empty(5))
     assert not ferls_update(same, unlimited, 0.9, free, np.inf, np.empty(5), psi, e)[1]
     np.testing.assert_allclose(levels[2], 0.1 * (np.diag(unlimited) > limits))
     assert np.any(np.diag(unlimited) > limits)  # the limit had something to do

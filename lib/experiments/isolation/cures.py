@@ -19,8 +19,8 @@ from experiments.isolation.simulation import Run
 from stillwork.base.algebra import inner_product, plus_row, set_product
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.adaptive import ferls_update, hold_covariance
-from stillwork.estimation.covariance_forms import TRIANGLE, add_information
+from stillwork.estimation.adaptive import ferls_update, hold_triangle
+from stillwork.estimation.covariance_forms import add_triangle_information
 
 CURES = ("none", "trace bound", "leakage", "limit", "directional", "no forgetting", "variable", "resetting")
 NONE, TRACE_BOUND, LEAKAGE, LIMIT, DIRECTIONAL, NO_FORGETTING, VARIABLE, RESETTING = range(8)
@@ -207,12 +207,12 @@ def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, 
                 kept_share = 1.0 - (1.0 - forgetting) * min(surprise, FASTEST)
             _, reached = ferls_update(weights, covariance, kept_share, levels, np.inf, gain, shaped, error)
         if reached:
-            hold_covariance(TRIANGLE, covariance, forgetting, levels, gain, gain, 0)
+            hold_triangle(covariance, forgetting, levels, gain)
         if cure == LEAKAGE:
             # One axis a sample with n times the amount: the same on average at the cost of one.
             axis = k % n
             information = n * (1 - forgetting) / (growth * start[axis])
-            add_information(TRIANGLE, covariance, axis, information, gain, gain)
+            add_triangle_information(covariance, axis, information, gain)
         elif cure == TRACE_BOUND:
             trace = 0.0
             for i in range(n):

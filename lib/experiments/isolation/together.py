@@ -4,8 +4,8 @@ import numpy as np
 
 from experiments.isolation.lanes import at_most
 from stillwork.base.kernels import kernel, pasted_kernel
-from stillwork.estimation.adaptive import hold_covariance, step_weights
-from stillwork.estimation.covariance_forms import TRIANGLE, update_covariance
+from stillwork.estimation.adaptive import hold_triangle, step_weights
+from stillwork.estimation.covariance_forms import update_covariance
 
 
 @pasted_kernel
@@ -31,7 +31,7 @@ def ferls_updates(weights, matrix, forgetting, levels, each, allowance, gain, re
 
 @kernel
 def hold_each(matrix, forgetting, levels, runs):
-    """`hold_covariance` of every run, by copies: it is rare."""
+    """`hold_triangle` of every run, by copies: it is rare."""
     count = len(matrix)
     one, limits, work = np.empty((count, count)), np.empty((3, count)), np.empty(count)
     # In loops: slices would triple the time to compile.
@@ -41,7 +41,7 @@ def hold_each(matrix, forgetting, levels, runs):
                 one[row, i] = matrix[row, i * runs + run]
             for row in range(len(limits)):
                 limits[row, i] = levels[row, i * runs + run]
-        hold_covariance(TRIANGLE, one, forgetting, limits, work, work, 0)
+        hold_triangle(one, forgetting, limits, work)
         for i in range(count):
             for row in range(count):
                 matrix[row, i * runs + run] = one[row, i]

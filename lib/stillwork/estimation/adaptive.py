@@ -30,6 +30,7 @@ from stillwork.estimation.covariance_forms import (
     TRIANGLE,
     UD,
     add_information,
+    add_triangle_information,
     covariance_of,
     factor_of,
     update_covariance,
@@ -275,7 +276,7 @@ def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor
 
     `matrix` to `gain` are those of a `Recursion`; the error e may be longer than the actuators are many. Returns the
     leverage lambda + psi' P psi, below lambda or NaN when P was no longer positive definite, and whether
-    `hold_covariance` has something to do: called from here it would cost every sample a third more.
+    `hold_triangle` has something to do: called from here it would cost every sample a third more.
     """
     n, forget = len(regressor), matrix.dtype.type(forgetting)
     denominator, shrink = update_covariance(matrix, regressor, forget, gain)
@@ -340,15 +341,30 @@ def watch_power(levels, i, value, forgetting, allowance):
 
 
 @kernel
-def hold_covariance(form, matrix, forgetting, levels, gain, inner, axis):
-    """Bring the diagonal of P, of a factor one element, back to its limit, as if the regressor had been seen once more."""
-    one, n = matrix.dtype.type(1), levels.shape[1]
-    for i in range(n):
-        found = variance(form, matrix, i) if form == TRIANGLE or i == axis else levels[0, i]
+def hold_triangle(covariance, forgetting, levels, gain):
+    """Bring the diagonal of P back to its limits, as if each regressor above its own had been seen once more."""
+    one = covariance.dtype.type(1)
+    for i in range(levels.shape[1]):
+        found = covariance[i, i]
         if found > levels[0, i]:
-            add_information(form, matrix, i, one / levels[0, i] - one / found, gain, inner)
-            # An element that is looked at each n-th sample stands for n.
-            levels[2, i] += (one - matrix.dtype.type(forgetting)) * (1 if form == TRIANGLE else n)
+            add_triangle_information(covariance, i, one / levels[0, i] - one / found, gain)
+            levels[2, i] += one - covariance.dtype.type(forgetting)
+
+
+@kernel
+def hold_covariance(form, matrix, forgetting, levels, gain, inner, axis):
+    """The same for any form, of a factor one element. Kernels that keep P itself call `hold_triangle`: they then
+    compile no other form.
+    """
+    if form == TRIANGLE:
+        hold_triangle(matrix, forgetting, levels, gain)
+        return
+    one, n = matrix.dtype.type(1), levels.shape[1]
+    found = variance(form, matrix, axis)
+    if found > levels[0, axis]:
+        add_information(form, matrix, axis, one / levels[0, axis] - one / found, gain, inner)
+        # An element that is looked at each n-th sample stands for n.
+        levels[2, axis] += (one - matrix.dtype.type(forgetting)) * n
 
 
 @inlined_kernel
@@ -361,7 +377,7 @@ def ferls_step(
             weights, matrix, forgetting, levels, allowance, gain, regressor, error
         )
         if reached:
-            hold_covariance(form, matrix, forgetting, levels, gain, gain, 0)
+            hold_triangle(matrix, forgetting, levels, gain)
     elif other is None:
         leverage, reached = ferls_ud_update(
             weights, matrix, forgetting, levels, allowance, gain, inner, regressor, error, sample

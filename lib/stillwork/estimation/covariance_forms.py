@@ -196,7 +196,7 @@ def variance(form, matrix, axis):
 
 @borrowing_kernel
 def add_triangle_information(covariance, axis, information, gain):
-    """`add_information` of the triangle: P stays symmetric."""
+    """`add_information` of the triangle, which stays symmetric."""
     copy_vector(covariance[axis], gain)
     one = covariance.dtype.type(1)
     shrink_along(covariance, gain, information / (one + information * gain[axis]), one)
@@ -206,11 +206,8 @@ def add_triangle_information(covariance, axis, information, gain):
 def add_information(form, matrix, axis, information, gain, inner):
     """Add to one diagonal element of the inverse of P, in place: a regressor along this axis, seen without forgetting.
 
-    P stays positive definite for information above zero.
+    P stays positive definite for information above zero. The triangle has `add_triangle_information`.
     """
-    if form == TRIANGLE:
-        add_triangle_information(matrix, axis, information, gain)
-        return
     unit = np.zeros(len(matrix), matrix.dtype)
     unit[axis] = np.sqrt(information)
     update_form(form, matrix, unit, matrix.dtype.type(1), gain, inner)
