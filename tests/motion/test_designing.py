@@ -43,6 +43,7 @@ def written(tmp_path_factory):
 
 @pytest.mark.slow
 def test_it_writes_all_of_it(written):
+    """7 s of CPU, in the fixture that the tests below share: one whole design, as the command makes it."""
     folder, said = written
     assert {file.name for file in folder.iterdir()} == {
         "controller.c", "controller.h", "controller.json", "report.html"

@@ -466,6 +466,7 @@ def test_workers_that_share_a_process_do_not_share_an_observer():
 
 @pytest.mark.slow
 def test_a_cluster_gives_the_table_that_this_machine_gives(written, tmp_path, monkeypatch):
+    """6 s of CPU: only a real worker in another process shows what does not travel there."""
     from distributed import LocalCluster
 
     monkeypatch.setattr(tables, "run_contest", partial(run_contest, plants=("drive",), doubts=("all 2 %",)))

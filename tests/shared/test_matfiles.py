@@ -106,6 +106,7 @@ def test_what_a_reader_prints_does_no_harm(other_reader):
 
 @pytest.mark.slow
 def test_damaged_bytes_give_arrays_or_our_error(tmp_path):
+    """9 s of CPU, a process a file: only there a crash of the parser is seen, which would end the tests otherwise."""
     random = np.random.default_rng(7)
     whole = [saved(), saved(do_compression=True), saved()[:130] + random.bytes(1200), random.bytes(1200)]
     for number in range(24):

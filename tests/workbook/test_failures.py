@@ -62,6 +62,7 @@ def assert_only_second_was_built(toy, good):
 
 
 def test_a_notebook_that_raises(built):
+    """6 s of CPU: two builds by real kernels; the traceback, the other notebook and the last good result are seen at once."""
     good = end_with(built, "ratio = 1 / 0")
     done = built.run("figures")
     assert done.returncode == 1
