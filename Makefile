@@ -28,6 +28,7 @@ UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/br
 # How many notebooks nbval executes although an earlier run built them, others each day.
 RERUN ?= 3
 BEGUN := build/test-begun
+DAY := $(shell date +%Y%m%d)
 
 # A part of `make test`, $(1) in words and $(2) to run, whatever became of those before it. How long each took and
 # whether it passed stands at the end.
@@ -38,7 +39,7 @@ part = @echo "$(1)"; begin=$$(date +%s); if $(2); then end=passed; else end=FAIL
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help figures readings contest test quick course lab site browser bench faults portable accept release doctor clean
+.PHONY: help figures readings contest test quick course lab site browser bench faults mutants dated portable accept release doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -84,10 +85,18 @@ browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get
 	$(BIN)/python -m pytest tests/browser $(ARGS)
 
 bench: $(READY) ## Measure speed beside named peers
-	@for file in $(filter-out benchmarks/faults.py benchmarks/machines.py benchmarks/bandwidths.py benchmarks/enclosures.py,$(wildcard benchmarks/*.py)); do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
+	@for file in $(filter-out benchmarks/faults.py benchmarks/machines.py benchmarks/bandwidths.py benchmarks/enclosures.py benchmarks/mutants.py,$(wildcard benchmarks/*.py)); do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
 
 faults: $(READY) ## Inject 2,000 random faults into builds of a toy workbook; ARGS="--faults N --seed N --jobs N"
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/faults.py $(ARGS)
+
+mutants: $(READY) ## Try small faults in the toolbox against its tests; ARGS="--count 200 --seed N --minutes N"
+	@$(BIN)/python benchmarks/mutants.py $(ARGS)
+
+dated: $(READY) ## Property tests on new examples, drawn from the day; ARGS=--hypothesis-seed=20260101 for those of another
+	@echo "examples of --hypothesis-seed=$(DAY)"
+	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "hypothesis and not slow" --hypothesis-profile=search \
+		--hypothesis-seed=$(DAY) $(ARGS)
 
 portable: $(READY) ## Build under other processors' settings and compare; ARGS="ROOM/NOTEBOOK --processor 2004" or "--sample"
 	@$(BIN)/python -m stillwork portable $(ARGS)

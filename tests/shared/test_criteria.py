@@ -89,3 +89,13 @@ def test_bad_questions_are_answered():
         criterion_met([1.0], [1e-6])
     with pytest.raises(InputError, match=r"^frequencies_hz\b"):
         one_third_octave_velocity([10.0, 10.1], [1.0, 1.0])
+
+
+@pytest.mark.parametrize(("inside", "bands"), [([15.0, 16.0], []), ([15.0, 16.0, 17.0], [16.0])])
+def test_a_band_holds_three_points_of_the_grid(inside, bands):
+    grid = [14.2, *inside, 18.0]  # the band about 16 Hz reaches from 14.26 to 17.96 Hz
+    if not bands:
+        with pytest.raises(InputError, match=r"^frequencies_hz\b"):
+            one_third_octave_velocity(grid, np.ones(len(grid)))
+    else:
+        assert one_third_octave_velocity(grid, np.ones(len(grid)))[0] == pytest.approx(bands)

@@ -1,0 +1,336 @@
+"""Mutants of the toolbox against the tests that reach them: `make mutants ARGS="--count 200 --seed 1"`.
+
+A mutant is the toolbox with one small fault: an operator, a constant or an index changed, two arguments swapped, another
+local returned, a statement left out. It is killed when a test fails. Of those that survive it prints the place, the
+old and the new text; each wants a test, or a reason why it changes nothing. It works in a copy, `build/mutants`, where
+`SEED.jsonl` keeps what was tried, so that a run that was stopped goes on.
+"""
+
+import argparse
+import ast
+import copy
+import json
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT / "lib")]
+
+from stillwork.base.kernel_folder import kernels_digest  # noqa: E402
+from stillwork.workbook.pinned import pins  # noqa: E402
+from stillwork.workbook.readings.closure import imports  # noqa: E402
+
+PLACE = ROOT / "build" / "mutants"
+TREE, KERNELS = PLACE / "tree", PLACE / "kernels"
+PARTS = ("base", "signals", "lti", "identification", "estimation", "control")
+OTHERS = ("stillwork/designing.py", "experiments/isolation/loop.py", "experiments/isolation/together.py")
+# Their mutants would change how the tests run, not what they find.
+LEFT_OUT = re.compile(r"__init__|kernel_cache|kernel_folder|kernels|garbage")
+TESTS = ("shared", "isolation", "motion", "worstcase", "fixedpoint")
+# They read the library as text.
+READERS = re.compile("test_(dead_code|wording|layers|readme|wheel|types|source_digest|rendering|import)")
+OPPOSITE = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One fault: the text from `start` to `end` of a file, in bytes, becomes `new`."""
+
+    kind: str
+    file: str  # below lib/
+    line: int
+    function: str
+    in_kernel: bool
+    start: int
+    end: int
+    old: str
+    new: str
+
+    def __str__(self):
+        return f"lib/{self.file}:{self.line} {self.kind}: {self.old} -> {self.new}"
+
+
+def mutants_of(file: str, text: bytes) -> Iterator[Mutant]:
+    """All mutants of a module."""
+    starts = [0]
+    for line in text.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+
+    def walk(node, function, in_kernel, local):
+        # What is printed, and what types say, is no arithmetic.
+        if isinstance(node, ast.JoinedStr | ast.Import | ast.ImportFrom):
+            return
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            function = node.name
+            if isinstance(node, ast.FunctionDef):
+                in_kernel = "kernel" in " ".join(map(ast.unparse, node.decorator_list))
+                names = (each for each in ast.walk(node) if isinstance(each, ast.Name))
+                local = sorted({each.id for each in names if isinstance(each.ctx, ast.Store)})
+        for kind, new in changes(node, local):
+            start = starts[node.lineno - 1] + node.col_offset
+            end = starts[node.end_lineno - 1] + node.end_col_offset
+            old = " ".join(text[start:end].decode().split())
+            yield Mutant(kind, file, node.lineno, function, in_kernel, start, end, old, new)
+        if isinstance(node, ast.Raise):
+            return
+        for name, value in ast.iter_fields(node):
+            if name in ("annotation", "returns", "decorator_list"):
+                continue
+            for each in value if isinstance(value, list) else [value]:
+                if isinstance(each, ast.AST):
+                    yield from walk(each, function, in_kernel, local)
+
+    yield from walk(ast.parse(text), "", False, [])
+
+
+def changes(node: ast.AST, local: list[str]) -> Iterator[tuple[str, str]]:
+    """Kinds of fault that a node may have, each with its text."""
+
+    def with_(**fields):
+        changed = copy.copy(node)
+        for name, value in fields.items():
+            setattr(changed, name, value)
+        return f"({ast.unparse(changed)})"
+
+    match node:
+        case ast.BinOp(op=op) if type(op) in OPPOSITE:
+            yield "operator", with_(op=OPPOSITE[type(op)]())
+        case ast.Compare(ops=[op]) if type(op) in OPPOSITE:
+            yield "comparison", with_(ops=[OPPOSITE[type(op)]()])
+        case ast.BoolOp(op=op):
+            yield "and, or", with_(op=OPPOSITE[type(op)]())
+        case ast.UnaryOp(op=ast.Not()):
+            yield "not", f"({ast.unparse(node.operand)})"
+        case ast.Constant(value=int() as value) if not isinstance(value, bool):
+            yield "constant", str(value + 1)
+        case ast.Constant(value=float() as value):
+            yield "constant", str(2 * value if value else 1.0)
+        case ast.Subscript(slice=ast.Name(id=name), ctx=ast.Load()):
+            yield "index", f"{ast.unparse(node.value)}[{name} + 1]"
+        case ast.Call(args=[first, second, *rest]) if ast.unparse(first) != ast.unparse(second):
+            if not any(isinstance(each, ast.Starred) for each in (first, second)):
+                yield "arguments", with_(args=[second, first, *rest])
+        case ast.Return(value=ast.Name(id=name)):
+            for other in [each for each in local if each != name][:2]:
+                yield "return", f"return {other}"
+        case ast.AugAssign() | ast.Raise() | ast.Expr(value=ast.Call()):
+            yield "statement", "pass"
+        case ast.Assign(targets=[ast.Subscript() | ast.Attribute()]):
+            yield "statement", "pass"
+
+
+def draw(count: int, seed: int) -> list[Mutant]:
+    """So many mutants, of every kind about as many."""
+    files = [*(f for part in PARTS for f in sorted((ROOT / "lib" / "stillwork" / part).glob("*.py")))]
+    files = [f for f in files if not LEFT_OUT.search(f.name)] + [ROOT / "lib" / each for each in OTHERS]
+    kinds: dict[str, list[Mutant]] = {}
+    for file in files:
+        for each in mutants_of(file.relative_to(ROOT / "lib").as_posix(), file.read_bytes()):
+            kinds.setdefault(each.kind, []).append(each)
+    rng = random.Random(seed)
+    for each in kinds.values():
+        rng.shuffle(each)
+    drawn: list[Mutant] = []
+    while len(drawn) < count and any(kinds.values()):
+        drawn += [each.pop() for each in kinds.values() if each][: count - len(drawn)]
+    rng.shuffle(drawn)
+    return drawn
+
+
+@cache
+def imported(file: Path) -> tuple[Path, ...]:
+    """Files of the library and of the tests that a file imports."""
+    found, roots = set(), [TREE / "lib", TREE / "tests"]
+    root = next(each for each in roots if file.is_relative_to(each))
+    parts = file.relative_to(root).with_suffix("").parts
+    for name in imports(".".join(parts[:-1] if parts[-1] == "__init__" else parts), file, roots):
+        for each in roots:
+            if (path := each.joinpath(*name.split(".")).with_suffix(".py")).is_file():
+                found.add(path)
+    return tuple(found)
+
+
+@cache
+def distances(test: Path) -> dict[Path, int]:
+    """Files that a test leads to, with the number of imports on the way."""
+    found, edge = {test: 0}, [test]
+    while edge:
+        edge = [
+            new
+            for file in edge
+            for new in imported(file)
+            if new not in found and not found.update({new: found[file] + 1})
+        ]
+    return found
+
+
+def users(file: Path) -> set[Path]:
+    """A file of the library and those that lead to it: what it does may be part of their machine code."""
+    return {each for each in (TREE / "lib").rglob("*.py") if file in distances(each)}
+
+
+def copy_tree() -> None:
+    """The files as they are, committed or not, with an order of tests that `run` sets."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    shutil.rmtree(TREE, ignore_errors=True)
+    for name in listed.stdout.splitlines():
+        if (ROOT / name).is_file():
+            (TREE / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, TREE / name)
+    (TREE / "tests" / "order.py").write_text(
+        'import os\n\nORDER = os.environ["ORDER"].split(":")\n\n\ndef rank(file):\n    return ORDER.index(str(file))\n'
+    )
+    KERNELS.mkdir(parents=True, exist_ok=True)
+    made = ROOT / "build" / "kernels" / kernels_digest()
+    if made.is_dir():
+        shutil.copytree(made, KERNELS, dirs_exist_ok=True)
+
+
+def run(tests: list[Path], kernels: Path, limit: float, *options: str) -> tuple[str, str]:
+    """What pytest found: passed, failed or late, and its last lines."""
+    variables = {**os.environ, **pins()}
+    variables |= {"PYTHONPATH": str(TREE / "lib"), "ORDER": ":".join(map(str, tests))}
+    variables |= {"STILLWORK_KERNELS": str(kernels)}
+    variables.pop("NUMBA_CACHE_DIR", None)
+    variables.pop("PYTHONDONTWRITEBYTECODE", None)
+    command = [sys.executable, "-m", "pytest", "-p", "no:nbval", "-p", "no:anyio", "-p", "no:cacheprovider"]
+    try:
+        done = subprocess.run(
+            [*command, "--tb=no", *options, *map(str, tests)],
+            cwd=TREE,
+            env=variables,
+            capture_output=True,
+            text=True,
+            timeout=limit,
+        )
+    except subprocess.TimeoutExpired:
+        return "late", ""
+    return "passed" if done.returncode in (0, 5) else "failed", done.stdout
+
+
+class Baseline:
+    """Seconds of each file of tests without a fault, and which of its tests fail so, in the copy or at all."""
+
+    def __init__(self):
+        self.known: dict[Path, tuple[float, list[str]]] = {}
+
+    def __call__(self, test: Path, limit: float) -> tuple[float, list[str]]:
+        if test not in self.known:
+            begin = time.monotonic()
+            state, said = run([test], KERNELS, limit, "-rfE", "-m", "not slow")
+            spent = float("inf") if state == "late" else time.monotonic() - begin
+            if state != "late" and spent > 10:  # of which the most may be the compiler's
+                begin = time.monotonic()
+                state, said = run([test], KERNELS, limit, "-rfE", "-m", "not slow")
+                spent = time.monotonic() - begin
+            failing = re.findall(r"^(?:FAILED|ERROR) (\S+(?:\[.*?\])?)", said, re.MULTILINE)
+            self.known[test] = spent, failing
+        return self.known[test]
+
+
+def judge(mutant: Mutant, baseline: Baseline, limit: float) -> dict:
+    """Apply a mutant in the copy, run the tests that reach it, nearest first, and take it back."""
+    file = TREE / "lib" / mutant.file
+    every = [
+        f for room in TESTS for f in (TREE / "tests" / room).glob("test_*.py") if not READERS.match(f.name)
+    ]
+    near = {f: distances(f)[file] for f in every if file in distances(f)}
+    word = re.compile(rf"\b{mutant.function}\b")
+    named = {f for f in near if mutant.function and word.search(f.read_text())}
+    tests, failing, spent = [], [], 0.0
+    for test in sorted(near, key=lambda f: (f not in named, near[f], f.stat().st_size)):
+        takes, bad = baseline(test, limit)
+        if spent + takes < limit / 4:
+            tests.append(test)
+            failing += [option for each in bad for option in ("--deselect", each)]
+            spent += takes
+    text = file.read_bytes()
+    kernels = KERNELS
+    if b"stillwork.base.kernel" in text:
+        # Machine code of what may hold a kernel of this file is made anew; the rest stays.
+        kernels = PLACE / "kernels-of-mutant"
+        shutil.rmtree(kernels, ignore_errors=True)
+        shutil.copytree(KERNELS, kernels, copy_function=os.link)
+        if mutant.in_kernel:
+            for user in users(file):
+                for made in kernels.glob(f"{user.parent.name}_*"):
+                    for each in made.glob(f"{user.stem}.*"):
+                        each.unlink()
+    before = file.stat().st_mtime
+    try:
+        file.write_bytes(text[: mutant.start] + mutant.new.encode() + text[mutant.end :])
+        os.utime(file, (before + 10, before + 10))  # for Python's bytecode, which looks at whole seconds
+        state, said, slow = "passed", "", False
+        if tests:
+            state, said = run(tests, kernels, limit, "-x", "-rfE", "-m", "not slow", *failing)
+            if state == "passed":
+                state, said = run(tests[:4], kernels, limit, "-x", "-rfE", "-m", "slow", *failing)
+                slow = state == "failed"
+                state = "passed" if state == "late" else state
+    finally:
+        file.write_bytes(text)
+        os.utime(file, (before, before))
+    by = re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+    if slow and (not by or run([TREE / by[0].split("::")[0]], KERNELS, limit, "-m", "slow")[0] != "passed"):
+        state = "passed"  # it fails here without a fault, too
+    return {
+        "mutant": str(mutant),
+        "end": {"passed": "survived", "failed": "killed", "late": "killed by time"}[state],
+        "by": by[0] if by else "",
+        "tests": [each.relative_to(TREE).as_posix() for each in tests],
+    }
+
+
+def main() -> None:
+    """Try mutants of a seed, those that were tried before left out, and print who survives."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--limit", type=float, default=120.0, help="seconds for the tests of a mutant")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no mutant after so many")
+    options = parser.parse_args()
+    copy_tree()
+    kept, baseline, begin = PLACE / f"{options.seed}.jsonl", Baseline(), time.monotonic()
+    found = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
+    tried = {each["mutant"] for each in found}
+    for mutant in draw(options.count, options.seed):
+        if str(mutant) in tried or time.monotonic() - begin > 60 * options.minutes:
+            continue
+        found.append(judge(mutant, baseline, options.limit))
+        with kept.open("a") as file:
+            print(json.dumps(found[-1]), file=file)
+        print(f"{len(found):4d}  {found[-1]['end']:14s}  {mutant}", flush=True)
+    survivors = [each for each in found if each["end"] == "survived"]
+    print(
+        f"\nseed {options.seed}: {len(found)} mutants, {len(found) - len(survivors)} killed, {len(survivors)} survive"
+    )
+    for each in survivors:
+        print(f"  {each['mutant']}   ({len(each['tests'])} files of tests)")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,285 @@
+"""What no answer may depend on: the unit of a length or a force, that of time, the order and the type of an array.
+
+One line of a table for each function, so that a new function gets one, too.
+"""
+
+import numpy as np
+import pytest
+
+from stillwork import control, estimation, identification, lti, signals
+from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.time_varying import TimeVaryingModel
+from stillwork.lti import StateModel
+
+UNITS = [1e-9, 1e-3, 1e3, 1e9]
+RATES = [1e-3, 0.1, 40.0]
+
+
+def noise(seed=0, shape=(2, 2000)):
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def stage(length=1.0, force=1.0, rate=1.0):
+    """A free mass with two modes, in units of `length` m, `force` N and 1 / `rate` s."""
+    shape = np.array([[0.3], [0.3], [0.2]])
+    return lti.ModalModel(
+        np.array([0.0, 600.0, 1500.0]) * rate,
+        np.array([0.0, 0.01, 0.02]),
+        shape * force * rate,
+        np.array([[0.3, -0.3, 0.2]]) * rate / length,
+        np.zeros((1, 1)),
+    )
+
+
+def filtered(length=1.0, force=1.0, rate=1.0):
+    """A stable model of two inputs and outputs."""
+    rng = np.random.default_rng(4)
+    a = rng.standard_normal((5, 5))
+    a -= (np.abs(np.linalg.eigvals(a)).max() + 0.5) * np.eye(5)
+    return StateModel(
+        a * rate,
+        rng.standard_normal((5, 2)) * force * rate,
+        rng.standard_normal((2, 5)) / length,
+        np.zeros((2, 2)),
+    )
+
+
+def designed(length=1.0, force=1.0, rate=1.0):
+    """Design parameter and crossing of a PID for the stage."""
+    plant = stage(length, force, rate)
+    loop = control.make_loop(plant, low_hz=0.1 * rate, high_hz=2e4 * rate)
+    family = control.PidFamily(11.0 * length / force / rate**2)
+    best = control.maximise_bandwidth(
+        [loop],
+        family,
+        [control.PeakConstraint("input_sensitivity")],
+        low_hz=10.0 * rate,
+        high_hz=150.0 * rate,
+        tolerance_hz=1e-4 * rate,
+    )
+    return np.array([best.design_hz, *best.crossing_hz]) / rate
+
+
+def fitted(length=1.0, rate=1.0):
+    """Frequencies (over `rate`), damping and shapes of a fit to a measured accelerance."""
+    omega = 2 * np.pi * np.linspace(20.0, 300.0, 400)
+    accelerance = -(omega**2) * stage().frequency_response(omega)[0, 0]
+    accelerance = accelerance * (1 + 1e-3 * (noise(3, 400) + 1j * noise(5, 400)))
+    measured = identification.Identified(omega * rate, accelerance / length, np.ones(400))
+    model = identification.fit_modes(measured, [95.0 * rate, 238.0 * rate], (20.0 * rate, 299.0 * rate)).model
+    return model.frequencies / rate, model.damping, model.output_shapes * model.input_shapes.T * length
+
+
+def adapted(settings, rows, target):
+    return estimation.identify(settings, rows, target).weights
+
+
+def level_kept(k):
+    """Smallest level of an H-infinity filter whose states are in units of `k`."""
+    return smallest_level(states_in(k), np.array([[1.0, 0.5]]) / k, 1e-9)
+
+
+def gains_at_a_level(k):
+    return hinfinity_gains(states_in(k), np.array([[1.0, 0.5]]) / k, 5.0).gain / k
+
+
+def states_in(k):
+    eye, c = np.eye(2), np.broadcast_to([[1.0, 0.3]], (40, 1, 2))
+    turn = np.array([[0.9, 0.2], [-0.2, 0.9]])
+    return TimeVaryingModel(turn, np.zeros((2, 1)), eye, c / k, 0.1 * eye * k**2, np.eye(1), eye * k**2)
+
+
+# Of each function what it gives in a unit, brought back from it; 1.0 must give the same.
+LENGTHS = {
+    "spectrum": lambda k: signals.estimate_spectrum(k * noise(), 1000.0, 5.0).density / k**2,
+    "response": lambda k: signals.estimate_response(k * noise(), noise(1), 1000.0, 5.0).response * k,
+    "response of outputs": lambda k: (
+        signals.estimate_response(noise(), k * noise(1), 1000.0, 5.0).response / k
+    ),
+    "coherence": lambda k: signals.estimate_response(k * noise(), noise(1) / k, 1000.0, 5.0).coherence,
+    "moving average": lambda k: signals.moving(k * noise()[0], 1e-3, 7e-3).average / k,
+    "moving deviation": lambda k: signals.moving(k * noise()[0], 1e-3, 7e-3).deviation / k,
+    "H2 norm": lambda k: lti.h2_norm(filtered(length=k)) * k,
+    "H-infinity norm": lambda k: lti.hinf_norm(filtered(length=k)).magnitude * k,
+    "H-infinity norm of a force": lambda k: lti.hinf_norm(filtered(force=k)).magnitude / k,
+    "zoh": lambda k: lti.zoh(filtered(length=k), 0.1).c * k,
+    "simulation": lambda k: lti.simulate(lti.zoh(filtered(force=k), 0.1), noise()) / k,
+    "Kalman observer": lambda k: (
+        estimation.kalman_observer(stage(length=k), estimation.NoiseIntensities(1.0, 1e-12 / k**2)).gain / k
+    ),
+    "Kalman observer of a force": lambda k: (
+        estimation.kalman_observer(stage(force=k), estimation.NoiseIntensities(1.0 / k**2, 1e-12)).gain
+    ),
+    "FeRLS": lambda k: adapted(estimation.FeRls(1e3 / k**2, 0.99), k * noise(), k * noise(1)[:1]),
+    "FeRLS of the disturbance": lambda k: adapted(estimation.FeRls(1e3, 0.99), noise(), k * noise(1)[:1]) / k,
+    "FeLMS": lambda k: adapted(estimation.FeLms(0.1, 1e-5 * k**2), k * noise(), k * noise(1)[:1]),
+    "least squares": lambda k: (
+        estimation.run(
+            estimation.LeastSquares(0.98, initial_covariance=10.0 / k**2), k * noise(), k * noise(1)[0]
+        ).estimates
+    ),
+    "min-max": lambda k: estimation.min_max_solve(k * noise(shape=(9, 2)), k * noise(1, 9), 0.7 * k).estimate,
+    "min-max of the target": lambda k: (
+        estimation.min_max_solve(noise(shape=(9, 2)), k * noise(1, 9), 0.7).estimate / k
+    ),
+    "recursive min-max": lambda k: (
+        estimation.run(
+            estimation.MinMax(bound=2.0 * k, forgetting=0.98), k * noise(), k * noise(1)[0]
+        ).estimates
+    ),
+    "choice of a bound": lambda k: (
+        estimation.choose_bound(k * noise(shape=(60, 2)), k * noise(1, 60), draws=50).best / k
+    ),
+    "bandwidth": lambda k: designed(length=k),
+    "bandwidth of a force": lambda k: designed(force=k),
+    "frequencies of a fit": lambda k: fitted(length=k)[0],
+    "damping of a fit": lambda k: fitted(length=k)[1],
+    "shapes of a fit": lambda k: fitted(length=k)[2],
+    "damping": lambda k: control.damping_gain(stage(force=k), [0.1, 0.1]) * k,
+    "level of an H-infinity filter": level_kept,
+    "gains of an H-infinity filter": gains_at_a_level,
+    "low pass": lambda k: estimation.filter_signal(estimation.LowPass(350.0), k * noise()[0]).velocity / k,
+    "trajectory": lambda k: control.asin_trajectory(amplitude=k).acceleration / k,
+    "setpoint": lambda k: (
+        control.point_to_point(
+            1e4 * k, 100.0 * k, 2.0 * k, 0.1 * k, cruise=0.02, settling=0.005, sample_time=1e-3
+        ).derivatives
+        / k
+    ),
+}
+TIMES = {
+    "spectrum": lambda k: signals.estimate_spectrum(noise(), 1000.0 * k, 5.0 * k).density * k,
+    "response": lambda k: signals.estimate_response(noise(), noise(1), 1000.0 * k, 5.0 * k).response,
+    "H2 norm": lambda k: lti.h2_norm(filtered(rate=k)) / np.sqrt(k),
+    "H-infinity norm": lambda k: lti.hinf_norm(filtered(rate=k)).magnitude,
+    "zoh": lambda k: lti.zoh(filtered(rate=k), 0.1 / k).a,
+    "tustin": lambda k: lti.tustin(filtered(rate=k), 0.1 / k, omega=3.0 * k).a,
+    "bandwidth": lambda k: designed(rate=k),
+    "frequencies of a fit": lambda k: fitted(rate=k)[0],
+    "damping of a fit": lambda k: fitted(rate=k)[1],
+    "low pass": lambda k: (
+        estimation.filter_signal(estimation.LowPass(350.0 * k), noise()[0], sample_time=1e-3 / k).velocity / k
+    ),
+    "trajectory": lambda k: (
+        control.asin_trajectory(frequency_hz=0.2 * k, duration=12.0 / k, sample_time=1e-3 / k).velocity / k
+    ),
+    "setpoint": lambda k: (
+        control.point_to_point(
+            1e4 * k**4,
+            100.0 * k**3,
+            2.0 * k**2,
+            0.1 * k,
+            cruise=0.02 / k,
+            settling=0.005 / k,
+            sample_time=1e-3 / k,
+        ).derivatives[1]
+        / k
+    ),
+}
+# Searches and iterations that end at a tolerance of their own.
+LOOSE = {"bandwidth": 2e-5, "bandwidth of a force": 2e-5, "FeLMS": 1e-8, "Kalman observer": 1e-6}
+LOOSE |= {"Kalman observer of a force": 1e-6, "frequencies of a fit": 1e-6, "damping of a fit": 1e-5}
+LOOSE |= {"shapes of a fit": 1e-5, "choice of a bound": 1e-6}
+
+
+def agrees(found, wanted, name):
+    assert np.shape(found) == np.shape(wanted)
+    assert np.abs(found - wanted).max() <= LOOSE.get(name, 1e-9) * np.abs(wanted).max()
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("name", LENGTHS)
+def test_a_unit_of_length_or_force_changes_no_answer(name, unit):
+    agrees(LENGTHS[name](unit), LENGTHS[name](1.0), name)
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("name", TIMES)
+def test_a_unit_of_time_changes_no_answer(name, rate):
+    agrees(TIMES[name](rate), TIMES[name](1.0), name)
+
+
+# Of channels, or of rows, that come in another order what comes out in the order of before.
+ORDER = np.array([2, 0, 1])
+BACK = np.argsort(ORDER)
+ORDERS = {
+    "spectrum": lambda o, b: signals.estimate_spectrum(noise(shape=(3, 900))[o], 1000.0, 5.0).density[b],
+    "response": lambda o, b: signals.estimate_response(
+        noise(shape=(3, 2000))[o], noise(1), 1000.0, 5.0
+    ).response[:, b],
+    "response of outputs": lambda o, b: signals.estimate_response(
+        noise(), noise(1, (3, 2000))[o], 1000.0, 5.0
+    ).response[b],
+    "FeRLS": lambda o, b: adapted(
+        estimation.FeRls(1e3, 0.99, growth_limit=np.inf), noise(shape=(3, 500))[o], noise(1, (1, 500))
+    )[:, b],
+    "FeLMS": lambda o, b: adapted(estimation.FeLms(0.1), noise(shape=(3, 500))[o], noise(1, (1, 500)))[:, b],
+    "min-max": lambda o, b: estimation.min_max_solve(noise(shape=(9, 3))[:, o], noise(1, 9), 0.3).estimate[b],
+    "least squares": lambda o, b: estimation.run(
+        estimation.LeastSquares(0.98, initial_covariance=10.0), noise(shape=(3, 300))[o], noise(1, 300)
+    ).estimates[b],
+    "recursive min-max": lambda o, b: estimation.run(
+        estimation.MinMax(bound=2.0, forgetting=0.98), noise(shape=(3, 300))[o], noise(1, 300)
+    ).estimates[b],
+}
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_the_order_of_channels_changes_no_answer(name):
+    agrees(ORDERS[name](ORDER, BACK), ORDERS[name](np.arange(3), np.arange(3)), "FeLMS")
+
+
+FORMS = {
+    "column by column": np.asfortranarray,
+    "strided": lambda array: np.repeat(array, 2, axis=-1)[..., ::2],
+    "list": lambda array: array.tolist(),
+    "big-endian": lambda array: array.astype(">f8"),
+    "integers": lambda array: array.astype(np.int64),
+    "unsigned": lambda array: array.astype(np.uint16),
+    "single": lambda array: array.astype(np.float32),
+}
+# Whole numbers from 0 on, which every type holds.
+COUNTS = np.random.default_rng(2).integers(0, 1000, (2, 600)).astype(float)
+TYPES = {
+    "spectrum": lambda form: signals.estimate_spectrum(form(COUNTS), 1000.0, 5.0).density,
+    "response": lambda form: (
+        signals.estimate_response(form(COUNTS), form(COUNTS[::-1]), 1000.0, 20.0).response
+    ),
+    "moving average": lambda form: signals.moving(form(COUNTS[0]), 1e-3, 7e-3).rms,
+    "simulation": lambda form: lti.simulate(lti.zoh(filtered(), 0.1), form(COUNTS)),
+    "FeRLS": lambda form: adapted(estimation.FeRls(1e3, 0.99), form(COUNTS), form(COUNTS[:1])),
+    "min-max": lambda form: estimation.min_max_solve(form(COUNTS.T), form(COUNTS[0, ::-1]), 5.0).estimate,
+    "least squares": lambda form: (
+        estimation.run(estimation.LeastSquares(0.98), form(COUNTS), form(COUNTS[0, ::-1])).estimates
+    ),
+    "low pass": lambda form: estimation.filter_signal(estimation.LowPass(350.0), form(COUNTS[0])).velocity,
+    "moving window": lambda form: (
+        estimation.filter_signal(
+            estimation.coordinate_filters.MovingWindow(length=7), form(COUNTS[0])
+        ).velocity
+    ),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", TYPES)
+def test_the_type_of_an_array_changes_no_answer(name, form):
+    np.testing.assert_array_equal(TYPES[name](FORMS[form]), TYPES[name](np.asarray))
+
+
+def test_a_record_played_backwards_has_the_same_spectrum_and_the_mirrored_response():
+    """Of whole windows; a system played backwards has the complex conjugate of its response."""
+    x, y = noise(shape=(1, 2000)), noise(1, (1, 2000))
+    forward, back = (signals.estimate_spectrum(each, 1000.0, 5.0) for each in (x, x[:, ::-1]))
+    np.testing.assert_allclose(
+        back.density, forward.density, rtol=0.02 + 1e-9, atol=0.02 * forward.density.max()
+    )
+    one, other = (signals.estimate_response(a, b, 1000.0, 5.0) for a, b in ((x, y), (x[:, ::-1], y[:, ::-1])))
+    np.testing.assert_allclose(other.response, one.response.conj(), atol=0.05)
+
+
+def test_what_was_brought_to_a_form_stays_in_it():
+    short = lti.truncate(stage(), modes=2)
+    again = lti.truncate(short, modes=2)
+    for name in ("frequencies", "damping", "input_shapes", "output_shapes", "feedthrough"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(short, name))
