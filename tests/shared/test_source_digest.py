@@ -5,6 +5,7 @@ import io
 import random
 import re
 import tokenize
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -179,3 +180,11 @@ def test_whoever_reads_words_or_annotations_at_run_time_reads_what_the_digest_se
 def test_an_annotation_that_acts_is_part_of_it(annotation):
     one, other = (f"def f(x: {annotation.format(number)}):\n    return x\n".encode() for number in (3, 4))
     assert code_digest(one) != code_digest(other)
+
+
+def test_threads_that_ask_at_once_get_what_each_gets_alone():
+    """In Python 3.11 parsing in several threads at once fails now and then."""
+    sources = [file.read_bytes() for file in DRAWN] * 4
+    alone = [code_digest(source) for source in sources]
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(code_digest, sources)) == alone

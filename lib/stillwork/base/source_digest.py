@@ -4,7 +4,13 @@ The keys of notebooks, of studies and of kernels' machine code (`stillwork.base.
 """
 
 import ast
+import contextlib
 import hashlib
+import threading
+
+# Python 3.11 counts the depth of all syntax trees that are made at a time together: two threads disturb each other.
+_ALONE = threading.Lock()
+TRIES = 20  # where a thread of somebody else's makes one, too
 
 
 def code_digest(source: bytes) -> str:
@@ -24,7 +30,14 @@ def code(source: bytes) -> ast.Module:
     are annotations that call or assign something, and those of decorated functions, of class bodies and of a module's own
     names: validation, dataclasses and whoever else reads annotations at run time find them there.
     """
-    return _Acting().visit(ast.parse(source))
+    return _Acting().visit(_parsed(source))
+
+
+def _parsed(source: bytes) -> ast.Module:
+    for _ in range(TRIES):
+        with contextlib.suppress(SystemError), _ALONE:
+            return ast.parse(source)
+    return ast.parse(source)
 
 
 def _acting_part(annotation: ast.expr | None) -> ast.expr | None:
