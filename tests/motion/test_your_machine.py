@@ -241,6 +241,17 @@ def test_found_bandwidths_hold_six_decibels_and_are_stable_on_the_full_model(fou
 
 
 @pytest.mark.slow
+def test_the_measurement_stands_for_the_plant_in_the_band_of_the_fit(found):
+    machine, reached = found
+    ends = tuple(machine.fit.omega[[0, -1]] / (2 * np.pi))
+    asked = reach(machine, {"PID": None}, retained=3, intensities=INTENSITIES, loop_hz=ends)["PID"]
+    for one, other in zip(asked.loops, reached["PID"].loops, strict=True):
+        assert np.array_equal(one.omega, other.omega)
+        assert np.array_equal(one.plant_response, other.plant_response)
+    assert asked.on_measurement.design_hz == reached["PID"].on_measurement.design_hz
+
+
+@pytest.mark.slow
 def test_bandwidths_do_not_depend_on_the_unit_of_force(tmp_path):
     """A machine a thousand times heavier, disturbed a thousand times more, is the same machine."""
     for unit in ("N", "kN"):
