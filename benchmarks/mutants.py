@@ -1,9 +1,10 @@
 """Mutants of the toolbox against the tests that reach them: `make mutants ARGS="--count 200 --seed 1"`.
 
 A mutant is the toolbox with one small fault: an operator, a constant or an index changed, two arguments swapped, another
-local returned, a statement left out. It is killed when a test fails. Of those that survive it prints the place, the
-old and the new text; each wants a test, or a reason why it changes nothing. It works in a copy, `build/mutants`, where
-`SEED.jsonl` keeps what was tried, so that a run that was stopped goes on.
+local returned, a statement left out. It is killed when a test fails that passes without it. Of those that survive it
+prints the place, the old and the new text; each wants a test, or a reason why it changes nothing. It works in a copy,
+`build/mutants`, where `SEED.jsonl` keeps what was tried: a run that was stopped goes on, and those that survived are tried
+again.
 """
 
 import argparse
@@ -39,6 +40,7 @@ TESTS = ("shared", "isolation", "motion", "worstcase", "fixedpoint")
 # They read the library as text.
 READERS = re.compile("test_(dead_code|wording|layers|readme|wheel|types|source_digest|rendering|import)")
 FILES = 6  # of tests, for a mutant
+PATIENCE = 120.0  # s, for one test
 OPPOSITE = {
     ast.Add: ast.Sub,
     ast.Sub: ast.Add,
@@ -203,7 +205,7 @@ def copy_tree() -> None:
             (TREE / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, TREE / name)
     (TREE / "tests" / "order.py").write_text(
-        'import os\n\nORDER = os.environ["ORDER"].split(":")\n\n\ndef rank(file):\n    return ORDER.index(str(file))\n'
+        'import os\n\nORDER = os.environ["ORDER"].split("|")\n\n\ndef rank(file):\n    return ORDER.index(str(file))\n'
     )
     KERNELS.mkdir(parents=True, exist_ok=True)
     made = ROOT / "build" / "kernels" / kernels_digest()
@@ -214,7 +216,10 @@ def copy_tree() -> None:
 def run(tests: list[Path], kernels: Path, limit: float, *options: str) -> tuple[str, str]:
     """What pytest found: passed, failed or late, and its last lines."""
     variables = {**os.environ, **pins()}
-    variables |= {"PYTHONPATH": str(TREE / "lib"), "ORDER": ":".join(map(str, tests))}
+    variables |= {
+        "PYTHONPATH": str(TREE / "lib"),
+        "ORDER": "|".join(str(each).partition("::")[0] for each in tests),
+    }
     variables |= {"STILLWORK_KERNELS": str(kernels)}
     variables.pop("NUMBA_CACHE_DIR", None)
     variables.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -233,28 +238,17 @@ def run(tests: list[Path], kernels: Path, limit: float, *options: str) -> tuple[
     return "passed" if done.returncode in (0, 5) else "failed", done.stdout
 
 
-class Baseline:
-    """Seconds of each file of tests without a fault, and which of its tests fail so, in the copy or at all."""
-
-    def __init__(self):
-        self.known: dict[Path, tuple[float, list[str]]] = {}
-
-    def __call__(self, test: Path, limit: float) -> tuple[float, list[str]]:
-        if test not in self.known:
-            # What is late may be so by the compiler, which the second time has nothing to do.
-            for _ in range(2):
-                begin = time.monotonic()
-                state, said = run([test], KERNELS, limit, "-rfE", "-m", "not slow")
-                spent = time.monotonic() - begin
-                if spent < limit / 2:
-                    break
-            failing = re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
-            self.known[test] = (spent if state != "late" else float("inf")), failing
-        return self.known[test]
+@cache
+def passes(test: str) -> bool:
+    """Whether a test passes in the copy without a fault."""
+    return run([TREE / test], KERNELS, PATIENCE)[0] == "passed"
 
 
-def judge(mutant: Mutant, baseline: Baseline, limit: float) -> dict:
-    """Apply a mutant in the copy, run the tests that reach it, nearest first, and take it back."""
+def judge(mutant: Mutant, limit: float) -> dict:
+    """Apply a mutant in the copy, run the tests that reach it, nearest first, and take it back.
+
+    A failure counts when the test passes without the fault; being late, when the same tests are not so without it.
+    """
     file = TREE / "lib" / mutant.file
     every = [
         f for room in TESTS for f in (TREE / "tests" / room).glob("test_*.py") if not READERS.match(f.name)
@@ -262,48 +256,52 @@ def judge(mutant: Mutant, baseline: Baseline, limit: float) -> dict:
     near = {f: distances(f)[file] for f in every if file in distances(f)}
     word = re.compile(rf"\b{mutant.function}\b")
     named = {f for f in near if mutant.function and word.search(f.read_text())}
-    tests, failing, spent = [], [], 0.0
-    for test in sorted(near, key=lambda f: (f not in named, near[f], f.stat().st_size))[:FILES]:
-        takes, bad = baseline(test, limit / 4)
-        if spent + takes < limit / 4:
-            tests.append(test)
-            failing += [option for each in bad for option in ("--deselect", each)]
-            spent += takes
-    text = file.read_bytes()
-    kernels = KERNELS
-    if b"stillwork.base.kernel" in text:
-        # Machine code of what may hold a kernel of this file is made anew; the rest stays.
-        kernels = PLACE / "kernels-of-mutant"
-        shutil.rmtree(kernels, ignore_errors=True)
-        shutil.copytree(KERNELS, kernels, copy_function=os.link)
-        if mutant.in_kernel:
-            for user in users(file):
-                for made in kernels.glob(f"{user.parent.name}_*"):
-                    for each in made.glob(f"{user.stem}.*"):
-                        each.unlink()
-    before = file.stat().st_mtime
-    try:
-        file.write_bytes(text[: mutant.start] + mutant.new.encode() + text[mutant.end :])
-        os.utime(file, (before + 10, before + 10))  # for Python's bytecode, which looks at whole seconds
-        state, said, slow = "passed", "", False
-        if tests:
-            state, said = run(tests, kernels, limit, "-x", "-rfE", "-m", "not slow", *failing)
+    tests = sorted(near, key=lambda f: (f not in named, near[f], f.stat().st_size))[:FILES]
+    text, before = file.read_bytes(), file.stat().st_mtime
+    kernels = kernels_without(file, text, mutant) if b"stillwork.base.kernel" in text else KERNELS
+    end, by, failing = "survived", "", []
+    for marked in ("not slow", "slow") if tests else ():
+        options = ["-x", "-rfE", "-m", marked]
+        while end == "survived":
+            try:
+                file.write_bytes(text[: mutant.start] + mutant.new.encode() + text[mutant.end :])
+                os.utime(
+                    file, (before + 10, before + 10)
+                )  # for Python's bytecode, which looks at whole seconds
+                state, said = run(tests, kernels, limit, *options, *failing)
+            finally:
+                file.write_bytes(text)
+                os.utime(file, (before, before))
             if state == "passed":
-                state, said = run(tests[:4], kernels, limit, "-x", "-rfE", "-m", "slow", *failing)
-                slow = state == "failed"
-                state = "passed" if state == "late" else state
-    finally:
-        file.write_bytes(text)
-        os.utime(file, (before, before))
-    by = re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
-    if slow and (not by or run([TREE / by[0].split("::")[0]], KERNELS, limit, "-m", "slow")[0] != "passed"):
-        state = "passed"  # it fails here without a fault, too
+                break
+            if state == "late":
+                late = run(tests, KERNELS, limit, *options, *failing)[0] == "late"
+                end = "survived" if late and marked == "slow" else "not decided" if late else "killed by time"
+                break
+            found = re.findall(r"^(?:FAILED|ERROR) (\S+?)(?: - .*)?$", said, re.MULTILINE)
+            by = found[0] if found else "the process"
+            if not found or passes(by):
+                end = "killed"
+            failing += ["--deselect", by]
     return {
         "mutant": str(mutant),
-        "end": {"passed": "survived", "failed": "killed", "late": "killed by time"}[state],
-        "by": by[0] if by else "",
+        "end": end,
+        "by": by if end == "killed" else "",
         "tests": [each.relative_to(TREE).as_posix() for each in tests],
     }
+
+
+def kernels_without(file: Path, text: bytes, mutant: Mutant) -> Path:
+    """A copy of the machine code in which what may hold a kernel of `file` is to be made anew."""
+    kernels = PLACE / "kernels-of-mutant"
+    shutil.rmtree(kernels, ignore_errors=True)
+    shutil.copytree(KERNELS, kernels, copy_function=os.link)
+    if mutant.in_kernel:
+        for user in users(file):
+            for made in kernels.glob(f"{user.parent.name}_*"):
+                for each in made.glob(f"{user.stem}.*"):
+                    each.unlink()
+    return kernels
 
 
 def main() -> None:
@@ -315,17 +313,18 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no mutant after so many")
     options = parser.parse_args()
     copy_tree()
-    kept, baseline, begin = PLACE / f"{options.seed}.jsonl", Baseline(), time.monotonic()
+    kept, begin = PLACE / f"{options.seed}.jsonl", time.monotonic()
     found = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
+    found = [each for each in found if each["end"].startswith("killed")]
     tried = {each["mutant"] for each in found}
     for mutant in draw(options.count, options.seed):
         if str(mutant) in tried or time.monotonic() - begin > 60 * options.minutes:
             continue
-        found.append(judge(mutant, baseline, options.limit))
+        found.append(judge(mutant, options.limit))
         with kept.open("a") as file:
             print(json.dumps(found[-1]), file=file)
         print(f"{len(found):4d}  {found[-1]['end']:14s}  {mutant}", flush=True)
-    survivors = [each for each in found if each["end"] == "survived"]
+    survivors = [each for each in found if not each["end"].startswith("killed")]
     print(
         f"\nseed {options.seed}: {len(found)} mutants, {len(found) - len(survivors)} killed, {len(survivors)} survive"
     )
