@@ -347,7 +347,7 @@ def import_time() -> float:
 
 
 def python(code: str, **environment) -> str:
-    env = {**os.environ, **environment, "PYTHONPATH": str(ROOT / "lib")}
+    env = {**os.environ, **environment, "PYTHONPATH": f"{ROOT / 'lib'}{os.pathsep}{ROOT}"}
     done = subprocess.run([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True)
     if done.returncode:
         raise SystemExit("a measured process failed; its message stands above")

@@ -220,6 +220,17 @@ def test_folders_of_other_digests_go_after_a_week_without_use(workbook):
     assert not used.exists()
 
 
+def test_kernels_beside_a_notebook_are_part_of_the_digest(workbook):
+    ask = "from stillwork.base.kernel_folder import kernels_digest; print(kernels_digest())"
+    environment = {"PYTHONPATH": str(workbook / "lib"), "STILLWORK_ROOT": str(workbook), "PATH": ""}
+    own, found = workbook / "notebooks" / "motion" / "own.py", []
+    own.parent.mkdir(parents=True)
+    for text in ("", CALLED.format(factor=2), CALLED.format(factor=2) + "# why", CALLED.format(factor=3)):
+        own.write_text(text)
+        found.append(subprocess.check_output([sys.executable, "-c", ask], env=environment))
+    assert found[1] == found[2] and len(set(found)) == 3
+
+
 @pytest.mark.slow
 def test_a_comment_in_a_file_of_kernels_compiles_that_file_alone(workbook):
     """Its own kernels, whose machine code numba keys by the file; not those that call them."""
@@ -399,10 +410,12 @@ def imported_names(source: bytes) -> dict[str, Path]:
 def test_what_a_kernel_names_comes_from_files_that_its_machine_code_is_kept_by():
     """A constant is frozen into the machine code; of a file without kernels a change of it would go unseen."""
     elsewhere, kernels = [], 0
-    for file in sorted(LIBRARY.rglob("*.py")):
+    beside = (LIBRARY.parent / "notebooks").rglob("*.py")
+    for file in sorted([*LIBRARY.rglob("*.py"), *beside]):
         if b"stillwork.base.kernel" not in (source := file.read_bytes()):
             continue
-        module = import_module(".".join(file.relative_to(LIBRARY).with_suffix("").parts))
+        root = LIBRARY if file.is_relative_to(LIBRARY) else LIBRARY.parent
+        module = import_module(".".join(file.relative_to(root).with_suffix("").parts))
         taken = imported_names(source)
         for name, kernel in vars(module).items():
             if (

@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import re
 
 import pytest
 
@@ -67,6 +68,16 @@ def between_rooms(imported):
     return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
 
 
+def foreign(imported):
+    """What imports the module beside a notebook without being that notebook."""
+    return [
+        (a, b)
+        for a, others in imported.items()
+        for b in others
+        if b.startswith("notebooks.") and re.sub(r"\.\d+-", ".", a).replace("-", "_") != b
+    ]
+
+
 def placed(imported):
     """Modules of the toolbox that ask where the workbook stands: the ledger and what a paper printed lie there."""
     above_base = {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
@@ -118,6 +129,11 @@ def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
 
 
 @pytest.mark.slow
+def test_what_stands_beside_a_notebook_is_its_own(imported):
+    assert foreign(imported) == []
+
+
+@pytest.mark.slow
 def test_the_toolbox_reads_no_ledger_and_no_work(imported):
     assert placed(imported) == []
 
@@ -136,6 +152,9 @@ def test_the_rules_find_what_breaks_them():
             stillwork__signals__spectra="from stillwork.lti import hold",
             experiments__motion__rig="import experiments.isolation.twin",
             experiments__isolation__twin="",
+            notebooks__motion__bandwidth_table="",
+            **{"notebooks.motion.09-bandwidth-table": "from notebooks.motion.bandwidth_table import a"},
+            **{"notebooks.motion.11-tracking": "from notebooks.motion import bandwidth_table"},
             stillwork__base="",
             stillwork__base__paths="",
             stillwork__lti__a="from stillwork.base.paths import data",
@@ -147,6 +166,7 @@ def test_the_rules_find_what_breaks_them():
     assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
     assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
     assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
+    assert foreign(broken) == [("notebooks.motion.11-tracking", "notebooks.motion.bandwidth_table")]
     assert placed(broken) == ["stillwork.lti.a", "stillwork.lti.b", "stillwork.lti.c"]
 
 
@@ -173,11 +193,11 @@ def test_an_arrow_that_follows_from_others_is_not_drawn():
     ]
 
 
-def read(place):
-    """Every module's syntax tree under the name by which what lies beside it imports it."""
+def read(place, root=None):
+    """Every module's syntax tree under the name by which what has `root` (or `place`) on its path imports it."""
     trees = {}
     for file in sorted(place.rglob("*.py")):
-        parts = file.relative_to(place).with_suffix("").parts
+        parts = file.relative_to(root or place).with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
         trees[name] = ast.parse(file.read_text(encoding="utf-8"))
     return trees
@@ -215,6 +235,7 @@ def reached(tree, names):
 def test_a_private_name_is_used_in_its_own_file_alone():
     """In the library, in the benchmarks and in the tests."""
     folders = [read(paths.root() / name) for name in ("lib", "benchmarks", "tests")]
+    folders.append(read(paths.root() / "notebooks", paths.root()))
     names = {name for folder in folders for name in folder}
     assert "fuzzing.behind" in names and "shared.test_layers" in names
     found = [
@@ -242,7 +263,7 @@ def broken_imports(source: str) -> list[str]:
         (node.module, alias.name)
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.ImportFrom)
-        and (node.module or "").split(".")[0] in ("stillwork", "experiments")
+        and (node.module or "").split(".")[0] in ("stillwork", "experiments", "notebooks")
         for alias in node.names
     ]
     missing = []

@@ -8,8 +8,8 @@ from email.parser import Parser
 from pathlib import Path
 
 import pytest
-from benchmarks.wheel import megabytes
 
+from benchmarks.wheel import megabytes
 from stillwork.base.extras import BY_PACKAGE
 
 ROOT = Path(__file__).parents[2]

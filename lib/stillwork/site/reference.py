@@ -16,6 +16,7 @@ from stillwork.site.house import TOOLBOX, face_names
 from stillwork.site.mathematics import mathml
 
 LIBRARY = Path(stillwork.__file__).parent
+CHECKOUT = LIBRARY.parents[1]
 FOR_NOTEBOOKS = ("__init__", "claims", "explorer", "figures", "page", "studies")  # modules of the workbook
 
 
@@ -78,7 +79,8 @@ def folders(modules: list[Module]) -> list[Folder]:
     for name in [*wanted, *(f"experiments.{room}" for room in paths.rooms())]:
         if not (package := packages.get(name)):
             continue  # a room whose notebooks share nothing
-        mine = [module for module in modules if module.name == name or module.name.startswith(f"{name}.")]
+        beside = name.replace("experiments.", "notebooks.")
+        mine = [each for each in modules if f"{each.name}.".startswith((f"{name}.", f"{beside}."))]
         names = face_names(ast.parse(package.source))
         by_name = {module.name: module for module in mine}
         public = tuple(
@@ -107,10 +109,11 @@ def library_files() -> list[Path]:
 
 
 def read_modules() -> list[Module]:
-    """The toolbox's and the workbook's modules and those of the rooms, in this order, each sorted by name."""
+    """The toolbox's and the workbook's modules, and those of each room: what its notebooks share, then what each has alone."""
     files = [file for file in library_files() if file != LIBRARY / "__init__.py"]
     for room in paths.rooms():
         files += sorted((LIBRARY.parent / "experiments" / room).rglob("*.py"))
+        files += sorted((CHECKOUT / "notebooks" / room).glob("*.py"))
     return [_module(file) for file in files]
 
 
@@ -132,7 +135,8 @@ def index(modules: list[Module]) -> dict[str, str]:
 
 
 def _module(file: Path) -> Module:
-    parts = file.relative_to(LIBRARY.parent).with_suffix("").parts
+    place = LIBRARY.parent if file.is_relative_to(LIBRARY.parent) else CHECKOUT
+    parts = file.relative_to(place).with_suffix("").parts
     name = ".".join(part for part in parts if part != "__init__")
     return read_source(name, file, file.read_text(encoding="utf-8"))
 

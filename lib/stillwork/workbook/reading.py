@@ -6,7 +6,7 @@ import re
 
 from stillwork.workbook.notebooks import Notebook
 
-PACKAGES = ("stillwork", "experiments")
+PACKAGES = ("stillwork", "experiments", "notebooks")
 
 
 def saved(source: str, available: list[str]) -> list[str]:
