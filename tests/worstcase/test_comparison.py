@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from experiments.worstcase import comparison, comparison_pictures
-from experiments.worstcase.comparison import (
+from notebooks.worstcase import comparison
+from notebooks.worstcase import comparison as comparison_pictures
+from notebooks.worstcase.comparison import (
     EXCITATIONS,
     METHODS,
     SETTINGS,

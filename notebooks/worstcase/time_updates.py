@@ -1,12 +1,59 @@
-"""Pictures of the time updates: distance from batch, accuracy of (20), cost against n."""
+"""Time updates: exact, approximate, fast, and what they cost: what this notebook alone needs."""
 
 import numpy as np
 
-from experiments.worstcase.costs import multiplications
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
 from experiments.worstcase.theory import recursion_trial
+from stillwork.base.checks import require_choice, require_count
 from stillwork.workbook import figures
+from stillwork.workbook.studies import run_study
 from stillwork.workbook.timings import measured_times
+
+# === Costs ========================================================================================================
+# What an update costs: multiplications, divisions and roots, counted from the loops of the kernels.
+
+
+# Evaluations that each root of the rank-one eigenproblem takes on average, counted over random updates.
+ROOT_EVALUATIONS = 3.4
+
+COUNTED = ("least squares", "ridge", "approximate", "exact", "fast")
+
+
+def multiplications(update: str, unknowns: int, evaluations: float = 1.0) -> float:
+    """Multiplications, divisions and square roots of one update, one of `COUNTED`.
+
+    `evaluations` are those of the secular function: from `Track.evaluations` (exact, fast), or the number of
+    fixed-point iterations (approximate).
+    """
+    require_choice("update", update, COUNTED)
+    n = require_count("unknowns", unknowns)
+    accumulate = n * (n + 1) + 4 * n
+    factorise = n * (n - 1) * (n - 2) / 6 + 3 * n * (n - 1) / 2 + n
+    forward = n * (n - 1) / 2
+    backward = forward + n
+    squares = forward + 5 * n
+    if update == "least squares":
+        return 2.0 * n**2 + 5 * n + 3
+    if update == "ridge":
+        return accumulate + factorise + backward
+    if update == "approximate":
+        gain = forward + backward + 3 * n + 1
+        return accumulate + 2 + gain + evaluations * (squares + 4 + factorise + backward)
+    if update == "exact":
+        trial = factorise + 2 * backward + squares + forward + 2 * n + 30
+        return accumulate + 2 + evaluations * trial + forward + backward + 2 * n
+    roots = n * (3 * n + ROOT_EVALUATIONS * (3 * n + 15))
+    return n**3 + 8 * n**2 + 15 * n + roots + evaluations * (7 * n + 30)
+
+
+def slope(sizes, costs) -> float:
+    """Exponent of growth: least-squares slope of log cost over log size."""
+    return float(np.polyfit(np.log(sizes), np.log(costs), 1)[0])
+
+
+# === Update pictures ==============================================================================================
+# Pictures of the time updates: distance from batch, accuracy of (20), cost against n.
+
 
 COLOURS = {
     "least squares": figures.BLACK,
@@ -99,3 +146,32 @@ def explore_accuracy(bound: float, noise: float):
     truth = path("constant", FIG_2_PARAMETERS, 120)
     found = recursion_trial(np.random.default_rng(1), truth, bound, 0.95, noise)
     return paint_accuracy({f"η = {bound:.3g}": found})
+
+
+# === Update choices ===============================================================================================
+# Sections 6 and 7, the recursions, at any reading of what the worst-case paper leaves open (``readings.toml``).
+
+
+SMALL_BOUND, SAMPLES = 0.1, 375  # of notebook 03, which has this bound beside the large one
+
+
+def updates(*, fig_2_noise: float, update_bound: float, seed: int, lean: bool) -> dict[str, float]:
+    """Theorem 2, the misprint of h and (20)'s single iteration; the lean form takes 2 records instead of 10."""
+    truth = path("constant", FIG_2_PARAMETERS, SAMPLES)
+    small, large = (
+        run_study(
+            recursion_trial, 2 if lean else 10, seed, progress=False,
+            truth=truth, bound=bound, forgetting=0.95, noise=fig_2_noise,
+        )
+        for bound in (SMALL_BOUND, update_bound)
+    )  # fmt: skip
+    found = {
+        "theorem-2": max(study[name].max() for study in (small, large) for name in ("exact", "fast")),
+        "h-as-printed": np.nanmedian(large["as_printed"]),
+        "eq-18-as-printed": np.nanmedian(large["image_as_printed"]),
+        "single-iteration": np.median(large["approximate_1"][:, 10:]),
+        "single-iteration-large": np.nanmedian(large["alpha_1"]),
+        "single-iteration-tail": np.nanquantile(large["alpha_1"], 0.95),
+        "single-iteration-largest": np.nanmax(large["alpha_1"]),
+    }
+    return {f"worstcase.updates.{name}": value for name, value in found.items()}
