@@ -279,6 +279,6 @@ def broken_imports(source: str) -> list[str]:
 def test_what_the_benchmarks_import_exists():
     for file in sorted((paths.root() / "benchmarks").rglob("*.py")):
         assert not broken_imports(file.read_text(encoding="utf-8")), file.name
-    assert broken_imports("from experiments.isolation.your_floor import open_floor") == [
-        "experiments.isolation.your_floor.open_floor"
+    assert broken_imports("from notebooks.isolation.your_floor import close_floor") == [
+        "notebooks.isolation.your_floor.close_floor"
     ]

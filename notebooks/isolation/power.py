@@ -1,9 +1,4 @@
-"""The search for one rig (`one_rig`) and what it found, ``data/isolation/one_rig_found.toml``.
-
-``python -m experiments.isolation.one_rig_search`` searches anew (some minutes) and writes that file: the most probable
-parameters, by least squares from the nearest of many draws, and Laplace's approximation around them. A search does
-not see the numbers of its fold: each column of Table 1 and each direction of Fig. 8 is held out once.
-"""
+"""Power that remains: what this notebook alone needs."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
@@ -12,12 +7,27 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import optimize
 
-from experiments.isolation.one_rig import edges, numbers, parameters, ranges
-from experiments.isolation.performance import ENTRIES
+from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, flat_floor
+from experiments.isolation.one_rig import edges, equal_struts, numbers, parameters, ranges
+from experiments.isolation.performance import DIRECTIONS, ENTRIES, central_axes, expected_density
+from experiments.isolation.power import BAND_HZ, limit_ratio_db, measures, power_trial
+from experiments.isolation.responses import responses
+from experiments.isolation.steady import steady_state
+from experiments.isolation.twin import Twin
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
+from stillwork.signals.spectra import Spectrum
+from stillwork.workbook import figures
 from stillwork.workbook.claims import load_entries
+
+# === One rig search ===============================================================================================
+# The search for one rig (`one_rig`) and what it found, ``data/isolation/one_rig_found.toml``.
+#
+# ``python -m notebooks.isolation.power`` searches anew (some minutes) and writes that file: the most probable
+# parameters, by least squares from the nearest of many draws, and Laplace's approximation around them. A search does
+# not see the numbers of its fold: each column of Table 1 and each direction of Fig. 8 is held out once.
+
 
 DRAWS, STARTS, MEMBERS, SEED = 200, 3, 60, 1
 EVALUATIONS, STEP = 12, 0.02  # of a fit; step of its derivatives
@@ -222,7 +232,7 @@ def inside(name: str, within: tuple[float, float]) -> bool:
 def write(best: dict[str, float], found: Mapping[str, dict[str, tuple[float, float]]]) -> None:
     """Write what `search` found."""
     lines = [
-        "# Made by `python -m experiments.isolation.one_rig_search`:",
+        "# Made by `python -m notebooks.isolation.power`:",
         f"# {DRAWS} draws from the ranges of one_rig.toml, {STARTS} starts, {MEMBERS} rigs for a band, seed {SEED}.",
         "# drawn: least and largest value over the draws. 95 % predictive bands: of rigs that saw all numbers (seen),",
         "# all but those of the number's fold (held_out), or, where seen misses, the number alone.",
@@ -238,3 +248,153 @@ def write(best: dict[str, float], found: Mapping[str, dict[str, tuple[float, flo
 
 if __name__ == "__main__":
     write(*search())
+
+
+# === One rig pictures =============================================================================================
+# Figure of one rig for the whole paper (notebook 05).
+
+
+_BANDS = {
+    "seen": ("all numbers seen", figures.BLUE, -0.17),
+    "held_out": ("this one held out", figures.ORANGE, 0.17),
+}
+_WEIGHTS = [f"w{k}" for k in range(1, 10)]
+_PANELS = [
+    ("table-1.felms.tau-", _WEIGHTS, _WEIGHTS, "FeLMS", "time to stay within 63 % (s)"),
+    ("table-1.ferls.tau-", _WEIGHTS, _WEIGHTS, "FeRLS", "time (s)"),
+    ("fig-8.removed.", ENTRIES, DIRECTIONS, "Fig. 8", "power removed (%)"),
+    ("table-1.felms.final-", _WEIGHTS, _WEIGHTS, "", "final value (N per m/s²)"),
+    ("table-1.ferls.final-", _WEIGHTS, _WEIGHTS, "", "final value (N per m/s²)"),
+    (
+        "fig-7.",
+        ["low-frequency-loss", "lower-end", "upper-end"],
+        ["0 dB", "20 dB", "to 20 dB"],
+        "Fig. 7",
+        "frequency (Hz)",
+    ),
+]
+
+
+def paint_one_rig(found: Mapping[str, Mapping[str, tuple[float, float]]], printed: Mapping[str, float]):
+    """95 % predictive bands of every printed number, with the numbers: Table 1 on the left, Figs. 8 and 7 on the right."""
+    figure, axes = figures.new(2, 3, height=5.4)
+    for panel, (first, names, labels, title, unit) in zip(axes.flat, _PANELS, strict=True):
+        for kind, (label, color, shift) in _BANDS.items():
+            bands = [
+                (k + shift, *found[first + name][kind])
+                for k, name in enumerate(names)
+                if kind in found.get(first + name, {})
+            ]
+            if bands:
+                x, low, high = np.transpose(bands)
+                panel.vlines(x, low, high, color=color, lw=3, alpha=0.6, label=label)
+                # Some bands are a point.
+                panel.plot(x, (low + high) / 2, "o", ms=3, color=color, label=f"{label}, middle")
+        known = [(k, printed[first + name]) for k, name in enumerate(names) if first + name in printed]
+        figures.mark_published(panel, *zip(*known, strict=True))
+        panel.set_xticks(range(len(names)), labels)
+        panel.set(title=title, ylabel=unit)
+        if "tau" in first or first == "fig-7.":
+            panel.set_yscale("log")
+        elif "final" in first:
+            panel.set_yscale("symlog", linthresh=0.1)
+    figures.label(axes, "number")
+    figures.legend_below(axes[0, 0], 3)
+    return figure
+
+
+# === Open choices =================================================================================================
+
+
+FELMS_S, FERLS_S, RECORD_S = 250.0, 60.0, 40.0  # s, of a run of notebook 05
+LINES_HZ = np.arange(0.25, 500.25, 0.25)  # as an estimate has them
+
+
+def power(
+    *,
+    mains_in_power: str,
+    output_noise: float,
+    sensor_levels: str,
+    strut_damping: float,
+    actuator_pole: float,
+    floor_upper_end: float,
+    strut_tilt: float,
+    pair_angle: float,
+    rotations: float,
+    seed: int,
+    lean: bool,
+) -> dict[str, float]:
+    """Fig. 8: one run of notebook 05, or (`lean`) the weights of `steady_state` and what they leave in the mean.
+
+    `mains_in_power` is ``"bridged"`` or ``"counted"``, `sensor_levels` three numbers between colons.
+    """
+    twin = equal_struts(
+        strut_damping=strut_damping,
+        actuator_pole=actuator_pole,
+        strut_tilt=strut_tilt,
+        pair_angle=pair_angle,
+        rotations=rotations,
+        output_noise=output_noise,
+    )
+    levels = FLAT_LEVEL * np.array([float(level) for level in sensor_levels.split(":")])
+    floor = flat_floor(floor_upper_end, levels)
+    found = _expected(twin, floor) if lean else _measured(twin, floor, seed)
+    removed = found["removed with mains" if mains_in_power == "counted" else "removed FeRLS"]
+    bands, above = limit_ratio_db(
+        found["lines"], [found["density FeRLS"]], [found["density output noise"]], twin.instruments.mains_hz
+    )
+    late = np.flatnonzero(above.max(axis=0) > 3.0)
+    after = late[-1] + 1 if len(late) else 0
+    return {
+        **{f"isolation.fig-8.removed.{name}": value for name, value in zip(ENTRIES, removed, strict=True)},
+        "isolation.fig-8.removed.range": np.mean((removed > 89.5) & (removed < 94.5)),
+        "isolation.fig-8.reaches-the-limit": np.mean(found["removed limit"] - found["removed FeRLS"] < 1.0),
+        "isolation.fig-8.low-end-lost": np.mean(found["low end"] > 1),
+        "isolation.fig-8.no-limit-above-300-hz": np.mean(found["above band"] > found["in band"]),
+        "isolation.fig-8.limit-in-band": bands[after] if after < len(bands) else np.nan,
+    }
+
+
+def _measured(twin: Twin, floor: ShapedFloor, seed: int) -> dict[str, np.ndarray]:
+    [found] = power_trial(
+        [np.random.default_rng(seed)],
+        twin=twin,
+        floor=floor,
+        felms_s=FELMS_S,
+        ferls_s=FERLS_S,
+        record_s=RECORD_S,
+    )
+    return found | {"lines": np.arange(found["density FeRLS"].shape[1]) * LINES_HZ[0]}
+
+
+def _expected(twin: Twin, floor: ShapedFloor) -> dict[str, np.ndarray]:
+    """What `power_trial` gives, in the mean and without mains but where they are counted."""
+    weights = steady_state(twin, floor).weights
+    before = expected_density(twin, floor, LINES_HZ)
+    after = expected_density(twin, floor, LINES_HZ, weights=weights)
+    total, left, limit = (
+        Spectrum(LINES_HZ, density, 1)
+        for density in (sum(before.values()), sum(after.values()), before["output noise"])
+    )
+    lines = [mains_power(twin, given) for given in (None, weights)]
+    return measures(total, left, limit) | {
+        "removed with mains": 100
+        * (1 - (left.power(*BAND_HZ) + lines[1]) / (total.power(*BAND_HZ) + lines[0])),
+        "density FeRLS": left.density,
+        "density output noise": limit.density,
+        "lines": LINES_HZ,
+    }
+
+
+def mains_power(twin: Twin, weights: np.ndarray | None) -> Float64[np.ndarray, "3"]:
+    """Power of the mains lines in the platform's spectrum, (m/s^2)^2 and (rad/s^2)^2.
+
+    Their sines enter all platform sensors alike, and all floor sensors.
+    """
+    instruments, axes = twin.instruments, central_axes(twin.rig)
+    paths = responses(twin, instruments.mains_hz)
+    amplitude = paths.sensitivity.sum(axis=2) * np.array(instruments.platform_mains)[:, None]
+    amplitude = (
+        amplitude + paths.feedforward(weights).sum(axis=2) * np.array(instruments.floor_mains)[:, None]
+    )
+    return 0.5 * np.sum(np.abs(amplitude @ axes.platform.T) ** 2, axis=0)

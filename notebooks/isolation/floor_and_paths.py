@@ -1,16 +1,114 @@
-"""Figures of the rig, its floor and its paths (notebook 01)."""
+"""The rig, its floor and its paths: what this notebook alone needs."""
+
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy import optimize, signal
 
 from experiments.isolation.floors import ShapedFloor, colored_floor
 from experiments.isolation.frequency_axes import thinned
-from experiments.isolation.modes import Modes
-from experiments.isolation.path_fit import diagonal_path, fit_error_db, parametric_fit
+from experiments.isolation.one_rig import equal_struts
+from experiments.isolation.responses import control_paths, responses, series
 from experiments.isolation.rig import Rig
+from experiments.isolation.shaping import secondary_path
 from experiments.isolation.twin import Twin
+from stillwork.base.checks import InputError, require_number
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.spectra import Spectrum
 from stillwork.workbook import figures
+
+# === Modes ========================================================================================================
+# Suspension modes of a twin with its real skyhook loop: weak integrator, notch, lag and delay included.
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Frequencies and relative damping of the suspension modes, by rising frequency."""
+
+    frequencies_hz: Float64[np.ndarray, "modes"]  # of each pair of poles
+    damping: Float64[np.ndarray, "modes"]
+
+
+def suspension_modes(twin: Twin, feedback: bool = True) -> Modes:
+    """Poles of the sampled loop that belong to the suspension, none of them overdamped."""
+    import control
+
+    open_path = control_paths(twin, feedback=False)[1]
+    skyhook = series(twin.skyhook_filter, twin.sample_time)
+    gain = control.append(*[skyhook * float(feedback)] * twin.outputs)
+    poles = np.linalg.eigvals(control.feedback(np.eye(twin.outputs), open_path * gain).A)
+    poles = np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / twin.sample_time
+    undamped = np.sqrt(np.linalg.eigvals(np.linalg.solve(twin.plant.mass, twin.plant.stiffness)).real)
+    size = np.abs(poles)
+    near = (poles.imag > 0) & (size > undamped.min() / 3) & (size < 3 * undamped.max())
+    if near.sum() != len(undamped):
+        raise InputError(
+            f"{near.sum()} oscillating modes near the suspension instead of {len(undamped)}; lower the skyhook gain"
+        )
+    order = np.argsort(size[near])
+    return Modes(size[near][order] / (2 * np.pi), (-poles.real / size)[near][order])
+
+
+# === Path fit =====================================================================================================
+# The published fit (2) of the secondary path, held against a twin's own path (section 2.1, Fig. 3).
+
+
+def parametric_fit(twin: Twin, frequencies_hz: ArrayLike) -> Complex128[np.ndarray, " frequencies"]:
+    """Eq. (2) as Fig. 3 draws it, discretised by Tustin's rule and with one sample of delay; m/s^2 per N."""
+    f = np.asarray(frequencies_hz, dtype=float)
+    path = secondary_path(twin.feedforward.path, twin.sample_time)
+    delay = np.exp(-2j * np.pi * f * twin.sample_time)
+    return signal.freqz_sos(path, f, fs=twin.instruments.sample_rate)[1] * delay
+
+
+def diagonal_path(twin: Twin, frequencies_hz: ArrayLike) -> Complex128[np.ndarray, "actuators frequencies"]:
+    """Diagonal elements from command to measured platform acceleration, skyhook loop closed; m/s^2 per N."""
+    return np.ascontiguousarray(np.einsum("fii->if", responses(twin, frequencies_hz).secondary))
+
+
+def dominance(twin: Twin, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
+    """Least diagonal element of the open 6 × 6 path over the sum of the others in its row, magnitudes.
+
+    Above 1 the path is diagonally dominant in the strict sense. The skyhook loop is open: its diagonal form is
+    what the dominance argues for (section 2.1).
+    """
+    size = np.abs(responses(twin, frequencies_hz, feedback=False).secondary)
+    diagonal = np.einsum("fii->fi", size)
+    with np.errstate(divide="ignore"):  # struts without cross-coupling: infinite
+        return (diagonal / (size.sum(axis=2) - diagonal)).min(axis=1)
+
+
+def fit_error_db(twin: Twin, frequencies_hz: ArrayLike) -> Float64[np.ndarray, "actuators frequencies"]:
+    """Magnitude of the path over that of the fit, dB."""
+    ratio = diagonal_path(twin, frequencies_hz) / parametric_fit(twin, frequencies_hz)
+    return 20 * np.log10(np.abs(ratio))
+
+
+def fit_reaches_hz(twin: Twin, above_hz: float, within_db: float = 3.0) -> float:
+    """Highest frequency up to which, from `above_hz` on, the fit's magnitude stays within `within_db`."""
+    require_number("above_hz", above_hz, above=0.0, below=twin.instruments.sample_rate / 2)
+    f = np.arange(above_hz, twin.instruments.sample_rate / 2, 1.0)
+    outside = np.any(np.abs(fit_error_db(twin, f)) > within_db, axis=0)
+    return float(f[np.argmax(outside)] if outside.any() else f[-1])
+
+
+def resonance_hz(twin: Twin, low_hz: float, high_hz: float) -> float:
+    """Frequency of the highest peak of the first diagonal element between two frequencies, refined."""
+    f = np.linspace(low_hz, high_hz, 2001)
+    middle = int(np.clip(np.argmax(np.abs(diagonal_path(twin, f)[0])), 1, len(f) - 2))
+    found = optimize.minimize_scalar(
+        lambda x: -np.abs(diagonal_path(twin, [x])[0, 0]),
+        bounds=(f[middle - 1], f[middle + 1]),
+        method="bounded",
+    )
+    return float(found.x)
+
+
+# === Rig pictures =================================================================================================
+# Figures of the rig, its floor and its paths (notebook 01).
+
 
 _STRUT_M = 0.06  # drawn length; the model needs only directions
 _VIEW = np.radians([25.0, 20.0])  # azimuth, elevation
@@ -137,3 +235,20 @@ def explore_floor(low_pass_hz: float, gain: float):
     axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-10, 1e-3))
     axes.legend(loc="upper left", ncols=2)
     return figure
+
+
+# === Open choices =================================================================================================
+
+
+def suspension(
+    *, strut_damping: float, strut_tilt: float, rotations: float, seed: int, lean: bool
+) -> dict[str, float]:
+    """Relative damping with the skyhook loop, as in notebook 01; there is nothing to leave out."""
+    twin = equal_struts(
+        strut_damping=strut_damping, actuator_pole=300.0, strut_tilt=strut_tilt, rotations=rotations
+    )
+    # With equal struts all modes follow one law of their frequency, so the loop keeps their order.
+    damping, shares = suspension_modes(twin).damping, twin.rig.mass * twin.rig.modes[1] ** 2
+    kinds = {"horizontal": shares[0] + shares[1] > 0.5, "vertical": shares[2] > 0.5}
+    kinds["rotations"] = ~(kinds["horizontal"] | kinds["vertical"])
+    return {f"isolation.setup.damping-{kind}": damping[rows].mean() for kind, rows in kinds.items()}
