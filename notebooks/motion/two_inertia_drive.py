@@ -1,4 +1,4 @@
-"""The experiment of section 3.6 in simulation: observer, loops and identification of the two-inertia drive."""
+"""The two-inertia drive: what a model error leaves: what this notebook alone needs."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,7 +6,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.motion.machines import Drive
+from experiments.motion.bode import paint_bode
+from experiments.motion.legends import CASES
+from experiments.motion.machines import Drive, drive
+from experiments.motion.magnitudes import add_magnitude, plain_numbers
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
@@ -16,6 +19,11 @@ from stillwork.identification.frequency_response import Identified, closed_loop_
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
+from stillwork.workbook import figures
+
+# === Drive ========================================================================================================
+# The experiment of section 3.6 in simulation: observer, loops and identification of the two-inertia drive.
+
 
 # Section 3.6: Q = diag(.1, .1, 1, 1) and R, in rad and rad/s; here by (theta1, theta2, speed1, speed2).
 SENSOR = 5e-5
@@ -127,3 +135,61 @@ def residual_trial(
         found[name] = float(ratio.max())
         found[f"{name}, distance"] = float(np.abs(20 * np.log10(ratio)).max())
     return found
+
+
+# === Drive pictures ===============================================================================================
+# Figure and explorer of the two-inertia drive (notebook 12).
+
+
+def paint_identified(
+    plant: Drive, loops: Mapping[str, StateModel], found: Mapping[str, Identified], hertz: tuple[float, float]
+):
+    """What the controller of the drive sees, as identified and exact, beside the rigid body, and the coherence."""
+    figure, axes = figures.new(2, 1, height=5.0, sharex=True)
+    for name, each in found.items():
+        shown = (each.omega > 2 * np.pi * hertz[0]) & (each.omega < 2 * np.pi * hertz[1])
+        omega, style = each.omega[shown], {"color": CASES[name], "linewidth": 0.7}
+        add_magnitude(axes[0], omega, each.response[shown], label=f"{name}, identified", **style)
+        exact = seen_by_controller(loops[name], omega)
+        add_magnitude(axes[0], omega, exact, label=f"{name}, exact", color=CASES[name], linestyle=":")
+        axes[1].semilogx(omega / (2 * np.pi), each.coherence[shown], label=name, **style)
+    add_magnitude(axes[0], omega, rigid_response(plant, omega), label="rigid body", color=figures.GREY)
+    axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
+    axes[0].legend(ncols=3, fontsize=7)
+    axes[1].set(ylabel="coherence", xlabel="frequency (Hz)")
+    plain_numbers(axes[1].xaxis)
+    return figure
+
+
+def paint_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
+    """Explorer: what the controller of the two-inertia drive sees, with an observer whose stiffness is off."""
+    plant = drive()
+    model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
+    omega = 2 * np.pi * np.geomspace(2, 60, 400)
+    curves = {
+        name: (omega, seen_by_controller(drive_loop(plant, model, each, bandwidth_hz), omega))
+        for name, each in drive_applications(damping).items()
+    }
+    return paint_bode(curves, "magnitude (dB re 1 rad/A)", height=3.2)[0]
+
+
+# --- Section 3.6: Fig. 3.36 --------------------------------------------------------------------------------------
+
+
+def drive_figure(
+    *, stiffness_error: float, drive_damping: float, drive_weights: str, seed: int, lean: bool
+) -> dict[str, float]:
+    """What Fig. 3.36 shows, from exact responses between 5 and 30 Hz; it has no leaner form.
+
+    `stiffness_error` is that of the observer's model (relative), `drive_damping` the added ratio, `drive_weights` one
+    of `drive.WEIGHTS`. The controller has no effect on what it sees.
+    """
+    plant = drive()
+    model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
+    omega = 2 * np.pi * np.linspace(5, 30, 2000)
+    levels = {}
+    for name, each in drive_applications(drive_damping).items():
+        loop = drive_loop(plant, model, each, 4.0, drive_weights)
+        levels[name] = 20 * np.log10(np.abs(seen_by_controller(loop, omega) / rigid_response(plant, omega)))
+    found = {f"motion.fig-3-36.{name}": float(holds) for name, holds in statements(levels).items()}
+    return found | {"motion.fig-3-36.rigid": float(np.abs(levels["MC and AD"]).max())}

@@ -1,4 +1,4 @@
-"""One feedforward error at many places of the structure, under every published design (section 4.2.5)."""
+"""Twenty-nine scans: what this notebook alone needs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,16 +11,26 @@ from numpy.typing import ArrayLike
 from experiments.motion import perturbed_tracking
 from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
 from experiments.motion.ideal_feedforward import Force, feedforward_error, respond, sampled_ideal_force
-from experiments.motion.machines import published_deviations, published_setpoint, stage
+from experiments.motion.intervals import Values, key
+from experiments.motion.legends import case_styles
+from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
+from experiments.motion.magnitudes import plain_numbers
 from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
+from experiments.motion.scan_errors import paint_errors
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.control.applications import Application
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors
 from stillwork.control.loops import channel, closed_loop, require_stable
-from stillwork.control.pid import Pid
+from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
+from stillwork.workbook import figures
+
+# === Location study ===============================================================================================
+# One feedforward error at many places of the structure, under every published design (section 4.2.5).
+
 
 SETTLED = 2e-8  # m, within which an error has settled
 ErrorsByCase = Mapping[str, Float64[np.ndarray, "places samples"]]
@@ -278,3 +288,118 @@ def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None)
     if noise is not None:
         wanted = wanted + require_array("noise", noise, shape=wanted.shape)
     return Feedforward(**dict(zip(BASIS, least_squares(np.array(columns).T, wanted), strict=True)))
+
+
+# === Location pictures ============================================================================================
+# Tracking errors over the places of the sensor, Table 4.1 and its figures (notebook 16).
+
+
+def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
+    """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11)."""
+    figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
+    time = study.setpoint.time
+    pixel = max(round(5e-4 / study.setpoint.sample_time), 1)  # samples of one
+    starts = np.arange(0, len(time), pixel)
+    for axis, (title, case) in zip(axes.ravel(), panels.items(), strict=True):
+        errors, size = 1e9 * study.errors[case], study.rms(case)
+        band = (each.reduceat(each.reduce(errors, axis=0), starts) for each in (np.minimum, np.maximum))
+        axis.fill_between(time[starts], *band, color=figures.GREY, alpha=0.35, linewidth=0)
+        order = np.argsort(size)
+        chosen = {"largest": order[-1], "middle": order[len(order) // 2], "smallest": order[0]}
+        for (name, k), colour in zip(chosen.items(), (figures.RED, figures.BLUE, figures.GREEN), strict=True):
+            axis.plot(time, errors[k], color=colour, linewidth=0.5, label=f"{name} rms")
+        for edge in (study.setpoint.acceleration_end, study.setpoint.scan[1]):
+            axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
+        axis.set_title(f"{title}: {1e9 * size.min():.1f} to {1e9 * size.max():.1f} nm rms")
+    figures.legend_below(axes[0, 0], 3, fontsize=7)
+    figures.label(axes, "time (s)", "error (nm)")
+    return figure
+
+
+def paint_rms_along(study: LocationStudy, cases: Sequence[str]):
+    """Rms error in the scan over the place; dashed with a redesigned controller."""
+    figure, axis = figures.new(1, 1, height=3.2)
+    styles = case_styles(cases)
+    for case in cases:
+        axis.semilogy(study.places, 1e9 * study.rms(case), label=case, linewidth=1.2, **styles.get(case, {}))
+    axis.set(xlabel="place of the sensor (m)", ylabel="rms error in the scan (nm)")
+    plain_numbers(axis.yaxis)
+    axis.legend(ncols=3, fontsize=7, loc="upper center")
+    return figure
+
+
+def paint_table_of_ranges(
+    names: Sequence[str],
+    whole: Mapping[str, np.ndarray],
+    spread: Mapping[str, np.ndarray],
+    published: Mapping[str, ArrayLike],
+):
+    """Smallest, mean and largest rms error (nm) of every case, their spread over the ranges, and the published values."""
+    figure, axis = figures.new(1, 1, height=3.4)
+    parts = (("smallest", -0.22, figures.GREEN), ("mean", 0.0, figures.BLUE), ("largest", 0.22, figures.RED))
+    for k, (part, offset, colour) in enumerate(parts):
+        place = np.arange(len(names)) + offset
+        low, high = (np.array([f(spread[n][:, k]) for n in names]) for f in (np.min, np.max))
+        middle = np.array([whole[n][k] for n in names])
+        axis.vlines(place, low, high, color=colour, linewidth=4, alpha=0.4, label=f"{part}, over the ranges")
+        axis.plot(place, middle, "_", color=colour, markersize=9, label=f"{part}, whole structure")
+        marks = [np.asarray(published[n])[k] for n in names]
+        figures.mark_published(axis, place, marks, label="published" if k == 0 else None)
+    axis.set_yscale("log")
+    axis.set_xticks(np.arange(len(names)), [n.replace(", ", ",\n") for n in names], fontsize=7)
+    axis.set(ylabel="rms error in the scan (nm)", ylim=(0.3, None))
+    axis.legend(ncols=3, fontsize=7, loc="lower left")
+    return figure
+
+
+@cache
+def _explored() -> tuple[Setpoint, Force]:
+    setpoint = published_setpoint(2e-4)
+    return setpoint, stage_error(setpoint, PidFamily(stage_mass())(35.6))
+
+
+def paint_location(place: float, damping: float, compensate: str, bandwidth_hz: float):
+    """Explorer: the tracking error at one place under the feedforward error, bare and with an observer."""
+    setpoint, force = _explored()
+    controller = PidFamily(stage_mass())(bandwidth_hz)
+    cases = {"no observer": (Design(), controller)}
+    if damping or compensate == "yes":
+        application = Application(compensate == "yes", damping, selectivity=2.0 if damping else None)
+        cases["observer"] = (Design(application, 0.03), controller)
+    study = study_locations(location_loops(stage(), stage_grid(), [place], cases), force, setpoint)
+    labels = {name: f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan" for name in cases}
+    return paint_errors(setpoint, {labels[name]: study.errors[name][0] for name in cases})
+
+
+# --- Section 4.2.5: Table 4.1 ------------------------------------------------------------------------------------
+
+
+def locations(
+    *,
+    error_channel: str,
+    location_noise: bool,
+    location_masses: int,
+    gains_from: str,
+    gains_in: str,
+    location_sample_time: float,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """Table 4.1 (nm), one draw of the noise and its spread over ranges of the places; it has no leaner form."""
+    study = read_table(
+        channel={"seen by the observer": "u_ff", "unseen": "w"}[error_channel],
+        noise=location_noise,
+        masses=location_masses,
+        fit_noise=gains_from == "noisy move",
+        fit_loop={"37 Hz": "PID", "83 Hz": "MC and AD"}[gains_in],
+        sample_time=location_sample_time,
+        seed=seed,
+    )
+    found: Values = {}
+    ends = study.places[0], study.places[-1]
+    for case in CASES:
+        over = 1e9 * np.array([study.over(case, *each) for each in ranges(study.places, 0.5)])
+        for part, value, each in zip(("min", "mean", "max"), study.over(case, *ends), over.T, strict=True):
+            over_places_nm = float(each.min()), float(each.max())
+            found[f"motion.table-4-1.{key(case)}.{part}"] = float(1e9 * value), over_places_nm
+    return found
