@@ -113,7 +113,7 @@ doctor: $(READY) ## Compare the environment with environment.txt
 
 clean: ## Remove what can be made again (not .venv)
 	rm -rf build .pytest_cache .ruff_cache .hypothesis
-	find lib notebooks tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find lib contest notebooks tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The last line marks the environment as whole: one that was interrupted is made anew.
 .venv/complete: environment.txt pyproject.toml

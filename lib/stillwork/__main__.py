@@ -285,7 +285,7 @@ COMMANDS = {
     ),
     "contest": Command(
         "run observers, yours among them, against hidden seeds and rank them",
-        "experiments.motion.observer_contest.table:hold_contest",  # in a checkout alone, which it says by itself
+        "contest.table:hold_contest",  # in a checkout alone, which it says by itself
         (
             _option("files", nargs="*", metavar="MY_OBSERVER.py", help="each defines a class Observer"),
             _number("seeds", "N", "scans a plant and doubt (default: 2)", default=2),

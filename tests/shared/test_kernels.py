@@ -397,12 +397,18 @@ def test_a_call_of_what_counts_references_is_found():
 LIBRARY = Path(stillwork.__file__).parents[1]
 
 
+def place_of(module: str) -> Path:
+    root = LIBRARY.parent if module.startswith("contest.") else LIBRARY
+    return root.joinpath(*module.split(".")).with_suffix(".py")
+
+
 def imported_names(source: bytes) -> dict[str, Path]:
     """Names that a module takes from the library, with the files that they come from."""
     return {
-        alias.asname or alias.name: LIBRARY.joinpath(*node.module.split(".")).with_suffix(".py")
+        alias.asname or alias.name: place_of(node.module)
         for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("stillwork.", "experiments."))
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").startswith(("stillwork.", "experiments.", "contest."))
         for alias in node.names
     }
 
@@ -410,8 +416,8 @@ def imported_names(source: bytes) -> dict[str, Path]:
 def test_what_a_kernel_names_comes_from_files_that_its_machine_code_is_kept_by():
     """A constant is frozen into the machine code; of a file without kernels a change of it would go unseen."""
     elsewhere, kernels = [], 0
-    beside = (LIBRARY.parent / "notebooks").rglob("*.py")
-    for file in sorted([*LIBRARY.rglob("*.py"), *beside]):
+    others = [file for name in ("contest", "notebooks") for file in (LIBRARY.parent / name).rglob("*.py")]
+    for file in sorted([*LIBRARY.rglob("*.py"), *others]):
         if b"stillwork.base.kernel" not in (source := file.read_bytes()):
             continue
         root = LIBRARY if file.is_relative_to(LIBRARY) else LIBRARY.parent

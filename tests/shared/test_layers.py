@@ -10,7 +10,8 @@ from stillwork.base import paths
 from stillwork.site.house import TOOLBOX, arrows, folder, imports, modules
 
 ORDER = (*TOOLBOX, "workbook", "site")
-ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
+ABOVE = len(ORDER)  # the command line, then what stands outside the package
+OUTSIDE = ("experiments", "contest", "notebooks")
 LOADERS = {"stillwork.base.faces", "stillwork.base.extras"}  # import what they are told by name
 
 
@@ -29,7 +30,7 @@ def floor(module):
     first, *rest = module.split(".")
     if first == "stillwork":
         return ORDER.index(rest[0]) if rest and rest[0] in ORDER else ABOVE if rest else -1
-    return ABOVE + 1 + (first == "notebooks")
+    return ABOVE + 1 + OUTSIDE.index(first)
 
 
 def rising(imported):
@@ -235,7 +236,7 @@ def reached(tree, names):
 def test_a_private_name_is_used_in_its_own_file_alone():
     """In the library, in the benchmarks and in the tests."""
     folders = [read(paths.root() / name) for name in ("lib", "benchmarks", "tests")]
-    folders.append(read(paths.root() / "notebooks", paths.root()))
+    folders += [read(paths.root() / name, paths.root()) for name in ("contest", "notebooks")]
     names = {name for folder in folders for name in folder}
     assert "fuzzing.behind" in names and "shared.test_layers" in names
     found = [
@@ -263,7 +264,7 @@ def broken_imports(source: str) -> list[str]:
         (node.module, alias.name)
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.ImportFrom)
-        and (node.module or "").split(".")[0] in ("stillwork", "experiments", "notebooks")
+        and (node.module or "").split(".")[0] in ("stillwork", "experiments", "contest", "notebooks")
         for alias in node.names
     ]
     missing = []

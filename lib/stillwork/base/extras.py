@@ -16,7 +16,7 @@ BY_PACKAGE = {
     "pygments": "site",
 }
 
-OF_A_CHECKOUT = ("experiments", "notebooks")
+OF_A_CHECKOUT = ("experiments", "contest", "notebooks")
 
 
 class MissingPackage(ImportError):
@@ -35,7 +35,9 @@ def missing(error: ModuleNotFoundError) -> ImportError:
     """The error to raise in place of `error`: itself for a module that no extra brings."""
     name = (error.name or "").partition(".")[0]
     if name in OF_A_CHECKOUT:
-        return MissingPackage(f"this needs the {name}, which stand in a checkout of stillwork; run it there")
+        return MissingPackage(
+            f"this needs the folder {name}, which stands in a checkout of stillwork; run it there"
+        )
     if not name or name == "stillwork":
         return error
     extra = BY_PACKAGE.get(name, "workbook")

@@ -19,7 +19,12 @@ except ImportError:  # not a Unix: a folder counts as used by its time alone
     fcntl = None  # type: ignore[assignment]
 
 FOLDER_VARIABLE = "STILLWORK_KERNELS"
-PLACES = ("stillwork", "experiments", "../notebooks")  # what has kernels, from the library's folder
+PLACES = (
+    "stillwork",
+    "experiments",
+    "../contest",
+    "../notebooks",
+)  # what has kernels, from the library's folder
 NAME = re.compile("[0-9a-f]{16}")
 KEPT = 7 * 24 * 3600  # s, without use
 

@@ -29,16 +29,20 @@ PLACES = {
     "stillwork.control": (3, 0, 8),
     "stillwork.identification": (2, 11, 18),
     "experiments": (4, 0, 20.5),
-    "notebooks": (5, 0, 20.5),
+    "contest": (5, 12, 20.5),
+    "notebooks": (6, 0, 20.5),
 }
 FILLS = {
     "stillwork.workbook": "#e8f0e4",
     "stillwork.site": "#e8f0e4",
     "experiments": "#f6ebda",
+    "contest": "#f6ebda",
     "notebooks": "#f6ebda",
 }
 TOOLBOX_FILL = "#e2eaf4"
-NOTEBOOKS = "One published result each: story, parameters, calls, figures, claims."
+NOTEBOOKS = (
+    "One published result each: story, parameters, calls, figures, claims; beside each what it alone needs."
+)
 UNIT, HEIGHT, ROW, MARGIN = 36, 76, 114, 12
 LETTER, LINE = 5.8, 15  # mean letter and line of the text in the boxes, in pixels
 
@@ -46,11 +50,13 @@ LETTER, LINE = 5.8, 15  # mean letter and line of the text in the boxes, in pixe
 def modules(root: Path) -> dict[str, ast.Module]:
     """The modules by dotted name, and each notebook's code as ``notebooks.<room>.<notebook>``."""
     found = {}
-    for file in sorted((root / "lib").rglob("*.py")):
-        parts = file.relative_to(root / "lib").with_suffix("").parts
+    files = [(root / "lib", file) for file in sorted((root / "lib").rglob("*.py"))]
+    files += [
+        (root, file) for name in ("contest", "notebooks") for file in sorted((root / name).rglob("*.py"))
+    ]
+    for place, file in files:
+        parts = file.relative_to(place).with_suffix("").parts
         found[".".join(part for part in parts if part != "__init__")] = ast.parse(file.read_text("utf-8"))
-    for file in sorted((root / "notebooks").glob("*/*.py")):
-        found[f"notebooks.{file.parent.name}.{file.stem}"] = ast.parse(file.read_text("utf-8"))
     for file in sorted((root / "notebooks").glob("*/*.ipynb")):
         cells = json.loads(file.read_text("utf-8"))["cells"]
         code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
@@ -120,7 +126,9 @@ def paint_house(root: Path | None = None) -> str:
     drawn = arrows(imports(trees))
     rooms = [name.split(".")[1] for name in trees if name.startswith("experiments.") and name.count(".") == 1]
     about = {name: (ast.get_docstring(tree) or "").partition("\n")[0] for name, tree in trees.items()}
-    about["experiments"] = f"{', '.join(rooms)}: machines, studies and pictures; no room imports another."
+    about["experiments"] = (
+        f"{', '.join(rooms)}: what several notebooks of a room share; no room imports another."
+    )
     about["notebooks"] = NOTEBOOKS
     width = 2 * MARGIN + UNIT * max(right for _, _, right in PLACES.values())
     height = 2 * MARGIN + ROW * max(row for row, _, _ in PLACES.values()) + HEIGHT

@@ -58,7 +58,8 @@ class Module:
     @property
     def folder(self) -> str:
         """The concept or the room that it belongs to: ``lti``, ``motion``."""
-        return self.name.split(".")[1]
+        first, *rest = self.name.split(".")
+        return first if first == "contest" else rest[0]
 
 
 @dataclass(frozen=True)
@@ -74,9 +75,9 @@ class Folder:
 def folders(modules: list[Module]) -> list[Folder]:
     """The modules by folder, in the order of the house: the toolbox from the ground up, the workbook, the rooms."""
     found = []
-    packages = {module.name: module for module in modules if module.name.count(".") == 1}
+    packages = {module.name: module for module in modules}
     wanted = [f"stillwork.{name}" for name in (*TOOLBOX, "workbook")]
-    for name in [*wanted, *(f"experiments.{room}" for room in paths.rooms())]:
+    for name in [*wanted, *(f"experiments.{room}" for room in paths.rooms()), "contest"]:
         if not (package := packages.get(name)):
             continue  # a room whose notebooks share nothing
         beside = name.replace("experiments.", "notebooks.")
@@ -114,6 +115,7 @@ def read_modules() -> list[Module]:
     for room in paths.rooms():
         files += sorted((LIBRARY.parent / "experiments" / room).rglob("*.py"))
         files += sorted((CHECKOUT / "notebooks" / room).glob("*.py"))
+    files += sorted((CHECKOUT / "contest").glob("*.py"))
     return [_module(file) for file in files]
 
 

@@ -6,7 +6,7 @@ import re
 
 from stillwork.workbook.notebooks import Notebook
 
-PACKAGES = ("stillwork", "experiments", "notebooks")
+PACKAGES = ("stillwork", "experiments", "contest", "notebooks")
 
 
 def saved(source: str, available: list[str]) -> list[str]:

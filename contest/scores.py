@@ -7,15 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.motion.observer_contest import bench
-from experiments.motion.observer_contest.adaptive import ADAPTIVE
-from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
-from experiments.motion.observer_contest.fixed_gain import FIXED
-from experiments.motion.observer_contest.multi_model import MULTI_MODEL
-from experiments.motion.observer_contest.parametric import PARAMETRIC
-from experiments.motion.observer_contest.plants import ContestPlant, sample_plant
-from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
-from experiments.motion.observer_contest.told import OwnObserver, Rival, told_of
+from contest import bench
+from contest.adaptive import ADAPTIVE
+from contest.doubts import DOUBTS, hidden_seed, sample_truth
+from contest.fixed_gain import FIXED
+from contest.multi_model import MULTI_MODEL
+from contest.parametric import PARAMETRIC
+from contest.plants import ContestPlant, sample_plant
+from contest.referee import Disqualified, ForeignObserver
+from contest.told import OwnObserver, Rival, told_of
 
 ENTRANTS: Mapping[str, Rival] = {**FIXED, **PARAMETRIC, **ADAPTIVE, **MULTI_MODEL}
 

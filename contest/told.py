@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.motion.observer_contest.plants import ContestPlant
+from contest.plants import ContestPlant
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.modal import ModalModel
 

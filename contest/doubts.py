@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.motion.observer_contest.plants import ContestPlant
+from contest.plants import ContestPlant
 from stillwork.base import paths
 from stillwork.base.toml_files import read_numbers
 from stillwork.lti.discretisation import zoh_modes

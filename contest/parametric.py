@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import block_diag
 
-from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from contest.fixed_gain import stationary
+from contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import cholesky_root, minus_row, plus_row
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import isotonic_regression
 
-from experiments.motion.observer_contest.noise_map import (
+from contest.noise_map import (
     MAPPED,
     NOISES,
     ROBUST,
@@ -17,10 +17,10 @@ from experiments.motion.observer_contest.noise_map import (
     flexible_errors,
     leads,
 )
-from experiments.motion.observer_contest.plants import sample_plant
-from experiments.motion.observer_contest.scores import ENTRANTS
-from experiments.motion.observer_contest.told import OwnObserver
-from experiments.motion.observer_contest.tuning import settings_for
+from contest.plants import sample_plant
+from contest.scores import ENTRANTS
+from contest.told import OwnObserver
+from contest.tuning import settings_for
 from stillwork.workbook import figures
 
 INKS = figures.RED, figures.BLUE, figures.GREEN, figures.PURPLE, figures.ORANGE

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.parametric import predict_modes, propagate
-from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from contest.fixed_gain import stationary
+from contest.parametric import predict_modes, propagate
+from contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import add_scaled, condition, copy_vector, measure, minus_row
 from stillwork.base.kernels import kernel
 

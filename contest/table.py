@@ -1,6 +1,6 @@
 """The contest over all plants, doubts and seeds: its command, its table, and its ranking with intervals.
 
-``python -m stillwork contest`` holds it; ``python -m experiments.motion.observer_contest.table`` writes the committed
+``python -m stillwork contest`` holds it; ``python -m contest.table`` writes the committed
 table's ranking into ``docs/contest.md``.
 """
 
@@ -14,10 +14,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from experiments.motion.observer_contest.doubts import DOUBTS
-from experiments.motion.observer_contest.plants import PLANTS
-from experiments.motion.observer_contest.scores import ENTRANTS, SCORES, Scored, contest_trial
-from experiments.motion.observer_contest.tuning import capped_mean, settings_for
+from contest.doubts import DOUBTS
+from contest.plants import PLANTS
+from contest.scores import ENTRANTS, SCORES, Scored, contest_trial
+from contest.tuning import capped_mean, settings_for
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.workbook.workers import client_of, cores, processes

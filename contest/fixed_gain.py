@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
-from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from experiments.motion.uncertainty import norm_bound, sampled_derivatives
 from stillwork.base.algebra import add_product, copy_vector, plus_row, set_product
 from stillwork.base.kernels import kernel

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.motion.observer_contest.told import ToldModel, ToldNoise
+from contest.told import ToldModel, ToldNoise
 from stillwork.base.checks import InputError
 from stillwork.base.kernel_folder import FOLDER_VARIABLE
 
@@ -50,7 +50,7 @@ class ForeignObserver:
         down, self.requests = os.pipe()
         self.answers, up = os.pipe()
         # The toolbox may be used; the contest's own files may not be read.
-        library = Path(__file__).parents[3]
+        library = Path(__file__).parents[1] / "lib"
         environment = {name: os.environ[name] for name in KEPT if name in os.environ}
         environment |= dict.fromkeys(OWN, self.folder.name) | dict.fromkeys(SWITCHED_ON, "1")
         environment["PYTHONPATH"] = str(library)

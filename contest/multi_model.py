@@ -6,7 +6,7 @@ the fine bank takes the gains as told, so that its filters stand still from the 
 
 import numpy as np
 
-from experiments.motion.observer_contest.parametric import (
+from contest.parametric import (
     KNOBS,
     WIDEST,
     dominant,
@@ -16,7 +16,7 @@ from experiments.motion.observer_contest.parametric import (
     predict_modes,
     sampled_mode,
 )
-from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import add_product, copy_vector, minus_row, plus_column, plus_row
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.riccati import discrete_gain

@@ -1,6 +1,6 @@
 """Where a robust observer beats the Kalman filter and the estimate zero: a map over error size and sensor noise.
 
-``python -m experiments.motion.observer_contest.noise_map`` makes ``data/motion/contest_map.csv``: errors of the flexible
+``python -m contest.noise_map`` makes ``data/motion/contest_map.csv``: errors of the flexible
 states of the thesis's stage, a row a seed. Every cell has its own settings, tuned on training seeds.
 """
 
@@ -11,12 +11,12 @@ from contextlib import suppress
 import numpy as np
 import pandas as pd
 
-from experiments.motion.observer_contest import bench
-from experiments.motion.observer_contest.doubts import Doubt, hidden_seed, sample_truth
-from experiments.motion.observer_contest.plants import ContestPlant, sample_plant
-from experiments.motion.observer_contest.scores import ENTRANTS
-from experiments.motion.observer_contest.told import OwnObserver, told_of
-from experiments.motion.observer_contest.tuning import TRAINING, capped_mean, positions
+from contest import bench
+from contest.doubts import Doubt, hidden_seed, sample_truth
+from contest.plants import ContestPlant, sample_plant
+from contest.scores import ENTRANTS
+from contest.told import OwnObserver, told_of
+from contest.tuning import TRAINING, capped_mean, positions
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.workbook.studies import mean_interval

@@ -1,4 +1,4 @@
-"""Every entrant's knobs, set by one procedure with one budget on training seeds: python -m experiments.motion.observer_contest.tuning."""
+"""Every entrant's knobs, set by one procedure with one budget on training seeds: python -m contest.tuning."""
 
 import sys
 from collections.abc import Iterable
@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from experiments.motion.observer_contest.plants import PLANTS
-from experiments.motion.observer_contest.scores import ENTRANTS, contest_trial
+from contest.plants import PLANTS
+from contest.scores import ENTRANTS, contest_trial
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.toml_files import read_toml
@@ -76,7 +76,7 @@ def main(names: list[str]) -> None:
     before = read_toml(FILE) if FILE.exists() else {}
     lines = [
         "# Knobs of the contest's entrants, a list a plant, in the order of the entrants' knobs.",
-        "# Made by `python -m experiments.motion.observer_contest.tuning`:",
+        "# Made by `python -m contest.tuning`:",
         f'# {TRIES} settings each, on seeds 0 to {SEEDS - 1} of "{TRAINING}", mean over {len(DOUBTS_TUNED_ON)} doubts.',
     ]
     for name in with_knobs:

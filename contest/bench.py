@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.motion.observer_contest.doubts import Truth
-from experiments.motion.observer_contest.plants import ContestPlant
+from contest.doubts import Truth
+from contest.plants import ContestPlant
 from stillwork.base.algebra import add_product, add_scaled, copy_vector, minus_row, plus_row
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.control.pid import PidFamily
