@@ -116,8 +116,8 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
             said = f"{paper['claimed']}\n\n" if paper["claimed"] else ""
             parts.append(f"## {paper['title']} (`{room}`)\n\n{said}{first}{listing}")
     parts.append(
-        "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, "
-        "`lib/experiments/` their machines, studies and pictures, `data/` the published numbers and "
+        "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, each with a "
+        "module beside it of what it alone needs, `lib/experiments/` what several of them share, `data/` the published numbers and "
         "measured records, `figures/` the accepted pictures and their numbers (a build writes to `build/figures/`), "
         "`tests/` and `benchmarks/`. The methods themselves are in `lib/stillwork/`, by concepts of the "
         "field: signals, linear models, identification, estimation, control. `make help` lists the commands, "
