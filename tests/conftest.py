@@ -27,7 +27,7 @@ settings.load_profile("workbook")
 def pytest_xdist_auto_num_workers(config):
     """One worker more than processors for all tests: a tenth of the time some wait for processes that they started."""
     if config.option.dist == "loadfile" and not config.option.markexpr:
-        from stillwork.workbook.workers import cores  # not before the types of what it imports can be checked
+        from workbook.workers import cores  # not before the types of what it imports can be checked
 
         return cores() + 1
     return None  # as many as processors

@@ -13,7 +13,7 @@ from experiments.motion import beam, joint_designs, machines, rig
 from fuzzing.hostile import wrong
 from stillwork.base import paths
 from stillwork.inspecting import inspect_file
-from stillwork.workbook.claims import ledger, load_entries
+from workbook.claims import ledger, load_entries
 
 # A TOML file holds no other kinds.
 PLAIN = (

@@ -46,7 +46,7 @@ def _run(command: "Command", **chosen) -> int:
     if command.needs_checkout:
         paths.root()  # who has none misses no package
     if command.settles:
-        import_module("stillwork.workbook.lock").settle()
+        import_module("workbook.lock").settle()
     module, _, name = command.target.partition(":")
     told = getattr(import_module(module), name)(**chosen)
     if isinstance(told, int):
@@ -162,7 +162,7 @@ _OF_A_MACHINE = (
 COMMANDS = {
     "figures": Command(
         "build the figures that are stale",
-        "stillwork.workbook.commands:figures",
+        "workbook.commands:figures",
         (
             _TARGETS,
             _option(
@@ -181,7 +181,7 @@ COMMANDS = {
     ),
     "readings": Command(
         "try every choice that the works leave open",
-        "stillwork.workbook.readings.command:compute_readings",
+        "workbook.readings.command:compute_readings",
         (
             _ROOM,
             _PROCESSES,
@@ -199,7 +199,7 @@ COMMANDS = {
     ),
     "claims": Command(
         "print the ledger",
-        "stillwork.workbook.commands:claims",
+        "workbook.commands:claims",
         (
             _ROOM,
             _text("entry", "ID", "one entry whole, with its readings"),
@@ -210,7 +210,7 @@ COMMANDS = {
     ),
     "portable": Command(
         "build under other processors' settings and compare",
-        "stillwork.workbook.portable:portable",
+        "workbook.portable:portable",
         (
             _TARGETS,
             _option(
@@ -222,18 +222,16 @@ COMMANDS = {
             _flag("sample", "a few notebooks under two of them"),
         ),
     ),
-    "accept": Command(
-        "copy the built results into notebooks/ and figures/", "stillwork.site.commands:accept"
-    ),
-    "site": Command("write the static site to build/site", "stillwork.site.build:build_site", settles=True),
+    "accept": Command("copy the built results into notebooks/ and figures/", "workbook.site.commands:accept"),
+    "site": Command("write the static site to build/site", "workbook.site.build:build_site", settles=True),
     "release": Command(
         "write wheel, site and archive to build/release, and try the wheel",
-        "stillwork.site.release:release",
+        "workbook.site.release:release",
         settles=True,
     ),
     "refresh": Command(
         "rewrite what follows from ledger and notebooks: README tables, index, manifests",
-        "stillwork.site.commands:refresh",
+        "workbook.site.commands:refresh",
         settles=True,
     ),
     "inspect": Command(
@@ -312,19 +310,19 @@ COMMANDS = {
     ),
     "verify": Command(
         "check stored results again by another library alone",
-        "stillwork.workbook.commands:verify",
+        "workbook.commands:verify",
         (_option("name", metavar="NAME", help="e.g. joint"),),
     ),
     "new": Command(
         "begin a result: notebook, ledger entry and test",
-        "stillwork.site.commands:new",
+        "workbook.site.commands:new",
         (
             _option("room", metavar="ROOM"),
             _option("name", metavar="NAME", help="a number and words, e.g. 09-payload"),
             _flag("create", "in a room that is not there yet"),
         ),
     ),
-    "doctor": Command("compare this environment with environment.txt", "stillwork.workbook.doctor:doctor"),
+    "doctor": Command("compare this environment with environment.txt", "workbook.doctor:doctor"),
 }
 
 

@@ -6,9 +6,9 @@ import importlib
 import pytest
 
 from stillwork.base import paths
-from stillwork.site.house import TOOLBOX, arrows, folder, imports, modules
+from workbook.site.house import TOOLBOX, arrows, folder, imports, modules
 
-ORDER = (*TOOLBOX, "workbook", "site")
+ORDER = (*TOOLBOX, "workbook", "workbook.site")
 ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
 LOADERS = {"stillwork.base.faces", "stillwork.base.extras"}  # import what they are told by name
 
@@ -26,6 +26,8 @@ def imported(trees):
 def floor(module):
     """How high a module stands; the package's own ``__init__`` is the ground."""
     first, *rest = module.split(".")
+    if first == "workbook":
+        return ORDER.index(folder(module)) if rest != ["__main__"] else ABOVE
     if first == "stillwork":
         return ORDER.index(rest[0]) if rest and rest[0] in ORDER else ABOVE if rest else -1
     return ABOVE + 1 + (first == "notebooks")
@@ -104,7 +106,7 @@ def test_the_workbook_knows_no_physics(imported):
     seen = {
         folder(other)
         for module, others in imported.items()
-        if folder(module) in ("stillwork.workbook", "stillwork.site")
+        if folder(module) in ("workbook", "workbook.site")
         for other in others
     }
     assert not seen & {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
@@ -114,7 +116,7 @@ def test_the_workbook_knows_no_physics(imported):
 def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
     assert between_rooms(imported) == []
     below = [module for module in imported if module.startswith(("experiments.", "notebooks."))]
-    assert not [(a, b) for a in below for b in imported[a] if folder(b) == "stillwork.site"]
+    assert not [(a, b) for a in below for b in imported[a] if folder(b) == "workbook.site"]
 
 
 @pytest.mark.slow
@@ -141,7 +143,7 @@ def test_the_rules_find_what_breaks_them():
             stillwork__lti__a="from stillwork.base.paths import data",
             stillwork__lti__b="from stillwork.base import paths",
             stillwork__lti__c="def read():\n    import stillwork.base.paths as places",
-            stillwork__site__d="from stillwork.base.paths import data",
+            workbook__site__d="from stillwork.base.paths import data",
         )
     )
     assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
@@ -242,7 +244,7 @@ def broken_imports(source: str) -> list[str]:
         (node.module, alias.name)
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.ImportFrom)
-        and (node.module or "").split(".")[0] in ("stillwork", "experiments")
+        and (node.module or "").split(".")[0] in ("stillwork", "workbook", "experiments")
         for alias in node.names
     ]
     missing = []

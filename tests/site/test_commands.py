@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine import toy as toys
 from experiments.isolation.floor_files import SHORTEST_S
 from shared.universal_files import function, write_universal
 from stillwork import inspecting
@@ -18,13 +19,12 @@ from stillwork.__main__ import main
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.inspecting import inspect_file
-from stillwork.site.mathematics import markdown
-from stillwork.site.papers import cited, papers
-from stillwork.site.scaffold import new_result
-from stillwork.workbook.claims import load_entries
-from stillwork.workbook.notebooks import read_notebook
-from stillwork.workbook.readings import command
-from workbook import toy as toys
+from workbook.claims import load_entries
+from workbook.notebooks import read_notebook
+from workbook.readings import command
+from workbook.site.mathematics import markdown
+from workbook.site.papers import cited, papers
+from workbook.site.scaffold import new_result
 
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")
 
@@ -573,7 +573,10 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
         "--config",
         str(Path(__file__).parents[2] / "pyproject.toml"),
     ]
-    style += ["--config", 'lint.isort.known-first-party=["stillwork"]']  # the toy has no library of its own
+    style += [
+        "--config",
+        'lint.isort.known-first-party=["stillwork", "workbook"]',
+    ]  # the toy has no library of its own
     notebook = toy.root / "notebooks/isolation/09-heavy-payload.ipynb"
     done = subprocess.run([*style, str(test), str(notebook)], cwd=toy.root, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout

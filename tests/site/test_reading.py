@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 import stillwork.lti
 from stillwork.base.checks import InputError
-from stillwork.site import picture, reference
-from stillwork.site.mathematics import markdown, mathml
-from stillwork.site.pages import with_outputs
-from stillwork.workbook import reading
-from stillwork.workbook.claims import Claim, Entry, Tolerance
+from workbook import reading
+from workbook.claims import Claim, Entry, Tolerance
+from workbook.site import picture, reference
+from workbook.site.mathematics import markdown, mathml
+from workbook.site.pages import with_outputs
 
 IDS = ["room.fig-1.a", "room.fig-1.b", "room.table-2.a"]
 

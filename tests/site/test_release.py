@@ -10,7 +10,7 @@ import pytest
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.site import release
+from workbook.site import release
 
 
 @pytest.fixture

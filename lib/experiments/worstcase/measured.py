@@ -14,7 +14,7 @@ from stillwork.estimation.min_max import solve_silently, solve_sweep, triangle
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
 from stillwork.identification.regressors import fir_regressors
-from stillwork.workbook import figures
+from workbook import figures
 
 METHODS = (
     ("least squares", figures.BLACK, "o--"),

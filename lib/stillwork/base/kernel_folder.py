@@ -19,7 +19,7 @@ except ImportError:  # not a Unix: a folder counts as used by its time alone
     fcntl = None  # type: ignore[assignment]
 
 FOLDER_VARIABLE = "STILLWORK_KERNELS"
-PACKAGES = ("stillwork", "experiments")  # those beside each other that have kernels
+PACKAGES = ("stillwork", "workbook", "experiments")  # those beside each other that have kernels
 NAME = re.compile("[0-9a-f]{16}")
 KEPT = 7 * 24 * 3600  # s, without use
 
