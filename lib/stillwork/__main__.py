@@ -7,9 +7,9 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, one_line, require_number
 from stillwork.base.extras import MissingPackage, missing
+from workbook import paths
 
 # A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
 # had; nothing here holds an address against it.

@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.claims import Claim, claims_text, ledger
 from workbook.compare import Comparison, compare, found_claims, same_outputs
 from workbook.durations import FILE, durations, updated

@@ -8,8 +8,8 @@ import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-from stillwork.base import paths
 from stillwork.base.kernel_folder import cache_folder
+from workbook import paths
 from workbook.durations import durations
 from workbook.execution import Failure, Job, Outcome, execute, sweep
 from workbook.inputs import ENVIRONMENT, changes, environment_inputs, still, with_ledger

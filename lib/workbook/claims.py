@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
-from stillwork.base import paths
 from stillwork.base.checks import (
     InputError,
     nearest,
@@ -23,6 +22,7 @@ from stillwork.base.checks import (
     require_number,
     shown,
 )
+from workbook import paths
 
 KINDS = ("value", "exact", "ordering", "slope", "reported", "check")
 VERDICTS = ("replicated", "better", "deviates", "reported", "passes", "fails", "not built")

@@ -3,8 +3,8 @@
 from importlib import import_module
 from json import dumps
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 
 
 def figures(targets: list[str], settings: list[str], **how) -> int:

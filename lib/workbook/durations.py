@@ -4,7 +4,7 @@ import json
 import statistics
 from collections.abc import Mapping
 
-from stillwork.base import paths
+from workbook import paths
 
 FILE = "figures/durations.json"  # below the checkout; no notebook reads it
 

@@ -2,7 +2,7 @@
 
 from importlib import metadata
 
-from stillwork.base import paths
+from workbook import paths
 
 
 def pins() -> dict[str, str]:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.inputs import read_inputs
 from workbook.jupyter_kernel import kernel_manager
 from workbook.warm import Warm

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from stillwork.base.checks import InputError, nearest, require_number
-from stillwork.base.paths import in_batch
+from workbook.paths import in_batch
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import tomllib
 from functools import lru_cache
 from pathlib import Path
 
-from stillwork.base import paths
 from stillwork.base.source_digest import code_digest
+from workbook import paths
 from workbook.environment import pins
 from workbook.notebooks import Notebook
 from workbook.pinned import passed_inputs, settings

@@ -7,8 +7,8 @@ import threading
 from pathlib import Path
 
 import stillwork
-from stillwork.base import paths
 from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
+from workbook import paths
 from workbook.pinned import EMULATOR, environment
 from workbook.warm import PROGRAM, Warm
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import nbformat
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.notebooks import METADATA
 from workbook.provenance import committed
 

@@ -6,8 +6,8 @@ import signal
 import subprocess
 from collections.abc import Callable, Iterator
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 from workbook.publish import finish, leftovers, unfinished
 
 

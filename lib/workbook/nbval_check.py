@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from queue import Empty
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.compare import printed, same_text
 from workbook.notebooks import select
 from workbook.tasks import Task, built, tasks

@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest
+from workbook import paths
 from workbook.parameters import Parameter, read_parameters
 
 NEAREST = 3  # how many are suggested where none is near

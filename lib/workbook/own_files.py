@@ -7,9 +7,9 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, counted
 from stillwork.base.toml_files import read_toml
+from workbook import paths
 from workbook.figures import HEADER, read_table
 from workbook.notebooks import select
 from workbook.reading import comments

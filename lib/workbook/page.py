@@ -5,8 +5,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_choice, require_kind, shown
+from workbook import paths
 from workbook.claims import ClaimsTable, make_claim
 from workbook.figures import SavedFigure, plotted, save
 

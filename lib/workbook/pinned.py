@@ -8,8 +8,8 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, shown
+from workbook import paths
 
 FILE = Path(__file__).with_name("pinned.env")
 VARIABLES = Path(__file__).with_name("variables.toml")

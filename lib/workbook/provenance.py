@@ -4,7 +4,7 @@ import json
 import subprocess
 from collections.abc import Iterable
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.notebooks import Notebook
 from workbook.publish import digest
 

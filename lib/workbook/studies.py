@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.paths import in_batch
+from workbook.paths import in_batch
 
 
 @dataclass(frozen=True)

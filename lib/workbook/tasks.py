@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.inputs import changes, environment_inputs, notebook_inputs, present_again
 from workbook.notebooks import Notebook, assign, select
 from workbook.publish import digest, read_record

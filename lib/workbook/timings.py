@@ -2,8 +2,8 @@
 
 import csv
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 
 
 def measured_times(room: str, table: str) -> dict[str, dict[str, float]]:

@@ -3,7 +3,7 @@
 import io
 from pathlib import Path
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.claims import Claim, ledger, make_claim, recorded_claims
 from workbook.publish import replace_file
 from workbook.report import screen, table

@@ -5,7 +5,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.claims import ledger
 from workbook.readings.command import standings_of
 from workbook.report import column

@@ -1,6 +1,6 @@
 """What follows from the ledger and the notebooks is as they are: README, index notebook, manifests."""
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.site.derived import derived_files
 
 

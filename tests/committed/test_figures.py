@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.compare import numbers_difference
 from workbook.tasks import built
 

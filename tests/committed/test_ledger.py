@@ -6,7 +6,7 @@ from decimal import Decimal
 
 import pytest
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.claims import AGREEMENT, Claim, ledger
 from workbook.compare import same_value
 from workbook.publish import digest

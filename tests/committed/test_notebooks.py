@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.notebooks import notebook_text, select
 
 NOTEBOOKS = select()

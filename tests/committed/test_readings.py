@@ -3,7 +3,7 @@
 import pytest
 
 from committed.again import compute_again
-from stillwork.base import paths
+from workbook import paths
 from workbook.claims import load_entries
 from workbook.readings.axes import Multiverse, load_axes
 from workbook.readings.checking import moves, note, parts_a_day, today

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.compare import (
     difference,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.build import longest_first
 from workbook.durations import FILE, durations, updated
 from workbook.notebooks import Notebook, select

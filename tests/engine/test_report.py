@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.report import (
     column,

@@ -76,7 +76,7 @@ class Toy:
     def add(self, name: str, *sources: str, parameters: str = PARAMETERS) -> None:
         """A notebook that writes ``out.csv`` (no matplotlib: quick), then runs `sources`."""
         begin = (
-            "from stillwork.base import paths\n"
+            "from workbook import paths\n"
             f"from experiments.{name.partition('/')[0]}.model import gain\n"
             f"folder = paths.output('{name}')\nfolder.mkdir(parents=True)"
         )
@@ -94,7 +94,7 @@ class Toy:
         """A notebook with a figure and a claim."""
         room = name.partition("/")[0]
         begin = (
-            "import numpy as np\nfrom workbook import figures; from stillwork.base import paths\nfrom workbook.page import Page\n"
+            "import numpy as np\nfrom workbook import figures, paths\nfrom workbook.page import Page\n"
             f"from experiments.{room}.model import gain\npage = Page('{name}')\n"
             f"rig = paths.data('{room}', 'rig.toml').read_text()"
         )

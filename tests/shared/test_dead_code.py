@@ -7,7 +7,7 @@ from collections import defaultdict
 
 import pytest
 
-from stillwork.base import paths
+from workbook import paths
 
 # A face, a command, a study of `data/<room>/readings.toml` and a notebook's text name a function without calling it.
 NAMED = re.compile(r"experiments[\w.]*:(\w+)|(?:stillwork|workbook)[\w.]*:(\w+)")

@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 
 import stillwork
-from stillwork.base import kernel_cache, paths
+from stillwork.base import kernel_cache
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.base.kernels import callback
+from workbook import paths
 from workbook.site.house import modules
 
 CALLED = """

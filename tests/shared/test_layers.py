@@ -5,7 +5,7 @@ import importlib
 
 import pytest
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.site.house import TOOLBOX, arrows, folder, imports, modules
 
 ORDER = (*TOOLBOX, "workbook", "workbook.site")
@@ -69,16 +69,6 @@ def between_rooms(imported):
     return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
 
 
-def placed(imported):
-    """Modules of the toolbox that ask where the workbook stands: the ledger and what a paper printed lie there."""
-    above_base = {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
-    return [
-        module
-        for module, others in imported.items()
-        if folder(module) in above_base and "stillwork.base.paths" in others
-    ]
-
-
 @pytest.mark.slow
 def test_no_arrow_runs_up(imported):
     assert rising(imported) == []
@@ -119,11 +109,6 @@ def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
     assert not [(a, b) for a in below for b in imported[a] if folder(b) == "workbook.site"]
 
 
-@pytest.mark.slow
-def test_the_toolbox_reads_no_ledger_and_no_work(imported):
-    assert placed(imported) == []
-
-
 def written(**sources):
     return {name.replace("__", "."): ast.parse(source) for name, source in sources.items()}
 
@@ -139,17 +124,20 @@ def test_the_rules_find_what_breaks_them():
             experiments__motion__rig="import experiments.isolation.twin",
             experiments__isolation__twin="",
             stillwork__base="",
-            stillwork__base__paths="",
-            stillwork__lti__a="from stillwork.base.paths import data",
-            stillwork__lti__b="from stillwork.base import paths",
-            stillwork__lti__c="def read():\n    import stillwork.base.paths as places",
-            workbook__site__d="from stillwork.base.paths import data",
+            workbook="",
+            workbook__paths="",
+            stillwork__lti__a="from workbook.paths import data",
+            stillwork__lti__b="from workbook import paths",
+            stillwork__lti__c="def read():\n    import workbook.paths as places",
+            workbook__site__d="from workbook.paths import data",
         )
     )
     assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
     assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
     assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
-    assert placed(broken) == ["stillwork.lti.a", "stillwork.lti.b", "stillwork.lti.c"]
+    assert [("stillwork.lti." + name, "workbook.paths") for name in "abc"] == [
+        pair for pair in rising(broken) if pair[1] == "workbook.paths"
+    ]
 
 
 def test_an_import_that_the_rules_would_not_see_is_found():

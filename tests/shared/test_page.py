@@ -3,9 +3,8 @@ import json
 import pytest
 from matplotlib.figure import Figure
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
-from workbook import figures
+from workbook import figures, paths
 from workbook.page import Page
 
 LEDGER = """\

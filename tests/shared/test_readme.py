@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stillwork.__main__ import main
-from stillwork.base import paths
+from workbook import paths
 from workbook.tasks import built
 
 README = (paths.root() / "README.md").read_text(encoding="utf-8")

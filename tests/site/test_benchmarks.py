@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from engine import toy as toys
-from stillwork.base import paths
+from workbook import paths
 from workbook.site.benchmarks import benchmarks
 
 

@@ -16,9 +16,9 @@ from experiments.isolation.floor_files import SHORTEST_S
 from shared.universal_files import function, write_universal
 from stillwork import inspecting
 from stillwork.__main__ import main
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.inspecting import inspect_file
+from workbook import paths
 from workbook.claims import load_entries
 from workbook.notebooks import read_notebook
 from workbook.readings import command

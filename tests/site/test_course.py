@@ -10,7 +10,7 @@ from functools import cache
 
 import pytest
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.notebooks import select
 
 COURSE = paths.root() / "docs/course"

@@ -16,8 +16,8 @@ import yaml
 from PIL import Image
 
 from engine import toy as toys
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 from workbook.claims import Claim, Entry, Tolerance, ledger
 from workbook.notebooks import select
 from workbook.publish import replace_folder

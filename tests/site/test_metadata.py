@@ -14,8 +14,8 @@ import jsonschema
 import pytest
 import yaml
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 from workbook.site import metadata
 from workbook.site.metadata import binder, codemeta, crate, project, release_date, zenodo
 from workbook.site.papers import cited

@@ -44,13 +44,13 @@ def test_a_cell_that_is_not_python_draws_nothing():
 
 def test_used_functions_carry_their_full_names():
     cells = [
-        "from stillwork.base import paths\nfrom experiments.isolation.twin import load_twin as load",
+        "from workbook import paths\nfrom experiments.isolation.twin import load_twin as load",
         "load(paths.data)",
     ]
     assert reading.used(cells) == [
         "experiments.isolation.twin.load_twin",
-        "stillwork.base.paths",
-        "stillwork.base.paths.data",
+        "workbook.paths",
+        "workbook.paths.data",
     ]
 
 

@@ -8,8 +8,8 @@ import zipfile
 
 import pytest
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 from workbook.site import release
 
 

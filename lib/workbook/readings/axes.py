@@ -7,8 +7,8 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, require_choice, require_count
+from workbook import paths
 from workbook.claims import load_entries
 
 AXIS_KINDS = ("text", "number", "definition", "procedure", "seed")

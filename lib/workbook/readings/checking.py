@@ -12,8 +12,8 @@ import random
 from collections.abc import Iterable
 from pathlib import Path
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_count
+from workbook import paths
 from workbook.claims import Entry
 from workbook.publish import replace_file
 from workbook.readings.axes import Multiverse

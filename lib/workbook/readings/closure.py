@@ -7,9 +7,9 @@ from functools import cache
 from pathlib import Path
 
 import stillwork
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.source_digest import code_digest
+from workbook import paths
 from workbook.publish import digest
 
 LIBRARY = Path(stillwork.__file__).parents[1]

@@ -7,8 +7,8 @@ import time
 from collections import Counter
 from dataclasses import replace
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_choice
+from workbook import paths
 from workbook.claims import load_entries
 from workbook.lock import held, interrupts, settle
 from workbook.publish import replace_file

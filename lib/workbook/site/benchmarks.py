@@ -5,8 +5,8 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 from workbook.timings import measured_times
 
 TABLES = Path(__file__).parent / "benchmarks.toml"

@@ -11,9 +11,8 @@ import jinja2
 from markupsafe import Markup
 
 import stillwork
-from stillwork.base import paths
 from stillwork.base.checks import InputError
-from workbook import publish
+from workbook import paths, publish
 from workbook.claims import KINDS, VERDICTS, Claim, ledger
 from workbook.notebooks import notebook_file
 from workbook.provenance import commit, modified

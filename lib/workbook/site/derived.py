@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable
 from html import escape
 
-from stillwork.base import paths
+from workbook import paths
 from workbook.claims import Claim, ledger
 from workbook.notebooks import METADATA, notebook_text
 from workbook.publish import replace_file

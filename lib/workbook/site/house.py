@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from textwrap import wrap
 
-from stillwork.base import paths
+from workbook import paths
 
 TOOLBOX = (
     "base",

@@ -5,8 +5,8 @@ import re
 import tomllib
 from urllib.parse import quote
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 from workbook.site.pages import NotebookPage
 
 LICENSE = "https://spdx.org/licenses/BSD-3-Clause"

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
-from workbook import reading
+from workbook import paths, reading
 from workbook.claims import VERDICTS, Claim
 from workbook.notebooks import Notebook
 from workbook.site.outline import Section, plain, sections

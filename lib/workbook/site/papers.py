@@ -1,8 +1,8 @@
 """What stands of each room's paper on the front page and in the citations: ``data/<room>/paper.toml``."""
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest
 from stillwork.base.toml_files import read_toml
+from workbook import paths
 
 # What a room that does not say it goes without; CONTRIBUTING.md says what each is.
 NOTHING = {

@@ -11,12 +11,20 @@ from pathlib import Path
 import griffe
 
 import stillwork
-from stillwork.base import paths
+from workbook import paths
 from workbook.site.house import TOOLBOX, face_names
 from workbook.site.mathematics import mathml
 
 LIBRARY = Path(stillwork.__file__).parents[1]
-FOR_NOTEBOOKS = ("__init__", "claims", "explorer", "figures", "page", "studies")  # modules of the workbook
+FOR_NOTEBOOKS = (
+    "__init__",
+    "claims",
+    "explorer",
+    "figures",
+    "page",
+    "paths",
+    "studies",
+)  # modules of the workbook
 
 
 @dataclass(frozen=True)

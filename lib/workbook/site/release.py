@@ -18,9 +18,8 @@ from pathlib import Path
 import yaml
 
 import stillwork
-from stillwork.base import paths
 from stillwork.base.checks import InputError
-from workbook import publish
+from workbook import paths, publish
 from workbook.provenance import commit, modified
 from workbook.site.build import build_site
 from workbook.site.metadata import address, project

@@ -3,8 +3,8 @@
 import re
 from keyword import iskeyword
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest
+from workbook import paths
 from workbook.notebooks import METADATA, notebook_file, notebook_text
 from workbook.publish import replace_file
 

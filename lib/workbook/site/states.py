@@ -12,8 +12,8 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 from workbook.explorer import Choice, Slider
 from workbook.notebooks import read_notebook
 from workbook.publish import digest, read_record, replace_file

@@ -5,9 +5,10 @@ import os
 from pathlib import Path
 
 from stillwork.base.checks import InputError, nearest, require_number, shown
+from stillwork.base.kernel_folder import ROOT_VARIABLE
 from stillwork.base.toml_files import read_toml
 
-OUTPUT_VARIABLE, ROOT_VARIABLE = "STILLWORK_OUTPUT", "STILLWORK_ROOT"
+OUTPUT_VARIABLE = "STILLWORK_OUTPUT"
 
 
 def root() -> Path:
@@ -15,7 +16,7 @@ def root() -> Path:
 
     It is the checkout that this package runs from; the environment variable `STILLWORK_ROOT` names another.
     """
-    folder = Path(os.environ.get(ROOT_VARIABLE) or Path(__file__).parents[3])
+    folder = Path(os.environ.get(ROOT_VARIABLE) or Path(__file__).parents[2])
     if not (folder / "data").is_dir():
         raise FileNotFoundError(
             f"no workbook at {folder} (no data/ folder); set STILLWORK_ROOT to a checkout of stillwork"
