@@ -13,7 +13,7 @@ import typecheck
 gc.disable()
 gc.set_threshold(20_000)
 
-# As in `stillwork.__main__`: a second or two of every process that loads nbformat.
+# As in `stillwork.base.command_line`: a second or two of every process that loads nbformat.
 sys.modules.setdefault("rfc3987_syntax", None)
 
 # Neither the machine's load nor chance decides a test: every run tries the same examples. Others are sought with

@@ -21,7 +21,7 @@ from workbook.compare import printed, same_text
 from workbook.notebooks import select
 from workbook.tasks import Task, built, tasks
 
-# As in `stillwork.__main__`: a second or two of every process that loads nbformat, as nbval does.
+# As in `stillwork.base.command_line`: a second or two of every process that loads nbformat, as nbval does.
 sys.modules.setdefault("rfc3987_syntax", None)
 nbval = importlib.import_module("nbval.plugin")
 

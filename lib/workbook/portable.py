@@ -149,7 +149,7 @@ def _build(processor: Processor, names: tuple[str, ...]) -> tuple[list[Compariso
         BUILT: str(folder),
     }
     print(f"{processor.name}: building", flush=True)
-    command = [sys.executable, "-m", "stillwork", "figures", *names]
+    command = [sys.executable, "-m", "workbook", "figures", *names]
     code = run_whole(command, env=variables)
     if code > 128:
         return [], code
