@@ -10,7 +10,9 @@ from workbook.site.house import TOOLBOX, arrows, folder, imports, modules
 
 ORDER = (*TOOLBOX, "workbook", "workbook.site")
 ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
-LOADERS = {"stillwork.base.faces", "stillwork.base.extras"}  # import what they are told by name
+LOADERS = {
+    f"stillwork.base.{name}" for name in ("faces", "extras", "command_line")
+}  # import what they are told by name
 
 
 @pytest.fixture(scope="module")
