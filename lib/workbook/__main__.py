@@ -1,4 +1,4 @@
-"""Command line of the engine: ``python -m workbook figures|readings|claims|portable|accept|site|release|refresh|verify|new|doctor``."""
+"""Command line of the engine: ``python -m workbook figures|readings|claims|portable|accept|site|release|refresh|verify|init|new|doctor``."""
 
 import argparse
 import sys
@@ -114,6 +114,11 @@ COMMANDS = {
         "workbook.commands:verify",
         (option("name", metavar="NAME", help="e.g. joint"),),
         before=IN_A_WORKBOOK,
+    ),
+    "init": Command(
+        "begin a workbook for a paper of yours, in a new folder",
+        "workbook.site.beginning:begin",
+        (option("folder", metavar="DIR"),),
     ),
     "new": Command(
         "begin a result: notebook, ledger entry and test",

@@ -54,7 +54,7 @@ def accept(refresh: Callable[[], object]) -> int:
                 for task, comparison in compared:
                     _take_over(task, comparison, copy)
                 _note_durations(built, copy)
-                with _rooted(copy):
+                with paths.rooted(copy):
                     claims = ledger()
                     refresh()
                 after = _committed(copy)
@@ -142,24 +142,10 @@ def _unless_gone(error: OSError) -> None:
         raise error
 
 
-@contextlib.contextmanager
-def _rooted(folder: Path) -> Iterator[None]:
-    """Let `paths.root` be another folder for a while."""
-    before = os.environ.get(paths.ROOT_VARIABLE)
-    os.environ[paths.ROOT_VARIABLE] = str(folder)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[paths.ROOT_VARIABLE]
-        else:
-            os.environ[paths.ROOT_VARIABLE] = before
-
-
 def _built(copy: Path) -> list[Task]:
     """The tasks of the notebooks that are in the copy, all of them."""
     built = tasks()
-    with _rooted(copy):
+    with paths.rooted(copy):
         others = {each.name for each in select()} ^ {task.notebook.name for task in built}
     if others:
         raise Edited([f"notebooks/{name}.ipynb" for name in sorted(others)])

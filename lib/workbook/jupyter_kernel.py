@@ -51,7 +51,9 @@ def kernel_environment(folder: Path, output: Path) -> dict[str, str]:
         paths.ROOT_VARIABLE: str(paths.root()),
         FOLDER_VARIABLE: cache_folder(),
         "IPYTHONDIR": str(folder / "ipython"),  # no user's startup files
-        "PYTHONPATH": os.pathsep.join(filter(None, [library, os.environ.get("PYTHONPATH")])),
+        "PYTHONPATH": os.pathsep.join(
+            filter(None, [library, str(paths.root()), os.environ.get("PYTHONPATH")])
+        ),
     }
 
 

@@ -2,6 +2,9 @@
 
 import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 from stillwork.base.checks import InputError, nearest, require_number, shown
@@ -14,14 +17,37 @@ OUTPUT_VARIABLE = "STILLWORK_OUTPUT"
 def root() -> Path:
     """Folder that holds `notebooks/`, `data/` and `figures/`.
 
-    It is the checkout that this package runs from; the environment variable `STILLWORK_ROOT` names another.
+    It is what the environment variable `STILLWORK_ROOT` names, else the folder at or above the present one with a
+    ledger, else the checkout that this package runs from.
     """
-    folder = Path(os.environ.get(ROOT_VARIABLE) or Path(__file__).parents[2])
+    named = os.environ.get(ROOT_VARIABLE)
+    folder = Path(named) if named else _around(os.getcwd()) or Path(__file__).parents[2]
     if not (folder / "data").is_dir():
         raise FileNotFoundError(
-            f"no workbook at {folder} (no data/ folder); set STILLWORK_ROOT to a checkout of stillwork"
+            f"no workbook at {folder if named else os.getcwd()} (no data/ folder); run this in one, set "
+            f"{ROOT_VARIABLE} to one, or begin one: python -m workbook init DIR"
         )
     return folder
+
+
+@cache
+def _around(folder: str) -> Path | None:
+    places = (Path(folder), *Path(folder).parents)
+    return next((each for each in places if any(each.glob("data/*/published.toml"))), None)
+
+
+@contextmanager
+def rooted(folder: Path) -> Iterator[None]:
+    """Let the root be another folder for a while."""
+    before = os.environ.get(ROOT_VARIABLE)
+    os.environ[ROOT_VARIABLE] = str(folder)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[ROOT_VARIABLE]
+        else:
+            os.environ[ROOT_VARIABLE] = before
 
 
 def rooms() -> tuple[str, ...]:

@@ -11,12 +11,20 @@ from workbook.site.pages import NotebookPage
 
 LICENSE = "https://spdx.org/licenses/BSD-3-Clause"
 CRATE = "https://w3id.org/ro/crate/1.1"
+NOTHING = {
+    "authors": [],
+    "keywords": [],
+    "requires-python": ">=3.11",
+    "dependencies": [],
+    "optional-dependencies": {},
+}
 MEDIA = {"png": "image/png", "csv": "text/csv", "ipynb": "application/x-ipynb+json"}
 
 
 def project() -> dict:
-    """What pyproject.toml says of the project."""
-    return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    """What pyproject.toml says of the project, with nothing in the place of what it leaves out."""
+    said = tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return NOTHING | said
 
 
 def address() -> str:

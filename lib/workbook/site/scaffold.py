@@ -1,4 +1,4 @@
-"""A new result: its notebook, its ledger entry and its test, which run as they are and wait to be filled in."""
+"""A new result: its notebook, its module, its ledger entry and its test, which run as they are and wait to be filled in."""
 
 import re
 from keyword import iskeyword
@@ -15,20 +15,20 @@ paper = "Title of the paper"
 # source = "Where it was published: with it, the paper is cited"
 # by = "Author, year"
 # claimed = "What it claims, in a sentence."
-# headline = [{{ says = "What it says of itself first", entry = "{room}.{key}.decrement" }}]
+# headline = [{{ says = "What it says of itself first", entry = "{room}.{key}.deviation" }}]
 """
 
 # A worked example stands in each place, so that the build, the ledger and the test run from the first minute.
 ENTRY = """
 # {name}
 
-[{room}.{key}.decrement]
+[{room}.{key}.deviation]
 place = "section 0"  # where the work prints it
-quantity = "logarithmic decrement of the example"
+quantity = "standard deviation of the example"
 unit = "1"
-published = 0.63
+published = 2.1
 kind = "value"  # value | exact | ordering | slope | reported | check
-tolerance = {{ absolute = 0.005, source = "half the last printed digit" }}
+tolerance = {{ absolute = 0.05, source = "half the last printed digit" }}
 """
 
 STORY = """\
@@ -36,69 +36,88 @@ STORY = """\
 
 *Work, section 0: Fig. 0.*
 
-What is claimed, what we do, what came out. The example: a free vibration decays by the same factor each period."""
+What is claimed, what we do, what came out. The example: a paper prints eight values and their standard deviation, 2.1,
+but not which one it means."""
 
 MODEL = """\
 ## The model
 
-$$\\ddot x + 2 \\zeta \\omega_0 \\dot x + \\omega_0^2 x = 0, \\qquad
-\\delta = \\ln \\frac{x(t)}{x(t + T)} = \\frac{2 \\pi \\zeta}{\\sqrt{1 - \\zeta^2}}$$
+$$s = \\sqrt{\\frac{1}{d} \\sum_{k=1}^{n} (x_k - \\bar x)^2}, \\qquad d = n - 1 \\quad \\text{or} \\quad d = n$$
 
-with the displacement $x$, the relative damping $\\zeta$ and the natural frequency $\\omega_0$ (rad/s). A period takes $T$;
-$\\delta$ is the logarithmic decrement."""
+with the values $x_k$, their mean $\\bar x$ and the divisor $d$, which the paper leaves open."""
 
 IMPORTS = """\
-import numpy as np
-
+from notebooks.{room}.{module} import VALUES, deviation
 from workbook import Page, figures
 
 page = Page("{room}/{name}")"""
 
-PARAMETERS = """\
-damping: float = 0.1  # relative damping
-periods: int = 8  # shown"""
+PARAMETERS = 'divisor: str = "n - 1"  # of the variance: n - 1 or n'
 
 FIGURE = """\
-time = np.linspace(0, periods, 200 * periods + 1)
-rate = 2 * np.pi * damping / np.sqrt(1 - damping**2)
-motion = np.exp(-rate * time) * np.cos(2 * np.pi * time)
 figure, axes = figures.new()
-axes.plot(time, motion, label="displacement")
-axes.set_xlabel("time (periods)")
-axes.set_ylabel("displacement (1)")
+axes.plot(range(1, len(VALUES) + 1), VALUES, "o", label="values")
+axes.set_xlabel("number")
+axes.set_ylabel("value (1)")
 page.save("fig-0", figure)"""
 
-CHECK = 'page.check("{room}.{key}.decrement", np.log(motion[0] / motion[200]))'
+CHECK = 'page.check("{room}.{key}.deviation", deviation(VALUES, divisor))'
 
 END = """\
 ## What agrees and what does not
 
 Say here what agrees, what does not, and why."""
 
+MODULE = '''"""What the notebook {name} and its open choices both compute."""
+
+VALUES = (2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0)  # as printed
+
+
+def deviation(values, divisor):
+    """The standard deviation with the divisor ``n - 1`` or ``n``."""
+    mean = sum(values) / len(values)
+    return (sum((each - mean) ** 2 for each in values) / (len(values) - (divisor == "n - 1"))) ** 0.5
+
+
+def study(divisor, seed, lean):
+    """What the notebook checks, under one combination of the open choices; it needs neither a seed nor a lean form."""
+    return {{"{room}.{key}.deviation": deviation(VALUES, divisor)}}
+'''
+
 TEST = '''"""{title}, against something that shares no code with it."""
 
-import numpy as np
+import statistics
+
 import pytest
 
+from notebooks.{room}.{module} import VALUES, deviation
 
-@pytest.mark.parametrize("damping", [0.01, 0.1, 0.5])
-def test_the_decrement_is_that_of_an_integrated_oscillator(damping):
+
+@pytest.mark.parametrize(("divisor", "other"), [("n - 1", statistics.stdev), ("n", statistics.pstdev)])
+def test_the_deviation_is_that_of_the_standard_library(divisor, other):
     """The example; put in its place your algorithm against a naive twin, brute force or a closed form."""
-    position, velocity, step = 1.0, 0.0, 1e-4
-    peaks = []
-    while len(peaks) < 2:
-        before = velocity
-        velocity -= step * (position + 2 * damping * velocity)
-        position += step * velocity
-        if before > 0 >= velocity:
-            peaks.append(position)
-    decrement = 2 * np.pi * damping / np.sqrt(1 - damping**2)
-    assert np.log(peaks[0] / peaks[1]) == pytest.approx(decrement, rel=2e-3)
+    assert deviation(VALUES, divisor) == pytest.approx(other(VALUES))
 '''
+
+CHOICES = """\
+# What the paper does not specify: each choice, with every option that a careful reader could defend.
+
+[{room}.divisor]
+question = "divisor of the variance"
+options = ["n - 1", "n"]
+default = "n - 1"  # what the notebook takes
+kind = "definition"  # text | number | definition | procedure | seed
+source = "the paper says 'standard deviation' and no more"
+touches = ["{room}.{key}"]  # entries of the ledger, or first parts of their ids
+
+[studies.{module}]
+function = "notebooks.{room}.{module}:study"
+entries = ["{room}.{key}.deviation"]
+"""
 
 
 def new_result(room: str, name: str, create: bool = False) -> list[str]:
-    """Write the three files of a new result, and of a new room what is said of its paper; returns their paths.
+    """Write the files of a new result, and of a new room what is said of its paper; returns their paths.
 
     Parameters
     ----------
@@ -122,13 +141,14 @@ def new_result(room: str, name: str, create: bool = False) -> list[str]:
         )
     if not re.fullmatch(r"\d\d-[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
         raise InputError(f"name is {name!r}; give a number and words like '09-payload'")
-    key = name.partition("-")[2]
-    words = {"room": room, "name": name, "key": key, "title": key.replace("-", " ").capitalize()}
+    words = words_of(room, name)
+    key, module = words["key"], words["module"]
     notebook = notebook_file(f"{room}/{name}")
-    test = paths.root() / "tests" / room / f"test_{key.replace('-', '_')}.py"
+    beside = notebook.with_name(f"{module}.py")
+    test = paths.root() / "tests" / room / f"test_{module}.py"
     ledger = paths.data(room, "published.toml")
     before = ledger.read_text(encoding="utf-8") if ledger.exists() else ""
-    for file in (notebook, test):
+    for file in (notebook, beside, test):
         if file.exists():
             raise InputError(f"{file.relative_to(paths.root())} exists already; choose another name")
     taken = sorted(each.stem for each in notebook.parent.glob("[0-9][0-9]-*.ipynb"))
@@ -138,6 +158,7 @@ def new_result(room: str, name: str, create: bool = False) -> list[str]:
         raise InputError(f"the ledger has entries {room}.{key} already; choose another name")
     written = {
         notebook: notebook_text(_notebook(words)),
+        beside: MODULE.format(**words),
         test: TEST.format(**words),
         ledger: (before + ENTRY.format(**words)).lstrip("\n"),
     }
@@ -147,6 +168,18 @@ def new_result(room: str, name: str, create: bool = False) -> list[str]:
     for file, text in written.items():
         replace_file(file, text.encode())
     return [file.relative_to(paths.root()).as_posix() for file in written]
+
+
+def words_of(room: str, name: str) -> dict[str, str]:
+    """What stands in the templates of a result."""
+    key = name.partition("-")[2]
+    return {
+        "room": room,
+        "name": name,
+        "key": key,
+        "module": key.replace("-", "_"),
+        "title": key.replace("-", " ").capitalize(),
+    }
 
 
 def _require_new_room(room: str) -> None:
