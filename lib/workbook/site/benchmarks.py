@@ -9,8 +9,6 @@ from stillwork.base.checks import InputError
 from workbook import paths
 from workbook.timings import measured_times
 
-TABLES = Path(__file__).parent / "benchmarks.toml"
-
 
 @dataclass(frozen=True)
 class Benchmark:
@@ -39,8 +37,9 @@ class Benchmark:
 
 
 def benchmarks() -> list[Benchmark]:
-    """The tables whose file is there, in the order of ``benchmarks.toml``."""
-    tables = tomllib.loads(TABLES.read_text(encoding="utf-8"))["table"]
+    """The tables whose file is there, in the order of ``benchmarks/tables.toml``; none in a workbook without it."""
+    listed = paths.root() / "benchmarks" / "tables.toml"
+    tables = tomllib.loads(listed.read_text(encoding="utf-8"))["table"] if listed.exists() else []
     return [_benchmark(**table) for table in tables if paths.data(table["room"], table["file"]).exists()]
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
-import stillwork
 from stillwork.base.checks import InputError
 from workbook import paths, publish
 from workbook.claims import KINDS, VERDICTS, Claim, ledger
@@ -23,7 +22,7 @@ from workbook.site import picture, reference, search
 from workbook.site.benchmarks import benchmarks
 from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
-from workbook.site.metadata import address, binder, project
+from workbook.site.metadata import about, address, binder, project
 from workbook.site.pages import NotebookPage, read_page
 from workbook.site.papers import papers
 from workbook.site.specification import curves
@@ -66,6 +65,7 @@ def site_files() -> dict[str, bytes]:
             name: _title(text) for name, text in guides.items() if "/" not in name or name.endswith("/index")
         },
         places=reference.index(modules),
+        timed=bool(timed := benchmarks()),
         standings=standings,
         verdicts=[verdict for verdict in VERDICTS if any(claim.verdict == verdict for claim in claims)],
         counts=Counter(map(column, claims)),
@@ -90,7 +90,7 @@ def site_files() -> dict[str, bytes]:
             )
     files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
     files["gallery.html"] = render("gallery.html", "", pages=pages)
-    files["benchmarks.html"] = render("benchmarks.html", "", tables=benchmarks())
+    files["benchmarks.html"] = render("benchmarks.html", "", tables=timed)
     files["replicate.html"] = render(
         "replicate.html", "", pages=pages, binder=binder("notebooks/index.ipynb")
     )
@@ -183,9 +183,10 @@ def _said(statements: list[dict], claims: list[Claim]) -> list[tuple[str, Claim]
 
 
 def _citation() -> str:
-    about = project()
-    authors = ", ".join(each["name"] for each in about["authors"])
-    return f"{authors}, {about['name']}: {about['description']}, version {about['version']}."
+    said = project()
+    authors = ", ".join(each["name"] for each in said["authors"])
+    begin = f"{authors}, " if authors else ""
+    return f"{begin}{said['name']}: {said['description']}, version {said['version']}."
 
 
 @cache
@@ -213,7 +214,7 @@ def _templates() -> jinja2.Environment:
 def _renderer(**shared):
     """``render(template, root, **values)``; `root` leads from the page to the site's front."""
     site = {
-        "version": stillwork.__version__,
+        **about(),
         "address": address(),
         "commit": commit() or "",
         "modified": bool({name for name in modified() if not name.startswith("build/")}),

@@ -19,7 +19,7 @@ from workbook.report import (
 )
 from workbook.site import metadata
 from workbook.site.house import paint_house
-from workbook.site.metadata import project
+from workbook.site.metadata import about, project
 from workbook.site.pages import Figure, NotebookPage, read_page
 from workbook.site.papers import cited, papers
 from workbook.tasks import tasks
@@ -115,16 +115,7 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
             first = _headline(paper, claims)
             said = f"{paper['claimed']}\n\n" if paper["claimed"] else ""
             parts.append(f"## {paper['title']} (`{room}`)\n\n{said}{first}{listing}")
-    parts.append(
-        "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, "
-        "`lib/experiments/` their machines, studies and pictures, `data/` the published numbers and "
-        "measured records, `figures/` the accepted pictures and their numbers (a build writes to `build/figures/`), "
-        "`tests/` and `benchmarks/`. The methods themselves are in `lib/stillwork/`, by concepts of the "
-        "field: signals, linear models, identification, estimation, control. `make help` lists the commands, "
-        "`make site` writes the same as web pages, [From your rig to a figure](../docs/your-rig.md) leads from a "
-        "measurement of yours to a figure, and the [course](../docs/course/index.md) through the notebooks in four tracks "
-        "with exercises."
-    )
+    parts.append(f"## The shelves\n\n{about()['shelves']}")
     cells = [
         # In lines, as Jupyter writes them.
         {"cell_type": "markdown", "id": f"part-{number}", "metadata": {}, "source": text.splitlines(True)}

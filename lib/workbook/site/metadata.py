@@ -9,9 +9,14 @@ from stillwork.base.checks import InputError
 from workbook import paths
 from workbook.site.pages import NotebookPage
 
-LICENSE = "https://spdx.org/licenses/BSD-3-Clause"
+LICENSES = "https://spdx.org/licenses/"
+SHELVES = (
+    "`notebooks/` holds the results and what each computes, `data/` the published numbers, `figures/` the accepted "
+    "pictures and their numbers (a build writes to `build/figures/`), `tests/` the tests."
+)
 CRATE = "https://w3id.org/ro/crate/1.1"
 NOTHING = {
+    "license": "",
     "authors": [],
     "keywords": [],
     "requires-python": ">=3.11",
@@ -23,8 +28,19 @@ MEDIA = {"png": "image/png", "csv": "text/csv", "ipynb": "application/x-ipynb+js
 
 def project() -> dict:
     """What pyproject.toml says of the project, with nothing in the place of what it leaves out."""
-    said = tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    return NOTHING | said
+    return NOTHING | _pyproject()["project"]
+
+
+def about() -> dict[str, str]:
+    """What pages and index say of the workbook: of pyproject.toml, with the texts of its ``[tool.workbook]``."""
+    said = project()
+    own = {"title": said["name"], "subject": said["description"], "shelves": SHELVES}
+    own |= _pyproject().get("tool", {}).get("workbook", {})
+    return {name: said[name] for name in ("name", "version", "license")} | own
+
+
+def _pyproject() -> dict:
+    return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))
 
 
 def address() -> str:
@@ -59,7 +75,7 @@ def codemeta(papers: dict[str, dict]) -> str:
         "name": about["name"],
         "description": about["description"],
         "version": about["version"],
-        "license": LICENSE,
+        **({"license": LICENSES + about["license"]} if about["license"] else {}),
         "author": [{"@type": "Organization", "name": author["name"]} for author in about["authors"]],
         "keywords": about["keywords"],
         **({"codeRepository": address()} if address() else {}),
@@ -86,7 +102,7 @@ def zenodo(papers: dict[str, dict]) -> str:
         "version": about["version"],
         "publication_date": release_date(),
         "access_right": "open",
-        "license": "bsd-3-clause",
+        "license": about["license"].lower(),
         "keywords": about["keywords"],
         "language": "eng",
     }
@@ -149,7 +165,7 @@ def crate(papers: dict[str, dict], pages: list[NotebookPage]) -> str:
         "version": about["version"],
         **({"url": address()} if address() else {}),
         "datePublished": release_date(),
-        "license": {"@id": LICENSE},
+        "license": {"@id": LICENSES + about["license"]},
         "keywords": ", ".join(about["keywords"]),
         "author": makers,
         "publisher": makers,
@@ -157,7 +173,7 @@ def crate(papers: dict[str, dict], pages: list[NotebookPage]) -> str:
         "hasPart": [{"@id": each["@id"]} for each in entities],
         "mentions": [{"@id": each["@id"]} for each in actions],
     }
-    terms = {"@id": LICENSE, "@type": "CreativeWork", "name": "BSD 3-Clause License"}
+    terms = {"@id": LICENSES + about["license"], "@type": "CreativeWork", "name": about["license"]}
     graph = [descriptor, root, terms, *people, *articles, *entities, *actions]
     return _text({"@context": f"{CRATE}/context", "@graph": graph})
 

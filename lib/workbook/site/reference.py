@@ -109,7 +109,12 @@ def _handed_out(name: str, module: Module) -> tuple[str, Item]:
 
 
 def library_files() -> list[Path]:
-    """Files of the toolbox, and of what notebooks use of the workbook: not what builds them, nor the command line and the site."""
+    """Files of the toolbox, and of what notebooks use of the engine; none where they are installed from a wheel.
+
+    Left out are what builds the notebooks, the command line and the site.
+    """
+    if not (paths.root() / "lib" / "stillwork").is_dir():
+        return []
     files = [
         file
         for file in (LIBRARY / "stillwork").rglob("*.py")
