@@ -14,12 +14,6 @@ from workbook.figures import HEADER, read_table
 from workbook.notebooks import select
 from workbook.reading import comments
 
-# What reads a machine of one's own from TOML, by room, and the file to copy.
-MODELS = {
-    "isolation": ("experiments.isolation.twin", "load_twin", "rigid_body.toml"),
-    "fixedpoint": ("experiments.fixedpoint.oscillator", "load_oscillator", "oscillator.toml"),
-}
-
 
 def own_file(path: Path) -> str:
     """What a file that the workbook itself wrote or reads is, in a sentence; empty for other files."""
@@ -47,6 +41,13 @@ def own_file(path: Path) -> str:
     return ""
 
 
+def machines() -> dict[str, tuple[str, str]]:
+    """What reads a machine of one's own from TOML, ``module:function`` by room, and the file to copy."""
+    said = {room: paths.data(room, "paper.toml") for room in paths.rooms()}
+    found = {room: read_toml(file).get("machine", {}) for room, file in said.items() if file.is_file()}
+    return {room: (each["read"], each["copy"]) for room, each in found.items() if each}
+
+
 def model_file(path: Path) -> Iterator[str]:
     """What a TOML file holds, and the rooms and commands that take it as a machine."""
     table = read_toml(path)
@@ -57,8 +58,9 @@ def model_file(path: Path) -> Iterator[str]:
     if not in_checkout():
         yield "whether it is a machine of the workbook, a checkout of stillwork can tell: run this there"
         return
-    lacking = {}
-    for room, (module, function, _) in MODELS.items():
+    lacking, known = {}, machines()
+    for room, (reader, _) in known.items():
+        module, _, function = reader.partition(":")
         try:
             getattr(import_module(module), function)(path)
         except InputError as error:
@@ -66,8 +68,8 @@ def model_file(path: Path) -> Iterator[str]:
         else:
             yield f"a machine of the room {room}: {module}.{function}({str(path)!r})"
             yield from _takers(path, room)
-    if len(lacking) == len(MODELS):
-        templates = {room: paths.data(room, name) for room, (_, _, name) in MODELS.items()}
+    if len(lacking) == len(known):
+        templates = {room: paths.data(room, name) for room, (_, name) in known.items()}
         meant = [room for room, file in templates.items() if table.keys() & read_toml(file).keys() - {"name"}]
         if len(meant) == 1:
             yield f"not a machine of the room {meant[0]}: {lacking[meant[0]]}"

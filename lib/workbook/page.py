@@ -35,9 +35,7 @@ class Page:
     def __post_init__(self):
         room, _, name = require_kind("notebook", self.notebook, str).partition("/")
         if not paths.is_room(room) or not _NAME.fullmatch(name):
-            raise InputError(
-                f"notebook is {shown(self.notebook)}; give 'room/name', e.g. 'isolation/02-convergence'"
-            )
+            raise InputError(f"notebook is {shown(self.notebook)}; give 'room/name', e.g. 'room/02-result'")
 
     def save(self, name: str, figure, rounding: Mapping[str, str] | None = None) -> SavedFigure:
         """Write ``<name>.png`` and the plotted numbers ``<name>.csv``; returns a picture for the notebook.

@@ -83,6 +83,12 @@ def data(room: str, name: str = "") -> Path:
     return root() / "data" / room / name
 
 
+def own_settings() -> dict:
+    """What ``[tool.workbook]`` of pyproject.toml says; nothing without."""
+    file = root() / "pyproject.toml"
+    return read_toml(file).get("tool", {}).get("workbook", {}) if file.is_file() else {}
+
+
 def in_batch() -> bool:
     """Whether the runner or the tests, not a person, execute the notebook."""
     return OUTPUT_VARIABLE in os.environ

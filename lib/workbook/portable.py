@@ -69,17 +69,12 @@ PROCESSORS = (
 # where it and the notebooks are named.
 EMULATED = Processor("qemu, 2008 (Nehalem)", {EMULATOR: "qemu-x86_64", "QEMU_CPU": "Nehalem"})
 
-# Notebooks that were seen to move between processors, or whose subject is rounding; quick enough to run often.
-SAMPLE = (
-    "isolation/06-efficient-update",
-    "motion/02-model-reduction",
-    "motion/14-discrete-observer",
-    "motion/17-mimo-decoupling",
-    "worstcase/01-geometry",
-    "worstcase/03-time-updates",
-    "fixedpoint/05-differentiation-noise",
-)
 SAMPLED = ("2011, AVX (Sandy Bridge)", "2013, AVX2 (Haswell)")
+
+
+def sampled() -> tuple[str, ...]:
+    """Notebooks that pyproject.toml names: quick ones that were seen to move, or whose subject is rounding."""
+    return tuple(paths.own_settings().get("sample", ()))
 
 
 def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = False) -> int:
@@ -117,7 +112,7 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
             raise InputError(
                 f"there is no {EMULATED.settings[EMULATOR]}; install qemu-user (Debian's package)"
             )
-    names = tuple(each.name for each in select(*(targets or (SAMPLE if sample else ()))))
+    names = tuple(each.name for each in select(*(targets or (sampled() if sample else ()))))
     flags = _flags()
     rows, moved, failed = [], [], False
     for stand_in in chosen:

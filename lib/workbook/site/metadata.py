@@ -28,19 +28,14 @@ MEDIA = {"png": "image/png", "csv": "text/csv", "ipynb": "application/x-ipynb+js
 
 def project() -> dict:
     """What pyproject.toml says of the project, with nothing in the place of what it leaves out."""
-    return NOTHING | _pyproject()["project"]
+    return NOTHING | tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 def about() -> dict[str, str]:
     """What pages and index say of the workbook: of pyproject.toml, with the texts of its ``[tool.workbook]``."""
     said = project()
     own = {"title": said["name"], "subject": said["description"], "shelves": SHELVES}
-    own |= _pyproject().get("tool", {}).get("workbook", {})
-    return {name: said[name] for name in ("name", "version", "license")} | own
-
-
-def _pyproject() -> dict:
-    return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))
+    return {name: said[name] for name in ("name", "version", "license")} | own | paths.own_settings()
 
 
 def address() -> str:

@@ -16,6 +16,7 @@ NOTHING = {
     "builder": "",
     "rests": {},
     "headline": [],
+    "machine": {},
 }
 
 
