@@ -2,9 +2,11 @@
 
 import ast
 import importlib
+import re
 
 import pytest
 
+from stillwork.base.source_digest import code
 from workbook import paths
 from workbook.site.house import TOOLBOX, arrows, folder, imports, modules
 
@@ -102,6 +104,22 @@ def test_the_workbook_knows_no_physics(imported):
         for other in others
     }
     assert not seen & {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
+
+
+def test_the_engine_names_no_room():
+    """But in examples, which docstrings give."""
+    rooms = re.compile(rf"\b({'|'.join(paths.rooms())})\b")
+    places = {}
+    for file in sorted((paths.root() / "lib" / "workbook").rglob("*")):
+        if file.suffix == ".py":
+            texts = [
+                each.value for each in ast.walk(code(file.read_bytes())) if isinstance(each, ast.Constant)
+            ]
+            places[file] = " ".join(each for each in texts if isinstance(each, str))
+        elif file.suffix in (".toml", ".html", ".js", ".css", ".env"):
+            places[file] = file.read_text(encoding="utf-8")
+    assert len(places) > 60
+    assert [file.name for file, text in places.items() if rooms.search(text)] == []
 
 
 @pytest.mark.slow

@@ -96,10 +96,10 @@ def test_inspect_works_without_a_checkout(wheel, tmp_path):
     ("arguments", "told"),
     [
         (("contest",), "this needs the experiments, which stand in a checkout of stillwork"),
-        (("claims",), "set STILLWORK_ROOT to a checkout of stillwork"),
-        (("doctor",), "set STILLWORK_ROOT to a checkout of stillwork"),
-        (("figures",), "set STILLWORK_ROOT to a checkout of stillwork"),
-        *(((name,), "set STILLWORK_ROOT to a checkout of stillwork") for name in COMMANDS_OF_THE_SITE),
+        (("claims",), "set STILLWORK_ROOT to one, or begin one"),
+        (("doctor",), "set STILLWORK_ROOT to one, or begin one"),
+        (("figures",), "set STILLWORK_ROOT to one, or begin one"),
+        *(((name,), "set STILLWORK_ROOT to one, or begin one") for name in COMMANDS_OF_THE_SITE),
     ],
 )
 def test_other_commands_say_what_they_miss(wheel, tmp_path, arguments, told):
