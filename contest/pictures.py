@@ -21,7 +21,7 @@ from contest.plants import sample_plant
 from contest.scores import ENTRANTS
 from contest.told import OwnObserver
 from contest.tuning import settings_for
-from stillwork.workbook import figures
+from workbook import figures
 
 INKS = figures.RED, figures.BLUE, figures.GREEN, figures.PURPLE, figures.ORANGE
 COLOURS = dict(zip(MAPPED, INKS, strict=True))

@@ -12,9 +12,9 @@ from experiments.isolation.twin import load_twin
 from experiments.motion import beam, machines, rig
 from fuzzing.hostile import wrong
 from notebooks.motion import joint_design as joint_designs
-from stillwork.base import paths
 from stillwork.inspecting import inspect_file
-from stillwork.workbook.claims import ledger, load_entries
+from workbook import paths
+from workbook.claims import ledger, load_entries
 
 # A TOML file holds no other kinds.
 PLAIN = (

@@ -6,7 +6,7 @@ from experiments.fixedpoint import statements as said
 from experiments.fixedpoint.choices import PRINTED_NOISE, SAMPLE_TIME, Values, trajectory
 from experiments.fixedpoint.differentiation import difference_quotient, quotient_trial, rejects_gaussian
 from experiments.fixedpoint.noise import Noise
-from stillwork.workbook.studies import mean_interval, run_study
+from workbook.studies import mean_interval, run_study
 
 # --- Section II.C: numerical differentiation ------------------------------------------------------------------------
 

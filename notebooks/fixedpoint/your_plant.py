@@ -16,7 +16,6 @@ from experiments.fixedpoint.metrics import judge
 from experiments.fixedpoint.noise import Noise, lose
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW, published_controllers
-from stillwork.base import paths
 from stillwork.base.checks import InputError, counted, nearest, require_choice, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.fixed_point_convergence import StableRange, stable_range
@@ -41,12 +40,9 @@ from stillwork.estimation.filtering import UNIT_MASS
 from stillwork.estimation.plant import Plant, force_slope
 from stillwork.inspecting import TABLES, outline, plant_form
 from stillwork.signals.records import load_record
-from stillwork.workbook import figures
+from workbook import figures
 
-# === Your plant ===================================================================================================
-# A plant and a trajectory of one's own in the adaptive loop: read, checked for contraction, driven.
-
-
+# === Your plant ============================================================================================
 UNITS = {"m": "N", "rad": "N m"}  # of a coordinate, and of what pushes it
 COPY = "copy data/fixedpoint/your_plant.py, or arm.py beside it for several coordinates, and fill it in"
 SHAPES = ("sine", "asin", "trapezoid")

@@ -15,9 +15,9 @@ from experiments.isolation.responses import responses
 from experiments.isolation.steady import Steady, steady_state
 from experiments.isolation.twin import Twin, load_twin
 from stillwork.base.rounding import in_order
-from stillwork.workbook import figures
-from stillwork.workbook.claims import load_entries
-from stillwork.workbook.studies import Study, spread_interval
+from workbook import figures
+from workbook.claims import load_entries
+from workbook.studies import Study, spread_interval
 
 # === Convergence pictures =========================================================================================
 # Figures of the initial convergence: Fig. 5, Table 1, readings of the text, stability of the mean.

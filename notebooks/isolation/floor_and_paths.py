@@ -17,7 +17,7 @@ from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_number
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.spectra import Spectrum
-from stillwork.workbook import figures
+from workbook import figures
 
 # === Modes ========================================================================================================
 # Suspension modes of a twin with its real skyhook loop: weak integrator, notch, lag and delay included.

@@ -24,8 +24,8 @@ from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel
 from stillwork.estimation import covariance_forms
 from stillwork.estimation.adaptive import ferls_update, hold_triangle
 from stillwork.estimation.covariance_forms import add_triangle_information, factor_of, update_form
-from stillwork.workbook import figures
-from stillwork.workbook.palette import COLOURS
+from workbook import figures
+from workbook.palette import COLOURS
 
 # === Stability ====================================================================================================
 # Numerical stability of the covariance recursion (29): seven ways to write it, in any precision.

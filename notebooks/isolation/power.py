@@ -14,12 +14,11 @@ from experiments.isolation.power import BAND_HZ, limit_ratio_db, measures, power
 from experiments.isolation.responses import responses
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.spectra import Spectrum
-from stillwork.workbook import figures
-from stillwork.workbook.claims import load_entries
+from workbook import figures, paths
+from workbook.claims import load_entries
 
 # === One rig search ===============================================================================================
 # The search for one rig (`one_rig`) and what it found, ``data/isolation/one_rig_found.toml``.

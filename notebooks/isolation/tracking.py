@@ -15,8 +15,8 @@ from experiments.isolation.steady import FORGETTING, Steady, steady_state
 from experiments.isolation.twin import Twin, load_twin
 from stillwork.base.checks import require_choice
 from stillwork.estimation.adaptive import FeLms, FeRls
-from stillwork.workbook import figures
-from stillwork.workbook.studies import Study
+from workbook import figures
+from workbook.studies import Study
 
 # === Tracking =====================================================================================================
 # Response of the weights to a change of the floor (section 5.1.2, Fig. 6).

@@ -13,8 +13,8 @@ from experiments.isolation.performance import (
     tune,
 )
 from experiments.isolation.twin import Twin, twin_from_table
-from stillwork.base import paths
 from stillwork.base.toml_files import read_toml
+from workbook import paths
 
 RESOLUTION_HZ = 0.25
 

@@ -30,7 +30,7 @@ from stillwork.signals.datafiles import read_columns
 from stillwork.signals.densities import DENSITIES_SAID, density_unit, frequency_axis, read_densities
 from stillwork.signals.records import PASS_SHARE, is_time, load_record
 from stillwork.signals.spectra import band_power, estimate_spectrum
-from stillwork.workbook import figures
+from workbook import figures
 
 # === Floor files ==================================================================================================
 # A floor of one's own: a measured record, or measured spectra, as motions of the floor sensors (notebook 08).

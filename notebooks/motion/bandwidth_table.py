@@ -16,7 +16,7 @@ from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Bandwidth
 from stillwork.control.crossover import crossover
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.workbook import figures
+from workbook import figures
 
 # === Bandwidth pictures ===========================================================================================
 # The published bandwidths as a table and as a map over what the thesis leaves open (notebook 09).

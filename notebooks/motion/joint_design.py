@@ -21,7 +21,6 @@ from experiments.motion.machines import (
 )
 from experiments.motion.magnitudes import add_magnitude, mark_limit
 from experiments.motion.uncertainty import detuned, perturbed, sample_errors
-from stillwork.base import paths
 from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.base.front_door import checked
@@ -39,7 +38,7 @@ from stillwork.lti.discretisation import prewarped, tustin, zoh_modes, zoh_respo
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures, paths
 
 # === Joint ========================================================================================================
 # Observer and controller of the stage in one optimisation, the first recommendation of chapter 7, as a processor runs it.

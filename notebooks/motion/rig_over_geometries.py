@@ -12,7 +12,7 @@ from experiments.motion.rig import assumed_geometry, rig_model
 from experiments.motion.rig_axes import COLOURS, MOTIONS
 from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
 from experiments.motion.rig_study import levelling, levelling_errors, printed_controllers, sample_geometry
-from stillwork.workbook import figures
+from workbook import figures
 
 # === Geometry pictures ============================================================================================
 # The rig's tables over geometries, and an explorer of one geometry (notebook 25).

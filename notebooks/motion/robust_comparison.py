@@ -51,8 +51,8 @@ from stillwork.estimation.robust import (
 )
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel, estimate
 from stillwork.lti.discretisation import zoh_modes
-from stillwork.workbook import figures
-from stillwork.workbook.studies import run_study
+from workbook import figures
+from workbook.studies import run_study
 
 # === Contest ======================================================================================================
 # Observers side by side on the same scans, each with one knob, tuned alike; what section 5.4.3 says of Fig. 5.10.

@@ -16,8 +16,8 @@ from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.signals.moving_average import rms
-from stillwork.workbook import figures
-from stillwork.workbook.studies import run_study, spread_interval
+from workbook import figures
+from workbook.studies import run_study, spread_interval
 
 # === Tracking pictures ============================================================================================
 # Figure and explorer of tracking (notebook 11).

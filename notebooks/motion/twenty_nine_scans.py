@@ -26,7 +26,7 @@ from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures
 
 # === Location study ===============================================================================================
 # One feedforward error at many places of the structure, under every published design (section 4.2.5).

@@ -19,7 +19,7 @@ from stillwork.identification.frequency_response import Identified, closed_loop_
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures
 
 # === Drive ========================================================================================================
 # The experiment of section 3.6 in simulation: observer, loops and identification of the two-inertia drive.

@@ -15,8 +15,8 @@ from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.identification.regressors import exponential_weights, fir_regressors
-from stillwork.workbook import figures
-from stillwork.workbook.studies import mean_interval, run_study
+from workbook import figures
+from workbook.studies import mean_interval, run_study
 
 # === Comparison ===================================================================================================
 # Who comes nearest to the truth: min-max estimation beside what else one would reach for, in many settings.

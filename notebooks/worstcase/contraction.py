@@ -4,11 +4,10 @@ import numpy as np
 
 from experiments.worstcase.theory import convergence_trial, counter_example
 from stillwork.estimation.secular import SecularFunction
-from stillwork.workbook import figures
-from stillwork.workbook.studies import run_study
+from workbook import figures
+from workbook.studies import run_study
 
-# === Contraction pictures =========================================================================================
-# Pictures of the fixed-point map f: its slope, its iterates, and where it is no contraction.
+# === Contraction pictures ==================================================================================
 
 
 def paint_scalar(function: SecularFunction):

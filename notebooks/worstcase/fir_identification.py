@@ -3,8 +3,8 @@
 import numpy as np
 
 from experiments.worstcase.simulations import fir_trial
-from stillwork.workbook import figures
-from stillwork.workbook.studies import Study, run_study
+from workbook import figures
+from workbook.studies import Study, run_study
 
 # === Identification pictures ======================================================================================
 # Pictures of FIR identification with noisy inputs (Fig. 1) and of what happens as the record grows.

@@ -5,9 +5,9 @@ import numpy as np
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
 from experiments.worstcase.theory import recursion_trial
 from stillwork.base.checks import require_choice, require_count
-from stillwork.workbook import figures
-from stillwork.workbook.studies import run_study
-from stillwork.workbook.timings import measured_times
+from workbook import figures
+from workbook.studies import run_study
+from workbook.timings import measured_times
 
 # === Costs ========================================================================================================
 # What an update costs: multiplications, divisions and roots, counted from the loops of the kernels.

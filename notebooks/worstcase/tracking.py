@@ -6,13 +6,10 @@ import numpy as np
 
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, path, settled, settled_from, tracking_trial
 from stillwork.identification.regressors import exponential_bound, exponential_weights
-from stillwork.workbook import figures
-from stillwork.workbook.studies import Study, mean_interval, run_study, spread_interval
+from workbook import figures
+from workbook.studies import Study, mean_interval, run_study, spread_interval
 
-# === Tracking pictures ============================================================================================
-# Pictures of tracking with bounded regressor errors: Fig. 2, its variations, and the map of wins.
-
-
+# === Tracking pictures =====================================================================================
 METHODS = (
     ("min_max", "min-max", figures.BLUE, "-"),
     ("rls", "RLS", figures.BLACK, "--"),

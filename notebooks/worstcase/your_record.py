@@ -14,7 +14,7 @@ from stillwork.estimation.min_max import solve_silently, solve_sweep, triangle
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax
 from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
-from stillwork.workbook import figures
+from workbook import figures
 
 # === Your record ==================================================================================================
 # Models of an input-output record of one's own: fitted, the bound chosen, and judged on unseen data.

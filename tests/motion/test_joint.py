@@ -41,7 +41,6 @@ from notebooks.motion.joint_design import (
     stored_designs,
 )
 from stillwork.__main__ import main
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedforward import error_loop, fit_feedforward, tracking_error
@@ -49,6 +48,7 @@ from stillwork.control.loops import INPUTS, OUTPUTS, channel, closed_loop
 from stillwork.lti.discretisation import tustin, zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
+from workbook import paths
 
 PUBLISHED = JointDesign()
 ODD = replace(

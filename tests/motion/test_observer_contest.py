@@ -43,8 +43,8 @@ from contest.table import (
 )
 from contest.told import OwnObserver, told_of
 from contest.tuning import WORST
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 
 GUIDE = (paths.root() / "docs" / "contest.md").read_text(encoding="utf-8")
 # The guide's Kalman filter shares no code with the house's: its Riccati equation is run until it stands still.

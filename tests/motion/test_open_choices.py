@@ -13,7 +13,7 @@ from notebooks.motion import tracking as tracking_pictures
 from notebooks.motion import two_inertia_drive as drive_pictures
 from notebooks.motion.bandwidth_table import bandwidth_map, open_choices
 from stillwork.base.checks import InputError
-from stillwork.workbook import figures
+from workbook import figures
 
 
 @pytest.mark.slow

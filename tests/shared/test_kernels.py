@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 import stillwork
-from stillwork.base import kernel_cache, paths
+from stillwork.base import kernel_cache
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.base.kernels import callback
-from stillwork.site.house import modules
+from workbook import paths
+from workbook.site.house import modules
 
 CALLED = """
 from stillwork.base.kernels import inlined_kernel
@@ -408,7 +409,7 @@ def imported_names(source: bytes) -> dict[str, Path]:
         alias.asname or alias.name: place_of(node.module)
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.ImportFrom)
-        and (node.module or "").startswith(("stillwork.", "experiments.", "contest."))
+        and (node.module or "").startswith(("stillwork.", "workbook.", "experiments.", "contest."))
         for alias in node.names
     }
 
