@@ -11,7 +11,7 @@ from hatchling.build import build_editable
 from jupyter_client.manager import start_new_kernel
 
 from workbook import paths
-from workbook import toy as toys
+from engine import toy as toys
 from workbook.readings.closure import modules
 
 FIRST, SECOND = "isolation/01-first", "isolation/02-second"
