@@ -6,7 +6,7 @@ import re
 
 from workbook.notebooks import Notebook
 
-PACKAGES = ("stillwork", "workbook", "experiments")
+PACKAGES = ("stillwork", "workbook", "experiments", "contest", "notebooks")
 
 
 def saved(source: str, available: list[str]) -> list[str]:

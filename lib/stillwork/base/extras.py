@@ -16,6 +16,8 @@ BY_PACKAGE = {
     "pygments": "site",
 }
 
+OF_A_CHECKOUT = ("experiments", "contest", "notebooks")
+
 
 class MissingPackage(ImportError):
     """A package that was not installed; the message names the extra that brings it."""
@@ -32,9 +34,9 @@ def require_package(name: str) -> ModuleType:
 def missing(error: ModuleNotFoundError) -> ImportError:
     """The error to raise in place of `error`: itself for a module that no extra brings."""
     name = (error.name or "").partition(".")[0]
-    if name == "experiments":
+    if name in OF_A_CHECKOUT:
         return MissingPackage(
-            "this needs the experiments, which stand in a checkout of stillwork; run it there"
+            f"this needs the folder {name}, which stands in a checkout of stillwork; run it there"
         )
     if not name or name in ("stillwork", "workbook"):
         return error

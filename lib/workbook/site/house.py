@@ -29,25 +29,33 @@ PLACES = {
     "stillwork.control": (3, 0, 8),
     "stillwork.identification": (2, 11, 18),
     "experiments": (4, 0, 20.5),
-    "notebooks": (5, 0, 20.5),
+    "contest": (5, 12, 20.5),
+    "notebooks": (6, 0, 20.5),
 }
 FILLS = {
     "workbook": "#e8f0e4",
     "workbook.site": "#e8f0e4",
     "experiments": "#f6ebda",
+    "contest": "#f6ebda",
     "notebooks": "#f6ebda",
 }
 TOOLBOX_FILL = "#e2eaf4"
-NOTEBOOKS = "One published result each: story, parameters, calls, figures, claims."
+NOTEBOOKS = (
+    "One published result each: story, parameters, calls, figures, claims; beside each what it alone needs."
+)
 UNIT, HEIGHT, ROW, MARGIN = 36, 76, 114, 12
 LETTER, LINE = 5.8, 15  # mean letter and line of the text in the boxes, in pixels
 
 
 def modules(root: Path) -> dict[str, ast.Module]:
-    """The library's modules by dotted name, and each notebook's code as ``notebooks.<room>.<notebook>``."""
+    """The modules by dotted name, and each notebook's code as ``notebooks.<room>.<notebook>``."""
     found = {}
-    for file in sorted((root / "lib").rglob("*.py")):
-        parts = file.relative_to(root / "lib").with_suffix("").parts
+    files = [(root / "lib", file) for file in sorted((root / "lib").rglob("*.py"))]
+    files += [
+        (root, file) for name in ("contest", "notebooks") for file in sorted((root / name).rglob("*.py"))
+    ]
+    for place, file in files:
+        parts = file.relative_to(place).with_suffix("").parts
         found[".".join(part for part in parts if part != "__init__")] = ast.parse(file.read_text("utf-8"))
     for file in sorted((root / "notebooks").glob("*/*.ipynb")):
         cells = json.loads(file.read_text("utf-8"))["cells"]
@@ -68,8 +76,8 @@ def imports(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 named |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module in trees:
-                face = faces[node.module]
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                face = faces.get(node.module, {})  # none of a folder that is no module
                 named |= {f"{node.module}.{face.get(alias.name, alias.name)}" for alias in node.names}
                 named.add(node.module)
         found[module] = (named & trees.keys()) - {module}
@@ -120,7 +128,9 @@ def paint_house(root: Path | None = None) -> str:
     drawn = arrows(imports(trees))
     rooms = [name.split(".")[1] for name in trees if name.startswith("experiments.") and name.count(".") == 1]
     about = {name: (ast.get_docstring(tree) or "").partition("\n")[0] for name, tree in trees.items()}
-    about["experiments"] = f"{', '.join(rooms)}: machines, studies and pictures; no room imports another."
+    about["experiments"] = (
+        f"{', '.join(rooms)}: what several notebooks of a room share; no room imports another."
+    )
     about["notebooks"] = NOTEBOOKS
     width = 2 * MARGIN + UNIT * max(right for _, _, right in PLACES.values())
     height = 2 * MARGIN + ROW * max(row for row, _, _ in PLACES.values()) + HEIGHT
