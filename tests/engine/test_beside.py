@@ -10,8 +10,8 @@ import pytest
 from hatchling.build import build_editable
 from jupyter_client.manager import start_new_kernel
 
-from workbook import paths
 from engine import toy as toys
+from workbook import paths
 from workbook.readings.closure import modules
 
 FIRST, SECOND = "isolation/01-first", "isolation/02-second"
