@@ -12,7 +12,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from stillwork.base.checks import InputError
-from workbook import paths, reading
+from workbook import notebook_source, paths
 from workbook.claims import VERDICTS, Claim
 from workbook.notebooks import Notebook
 from workbook.site.outline import Section, plain, sections
@@ -163,7 +163,7 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
     folder = paths.root() / "figures" / notebook.name
     mine = [claim for claim in claims if claim.notebook == notebook.name]
     cells = _cells(notebook.name, raw, folder, mine)
-    comments = reading.comments(notebook)
+    comments = notebook_source.comments(notebook)
     record = folder / "provenance.json"
     return NotebookPage(
         notebook,
@@ -174,7 +174,7 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
             (name, each.annotation, repr(each.value), comments[name])
             for name, each in notebook.parameters.items()
         ),
-        tuple(reading.used([_text(cell) for cell in raw if cell["cell_type"] == "code"])),
+        tuple(notebook_source.used([_text(cell) for cell in raw if cell["cell_type"] == "code"])),
         json.loads(record.read_text(encoding="utf-8")) if record.is_file() else {},
         fresh,
     )
@@ -202,8 +202,8 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             heading = next(iter(re.findall(r"^#+ (.+)$", source, re.MULTILINE)), heading)
             cells.append(PageCell(name, anchor, False, source))
         elif cell["cell_type"] == "code":
-            here = [each for each in reading.saved(source, pictures) if each not in drawn]
-            ids = [each for each in reading.checked(source, list(by_id)) if each not in judged]
+            here = [each for each in notebook_source.saved(source, pictures) if each not in drawn]
+            ids = [each for each in notebook_source.checked(source, list(by_id)) if each not in judged]
             drawn |= set(here)
             judged |= set(ids)
             figures = [_saved_figure(name, each, heading, folder) for each in here]
