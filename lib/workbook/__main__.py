@@ -117,7 +117,7 @@ COMMANDS = {
     ),
     "init": Command(
         "begin a workbook for a paper of yours, in a new folder",
-        "workbook.site.beginning:begin",
+        "workbook.site.scaffold:begin",
         (option("folder", metavar="DIR"),),
     ),
     "new": Command(

@@ -13,7 +13,7 @@ import pytest
 
 from engine.toy import cell, notebook
 from stillwork.base.checks import InputError
-from workbook.site.beginning import begin
+from workbook.site.scaffold import begin
 
 ROOT = Path(__file__).parents[2]
 

@@ -6,9 +6,10 @@ import re
 
 import pytest
 
+from layering import folder, imports, modules
 from stillwork.base.source_digest import code
 from workbook import paths
-from workbook.site.house import TOOLBOX, arrows, folder, imports, modules
+from workbook.site.reference import TOOLBOX
 
 ORDER = (*TOOLBOX, "workbook", "workbook.site")
 ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
@@ -167,20 +168,6 @@ def test_an_import_that_the_rules_would_not_see_is_found():
         "stillwork__base__faces": "from importlib import import_module\nimport_module('x')",
     }
     assert list(hidden(written(**sources))) == ["stillwork.lti.a", "stillwork.lti.b"]
-
-
-def test_an_arrow_that_follows_from_others_is_not_drawn():
-    chain = {
-        "experiments.motion": {"stillwork.control.pid", "stillwork.lti.zoh"},
-        "stillwork.control.pid": {"stillwork.lti.zoh", "stillwork.base.checks"},
-        "stillwork.lti.zoh": {"stillwork.base.checks"},
-        "stillwork.base.checks": set(),
-    }
-    assert arrows(chain) == [
-        ("stillwork.lti", "stillwork.base"),
-        ("stillwork.control", "stillwork.lti"),
-        ("experiments", "stillwork.control"),
-    ]
 
 
 def read(place):

@@ -12,9 +12,16 @@ import griffe
 
 import stillwork
 from workbook import paths
-from workbook.site.house import TOOLBOX, face_names
 from workbook.site.mathematics import mathml
 
+TOOLBOX = (
+    "base",
+    "signals",
+    "lti",
+    "identification",
+    "estimation",
+    "control",
+)  # each imports those before it
 LIBRARY = Path(stillwork.__file__).parents[1]
 FOR_NOTEBOOKS = (
     "__init__",
@@ -80,7 +87,7 @@ class Folder:
 
 
 def folders(modules: list[Module]) -> list[Folder]:
-    """The modules by folder, in the order of the house: the toolbox from the ground up, the workbook, the rooms."""
+    """The modules by folder, in the order of the layers: the toolbox from the ground up, the workbook, the rooms."""
     found = []
     packages = {module.name: module for module in modules}
     wanted = [f"stillwork.{name}" for name in TOOLBOX]
@@ -97,6 +104,17 @@ def folders(modules: list[Module]) -> list[Folder]:
         inner = tuple(module for module in mine if module is not package)
         found.append(Folder(package.folder, package.doc, public, inner))
     return found
+
+
+def face_names(tree: ast.Module) -> dict[str, str]:
+    """The names that a package hands out, with the module that defines each."""
+    for statement in tree.body:
+        match statement:
+            case ast.Assign(value=ast.Call(func=ast.Name(id="face"), args=[_, by_module])):
+                return {
+                    name: module for module, names in ast.literal_eval(by_module).items() for name in names
+                }
+    return {}
 
 
 def _handed_out(name: str, module: Module) -> tuple[str, Item]:
