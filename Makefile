@@ -15,7 +15,8 @@ BIN := .venv/bin
 READY := .venv/complete
 endif
 
-export PYTHONPATH := $(CURDIR)/lib
+# The library, and the root for what stands beside the notebooks.
+export PYTHONPATH := $(CURDIR)/lib:$(CURDIR)
 
 # The settings of processor and process that numbers are made under; a build sets them for its kernels by itself.
 PINNED := lib/workbook/pinned.env
@@ -112,7 +113,7 @@ doctor: $(READY) ## Compare the environment with environment.txt
 
 clean: ## Remove what can be made again (not .venv)
 	rm -rf build .pytest_cache .ruff_cache .hypothesis
-	find lib tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find lib contest notebooks tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The last line marks the environment as whole: one that was interrupted is made anew.
 .venv/complete: environment.txt pyproject.toml

@@ -301,7 +301,7 @@ def report(name: str, value: float, rule: str, target: float) -> None:
 
 
 def python(code: str, **environment) -> str:
-    env = {**os.environ, **environment, "PYTHONPATH": str(ROOT / "lib")}
+    env = {**os.environ, **environment, "PYTHONPATH": f"{ROOT / 'lib'}{os.pathsep}{ROOT}"}
     return subprocess.run(
         [sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True, check=True
     ).stdout

@@ -60,11 +60,11 @@ import sys, time
 start = time.thread_time()
 import numpy as np
 from stillwork.estimation.adaptive import FeLms, FeRls
-from experiments.isolation.cures import run_cure, smallest_loop
+from notebooks.isolation.numerical_stability import run_cure, smallest_loop
 from experiments.isolation.floors import flat_floor
 from stillwork.estimation.online import AdaptationStepper, identify
 from experiments.isolation.simulation import simulate
-from experiments.isolation.stability import covariance_run
+from notebooks.isolation.numerical_stability import covariance_run
 from experiments.isolation.twin import load_twin
 imported = time.thread_time() - start
 rng = np.random.default_rng(0)
@@ -347,7 +347,7 @@ def import_time() -> float:
 
 
 def python(code: str, **environment) -> str:
-    env = {**os.environ, **environment, "PYTHONPATH": str(ROOT / "lib")}
+    env = {**os.environ, **environment, "PYTHONPATH": f"{ROOT / 'lib'}{os.pathsep}{ROOT}"}
     done = subprocess.run([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True)
     if done.returncode:
         raise SystemExit("a measured process failed; its message stands above")

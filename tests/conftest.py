@@ -1,4 +1,5 @@
 import gc
+import os
 import sys
 from pathlib import Path
 
@@ -45,7 +46,8 @@ def pytest_collection_finish():
 @pytest.fixture(autouse=True)
 def as_a_person(monkeypatch):
     """Tests look at this checkout's library as a person does, unless they say otherwise."""
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1] / "lib"))
+    root = Path(__file__).parents[1]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(root / "lib"), str(root)]))
     monkeypatch.delenv("STILLWORK_OUTPUT", raising=False)
 
 

@@ -8,10 +8,14 @@ from workbook.site.reference import face_names
 
 
 def modules(root: Path) -> dict[str, ast.Module]:
-    """The library's modules by dotted name, and each notebook's code as ``notebooks.<room>.<notebook>``."""
+    """The modules by dotted name, and each notebook's code as ``notebooks.<room>.<notebook>``."""
     found = {}
-    for file in sorted((root / "lib").rglob("*.py")):
-        parts = file.relative_to(root / "lib").with_suffix("").parts
+    files = [(root / "lib", file) for file in sorted((root / "lib").rglob("*.py"))]
+    files += [
+        (root, file) for name in ("contest", "notebooks") for file in sorted((root / name).rglob("*.py"))
+    ]
+    for place, file in files:
+        parts = file.relative_to(place).with_suffix("").parts
         found[".".join(part for part in parts if part != "__init__")] = ast.parse(file.read_text("utf-8"))
     for file in sorted((root / "notebooks").glob("*/*.ipynb")):
         cells = json.loads(file.read_text("utf-8"))["cells"]
@@ -32,8 +36,8 @@ def imports(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 named |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module in trees:
-                face = faces[node.module]
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                face = faces.get(node.module, {})  # none of a folder that is no module
                 named |= {f"{node.module}.{face.get(alias.name, alias.name)}" for alias in node.names}
                 named.add(node.module)
         found[module] = (named & trees.keys()) - {module}

@@ -79,7 +79,7 @@ COMMANDS = {
     ),
     "contest": Command(
         "run observers, yours among them, against hidden seeds and rank them",
-        "experiments.motion.observer_contest.table:hold_contest",  # in a checkout alone, which it says by itself
+        "contest.table:hold_contest",  # in a checkout alone, which it says by itself
         (
             option("files", nargs="*", metavar="MY_OBSERVER.py", help="each defines a class Observer"),
             number("seeds", "N", "scans a plant and doubt (default: 2)", default=2),

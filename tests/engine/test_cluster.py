@@ -101,7 +101,7 @@ def test_a_worker_with_another_checkout_is_refused(toy, scheduler):
     done = subprocess.run(
         toy.command("figures", "--scheduler", scheduler),
         cwd=other,
-        env=toy.environment() | {"PYTHONPATH": str(other / "lib")},
+        env=toy.environment() | {"PYTHONPATH": f"{other / 'lib'}{os.pathsep}{other}"},
         capture_output=True,
         text=True,
     )

@@ -250,7 +250,11 @@ def test_pytest_takes_the_options_for_the_notebooks(checkout):
     done = subprocess.run(
         [sys.executable, *arguments, "-n0", "--collect-only", "-p", "no:cacheprovider"],
         cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT / "lib"), "STILLWORK_OUTPUT": str(checkout / "nbval")},
+        env={
+            **os.environ,
+            "PYTHONPATH": f"{ROOT / 'lib'}{os.pathsep}{ROOT}",
+            "STILLWORK_OUTPUT": str(checkout / "nbval"),
+        },
         capture_output=True,
         text=True,
     )

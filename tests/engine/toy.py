@@ -111,7 +111,7 @@ class Toy:
     def environment(self) -> dict[str, str]:
         outside = {k: v for k, v in os.environ.items() if not k.startswith("STILLWORK")}
         return outside | {
-            "PYTHONPATH": str(self.root / "lib"),
+            "PYTHONPATH": os.pathsep.join([str(self.root / "lib"), str(self.root)]),
             "TMPDIR": str(self.temporary),
             "TOY": str(self.root),
             "TOY_MARK": self.mark,

@@ -7,17 +7,19 @@ import pytest
 
 from experiments.fixedpoint import Noise, judge, load_oscillator, published_controllers
 from experiments.fixedpoint.noise import lose
-from experiments.fixedpoint.your_plant import (
+from notebooks.fixedpoint.your_plant import (
     contraction_along,
     controllers,
     drive,
     load_models,
     open_trajectories,
     open_trajectory,
+    paint_contraction,
+    paint_runs,
+    plant_explorer,
     stable_ranges,
     warnings_of,
 )
-from experiments.fixedpoint.your_plant_pictures import paint_contraction, paint_runs, plant_explorer
 from stillwork.base.checks import InputError
 from stillwork.control import FlowTransformation, asin_trajectory, simulate
 from stillwork.control.trajectory import sine_trajectory

@@ -9,35 +9,37 @@ from scipy import linalg, signal
 
 from experiments.motion import verify_joint
 from experiments.motion.designs import DESIGNS, stage_compensator
-from experiments.motion.joint import (
+from experiments.motion.machines import parameters, published_setpoint, stage
+from notebooks.motion.joint_design import (
+    ASKED,
     DELAY,
+    PEAKS,
     SAMPLE_TIME,
+    SIZES,
     JointDesign,
+    as_toml,
     closed_poles,
     compensated,
-    late,
-    late_plant,
-    late_response,
-    sampled_compensator,
-)
-from experiments.motion.joint_designs import ASKED, SIZES, as_toml, rounded, stored_designs
-from experiments.motion.joint_pictures import paint_joint
-from experiments.motion.joint_search import (
-    PEAKS,
     crossing_hz,
     grid,
     judge,
+    late,
+    late_plant,
+    late_response,
     meet,
     noise_floor,
+    paint_joint,
     robust_search,
     rough_crossing_hz,
+    rounded,
     sample_plants,
+    sampled_compensator,
     search,
     serve,
     six,
     starts,
+    stored_designs,
 )
-from experiments.motion.machines import parameters, published_setpoint, stage
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB

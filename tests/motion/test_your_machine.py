@@ -7,7 +7,7 @@ import pytest
 from scipy.io import savemat
 
 from experiments.motion.structure import measured_accelerance
-from experiments.motion.your_machine_pictures import (
+from notebooks.motion.your_machine import (
     envelope,
     machine_explorer,
     paint_machine,

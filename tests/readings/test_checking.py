@@ -161,7 +161,7 @@ def run(root, *arguments):
     """A command on the toy at `root`."""
     environment = os.environ | {
         "STILLWORK_ROOT": str(root),
-        "PYTHONPATH": os.pathsep.join([str(ROOT / "lib"), str(ROOT / "tests")]),
+        "PYTHONPATH": os.pathsep.join([str(ROOT / "lib"), str(ROOT), str(ROOT / "tests")]),
     }
     return subprocess.run(
         [sys.executable, "-m", *arguments], env=environment, cwd=ROOT, capture_output=True, text=True

@@ -213,7 +213,7 @@ def command(root, *arguments):
         env=os.environ
         | {
             "STILLWORK_ROOT": str(root),
-            "PYTHONPATH": os.pathsep.join([str(ROOT / "lib"), str(ROOT / "tests")]),
+            "PYTHONPATH": os.pathsep.join([str(ROOT / "lib"), str(ROOT), str(ROOT / "tests")]),
         },
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

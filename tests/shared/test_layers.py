@@ -12,7 +12,8 @@ from workbook import paths
 from workbook.site.reference import TOOLBOX
 
 ORDER = (*TOOLBOX, "workbook", "workbook.site")
-ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
+ABOVE = len(ORDER)  # the command line, then what stands outside the package
+OUTSIDE = ("experiments", "contest", "notebooks")
 LOADERS = {
     f"stillwork.base.{name}" for name in ("faces", "extras", "command_line")
 }  # import what they are told by name
@@ -35,7 +36,7 @@ def floor(module):
         return ORDER.index(folder(module)) if rest != ["__main__"] else ABOVE
     if first == "stillwork":
         return ORDER.index(rest[0]) if rest and rest[0] in ORDER else ABOVE if rest else -1
-    return ABOVE + 1 + (first == "notebooks")
+    return ABOVE + 1 + OUTSIDE.index(first)
 
 
 def rising(imported):
@@ -72,6 +73,16 @@ def between_rooms(imported):
         if module.startswith(("experiments.", "notebooks."))
     }
     return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
+
+
+def foreign(imported):
+    """What imports the module beside a notebook without being that notebook."""
+    return [
+        (a, b)
+        for a, others in imported.items()
+        for b in others
+        if b.startswith("notebooks.") and re.sub(r"\.\d+-", ".", a).replace("-", "_") != b
+    ]
 
 
 @pytest.mark.slow
@@ -130,6 +141,11 @@ def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
     assert not [(a, b) for a in below for b in imported[a] if folder(b) == "workbook.site"]
 
 
+@pytest.mark.slow
+def test_what_stands_beside_a_notebook_is_its_own(imported):
+    assert foreign(imported) == []
+
+
 def written(**sources):
     return {name.replace("__", "."): ast.parse(source) for name, source in sources.items()}
 
@@ -144,6 +160,9 @@ def test_the_rules_find_what_breaks_them():
             stillwork__signals__spectra="from stillwork.lti import hold",
             experiments__motion__rig="import experiments.isolation.twin",
             experiments__isolation__twin="",
+            notebooks__motion__bandwidth_table="",
+            **{"notebooks.motion.09-bandwidth-table": "from notebooks.motion.bandwidth_table import a"},
+            **{"notebooks.motion.11-tracking": "from notebooks.motion import bandwidth_table"},
             stillwork__base="",
             workbook="",
             workbook__paths="",
@@ -156,6 +175,7 @@ def test_the_rules_find_what_breaks_them():
     assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
     assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
     assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
+    assert foreign(broken) == [("notebooks.motion.11-tracking", "notebooks.motion.bandwidth_table")]
     assert [("stillwork.lti." + name, "workbook.paths") for name in "abc"] == [
         pair for pair in rising(broken) if pair[1] == "workbook.paths"
     ]
@@ -170,11 +190,11 @@ def test_an_import_that_the_rules_would_not_see_is_found():
     assert list(hidden(written(**sources))) == ["stillwork.lti.a", "stillwork.lti.b"]
 
 
-def read(place):
-    """Every module's syntax tree under the name by which what lies beside it imports it."""
+def read(place, root=None):
+    """Every module's syntax tree under the name by which what has `root` (or `place`) on its path imports it."""
     trees = {}
     for file in sorted(place.rglob("*.py")):
-        parts = file.relative_to(place).with_suffix("").parts
+        parts = file.relative_to(root or place).with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
         trees[name] = ast.parse(file.read_text(encoding="utf-8"))
     return trees
@@ -212,6 +232,7 @@ def reached(tree, names):
 def test_a_private_name_is_used_in_its_own_file_alone():
     """In the library, in the benchmarks and in the tests."""
     folders = [read(paths.root() / name) for name in ("lib", "benchmarks", "tests")]
+    folders += [read(paths.root() / name, paths.root()) for name in ("contest", "notebooks")]
     names = {name for folder in folders for name in folder}
     assert "fuzzing.behind" in names and "shared.test_layers" in names
     found = [
@@ -239,7 +260,8 @@ def broken_imports(source: str) -> list[str]:
         (node.module, alias.name)
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.ImportFrom)
-        and (node.module or "").split(".")[0] in ("stillwork", "workbook", "experiments")
+        and (node.module or "").split(".")[0]
+        in ("stillwork", "workbook", "experiments", "contest", "notebooks")
         for alias in node.names
     ]
     missing = []
@@ -255,6 +277,6 @@ def broken_imports(source: str) -> list[str]:
 def test_what_the_benchmarks_import_exists():
     for file in sorted((paths.root() / "benchmarks").rglob("*.py")):
         assert not broken_imports(file.read_text(encoding="utf-8")), file.name
-    assert broken_imports("from experiments.isolation.your_floor import open_floor") == [
-        "experiments.isolation.your_floor.open_floor"
+    assert broken_imports("from notebooks.isolation.your_floor import close_floor") == [
+        "notebooks.isolation.your_floor.close_floor"
     ]

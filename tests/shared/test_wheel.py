@@ -8,8 +8,8 @@ from email.parser import Parser
 from pathlib import Path
 
 import pytest
-from benchmarks.wheel import megabytes
 
+from benchmarks.wheel import megabytes
 from stillwork.base.extras import BY_PACKAGE
 
 ROOT = Path(__file__).parents[2]
@@ -22,8 +22,10 @@ COMMANDS_OF_THE_SITE = (
 )  # they need packages that a wheel alone lacks, too
 
 CHECK = """
-import importlib.util, sys
-sys.path[:] = [sys.argv[1], *(each for each in sys.path if "lib" != each.rstrip("/").rpartition("/")[2])]
+import importlib.util, os, sys
+checkout = {"stillwork", "contest"}
+others = [each for each in sys.path if os.path.isdir(each) and not checkout & {*os.listdir(each)}]
+sys.path[:] = [sys.argv[1], *others]
 import stillwork
 assert stillwork.__file__.startswith(sys.argv[1]), stillwork.__file__
 class Absent:
@@ -95,7 +97,7 @@ def test_inspect_works_without_a_checkout(wheel, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (("contest",), "this needs the experiments, which stand in a checkout of stillwork"),
+        (("contest",), "this needs the folder contest, which stands in a checkout of stillwork"),
         (("claims",), "set STILLWORK_ROOT to one, or begin one"),
         (("doctor",), "set STILLWORK_ROOT to one, or begin one"),
         (("figures",), "set STILLWORK_ROOT to one, or begin one"),

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine import toy as toys
-from experiments.isolation.floor_files import SHORTEST_S
+from notebooks.isolation.your_floor import SHORTEST_S
 from shared.universal_files import function, write_universal
 from stillwork import inspecting
 from stillwork.__main__ import main

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from experiments.isolation import load_twin, loop
-from experiments.isolation.floor_files import open_floor
 from experiments.isolation.recorded_floors import record_floor
 from experiments.isolation.simulation import simulate
 from experiments.isolation.sources import BLOCK, Sources
-from experiments.isolation.your_floor import isolate
+from notebooks.isolation.your_floor import isolate, open_floor
 from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
 from stillwork.base.toml_files import read_toml

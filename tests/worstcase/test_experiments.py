@@ -4,16 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from experiments.worstcase import (
-    contraction_pictures,
-    geometry_pictures,
-    identification_pictures,
-    measured,
-    measured_pictures,
-    total_least_squares,
-    tracking_pictures,
-    update_pictures,
-)
+from experiments.worstcase import measured, total_least_squares
 from experiments.worstcase.pairs import load_pair
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
@@ -34,6 +25,12 @@ from experiments.worstcase.theory import (
     weighting_trial,
 )
 from naive import worstcase as naive
+from notebooks.worstcase import contraction as contraction_pictures
+from notebooks.worstcase import fir_identification as identification_pictures
+from notebooks.worstcase import geometry as geometry_pictures
+from notebooks.worstcase import real_record as measured_pictures
+from notebooks.worstcase import time_updates as update_pictures
+from notebooks.worstcase import tracking as tracking_pictures
 from stillwork.base.checks import InputError
 from stillwork.estimation import min_max_solve
 from stillwork.identification import fir_regressors

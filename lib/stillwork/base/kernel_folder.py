@@ -18,7 +18,8 @@ except ImportError:  # not a Unix: a folder counts as used by its time alone
     fcntl = None  # type: ignore[assignment]
 
 FOLDER_VARIABLE, ROOT_VARIABLE = "STILLWORK_KERNELS", "STILLWORK_ROOT"
-PACKAGES = ("stillwork", "workbook", "experiments")  # those beside each other that have kernels
+# what has kernels, from the library's folder
+PLACES = ("stillwork", "workbook", "experiments", "../contest", "../notebooks")
 NAME = re.compile("[0-9a-f]{16}")
 KEPT = 7 * 24 * 3600  # s, without use
 
@@ -47,7 +48,7 @@ def kernels_digest() -> str:
     if handed := os.environ.get(FOLDER_VARIABLE):
         return Path(handed).name
     library = Path(__file__).parents[2]
-    files = sorted(each for package in PACKAGES for each in (library / package).rglob("*.py"))
+    files = sorted(each for place in PLACES for each in (library / place).rglob("*.py"))
     texts = [text for file in files if b"stillwork.base.kernel" in (text := file.read_bytes())]
     name, known = "", None
     # To parse them takes a quarter of a second, so what it gave is kept.

@@ -73,7 +73,7 @@ class Module:
     def folder(self) -> str:
         """The concept or the room that it belongs to: ``lti``, ``motion``, or ``workbook``."""
         first, *rest = self.name.split(".")
-        return first if first == "workbook" else rest[0]
+        return rest[0] if rest and first in ("stillwork", "experiments", "notebooks") else first
 
 
 @dataclass(frozen=True)
@@ -91,10 +91,13 @@ def folders(modules: list[Module]) -> list[Folder]:
     found = []
     packages = {module.name: module for module in modules}
     wanted = [f"stillwork.{name}" for name in TOOLBOX]
-    for name in [*wanted, "workbook", *(f"experiments.{room}" for room in paths.rooms())]:
-        if not (package := packages.get(name)):
-            continue  # a room whose notebooks share nothing
-        mine = [module for module in modules if module.name == name or module.name.startswith(f"{name}.")]
+    shared = [f"experiments.{room}" for room in paths.rooms()]
+    for name in [*wanted, "workbook", *shared, *paths.packages()]:
+        beside = name.replace("experiments.", "notebooks.")
+        mine = [each for each in modules if f"{each.name}.".startswith((f"{name}.", f"{beside}."))]
+        if not mine:
+            continue
+        package = packages.get(name, Module(name, "", "", (), {}))  # a room's notebooks may share nothing
         names = face_names(ast.parse(package.source))
         by_name = {module.name: module for module in mine}
         public = tuple(
@@ -142,10 +145,13 @@ def library_files() -> list[Path]:
 
 
 def read_modules() -> list[Module]:
-    """The toolbox's and the workbook's modules and those of the rooms, in this order, each sorted by name."""
+    """The toolbox's and the workbook's modules, and those of each room: what its notebooks share, then what each has alone."""
     files = [file for file in library_files() if file != LIBRARY / "stillwork" / "__init__.py"]
     for room in paths.rooms():
         files += sorted((LIBRARY / "experiments" / room).rglob("*.py"))
+        files += sorted((paths.root() / "notebooks" / room).glob("*.py"))
+    for name in paths.packages():
+        files += sorted((paths.root() / name).glob("*.py"))
     return [_module(file) for file in files]
 
 
@@ -167,7 +173,8 @@ def index(modules: list[Module]) -> dict[str, str]:
 
 
 def _module(file: Path) -> Module:
-    parts = file.relative_to(LIBRARY).with_suffix("").parts
+    place = LIBRARY if file.is_relative_to(LIBRARY) else paths.root()
+    parts = file.relative_to(place).with_suffix("").parts
     name = ".".join(part for part in parts if part != "__init__")
     return read_source(name, file, file.read_text(encoding="utf-8"))
 
