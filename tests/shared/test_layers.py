@@ -33,7 +33,7 @@ def floor(module):
     """How high a module stands; the package's own ``__init__`` is the ground."""
     first, *rest = module.split(".")
     if first == "workbook":
-        return ORDER.index(folder(module)) if rest != ["__main__"] else ABOVE
+        return ORDER.index(folder(module)) if rest not in (["__main__"], ["commands"]) else ABOVE
     if first == "stillwork":
         return ORDER.index(rest[0]) if rest and rest[0] in ORDER else ABOVE if rest else -1
     return ABOVE + 1 + OUTSIDE.index(first)

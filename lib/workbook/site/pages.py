@@ -1,6 +1,7 @@
 """A notebook as a page: its cells with figures, judged numbers and places that other pages link to."""
 
 import base64
+import io
 import json
 import re
 import struct
@@ -16,11 +17,12 @@ from workbook import notebook_source, paths
 from workbook.claims import VERDICTS, Claim
 from workbook.notebooks import Notebook
 from workbook.site.outline import Section, plain, sections
-from workbook.site.thumbnails import thumbnail
 from workbook.tasks import Task
 
 # What a cell that ends with `page.check` prints; its page shows the verdict with the claim.
 VERDICTS_ALONE = tuple(map(repr, VERDICTS))
+# Small pictures are for lists of figures: a gallery of them in full size would weigh twenty megabytes.
+SMALL = 480  # pixels: two for each of a column's
 FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
 
 
@@ -266,3 +268,23 @@ def _text(cell: dict) -> str:
 def _title(raw: list[dict], default: str) -> str:
     first = _text(raw[0]) if raw else ""
     return next(iter(re.findall(r"^# (.+)$", first, re.MULTILINE)), default)
+
+
+@cache
+def thumbnail(png: bytes) -> tuple[bytes, int, int]:
+    """A picture of `SMALL` as WebP, with its width and height; a smaller one keeps its size.
+
+    Parameters
+    ----------
+    png : bytes
+        Of the whole picture.
+    """
+    from PIL import Image
+
+    picture = Image.open(io.BytesIO(png)).convert("RGB")
+    if picture.width > SMALL:
+        height = round(picture.height * SMALL / picture.width)
+        picture = picture.resize((SMALL, height), Image.Resampling.LANCZOS)
+    small = io.BytesIO()
+    picture.save(small, "WEBP", quality=75, method=4)
+    return small.getvalue(), *picture.size
