@@ -95,7 +95,7 @@ COMMANDS = {
     ),
     "accept": Command(
         "copy the built results into notebooks/ and figures/",
-        "workbook.site.commands:accept",
+        "workbook.commands:accept",
         before=IN_A_WORKBOOK,
     ),
     "site": Command("write the static site to build/site", "workbook.site.build:build_site", before=SETTLED),
@@ -106,7 +106,7 @@ COMMANDS = {
     ),
     "refresh": Command(
         "rewrite what follows from ledger and notebooks: README tables, index, manifests",
-        "workbook.site.commands:refresh",
+        "workbook.commands:refresh",
         before=SETTLED,
     ),
     "verify": Command(
@@ -117,12 +117,12 @@ COMMANDS = {
     ),
     "init": Command(
         "begin a workbook for a paper of yours, in a new folder",
-        "workbook.site.beginning:begin",
+        "workbook.site.scaffold:begin",
         (option("folder", metavar="DIR"),),
     ),
     "new": Command(
         "begin a result: notebook, ledger entry and test",
-        "workbook.site.commands:new",
+        "workbook.commands:new",
         (
             option("room", metavar="ROOM"),
             option("name", metavar="NAME", help="a number and words, e.g. 09-payload"),

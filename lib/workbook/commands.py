@@ -1,4 +1,4 @@
-"""What commands do that are more than one call: figures, claims, verify."""
+"""What commands do that are more than one call."""
 
 from importlib import import_module
 from json import dumps
@@ -62,3 +62,25 @@ def verify(name: str) -> int:
     if name not in modules:
         raise InputError(f"there is nothing to verify called {name!r}; use {', '.join(modules)}")
     return 0 if import_module(modules[name]).main() else 1
+
+
+def accept() -> int:
+    """Take the built results over, and what follows from them."""
+    from workbook.accept import accept
+    from workbook.site.derived import refresh
+
+    return accept(refresh)
+
+
+def refresh() -> str:
+    """Rewrite what follows from ledger and notebooks; returns what was not current."""
+    from workbook.site.derived import refresh
+
+    return ", ".join(refresh()) or "all current"
+
+
+def new(room: str, name: str, create: bool) -> list[str]:
+    """Write the files of a new result; returns their paths, and what comes next."""
+    from workbook.site.scaffold import new_result
+
+    return [*new_result(room, name, create), f'fill them in, then: make figures ARGS="{room}/{name}"']

@@ -11,8 +11,8 @@ from stillwork.base.checks import InputError, counted
 from stillwork.base.toml_files import read_toml
 from workbook import paths
 from workbook.figures import HEADER, read_table
+from workbook.notebook_source import comments
 from workbook.notebooks import select
-from workbook.reading import comments
 
 
 def own_file(path: Path) -> str:

@@ -89,6 +89,11 @@ def own_settings() -> dict:
     return read_toml(file).get("tool", {}).get("workbook", {}) if file.is_file() else {}
 
 
+def packages() -> tuple[str, ...]:
+    """Folders of modules that pyproject.toml names, besides those beside notebooks and in ``experiments``."""
+    return tuple(own_settings().get("packages", ()))
+
+
 def in_batch() -> bool:
     """Whether the runner or the tests, not a person, execute the notebook."""
     return OUTPUT_VARIABLE in os.environ

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from workbook.paths import in_batch
@@ -128,9 +128,15 @@ def spread_interval(values, level: float = 0.95) -> tuple[float, float]:
     return float(values.mean() - half), float(values.mean() + half)
 
 
-def proportion_interval(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
-    """Wilson's confidence interval of a proportion."""
-    from scipy.stats import binomtest  # its import takes longer than most studies
-
-    interval = binomtest(int(successes), int(runs)).proportion_ci(level, method="wilson")
-    return float(interval.low), float(interval.high)
+def proportion_interval(successes: float, runs: int, level: float = 0.95) -> tuple[float, float]:
+    """Wilson's (1927) confidence interval of a proportion; `successes` may be a share times the runs, no whole number."""
+    require_count("runs", runs)
+    require_number("successes", successes, at_least=0, at_most=runs)
+    require_number("level", level, above=0, below=1)
+    share, normal = successes / runs, ndtri(0.5 + level / 2)
+    middle = share + normal**2 / (2 * runs)
+    half = normal * np.sqrt(share * (1 - share) / runs + normal**2 / (4 * runs**2))
+    whole = 1 + normal**2 / runs
+    # At a share of 0 or 1 an end is the share itself, which rounding would miss.
+    low, high = float((middle - half) / whole), float((middle + half) / whole)
+    return 0.0 if share == 0 else low, 1.0 if share == 1 else high

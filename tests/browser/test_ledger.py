@@ -9,7 +9,7 @@ from workbook import paths
 from workbook.claims import ledger
 from workbook.readings.command import standings_of
 from workbook.report import column
-from workbook.site.standing import class_of
+from workbook.site.specification import class_of
 
 CLAIMS = ledger()
 ROWS = "return [...document.querySelectorAll('#claims tbody tr')].filter((row) => !row.hidden).map((row) => row.id)"

@@ -9,7 +9,7 @@ from workbook.readings.axes import Multiverse, load_axes
 from workbook.readings.checking import moves, note, parts_a_day, today
 from workbook.readings.command import standings_of
 from workbook.readings.results import read_results
-from workbook.readings.sampling import design
+from workbook.readings.running import design
 
 PARTS = 4  # tests that share the studies of a room, for workers to take
 

@@ -4,8 +4,7 @@ import pytest
 
 from readings import toy_work
 from workbook.readings.axes import load_axes
-from workbook.readings.journal import Journal
-from workbook.readings.running import run_readings
+from workbook.readings.running import Journal, run_readings
 
 
 @pytest.fixture

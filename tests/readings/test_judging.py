@@ -12,8 +12,9 @@ from readings.toy_work import FIRST, LEDGER, SEEDS, TOTAL, A, B, axis, study
 from stillwork.base.checks import InputError
 from workbook.claims import load_entries
 from workbook.readings.axes import load_axes
-from workbook.readings.judging import agreement, group_of, judge, wilson_interval
+from workbook.readings.judging import agreement, group_of, judge
 from workbook.readings.results import collect
+from workbook.studies import proportion_interval
 
 GRID = list(itertools.product(range(3), range(2)))
 
@@ -21,19 +22,6 @@ GRID = list(itertools.product(range(3), range(2)))
 def judged(*outcomes):
     axes, _ = load_axes("motion")
     return judge(list(outcomes), load_entries("motion"), axes)
-
-
-@given(st.integers(1, 2000), st.data())
-def test_the_interval_is_wilsons(count, data):
-    agree = data.draw(st.integers(0, count))
-    expected = stats.binomtest(agree, count).proportion_ci(0.95, method="wilson")
-    assert wilson_interval(agree / count, count) == pytest.approx((expected.low, expected.high), abs=1e-12)
-
-
-@pytest.mark.parametrize(("share", "count"), [(1.5, 3), (-0.1, 3), (0.5, 0)])
-def test_a_share_is_of_something(share, count):
-    with pytest.raises(InputError, match=r"share|count"):
-        wilson_interval(share, count)
 
 
 def test_shares_classes_and_deciding_axes_are_those_of_the_toy(outcomes):
@@ -76,21 +64,21 @@ def test_seeds_count_as_tries_and_not_as_readings(outcomes):
     standing = judged(outcomes(A + B + SEEDS + study("noisy")))["motion.table-1.sum"]
     agree = [abs(a + 2 * b + a * b + noise - 3) <= 1 for a, b in GRID for noise in (-1, 0, 1)]
     assert (standing.tried, standing.agree) == (18, sum(agree))
-    assert standing.interval == wilson_interval(sum(agree) / 18, 6)
+    assert standing.interval == proportion_interval(sum(agree) / 18 * 6, 6)
     assert standing.shares.total == pytest.approx({"a": 20 / 55, "b": 29 / 55, "seeds": 8 / 55})
 
 
 def test_seeds_alone_are_independent_tries(outcomes):
     found = judged(outcomes(SEEDS + study("noisy").replace("noisy", "at_zero")))["motion.table-1.sum"]
     assert (found.tried, found.agree) == (3, 0)
-    assert found.interval == wilson_interval(0, 3)
+    assert found.interval == proportion_interval(0, 3)
 
 
 def test_as_a_dict_it_has_what_the_ledger_prints(outcomes):
     found = judged(outcomes())["motion.table-1.sum"].as_dict()
     agree = sum(abs(a + 2 * b + a * b - 3) <= 1 for a, b in GRID)
     assert (found["tried"], found["agree"], found["share"]) == (6, agree, agree / 6)
-    assert found["interval"] == pytest.approx(list(wilson_interval(agree / 6, 6)))
+    assert found["interval"] == pytest.approx(list(proportion_interval(agree, 6)))
     assert found["class"] == "depends"
     assert found["decided_by"] == [
         {"axis": name, "first_order": pytest.approx(FIRST[name]), "total": pytest.approx(TOTAL[name])}
@@ -164,7 +152,7 @@ def test_failures_count_neither_way(outcomes):
     standing = judged(outcomes(A + B + study("raising")))["motion.always"]
     assert (standing.tried, standing.agree, standing.class_) == (4, 4, "holds")
     assert standing.as_dict()["failed"] == 2
-    assert standing.interval == wilson_interval(1, 4)
+    assert standing.interval == proportion_interval(4, 4)
 
 
 def test_an_axis_that_moves_what_it_does_not_touch_is_named(outcomes):
@@ -216,5 +204,5 @@ def test_a_threshold_is_held_against_each_seeds_fraction(outcomes):
 @given(st.lists(st.floats(-10, 10), min_size=6, max_size=6))
 def test_shares_lie_between_nothing_and_all(found):
     share = sum(abs(v - 3) <= 1 for v in found) / 6
-    low, high = wilson_interval(share, 6)
+    low, high = proportion_interval(6 * share, 6)
     assert 0 <= low <= share <= high <= 1

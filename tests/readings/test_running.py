@@ -21,9 +21,8 @@ from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from workbook.lock import held
 from workbook.readings.command import standings_of
-from workbook.readings.journal import Journal
 from workbook.readings.results import results_text
-from workbook.readings.running import DIED, calls_of, run_readings
+from workbook.readings.running import DIED, Journal, calls_of, run_readings
 from workbook.workers import processes
 
 NOISY = A + B + SEEDS + study("noisy")

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from workbook.readings.axes import Axis, Multiverse
-from workbook.readings.sampling import design
+from workbook.readings.running import design
 
 
 def multiverse(sizes, defaults=None, points=64):

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 import stillwork
+from layering import modules
 from stillwork.base import kernel_cache
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.base.kernels import callback
 from workbook import paths
-from workbook.site.house import modules
 
 CALLED = """
 from stillwork.base.kernels import inlined_kernel

@@ -133,6 +133,23 @@ def test_wilsons_interval_solves_wilsons_equation(runs, data):
         assert (fraction - end) ** 2 == pytest.approx(z**2 * end * (1 - end) / runs, abs=1e-9)
 
 
+@given(st.integers(1, 2000), st.sampled_from([0.5, 0.95, 0.99]), st.data())
+def test_the_interval_of_a_proportion_is_scipys(runs, level, data):
+    successes = data.draw(st.integers(0, runs))
+    expected = stats.binomtest(successes, runs).proportion_ci(level, method="wilson")
+    found = proportion_interval(successes, runs, level)
+    assert found == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [((4, 3), "successes"), ((-0.1, 3), "successes"), ((0, 0), "runs"), ((1, 3, 1), "level")],
+)
+def test_a_proportion_is_of_something(arguments, message):
+    with pytest.raises(InputError, match=rf"^{message}\b"):
+        proportion_interval(*arguments)
+
+
 @pytest.mark.parametrize("interval", [mean_interval, spread_interval])
 def test_one_run_has_no_interval(interval):
     with pytest.raises(InputError, match=r"^values\b"):

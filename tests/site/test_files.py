@@ -28,7 +28,7 @@ from workbook.site.build import site_files
 from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
 from workbook.site.papers import papers
-from workbook.site.standing import class_of, stands
+from workbook.site.specification import class_of, stands
 
 pytestmark = pytest.mark.slow
 

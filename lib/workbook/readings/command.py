@@ -25,10 +25,9 @@ from workbook.readings.checking import (
     parts_a_day,
     today,
 )
-from workbook.readings.journal import Journal
 from workbook.readings.judging import DEPENDS, FAILS, HOLDS, Standing, judge
 from workbook.readings.results import Outcomes, read_results, results_text
-from workbook.readings.running import calls_of, run_readings
+from workbook.readings.running import Journal, calls_of, run_readings
 from workbook.report import screen, table
 from workbook.workers import client_of, cores, processes
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.checks import InputError
 from workbook.claims import AGREEMENT, Claim, Entry
 from workbook.readings.axes import Axis, Option
 from workbook.readings.results import Outcomes
@@ -15,7 +15,6 @@ from workbook.readings.variance import SEED, Shares, variance_shares
 
 HOLDS, DEPENDS, FAILS = "holds", "depends", "fails"
 CERTAIN = 0.95  # share of readings from which on an entry holds; it fails up to the rest of 1
-NORMAL = 1.959963984540054  # 97.5 % point of the normal distribution
 DECIDES = 0.1  # least share of variance, joint effects included, of an axis that is named
 NAMED = 2  # axes at most
 NEAR = (
@@ -108,8 +107,11 @@ class Standing:
         """Wilson's interval of the share; runs at one point with several seeds are no independent readings."""
         if self.share is None:
             return None
+        from workbook.studies import proportion_interval  # whose scipy only who asks for it waits for
+
         points = int((~self.failed).any(axis=1).sum())
-        return wilson_interval(self.share, points if points > 1 else self.tried)
+        independent = points if points > 1 else self.tried
+        return proportion_interval(self.share * independent, independent)
 
     @property
     def class_(self) -> str | None:
@@ -165,27 +167,6 @@ class Standing:
             "of": len(joint.ours),
             "within": joint.near,
         }
-
-
-def wilson_interval(share: float, count: int, normal: float = NORMAL) -> tuple[float, float]:
-    """Wilson's (1927) interval of a share that was found in `count` independent readings.
-
-    Parameters
-    ----------
-    share : float
-        From 0 to 1; not necessarily a whole number of the readings.
-    count : int
-    normal : float
-        Point of the normal distribution; by default of a level of 95 %.
-    """
-    require_number("share", share, at_least=0, at_most=1)
-    require_count("count", count)
-    middle = share + normal**2 / (2 * count)
-    half = normal * math.sqrt(share * (1 - share) / count + normal**2 / (4 * count**2))
-    whole = 1 + normal**2 / count
-    # At a share of 0 or 1 an end is the share itself, which rounding would miss.
-    low, high = (middle - half) / whole, (middle + half) / whole
-    return 0.0 if share == 0 else low, 1.0 if share == 1 else high
 
 
 def judge(studies: list[Outcomes], entries: dict[str, Entry], axes: dict[str, Axis]) -> dict[str, Standing]:

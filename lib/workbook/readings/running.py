@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import importlib
 import inspect
+import itertools
 import json
 import math
 import time
@@ -11,19 +12,78 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from stillwork.base.checks import InputError
 from workbook.progress import Progress
-from workbook.readings.axes import Multiverse, Option
+from workbook.readings.axes import POINTS, Multiverse, Option
 from workbook.readings.closure import study_digest
-from workbook.readings.journal import Journal
 from workbook.readings.results import Outcomes, Value, collect, rounded
-from workbook.readings.sampling import design
 
 DIED = "its process died"
 LONGEST_REASON = 200  # characters
+SAMPLE_SEED = 20160528  # of the sample; any would do, so long as it stays
+
+
+def design(multiverse: Multiverse) -> list[tuple[int, ...]]:
+    """Points to compute, each an option's place on every axis; the default comes first, none comes twice.
+
+    All combinations where there are at most 64; else as many as the study asks for, from a scrambled Sobol
+    sequence with a fixed seed, so that any first part of the list fills the space, too.
+    """
+    sizes = [len(axis.options) for axis in multiverse.axes]
+    first = [multiverse.default_point]
+    if multiverse.size <= max(POINTS, multiverse.points):
+        return list(dict.fromkeys([*first, *itertools.product(*map(range, sizes))]))
+    found = dict.fromkeys(first)
+    for drawn in _blocks(len(sizes)):
+        for point in np.floor(drawn * sizes).astype(int).tolist():
+            found.setdefault(tuple(point))
+            if len(found) == multiverse.points:
+                return list(found)
+
+
+def _blocks(dimensions: int):
+    """The sequence in blocks of 64, without end."""
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(dimensions, rng=np.random.default_rng(SAMPLE_SEED))
+    while True:
+        yield sequence.random(POINTS)  # a power of two, as the sequence wants it
+
+
+class Journal:
+    """Lines ``{"key": ..., "found": ...}`` of a file that only grows; a torn last line is left out.
+
+    Parameters
+    ----------
+    file : Path
+        Made with its folder when the first line is written.
+    """
+
+    def __init__(self, file: Path):
+        self.file = file
+        self.found: dict[str, dict | str] = {}
+        self._torn = False
+        if file.exists():
+            text = file.read_text(encoding="utf-8", errors="replace")
+            self._torn = bool(text) and not text.endswith("\n")
+            for line in text.splitlines():
+                try:
+                    record = json.loads(line)
+                    self.found[record["key"]] = record["found"]
+                except (ValueError, TypeError, KeyError):  # the line that a kill cut short
+                    continue
+
+    def add(self, key: str, found: dict | str) -> None:
+        """Keep what a reading gave: values by entry, or why it failed."""
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        with self.file.open("a", encoding="utf-8") as file:
+            file.write("\n" * self._torn + json.dumps({"key": key, "found": found}) + "\n")
+        self._torn = False
+        self.found[key] = found
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,7 @@ from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, project
 from workbook.site.pages import NotebookPage, read_page
 from workbook.site.papers import papers
-from workbook.site.specification import curves
-from workbook.site.standing import class_of, stands
+from workbook.site.specification import class_of, curves, stands
 from workbook.site.states import kept_states, make_states
 from workbook.tasks import tasks
 

@@ -1,4 +1,4 @@
-"""Committed files that follow from others: README blocks, the index notebook, manifests, the picture of the house."""
+"""Committed files that follow from others: README blocks, the index notebook, manifests."""
 
 import json
 from collections import Counter
@@ -18,7 +18,6 @@ from workbook.report import (
     tally,
 )
 from workbook.site import metadata
-from workbook.site.house import paint_house
 from workbook.site.metadata import about, project
 from workbook.site.pages import Figure, NotebookPage, read_page
 from workbook.site.papers import cited, papers
@@ -47,11 +46,9 @@ def derived_files() -> dict[str, str]:
         "codemeta.json": lambda _pages, _claims: metadata.codemeta(cited()),
         ".zenodo.json": lambda _pages, _claims: metadata.zenodo(cited()),
         "ro-crate-metadata.json": lambda pages, _claims: metadata.crate(cited(), pages),
-        "docs/house.svg": _house,
     }
-    for name in ("README.md", "docs/house.svg"):  # a workbook may do without
-        if _present(name) is None:
-            del makers[name]
+    if _present("README.md") is None:  # a workbook may do without
+        del makers["README.md"]
     if _present("CITATION.cff") is None:  # and one that is not published
         del makers[".zenodo.json"], makers["ro-crate-metadata.json"]
     return {name: make(pages, claims) for name, make in makers.items()}
@@ -177,7 +174,3 @@ def _output(file: str, comment: str) -> list[str]:
 def _quoted(text: str) -> str:
     """A string of JSON is one of YAML."""
     return json.dumps(text, ensure_ascii=False)
-
-
-def _house(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
-    return paint_house(paths.root())

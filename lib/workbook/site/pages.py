@@ -1,6 +1,7 @@
 """A notebook as a page: its cells with figures, judged numbers and places that other pages link to."""
 
 import base64
+import io
 import json
 import re
 import struct
@@ -12,15 +13,16 @@ from pathlib import Path
 from markupsafe import Markup
 
 from stillwork.base.checks import InputError
-from workbook import paths, reading
+from workbook import notebook_source, paths
 from workbook.claims import VERDICTS, Claim
 from workbook.notebooks import Notebook
 from workbook.site.outline import Section, plain, sections
-from workbook.site.thumbnails import thumbnail
 from workbook.tasks import Task
 
 # What a cell that ends with `page.check` prints; its page shows the verdict with the claim.
 VERDICTS_ALONE = tuple(map(repr, VERDICTS))
+# Small pictures are for lists of figures: a gallery of them in full size would weigh twenty megabytes.
+SMALL = 480  # pixels: two for each of a column's
 FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
 
 
@@ -163,7 +165,7 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
     folder = paths.root() / "figures" / notebook.name
     mine = [claim for claim in claims if claim.notebook == notebook.name]
     cells = _cells(notebook.name, raw, folder, mine)
-    comments = reading.comments(notebook)
+    comments = notebook_source.comments(notebook)
     record = folder / "provenance.json"
     return NotebookPage(
         notebook,
@@ -174,7 +176,7 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
             (name, each.annotation, repr(each.value), comments[name])
             for name, each in notebook.parameters.items()
         ),
-        tuple(reading.used([_text(cell) for cell in raw if cell["cell_type"] == "code"])),
+        tuple(notebook_source.used([_text(cell) for cell in raw if cell["cell_type"] == "code"])),
         json.loads(record.read_text(encoding="utf-8")) if record.is_file() else {},
         fresh,
     )
@@ -202,8 +204,8 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             heading = next(iter(re.findall(r"^#+ (.+)$", source, re.MULTILINE)), heading)
             cells.append(PageCell(name, anchor, False, source))
         elif cell["cell_type"] == "code":
-            here = [each for each in reading.saved(source, pictures) if each not in drawn]
-            ids = [each for each in reading.checked(source, list(by_id)) if each not in judged]
+            here = [each for each in notebook_source.saved(source, pictures) if each not in drawn]
+            ids = [each for each in notebook_source.checked(source, list(by_id)) if each not in judged]
             drawn |= set(here)
             judged |= set(ids)
             figures = [_saved_figure(name, each, heading, folder) for each in here]
@@ -266,3 +268,23 @@ def _text(cell: dict) -> str:
 def _title(raw: list[dict], default: str) -> str:
     first = _text(raw[0]) if raw else ""
     return next(iter(re.findall(r"^# (.+)$", first, re.MULTILINE)), default)
+
+
+@cache
+def thumbnail(png: bytes) -> tuple[bytes, int, int]:
+    """A picture of `SMALL` as WebP, with its width and height; a smaller one keeps its size.
+
+    Parameters
+    ----------
+    png : bytes
+        Of the whole picture.
+    """
+    from PIL import Image
+
+    picture = Image.open(io.BytesIO(png)).convert("RGB")
+    if picture.width > SMALL:
+        height = round(picture.height * SMALL / picture.width)
+        picture = picture.resize((SMALL, height), Image.Resampling.LANCZOS)
+    small = io.BytesIO()
+    picture.save(small, "WEBP", quality=75, method=4)
+    return small.getvalue(), *picture.size

@@ -12,11 +12,17 @@ import griffe
 
 import stillwork
 from workbook import paths
-from workbook.site.house import TOOLBOX, face_names
 from workbook.site.mathematics import mathml
 
+TOOLBOX = (
+    "base",
+    "signals",
+    "lti",
+    "identification",
+    "estimation",
+    "control",
+)  # each imports those before it
 LIBRARY = Path(stillwork.__file__).parents[1]
-CHECKOUT = LIBRARY.parent
 FOR_NOTEBOOKS = (
     "__init__",
     "claims",
@@ -67,7 +73,7 @@ class Module:
     def folder(self) -> str:
         """The concept or the room that it belongs to: ``lti``, ``motion``, or ``workbook``."""
         first, *rest = self.name.split(".")
-        return first if first in ("workbook", "contest") else rest[0]
+        return rest[0] if rest and first in ("stillwork", "experiments", "notebooks") else first
 
 
 @dataclass(frozen=True)
@@ -81,15 +87,17 @@ class Folder:
 
 
 def folders(modules: list[Module]) -> list[Folder]:
-    """The modules by folder, in the order of the house: the toolbox from the ground up, the workbook, the rooms."""
+    """The modules by folder, in the order of the layers: the toolbox from the ground up, the workbook, the rooms."""
     found = []
     packages = {module.name: module for module in modules}
     wanted = [f"stillwork.{name}" for name in TOOLBOX]
-    for name in [*wanted, "workbook", *(f"experiments.{room}" for room in paths.rooms()), "contest"]:
-        if not (package := packages.get(name)):
-            continue  # a room whose notebooks share nothing
+    shared = [f"experiments.{room}" for room in paths.rooms()]
+    for name in [*wanted, "workbook", *shared, *paths.packages()]:
         beside = name.replace("experiments.", "notebooks.")
         mine = [each for each in modules if f"{each.name}.".startswith((f"{name}.", f"{beside}."))]
+        if not mine:
+            continue
+        package = packages.get(name, Module(name, "", "", (), {}))  # a room's notebooks may share nothing
         names = face_names(ast.parse(package.source))
         by_name = {module.name: module for module in mine}
         public = tuple(
@@ -99,6 +107,17 @@ def folders(modules: list[Module]) -> list[Folder]:
         inner = tuple(module for module in mine if module is not package)
         found.append(Folder(package.folder, package.doc, public, inner))
     return found
+
+
+def face_names(tree: ast.Module) -> dict[str, str]:
+    """The names that a package hands out, with the module that defines each."""
+    for statement in tree.body:
+        match statement:
+            case ast.Assign(value=ast.Call(func=ast.Name(id="face"), args=[_, by_module])):
+                return {
+                    name: module for module, names in ast.literal_eval(by_module).items() for name in names
+                }
+    return {}
 
 
 def _handed_out(name: str, module: Module) -> tuple[str, Item]:
@@ -130,8 +149,9 @@ def read_modules() -> list[Module]:
     files = [file for file in library_files() if file != LIBRARY / "stillwork" / "__init__.py"]
     for room in paths.rooms():
         files += sorted((LIBRARY / "experiments" / room).rglob("*.py"))
-        files += sorted((CHECKOUT / "notebooks" / room).glob("*.py"))
-    files += sorted((CHECKOUT / "contest").glob("*.py"))
+        files += sorted((paths.root() / "notebooks" / room).glob("*.py"))
+    for name in paths.packages():
+        files += sorted((paths.root() / name).glob("*.py"))
     return [_module(file) for file in files]
 
 
@@ -153,7 +173,7 @@ def index(modules: list[Module]) -> dict[str, str]:
 
 
 def _module(file: Path) -> Module:
-    place = LIBRARY if file.is_relative_to(LIBRARY) else CHECKOUT
+    place = LIBRARY if file.is_relative_to(LIBRARY) else paths.root()
     parts = file.relative_to(place).with_suffix("").parts
     name = ".".join(part for part in parts if part != "__init__")
     return read_source(name, file, file.read_text(encoding="utf-8"))

@@ -1,119 +1,50 @@
-"""A new result: its notebook, its module, its ledger entry and its test, which run as they are and wait to be filled in."""
+"""A new workbook, a new topic, a new result: files that run as they are and wait to be filled in."""
 
+import json
 import re
+from importlib import metadata
 from keyword import iskeyword
+from pathlib import Path
 
 from stillwork.base.checks import InputError, nearest
 from workbook import paths
-from workbook.notebooks import METADATA, notebook_file, notebook_text
+from workbook.notebooks import notebook_file, notebook_text
 from workbook.publish import replace_file
 
-PAPER = """\
-# What the front page says of the paper. Every field may be left out; CONTRIBUTING.md lists them, under "Add a room".
-title = "{title}"
-paper = "Title of the paper"
-# source = "Where it was published: with it, the paper is cited"
-# by = "Author, year"
-# claimed = "What it claims, in a sentence."
-# headline = [{{ says = "What it says of itself first", entry = "{room}.{key}.deviation" }}]
-"""
-
-# A worked example stands in each place, so that the build, the ledger and the test run from the first minute.
-ENTRY = """
-# {name}
-
-[{room}.{key}.deviation]
-place = "section 0"  # where the work prints it
-quantity = "standard deviation of the example"
-unit = "1"
-published = 2.1
-kind = "value"  # value | exact | ordering | slope | reported | check
-tolerance = {{ absolute = 0.05, source = "half the last printed digit" }}
-"""
-
-STORY = """\
-# {title}
-
-*Work, section 0: Fig. 0.*
-
-What is claimed, what we do, what came out. The example: a paper prints eight values and their standard deviation, 2.1,
-but not which one it means."""
-
-MODEL = """\
-## The model
-
-$$s = \\sqrt{\\frac{1}{d} \\sum_{k=1}^{n} (x_k - \\bar x)^2}, \\qquad d = n - 1 \\quad \\text{or} \\quad d = n$$
-
-with the values $x_k$, their mean $\\bar x$ and the divisor $d$, which the paper leaves open."""
-
-IMPORTS = """\
-from notebooks.{room}.{module} import VALUES, deviation
-from workbook import Page, figures
-
-page = Page("{room}/{name}")"""
-
-PARAMETERS = 'divisor: str = "n - 1"  # of the variance: n - 1 or n'
-
-FIGURE = """\
-figure, axes = figures.new()
-axes.plot(range(1, len(VALUES) + 1), VALUES, "o", label="values")
-axes.set_xlabel("number")
-axes.set_ylabel("value (1)")
-page.save("fig-0", figure)"""
-
-CHECK = 'page.check("{room}.{key}.deviation", deviation(VALUES, divisor))'
-
-END = """\
-## What agrees and what does not
-
-Say here what agrees, what does not, and why."""
-
-MODULE = '''"""What the notebook {name} and its open choices both compute."""
-
-VALUES = (2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0)  # as printed
+# The worked example, so that build, ledger and test run from the first minute.
+STARTER = Path(__file__).with_name("starter")
+ROOM, NAME = "paper", "01-deviation"
+FILES = {
+    "Makefile": "Makefile",
+    "pyproject.toml": "pyproject.toml",
+    "README.md": "README.md",
+    ".gitignore": "gitignore.txt",
+}
 
 
-def deviation(values, divisor):
-    """The standard deviation with the divisor ``n - 1`` or ``n``."""
-    mean = sum(values) / len(values)
-    return (sum((each - mean) ** 2 for each in values) / (len(values) - (divisor == "n - 1"))) ** 0.5
+def begin(folder: str) -> list[str]:
+    """Write a workbook of one result into a new or empty folder; returns its files, and what comes next.
 
-
-def study(divisor, seed, lean):
-    """What the notebook checks, under one combination of the open choices; it needs neither a seed nor a lean form."""
-    return {{"{room}.{key}.deviation": deviation(VALUES, divisor)}}
-'''
-
-TEST = '''"""{title}, against something that shares no code with it."""
-
-import statistics
-
-import pytest
-
-from notebooks.{room}.{module} import VALUES, deviation
-
-
-@pytest.mark.parametrize(("divisor", "other"), [("n - 1", statistics.stdev), ("n", statistics.pstdev)])
-def test_the_deviation_is_that_of_the_standard_library(divisor, other):
-    """The example; put in its place your algorithm against a naive twin, brute force or a closed form."""
-    assert deviation(VALUES, divisor) == pytest.approx(other(VALUES))
-'''
-
-CHOICES = """\
-# What the paper does not specify: each choice, with every option that a careful reader could defend.
-
-[{room}.divisor]
-question = "divisor of the variance"
-options = ["n - 1", "n"]
-default = "n - 1"  # what the notebook takes
-kind = "definition"  # text | number | definition | procedure | seed
-source = "the paper says 'standard deviation' and no more"
-touches = ["{room}.{key}"]  # entries of the ledger, or first parts of their ids
-
-[studies.{module}]
-function = "notebooks.{room}.{module}:study"
-entries = ["{room}.{key}.deviation"]
-"""
+    Raises
+    ------
+    InputError
+        When the folder holds something, or is a file.
+    """
+    home = Path(folder)
+    if home.is_file() or (home.is_dir() and any(home.iterdir())):
+        raise InputError(f"folder is {folder}, which is there and not empty; name a new one")
+    (home / "data").mkdir(parents=True)
+    with paths.rooted(home):
+        written = new_result(ROOM, NAME, create=True)
+        choices = paths.data(ROOM, "readings.toml")
+        replace_file(choices, starter("readings.toml", words_of(ROOM, NAME)).encode())
+    texts = {name: starter(file, {"title": home.resolve().name}) for name, file in FILES.items()}
+    pins = {each.name: each.version for each in metadata.distributions()}
+    texts["environment.txt"] = "".join(f"{name}=={version}\n" for name, version in sorted(pins.items()))
+    for name, text in texts.items():
+        replace_file(home / name, text.encode())
+    written += [choices.relative_to(home).as_posix(), *texts]
+    return [*written, f"put your paper in their place; it runs as it is: cd {folder} && make figures"]
 
 
 def new_result(room: str, name: str, create: bool = False) -> list[str]:
@@ -157,14 +88,14 @@ def new_result(room: str, name: str, create: bool = False) -> list[str]:
     if f"[{room}.{key}." in before:
         raise InputError(f"the ledger has entries {room}.{key} already; choose another name")
     written = {
-        notebook: notebook_text(_notebook(words)),
-        beside: MODULE.format(**words),
-        test: TEST.format(**words),
-        ledger: (before + ENTRY.format(**words)).lstrip("\n"),
+        notebook: notebook_text(json.loads(starter("notebook.json", words))),
+        beside: starter("module.txt", words),
+        test: starter("test.txt", words),
+        ledger: (before + starter("published.toml", words)).lstrip("\n"),
     }
     if create:
         about = {**words, "title": room.replace("_", " ").capitalize()}
-        written[paths.data(room, "paper.toml")] = PAPER.format(**about)
+        written[paths.data(room, "paper.toml")] = starter("paper.toml", about)
     for file, text in written.items():
         replace_file(file, text.encode())
     return [file.relative_to(paths.root()).as_posix() for file in written]
@@ -189,27 +120,7 @@ def _require_new_room(room: str) -> None:
         raise InputError(f"the room {room} is there already; leave out --create")
 
 
-def _notebook(words: dict[str, str]) -> dict:
-    cells = [
-        _cell("title", STORY.format(**words), "markdown"),
-        _cell("model", MODEL, "markdown"),
-        _cell("imports", IMPORTS.format(**words)),
-        _cell("parameters", PARAMETERS, tags=["parameters"]),
-        _cell("figure-text", "## Fig. 0", "markdown"),
-        _cell("figure", FIGURE),
-        _cell("check", CHECK.format(**words)),
-        _cell("claims-text", "## Claims", "markdown"),
-        _cell("claims", "page.claims"),
-        _cell("conclusion", END, "markdown"),
-    ]
-    return {"cells": cells, "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5}
-
-
-def _cell(name: str, source: str, kind: str = "code", tags: list[str] | None = None) -> dict:
-    cell = {
-        "cell_type": kind,
-        "id": name,
-        "metadata": {"tags": tags} if tags else {},
-        "source": source.splitlines(True),
-    }
-    return cell | ({"execution_count": None, "outputs": []} if kind == "code" else {})
+def starter(name: str, words: dict[str, str]) -> str:
+    """A file of the worked example with `words` in their places, ``{{ word }}``."""
+    text = (STARTER / name).read_text(encoding="utf-8")
+    return re.sub(r"\{\{ (\w+) \}\}", lambda found: words[found[1]], text)

@@ -1,12 +1,14 @@
-"""Specification curves: an entry's values under all readings, sorted, and which options were on below each."""
+"""How an entry stands over all readings, in words and as a specification curve: an entry's values under all readings, sorted, and which options were on below each."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from workbook.claims import AGREEMENT, Claim
 from workbook.readings.axes import load_axes
 from workbook.readings.judging import Standing
 from workbook.readings.results import Outcomes, read_results
+from workbook.report import our_quantity
 
 WIDTH, TOP = 460, 10  # of the values and dots; a page stretches the width to what it has
 HEIGHT, ROW = 120, 15  # of the values; of an option
@@ -134,3 +136,24 @@ def _paths(x: np.ndarray, y: float | np.ndarray, kinds: np.ndarray, shown: np.nd
     for at, height, kind in zip(x[shown], np.broadcast_to(y, len(x))[shown], kinds[shown], strict=True):
         found[kind] = found.get(kind, "") + f"M{at:.1f} {height:.1f}h0"
     return found
+
+
+def stands(claim: Claim, standing: Standing | None) -> str:
+    """The end of a sentence: under how many readings it is so, or where none were tried or judged, whether here."""
+    if standing is None or standing.share is None:
+        if claim.verdict in AGREEMENT:
+            return "here, too"
+        if claim.ours is None:
+            return claim.verdict
+        ours = our_quantity(claim)
+        return f"not here ({ours})" if claim.verdict in ("deviates", "fails") else f"here {ours}"
+    if standing.agree == standing.tried:
+        return f"under every one of {standing.tried} readings"
+    if standing.agree == 0:
+        return f"under none of {standing.tried} readings"
+    return f"under {standing.agree} of {standing.tried} readings"
+
+
+def class_of(standing: Standing | None) -> str:
+    """``holds``, ``depends`` or ``fails`` over the readings; else ``not tried``."""
+    return (standing and standing.class_) or "not tried"

@@ -4,9 +4,10 @@ import ast
 import json
 import re
 
+from workbook import paths
 from workbook.notebooks import Notebook
 
-PACKAGES = ("stillwork", "workbook", "experiments", "contest", "notebooks")
+PACKAGES = ("stillwork", "workbook", "experiments", "notebooks")  # and those of the workbook's own
 
 
 def saved(source: str, available: list[str]) -> list[str]:
@@ -44,11 +45,11 @@ def _pattern(node: ast.expr) -> str:
 
 def used(sources: list[str]) -> list[str]:
     """Dotted names of what cells use of the library, e.g. ``experiments.isolation.twin.load_twin``, sorted."""
-    local = {}
+    local, packages = {}, (*PACKAGES, *paths.packages())
     trees = [_parsed(source) for source in sources]
     for tree in trees:
         for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES:
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in packages:
                 local |= {each.asname or each.name: f"{node.module}.{each.name}" for each in node.names}
     found = set()
     for tree in trees:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import stillwork.lti
 from stillwork.base.checks import InputError
-from workbook import reading
+from workbook import notebook_source
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.site import picture, reference
 from workbook.site.mathematics import markdown, mathml
@@ -29,17 +29,17 @@ def test_a_page_has_the_texts_of_now_and_the_outputs_of_the_build():
 
 def test_claims_and_figures_are_found_in_their_order():
     source = 'page.check("room.table-2.a", 1)\nother.check("room.fig-1.a")\npage.check("room.fig-1.b", 2)'
-    assert reading.checked(source, IDS) == ["room.table-2.a", "room.fig-1.b"]
-    assert reading.saved('page.save("fig-5", figure)', ["fig-5", "fig-55"]) == ["fig-5"]
+    assert notebook_source.checked(source, IDS) == ["room.table-2.a", "room.fig-1.b"]
+    assert notebook_source.saved('page.save("fig-5", figure)', ["fig-5", "fig-55"]) == ["fig-5"]
 
 
 def test_a_name_made_up_in_a_loop_finds_all_that_it_can_mean():
-    assert reading.checked('for x in y: page.check(f"room.fig-1.{x}", 0)', IDS) == IDS[:2]
-    assert reading.checked("for x in y: page.check(x, 0)", IDS) == IDS
+    assert notebook_source.checked('for x in y: page.check(f"room.fig-1.{x}", 0)', IDS) == IDS[:2]
+    assert notebook_source.checked("for x in y: page.check(x, 0)", IDS) == IDS
 
 
 def test_a_cell_that_is_not_python_draws_nothing():
-    assert reading.saved("%time page.save('a')", ["a"]) == []
+    assert notebook_source.saved("%time page.save('a')", ["a"]) == []
 
 
 def test_used_functions_carry_their_full_names():
@@ -47,7 +47,7 @@ def test_used_functions_carry_their_full_names():
         "from workbook import paths\nfrom experiments.isolation.twin import load_twin as load",
         "load(paths.data)",
     ]
-    assert reading.used(cells) == [
+    assert notebook_source.used(cells) == [
         "experiments.isolation.twin.load_twin",
         "workbook.paths",
         "workbook.paths.data",
