@@ -126,11 +126,6 @@ class Recursion(NamedTuple):
         return self._replace(matrix=self.matrix.copy(), levels=self.levels.copy())
 
     @property
-    def filled(self) -> "Recursion":
-        """The same with all room for work, as `ferls_form_update` takes it."""
-        return self._replace(inner=np.zeros_like(self.gain), other=np.zeros_like(self.gain))
-
-    @property
     def covariance(self) -> Float64[np.ndarray, "n n"]:
         """P."""
         return covariance_of(FORMS[self.form], self.matrix.astype(np.float64))

@@ -17,7 +17,7 @@ from stillwork.base.checks import (
 )
 from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_form_update, ferls_step
+from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_step
 
 # An error this many times the largest one without adaptation is no transient any more.
 RUNAWAY = 1e6
@@ -241,7 +241,7 @@ class AdaptationStepper:
             assert self.recursion is not None  # made with these settings
             recursion = self.recursion.copy()
             regressor, error = regressor.astype(weights.dtype), error.astype(weights.dtype)
-            leverage = ferls_form_update(weights, *recursion.filled, regressor, error, self.samples)
+            leverage = ferls_step(weights, *recursion, regressor, error, self.samples)
             if not leverage >= recursion.forgetting:
                 raise _not_definite(self.samples)
             if not (leverage < np.inf and _all_finite(recursion.matrix)):
