@@ -631,7 +631,7 @@ class RecursiveLeastSquares(_WeightedRegressor):
             last = first + int(ahead[0]) if len(ahead) else len(squares)
             part = slice(together * first, together * last)
             record = _record(rows[part], outputs[part])
-            stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False)
+            stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False, 0)
             if stopped < len(record[0]):
                 raise InputError(
                     "initial_covariance, growth_limit and X together make the covariance indefinite; give a smaller "
