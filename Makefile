@@ -15,10 +15,11 @@ BIN := .venv/bin
 READY := .venv/complete
 endif
 
-export PYTHONPATH := $(CURDIR)/lib
+# The library, and the root for what stands beside the notebooks.
+export PYTHONPATH := $(CURDIR)/lib:$(CURDIR)
 
 # The settings of processor and process that numbers are made under; a build sets them for its kernels by itself.
-PINNED := lib/stillwork/workbook/pinned.env
+PINNED := lib/workbook/pinned.env
 UNDER_PINS = env $(shell grep -v '^\#' $(PINNED))
 
 # nbval is for the notebooks, anyio for nobody; loading them takes a second of every process.
@@ -62,7 +63,7 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 	@# The plugin lies in the package, so the package is imported before its types could be checked.
 	$(call part,notebooks,rm -rf build/nbval && $(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" \
 		$(BIN)/python -m pytest notebooks \
-		-p no:nbval -p stillwork.workbook.nbval_check --jaxtyping-packages= --nbval --nbval-rerun $(RERUN) \
+		-p no:nbval -p workbook.nbval_check --jaxtyping-packages= --nbval --nbval-rerun $(RERUN) \
 		--nbval-begun $(BEGUN) --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
 	$(call part,what is committed,$(UNDER_PINS) $(BIN)/python -m pytest tests/committed \
 		-p no:nbval -p no:anyio -n logical --dist worksteal)
@@ -76,7 +77,7 @@ course: $(READY) ## Run the solutions of the course's exercises
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/notebooks/index.ipynb \
-		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 --ServerApp.jpserver_extensions=stillwork.workbook.lab=True $(ARGS)
+		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 --ServerApp.jpserver_extensions=workbook.lab=True $(ARGS)
 
 site: $(READY) ## Write the static site to build/site/index.html
 	@$(BIN)/python -m stillwork site
@@ -112,7 +113,7 @@ doctor: $(READY) ## Compare the environment with environment.txt
 
 clean: ## Remove what can be made again (not .venv)
 	rm -rf build .pytest_cache .ruff_cache .hypothesis
-	find lib tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find lib contest notebooks tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The last line marks the environment as whole: one that was interrupted is made anew.
 .venv/complete: environment.txt pyproject.toml

@@ -130,7 +130,7 @@ total = time.process_time() - start
 import numba, stillwork
 missed = sum(
     sum(kernel.stats.cache_misses.values())
-    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "experiments"))
+    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "workbook", "experiments"))
     for kernel in vars(module).values() if isinstance(kernel, numba.core.registry.CPUDispatcher)
 )
 print(imported, total, missed)
@@ -301,7 +301,7 @@ def report(name: str, value: float, rule: str, target: float) -> None:
 
 
 def python(code: str, **environment) -> str:
-    env = {**os.environ, **environment, "PYTHONPATH": str(ROOT / "lib")}
+    env = {**os.environ, **environment, "PYTHONPATH": f"{ROOT / 'lib'}{os.pathsep}{ROOT}"}
     return subprocess.run(
         [sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True, check=True
     ).stdout

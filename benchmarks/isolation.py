@@ -60,11 +60,11 @@ import sys, time
 start = time.thread_time()
 import numpy as np
 from stillwork.estimation.adaptive import FeLms, FeRls
-from experiments.isolation.cures import run_cure, smallest_loop
+from notebooks.isolation.numerical_stability import run_cure, smallest_loop
 from experiments.isolation.floors import flat_floor
 from stillwork.estimation.online import AdaptationStepper, identify
 from experiments.isolation.simulation import simulate
-from experiments.isolation.stability import covariance_run
+from notebooks.isolation.numerical_stability import covariance_run
 from experiments.isolation.twin import load_twin
 imported = time.thread_time() - start
 rng = np.random.default_rng(0)
@@ -83,7 +83,7 @@ total = time.thread_time() - start
 import numba, stillwork
 kernels = {
     id(value): value
-    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "experiments"))
+    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "workbook", "experiments"))
     for value in vars(module).values() if hasattr(value, "stats") and hasattr(value, "py_func")
 }
 missed = sum(sum(k.stats.cache_misses.values()) for k in kernels.values())
@@ -349,7 +349,7 @@ def import_time() -> float:
 
 
 def python(code: str, **environment) -> str:
-    env = {**os.environ, **environment, "PYTHONPATH": str(ROOT / "lib")}
+    env = {**os.environ, **environment, "PYTHONPATH": f"{ROOT / 'lib'}{os.pathsep}{ROOT}"}
     done = subprocess.run([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True)
     if done.returncode:
         raise SystemExit("a measured process failed; its message stands above")

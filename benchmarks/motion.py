@@ -24,7 +24,6 @@ sys.path.insert(0, str(ROOT / "lib"))
 import control  # noqa: E402
 import numpy as np  # noqa: E402
 
-from experiments.motion.contest import ENTRANTS, contest_trial, prepare  # noqa: E402
 from experiments.motion.design_explorer import paint_design  # noqa: E402
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
 from experiments.motion.machines import (  # noqa: E402
@@ -33,6 +32,7 @@ from experiments.motion.machines import (  # noqa: E402
     stage_mass,
 )
 from experiments.motion.scan_study import published_scan  # noqa: E402
+from notebooks.motion.robust_comparison import ENTRANTS, contest_trial, prepare  # noqa: E402
 from stillwork.control.bandwidth import SIX_DB  # noqa: E402
 from stillwork.control.feedforward import Feedforward, error_loop, tracking_model  # noqa: E402
 from stillwork.control.loops import closed_loop  # noqa: E402
@@ -41,7 +41,7 @@ from stillwork.estimation.robust import kalman_gains  # noqa: E402
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate  # noqa: E402
 from stillwork.lti import simulate  # noqa: E402
 from stillwork.lti.discretisation import zoh_modes  # noqa: E402
-from stillwork.workbook.studies import run_study  # noqa: E402
+from workbook.studies import run_study  # noqa: E402
 
 FAMILY = PidFamily(stage_mass())
 PEER_GRID = 2 * np.pi * np.geomspace(1, 3000, 300)  # a reduced grid: the peer steps over the sharpest peaks

@@ -27,8 +27,8 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "lib")]
 
 from stillwork.base.kernel_folder import kernels_digest  # noqa: E402
-from stillwork.workbook.pinned import pins  # noqa: E402
-from stillwork.workbook.readings.closure import imports  # noqa: E402
+from workbook.pinned import pins  # noqa: E402
+from workbook.readings.closure import imports  # noqa: E402
 
 PLACE = ROOT / "build" / "mutants"
 TREE, KERNELS = PLACE / "tree", PLACE / "kernels"
@@ -165,7 +165,7 @@ def draw(count: int, seed: int) -> list[Mutant]:
 @cache
 def imported(file: Path) -> tuple[Path, ...]:
     """Files of the library and of the tests that a file imports."""
-    found, roots = set(), [TREE / "lib", TREE / "tests"]
+    found, roots = set(), [TREE / "lib", TREE / "tests", TREE]
     root = next(each for each in roots if file.is_relative_to(each))
     parts = file.relative_to(root).with_suffix("").parts
     for name in imports(".".join(parts[:-1] if parts[-1] == "__init__" else parts), file, roots):
@@ -217,7 +217,7 @@ def run(tests: list[Path], kernels: Path, limit: float, *options: str) -> tuple[
     """What pytest found: passed, failed or late, and its last lines."""
     variables = {**os.environ, **pins()}
     variables |= {
-        "PYTHONPATH": str(TREE / "lib"),
+        "PYTHONPATH": f"{TREE / 'lib'}{os.pathsep}{TREE}",
         "ORDER": "|".join(str(each).partition("::")[0] for each in tests),
     }
     variables |= {"STILLWORK_KERNELS": str(kernels)}

@@ -27,7 +27,7 @@ for folder, face in folders.items():
         finder = doctest.DocTestFinder(recurse=False)
         try:
             thing = inspect.unwrap(getattr(face, name))
-        except ModuleNotFoundError:
+        except ImportError:
             lacking.append(name)
             continue
         said = []

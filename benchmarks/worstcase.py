@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT / "lib"))
 import numpy as np  # noqa: E402
 
 from experiments.worstcase import solve_cone_program  # noqa: E402
-from experiments.worstcase.costs import slope  # noqa: E402
+from notebooks.worstcase.time_updates import slope  # noqa: E402
 from stillwork.estimation import LeastSquares, MinMax  # noqa: E402
 from stillwork.estimation.recursive import RecursiveStepper  # noqa: E402
 from stillwork.estimation.recursive_kernels import FEW, LONG  # noqa: E402

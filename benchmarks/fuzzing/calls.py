@@ -15,10 +15,10 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 
 from experiments.motion import decoupled_damping, ideal_feedforward
-from experiments.motion.line_search import regularised_line_search
 from experiments.motion.uncertainty import perturbed, sampled_derivatives
 from fuzzing.behind import calls as made_calls
 from fuzzing.hostile import same, same_value, wrong
+from notebooks.motion.robust_comparison import regularised_line_search
 from stillwork import control, estimation, identification, lti, signals
 from stillwork.estimation import robust
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level

@@ -24,7 +24,7 @@ from stillwork.identification.machine import Machine, brought_forward, build_mac
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.modal import ModalModel
-from stillwork.workbook import figures
+from workbook import figures
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
 INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from experiments.fixedpoint.your_plant import load_models
 from naive import fixedpoint as naive
+from notebooks.fixedpoint.your_plant import load_models
 from stillwork.base.checks import InputError
 from stillwork.control import (
     Controller,

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from experiments.fixedpoint import error_lines, published_controllers, run_pictures
-from experiments.fixedpoint.convergence_pictures import paint_limit_cycle
 from experiments.fixedpoint.noise_pictures import (
     motion_at_rest,
     paint_cost_against_error,
     paint_expected_beliefs,
 )
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
+from notebooks.fixedpoint.fixed_point import paint_limit_cycle
 from stillwork.base.checks import InputError
 from stillwork.control import asin_trajectory, simulate
 from stillwork.control.fixed_point_convergence import strongest_oscillation
-from stillwork.workbook import figures
-from stillwork.workbook.timings import measured_times
+from workbook import figures
+from workbook.timings import measured_times
 
 DRAWINGS = [
     (

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
-from experiments.fixedpoint import Noise, compare, families, tune, tuning
+from experiments.fixedpoint import Noise, compare
+from notebooks.fixedpoint import fair_comparison as tuning
+from notebooks.fixedpoint.fair_comparison import families, tune
 from stillwork.base.checks import InputError
 from stillwork.control import asin_trajectory
 

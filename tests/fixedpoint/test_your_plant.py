@@ -7,23 +7,25 @@ import pytest
 
 from experiments.fixedpoint import Noise, judge, load_oscillator, published_controllers
 from experiments.fixedpoint.noise import lose
-from experiments.fixedpoint.your_plant import (
+from notebooks.fixedpoint.your_plant import (
     contraction_along,
     controllers,
     drive,
     load_models,
     open_trajectories,
     open_trajectory,
+    paint_contraction,
+    paint_runs,
+    plant_explorer,
     stable_ranges,
     warnings_of,
 )
-from experiments.fixedpoint.your_plant_pictures import paint_contraction, paint_runs, plant_explorer
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control import FlowTransformation, asin_trajectory, simulate
 from stillwork.control.trajectory import sine_trajectory
 from stillwork.control.transformation import RobustTransformation
 from stillwork.inspecting import outline
+from workbook import paths
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")
 ARM = paths.data("fixedpoint", "arm.py")

@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from experiments.isolation import choices_of_spectra as choices
 from experiments.isolation.floors import flat_floor
-from experiments.isolation.performance import expected_density, record_case
+from experiments.isolation.one_rig import equal_struts
+from experiments.isolation.performance import ENTRIES, expected_density, record_case
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
+from notebooks.isolation.power import mains_power, power
 from readings.defaults import accepted_claims, at_the_defaults, require_accepted
-from stillwork.workbook.readings.command import standings_of
+from workbook.readings.command import standings_of
 
 
 def test_the_rig_at_its_defaults_is_the_shipped_one():
-    mine, shipped = choices.rig(strut_damping=65.0, actuator_pole=300.0), load_twin("rigid_body")
+    mine, shipped = equal_struts(strut_damping=65.0, actuator_pole=300.0), load_twin("rigid_body")
     f = np.geomspace(1, 300, 40)
     for case in (False, True):  # without and with the skyhook loop
         found, expected = (
@@ -24,7 +25,7 @@ def test_the_rig_at_its_defaults_is_the_shipped_one():
 
 def test_the_geometry_puts_the_modes_where_its_sources_say():
     # Closed forms: x and y with 3 k sin², z with 6 k cos² of the tilt, over the mass.
-    twin = choices.rig(strut_damping=65.0, actuator_pole=300.0, strut_tilt=38.0, rotations=45.0)
+    twin = equal_struts(strut_damping=65.0, actuator_pole=300.0, strut_tilt=38.0, rotations=45.0)
     tilt = np.radians(38.0)
     sideways, vertical = np.sqrt([3 * 60e3 * np.sin(tilt) ** 2 / 5.4, 6 * 60e3 * np.cos(tilt) ** 2 / 5.4])
     expected = [sideways, sideways, vertical, *[2 * np.pi * 45] * 3]
@@ -33,13 +34,13 @@ def test_the_geometry_puts_the_modes_where_its_sources_say():
 
 @pytest.mark.slow
 def test_mains_power_is_that_of_a_simulated_record():
-    twin = choices.rig(strut_damping=65.0, actuator_pole=300.0, output_noise=1e-12).varied(floor_noise=1e-12)
+    twin = equal_struts(strut_damping=65.0, actuator_pole=300.0, output_noise=1e-12).varied(floor_noise=1e-12)
     weights = steady_state(load_twin("rigid_body"), flat_floor()).weights
     silent = flat_floor(level=1e-12)
     for name, given in (("feedback", np.zeros_like(weights)), ("FeRLS", weights)):
         record = record_case(twin, silent, name, 20.0, 1, weights=given)
         simulated = np.mean((record.platform - record.platform.mean(axis=1, keepdims=True)) ** 2, axis=1)
-        expected = choices.mains_power(twin, given)
+        expected = mains_power(twin, given)
         assert expected[0] == pytest.approx(simulated[0], rel=0.01)
         # All platform sensors read the lines alike: they hardly turn the platform.
         assert np.all(expected[1:] < 0.05 * expected[0])
@@ -53,7 +54,7 @@ def test_the_suspension_is_what_was_accepted():
 @pytest.mark.slow
 def test_the_lean_form_of_fig_8_is_within_what_it_says_of_what_was_accepted():
     accepted, found = accepted_claims("isolation"), at_the_defaults("isolation", "power", lean=True)
-    for direction in choices.ENTRIES:
+    for direction in ENTRIES:
         name = f"isolation.fig-8.removed.{direction}"
         assert found[name] == pytest.approx(accepted[name].ours, abs=0.15)  # 0.1 to the printed digit
     for name in ("removed.range", "reaches-the-limit", "limit-in-band"):
@@ -81,7 +82,7 @@ def test_counting_the_mains_costs_the_vertical_direction_alone():
         "seed": 1,
         "lean": True,
     }
-    bridged, counted = (choices.power(mains_in_power=each, **reading) for each in ("bridged", "counted"))
+    bridged, counted = (power(mains_in_power=each, **reading) for each in ("bridged", "counted"))
     change = {name: counted[name] - bridged[name] for name in bridged}
     assert change["isolation.fig-8.removed.z"] == pytest.approx(-1.8, abs=0.2)  # 92.0 of 93.8 in notebook 05
     assert abs(change["isolation.fig-8.removed.theta-x"]) < 0.01

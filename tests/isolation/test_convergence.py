@@ -14,11 +14,11 @@ from experiments.isolation.convergence import (
 from experiments.isolation.floors import colored_floor, flat_floor
 from experiments.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
 from experiments.isolation.steady import steady_state
-from experiments.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
 from experiments.isolation.twin import load_twin
+from notebooks.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
 from stillwork.base.checks import InputError
 from stillwork.estimation.adaptive import FeLms, FeRls
-from stillwork.workbook.studies import run_study
+from workbook.studies import run_study
 
 FITTED = load_twin("fitted").varied(platform_noise=1e-6, mains_hz=[], floor_mains=[], platform_mains=[])
 FLOOR = flat_floor(80.0)

@@ -3,9 +3,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.isolation.direct import FORMS, average_gain, direct_run, largest_condition, multiplications
 from naive import adaptation as naive
 from naive import counting
+from notebooks.isolation.efficient_update import (
+    FORMS,
+    average_gain,
+    direct_run,
+    largest_condition,
+    multiplications,
+)
 from stillwork.base import algebra
 from stillwork.base.checks import InputError
 from stillwork.estimation import adaptive, covariance_forms

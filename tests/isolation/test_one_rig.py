@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.isolation import load_twin, one_rig, steady_state
-from experiments.isolation import one_rig_search as search
 from experiments.isolation.floors import flat_floor
+from notebooks.isolation import power as search
 
 SEARCHED = [name for name in search.published() if name not in search.EDGES]
 

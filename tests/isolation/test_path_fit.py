@@ -4,15 +4,15 @@ import control
 import numpy as np
 import pytest
 
-from experiments.isolation.path_fit import (
+from experiments.isolation.responses import responses
+from experiments.isolation.twin import load_twin
+from notebooks.isolation.floor_and_paths import (
     dominance,
     fit_error_db,
     fit_reaches_hz,
     parametric_fit,
     resonance_hz,
 )
-from experiments.isolation.responses import responses
-from experiments.isolation.twin import load_twin
 from stillwork.base.checks import InputError
 
 

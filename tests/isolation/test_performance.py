@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from experiments.isolation.floors import flat_floor
-from experiments.isolation.modes import suspension_modes
 from experiments.isolation.performance import (
     band_means,
     central_axes,
@@ -17,6 +16,7 @@ from experiments.isolation.performance import (
 from experiments.isolation.power import floor_level_for, power_trial, reduction_percent, without_lines
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
+from notebooks.isolation.floor_and_paths import suspension_modes
 from stillwork.base.checks import InputError
 from stillwork.signals.spectra import Spectrum
 

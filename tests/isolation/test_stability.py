@@ -1,23 +1,26 @@
 import numpy as np
 import pytest
 
-from experiments.isolation.cures import CURES, peak_error, run_cure, smallest_loop
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
 from experiments.isolation.simulation import simulate, simulate_together
-from experiments.isolation.stability import (
+from experiments.isolation.twin import load_twin
+from naive import cures as naive
+from notebooks.isolation.numerical_stability import (
+    CURES,
     FORMS,
     breakdowns_from_diagonal,
     condition_bounds,
     covariance_run,
+    peak_error,
     recur,
+    run_cure,
     scaled_condition,
     shared_motion,
+    smallest_loop,
     stability_map,
     steady_start,
 )
-from experiments.isolation.twin import load_twin
-from naive import cures as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.covariance_forms import covariance_of, factor_of

@@ -5,27 +5,29 @@ import re
 import numpy as np
 import pytest
 
-from experiments.isolation import performance_pictures, rig_pictures, your_floor
-from experiments.isolation.floor_files import open_floor
+from experiments.isolation import performance_pictures
 from experiments.isolation.performance import exact_transmissibility
 from experiments.isolation.recorded_floors import RecordedFloor, ground_floor, record_floor
 from experiments.isolation.simulation import simulate
 from experiments.isolation.twin import load_twin, twin_from_table
-from experiments.isolation.your_floor import (
+from notebooks.isolation import floor_and_paths as rig_pictures
+from notebooks.isolation import your_floor
+from notebooks.isolation.your_floor import (
     Isolated,
     crossing,
     described,
     findings,
     hear,
     isolate,
+    open_floor,
     optimum_left,
     translating_spectrum,
 )
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.records import load_record
 from stillwork.signals.spectra import estimate_spectrum
+from workbook import paths
 
 GROUND = paths.data("isolation", "ligo_llo_ground/ground_velocity_density.npz")
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")

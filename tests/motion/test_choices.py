@@ -5,9 +5,11 @@ import pytest
 
 from experiments.motion import choices
 from experiments.motion.designs import DESIGNS, stage_compensator
-from experiments.motion.drive import statements
 from experiments.motion.machines import published_setpoint, stage
 from experiments.motion.perturbed_tracking import noisy_scan_trial
+from notebooks.motion.bandwidth_table import OPEN_LOOPS, bandwidth
+from notebooks.motion.tracking import ranked, tracking_loop
+from notebooks.motion.two_inertia_drive import drive_figure, statements
 from stillwork.control.feedforward import Feedforward
 from stillwork.control.loops import channel, closed_loop
 
@@ -24,30 +26,27 @@ def open_loop_gain(name: str, open_loop: str, mass: int, hertz) -> np.ndarray:
     return np.abs(1 / channel(loop, source, target).frequency_response(omega)[0, 0] - 1)
 
 
-@pytest.mark.parametrize("open_loop", choices.OPEN_LOOPS)
+@pytest.mark.parametrize("open_loop", OPEN_LOOPS)
 def test_a_bandwidth_is_the_first_crossing_of_the_loop_that_it_is_read_from(open_loop):
-    hertz = choices.bandwidth("MC and AD", open_loop, 3)
+    hertz = bandwidth("MC and AD", open_loop, 3)
     assert open_loop_gain("MC and AD", open_loop, 3, hertz) == pytest.approx(1, abs=1e-9)
     assert np.all(open_loop_gain("MC and AD", open_loop, 3, np.geomspace(1, 0.999 * hertz, 200)) > 1)
 
 
 @pytest.mark.slow
 def test_readings_that_change_the_search_change_its_limit():
-    usual = choices.bandwidth("MC", "f_bw", 1)
-    assert choices.bandwidth("MC", "f_bw", 7) == usual
-    assert choices.bandwidth("MC", "f_bw", 1, six="2") > usual
-    assert choices.bandwidth("MC", "f_bw", 1, stage_damping=0.001) < 0.7 * usual
-    both = [choices.bandwidth("MC and AD", "f_bw", 1, compensation=each) for each in choices.COMPENSATIONS]
+    usual = bandwidth("MC", "f_bw", 1)
+    assert bandwidth("MC", "f_bw", 7) == usual
+    assert bandwidth("MC", "f_bw", 1, six="2") > usual
+    assert bandwidth("MC", "f_bw", 1, stage_damping=0.001) < 0.7 * usual
+    both = [bandwidth("MC and AD", "f_bw", 1, compensation=each) for each in choices.COMPENSATIONS]
     assert len(set(both)) == 1  # its noise model is printed
-    alone = [
-        choices.bandwidth("MC, two constraints", "f_bw", 1, compensation=each)
-        for each in choices.COMPENSATIONS
-    ]
+    alone = [bandwidth("MC, two constraints", "f_bw", 1, compensation=each) for each in choices.COMPENSATIONS]
     assert len(set(alone)) == 3
 
 
 def test_a_scan_takes_each_loop_with_its_own_feedforward():
-    loops = {case: choices.tracking_loop(case, "printed", 0.005) for case in ("none", "MC")}
+    loops = {case: tracking_loop(case, "printed", 0.005) for case in ("none", "MC")}
     gains = {"none": Feedforward(acceleration=12.5), "MC": Feedforward(acceleration=12.4)}
     scan = {"setpoint": published_setpoint(2e-4), "deviations": {"w": 0.01, "v": 1e-9, "d": 1e-9}}
 
@@ -63,17 +62,17 @@ def test_a_scan_takes_each_loop_with_its_own_feedforward():
 def test_an_order_needs_both_columns():
     values = {"mc": 4.0, "original": 3.0, "ad": 2.0, "mc-and-ad": 1.0}
     redesigned = {f"{name}-redesigned": value for name, value in values.items() if name != "original"}
-    assert choices.ranked(values | redesigned)
-    assert not choices.ranked(values | redesigned | {"mc-redesigned": 2.9})
+    assert ranked(values | redesigned)
+    assert not ranked(values | redesigned | {"mc-redesigned": 2.9})
 
 
 def test_a_model_too_soft_leaves_a_peak_and_one_too_stiff_a_notch():
     reading = {"drive_damping": 0.1, "drive_weights": "angles first", "seed": 1, "lean": True}
-    soft = choices.drive_figure(stiffness_error=-0.05, **reading)
-    stiff = choices.drive_figure(stiffness_error=0.05, **reading)
+    soft = drive_figure(stiffness_error=-0.05, **reading)
+    stiff = drive_figure(stiffness_error=0.05, **reading)
     assert soft["motion.fig-3-36.residual-peak"] == 1
     assert stiff["motion.fig-3-36.residual-peak"] == 0
-    exact = choices.drive_figure(stiffness_error=1e-9, **reading)
+    exact = drive_figure(stiffness_error=1e-9, **reading)
     assert exact["motion.fig-3-36.compensation-reduces"] == 1
     assert exact["motion.fig-3-36.combination-best"] == 0  # MC alone is the rigid body then
 

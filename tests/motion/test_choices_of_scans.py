@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments.motion import choices_of_scans as choices
-from experiments.motion.location_study import (
+from experiments.motion.intervals import key
+from experiments.motion.machines import chain_matrix, published_setpoint
+from experiments.motion.position_dependence import at_place
+from notebooks.motion.twenty_nine_scans import (
     CASES,
     LocationStudy,
+    locations,
     structure,
     table_agreement,
     table_statements,
 )
-from experiments.motion.machines import chain_matrix, published_setpoint
-from experiments.motion.position_dependence import at_place
 from stillwork.base.checks import InputError
 
 
@@ -68,16 +69,15 @@ def test_readings_change_what_they_say_they_change():
         "lean": True,
     }
     seen, unseen = (
-        choices.locations(**usual | {"error_channel": each}) for each in ("seen by the observer", "unseen")
+        locations(**usual | {"error_channel": each}) for each in ("seen by the observer", "unseen")
     )
     bare = [f"motion.table-4-1.original.{part}" for part in ("min", "mean", "max")]
     assert all(seen[entry] == unseen[entry] for entry in bare)
     assert unseen["motion.table-4-1.ad.mean"][0] > 1.5 * seen["motion.table-4-1.ad.mean"][0]
-    loud = choices.locations(**usual | {"location_noise": True})
+    loud = locations(**usual | {"location_noise": True})
     assert all(
-        loud[f"motion.table-4-1.{choices.key(case)}.mean"][0]
-        > seen[f"motion.table-4-1.{choices.key(case)}.mean"][0]
+        loud[f"motion.table-4-1.{key(case)}.mean"][0] > seen[f"motion.table-4-1.{key(case)}.mean"][0]
         for case in CASES
     )
-    eight = choices.locations(**usual | {"location_masses": 8})
+    eight = locations(**usual | {"location_masses": 8})
     assert eight[bare[2]][0] > 1.4 * seen[bare[2]][0]

@@ -8,12 +8,12 @@ import pytest
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy import linalg
 
-from experiments.motion.observer_contest import bench
-from experiments.motion.observer_contest.doubts import DOUBTS, sample_truth
-from experiments.motion.observer_contest.multi_model import FINE, GRID
-from experiments.motion.observer_contest.plants import sample_plant
-from experiments.motion.observer_contest.scores import ENTRANTS
-from experiments.motion.observer_contest.told import OwnObserver, told_of
+from contest import bench
+from contest.doubts import DOUBTS, sample_truth
+from contest.multi_model import FINE, GRID
+from contest.plants import sample_plant
+from contest.scores import ENTRANTS
+from contest.told import OwnObserver, told_of
 from naive.fixedpoint import kalman_step, unscented_step
 
 SAMPLES = 150

@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from scipy import linalg, signal
 
 from experiments.motion.designs import stage_observer
-from experiments.motion.discrete import (
+from experiments.motion.machines import published_noise, stage
+from notebooks.motion.discrete_observer import (
     equivalent_plant,
     gain_by_placement,
     paint_sampled,
     placement_error,
     typical_placement_error,
 )
-from experiments.motion.machines import published_noise, stage
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.discrete_damping import discrete_damping_gain, sampled_feedback

@@ -5,10 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.motion.drive import drive_loop, drive_observer, identify, residual_trial, seen_by_controller
 from experiments.motion.machines import Drive, drive, published_noise
 from experiments.motion.structure import as_stage, measured_accelerance
-from experiments.motion.three_masses import designed_for_second, scaled_springs, stability_trial, three_masses
+from notebooks.motion.scan_performance import (
+    designed_for_second,
+    scaled_springs,
+    stability_trial,
+    three_masses,
+)
+from notebooks.motion.two_inertia_drive import (
+    drive_loop,
+    drive_observer,
+    identify,
+    residual_trial,
+    seen_by_controller,
+)
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.machine_loops import extra_turns, observed_loops, on_measurement

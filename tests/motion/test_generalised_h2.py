@@ -4,7 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-from experiments.motion.energy_to_peak import (
+from experiments.motion.intervals import share
+from notebooks.motion.generalised_h2 import (
     ErrorSystem,
     error_system,
     generalised_h2_norm,
@@ -13,9 +14,8 @@ from experiments.motion.energy_to_peak import (
     response_peak,
     settled_covariance,
 )
-from experiments.motion.intervals import share
 from stillwork.base.checks import InputError
-from stillwork.workbook.studies import proportion_interval
+from workbook.studies import proportion_interval
 
 
 def problem(seed, samples=12, n=3, outputs=1):

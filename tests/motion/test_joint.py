@@ -9,37 +9,38 @@ from scipy import linalg, signal
 
 from experiments.motion import verify_joint
 from experiments.motion.designs import DESIGNS, stage_compensator
-from experiments.motion.joint import (
+from experiments.motion.machines import parameters, published_setpoint, stage
+from notebooks.motion.joint_design import (
+    ASKED,
     DELAY,
+    PEAKS,
     SAMPLE_TIME,
+    SIZES,
     JointDesign,
+    as_toml,
     closed_poles,
     compensated,
-    late,
-    late_plant,
-    late_response,
-    sampled_compensator,
-)
-from experiments.motion.joint_designs import ASKED, SIZES, as_toml, rounded, stored_designs
-from experiments.motion.joint_pictures import paint_joint
-from experiments.motion.joint_search import (
-    PEAKS,
     crossing_hz,
     grid,
     judge,
+    late,
+    late_plant,
+    late_response,
     meet,
     noise_floor,
+    paint_joint,
     robust_search,
     rough_crossing_hz,
+    rounded,
     sample_plants,
+    sampled_compensator,
     search,
     serve,
     six,
     starts,
+    stored_designs,
 )
-from experiments.motion.machines import parameters, published_setpoint, stage
 from stillwork.__main__ import main
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedforward import error_loop, fit_feedforward, tracking_error
@@ -47,6 +48,7 @@ from stillwork.control.loops import INPUTS, OUTPUTS, channel, closed_loop
 from stillwork.lti.discretisation import tustin, zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
+from workbook import paths
 
 PUBLISHED = JointDesign()
 ODD = replace(

@@ -12,19 +12,19 @@ from experiments.motion.ideal_feedforward import (
     respond,
     sampled_ideal_force,
 )
-from experiments.motion.location_pictures import paint_location
-from experiments.motion.location_study import (
+from experiments.motion.machines import chain, published_setpoint, stage, stage_mass
+from experiments.motion.position_dependence import stage_grid
+from notebooks.motion.twenty_nine_scans import (
     LocationStudy,
     bare_error,
     fit_to_force,
     location_loops,
     location_noise,
+    paint_location,
     ranges,
     stage_error,
     study_locations,
 )
-from experiments.motion.machines import chain, published_setpoint, stage, stage_mass
-from experiments.motion.position_dependence import stage_grid
 from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
     Feedforward,

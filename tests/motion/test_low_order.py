@@ -8,7 +8,9 @@ import pytest
 from scipy import integrate
 
 from experiments.motion.designs import DESIGNS, stage_compensator
-from experiments.motion.low_order import (
+from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.uncertainty import perturbed, sample_errors
+from notebooks.motion.low_order_feedforward import (
     copy_poles,
     direct_loop,
     filters,
@@ -17,8 +19,6 @@ from experiments.motion.low_order import (
     perturbed_trial,
     pick_poles,
 )
-from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
     BASIS,

@@ -7,7 +7,7 @@ import pytest
 
 from experiments.motion import machines
 from experiments.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
-from experiments.motion.printed_matrices import (
+from notebooks.motion.discretisation import (
     discrete_compliance,
     disturbance_matrix,
     transition,

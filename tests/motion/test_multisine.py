@@ -7,11 +7,7 @@ import pytest
 
 from experiments.motion.rig import assumed_geometry, rig_model
 from experiments.motion.rig_designs import published_settings
-from experiments.motion.rig_identification import (
-    direct_response,
-    rig_experiment,
-    smoothed_deviation,
-)
+from notebooks.motion.rig_identification import direct_response, rig_experiment, smoothed_deviation
 from stillwork.base.checks import InputError
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.modal_fit import fit_modal_matrix

@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.motion.observer_contest import bench, tuning
-from experiments.motion.observer_contest import table as tables
-from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
-from experiments.motion.observer_contest.noise_map import (
+from contest import bench, tuning
+from contest import table as tables
+from contest.doubts import DOUBTS, hidden_seed, sample_truth
+from contest.noise_map import (
     FILE,
     MAPPED,
     NOISES,
@@ -26,10 +26,10 @@ from experiments.motion.observer_contest.noise_map import (
     leads,
     turning,
 )
-from experiments.motion.observer_contest.plants import PLANTS, sample_plant
-from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
-from experiments.motion.observer_contest.scores import ENTRANTS, contest_trial
-from experiments.motion.observer_contest.table import (
+from contest.plants import PLANTS, sample_plant
+from contest.referee import Disqualified, ForeignObserver
+from contest.scores import ENTRANTS, contest_trial
+from contest.table import (
     COLUMNS,
     as_markdown,
     joined,
@@ -41,10 +41,10 @@ from experiments.motion.observer_contest.table import (
     standings,
     write_table,
 )
-from experiments.motion.observer_contest.told import OwnObserver, told_of
-from experiments.motion.observer_contest.tuning import WORST
-from stillwork.base import paths
+from contest.told import OwnObserver, told_of
+from contest.tuning import WORST
 from stillwork.base.checks import InputError
+from workbook import paths
 
 GUIDE = (paths.root() / "docs" / "contest.md").read_text(encoding="utf-8")
 # The guide's Kalman filter shares no code with the house's: its Riccati equation is run until it stands still.
@@ -112,7 +112,7 @@ class Observer:
         (step_of("import os; os.write(1, b'look')"), "prints"),
         (step_of("self.all = [np.empty(10**8) for _ in range(1000)]"), "allocates more memory"),
         (step_of("open('/etc/hostname').read()"), "reads files (/etc/hostname)"),
-        (step_of("import experiments.motion.observer_contest.doubts"), "reads files ("),
+        (step_of("import contest.doubts"), "reads files ("),
         (step_of("import subprocess; subprocess.run(['true'])"), "asks for subprocess.Popen"),
         (step_of("import os; os.listdir('/etc')"), "reads files (/etc)"),
         (step_of("import os; os.kill(os.getppid(), 0)"), "asks for os.kill"),

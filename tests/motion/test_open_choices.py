@@ -3,22 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments.motion import (
-    chain_pictures,
-    design_explorer,
-    drawn_lines,
-    drive_pictures,
-    energy_to_peak,
-    magnitudes,
-    performance,
-    position_scan,
-    printed_matrices,
-    three_masses,
-    tracking_pictures,
-)
-from experiments.motion.open_choices import bandwidth_map, open_choices
+from experiments.motion import chain_pictures, design_explorer, drawn_lines, magnitudes
+from notebooks.motion import discretisation as printed_matrices
+from notebooks.motion import disturbance_rejection as performance
+from notebooks.motion import generalised_h2 as energy_to_peak
+from notebooks.motion import scan_performance as three_masses
+from notebooks.motion import scheduled_or_online as position_scan
+from notebooks.motion import tracking as tracking_pictures
+from notebooks.motion import two_inertia_drive as drive_pictures
+from notebooks.motion.bandwidth_table import bandwidth_map, open_choices
 from stillwork.base.checks import InputError
-from stillwork.workbook import figures
+from workbook import figures
 
 
 @pytest.mark.slow

@@ -4,7 +4,8 @@ from scipy import linalg
 
 from experiments.motion.designs import DAMPING
 from experiments.motion.machines import published_noise, stage, stage_mass
-from experiments.motion.optimal_observer import (
+from naive.motion import frequency_norm
+from notebooks.motion.optimal_observer import (
     ObserverProblem,
     emphasised,
     front,
@@ -13,7 +14,6 @@ from experiments.motion.optimal_observer import (
     tipping_corner,
     weighted_peak,
 )
-from naive.motion import frequency_norm
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop

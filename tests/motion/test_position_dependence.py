@@ -21,8 +21,8 @@ from experiments.motion.position_dependence import (
     require_seen,
     stage_grid,
 )
-from experiments.motion.position_pictures import paint_place
 from experiments.motion.scan_study import output_rows
+from notebooks.motion.position_dependent_observers import paint_place
 from stillwork.base.checks import InputError
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.pid import PidFamily

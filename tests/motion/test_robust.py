@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.motion.line_search import regularised_line_search
 from naive import motion_robust as naive
+from notebooks.motion.robust_comparison import regularised_line_search
 from stillwork.base.checks import InputError
 from stillwork.estimation.robust import (
     Derivatives,

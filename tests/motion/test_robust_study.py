@@ -3,8 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.motion import contest as contests
-from experiments.motion.contest import bank_estimate, figure_statements, output_errors
 from experiments.motion.machines import shapes_along, stage
 from experiments.motion.perturbed_tracking import CASES, published_blocks, tracking_trial
 from experiments.motion.scan_study import (
@@ -16,12 +14,14 @@ from experiments.motion.scan_study import (
 )
 from experiments.motion.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from naive import motion_filters as naive
+from notebooks.motion import robust_comparison as contests
+from notebooks.motion.robust_comparison import bank_estimate, figure_statements, output_errors
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.lti.discretisation import zoh_modes
-from stillwork.workbook.studies import run_study
+from workbook.studies import run_study
 
 
 @pytest.fixture(scope="module")

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from experiments.motion.machines import shapes_along, stage, stage_mass
-from experiments.motion.position_scan import (
+from experiments.motion.scan_study import output_rows
+from experiments.motion.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
+from notebooks.motion.scheduled_or_online import (
     compare_schedules,
     observer_model,
     position_scan,
     published_fast_setpoint,
     run_applied,
 )
-from experiments.motion.scan_study import output_rows
-from experiments.motion.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
 from stillwork.base.checks import InputError
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import PidFamily

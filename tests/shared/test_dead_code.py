@@ -7,10 +7,10 @@ from collections import defaultdict
 
 import pytest
 
-from stillwork.base import paths
+from workbook import paths
 
 # A face, a command, a study of `data/<room>/readings.toml` and a notebook's text name a function without calling it.
-NAMED = re.compile(r"experiments[\w.]*:(\w+)|stillwork[\w.]*:(\w+)")
+NAMED = re.compile(r"(?:experiments|contest|notebooks)[\w.]*:(\w+)|(?:stillwork|workbook)[\w.]*:(\w+)")
 WRITTEN = re.compile(r"`[\w.]*?(\w+)`")
 # pytest and Jupyter call these by their names.
 HOOKS = re.compile(r"__\w+__|pytest_\w+|_(load_)?jupyter_server_extension\w*")
@@ -70,7 +70,8 @@ def test_every_top_level_name_is_used():
     root = paths.root()
     modules = {
         str(file.relative_to(root).with_suffix("")): ast.parse(file.read_text(encoding="utf-8"))
-        for file in sorted((root / "lib").rglob("*.py"))
+        for folder in ("lib", "contest", "notebooks")
+        for file in sorted((root / folder).rglob("*.py"))
     }
     assert modules
     others = set()

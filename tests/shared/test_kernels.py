@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 import stillwork
-from stillwork.base import kernel_cache, paths
+from stillwork.base import kernel_cache
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.base.kernels import callback
-from stillwork.site.house import modules
+from workbook import paths
+from workbook.site.house import modules
 
 CALLED = """
 from stillwork.base.kernels import inlined_kernel
@@ -220,6 +221,17 @@ def test_folders_of_other_digests_go_after_a_week_without_use(workbook):
     assert not used.exists()
 
 
+def test_kernels_beside_a_notebook_are_part_of_the_digest(workbook):
+    ask = "from stillwork.base.kernel_folder import kernels_digest; print(kernels_digest())"
+    environment = {"PYTHONPATH": str(workbook / "lib"), "STILLWORK_ROOT": str(workbook), "PATH": ""}
+    own, found = workbook / "notebooks" / "motion" / "own.py", []
+    own.parent.mkdir(parents=True)
+    for text in ("", CALLED.format(factor=2), CALLED.format(factor=2) + "# why", CALLED.format(factor=3)):
+        own.write_text(text)
+        found.append(subprocess.check_output([sys.executable, "-c", ask], env=environment))
+    assert found[1] == found[2] and len(set(found)) == 3
+
+
 @pytest.mark.slow
 def test_a_comment_in_a_file_of_kernels_compiles_that_file_alone(workbook):
     """Its own kernels, whose machine code numba keys by the file; not those that call them."""
@@ -386,12 +398,18 @@ def test_a_call_of_what_counts_references_is_found():
 LIBRARY = Path(stillwork.__file__).parents[1]
 
 
+def place_of(module: str) -> Path:
+    root = LIBRARY.parent if module.startswith("contest.") else LIBRARY
+    return root.joinpath(*module.split(".")).with_suffix(".py")
+
+
 def imported_names(source: bytes) -> dict[str, Path]:
     """Names that a module takes from the library, with the files that they come from."""
     return {
-        alias.asname or alias.name: LIBRARY.joinpath(*node.module.split(".")).with_suffix(".py")
+        alias.asname or alias.name: place_of(node.module)
         for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("stillwork.", "experiments."))
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").startswith(("stillwork.", "workbook.", "experiments.", "contest."))
         for alias in node.names
     }
 
@@ -399,10 +417,12 @@ def imported_names(source: bytes) -> dict[str, Path]:
 def test_what_a_kernel_names_comes_from_files_that_its_machine_code_is_kept_by():
     """A constant is frozen into the machine code; of a file without kernels a change of it would go unseen."""
     elsewhere, kernels = [], 0
-    for file in sorted(LIBRARY.rglob("*.py")):
+    others = [file for name in ("contest", "notebooks") for file in (LIBRARY.parent / name).rglob("*.py")]
+    for file in sorted([*LIBRARY.rglob("*.py"), *others]):
         if b"stillwork.base.kernel" not in (source := file.read_bytes()):
             continue
-        module = import_module(".".join(file.relative_to(LIBRARY).with_suffix("").parts))
+        root = LIBRARY if file.is_relative_to(LIBRARY) else LIBRARY.parent
+        module = import_module(".".join(file.relative_to(root).with_suffix("").parts))
         taken = imported_names(source)
         for name, kernel in vars(module).items():
             if (

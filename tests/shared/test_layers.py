@@ -2,15 +2,20 @@
 
 import ast
 import importlib
+import re
 
 import pytest
 
-from stillwork.base import paths
-from stillwork.site.house import TOOLBOX, arrows, folder, imports, modules
+from stillwork.base.source_digest import code
+from workbook import paths
+from workbook.site.house import TOOLBOX, arrows, folder, imports, modules
 
-ORDER = (*TOOLBOX, "workbook", "site")
-ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
-LOADERS = {"stillwork.base.faces", "stillwork.base.extras"}  # import what they are told by name
+ORDER = (*TOOLBOX, "workbook", "workbook.site")
+ABOVE = len(ORDER)  # the command line, then what stands outside the package
+OUTSIDE = ("experiments", "contest", "notebooks")
+LOADERS = {
+    f"stillwork.base.{name}" for name in ("faces", "extras", "command_line")
+}  # import what they are told by name
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +31,11 @@ def imported(trees):
 def floor(module):
     """How high a module stands; the package's own ``__init__`` is the ground."""
     first, *rest = module.split(".")
+    if first == "workbook":
+        return ORDER.index(folder(module)) if rest != ["__main__"] else ABOVE
     if first == "stillwork":
         return ORDER.index(rest[0]) if rest and rest[0] in ORDER else ABOVE if rest else -1
-    return ABOVE + 1 + (first == "notebooks")
+    return ABOVE + 1 + OUTSIDE.index(first)
 
 
 def rising(imported):
@@ -67,13 +74,13 @@ def between_rooms(imported):
     return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
 
 
-def placed(imported):
-    """Modules of the toolbox that ask where the workbook stands: the ledger and what a paper printed lie there."""
-    above_base = {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
+def foreign(imported):
+    """What imports the module beside a notebook without being that notebook."""
     return [
-        module
-        for module, others in imported.items()
-        if folder(module) in above_base and "stillwork.base.paths" in others
+        (a, b)
+        for a, others in imported.items()
+        for b in others
+        if b.startswith("notebooks.") and re.sub(r"\.\d+-", ".", a).replace("-", "_") != b
     ]
 
 
@@ -104,22 +111,38 @@ def test_the_workbook_knows_no_physics(imported):
     seen = {
         folder(other)
         for module, others in imported.items()
-        if folder(module) in ("stillwork.workbook", "stillwork.site")
+        if folder(module) in ("workbook", "workbook.site")
         for other in others
     }
     assert not seen & {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
+
+
+def test_the_engine_names_no_room():
+    """But in examples, which docstrings give."""
+    rooms = re.compile(rf"\b({'|'.join(paths.rooms())})\b")
+    places = {}
+    for file in sorted((paths.root() / "lib" / "workbook").rglob("*")):
+        if file.suffix == ".py":
+            texts = [
+                each.value for each in ast.walk(code(file.read_bytes())) if isinstance(each, ast.Constant)
+            ]
+            places[file] = " ".join(each for each in texts if isinstance(each, str))
+        elif file.suffix in (".toml", ".html", ".js", ".css", ".env"):
+            places[file] = file.read_text(encoding="utf-8")
+    assert len(places) > 60
+    assert [file.name for file, text in places.items() if rooms.search(text)] == []
 
 
 @pytest.mark.slow
 def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
     assert between_rooms(imported) == []
     below = [module for module in imported if module.startswith(("experiments.", "notebooks."))]
-    assert not [(a, b) for a in below for b in imported[a] if folder(b) == "stillwork.site"]
+    assert not [(a, b) for a in below for b in imported[a] if folder(b) == "workbook.site"]
 
 
 @pytest.mark.slow
-def test_the_toolbox_reads_no_ledger_and_no_work(imported):
-    assert placed(imported) == []
+def test_what_stands_beside_a_notebook_is_its_own(imported):
+    assert foreign(imported) == []
 
 
 def written(**sources):
@@ -136,18 +159,25 @@ def test_the_rules_find_what_breaks_them():
             stillwork__signals__spectra="from stillwork.lti import hold",
             experiments__motion__rig="import experiments.isolation.twin",
             experiments__isolation__twin="",
+            notebooks__motion__bandwidth_table="",
+            **{"notebooks.motion.09-bandwidth-table": "from notebooks.motion.bandwidth_table import a"},
+            **{"notebooks.motion.11-tracking": "from notebooks.motion import bandwidth_table"},
             stillwork__base="",
-            stillwork__base__paths="",
-            stillwork__lti__a="from stillwork.base.paths import data",
-            stillwork__lti__b="from stillwork.base import paths",
-            stillwork__lti__c="def read():\n    import stillwork.base.paths as places",
-            stillwork__site__d="from stillwork.base.paths import data",
+            workbook="",
+            workbook__paths="",
+            stillwork__lti__a="from workbook.paths import data",
+            stillwork__lti__b="from workbook import paths",
+            stillwork__lti__c="def read():\n    import workbook.paths as places",
+            workbook__site__d="from workbook.paths import data",
         )
     )
     assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
     assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
     assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
-    assert placed(broken) == ["stillwork.lti.a", "stillwork.lti.b", "stillwork.lti.c"]
+    assert foreign(broken) == [("notebooks.motion.11-tracking", "notebooks.motion.bandwidth_table")]
+    assert [("stillwork.lti." + name, "workbook.paths") for name in "abc"] == [
+        pair for pair in rising(broken) if pair[1] == "workbook.paths"
+    ]
 
 
 def test_an_import_that_the_rules_would_not_see_is_found():
@@ -173,11 +203,11 @@ def test_an_arrow_that_follows_from_others_is_not_drawn():
     ]
 
 
-def read(place):
-    """Every module's syntax tree under the name by which what lies beside it imports it."""
+def read(place, root=None):
+    """Every module's syntax tree under the name by which what has `root` (or `place`) on its path imports it."""
     trees = {}
     for file in sorted(place.rglob("*.py")):
-        parts = file.relative_to(place).with_suffix("").parts
+        parts = file.relative_to(root or place).with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
         trees[name] = ast.parse(file.read_text(encoding="utf-8"))
     return trees
@@ -215,6 +245,7 @@ def reached(tree, names):
 def test_a_private_name_is_used_in_its_own_file_alone():
     """In the library, in the benchmarks and in the tests."""
     folders = [read(paths.root() / name) for name in ("lib", "benchmarks", "tests")]
+    folders += [read(paths.root() / name, paths.root()) for name in ("contest", "notebooks")]
     names = {name for folder in folders for name in folder}
     assert "fuzzing.behind" in names and "shared.test_layers" in names
     found = [
@@ -242,7 +273,8 @@ def broken_imports(source: str) -> list[str]:
         (node.module, alias.name)
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.ImportFrom)
-        and (node.module or "").split(".")[0] in ("stillwork", "experiments")
+        and (node.module or "").split(".")[0]
+        in ("stillwork", "workbook", "experiments", "contest", "notebooks")
         for alias in node.names
     ]
     missing = []
@@ -258,6 +290,6 @@ def broken_imports(source: str) -> list[str]:
 def test_what_the_benchmarks_import_exists():
     for file in sorted((paths.root() / "benchmarks").rglob("*.py")):
         assert not broken_imports(file.read_text(encoding="utf-8")), file.name
-    assert broken_imports("from experiments.isolation.your_floor import open_floor") == [
-        "experiments.isolation.your_floor.open_floor"
+    assert broken_imports("from notebooks.isolation.your_floor import close_floor") == [
+        "notebooks.isolation.your_floor.close_floor"
     ]

@@ -36,7 +36,9 @@ def test_tests_of_errors_pass_with_other_words():
         "-k",
         "named or refused or wrong or told or choice",
     ]
-    environment = os.environ | {"PYTHONPATH": f"{TESTS.parent / 'lib'}{os.pathsep}{TESTS}"}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(map(str, (TESTS.parent / "lib", TESTS.parent, TESTS)))
+    }
     done = subprocess.run(
         [*command, *options, *(str(TESTS / name) for name in FILES)],
         capture_output=True,

@@ -10,8 +10,8 @@ from functools import cache
 
 import pytest
 
-from stillwork.base import paths
-from stillwork.workbook.notebooks import select
+from workbook import paths
+from workbook.notebooks import select
 
 COURSE = paths.root() / "docs/course"
 TRACKS = sorted(file.stem for file in (COURSE / "solutions").glob("*.py"))
@@ -44,7 +44,7 @@ def answers(track: str) -> dict[int, str]:
     """What a track's solutions return, by the exercise's number."""
     done = subprocess.run(
         [sys.executable, "-c", RUN, str(COURSE / f"solutions/{track}.py")],
-        env=os.environ | {"PYTHONPATH": str(paths.root() / "lib")},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(paths.root() / "lib"), str(paths.root())])},
         stdout=subprocess.PIPE,
         check=True,
         text=True,

@@ -7,20 +7,19 @@ import numpy as np
 import pytest
 
 from experiments.isolation import load_twin, loop
-from experiments.isolation.floor_files import open_floor
 from experiments.isolation.recorded_floors import record_floor
 from experiments.isolation.simulation import simulate
 from experiments.isolation.sources import BLOCK, Sources
-from experiments.isolation.your_floor import isolate
+from notebooks.isolation.your_floor import isolate, open_floor
 from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
-from stillwork.base import paths
 from stillwork.base.toml_files import read_toml
 from stillwork.control.digital import load_controller
 from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.online import UnstableAdaptation
 from stillwork.identification.machine_files import load_machine
 from stillwork.signals.records import load_record
+from workbook import paths
 
 GUIDE = (paths.root() / "docs/your-rig.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)

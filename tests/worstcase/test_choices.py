@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from experiments.worstcase import choices
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
     fir_trial,
@@ -12,9 +11,10 @@ from experiments.worstcase.simulations import (
     tracking_trial,
 )
 from experiments.worstcase.theory import random_problem
+from notebooks.worstcase.tracking import EXCITATIONS, PUBLISHED_NORM, weighted_excitation
 from readings.defaults import require_accepted
 from stillwork.base.checks import InputError
-from stillwork.workbook.studies import run_study
+from workbook.studies import run_study
 
 FIG_1 = {"parameters": (1.0, 0.5), "period": 20, "samples": 60, "input_noise": 0.1, "output_noise": 1.0}
 FIG_2 = {
@@ -70,13 +70,13 @@ def test_errors_on_the_sphere_cost_more_than_those_within_it():
 
 
 def test_every_excitation_has_the_published_norm():
-    for amplitude, samples in choices.EXCITATIONS.values():
+    for amplitude, samples in EXCITATIONS.values():
         rows = amplitude * np.random.default_rng(7).standard_normal((200, 5, samples))
-        assert np.linalg.norm(rows, 2, axis=(1, 2)).mean() == pytest.approx(choices.PUBLISHED_NORM, rel=0.03)
-    amplitude, samples = choices.weighted_excitation(0.95)
+        assert np.linalg.norm(rows, 2, axis=(1, 2)).mean() == pytest.approx(PUBLISHED_NORM, rel=0.03)
+    amplitude, samples = weighted_excitation(0.95)
     weights = 0.95 ** (np.arange(samples - 1, -1, -1) / 2)
     rows = amplitude * np.random.default_rng(7).standard_normal((200, 5, samples)) * weights
-    assert np.linalg.norm(rows, 2, axis=(1, 2)).mean() == pytest.approx(choices.PUBLISHED_NORM, rel=0.03)
+    assert np.linalg.norm(rows, 2, axis=(1, 2)).mean() == pytest.approx(PUBLISHED_NORM, rel=0.03)
 
 
 def test_columns_differ_by_no_more_than_asked():

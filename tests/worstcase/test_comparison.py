@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from experiments.worstcase import comparison, comparison_pictures
-from experiments.worstcase.comparison import (
+from notebooks.worstcase import comparison
+from notebooks.worstcase.comparison import (
     EXCITATIONS,
     METHODS,
     SETTINGS,
@@ -23,7 +23,7 @@ from experiments.worstcase.comparison import (
 )
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import smallest_level
-from stillwork.workbook import figures
+from workbook import figures
 
 FORGETTING = 0.9
 
@@ -192,9 +192,9 @@ def test_the_judgement_of_a_cell():
 def test_pictures_show_every_cell():
     names = ["noise 0.5, 0.5", "gain 0.8"]
     errors = compare({name: SETTINGS[name] for name in names}, 3, 3, 3, 60, FORGETTING)["errors"]
-    drawn = figures.plotted(comparison_pictures.paint_map(names, errors))
+    drawn = figures.plotted(comparison.paint_map(names, errors))
     cells = [row for row in drawn if row[-1]]
     assert len(cells) == len(names) * len(EXCITATIONS) * len(METHODS)
-    ratios = figures.plotted(comparison_pictures.paint_ratios(names, errors))
-    assert {row[1] for row in ratios} >= {METHODS[name] for name, _ in comparison_pictures.AGAINST}
-    comparison_pictures.explore_comparison(0.1, 0.1, 1.0, 0.0, 2)
+    ratios = figures.plotted(comparison.paint_ratios(names, errors))
+    assert {row[1] for row in ratios} >= {METHODS[name] for name, _ in comparison.AGAINST}
+    comparison.explore_comparison(0.1, 0.1, 1.0, 0.0, 2)

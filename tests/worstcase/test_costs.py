@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from experiments.worstcase.costs import multiplications, slope
+from notebooks.worstcase.time_updates import multiplications, slope
 from stillwork.base.checks import InputError
 
 COUNT = """

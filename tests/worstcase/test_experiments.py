@@ -4,16 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from experiments.worstcase import (
-    contraction_pictures,
-    geometry_pictures,
-    identification_pictures,
-    measured,
-    measured_pictures,
-    total_least_squares,
-    tracking_pictures,
-    update_pictures,
-)
+from experiments.worstcase import measured, total_least_squares
 from experiments.worstcase.pairs import load_pair
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
@@ -34,12 +25,18 @@ from experiments.worstcase.theory import (
     weighting_trial,
 )
 from naive import worstcase as naive
+from notebooks.worstcase import contraction as contraction_pictures
+from notebooks.worstcase import fir_identification as identification_pictures
+from notebooks.worstcase import geometry as geometry_pictures
+from notebooks.worstcase import real_record as measured_pictures
+from notebooks.worstcase import time_updates as update_pictures
+from notebooks.worstcase import tracking as tracking_pictures
 from stillwork.base.checks import InputError
 from stillwork.estimation import min_max_solve
 from stillwork.identification import fir_regressors
 from stillwork.identification.regressors import exponential_bound
-from stillwork.workbook import figures
-from stillwork.workbook.studies import run_study
+from workbook import figures
+from workbook.studies import run_study
 
 FIG_1 = {"parameters": (1.0, 0.5), "period": 20, "samples": 60, "input_noise": 0.1, "output_noise": 1.0}
 

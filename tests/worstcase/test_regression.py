@@ -1,6 +1,4 @@
 import pickle
-import subprocess
-import sys
 import warnings
 
 import cvxpy
@@ -9,9 +7,12 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn import config_context
 from sklearn.exceptions import NotFittedError
 from sklearn.metrics import r2_score
 from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator
 
 from naive import worstcase as naive
@@ -38,16 +39,15 @@ EVERY = [
     MinMaxRegressor(bound=0.01, bound_on="sample", initial_covariance=100.0),
 ]
 KINDS = [
-    LeastMeanSquares(step_size=0.4),
-    RecursiveLeastSquares(forgetting=0.95),
-    RecursiveLeastSquares(),
-    MinMaxRegressor(0.3, forgetting=0.95),
-    MinMaxRegressor([0.3, 0.0, 0.1], "sample", initial_covariance=10.0),
+    LeastMeanSquares(step_size=0.4, fit_intercept=False),
+    RecursiveLeastSquares(forgetting=0.95, fit_intercept=False),
+    RecursiveLeastSquares(fit_intercept=False),
+    MinMaxRegressor(0.3, forgetting=0.95, fit_intercept=False),
+    MinMaxRegressor([0.3, 0.0, 0.1], "sample", initial_covariance=10.0, fit_intercept=False),
 ]
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:Estimator .* does not inherit from:UserWarning")
 @pytest.mark.filterwarnings("ignore::stillwork.estimation.min_max.ZeroEstimateWarning")
 @pytest.mark.parametrize("estimator", EVERY, ids=repr)
 def test_it_passes_scikit_learn_s_own_checks(estimator):
@@ -60,13 +60,6 @@ def record(seed=0, samples=60, outputs=None, features=3):
     coef = rng.normal(size=features if outputs is None else (outputs, features))
     y = X @ coef.T
     return X, y + 0.3 * rng.normal(size=y.shape)
-
-
-def complex_record(seed=0, samples=40):
-    rng = np.random.default_rng(seed)
-    X, coef, noise = (rng.normal(size=(2, *shape)) for shape in ((samples, 3), (3,), (samples,)))
-    X, coef, noise = (real + 1j * imaginary for real, imaginary in (X, coef, noise))
-    return X, X @ coef + 0.3 * noise
 
 
 def weighted(X, y, forgetting, weights=1.0):
@@ -86,12 +79,72 @@ def assert_cone_program(found, X, y, bounds):
 
 @pytest.mark.parametrize("outputs", [None, 2])
 @pytest.mark.parametrize("forgetting", [0.9, 1.0])
+def test_an_intercept_is_that_of_weighted_least_squares(forgetting, outputs):
+    X, y = record(23, outputs=outputs)
+    y = y + (1e3 if outputs is None else np.array([1e3, -70.0]))
+    weights = np.random.default_rng(24).uniform(0, 3, len(X))
+    A, b = weighted(np.column_stack([X, np.ones(len(X))]), y, forgetting, weights)
+    expected = np.linalg.lstsq(A, b)[0]
+    for estimator, tolerance in (
+        (RecursiveLeastSquares(forgetting=forgetting), 1e-3),  # its start counts a millionth
+        (MinMaxRegressor(0.0, forgetting=forgetting), 1e-9),
+    ):
+        found = estimator.fit(X, y, weights)
+        assert found.coef_ == pytest.approx(expected[:3].T, rel=tolerance, abs=tolerance)
+        assert found.intercept_ == pytest.approx(expected[3], rel=tolerance)
+        assert found.score(X, y) > 0.7
+
+
+def test_an_intercept_of_min_max_is_a_known_column_of_ones():
+    X, y = record(25)
+    ones = MinMaxRegressor([0.4, 0.4, 0.4, 0.0], fit_intercept=False).fit(
+        np.column_stack([X, np.ones(60)]), y + 9
+    )
+    found = MinMaxRegressor(0.4).fit(X, y + 9)
+    assert np.append(found.coef_, found.intercept_) == pytest.approx(ones.coef_, rel=1e-12)
+    assert_cone_program(ones.coef_, np.column_stack([X, np.ones(60)]), y + 9, np.array([0.4, 0.4, 0.4, 0.0]))
+
+
+def test_least_mean_squares_learn_an_offset():
+    X, _ = record(26, samples=3000)
+    found = LeastMeanSquares(step_size=0.2).fit(1e-6 * X, X @ [1.0, -2.0, 3.0] + 5.0)
+    assert 1e-6 * found.coef_ == pytest.approx([1.0, -2.0, 3.0], rel=1e-6)
+    assert found.intercept_ == pytest.approx(5.0, rel=1e-6)
+
+
+def test_a_weight_is_the_same_sample_given_again():
+    X, y = record(27)
+    twice = np.repeat(X, 2, axis=0), np.repeat(y, 2)
+    for estimator in (RecursiveLeastSquares(), MinMaxRegressor(0.2)):
+        weighted_once = clone(estimator).fit(X, y, np.full(60, 2.0))
+        assert weighted_once.coef_ == pytest.approx(clone(estimator).fit(*twice).coef_, rel=1e-6)
+
+
+def test_sample_weight_is_routed_to_the_last_step():
+    X, y = record(28)
+    weights = np.random.default_rng(29).uniform(0, 3, len(X))
+    with config_context(enable_metadata_routing=True):
+        line = make_pipeline(
+            StandardScaler().set_fit_request(sample_weight=False),
+            RecursiveLeastSquares().set_fit_request(sample_weight=True),
+        )
+        line.fit(X, y, sample_weight=weights)
+    scaled = StandardScaler().fit_transform(X)
+    assert line[-1].coef_ == pytest.approx(RecursiveLeastSquares().fit(scaled, y, weights).coef_, rel=1e-9)
+
+
+@pytest.mark.parametrize("outputs", [None, 2])
+@pytest.mark.parametrize("forgetting", [0.9, 1.0])
 def test_recursive_least_squares_are_weighted_least_squares(forgetting, outputs):
     X, y = record(1, outputs=outputs)
     weights = np.random.default_rng(2).uniform(0, 3, len(X))
     prior, start = np.array([2.0, 5.0, 0.5]), np.arange(3.0) if outputs is None else np.ones((2, 3))
     found = RecursiveLeastSquares(
-        forgetting=forgetting, initial_coef=start, initial_covariance=prior, growth_limit=np.inf
+        forgetting=forgetting,
+        initial_coef=start,
+        initial_covariance=prior,
+        growth_limit=np.inf,
+        fit_intercept=False,
     ).fit(X, y, weights)
     root = np.sqrt(forgetting ** len(X) / prior)
     A, b = weighted(X, y, forgetting, weights)
@@ -105,24 +158,26 @@ def test_recursive_least_squares_are_weighted_least_squares(forgetting, outputs)
 def test_the_default_guard_leaves_an_excited_estimate_alone(seed):
     X, y = record(seed, samples=400)
     A, b = weighted(X, y, 0.9)
-    assert RecursiveLeastSquares(forgetting=0.9).fit(X, y).coef_ == pytest.approx(np.linalg.lstsq(A, b)[0])
+    assert RecursiveLeastSquares(forgetting=0.9, fit_intercept=False).fit(X, y).coef_ == pytest.approx(
+        np.linalg.lstsq(A, b)[0]
+    )
 
 
 SCALED = [
-    LeastMeanSquares(),
-    RecursiveLeastSquares(),
-    RecursiveLeastSquares(forgetting=0.9),
-    RecursiveLeastSquares(forgetting=0.9, form="UD"),
-    MinMaxRegressor(0.0),
-    MinMaxRegressor(0.3, forgetting=0.9),
+    LeastMeanSquares(fit_intercept=False),
+    RecursiveLeastSquares(fit_intercept=False),
+    RecursiveLeastSquares(forgetting=0.9, fit_intercept=False),
+    RecursiveLeastSquares(forgetting=0.9, form="UD", fit_intercept=False),
+    MinMaxRegressor(0.0, fit_intercept=False),
+    MinMaxRegressor(0.3, forgetting=0.9, fit_intercept=False),
 ]
 
 
-@pytest.mark.parametrize("complex_data", [False, True])
+@pytest.mark.parametrize("fit_intercept", [False, True])
 @pytest.mark.parametrize("estimator", SCALED, ids=repr)
-def test_a_prediction_is_the_same_in_any_unit(estimator, complex_data):
-    X, y = complex_record(20) if complex_data else record(20)
-    estimator = clone(estimator).set_params(complex_data=complex_data)
+def test_a_prediction_is_the_same_in_any_unit(estimator, fit_intercept):
+    X, y = record(20)
+    estimator = clone(estimator).set_params(fit_intercept=fit_intercept)
     expected = estimator.fit(X, y).predict(X)
     for size in (1e-9, 1e-4, 1e-3, 1e3, 1e9):
         bounds = {"bound": estimator.bound * size} if isinstance(estimator, MinMaxRegressor) else {}
@@ -144,7 +199,7 @@ def test_a_variance_that_was_held_down_is_reported():
     X, y = record(22, samples=300)
     X[100:, 1] = 0
     with pytest.warns(GrowthLimitWarning, match="growth_limit"):
-        found = RecursiveLeastSquares(forgetting=0.8).fit(X, y)
+        found = RecursiveLeastSquares(forgetting=0.8, fit_intercept=False).fit(X, y)
     assert found.held_ == pytest.approx([0, 1, 0], abs=1e-3)
 
 
@@ -154,7 +209,9 @@ def test_least_mean_squares_take_the_published_step():
     coef = start.copy()
     for row, output in zip(X, y, strict=True):
         coef += 0.4 * np.outer(output - coef @ row, row) / (1e-2 + row @ row)
-    found = LeastMeanSquares(step_size=0.4, regularisation=1e-2, initial_coef=start).fit(X, y)
+    found = LeastMeanSquares(step_size=0.4, regularisation=1e-2, initial_coef=start, fit_intercept=False).fit(
+        X, y
+    )
     assert found.coef_ == pytest.approx(coef, rel=1e-12)
 
 
@@ -167,22 +224,26 @@ def test_min_max_is_the_cone_program(bound, bound_on):
     A, b = weighted(X, y, 0.9, weights)
     growth = 1.0 if bound_on == "record" else np.sqrt(weights @ 0.9 ** np.arange(19, -1, -1))
     bounds = growth * np.broadcast_to(bound, 3)
-    found = MinMaxRegressor(bound, bound_on, forgetting=0.9).fit(X, y, weights)
+    found = MinMaxRegressor(bound, bound_on, forgetting=0.9, fit_intercept=False).fit(X, y, weights)
     for coef, target in zip(found.coef_, b.T, strict=True):
         assert_cone_program(coef, A, target, bounds)
 
 
 def test_min_max_without_options_is_theorem_one():
     X, y = record(6)
-    assert MinMaxRegressor(0.7).fit(X, y).coef_ == pytest.approx(min_max_solve(X, y, 0.7).estimate, rel=1e-12)
-    assert MinMaxRegressor(0.7).fit(X, y).coef_ == pytest.approx(naive.min_max(X, y, 0.7)[0], rel=1e-9)
+    assert MinMaxRegressor(0.7, fit_intercept=False).fit(X, y).coef_ == pytest.approx(
+        min_max_solve(X, y, 0.7).estimate, rel=1e-12
+    )
+    assert MinMaxRegressor(0.7, fit_intercept=False).fit(X, y).coef_ == pytest.approx(
+        naive.min_max(X, y, 0.7)[0], rel=1e-9
+    )
 
 
 def test_min_max_keeps_the_digits_of_data_that_fit():
     X, y = record(7)
     coef = np.array([1.0, -2.0, 3.0])
     noise = 1e-9 * (y - X @ np.linalg.lstsq(X, y)[0])
-    found = MinMaxRegressor(0.05).fit(X, X @ coef + noise)
+    found = MinMaxRegressor(0.05, fit_intercept=False).fit(X, X @ coef + noise)
     expected = small_noise_solution(X, noise, coef, 0.05)
     assert np.abs(expected - coef).max() > 1e-12  # what sums of squares, of 1e-17 beside 1e3, could not tell
     assert found.coef_ == pytest.approx(expected, abs=1e-14)
@@ -197,8 +258,10 @@ def small_noise_solution(X, noise, coef, bound):
 def test_a_known_column_that_says_nothing_new_does_no_harm():
     X, y = record(8)
     doubled = np.column_stack([X[:, :2], X[:, :2] @ [1.0, 1.0], X[:, 2]])
-    found = MinMaxRegressor([0, 0, 0, 0.5]).fit(doubled, y)
-    assert found.coef_[3] == pytest.approx(MinMaxRegressor([0, 0, 0.5]).fit(X, y).coef_[2], rel=1e-10)
+    found = MinMaxRegressor([0, 0, 0, 0.5], fit_intercept=False).fit(doubled, y)
+    assert found.coef_[3] == pytest.approx(
+        MinMaxRegressor([0, 0, 0.5], fit_intercept=False).fit(X, y).coef_[2], rel=1e-10
+    )
 
 
 @pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
@@ -221,11 +284,15 @@ def clone(estimator):
 
 def test_the_recursions_are_those_of_the_toolbox():
     X, y = record(10, samples=300)
-    found = RecursiveLeastSquares(forgetting=0.95, initial_covariance=7.0, growth_limit=20.0).fit(X, y)
+    found = RecursiveLeastSquares(
+        forgetting=0.95, initial_covariance=7.0, growth_limit=20.0, fit_intercept=False
+    ).fit(X, y)
     twin = identify(FeRls(7.0, forgetting=0.95, growth_limit=20.0), X.T, -y[None])
     assert np.array_equal(found.coef_, twin.weights[0])
     track = run(MinMax(0.5, 0.95), X.T, y)
-    assert MinMaxRegressor(0.5, forgetting=0.95).fit(X, y).coef_ == pytest.approx(track.estimates[:, -1])
+    assert MinMaxRegressor(0.5, forgetting=0.95, fit_intercept=False).fit(X, y).coef_ == pytest.approx(
+        track.estimates[:, -1]
+    )
 
 
 @pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
@@ -248,44 +315,15 @@ def test_a_lost_sample_is_time_without_news(estimator):
     assert found.score(X, target) == pytest.approx(r2_score(y[gone > 0], found.predict(X)[gone > 0]))
 
 
-def test_complex_least_squares_and_least_mean_squares():
-    X, y = complex_record(12)
-    A, b = weighted(X, y, 0.9)
-    root = np.sqrt(0.9 ** len(X) / 3.0)
-    A, b = np.vstack([A, root * np.eye(3)]), np.append(b, root * np.array([1j, 0, 2]))
-    found = RecursiveLeastSquares(
-        forgetting=0.9,
-        initial_covariance=3.0,
-        initial_coef=[1j, 0, 2],
-        growth_limit=np.inf,
-        complex_data=True,
-    ).fit(X, y)
-    assert found.coef_ == pytest.approx(np.linalg.lstsq(A, b)[0], rel=1e-9)
-    assert found.covariance_ == pytest.approx(np.linalg.inv(A.conj().T @ A), rel=1e-8)
-    assert found.predict(X) == pytest.approx(X @ found.coef_)
-    coef = np.zeros(3, complex)
-    for row, output in zip(X, y, strict=True):
-        coef += 0.4 * (output - row @ coef) * row.conj() / (1e-5 + np.linalg.norm(row) ** 2)
-    found = LeastMeanSquares(step_size=0.4, regularisation=1e-5, complex_data=True).fit(X, y)
-    assert found.coef_ == pytest.approx(coef, rel=1e-12)
-
-
-@pytest.mark.parametrize("bound", [0.8, [0.0, 0.8, 0.3]])
-def test_complex_min_max_is_the_complex_cone_program(bound):
-    X, y = complex_record(13, samples=12)
-    found = MinMaxRegressor(bound, "sample", complex_data=True).fit(X, y)
-    assert_cone_program(found.coef_, X, y, np.sqrt(12) * np.broadcast_to(bound, 3))
-
-
 @pytest.mark.parametrize(
     "estimator",
     [
-        LeastMeanSquares(step_size=0.5),
-        RecursiveLeastSquares(),
-        RecursiveLeastSquares(forgetting=0.95),
-        RecursiveLeastSquares(forgetting=0.95, form="UD"),
-        MinMaxRegressor(1e-3, forgetting=0.95),
-        MinMaxRegressor(1e-3, "sample", forgetting=0.95, initial_covariance=1.0),
+        LeastMeanSquares(step_size=0.5, fit_intercept=False),
+        RecursiveLeastSquares(fit_intercept=False),
+        RecursiveLeastSquares(forgetting=0.95, fit_intercept=False),
+        RecursiveLeastSquares(forgetting=0.95, form="UD", fit_intercept=False),
+        MinMaxRegressor(1e-3, forgetting=0.95, fit_intercept=False),
+        MinMaxRegressor(1e-3, "sample", forgetting=0.95, initial_covariance=1.0, fit_intercept=False),
     ],
     ids=lambda e: type(e).__name__,
 )
@@ -308,7 +346,7 @@ def test_without_news_min_max_fades_where_its_bound_does_not():
     X, y = record(20)
     silence = np.full((200, 3), np.nan), np.zeros(200)
     for bound_on in ("record", "sample"):
-        stream = MinMaxRegressor(0.1, bound_on, forgetting=0.95).partial_fit(X, y)
+        stream = MinMaxRegressor(0.1, bound_on, forgetting=0.95, fit_intercept=False).partial_fit(X, y)
         before = stream.coef_
         after = stream.partial_fit(*silence).coef_
         assert after == pytest.approx(before, rel=1e-9) if bound_on == "sample" else not after.any()
@@ -335,14 +373,16 @@ def test_a_part_of_a_stream_may_be_as_quiet_as_it_likes(estimator):
 
 def test_the_bound_may_change_between_two_calls():
     X, y = record(15)
-    stream = MinMaxRegressor(0.1).partial_fit(X[:30], y[:30])
+    stream = MinMaxRegressor(0.1, fit_intercept=False).partial_fit(X[:30], y[:30])
     stream.set_params(bound=[0.0, 2.0, 0.0]).partial_fit(X[30:], y[30:])
-    assert stream.coef_ == pytest.approx(MinMaxRegressor([0.0, 2.0, 0.0]).fit(X, y).coef_, rel=1e-12)
+    assert stream.coef_ == pytest.approx(
+        MinMaxRegressor([0.0, 2.0, 0.0], fit_intercept=False).fit(X, y).coef_, rel=1e-12
+    )
 
 
 def test_forgetting_may_change_between_two_calls():
     X, y = record(16)
-    stream = RecursiveLeastSquares(forgetting=0.8).partial_fit(X[:30], y[:30])
+    stream = RecursiveLeastSquares(forgetting=0.8, fit_intercept=False).partial_fit(X[:30], y[:30])
     stream.set_params(forgetting=0.9).partial_fit(X[30:], y[30:])
     root = np.sqrt(np.append(0.9**30 * 0.8 ** np.arange(29, -1, -1), 0.9 ** np.arange(29, -1, -1)))
     assert stream.coef_ == pytest.approx(np.linalg.lstsq(X * root[:, None], y * root)[0], rel=1e-6)
@@ -372,7 +412,9 @@ def test_a_refused_call_changes_nothing(estimator):
 
 def test_it_stands_in_a_search_and_in_a_pickle():
     X, y = record(18, samples=200)
-    search = GridSearchCV(MinMaxRegressor(0.1), {"bound": [0.0, 0.5, 100.0]}, error_score="raise")
+    search = GridSearchCV(
+        MinMaxRegressor(0.1, fit_intercept=False), {"bound": [0.0, 0.5, 100.0]}, error_score="raise"
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ZeroEstimateWarning)
         assert search.fit(X, y).best_params_["bound"] < 100
@@ -381,7 +423,13 @@ def test_it_stands_in_a_search_and_in_a_pickle():
 
 
 @pytest.mark.parametrize(
-    "estimator", [LeastMeanSquares(), RecursiveLeastSquares(), MinMaxRegressor(0.1)], ids=repr
+    "estimator",
+    [
+        LeastMeanSquares(fit_intercept=False),
+        RecursiveLeastSquares(fit_intercept=False),
+        MinMaxRegressor(0.1, fit_intercept=False),
+    ],
+    ids=repr,
 )
 def test_a_frame_with_other_columns_is_refused(estimator):
     X = pd.DataFrame(np.random.default_rng(31).standard_normal((50, 2)), columns=["drive", "floor"])
@@ -389,9 +437,9 @@ def test_a_frame_with_other_columns_is_refused(estimator):
     assert fitted.feature_names_in_.tolist() == ["drive", "floor"]
     learned = fitted.coef_.copy()
     for call in (fitted.predict, lambda table: fitted.score(table, X["drive"])):
-        with pytest.raises(InputError, match=r"^X\b.*floor, drive.*drive, floor"):
+        with pytest.raises(InputError, match=r"^X\b.*same order"):
             call(X[["floor", "drive"]])
-    with pytest.raises(InputError, match=r"^X\b.*drive, floor"):
+    with pytest.raises(InputError, match=r"^X\b.*same order"):
         fitted.partial_fit(X[["floor", "drive"]], X["drive"])
     assert np.array_equal(fitted.coef_, learned)
     assert np.array_equal(fitted.predict(X), fitted.predict(X.to_numpy()))
@@ -399,7 +447,13 @@ def test_a_frame_with_other_columns_is_refused(estimator):
 
 
 @pytest.mark.parametrize(
-    "estimator", [LeastMeanSquares(), RecursiveLeastSquares(), MinMaxRegressor(0.1)], ids=repr
+    "estimator",
+    [
+        LeastMeanSquares(fit_intercept=False),
+        RecursiveLeastSquares(fit_intercept=False),
+        MinMaxRegressor(0.1, fit_intercept=False),
+    ],
+    ids=repr,
 )
 def test_what_a_frame_calls_missing_is_lost(estimator):
     X = pd.DataFrame(np.random.default_rng(32).standard_normal((50, 2)), columns=["drive", "floor"])
@@ -410,50 +464,50 @@ def test_what_a_frame_calls_missing_is_lost(estimator):
     assert np.array_equal(clone(estimator).fit(*missing).coef_, clone(estimator).fit(X, y).coef_)
 
 
-@pytest.mark.slow
-def test_it_needs_no_scikit_learn():
-    script = (
-        "import sys; sys.modules['sklearn'] = None\n"
-        "from stillwork.estimation import MinMaxRegressor\n"
-        "one = MinMaxRegressor(0.1)\n"
-        "try: one.predict([[1.0]])\n"
-        "except ValueError as error: print(error)\n"
-        "print(one.fit([[1.0], [2.0]], [1.0, 2.1]).score([[1.0], [2.0]], [1.0, 2.1]) > 0.9, one)"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert "call fit or partial_fit first\nTrue MinMaxRegressor(bound=0.1" in done.stdout
-
-
 def test_a_bound_that_explains_everything_away_warns():
     X, y = record(19)
     with pytest.warns(ZeroEstimateWarning, match=r"\bbound\b"):
-        assert not MinMaxRegressor(50.0).fit(X, y).coef_.any()
+        assert not MinMaxRegressor(50.0, fit_intercept=False).fit(X, y).coef_.any()
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: MinMaxRegressor(-1.0).fit(*record()), r"^bound\b"),
-        (lambda: MinMaxRegressor([1.0, 2.0]).fit(*record()), r"^bound\b"),
+        (lambda: MinMaxRegressor(-1.0, fit_intercept=False).fit(*record()), r"^bound\b"),
+        (lambda: MinMaxRegressor([1.0, 2.0], fit_intercept=False).fit(*record()), r"^bound\b"),
         (
-            lambda: MinMaxRegressor(1.0, "row").fit(*record()),
+            lambda: MinMaxRegressor(1.0, "row", fit_intercept=False).fit(*record()),
             r"^bound_on\b",
         ),
-        (lambda: MinMaxRegressor(1.0, initial_coef=np.ones(3)).fit(*record()), r"^initial_covariance\b"),
-        (lambda: MinMaxRegressor(1.0, forgetting=1.1).fit(*record()), r"^forgetting\b"),
-        (lambda: RecursiveLeastSquares(forgetting=0.0).fit(*record()), r"^forgetting\b"),
-        (lambda: RecursiveLeastSquares(initial_coef=np.ones(2)).fit(*record()), r"^initial_coef\b"),
-        (lambda: RecursiveLeastSquares(form="square").fit(*record()), r"^form\b"),
-        (lambda: LeastMeanSquares(step_size=2.0).fit(*record()), r"^step_size\b"),
-        (lambda: LeastMeanSquares().set_params(step=1.0), r"^step\b.*'step_size'"),
-        (lambda: LeastMeanSquares().fit(np.full((5, 2), np.nan), np.ones(5)), r"^X and y\b.*NaN"),
-        (lambda: LeastMeanSquares().fit(np.ones((5, 2)), np.full(5, np.inf)), r"^y\b"),
-        (lambda: LeastMeanSquares().fit(np.ones((5, 2)), np.ones(4)), r"^y\b"),
-        (lambda: LeastMeanSquares().fit([["a"]], [1.0]), r"^X\b"),
-        (lambda: LeastMeanSquares().fit(np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0]), r"^X\b"),
-        (lambda: LeastMeanSquares().fit(np.array([["1"], ["2"]]), [1.0, 2.0]), r"^X\b"),
-        (lambda: LeastMeanSquares().fit(np.array([["1"], ["2"]], object), [1.0, 2.0]), r"^X\b"),
-        (lambda: RecursiveLeastSquares().fit(*record(), -np.ones(60)), r"^sample_weight\b"),
+        (
+            lambda: MinMaxRegressor(1.0, initial_coef=np.ones(3), fit_intercept=False).fit(*record()),
+            r"^initial_covariance\b",
+        ),
+        (lambda: MinMaxRegressor(1.0, forgetting=1.1, fit_intercept=False).fit(*record()), r"^forgetting\b"),
+        (lambda: RecursiveLeastSquares(forgetting=0.0, fit_intercept=False).fit(*record()), r"^forgetting\b"),
+        (
+            lambda: RecursiveLeastSquares(initial_coef=np.ones(2), fit_intercept=False).fit(*record()),
+            r"^initial_coef\b",
+        ),
+        (lambda: RecursiveLeastSquares(form="square", fit_intercept=False).fit(*record()), r"^form\b"),
+        (lambda: LeastMeanSquares(step_size=2.0, fit_intercept=False).fit(*record()), r"^step_size\b"),
+        (
+            lambda: LeastMeanSquares(fit_intercept=False).fit(np.full((5, 2), np.nan), np.ones(5)),
+            r"^X and y\b.*NaN",
+        ),
+        (lambda: LeastMeanSquares(fit_intercept=False).fit(np.ones((5, 2)), np.full(5, np.inf)), r"^y\b"),
+        (lambda: LeastMeanSquares(fit_intercept=False).fit(np.ones((5, 2)), np.ones(4)), r"^y\b"),
+        (lambda: LeastMeanSquares(fit_intercept=False).fit([["a"]], [1.0]), r"^X\b"),
+        (
+            lambda: LeastMeanSquares(fit_intercept=False).fit(
+                np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0]
+            ),
+            r"^X\b",
+        ),
+        (
+            lambda: RecursiveLeastSquares(fit_intercept=False).fit(*record(), -np.ones(60)),
+            r"^sample_weight\b",
+        ),
     ],
 )
 def test_bad_input_is_named(call, message):

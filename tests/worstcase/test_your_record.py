@@ -4,22 +4,17 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from experiments.worstcase import your_record_pictures as draw
 from experiments.worstcase.measured import window_residuals
 from experiments.worstcase.pairs import MeasuredPair, load_pair, open_pair, residual
-from experiments.worstcase.your_record import (
-    fit_pair,
-    parts,
-    weighted_corner,
-    window_lengths,
-)
-from stillwork.base import paths
+from notebooks.worstcase import your_record as draw
+from notebooks.worstcase.your_record import fit_pair, parts, weighted_corner, window_lengths
 from stillwork.base.checks import InputError
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_kernels import FEW
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.identification.regressors import fir_regressors, noise_bound
+from workbook import paths
 
 TEMPLATE = paths.data("worstcase", "your_record/template.csv")
 SHIPPED = paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz")

@@ -8,11 +8,11 @@ import numpy as np
 from scipy import optimize, signal
 
 from experiments.isolation import load_twin
-from experiments.isolation.modes import suspension_modes
-from stillwork.base import paths
+from notebooks.isolation.floor_and_paths import suspension_modes
 from stillwork.estimation import AdaptationStepper, FeLms, FeRls, identify
 from stillwork.lti import StateModel
 from stillwork.signals import estimate_spectrum, load_record
+from workbook import paths
 
 
 def signs(seed: int, rows: int, samples: int) -> np.ndarray:

@@ -18,6 +18,5 @@ __all__, __getattr__, __dir__ = face(
         "noise": ("Noise",),
         "oscillator": ("VanDerPol", "load_oscillator"),
         "published": ("PUBLISHED_CASES", "added_controllers", "published_controllers"),
-        "tuning": ("families", "tune"),
     },
 )

@@ -8,7 +8,6 @@ from scipy import special
 
 from experiments.fixedpoint import statements as said
 from experiments.fixedpoint.convergence_study import remaining_motion
-from experiments.fixedpoint.differentiation import difference_quotient, quotient_trial, rejects_gaussian
 from experiments.fixedpoint.metrics import judge, noisy_run
 from experiments.fixedpoint.noise import LOGISTIC_DEVIATION, Noise
 from experiments.fixedpoint.oscillator import load_oscillator
@@ -17,7 +16,7 @@ from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.trajectory import Trajectory, asin_trajectory, trapezoid_trajectory
 from stillwork.control.transformation import FlowTransformation
 from stillwork.estimation.coordinate_filters import MovingWindow, UnscentedKalman
-from stillwork.workbook.studies import mean_interval, run_study
+from workbook.studies import mean_interval, run_study
 
 Values = dict[str, float | tuple[float, tuple[float, float]]]
 
@@ -233,41 +232,3 @@ def coupled_logistic(gaussian: np.ndarray, deviation: float) -> np.ndarray:
     """Logistic numbers of the same deviation, each at the place of the Gaussian one in its distribution."""
     place = gaussian / deviation
     return deviation / LOGISTIC_DEVIATION * (special.log_ndtr(place) - special.log_ndtr(-place))
-
-
-# --- Section II.C: numerical differentiation ------------------------------------------------------------------------
-
-
-def differentiation(
-    *,
-    noise_law: str,
-    record_samples: int,
-    encoder_step: float,
-    trajectory_shape: str,
-    trajectory_frequency: float,
-    seed: int,
-    lean: bool,
-) -> Values:
-    """(20), (21) and what is said of the noises, in 40 records as in notebook 05; it has no leaner form."""
-    records, deviation = 40, PRINTED_NOISE["large"]
-    study = run_study(
-        quotient_trial, records, seed, progress=False, noise=Noise(noise_law, deviation), samples=record_samples,
-        sample_time=SAMPLE_TIME,
-    )  # fmt: skip
-    found: Values = {
-        f"fixedpoint.{claim}": (study[quantity].mean(), mean_interval(study[quantity]))
-        for claim, quantity in (("eq-20.mean", "mean"), ("eq-21.variance", "variance"))
-    }
-    beyond = np.abs(study["correlation"]) > 10 / np.sqrt(record_samples)
-    motion = trajectory(trajectory_shape, trajectory_frequency, 1.0).position[:record_samples]
-    encoder = Noise("encoder", encoder_step)
-    told = [
-        rejects_gaussian(
-            difference_quotient(encoder.measure(motion, np.random.default_rng(stream)) - motion, SAMPLE_TIME)
-        )
-        for stream in np.random.SeedSequence(seed).spawn(records)
-    ]
-    return found | {
-        "fixedpoint.section-2c.not-independent": said.fraction(beyond),
-        "fixedpoint.section-4.encoder-not-gaussian": said.fraction(np.array(told)),
-    }

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from experiments.isolation.convergence import SHARE
-from experiments.isolation.floors import ShapedFloor, flat_floor
+from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.performance import ENTRIES, exact_reduction_db, expected_density
 from experiments.isolation.plant import plant_of_rig
@@ -18,8 +18,8 @@ from experiments.isolation.power import BAND_HZ, reduction_percent
 from experiments.isolation.rig import Lines, Rig
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.base import paths
 from stillwork.base.toml_files import read_toml
+from workbook import paths
 
 MASS, STIFFNESS = 5.4, 60e3  # kg, N/m: sections 2 and 2.1
 DURATION_S = 200.0  # of a run, as in notebook 02
@@ -137,3 +137,38 @@ def edges(given: dict[str, float]) -> tuple[float, float, float]:
     found = [f[reduction > limit] for limit in (20.0, 0.0)]
     ends = (found[0][:1], found[0][-1:], found[1][:1])
     return tuple(float(each[0]) if len(each) else np.nan for each in ends)
+
+
+def equal_struts(
+    *,
+    strut_damping: float,
+    actuator_pole: float,
+    strut_tilt: float = 31.08,
+    pair_angle: float = 15.0,
+    rotations: float = 40.0,
+    output_noise: float = 1.8e-4,
+) -> Twin:
+    """The rigid body of six equal struts with another geometry; its floor sensors stay where they are.
+
+    `strut_tilt` and `pair_angle` in degrees, from the vertical and half of what is between the struts of a pair;
+    `rotations` in Hz, of all three.
+    """
+    struts = {"stiffness": 1.0, "damping": strut_damping}
+    sensors = {"sensor_radius": 0.0648, "sensor_angle": 0.0, "floor_level": FLAT_LEVEL}
+    given = {
+        **{f"{name}{k}": value for name, value in struts.items() for k in range(1, 7)},
+        **{f"{name}{k}": value for name, value in sensors.items() for k in (1, 2, 3)},
+        "tilt": strut_tilt,
+        "pair": pair_angle,
+        "radius": 0.1,
+        "rotation": rotations,
+        "flatness": np.tan(np.radians(strut_tilt)) ** 2,  # puts the third rotation at the same frequency
+        "lateral_stiffness": 1e-9,  # no springs across
+        "lateral_damping": 0.0,
+        "azimuth": -70.5,
+        "beta": 200.0,
+        "actuator_pole": actuator_pole,
+        "output_noise": output_noise,
+        "floor_upper_end": 1500.0,
+    }
+    return build(given)[0]

@@ -9,12 +9,15 @@ BY_PACKAGE = {
     "control": "control",
     "cvxpy": "control",
     "clarabel": "control",
+    "sklearn": "regression",
     "griffe": "site",
     "jinja2": "site",
     "latex2mathml": "site",
     "nbconvert": "site",
     "pygments": "site",
 }
+
+OF_A_CHECKOUT = ("experiments", "contest", "notebooks")
 
 
 class MissingPackage(ImportError):
@@ -32,11 +35,11 @@ def require_package(name: str) -> ModuleType:
 def missing(error: ModuleNotFoundError) -> ImportError:
     """The error to raise in place of `error`: itself for a module that no extra brings."""
     name = (error.name or "").partition(".")[0]
-    if name == "experiments":
+    if name in OF_A_CHECKOUT:
         return MissingPackage(
-            "this needs the experiments, which stand in a checkout of stillwork; run it there"
+            f"this needs the folder {name}, which stands in a checkout of stillwork; run it there"
         )
-    if not name or name == "stillwork":
+    if not name or name in ("stillwork", "workbook"):
         return error
     extra = BY_PACKAGE.get(name, "workbook")
     return MissingPackage(f"{name} is not installed; pip install 'stillwork[{extra}]'")

@@ -1,24 +1,20 @@
 """Recursive estimators with scikit-learn's interface: a record at once with `fit`, a stream with `partial_fit`.
 
-They need no scikit-learn, and stand in its pipelines and searches where there is one.
-
 A sample with NaN in it (a feature or an output) is lost: time passes, so that forgetting forgets, and nothing is learned.
-Of a data frame the names of the columns are kept in `feature_names_in_`; a later frame with other names, or the same in
-another order, is refused.
-Complex data are turned into twice as many real rows and coefficients, [Re x, -Im x] and [Im x, Re x] for a sample x;
-this keeps every norm, so that each of the three criteria is the complex one.
+A call that is refused changes nothing.
 """
 
 import warnings
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from stillwork.base.checks import (
     InputError,
     counted,
-    nearest,
     require_array,
     require_choice,
     require_kind,
@@ -33,119 +29,18 @@ from stillwork.estimation.recursive_kernels import admit_start, believe_start
 from stillwork.estimation.recursive_settings import START
 from stillwork.estimation.secular import ROUNDING
 
+NUMBERS = {"dtype": np.float64, "ensure_all_finite": "allow-nan"}  # what scikit-learn's checks are to return
 SHARE = 1e-5  # regularisation of least mean squares over the largest |x|^2, where it follows from the data
 
 
-class _NotNumbers(InputError, TypeError):
+class _InputTypeError(InputError, TypeError):
     """What scikit-learn calls a TypeError and the toolbox an InputError."""
 
 
-class _LinearRegressor:
-    # y = coef x. A subclass starts a state and advances it by rows; of a call that is refused nothing is kept.
-    complex_data: Any
-
-    def get_params(self, deep=True):
-        """Parameters by name.
-
-        Parameters
-        ----------
-        deep : bool
-            For scikit-learn, which asks for parameters of parts; there are none.
-
-        Returns
-        -------
-        dict
-            For another estimator of this kind, or for `set_params`.
-
-        Examples
-        --------
-        >>> estimation.LeastMeanSquares(step_size=0.5).get_params()["step_size"]
-        0.5
-        """
-        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
-
-    def set_params(self, **parameters):
-        """Change parameters by name.
-
-        Parameters
-        ----------
-        parameters : object
-            New values.
-
-        Returns
-        -------
-        estimator
-            Itself.
-
-        Raises
-        ------
-        InputError
-            When there is no such parameter; a value is judged by the next `fit` or `partial_fit`.
-
-        Examples
-        --------
-        >>> estimation.LeastMeanSquares().set_params(step_size=0.5).step_size
-        0.5
-        """
-        known = self.get_params()
-        for name, value in parameters.items():
-            if name not in known:
-                raise InputError(
-                    f"{name} is no parameter of {type(self).__name__}; use {', '.join(known)}{nearest(name, known)}"
-                )
-            setattr(self, name, value)
-        return self
-
-    def fit(self, X, y):
-        """Learn from samples in their order, from the start.
-
-        Parameters
-        ----------
-        X : array_like, shape (samples, features)
-        y : array_like, shape (samples,) or (samples, outputs)
-
-        Returns
-        -------
-        estimator
-            Itself, with `coef_`.
-
-        Raises
-        ------
-        InputError
-            When a setting is out of its range, a table does not fit, or no sample is without NaN.
-
-        Examples
-        --------
-        >>> estimation.LeastMeanSquares(step_size=1.0).fit([[1.0], [2.0]], [3.0, 6.0]).coef_.round(3)
-        array([3.])
-        """
-        return self._learn(X, y, None, anew=True, whole=True)
-
-    def partial_fit(self, X, y):
-        """Learn from the samples that follow those of the calls before, as `fit` does of all at once.
-
-        Parameters
-        ----------
-        X : array_like, shape (samples, features)
-        y : array_like, shape (samples,) or (samples, outputs)
-
-        Returns
-        -------
-        estimator
-            Itself, with `coef_`.
-
-        Raises
-        ------
-        InputError
-            As `fit` does, and when the numbers of features or outputs differ from those before; nothing is then kept.
-
-        Examples
-        --------
-        >>> lms = estimation.LeastMeanSquares(step_size=1.0).partial_fit([[1.0]], [2.0])
-        >>> lms.partial_fit([[2.0]], [6.0]).coef_.round(3)  # the second sample meets 3
-        array([3.])
-        """
-        return self._learn(X, y, None, anew=not hasattr(self, "coef_"))
+class _RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+    # y = coef x + intercept. A subclass starts a state and advances it by rows, the last column of which is constant
+    # where there is an intercept.
+    fit_intercept: Any
 
     def predict(self, X):
         """Outputs for new samples.
@@ -164,24 +59,26 @@ class _LinearRegressor:
         InputError
             When X does not fit what was learned.
         NotFittedError
-            Before the first `fit` or `partial_fit`; `InputError` without scikit-learn.
+            Before the first `fit` or `partial_fit`.
 
         Examples
         --------
-        >>> estimation.LeastMeanSquares(step_size=1.0).fit([[1.0]], [3.0]).predict([[2.0], [np.nan]]).round(3)
+        >>> lms = estimation.LeastMeanSquares(step_size=1.0, fit_intercept=False).fit([[1.0]], [3.0])
+        >>> lms.predict([[2.0], [np.nan]]).round(3)
         array([ 6., nan])
         """
-        return self._features(X, anew=False) @ self.coef_.T
+        check_is_fitted(self)
+        return self._features(X, anew=False) @ self.coef_.T + self.intercept_
 
     def score(self, X, y, sample_weight=None):
-        """Coefficient of determination 1 - |y - prediction|^2 / |y - mean|^2, its mean over the outputs.
+        """Coefficient of determination R^2 over the samples without NaN, its mean over the outputs.
 
         Parameters
         ----------
         X : array_like, shape (samples, features)
         y : array_like, shape (samples,) or (samples, outputs)
         sample_weight : array_like, shape (samples,), optional
-            How many samples each one stands for.
+            Weight of each squared error.
 
         Returns
         -------
@@ -193,172 +90,131 @@ class _LinearRegressor:
         InputError
             When a table does not fit, or no sample is without NaN.
         NotFittedError
-            Before the first `fit` or `partial_fit`; `InputError` without scikit-learn.
+            Before the first `fit` or `partial_fit`.
 
         Examples
         --------
-        >>> lms = estimation.LeastMeanSquares(step_size=1.0).fit([[1.0]], [3.0])
+        >>> lms = estimation.LeastMeanSquares(step_size=1.0, fit_intercept=False).fit([[1.0]], [3.0])
         >>> round(lms.score([[1.0], [2.0]], [3.0, 6.0]), 6)
         1.0
         """
+        check_is_fitted(self)
         X, y, weights = self._samples(X, y, sample_weight, anew=False)
         used = ~_lost(X, y)
         if not weights[used].any():
             raise _nothing()
-        X, y, weights = X[used], y[used], weights[used]
-        left = weights @ np.abs(y - X @ np.atleast_2d(self.coef_).T) ** 2
-        spread = weights @ np.abs(y - np.average(y, axis=0, weights=weights)) ** 2
-        constant = spread == 0
-        return float(np.mean(np.where(constant, left == 0, 1 - left / np.where(constant, 1.0, spread))))
+        return super().score(X[used], y[used], weights[used])
 
     def __sklearn_tags__(self):
-        from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
+        tags = super().__sklearn_tags__()
+        tags.input_tags.allow_nan = True
+        return tags
 
-        return Tags(
-            estimator_type="regressor",
-            target_tags=TargetTags(required=True, multi_output=True),
-            regressor_tags=RegressorTags(),
-            input_tags=InputTags(allow_nan=True),
-        )
-
-    def _start(self, features, outputs) -> Any:
+    def _start(self, columns, outputs) -> Any:
         raise NotImplementedError
 
     def _advance(self, state, rows, outputs, weights) -> tuple[Any, np.ndarray]:
         raise NotImplementedError
 
-    def _learn(self, X, y, sample_weight, anew, whole=False):
-        names = _column_names(X)
-        X, targets, weights = self._samples(X, y, sample_weight, anew=anew)
-        single, lost = np.asanyarray(y).ndim == 1, _lost(X, targets)
-        if anew and lost.all():
-            raise _nothing()
-        if whole:  # a part of a stream may be as quiet as it likes
-            require_squares("X", X)
-            require_squares("y", targets)
-        weights[lost] = 0
-        rows, outputs = (np.sqrt(weights)[:, None] * np.nan_to_num(part) for part in (X, targets))
-        if self.complex_data:
-            rows = _interleaved(np.hstack([rows.real, -rows.imag]), np.hstack([rows.imag, rows.real]))
-            outputs = _interleaved(outputs.real, outputs.imag)
-        if anew:
-            state = self._start(rows.shape[1], outputs.shape[1])
-        elif single == (self.coef_.ndim == 1) and targets.shape[1] == len(np.atleast_2d(self.coef_)):
-            state = self._state
-        else:
-            raise InputError(
-                f"y has {counted(targets.shape[1], 'output')}; give as many outputs as in the calls before"
-            )
-        state, found = self._advance(state, rows, outputs, weights)
-        if not np.isfinite(found).all():
-            raise InputError("X and y lead out of the finite numbers; give them in other units")
-        if self.complex_data:
-            found = found[:, : X.shape[1]] + 1j * found[:, X.shape[1] :]
-        self._state, self.n_features_in_ = state, X.shape[1]
-        if anew:
-            vars(self).pop("feature_names_in_", None)
-            if names is not None:
-                self.feature_names_in_ = names
-        self.coef_ = found[0].copy() if single else found.copy()  # a reader may change it
+    def _constant(self, X) -> float:
+        # what the intercept is multiplied with
+        return 1.0
+
+    def _warn(self) -> None:
+        """Warn after `fit` of what the settings did to the estimate."""
+
+    def _learn(self, X, y, sample_weight, anew, whole=True):
+        before = vars(self).copy()
+        try:
+            X, y, weights = self._samples(X, y, sample_weight, anew)
+            lost = _lost(X, y)
+            if lost.any():
+                if anew and lost.all():
+                    raise _nothing()
+                X, y, weights = np.nan_to_num(X), np.nan_to_num(y), np.where(lost, 0.0, weights)
+            if whole:  # a part of a stream may be as quiet as it likes
+                require_squares("X", X)
+                require_squares("y", y)
+            self._take(X, y, weights, anew)
+        except BaseException:
+            vars(self).clear()
+            vars(self).update(before)
+            raise
+        if whole:
+            self._warn()
         return self
 
-    def _fitted(self):
-        if hasattr(self, "coef_"):
-            return self
-        try:
-            from sklearn.exceptions import NotFittedError
-        except ModuleNotFoundError:
-            NotFittedError = InputError
-        raise NotFittedError(f"{type(self).__name__} has learned nothing yet; call fit or partial_fit first")
+    def _take(self, X, y, weights, anew):
+        root = np.sqrt(weights)[:, None]
+        features, single, outputs = X.shape[1], y.ndim == 1, root * y.reshape(len(y), -1)
+        columns = features + bool(require_kind("fit_intercept", self.fit_intercept, (bool, np.bool_)))
+        if anew:
+            state = self._start(columns, outputs.shape[1])
+        else:
+            state = self._state
+            if y.shape[1:] != self.coef_.shape[:-1]:
+                raise InputError(
+                    f"y has {counted(outputs.shape[1], 'output')}; give as many outputs as in the calls before"
+                )
+            if columns != self._columns:
+                raise InputError("fit_intercept has changed since the calls before; call fit")
+        rows = X
+        if columns > features:
+            if anew:
+                self._size = self._constant(root * X)
+            rows = np.column_stack([X, np.full(len(X), self._size)])
+        self._state, found = self._advance(state, root * rows, outputs, weights)
+        if not np.isfinite(found).all():
+            raise InputError("X and y lead to an overflow; give them in other units")
+        self._columns = columns
+        coef = found[:, :features].copy()  # a reader may change it
+        offset = self._size * found[:, -1] if columns > features else np.zeros(len(found))
+        self.coef_, self.intercept_ = (coef[0], float(offset[0])) if single else (coef, offset)
 
     def _samples(self, X, y, sample_weight, anew):
-        # X, outputs as columns, and a weight for each sample
+        # X, y, and a weight for each sample
         X = self._features(X, anew)
         if y is None:
             raise InputError(
                 f"{type(self).__name__} requires y to be passed, but the target y is None; give it"
             )
-        y = self._table("y", y)
-        if len(y) != len(X):
+        if not _is_plain(y):
+            y = _as_input_error("y", check_array, y, ensure_2d=False, input_name="y", **NUMBERS)
+        require_finite_squares("y", y)
+        if y.shape[:1] != X.shape[:1]:
             raise InputError(
                 f"y has {counted(len(y), 'sample')} but X has {len(X)}; give one output for each"
             )
         if sample_weight is None:
             return X, y, np.ones(len(X))
-        weights = require_array("sample_weight", sample_weight, shape=(len(X),)).copy()
+        weights = require_array("sample_weight", sample_weight, shape=(len(X),))
         if np.any(weights < 0):
             raise InputError("sample_weight holds a negative number; give weights of zero or above")
         return X, y, weights
 
     def _features(self, X, anew):
-        if anew:
-            return self._table("X", X)
-        known, names = getattr(self._fitted(), "feature_names_in_", None), _column_names(X)
-        if known is not None and names is not None and not np.array_equal(known, names):
-            raise InputError(
-                f"X has the columns {', '.join(names)}: The feature names should match those that were passed during fit; "
-                f"give {', '.join(known)}, in this order"
-            )
-        return self._table("X", X, self.n_features_in_)
+        # an array of the shape that was learned from needs none of the checks that take ten times as long as a step
+        known = not anew and not hasattr(self, "feature_names_in_") and _is_plain(X)
+        if not (known and X.shape[1:] == (self.n_features_in_,)):
+            X = _as_input_error("X", validate_data, self, X, reset=anew, **NUMBERS)
+        require_finite_squares("X", X)
+        return X
 
-    def _table(self, name, value, features=None):
-        # numbers of any form as a matrix, in which NaN may stand
-        if hasattr(value, "toarray"):
-            raise InputError(f"{name} is sparse, which is not supported; give {name}.toarray()")
-        dtype = np.dtype(
-            complex if require_kind("complex_data", self.complex_data, (bool, np.bool_)) else float
-        )
-        try:
-            given = np.asanyarray(value)
-            if given.dtype.kind == "O" and any(isinstance(each, str | bytes) for each in given.flat):
-                raise TypeError("it holds texts")
-            if given.dtype.kind == "O":  # a frame's own conversion knows its missing values
-                given = (
-                    value.to_numpy(dtype, na_value=np.nan) if hasattr(value, "iloc") else given.astype(dtype)
+    def _initial(self, coef, columns, outputs):
+        # an initial estimate as the kernels take it: one row an output; an intercept starts at zero
+        start = np.zeros((outputs, columns))
+        if coef is not None:
+            given = np.atleast_2d(require_array("initial_coef", coef))
+            wanted = (outputs, columns - bool(self.fit_intercept))
+            if given.shape != wanted:
+                raise InputError(
+                    f"initial_coef has shape {np.shape(coef)}; give {wanted}, or {wanted[1:]} for one output"
                 )
-        except (TypeError, ValueError, OverflowError) as error:
-            raise _NotNumbers(f"{name} is no table of numbers ({error}); give a rectangular array") from None
-        if given.dtype.kind == "c" and dtype.kind != "c":
-            raise InputError(
-                f"{name}: Complex data not supported without complex_data=True; set it, or give real ones"
-            )
-        if name == "y" and given.ndim == 1:
-            given = given[:, None]
-        if given.ndim != 2:
-            raise InputError(
-                f"{name} has shape {given.shape}; give (samples, columns). Reshape your data with "
-                f"{name}.reshape(-1, 1) for one column, or {name}.reshape(1, -1) for one sample"
-            )
-        if features is not None and given.shape[1] != features:
-            raise InputError(
-                f"{name} has {given.shape[1]} features, but {type(self).__name__} is expecting {features} features as "
-                "input; give those it has learned from"
-            )
-        if not given.size:
-            raise InputError(
-                f"{name} has {len(given)} sample(s) of {given.shape[1]} feature(s) (shape={given.shape}) while a minimum of "
-                "1 is required; give more"
-            )
-        table = require_array(name, given, dtype=dtype, missing=True)
-        require_finite_squares(name, table)
-        return table
-
-    def _initial(self, coef, features, outputs):
-        # an initial estimate as the kernels take it: real, one row an output
-        if coef is None:
-            return np.zeros((outputs, features))
-        given = np.atleast_2d(
-            require_array("initial_coef", coef, dtype=complex if self.complex_data else float)
-        )
-        wanted = (outputs, features // 2 if self.complex_data else features)
-        if given.shape != wanted:
-            raise InputError(
-                f"initial_coef has shape {np.shape(coef)}; give {wanted}, or {wanted[1:]} for one output"
-            )
-        return np.hstack([given.real, given.imag]) if self.complex_data else given.copy()
+            start[:, : wanted[1]] = given
+        return start
 
 
-class _WeightedRegressor(_LinearRegressor):
+class _WeightedRegressor(_RecursiveRegressor):
     def fit(self, X, y, sample_weight=None):
         """Learn from samples in their order, from the start.
 
@@ -367,12 +223,12 @@ class _WeightedRegressor(_LinearRegressor):
         X : array_like, shape (samples, features)
         y : array_like, shape (samples,) or (samples, outputs)
         sample_weight : array_like, shape (samples,), optional
-            How many samples each one stands for; a weight of zero is a lost sample.
+            Weight of each squared error, beside that of forgetting; 0 for a lost sample.
 
         Returns
         -------
         estimator
-            Itself, with `coef_`.
+            Itself, with `coef_` and `intercept_`.
 
         Raises
         ------
@@ -382,10 +238,11 @@ class _WeightedRegressor(_LinearRegressor):
         Examples
         --------
         >>> X, y = [[1.0], [2.0], [3.0]], [2.0, 4.0, 99.0]
-        >>> estimation.RecursiveLeastSquares().fit(X, y, sample_weight=[1, 1, 0]).coef_.round(3)  # the last is lost
+        >>> rls = estimation.RecursiveLeastSquares(fit_intercept=False)
+        >>> rls.fit(X, y, sample_weight=[1, 1, 0]).coef_.round(3)  # the last is lost
         array([2.])
         """
-        return self._learn(X, y, sample_weight, anew=True, whole=True)
+        return self._learn(X, y, sample_weight, anew=True)
 
     def partial_fit(self, X, y, sample_weight=None):
         """Learn from the samples that follow those of the calls before, as `fit` does of all at once.
@@ -395,29 +252,31 @@ class _WeightedRegressor(_LinearRegressor):
         X : array_like, shape (samples, features)
         y : array_like, shape (samples,) or (samples, outputs)
         sample_weight : array_like, shape (samples,), optional
-            How many samples each one stands for; a weight of zero is a lost sample.
+            Weight of each squared error, beside that of forgetting; 0 for a lost sample.
 
         Returns
         -------
         estimator
-            Itself, with `coef_`.
+            Itself, with `coef_` and `intercept_`.
 
         Raises
         ------
         InputError
-            As `fit` does, and when the numbers of features or outputs differ from those before; nothing is then kept.
+            As `fit` does, and when the numbers of features or outputs differ from those before.
 
         Examples
         --------
-        >>> rls = estimation.RecursiveLeastSquares(forgetting=0.5).partial_fit(np.ones((20, 1)), 2 * np.ones(20))
+        >>> rls = estimation.RecursiveLeastSquares(forgetting=0.5, fit_intercept=False)
+        >>> rls.partial_fit(np.ones((20, 1)), 2 * np.ones(20)).coef_.round(3)
+        array([2.])
         >>> rls.partial_fit(np.ones((20, 1)), 3 * np.ones(20)).coef_.round(3)  # it has changed meanwhile
         array([3.])
         """
-        return self._learn(X, y, sample_weight, anew=not hasattr(self, "coef_"))
+        return self._learn(X, y, sample_weight, anew=not hasattr(self, "coef_"), whole=False)
 
 
-@dataclass(eq=False)
-class LeastMeanSquares(_LinearRegressor):
+@dataclass(eq=False, repr=False)
+class LeastMeanSquares(_RecursiveRegressor):
     """Normalised least mean squares: coef += step_size (y - coef x) x' / (regularisation + |x|^2).
 
     `fit` is one pass over the samples in their order.
@@ -430,10 +289,12 @@ class LeastMeanSquares(_LinearRegressor):
         Above 0, in squared units of the features; without it 1e-5 of the largest |x|^2 so far.
     initial_coef : array_like, shape (features,) or (outputs, features), optional
         Where to start; zero without.
-    complex_data : bool
-        Whether X and y may be complex.
+    fit_intercept : bool
+        Whether a constant is learned, too; without, y is 0 where X is.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
+    intercept_ : float or ndarray, shape (outputs,)
+        Output where the features are 0; 0 without `fit_intercept`.
     n_features_in_ : int
         Number of features.
 
@@ -444,7 +305,8 @@ class LeastMeanSquares(_LinearRegressor):
 
     Notes
     -----
-    The same kernel as of `FeLms`. A sample without excitation changes nothing.
+    The same kernel as of `FeLms`. Without an intercept, a sample without excitation changes nothing. The intercept is
+    learned as the coefficient of a constant feature as large as the others in the first sample that is not zero.
 
     References
     ----------
@@ -453,18 +315,75 @@ class LeastMeanSquares(_LinearRegressor):
     Examples
     --------
     >>> X = np.random.default_rng(1).standard_normal((500, 2))
-    >>> estimation.LeastMeanSquares(step_size=0.5).fit(X, X @ [3.0, -5.0]).coef_.round(3)
-    array([ 3., -5.])
+    >>> lms = estimation.LeastMeanSquares(step_size=0.5).fit(X, X @ [3.0, -5.0] + 7.0)
+    >>> lms.coef_.round(3), round(lms.intercept_, 3)
+    (array([ 3., -5.]), 7.0)
     """
 
     step_size: Any = 0.1
     regularisation: Any = None
     initial_coef: Any = None
-    complex_data: Any = False
+    fit_intercept: Any = True
 
-    def _start(self, features, outputs):
+    def fit(self, X, y):
+        """Learn from samples in their order, from the start.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+
+        Returns
+        -------
+        LeastMeanSquares
+            Itself, with `coef_` and `intercept_`.
+
+        Raises
+        ------
+        InputError
+            When a setting is out of its range, a table does not fit, or no sample is without NaN.
+
+        Examples
+        --------
+        >>> lms = estimation.LeastMeanSquares(step_size=1.0, fit_intercept=False)
+        >>> lms.fit([[1.0], [2.0]], [3.0, 6.0]).coef_.round(3)
+        array([3.])
+        """
+        return self._learn(X, y, None, anew=True)
+
+    def partial_fit(self, X, y):
+        """Learn from the samples that follow those of the calls before, as `fit` does of all at once.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+
+        Returns
+        -------
+        LeastMeanSquares
+            Itself, with `coef_` and `intercept_`.
+
+        Raises
+        ------
+        InputError
+            As `fit` does, and when the numbers of features or outputs differ from those before.
+
+        Examples
+        --------
+        >>> lms = estimation.LeastMeanSquares(step_size=1.0, fit_intercept=False).partial_fit([[1.0]], [2.0])
+        >>> lms.partial_fit([[2.0]], [6.0]).coef_.round(3)  # the second sample meets 3
+        array([3.])
+        """
+        return self._learn(X, y, None, anew=not hasattr(self, "coef_"), whole=False)
+
+    def _start(self, columns, outputs):
         # the estimate, and the largest |x|^2 so far
-        return self._initial(self.initial_coef, features, outputs), 0.0
+        return self._initial(self.initial_coef, columns, outputs), 0.0
+
+    def _constant(self, X):
+        sizes = np.sqrt(np.mean(X**2, axis=1))
+        return float(sizes[np.argmax(sizes > 0)]) or 1.0
 
     def _advance(self, state, rows, outputs, weights):
         coef = state[0].copy()
@@ -481,7 +400,7 @@ class LeastMeanSquares(_LinearRegressor):
         return (coef, largest[-1]), coef
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class RecursiveLeastSquares(_WeightedRegressor):
     """Recursive least squares with exponential forgetting, all outputs with one covariance.
 
@@ -496,17 +415,18 @@ class RecursiveLeastSquares(_WeightedRegressor):
         Estimate before the first sample; zero without.
     initial_covariance : float or array_like, optional
         P before the first sample, its diagonal, or one number for all of it, in units of 1 / feature^2: large where the
-        initial estimate is not believed. Of complex data that of the real parts, then of the imaginary ones, or one
-        number. Without it P follows from the data, as in `LeastSquares`, so that no unit of a feature matters.
+        initial estimate is not believed; an intercept is the last of the unknowns. Without it P follows from the data, as in `LeastSquares`, so that no unit of a feature matters.
     growth_limit : float
         Guard against wind-up, as `growth_limit` of `FeRls`: how far the variance of a coefficient may grow while
         nothing excites it; ``inf`` for none. Without forgetting there is no wind-up, and it is not used.
     form : str
         How the covariance is kept, as `form` of `FeRls`.
-    complex_data : bool
-        Whether X and y may be complex.
+    fit_intercept : bool
+        Whether a constant is learned, too; without, y is 0 where X is.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
+    intercept_ : float or ndarray, shape (outputs,)
+        Output where the features are 0; 0 without `fit_intercept`.
     held_ : ndarray, shape (features,)
         Share of the last time constant, 0 to 1, in which `growth_limit` held the variance of a coefficient down.
     n_features_in_ : int
@@ -535,7 +455,7 @@ class RecursiveLeastSquares(_WeightedRegressor):
     --------
     >>> X = np.random.default_rng(1).standard_normal((500, 2))
     >>> y = np.append(X[:250] @ [1.0, 2.0], X[250:] @ [3.0, -5.0])  # it changes half way
-    >>> estimation.RecursiveLeastSquares(forgetting=0.95).fit(X, y).coef_.round(3)
+    >>> estimation.RecursiveLeastSquares(forgetting=0.95).fit(X, y + 7.0).coef_.round(3)
     array([ 3., -5.])
     """
 
@@ -544,84 +464,44 @@ class RecursiveLeastSquares(_WeightedRegressor):
     initial_covariance: Any = None
     growth_limit: Any = 1e6
     form: Any = "safe"
-    complex_data: Any = False
+    fit_intercept: Any = True
 
-    def fit(self, X, y, sample_weight=None):
-        """As of every regressor here, with a warning where a guard acts at the end.
-
-        Parameters
-        ----------
-        X : array_like, shape (samples, features)
-        y : array_like, shape (samples,) or (samples, outputs)
-        sample_weight : array_like, shape (samples,), optional
-            Weight of each squared error; a weight of zero is a lost sample.
-
-        Returns
-        -------
-        estimator
-            Itself, with `coef_`.
-
-        Raises
-        ------
-        InputError
-            When a setting is out of its range, a table does not fit, or no sample is without NaN.
-
-        Warns
-        -----
-        GrowthLimitWarning
-            When `growth_limit` held a variance down through the last time constant.
-
-        Examples
-        --------
-        >>> X, y = [[1.0], [2.0], [3.0]], [2.0, 4.0, 99.0]
-        >>> estimation.RecursiveLeastSquares().fit(X, y, sample_weight=[1, 1, 0]).coef_.round(3)  # the last is lost
-        array([2.])
-        """
-        super().fit(X, y, sample_weight)
+    def _warn(self):
         if (self.held_ > 0.5).any():
-            warn_held(np.flatnonzero(self.held_ > 0.5), stacklevel=4)
-        return self
+            warn_held(np.flatnonzero(self.held_ > 0.5), stacklevel=5)
 
     @property
     def covariance_(self):
-        """P after the last sample, shape (features, features); times the variance of the noise that of `coef_`."""
-        covariance, n = self._fitted()._state[1].covariance, self.n_features_in_
-        return covariance[:n, :n] + 1j * covariance[n:, :n] if self.complex_data else covariance
+        """P after the last sample, an intercept last; times the variance of the noise that of the estimate."""
+        check_is_fitted(self)
+        return self._state[1].covariance
 
     @property
     def held_(self):
         """Share of the last time constant in which `growth_limit` held a variance down, shape (features,)."""
-        return self._fitted()._state[1].held[: self.n_features_in_]
+        check_is_fitted(self)
+        return self._state[1].held[: self.n_features_in_]
 
-    def _start(self, features, outputs):
-        # the estimate, P, and the largest square of each feature so far; infinite where P was given
-        coef, recursion = (
-            self._initial(self.initial_coef, features, outputs),
-            self._settings().start(features),
-        )
+    def _start(self, columns, outputs):
+        # the estimate, P, and the largest square of each column so far; infinite where P was given
+        coef, recursion = self._initial(self.initial_coef, columns, outputs), self._settings().start(columns)
         if self.initial_covariance is not None:
-            return coef, recursion, np.full(features, np.inf)
+            return coef, recursion, np.full(columns, np.inf)
         recursion.levels[0] = np.inf
-        return coef, recursion, np.zeros(features)
+        return coef, recursion, np.zeros(columns)
 
     def _settings(self) -> FeRls:
         forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         limit = self.growth_limit if forgetting < 1 else np.inf
-        if self.complex_data:
-            forgetting = np.sqrt(forgetting)  # two rows a sample
         initial = START if self.initial_covariance is None else self.initial_covariance
         return FeRls(initial, float(forgetting), limit, self.form)
 
     def _advance(self, state, rows, outputs, weights):
         coef, largest, first = state[0].copy(), state[2].copy(), 0
-        recursion = state[1].copy()._replace(forgetting=self._settings().forgetting)
-        together = 2 if self.complex_data else 1  # rows of one sample
-        squares = np.square(rows).reshape(len(weights), together, -1).sum(axis=1)
-        squares /= np.where(weights > 0, weights, 1.0)[:, None]
-        if self.complex_data:
-            # the first of two rows is forgotten once more than the second: give it that back
-            rows[::2] /= np.sqrt(recursion.forgetting)
-            outputs[::2] /= np.sqrt(recursion.forgetting)
+        recursion = state[1].copy()
+        if not (isinstance(self.forgetting, float) and self.forgetting == recursion.forgetting):
+            recursion = recursion._replace(forgetting=self._settings().forgetting)
+        squares = np.square(rows) / np.where(weights > 0, weights, 1.0)[:, None]
         while first < len(squares):
             if (squares[first] > largest).any():
                 recursion = self._believe_start(coef, recursion, largest, squares[first])
@@ -629,8 +509,7 @@ class RecursiveLeastSquares(_WeightedRegressor):
             # up to the next sample with a feature that is larger than ever before
             ahead = np.flatnonzero((squares[first:] > largest).any(axis=1))
             last = first + int(ahead[0]) if len(ahead) else len(squares)
-            part = slice(together * first, together * last)
-            record = _record(rows[part], outputs[part])
+            record = _record(rows[first:last], outputs[first:last])
             stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False, 0)
             if stopped < len(record[0]):
                 raise InputError(
@@ -656,7 +535,7 @@ class RecursiveLeastSquares(_WeightedRegressor):
         return recursion._replace(matrix=factor_of(FORMS[recursion.form], covariance), levels=levels)
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class MinMaxRegressor(_WeightedRegressor):
     """Least squares for features that are off by a bounded error: the smallest of the largest residuals.
 
@@ -667,7 +546,7 @@ class MinMaxRegressor(_WeightedRegressor):
     ----------
     bound : float or array_like, shape (features,)
         eta, the bound on the 2-norm of the perturbation, in the unit of the features, or one for each column. A column
-        of bound 0 is known exactly, such as one of ones for an intercept. `set_params` may change it at any time.
+        of bound 0 is known exactly. `set_params` may change it at any time.
     bound_on : str
         ``record``: of what the bound holds is the perturbation of all weighted samples together, however many.
         ``sample``: of that of each sample, so that of all it grows as (sum of the weights)^(1/2).
@@ -677,10 +556,12 @@ class MinMaxRegressor(_WeightedRegressor):
         Estimate before the first sample.
     initial_covariance : float
         Of the initial estimate, which counts as so many samples more; ``inf`` for no initial estimate.
-    complex_data : bool
-        Whether X and y may be complex.
+    fit_intercept : bool
+        Whether a constant is learned, too; without, y is 0 where X is.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
+    intercept_ : float or ndarray, shape (outputs,)
+        Output where the features are 0; 0 without `fit_intercept`.
     n_features_in_ : int
         Number of features.
 
@@ -707,11 +588,10 @@ class MinMaxRegressor(_WeightedRegressor):
 
     Examples
     --------
-    >>> X, y = [[1.0, 1.0], [1.0, 1.0], [-1.0, 1.0]], [12.0, 11.0, 9.0]
-    >>> estimation.MinMaxRegressor(bound=0.0).fit(X, y).coef_.round(2)  # least squares
-    array([ 1.25, 10.25])
-    >>> estimation.MinMaxRegressor(bound=[0.5, 0.0]).fit(X, y).coef_.round(2)  # the intercept is free of doubt
-    array([ 1.11, 10.3 ])
+    >>> X, y = np.array([[1.0], [1.0], [-1.0]]), [12.0, 11.0, 9.0]
+    >>> least, robust = (estimation.MinMaxRegressor(bound).fit(X, y) for bound in (0.0, 0.5))
+    >>> least.coef_.round(2), robust.coef_.round(2)
+    (array([1.25]), array([1.11]))
     """
 
     bound: Any
@@ -719,57 +599,28 @@ class MinMaxRegressor(_WeightedRegressor):
     forgetting: Any = 1.0
     initial_coef: Any = None
     initial_covariance: Any = np.inf
-    complex_data: Any = False
+    fit_intercept: Any = True
 
-    def fit(self, X, y, sample_weight=None):
-        """As of every regressor here, with a warning where the bound explains all of the data away.
-
-        Parameters
-        ----------
-        X : array_like, shape (samples, features)
-        y : array_like, shape (samples,) or (samples, targets)
-        sample_weight : array_like, shape (samples,), optional
-            Weight of each squared residual.
-
-        Returns
-        -------
-        estimator
-            Itself, with `coef_`.
-
-        Raises
-        ------
-        InputError
-            When a setting is out of its range, a table does not fit, or no sample is without NaN.
-
-        Warns
-        -----
-        ZeroEstimateWarning
-            When the bound is so large that the estimate is zero.
-
-        Examples
-        --------
-        >>> X, y = [[1.0], [2.0], [4.0]], [2.1, 3.9, 8.0]
-        >>> loose, tight = (estimation.MinMaxRegressor(bound=b).fit(X, y).coef_[0] for b in (1.0, 0.0))
-        >>> bool(loose <= tight)  # doubt only shrinks
-        True
-        """
-        super().fit(X, y, sample_weight)
+    def _warn(self):
         if self._state[2]:
             warnings.warn(
                 "the estimate is zero: a perturbation within the bound explains all of the data; give a smaller bound or "
                 "more samples",
                 ZeroEstimateWarning,
-                stacklevel=2,
+                stacklevel=4,
             )
-        return self
 
-    def _start(self, features, outputs):
+    def _start(self, columns, outputs):
         # the triangle of [X y], the sum of the weights, whether the bound explains all of the data away
-        corner = np.zeros((features + outputs, features + outputs))
+        corner = np.zeros((columns + outputs, columns + outputs))
         if not (isinstance(self.initial_covariance, float) and self.initial_covariance == np.inf):
-            root = 1 / np.sqrt(require_number("initial_covariance", self.initial_covariance, above=0.0))
-            corner[:features, :features] = root * np.eye(features)
-            corner[:features, features:] = root * self._initial(self.initial_coef, features, outputs).T
+            root = np.full(
+                columns, 1 / np.sqrt(require_number("initial_covariance", self.initial_covariance, above=0.0))
+            )
+            if self.fit_intercept:
+                root[-1] = 0.0  # nothing is known of it
+            corner[:columns, :columns] = np.diag(root)
+            corner[:columns, columns:] = root[:, None] * self._initial(self.initial_coef, columns, outputs).T
         elif self.initial_coef is not None:
             raise InputError(
                 "initial_covariance is inf, so that initial_coef does not count; give a finite one"
@@ -781,26 +632,26 @@ class MinMaxRegressor(_WeightedRegressor):
         forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         fading = forgetting ** np.arange(len(weights) - 1, -1, -1)
         mass = forgetting ** len(weights) * mass + weights @ fading
-        root = np.repeat(np.sqrt(fading), len(rows) // len(weights))[:, None]
         past = forgetting ** (len(weights) / 2) * corner
-        corner = triangle(np.vstack([past, root * np.hstack([rows, outputs])]))
-        features = rows.shape[1]
-        bounds = self._bounds(features)
+        corner = triangle(np.vstack([past, np.sqrt(fading)[:, None] * np.hstack([rows, outputs])]))
+        columns = rows.shape[1]
+        bounds = self._bounds(columns)
         if require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample":
             bounds = bounds * np.sqrt(mass)
-        solved = [_mixed_solution(corner[:, :features], target, bounds) for target in corner.T[features:]]
+        solved = [_mixed_solution(corner[:, :columns], target, bounds) for target in corner.T[columns:]]
         return (corner, mass, any(zero for _, zero in solved)), np.array([coef for coef, _ in solved])
 
-    def _bounds(self, features):
+    def _bounds(self, columns):
+        # one a column; an intercept's is known exactly
+        features = columns - bool(self.fit_intercept)
         bounds = require_array("bound", self.bound)
-        wanted = features // 2 if self.complex_data else features
-        if bounds.shape not in ((), (wanted,)):
+        if bounds.shape not in ((), (features,)):
             raise InputError(
-                f"bound has shape {bounds.shape}; give a number, or one for each of {counted(wanted, 'feature')}"
+                f"bound has shape {bounds.shape}; give a number, or one for each of {counted(features, 'feature')}"
             )
         if np.any(bounds < 0):
             raise InputError("bound holds a negative number; give bounds on a norm, zero or above")
-        return np.resize(bounds, features)
+        return np.append(np.resize(bounds, features), np.zeros(columns - features))
 
 
 def _mixed_solution(matrix, target, bounds) -> tuple[np.ndarray, bool]:
@@ -809,7 +660,9 @@ def _mixed_solution(matrix, target, bounds) -> tuple[np.ndarray, bool]:
     min over x of |A x - b| + |diag(bounds) x|: what the known columns explain is taken out of the others first.
     """
     known = bounds == 0
-    left, sizes, _ = np.linalg.svd(matrix[:, known], full_matrices=False)
+    units = np.linalg.norm(matrix[:, known], axis=0)
+    units[units == 0] = 1.0
+    left, sizes, _ = np.linalg.svd(matrix[:, known] / units, full_matrices=False)
     basis = left[:, sizes > len(matrix) * ROUNDING * np.max(sizes, initial=0.0)]
     doubtful, aimed = ((part - basis @ (basis.T @ part)) for part in (matrix[:, ~known], target))
     coef, zero = np.zeros(len(bounds)), False
@@ -824,7 +677,7 @@ def _mixed_solution(matrix, target, bounds) -> tuple[np.ndarray, bool]:
         coef[~known] = solution.estimate / shares
         zero = solution.case == "zero" and solution.threshold > 0
     if known.any():
-        coef[known] = np.linalg.lstsq(matrix[:, known], target - matrix @ coef)[0]
+        coef[known] = np.linalg.lstsq(matrix[:, known] / units, target - matrix @ coef)[0] / units
     return coef, zero
 
 
@@ -834,20 +687,31 @@ def _record(rows, outputs) -> tuple:
     return np.ascontiguousarray(rows), np.ascontiguousarray(-outputs), True, np.inf, nothing, len(rows) + 1
 
 
-def _interleaved(first, second) -> np.ndarray:
-    return np.stack([first, second], axis=1).reshape(-1, first.shape[1])
+def _is_plain(value) -> bool:
+    # numbers as they are calculated with, none of them infinite
+    return (
+        type(value) is np.ndarray
+        and value.dtype == np.float64
+        and value.size > 0
+        and value.ndim in (1, 2)
+        and not np.isinf(value).any()
+    )
 
 
-def _column_names(X) -> np.ndarray | None:
-    # of a data frame whose columns all have names, as scikit-learn keeps them
-    names = getattr(X, "columns", None)
-    if names is None or not all(isinstance(name, str) for name in names):
-        return None
-    return np.asarray(names, dtype=object)
+def _as_input_error(name, check, *values, **how) -> np.ndarray:
+    """What scikit-learn's check returns; what it refuses is refused as an `InputError` with the argument's name."""
+    if isinstance(values[-1], np.ma.MaskedArray):
+        raise InputError(f"{name} is a masked array; give {name}.filled(np.nan), a sample with NaN is lost")
+    try:
+        return check(*values, **how)
+    except TypeError as error:
+        raise _InputTypeError(f"{name}: {' '.join(str(error).split())}") from None
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"{name}: {' '.join(str(error).split())}") from None
 
 
 def _lost(X, y) -> np.ndarray:
-    return np.isnan(X).any(axis=1) | np.isnan(y).any(axis=1)
+    return np.isnan(X).any(axis=1) | np.isnan(y.reshape(len(y), -1)).any(axis=1)
 
 
 def _nothing() -> InputError:

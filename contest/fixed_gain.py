@@ -1,0 +1,244 @@
+"""Entrants whose gain does not depend on the data: designed once, a few products a sample."""
+
+import numpy as np
+from scipy.linalg import block_diag, solve_triangular
+
+from contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from experiments.motion.uncertainty import norm_bound, sampled_derivatives
+from stillwork.base.algebra import add_product, copy_vector, plus_row, set_product
+from stillwork.base.kernels import kernel
+from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.riccati import discrete_gain
+from stillwork.estimation.robust import Derivatives, regularised_gains, sensitivity_gains
+from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
+
+HORIZON = 800  # samples until a recursion's gain is taken as its last
+
+
+@kernel
+def _advance_fixed(data, memory, inputs, measurements, estimates):
+    forward, onward, gain, c = data
+    x, predicted, innovation = memory[0], np.empty(len(forward)), np.empty(len(c))
+    for k in range(len(inputs)):
+        set_product(forward, x, predicted)
+        add_product(onward, inputs[k], predicted)
+        copy_vector(predicted, x)
+        if not np.isnan(measurements[k, 0]):
+            for o in range(len(c)):
+                innovation[o] = measurements[k, o] - plus_row(0.0, c, o, predicted)
+            add_product(gain, innovation, x)
+        copy_vector(x, estimates[k])
+
+
+def fixed(forward, onward, gain, c) -> MadeObserver:
+    """Observer x = F x + B u + K (y - C (F x + B u)); a sample without a measurement is predicted."""
+    arrays = tuple(map(np.ascontiguousarray, (forward, onward, gain, c)))
+    return MadeObserver(_advance_fixed, arrays, (np.zeros(len(forward)),))
+
+
+def last(gains: FilterGains) -> MadeObserver:
+    """The gain that a recursion has come to."""
+    return fixed(gains.forward[-1], gains.inputs[-1], gains.gain[-1], gains.outputs[-1])
+
+
+def stationary(model: ToldModel, noise: ToldNoise) -> tuple[np.ndarray, np.ndarray]:
+    """Kalman gain of the measurement, and the covariance after it."""
+    solved = discrete_gain(model.a, model.b, model.c, noise.process, noise.sensor)
+    after = solved.covariance - solved.filter_gain @ model.c @ solved.covariance
+    return solved.filter_gain, (after + after.T) / 2
+
+
+def recursion(model: ToldModel, noise: ToldNoise) -> TimeVaryingModel:
+    """The model over the horizon of a design, begun where the Kalman filter ends."""
+    c = np.tile(model.c, (HORIZON, 1, 1))
+    start = stationary(model, noise)[1]
+    return TimeVaryingModel(model.a, model.b, model.b, c, noise.process, noise.sensor, start)
+
+
+def zero(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
+    """The estimate zero: it scores 1 by definition."""
+    a, b, gain = (np.zeros_like(each) for each in (model.a, model.b, model.c.T))
+    return fixed(a, b, gain, model.c)
+
+
+def open_model(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
+    """The model for the flexible states, driven by the force alone; the rigid body has the Kalman gain."""
+    gain = stationary(model, noise)[0]
+    gain[2 * model.rigid_modes :] = 0
+    return fixed(model.a, model.b, gain, model.c)
+
+
+def kalman(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
+    """The stationary Kalman filter for the noises as told (the thesis's choice)."""
+    return fixed(model.a, model.b, stationary(model, noise)[0], model.c)
+
+
+def fictitious(model: ToldModel, noise: ToldNoise, sample_time: float, force: float) -> MadeObserver:
+    """Kalman filter with an independent force on every flexible mode besides, `force` times the deviation of w."""
+    flexible = range(model.rigid_modes, len(model.frequencies))
+    own = np.zeros((len(model.a), len(flexible)))
+    for j, mode in enumerate(flexible):
+        pair = slice(2 * mode, 2 * mode + 2)
+        own[pair, j] = model.b[pair][:, np.abs(model.b[pair]).sum(axis=0).argmax()]
+    own *= force * np.sqrt(noise.process[0, 0])
+    driven = np.hstack([model.b @ np.linalg.cholesky(noise.process), own])
+    solved = discrete_gain(model.a, driven, model.c, 1.0, noise.sensor)
+    return fixed(model.a, model.b, solved.filter_gain, model.c)
+
+
+def derivatives(model: ToldModel, long: TimeVaryingModel, sample_time: float, frequency: float = 1.0):
+    """Derivatives of a recursion's model by the flexible modes' frequency, which counts so much, damping, input and output shape."""
+    shapes = np.tile(model.output_shapes, (long.samples, 1, 1))
+    by = sampled_derivatives(model.machine, sample_time).along(long, shapes)
+    factors = np.tile([frequency, 1.0, 1.0, 1.0], len(by.a) // 4)[:, None, None]
+    return Derivatives(*(factors * each for each in (by.a, by.b, by.g, by.c)))
+
+
+def sensitivity(
+    model: ToldModel, noise: ToldNoise, sample_time: float, weight: float, frequency: float = 1.0
+) -> MadeObserver:
+    """Sensitivity penalisation (5.25) with gamma = `weight` times the variance of the sensor.
+
+    The derivative by the frequency counts `frequency` times the others.
+    """
+    long = recursion(model, noise)
+    gamma = min(weight * noise.sensor[0, 0], 1.0)
+    return last(sensitivity_gains(long, derivatives(model, long, sample_time, frequency), gamma))
+
+
+def regularised(model: ToldModel, noise: ToldNoise, sample_time: float, size: float) -> MadeObserver:
+    """Regularised least squares (5.21), told of errors up to `size`; lambda by the rule of thumb."""
+    long = recursion(model, noise)
+    return last(regularised_gains(long, norm_bound(long, derivatives(model, long, sample_time), size)))
+
+
+def hinfinity(model: ToldModel, noise: ToldNoise, sample_time: float, ratio: float) -> MadeObserver:
+    """H-infinity filter for the flexible states, in deviations of the Kalman filter, at `ratio` times the least level."""
+    long = recursion(model, noise)
+    wanted = np.diag(1 / np.sqrt(np.diag(long.initial_covariance)))[2 * model.rigid_modes :]
+    return last(hinfinity_gains(long, wanted, ratio * smallest_level(long, wanted)))
+
+
+def mixed(model: ToldModel, noise: ToldNoise, sample_time: float, share: float) -> MadeObserver:
+    """The gain `share` of the way from the Kalman filter's to the H-infinity filter's near its smallest level."""
+    one, other = stationary(model, noise)[0], hinfinity(model, noise, sample_time, 1.05).data[2]
+    return fixed(model.a, model.b, (1 - share) * one + share * other, model.c)
+
+
+def guaranteed_cost(
+    model: ToldModel, noise: ToldNoise, sample_time: float, size: float, multiplier: float
+) -> MadeObserver:
+    r"""Set-valued filter of a machine whose error is fed back, with a sum of squares bounded by that of its input.
+
+    x+ = A x + B (u + w) + D d, with d at most as large as z = K x + G u: derivatives times `size`, in the states'
+    deviations. The filter makes the least of :math:`w'Q^{-1}w + v'R^{-1}v + \tau (d'd - z'z)`, with :math:`1/\tau`
+    the `multiplier`: it is that of H-infinity which wants K x, and takes z besides as measured zero, at a negative
+    variance.
+    """
+    long = recursion(model, noise)
+    by = derivatives(model, long, sample_time)
+    scale = np.sqrt(np.diag(long.initial_covariance))
+    flexible = np.arange(len(by.a) // 4)[:, None]
+    chosen = (4 * flexible + np.arange(3)).reshape(-1, 1)  # by frequency, damping and input shape
+    rows = np.repeat(2 * (model.rigid_modes + flexible) + np.arange(2), 3, axis=0)
+    share = size / scale[rows][..., None]
+    of_state, of_force = ((share * x[chosen, rows]).reshape(rows.size, -1) for x in (by.a, by.b))
+    fed = np.zeros((len(scale), rows.size))
+    fed[rows.ravel(), np.arange(rows.size)] = scale[rows.ravel()]
+    process = block_diag(noise.process, multiplier * np.eye(rows.size))
+    driven = long.with_process(np.hstack([model.b, fed]), process)
+    gains = hinfinity_gains(driven, of_state, np.sqrt(multiplier))
+    p = gains.covariance[-1]
+    back = np.linalg.solve(multiplier * np.eye(len(of_state)) - of_state @ p @ of_state.T, of_state @ p).T
+    forward, onward = model.a @ (np.eye(len(p)) + back @ of_state), model.b + model.a @ back @ of_force
+    return fixed(forward, onward, gains.gain[-1], model.c)
+
+
+@kernel
+def _advance_window(data, memory, inputs, measurements, estimates):
+    a, b, c, of_measured, of_forces = data
+    x, seen, forces, place = memory
+    horizon = len(seen)
+    for k in range(len(inputs)):
+        copy_vector(a @ x + b @ inputs[k], x)
+        now = place[0] % horizon
+        copy_vector(inputs[k], forces[now])
+        copy_vector(c @ x if np.isnan(measurements[k, 0]) else measurements[k], seen[now])
+        place[0] += 1
+        x[:] = 0.0
+        for back in range(horizon):
+            at = (now - back) % horizon
+            add_product(of_measured[back], seen[at], x)
+            add_product(of_forces[back], forces[at], x)
+        copy_vector(x, estimates[k])
+
+
+def moving_horizon(
+    model: ToldModel, noise: ToldNoise, sample_time: float, samples: float, factor: float
+) -> MadeObserver:
+    """Least squares over the last `samples` alone, Q times `factor`; what came before counts nothing (no arrival cost).
+
+    A lost sample is taken as predicted; before the first all rested.
+    """
+    n, inputs, outputs = len(model.a), model.b.shape[1], len(model.c)
+    horizon = max(round(samples), n)
+    push, root = model.b @ np.linalg.cholesky(factor * noise.process), np.linalg.cholesky(noise.sensor)
+    # State k of the window from the first one, the forces held since and the noises on them.
+    state = np.hstack([np.eye(n), np.zeros((n, 2 * horizon * inputs))])
+    rows, columns = [], np.arange(inputs)
+    for k in range(horizon):
+        if k:
+            state = model.a @ state
+            state[:, n + k * inputs + columns] = model.b
+            state[:, n + (horizon + k) * inputs + columns] = push
+        rows.append(np.linalg.solve(root, model.c @ state))
+    known, unknown = slice(n, n + horizon * inputs), np.r_[:n, n + horizon * inputs : state.shape[1]]
+    stacked = np.vstack(rows)
+    least = np.vstack([stacked[:, unknown], np.eye(len(unknown))[n:]])
+    size = np.linalg.norm(least, axis=0)
+    q, r = np.linalg.qr(least / size)
+    inverse = solve_triangular(r, q.T) / size[:, None]
+    of_measured = state[:, unknown] @ inverse[:, : horizon * outputs]
+    of_forces = state[:, known] - of_measured @ stacked[:, known]
+    by_sample = (x.reshape(n, horizon, -1).transpose(1, 0, 2)[::-1] for x in (of_measured, of_forces))
+    of_measured, of_forces = map(np.ascontiguousarray, by_sample)
+    of_measured = of_measured @ np.linalg.inv(root)
+    memory = (np.zeros(n), np.zeros((horizon, outputs)), np.zeros((horizon, inputs)), np.zeros(1, np.int64))
+    return MadeObserver(_advance_window, (model.a, model.b, model.c, of_measured, of_forces), memory)
+
+
+FIXED = {
+    "zero": Rival(zero, (), "the estimate zero"),
+    "open model": Rival(open_model, (), "the model without its measurements"),
+    "Kalman": Rival(kalman, (), "Kalman 1960; the thesis, section 5.1"),
+    "fictitious noise": Rival(
+        fictitious, (Knob("force on a mode over w", 1e-1, 1e4, 10.0),), "Jazwinski 1970, section 8.11"
+    ),
+    "regularised least squares": Rival(
+        regularised, (Knob("largest error told", 1e-7, 1.0, 0.05),), "Sayed 2001; the thesis, (5.21)"
+    ),
+    "sensitivity penalised": Rival(
+        sensitivity, (Knob("gamma over R", 1e-6, 1e8, 1.0),), "Zhou 2010; the thesis, (5.25)"
+    ),
+    "sensitivity penalised, unlike errors": Rival(
+        sensitivity,
+        (Knob("gamma over R", 1e-6, 1e8, 1.0), Knob("weight of frequencies", 0.1, 100.0, 1.0)),
+        "Zhou 2010, with a weight of its own on the frequencies",
+    ),
+    "H-infinity": Rival(
+        hinfinity, (Knob("level over the smallest", 1.01, 1e3, 1.2),), "Hassibi, Sayed and Kailath 1999"
+    ),
+    "mixed H2 and H-infinity": Rival(
+        mixed, (Knob("share of H-infinity", 0.01, 1.0, 0.5),), "Simon 2006, section 12.2"
+    ),
+    "guaranteed cost": Rival(
+        guaranteed_cost,
+        (Knob("largest error told", 1e-5, 0.1, 1e-3), Knob("multiplier", 1e-4, 1e2, 1.0)),
+        "Savkin and Petersen 1998",
+    ),
+    "moving horizon": Rival(
+        moving_horizon,
+        (Knob("samples", 20.0, 200.0, 60.0), Knob("factor on Q", 1.0, 1e5, 50.0)),
+        "Kwon and Han 2005, without arrival cost",
+    ),
+}

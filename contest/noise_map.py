@@ -1,0 +1,150 @@
+"""Where a robust observer beats the Kalman filter and the estimate zero: a map over error size and sensor noise.
+
+``python -m contest.noise_map`` makes ``data/motion/contest_map.csv``: errors of the flexible
+states of the thesis's stage, a row a seed. Every cell has its own settings, tuned on training seeds.
+"""
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+
+import numpy as np
+import pandas as pd
+
+from contest import bench
+from contest.doubts import Doubt, hidden_seed, sample_truth
+from contest.plants import ContestPlant, sample_plant
+from contest.scores import ENTRANTS
+from contest.told import OwnObserver, told_of
+from contest.tuning import TRAINING, capped_mean, positions
+from stillwork.base.checks import InputError
+from workbook import paths
+from workbook.studies import mean_interval
+
+SIZES = (0.005, 0.01, 0.02, 0.05, 0.1)  # of the errors of frequency, damping, gain and shape
+NOISES = (1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)  # factors on the sensor's noise
+ROBUST = ("sensitivity penalised", "regularised least squares")  # the thesis's two
+MAPPED = ("Kalman", *ROBUST, "fictitious noise", "interacting models")
+TRAINED, SEEDS = 6, 40  # seeds a cell is tuned on, and judged on
+PUBLIC = "20180628"
+SAYING = 0.9  # error over that of the estimate zero, from which on an observer says nothing
+RESAMPLES = 2000
+FILE = paths.data("motion", "contest_map.csv")
+
+
+def flexible_errors(
+    plant: ContestPlant,
+    size: float,
+    noise: float,
+    public: str,
+    seeds: int,
+    observers: Mapping[str, OwnObserver],
+) -> dict[str, np.ndarray]:
+    """Error of the flexible states of each observer, a seed each, all on the same scans."""
+    doubt = Doubt(size, size, size, size, noise=noise)
+    told = (*told_of(plant, noise), plant.sample_time)
+    errors = {name: np.empty(seeds) for name in observers}
+    for seed in range(seeds):
+        rng = np.random.default_rng(hidden_seed(public, "map", size, noise, seed))
+        truth = sample_truth(plant, doubt, bench.SAMPLES, rng)
+        record = bench.record(bench.assemble(plant, truth, bench.CAUTIOUS, estimated=False))
+        for name, observer in observers.items():
+            observer.start(*told)
+            estimates = observer.run(record.inputs, record.measurements)
+            errors[name][seed] = bench.state_errors(record, estimates, plant.model.rigid_modes)[1]
+    return errors
+
+
+def tuned(plant: ContestPlant, size: float, noise: float, candidates: Mapping[str, list[OwnObserver]]):
+    """Of each entrant's candidates the one with the least mean error on the training seeds."""
+    every = {f"{name}:{k}": each for name, some in candidates.items() for k, each in enumerate(some)}
+    errors = flexible_errors(plant, size, noise, TRAINING, TRAINED, every)
+    return {
+        name: some[int(np.argmin([capped_mean(errors[f"{name}:{k}"]) for k in range(len(some))]))]
+        for name, some in candidates.items()
+    }
+
+
+def leads(errors: pd.DataFrame, over: str = "Kalman") -> pd.DataFrame:
+    """How far every observer is ahead of the Kalman filter, or of `over`, on the same scans, a row a cell and observer.
+
+    Mean over the seeds with its interval of 95 %, and the upper end of that of the observer's mean error.
+    """
+    rows = []
+    for (size, noise), cell in errors.groupby(["size", "noise"]):
+        for name in MAPPED[1:]:
+            own = cell[name].to_numpy()
+            ahead = cell[over].to_numpy() - own
+            rows.append((size, noise, name, ahead.mean(), *mean_interval(ahead), mean_interval(own)[1]))
+    return pd.DataFrame(rows, columns=["size", "noise", "entrant", "lead", "low", "high", "error at most"])
+
+
+def turning(noises: Sequence[float], lead: Sequence[float] | np.ndarray) -> float:
+    """Noise above which a lead stays positive, interpolated in its logarithm; 0 where it always is, else infinite."""
+    noises, lead = np.log(noises), np.asarray(lead, dtype=float)
+    behind = np.flatnonzero(lead <= 0)
+    if not behind.size:
+        return 0.0
+    last = behind[-1]
+    if last == len(lead) - 1:
+        return np.inf
+    share = lead[last] / (lead[last] - lead[last + 1])
+    return float(np.exp(noises[last] + share * (noises[last + 1] - noises[last])))
+
+
+def ahead_of(one: str | float, other: str | float) -> Callable[[pd.DataFrame], pd.Series]:
+    """By how much the error of `one` is below that of `other`, observers or numbers, on each scan."""
+
+    def lead(errors: pd.DataFrame) -> pd.Series:
+        of_one, of_other = (errors[each] if isinstance(each, str) else each for each in (one, other))
+        return of_other - of_one
+
+    return lead
+
+
+def crossings(errors: pd.DataFrame, lead: Callable[[pd.DataFrame], pd.Series]) -> pd.DataFrame:
+    """For each size of the errors the noise above which the mean of ``lead(errors)`` stays positive.
+
+    Its interval of 95 % is from seeds resampled in every cell, and `crosses` the share of them that do cross within
+    the map, on whichever side the others lie.
+    """
+    rng = np.random.default_rng(0)
+    cells = errors.assign(lead=lead(errors)).pivot(index="seed", columns=["size", "noise"], values="lead")
+    rows = []
+    for size in SIZES:
+        own = cells[size].to_numpy()
+        draws = rng.integers(len(own), size=(RESAMPLES, *own.shape))
+        again = np.take_along_axis(own[None], draws, axis=1).mean(axis=1)
+        turns = np.array([turning(NOISES, each) for each in again])
+        low, high = np.quantile(turns, [0.025, 0.975], method="inverted_cdf")
+        inside = np.mean((turns > 0) & np.isfinite(turns))
+        rows.append((size, turning(NOISES, own.mean(axis=0)), low, high, inside))
+    return pd.DataFrame(rows, columns=["size", "noise", "low", "high", "crosses"])
+
+
+def main() -> None:
+    """Make the map."""
+    plant = sample_plant("stage", np.random.default_rng(0))
+    with open(FILE, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(("size", "noise", "seed", *MAPPED))
+        for noise in NOISES:
+            told = (*told_of(plant, noise), plant.sample_time)
+            candidates: dict[str, list[OwnObserver]] = {name: [] for name in MAPPED}
+            for name in MAPPED:
+                for settings in positions(name):
+                    observer = OwnObserver(ENTRANTS[name], tuple(map(float, settings)))
+                    with suppress(InputError):  # there may be no such design
+                        observer.start(*told)
+                        candidates[name].append(observer)
+            for size in SIZES:
+                chosen = tuned(plant, size, noise, candidates)
+                errors = flexible_errors(plant, size, noise, PUBLIC, SEEDS, chosen)
+                for seed in range(SEEDS):
+                    writer.writerow((size, noise, seed, *(f"{errors[name][seed]:.4g}" for name in MAPPED)))
+                medians = {name: np.median(values).round(2) for name, values in errors.items()}
+                print(size, noise, medians, flush=True)
+
+
+if __name__ == "__main__":
+    main()

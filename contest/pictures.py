@@ -1,0 +1,143 @@
+"""Figures of the observer contest, from its two tables."""
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import isotonic_regression
+
+from contest.noise_map import (
+    MAPPED,
+    NOISES,
+    ROBUST,
+    SAYING,
+    ahead_of,
+    crossings,
+    flexible_errors,
+    leads,
+)
+from contest.plants import sample_plant
+from contest.scores import ENTRANTS
+from contest.told import OwnObserver
+from contest.tuning import settings_for
+from workbook import figures
+
+INKS = figures.RED, figures.BLUE, figures.GREEN, figures.PURPLE, figures.ORANGE
+COLOURS = dict(zip(MAPPED, INKS, strict=True))
+
+
+def paint_leaderboard(ranked: pd.DataFrame):
+    """Mean error of every entrant with its interval, the best on top; `ranked` holds the rows of the score."""
+    figure, axis = figures.new(1, 1, height=3.8)
+    ends = [ranked["median"] - ranked["low"], ranked["high"] - ranked["median"]]
+    style = {"fmt": "o", "color": figures.BLUE, "capsize": 3, "markersize": 4, "label": "mean error"}
+    axis.errorbar(ranked["median"], range(len(ranked)), xerr=ends, **style)
+    _name_rows(axis, ranked["entrant"], " (grey: says nothing)")
+    axis.axvspan(0.9, 1.1, color=figures.GREY, alpha=0.2)
+    axis.invert_yaxis()
+    return figure
+
+
+def _name_rows(axis, observers: Sequence[str], remark: str = "") -> None:
+    axis.set_yticks(range(len(observers)), observers)
+    axis.axvline(1, color=figures.BLACK, linewidth=0.8)
+    axis.set_xlabel(f"error of the flexible states over that of the estimate zero{remark}")
+
+
+def paint_matrix(table: pd.DataFrame, over: str):
+    """Errors of the entrants, one row each, over plants or doubts."""
+    figure, axis = figures.new(1, 1, height=4.6)
+    columns, rows = np.arange(table.shape[1]), np.arange(table.shape[0])
+    mesh = axis.pcolormesh(columns, rows, np.clip(table.to_numpy(), 0, 2), cmap="coolwarm", vmin=0, vmax=2)
+    axis.set_xticks(columns, table.columns, rotation=60, ha="right")
+    axis.set_yticks(rows, table.index)
+    axis.invert_yaxis()
+    axis.set(xlabel=over, ylabel="observer")
+    figure.colorbar(mesh, ax=axis, label="error over that of zero")
+    return figure
+
+
+def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
+    """Error over time a sample; the larger the dot, the more loops ran away."""
+    figure, axis = figures.new(1, 1, height=3.6)
+    error = error.sort_values()
+    arrow = {"arrowstyle": "-", "color": figures.GREY, "lw": 0.4, "alpha": 0.6, "shrinkA": 1}
+    arrow["relpos"] = (0, 0.5)  # to the name's left end
+    style = {"textcoords": ("axes fraction", "data"), "va": "center", "fontsize": 7, "arrowprops": arrow}
+    apart = 0.04 * np.arange(len(error))  # names in a column, each as near its dot as the others let it
+    places = isotonic_regression(error - apart).x + apart
+    for name, place in zip(error.index, places, strict=True):
+        at, size = (speed[name], error[name]), 3 + 14 * unstable[name]
+        axis.semilogx(*at, "o", markersize=size, color=figures.BLUE, alpha=0.6, label=name)
+        axis.annotate(name, at, xytext=(1.04, place), **style)
+    axis.set_ylim(places[0] - 0.03, places[-1] + 0.03)
+    axis.set(xlabel="time a sample (µs)", ylabel="mean error over that of zero")
+    return figure
+
+
+def paint_noise(errors: pd.DataFrame, size: float):
+    """Median errors with quartiles over the sensor's noise, for errors of one size."""
+    figure, axis = figures.new(1, 1, height=3.2)
+    one = errors[np.isclose(errors["size"], size)]
+    for name in MAPPED:
+        quartiles = one.groupby("noise")[name].quantile([0.25, 0.5, 0.75]).unstack()
+        axis.semilogx(quartiles.index, quartiles[0.5], "o-", color=COLOURS[name], markersize=3, label=name)
+        axis.fill_between(quartiles.index, quartiles[0.25], quartiles[0.75], color=COLOURS[name], alpha=0.12)
+    axis.axhline(1, color=figures.BLACK, linewidth=0.8)
+    axis.set(xlabel="sensor's noise over the thesis's", ylabel="error over that of zero", ylim=(0, 2))
+    figures.legend_below(axis, 3)
+    return figure
+
+
+def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
+    """Leads of the robust observers, a column each, over these Kalman filters; a dot where one is sure and says something.
+
+    The line is where a lead begins, the dashed one where the observer ceases to say something, each with its interval.
+    """
+    figure, axes = figures.new(len(over), len(ROBUST), height=4.6, sharex=True, sharey=True)
+    silent = {name: crossings(errors, ahead_of(SAYING, name)) for name in ROBUST}
+    for row, rival in zip(axes, over, strict=True):
+        found = leads(errors, rival)
+        for axis, name in zip(row, ROBUST, strict=True):
+            own = found[found["entrant"] == name].pivot(index="size", columns="noise")
+            lead, sure = own["lead"], (own["low"] > 0) & (own["error at most"] < SAYING)
+            columns, rows = np.arange(lead.shape[1]), np.arange(lead.shape[0])
+            mesh = axis.pcolormesh(columns, rows, lead.to_numpy(), cmap="coolwarm_r", vmin=-0.2, vmax=0.2)
+            down, across = np.nonzero(sure.to_numpy())
+            axis.plot(across, down, "o", color=figures.BLACK, markersize=3, label="ahead of both")
+            for line, style, label in (
+                (crossings(errors, ahead_of(name, rival)), "-", "ahead from here on"),
+                (silent[name], "--", "says nothing from here on"),
+            ):
+                inside = line["crosses"].to_numpy() > 0.5
+                low, at, high = (
+                    np.interp(np.log(line[end].clip(NOISES[0], NOISES[-1])), np.log(NOISES), columns)[inside]
+                    for end in ("low", "noise", "high")
+                )
+                bars = {"xerr": [at - low, high - at], "fmt": style, "color": figures.GREEN}
+                axis.errorbar(at, rows[inside], **bars, label=label)
+            axis.set_xticks(columns, [f"{noise:g}" for noise in lead.columns])
+            axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
+            axis.set_title(f"{name} over {rival}", fontsize=8)
+    figures.label(axes, "sensor's noise", "size of the errors (%)")
+    figure.colorbar(mesh, ax=axes, label="lead")
+    return figure
+
+
+@cache
+def _stage():
+    return sample_plant("stage", np.random.default_rng(0))
+
+
+def paint_cell(size_percent: float, noise_exponent: float):
+    """Explorer: errors of the map's observers, with the contest's settings, on eight scans of one cell of the map."""
+    settings = settings_for("stage")
+    observers = {name: OwnObserver(ENTRANTS[name], tuple(settings[name])) for name in MAPPED}
+    errors = flexible_errors(_stage(), size_percent / 100, 10.0**noise_exponent, "explorer", 8, observers)
+    figure, axis = figures.new(1, 1, height=2.8)
+    for place, name in enumerate(MAPPED):
+        style = {"color": COLOURS[name], "markersize": 5, "alpha": 0.6, "label": name}
+        axis.semilogx(errors[name], np.full(8, place), "o", **style)
+    _name_rows(axis, MAPPED)
+    return figure

@@ -1,0 +1,163 @@
+"""Pictures of the iteration: contraction, filters' responses, stability, limit cycles."""
+
+import numpy as np
+
+from experiments.fixedpoint.axes import COLOURS, legend_above
+from experiments.fixedpoint.oscillator import load_oscillator
+from experiments.fixedpoint.published import INTEGRATION, LITERAL
+from stillwork.control.fixed_point import Controller
+from stillwork.control.fixed_point_convergence import (
+    StableRange,
+    describing_function,
+    iterate,
+    limit_cycles,
+    stable_range,
+)
+from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop, linear_loop
+from stillwork.control.kinematics import KinematicDesign
+from stillwork.control.transformation import FlowTransformation, Transformation
+from stillwork.estimation.coordinate_filters import MovingWindow
+from workbook import figures
+
+SMALL = {"textcoords": "offset points", "fontsize": 7}  # words beside a mark
+
+
+def paint_contraction(transformations: dict[str, Transformation], response_gain: float):
+    """Error of the static iteration, step by step, and its multiplier against the size of the error."""
+    figure, (decay, multiplier) = figures.new(1, 2, height=3.0)
+
+    def errors(transformation, start, count):
+        found = iterate(transformation, 0.0, count, response_gain=response_gain, start=start / response_gain)
+        return found * response_gain
+
+    colours = (figures.BLUE, figures.GREEN)
+    for (name, transformation), colour in zip(transformations.items(), colours, strict=False):
+        for start, line in ((1.0, "-"), (30.0, "--")):
+            sizes = np.abs(errors(transformation, start, 40))
+            decay.semilogy(sizes, line, color=colour, label=f"{name}, start {start:g} m/s²")
+        sizes = np.geomspace(1e-2, 1e3, 60)
+        ratio = [errors(transformation, size, 2)[1] / size for size in sizes]
+        multiplier.semilogx(sizes, ratio, color=colour, label=name)
+    decay.set(xlabel="iteration (1)", ylabel="|response - desired| (m/s²)", ylim=(1e-4, 60))
+    decay.set_title("static iteration")
+    figure.legend(handles=decay.lines, loc="outside upper center", ncols=2)
+    multiplier.set(xlabel="|response - desired| (m/s²)", ylabel="ratio of two errors (1)", ylim=(0, 1.05))
+    multiplier.set_title("multiplier: below 1 contracts")
+    multiplier.legend()
+    return figure
+
+
+def paint_filter_responses(filters: dict[str, LinearFilter], sample_time: float):
+    """Frequency responses from the measured position to the three estimates, over the ideal derivatives."""
+    figure, panels = figures.new(2, 3, height=5.2, sharex=True)
+    frequency = np.geomspace(0.5, 499, 90)
+    for name, device in filters.items():
+        response = device.response(2 * np.pi * frequency, sample_time)
+        line = "--" if name == LITERAL else "-"  # in places it covers its neighbour
+        for column in range(3):
+            ratio = response[:, column] / (2j * np.pi * frequency) ** column
+            panels[0, column].loglog(frequency, np.abs(ratio), line, color=COLOURS[name], label=name)
+            angle = np.degrees(np.unwrap(np.angle(ratio)))
+            panels[1, column].semilogx(frequency, angle, line, color=COLOURS[name], label=name)
+    for column, title in enumerate(("estimate of q", "of q', over jω", "of q'', over (jω)²")):
+        panels[0, column].set(title=title, ylim=(1e-3, 10))
+        panels[1, column].set(xlabel="frequency (Hz)", ylim=(-400, 90))
+    panels[0, 0].set_ylabel("gain (1)")
+    panels[1, 0].set_ylabel("phase (degrees)")
+    legend_above(panels[0, 0], 3)
+    return figure
+
+
+def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, float], banach: float):
+    """Stable local gains of every loop, the gain in use, and the edge that Banach's theorem gives."""
+    figure, axes = figures.new(1, height=0.42 * len(ranges) + 1.3)
+    for row, (name, region) in enumerate(ranges.items()):
+        strong, weak = region.limits
+        axes.plot([-strong, -weak], [row, row], "-", linewidth=7, color=COLOURS[name], alpha=0.5, label=name)
+        axes.plot(-gains[name], row, "k|", markersize=16, markeredgewidth=2.5, label="_gain in use")
+        for crossing, side, away in ((region.strongest, "left", 4), (region.weakest, "right", -4)):
+            look = {"ha": side, "va": "center", "xytext": (away, 0), **SMALL}
+            axes.annotate(f"{crossing.frequency_hz:.0f} Hz", (-crossing.local_gain, row), **look)
+    axes.plot([], [], "k|", markersize=10, markeredgewidth=2.5, label="gain in use")
+    axes.axvline(-banach, color=figures.GREY, linestyle=":")
+    axes.text(-banach * 0.97, len(ranges) - 0.45, "Banach's edge", ha="right", va="center", fontsize=7)
+    axes.set_yticks(range(len(ranges)), list(ranges))
+    axes.set(xscale="log", xlabel="strength of the transformation, minus its local gain (1)", xlim=(6e-3, 4))
+    axes.set_ylim(len(ranges) - 0.3, -0.6)
+    axes.legend([axes.lines[-2]], ["gain in use"], loc="upper right")
+    return figure
+
+
+def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation):
+    """The open loop's locus and the inverse of gain times describing function; where they meet is a cycle."""
+    figure, axes = figures.new(1, height=4.0)
+    frequency, marks = np.geomspace(3, 120, 180), np.array([5.0, 10.0, 20.0, 40.0, 80.0])
+    locus, points = np.split(loop.response(2 * np.pi * np.append(frequency, marks)), [len(frequency)])
+    axes.plot(locus.real, locus.imag, color=figures.BLUE, label="linear loop, 3 to 120 Hz")
+    amplitude = np.geomspace(1e-2, 300, 60)
+    inverse = np.array([1 / (transformation.local_gain * describing_function(a)) for a in amplitude])
+    axes.plot(
+        inverse, np.zeros_like(inverse), color=figures.RED, label="1 / (local gain x describing function)"
+    )
+    for hertz, point in zip(marks, points, strict=True):
+        place, name = (point.real, point.imag), f"{hertz:g} Hz"
+        axes.plot(*place, "o", color=figures.BLUE, markersize=4, label=name)
+        axes.annotate(name, place, xytext=(5, 3), textcoords="offset points", fontsize=8)
+    for size in (3, 10, 30, 100):
+        place = 1 / (transformation.local_gain * describing_function(size / transformation.width)), 0
+        axes.plot(*place, "s", color=figures.RED, markersize=4, label=f"error {size} m/s²")
+        axes.annotate(f"{size} m/s²", place, xytext=(0, -12), ha="center", **SMALL)
+    axes.set(xlabel="real part of the response (1)", xlim=(-75, 10))
+    axes.set(ylabel="imaginary part (1)", ylim=(-45, 45))
+    axes.legend(handles=axes.lines[:2], loc="upper right")
+    return figure
+
+
+def paint_limit_cycle_sweep(gains, predicted, simulated):
+    """Frequency and amplitude of the limit cycle against the gain A: predicted lines (NaN: no cycle), simulated points."""
+    figure, panels = figures.new(1, 2, height=3.0)
+    titles = ("frequency (Hz)", "amplitude of response - desired (m/s²)")
+    for column, (axes, title) in enumerate(zip(panels, titles, strict=True)):
+        axes.plot(gains, [p[column] for p in predicted], color=figures.BLUE, label="describing function")
+        axes.plot(gains, [s[column] for s in simulated], "o", ms=4, color=figures.RED, label="simulated")
+        axes.axvline(1.1, color=figures.BLACK, linestyle=":", linewidth=1)
+        axes.set(xlabel="-A (m/s²), dotted: published", ylabel=title)
+    middle = np.nanmean([p[0] for p in predicted])
+    panels[0].set_ylim(0.95 * middle, 1.05 * middle)
+    panels[0].legend()
+    return figure
+
+
+def paint_noise_gain(deviations, remaining, weakest: float, marks: dict[str, float]):
+    """What noise in the response leaves of transformation (6)'s gain, and the least that the loop needs."""
+    figure, axes = figures.new(1, height=3.0)
+    axes.loglog(deviations, remaining, color=figures.BLUE, label="gain of (6) left in noise")
+    axes.axhline(weakest, color=figures.RED, linestyle="--")
+    needed = "the Kalman loop needs at least this"
+    axes.text(deviations[0], weakest * 1.08, needed, fontsize=8, color=figures.RED)
+    for (name, place), line in zip(marks.items(), (":", "-."), strict=False):
+        axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
+        axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
+    axes.set(xlabel="standard deviation of response - desired (m/s²)")
+    axes.set(ylabel="strength, minus the local gain (1)")
+    return figure
+
+
+def paint_limit_cycle(gain: float, window_length: int, exponent: float):
+    """Where the window's loop and transformation (6) balance."""
+    exact, approximate = (model.plant for model in load_oscillator().values())
+    transformation, window = FlowTransformation(-gain), MovingWindow(int(window_length))
+    controller = Controller(window, transformation, KinematicDesign(exponent), approximate)
+    loop = linear_loop(exact, controller, 1e-3, integration=INTEGRATION)
+    region = stable_range(loop)
+    figure = paint_limit_cycle_condition(loop, transformation)
+    cycles = [
+        f"{c.frequency_hz:.1f} Hz at {c.iteration_error:.3g} m/s² ({'stable' if c.stable else 'unstable'})"
+        for c in limit_cycles(loop, transformation, region)
+    ]
+    low, high = region.limits
+    figure.axes[0].set_title(
+        f"stable gains {low:.3g} to {high:.3g}, here {transformation.local_gain:.3g}\n"
+        f"cycles: {', '.join(cycles) or 'none'}"
+    )
+    return figure

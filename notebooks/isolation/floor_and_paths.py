@@ -1,0 +1,254 @@
+"""The rig, its floor and its paths: what this notebook alone needs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy import optimize, signal
+
+from experiments.isolation.floors import ShapedFloor, colored_floor
+from experiments.isolation.frequency_axes import thinned
+from experiments.isolation.one_rig import equal_struts
+from experiments.isolation.responses import control_paths, responses, series
+from experiments.isolation.rig import Rig
+from experiments.isolation.shaping import secondary_path
+from experiments.isolation.twin import Twin
+from stillwork.base.checks import InputError, require_number
+from stillwork.signals.criteria import criterion_density
+from stillwork.signals.spectra import Spectrum
+from workbook import figures
+
+# === Modes ========================================================================================================
+# Suspension modes of a twin with its real skyhook loop: weak integrator, notch, lag and delay included.
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Frequencies and relative damping of the suspension modes, by rising frequency."""
+
+    frequencies_hz: Float64[np.ndarray, "modes"]  # of each pair of poles
+    damping: Float64[np.ndarray, "modes"]
+
+
+def suspension_modes(twin: Twin, feedback: bool = True) -> Modes:
+    """Poles of the sampled loop that belong to the suspension, none of them overdamped."""
+    import control
+
+    open_path = control_paths(twin, feedback=False)[1]
+    skyhook = series(twin.skyhook_filter, twin.sample_time)
+    gain = control.append(*[skyhook * float(feedback)] * twin.outputs)
+    poles = np.linalg.eigvals(control.feedback(np.eye(twin.outputs), open_path * gain).A)
+    poles = np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / twin.sample_time
+    undamped = np.sqrt(np.linalg.eigvals(np.linalg.solve(twin.plant.mass, twin.plant.stiffness)).real)
+    size = np.abs(poles)
+    near = (poles.imag > 0) & (size > undamped.min() / 3) & (size < 3 * undamped.max())
+    if near.sum() != len(undamped):
+        raise InputError(
+            f"{near.sum()} oscillating modes near the suspension instead of {len(undamped)}; lower the skyhook gain"
+        )
+    order = np.argsort(size[near])
+    return Modes(size[near][order] / (2 * np.pi), (-poles.real / size)[near][order])
+
+
+# === Path fit =====================================================================================================
+# The published fit (2) of the secondary path, held against a twin's own path (section 2.1, Fig. 3).
+
+
+def parametric_fit(twin: Twin, frequencies_hz: ArrayLike) -> Complex128[np.ndarray, " frequencies"]:
+    """Eq. (2) as Fig. 3 draws it, discretised by Tustin's rule and with one sample of delay; m/s^2 per N."""
+    f = np.asarray(frequencies_hz, dtype=float)
+    path = secondary_path(twin.feedforward.path, twin.sample_time)
+    delay = np.exp(-2j * np.pi * f * twin.sample_time)
+    return signal.freqz_sos(path, f, fs=twin.instruments.sample_rate)[1] * delay
+
+
+def diagonal_path(twin: Twin, frequencies_hz: ArrayLike) -> Complex128[np.ndarray, "actuators frequencies"]:
+    """Diagonal elements from command to measured platform acceleration, skyhook loop closed; m/s^2 per N."""
+    return np.ascontiguousarray(np.einsum("fii->if", responses(twin, frequencies_hz).secondary))
+
+
+def dominance(twin: Twin, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
+    """Least diagonal element of the open 6 × 6 path over the sum of the others in its row, magnitudes.
+
+    Above 1 the path is diagonally dominant in the strict sense. The skyhook loop is open: its diagonal form is
+    what the dominance argues for (section 2.1).
+    """
+    size = np.abs(responses(twin, frequencies_hz, feedback=False).secondary)
+    diagonal = np.einsum("fii->fi", size)
+    with np.errstate(divide="ignore"):  # struts without cross-coupling: infinite
+        return (diagonal / (size.sum(axis=2) - diagonal)).min(axis=1)
+
+
+def fit_error_db(twin: Twin, frequencies_hz: ArrayLike) -> Float64[np.ndarray, "actuators frequencies"]:
+    """Magnitude of the path over that of the fit, dB."""
+    ratio = diagonal_path(twin, frequencies_hz) / parametric_fit(twin, frequencies_hz)
+    return 20 * np.log10(np.abs(ratio))
+
+
+def fit_reaches_hz(twin: Twin, above_hz: float, within_db: float = 3.0) -> float:
+    """Highest frequency up to which, from `above_hz` on, the fit's magnitude stays within `within_db`."""
+    require_number("above_hz", above_hz, above=0.0, below=twin.instruments.sample_rate / 2)
+    f = np.arange(above_hz, twin.instruments.sample_rate / 2, 1.0)
+    outside = np.any(np.abs(fit_error_db(twin, f)) > within_db, axis=0)
+    return float(f[np.argmax(outside)] if outside.any() else f[-1])
+
+
+def resonance_hz(twin: Twin, low_hz: float, high_hz: float) -> float:
+    """Frequency of the highest peak of the first diagonal element between two frequencies, refined."""
+    f = np.linspace(low_hz, high_hz, 2001)
+    middle = int(np.clip(np.argmax(np.abs(diagonal_path(twin, f)[0])), 1, len(f) - 2))
+    found = optimize.minimize_scalar(
+        lambda x: -np.abs(diagonal_path(twin, [x])[0, 0]),
+        bounds=(f[middle - 1], f[middle + 1]),
+        method="bounded",
+    )
+    return float(found.x)
+
+
+# === Rig pictures =================================================================================================
+# Figures of the rig, its floor and its paths (notebook 01).
+
+
+_STRUT_M = 0.06  # drawn length; the model needs only directions
+_VIEW = np.radians([25.0, 20.0])  # azimuth, elevation
+
+
+def paint_rig(rig: Rig):
+    """Struts, platform and floor sensors, from the side (oblique) and from above."""
+    figure, (oblique, above) = figures.new(1, 2, height=3.4)
+    tops = rig.struts.positions
+    feet = tops + _STRUT_M * rig.struts.directions * np.sign(-rig.struts.directions[:, 2:3])
+    sensors = rig.floor_sensors.positions + np.array([0.0, 0.0, feet[:, 2].min()])
+    angle = np.linspace(0, 2 * np.pi, 73)
+    rim = np.linalg.norm(tops[:, :2], axis=1).max()
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    plate = 1.25 * np.linalg.norm(feet[:, :2], axis=1).max() * circle + np.array([0.0, 0.0, feet[:, 2].min()])
+    azimuth, elevation = _VIEW
+    right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    up = np.array(
+        [np.sin(azimuth) * np.sin(elevation), -np.cos(azimuth) * np.sin(elevation), np.cos(elevation)]
+    )
+    views = (
+        (oblique, np.stack([right, up]), "across (m)", "up (m)", "seen from the side"),
+        (above, np.eye(3)[:2], "x (m)", "y (m)", "seen from above"),
+    )
+    for axes, view, xlabel, ylabel, title in views:
+        axes.plot(*(view @ plate.T), color=figures.GREY, label="floor plate")
+        axes.plot(*(view @ (rim * circle).T), color=figures.BLACK, lw=2, label="platform")
+        for number, (top, foot) in enumerate(zip(tops, feet, strict=True), 1):
+            ends = view @ np.stack([top, foot]).T
+            label = "strut: actuator and accelerometer" if number == 1 else f"_strut {number}"
+            axes.plot(*ends, color=figures.BLUE, lw=2.5, marker="o", ms=3, label=label)
+            style = {"color": figures.BLUE, "ha": "center", "va": "center", "fontsize": 8}
+            axes.annotate(str(number), 1.09 * ends[:, 0], **style)
+        axes.plot(*(view @ sensors.T), "^", color=figures.RED, ms=8, label="floor accelerometer (vertical)")
+        for number, place in enumerate(sensors, 1):
+            style = {"xytext": (7, -2), "textcoords": "offset points", "color": figures.RED, "fontsize": 8}
+            axes.annotate(str(number), view @ place, **style)
+        axes.set(xlabel=xlabel, ylabel=ylabel, title=title, aspect="equal")
+    figures.legend_below(oblique, 4)
+    return figure
+
+
+def paint_modes(rig: Rig, passive: Modes, closed: Modes, gain: float):
+    """Frequency and damping of the modes beside what the paper says; damping over the skyhook's gain."""
+    figure, (left, right) = figures.new(1, 2, height=2.9)
+    left.axvspan(15, 45, color=figures.GREY, alpha=0.15, lw=0)
+    left.text(30, 0.02, "published range", ha="center", color=figures.GREY, fontsize=8)
+    left.plot(passive.frequencies_hz, passive.damping, "o", color=figures.BLUE, ms=6, label="passive")
+    left.plot(closed.frequencies_hz, closed.damping, "s", color=figures.RED, ms=6, label="with skyhook loop")
+    left.set(xlabel="frequency (Hz)", ylabel="relative damping", xlim=(10, 53))
+    gains = np.linspace(0, 350, 36)
+    ideal = np.array([rig.damping_ratios(each) for each in gains])
+    modes = {"x, y": (0, figures.BLUE), "z": (2, figures.GREEN), "θx, θy, θz": (5, figures.ORANGE)}
+    for name, (mode, color) in modes.items():
+        right.plot(gains, ideal[:, mode], color=color, label=f"{name}, ideal skyhook")
+    style = {"color": figures.RED, "label": "real loop at the published gain"}
+    right.plot(np.full(6, gain), closed.damping, "s", **style)
+    right.set(xlabel="skyhook gain (N s/m)", xlim=(0, 350))
+    for axes in (left, right):
+        axes.axhline(0.7, color=figures.BLACK, ls=":", lw=1)
+        axes.set(ylim=(0, 1.05))
+    left.text(11, 0.72, "published: about 0.7 for all", fontsize=8)
+    left.legend(loc="center left", bbox_to_anchor=(0, 0.45))
+    right.legend(loc="upper left")
+    return figure
+
+
+def paint_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], ground: tuple):
+    """Fig. 2: floor spectra as filtered noise and as estimated from a realisation, criteria and the ground."""
+    figure, axes = figures.new(1, 1, height=3.6)
+    f = np.geomspace(1, 1000, 400)
+    colors = dict(zip(floors, (figures.BLUE, figures.SKY, figures.RED, figures.ORANGE), strict=False))
+    for name, spectrum in measured.items():
+        inside = (spectrum.frequencies_hz >= 1.0) & (spectrum.frequencies_hz <= 1000)
+        density = spectrum.density.mean(axis=0)
+        shown = np.flatnonzero(inside)[thinned(spectrum.frequencies_hz[inside], density[inside])]
+        look = {"color": colors[name], "lw": 2.5, "alpha": 0.35}
+        axes.loglog(spectrum.frequencies_hz[shown], density[shown], label=f"{name}, estimated", **look)
+    for name, floor in floors.items():
+        axes.loglog(f, floor.density(f)[0], color=colors[name], label=name)
+    band = np.geomspace(1, 80, 100)
+    for name, style in (("BBN-B", "--"), ("BBN-C", ":")):
+        axes.loglog(band, criterion_density(name, band), style, color=figures.BLACK, label=name)
+    shown = ground[0] >= 1.0
+    axes.loglog(ground[0][shown], ground[1][shown], color=figures.GREEN, lw=0.8, label="measured ground")
+    axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-14, 1e-3))
+    axes.set(xlim=(1, 1000))
+    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
+    return figure
+
+
+def paint_paths(twins: dict[str, Twin], frequencies_hz: np.ndarray):
+    """Fig. 3: the six diagonal elements from command to platform acceleration, and the fit (2)."""
+    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True, gridspec_kw={"height_ratios": [2, 1]})
+    f = frequencies_hz
+    for (name, twin), color in zip(twins.items(), (figures.BLUE, figures.RED), strict=False):
+        for k, (path, error) in enumerate(zip(diagonal_path(twin, f), fit_error_db(twin, f), strict=True), 1):
+            label = name if k == 1 else f"_{name}, element {k}"
+            upper.loglog(f, np.abs(path), color=color, lw=0.9, label=label)
+            lower.semilogx(f, error, color=color, lw=0.9, label=f"_{name}, element {k}")
+    fit = parametric_fit(next(iter(twins.values())), f)
+    upper.loglog(f, np.abs(fit), "--", color=figures.BLACK, label="fit, eq. (2)")
+    upper.axvline(962, color=figures.GREY, ls=":", lw=1)
+    upper.annotate("962 Hz", (930, 0.003), ha="right", fontsize=8, color=figures.GREY)
+    lower.axvline(500, color=figures.GREY, ls=":", lw=1)
+    lower.annotate("published: good to here", (480, -9), ha="right", fontsize=8, color=figures.GREY)
+    upper.set(ylabel="|a₁ / u| (m/s² per N)")
+    lower.set(xlabel="frequency (Hz)", ylabel="twin over fit (dB)", ylim=(-12, 12), xlim=(f[0], f[-1]))
+    upper.legend(loc="upper left")
+    return figure
+
+
+def explore_floor(low_pass_hz: float, gain: float):
+    """Explorer: the two readings of the flat floor and the height of the colored bands, against BBN-A to -D."""
+    figure, axes = figures.new(1, 1, height=3.2)
+    f = np.geomspace(1, 1000, 300)
+    floor = colored_floor(low_pass_hz, gain=gain)
+    axes.loglog(f, floor.density(f)[0], color=figures.BLUE, label="floor")
+    band = np.geomspace(1, 80, 60)
+    colors = {"A": figures.PURPLE, "B": figures.RED, "C": figures.ORANGE, "D": figures.GREEN}
+    for letter, color in colors.items():
+        name = f"BBN-{letter}"
+        axes.loglog(band, criterion_density(name, band), "--", color=color, label=name)
+    axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-10, 1e-3))
+    axes.legend(loc="upper left", ncols=2)
+    return figure
+
+
+# === Open choices =================================================================================================
+
+
+def suspension(
+    *, strut_damping: float, strut_tilt: float, rotations: float, seed: int, lean: bool
+) -> dict[str, float]:
+    """Relative damping with the skyhook loop, as in notebook 01; there is nothing to leave out."""
+    twin = equal_struts(
+        strut_damping=strut_damping, actuator_pole=300.0, strut_tilt=strut_tilt, rotations=rotations
+    )
+    # With equal struts all modes follow one law of their frequency, so the loop keeps their order.
+    damping, shares = suspension_modes(twin).damping, twin.rig.mass * twin.rig.modes[1] ** 2
+    kinds = {"horizontal": shares[0] + shares[1] > 0.5, "vertical": shares[2] > 0.5}
+    kinds["rotations"] = ~(kinds["horizontal"] | kinds["vertical"])
+    return {f"isolation.setup.damping-{kind}": damping[rows].mean() for kind, rows in kinds.items()}

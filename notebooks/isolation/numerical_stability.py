@@ -1,0 +1,685 @@
+"""Numerical stability of the covariance recursion: what this notebook alone needs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from numpy.typing import ArrayLike
+from scipy import signal
+
+from experiments.isolation.simulation import Run
+from stillwork.base.algebra import inner_product, plus_row, set_product
+from stillwork.base.checks import (
+    InputError,
+    counted,
+    require_array,
+    require_choice,
+    require_count,
+    require_number,
+)
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel
+from stillwork.estimation import covariance_forms
+from stillwork.estimation.adaptive import ferls_update, hold_triangle
+from stillwork.estimation.covariance_forms import (
+    TRIANGLE,
+    add_triangle_information,
+    factor_of,
+    update_covariance,
+    update_form,
+)
+from workbook import figures
+from workbook.palette import COLOURS
+
+# === Stability ====================================================================================================
+# Numerical stability of the covariance recursion (29): seven ways to write it, in any precision.
+#
+# On paper they are one formula. In rounded arithmetic they differ in what becomes of an error of P that is
+# antisymmetric, and of one that makes P indefinite.
+
+
+# What one writes first, and what (29) prints; then the library's forms.
+FORMS = ("one product", "both products", *covariance_forms.FORMS)
+ONE_PRODUCT, BOTH_PRODUCTS = 0, 1
+REGRESSORS = 9  # of the synthetic records, as the rig has
+OVERFLOW = 1e100  # so large that its square is still a number
+
+
+@dataclass(frozen=True)
+class CovarianceRun:
+    """What became of P, at equally spaced moments."""
+
+    time_constants: Float64[np.ndarray, "kept"]  # samples seen times (1 - forgetting)
+    asymmetry: Float64[np.ndarray, "kept"]  # norm of the antisymmetric part of P over that of P
+    error: Float64[np.ndarray, "kept"]  # norm of P - R^-1, R the information matrix, over that of R^-1
+    smallest: Float64[np.ndarray, "kept"]  # eigenvalue of (P + P')/2 over the smallest of R^-1
+    distance: Float64[np.ndarray, "kept"]  # largest of |eigenvalue of P R - 1|; from 1 on P may be indefinite
+    largest: Float64[np.ndarray, "kept"]  # eigenvalue of (P + P')/2 over the largest of the initial P
+
+    @property
+    def breakdown(self) -> float:
+        """Time constants until P is first seen indefinite or not finite; infinite when it never is."""
+        broken = ~(self.smallest > 0)
+        return float(self.time_constants[np.argmax(broken)]) if broken.any() else float("inf")
+
+    @property
+    def worst(self) -> float:
+        """Largest `distance`, at most one, the size of P: beyond it P means nothing, and its numbers are chaos."""
+        return min(float(np.nanmax(self.distance)), 1.0)
+
+    def breakdown_tens(self) -> float:
+        """`breakdown` to tens: rounding errors decide it, and another processor's are of the same size alone."""
+        return round(self.breakdown, -1) if np.isfinite(self.breakdown) else self.breakdown
+
+    def growth_rate(self) -> float:
+        """Growth rate of the asymmetry per time constant, fitted where it lies between 1e-12 and 1e-3."""
+        inside = (self.asymmetry > 1e-12) & (self.asymmetry < 1e-3) & (self.time_constants < self.breakdown)
+        if inside.sum() < 3:
+            return 0.0
+        return float(np.polyfit(self.time_constants[inside], np.log(self.asymmetry[inside]), 1)[0])
+
+
+def covariance_run(
+    form: str,
+    regressors: ArrayLike,
+    forgetting: float,
+    initial: ArrayLike,
+    time_constants: float,
+    precision: str = "float64",
+    per_time_constant: int = 4,
+) -> CovarianceRun:
+    """Run the covariance recursion over a record (n, samples), repeated for so many `time_constants`, and watch P.
+
+    Of `FORMS`, ``one product`` is P - (g / den) g' with g = P psi; ``both products``, with P psi and psi' P computed
+    apart as printed; the others are the library's, `covariance_forms`. P is looked at so often `per_time_constant`.
+    """
+    code = FORMS.index(require_choice("form", form, FORMS))
+    dtype = np.dtype(require_choice("precision", precision, ("float64", "float32")))
+    record = np.ascontiguousarray(require_array("regressors", regressors, ndim=2).T)
+    n = record.shape[1]
+    start = require_array("initial", initial, shape=(n, n))
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
+    step = int(1 / (1 - forgetting) / require_count("per_time_constant", per_time_constant))
+    if not 0 < step <= len(record):
+        raise InputError(
+            f"regressors has {counted(len(record), 'sample')}; give at least {step}, or look more often"
+        )
+
+    matrix = (start if form in FORMS[:2] else factor_of(form, start)).astype(dtype)
+    information, rounded = np.linalg.inv(start), float(dtype.type(forgetting))
+    weights = rounded ** (np.arange(step)[::-1] / 2)
+    # Rounded once for both, so that the error is the recursion's and not the data's.
+    blocks = [record[at : at + step].astype(dtype) for at in range(0, len(record) - step + 1, step)]
+    weighted = [block.astype(np.float64) * weights[:, None] for block in blocks]
+    seen = [each.T @ each for each in weighted]
+    rows = []
+    for k in range(int(time_constants * per_time_constant)):
+        at = k % len(blocks)
+        recur(code, matrix, blocks[at], dtype.type(forgetting), np.empty(n, dtype), np.empty(n, dtype))
+        information = rounded**step * information + seen[at]
+        rows.append(((k + 1) * step * (1 - forgetting), *_health(form, matrix, information)))
+        if not np.isfinite(rows[-1][2]):
+            break
+    table = np.array(rows).T
+    table[5] /= np.linalg.eigvalsh(start)[-1]
+    return CovarianceRun(*table)
+
+
+def _health(form, matrix, information) -> tuple[float, ...]:
+    covariance = matrix.astype(np.float64)
+    if not np.all(np.abs(covariance) < OVERFLOW):
+        return (np.nan,) * 5
+    metric = np.linalg.cholesky(information)
+    if form in ("square root", "UD", "inverse QR"):
+        # A product has no negative eigenvalue; singular values keep the digits that forming it would lose.
+        root = covariance if form == "square root" else covariance.T
+        if form == "UD":
+            root = (np.triu(root, 1) + np.eye(len(root))) * np.sqrt(np.diag(root))
+        eigenvalues = np.linalg.svd(root, compute_uv=False)[::-1] ** 2
+        relative = np.linalg.svd(metric.T @ root, compute_uv=False) ** 2
+        covariance = root @ root.T
+    else:
+        eigenvalues = np.linalg.eigvalsh((covariance + covariance.T) / 2)
+        relative = np.linalg.eigvalsh(metric.T @ (covariance + covariance.T) @ metric / 2)
+    asymmetry = np.linalg.norm(covariance - covariance.T) / 2 / np.linalg.norm(covariance)
+    exact = np.linalg.inv(information)
+    error = np.linalg.norm(covariance - exact) / np.linalg.norm(exact)
+    smallest = eigenvalues[0] * np.linalg.eigvalsh(information)[-1]
+    return asymmetry, error, smallest, np.abs(relative - 1).max(), eigenvalues[-1]
+
+
+def shared_motion(condition: float, samples: int, seed: int) -> np.ndarray:
+    """Nine regressors of power one that share a motion, each with a rest of its own, (regressors, samples).
+
+    The `condition` of their correlation is 1 + 9 c / (1 - c) for the share c of the power that is common.
+    """
+    ratio = (require_number("condition", condition, above=1.0) - 1) / REGRESSORS
+    rng = np.random.default_rng(seed)
+    common, own = rng.standard_normal(samples), rng.standard_normal((REGRESSORS, samples))
+    return (np.sqrt(ratio) * common + own) / np.sqrt(1 + ratio)
+
+
+def scaled_condition(regressors: ArrayLike) -> float:
+    """Condition number of the regressors' correlation: of the information matrix in units that make its diagonal one."""
+    return float(np.linalg.cond(np.corrcoef(require_array("regressors", regressors, ndim=2))))
+
+
+def condition_bounds(forgetting: float, precision: str) -> tuple[float, float]:
+    """Condition number up to which P stays definite for certain, and in the mean, but for a factor of order one.
+
+    A sample rounds P by u times its size, and what was rounded before shrinks by lambda: the errors add up to
+    u / (1 - lambda) of it where all have one sign, to u / sqrt(2 (1 - lambda)) where they are independent. P is
+    indefinite when that reaches its smallest eigenvalue.
+    """
+    unit = float(np.finfo(precision).eps) / 2
+    return (1 - forgetting) / unit, float(np.sqrt(2 * (1 - forgetting))) / unit
+
+
+def steady_start(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray, "n n"]:
+    """P that the recursion settles at; also of regressors that `steady_covariance` refuses."""
+    psi = require_array("regressors", regressors, ndim=2)
+    size = np.sqrt(np.mean(psi**2, axis=1))
+    scaled = psi / size[:, None]
+    inverse = np.linalg.inv(scaled @ scaled.T / scaled.shape[1]) / np.outer(size, size)
+    return (1 - forgetting) * (inverse + inverse.T) / 2
+
+
+def breakdowns_from_diagonal(
+    regressors: ArrayLike, forgetting: float, forms, time_constants: float
+) -> dict[str, float]:
+    """Time constants to the breakdown of each form in float32, from the steady P of uncorrelated regressors."""
+    psi = require_array("regressors", regressors, ndim=2)
+    start = np.diag((1 - forgetting) / np.mean(psi**2, axis=1))
+    return {
+        form: covariance_run(form, psi, forgetting, start, time_constants, "float32").breakdown
+        for form in forms
+    }
+
+
+def stability_map(
+    conditions, precisions, forms, seeds: int, samples_per_constant: int, time_constants: float
+) -> dict[tuple[str, str], Float64[np.ndarray, "2 conditions seeds"]]:
+    """`worst` distance of P, and time constants to its breakdown, from the steady P on, by (precision, form)."""
+    forgetting = float(np.exp(-1 / samples_per_constant))
+    found = {each: np.empty((2, len(conditions), seeds)) for each in product(precisions, forms)}
+    for i, condition in enumerate(conditions):
+        for seed in range(seeds):
+            psi = shared_motion(condition, samples_per_constant, seed)
+            start = steady_start(psi, forgetting)
+            for (precision, form), table in found.items():
+                run = covariance_run(form, psi, forgetting, start, time_constants, precision, 2)
+                table[:, i, seed] = run.worst, run.breakdown
+    return found
+
+
+def recur(form, matrix, regressors, forgetting, column, row):
+    """Update what the form keeps over a block in place, in the arrays' precision."""
+    # A kernel a form: asked at every sample for its form, the compiler would optimise none of them, and who looks at
+    # one of them does not wait for the others. Those that keep a factor are functions of their own anyway.
+    if form == ONE_PRODUCT:
+        _one_products(matrix, regressors, forgetting, column)
+    elif form == BOTH_PRODUCTS:
+        _both_products(matrix, regressors, forgetting, column, row)
+    elif form - 2 == TRIANGLE:
+        _triangles(matrix, regressors, forgetting, column)
+    else:
+        _forms(form - 2, matrix, regressors, forgetting, column, row)
+
+
+@borrowing_kernel
+def _triangles(matrix, regressors, forgetting, column):
+    for k in range(len(regressors)):
+        update_covariance(matrix, regressors[k], forgetting, column)
+
+
+@borrowing_kernel
+def _forms(form, matrix, regressors, forgetting, column, row):
+    for k in range(len(regressors)):
+        update_form(form, matrix, regressors[k], forgetting, column, row)
+
+
+@inlined_kernel
+def _multiply(matrix, psi, forgetting, column):
+    """P psi into `column`; returns lambda + psi' P psi."""
+    n = len(psi)
+    denominator = forgetting
+    for i in range(n):
+        total = matrix[i, 0] * psi[0]
+        for j in range(1, n):
+            total += matrix[i, j] * psi[j]
+        column[i] = total
+        denominator += psi[i] * total
+    return denominator
+
+
+@borrowing_kernel
+def _one_products(matrix, regressors, forgetting, column):
+    one, n = matrix.dtype.type(1), len(matrix)
+    forget = one / forgetting
+    for k in range(len(regressors)):
+        shrink = one / _multiply(matrix, regressors[k], forgetting, column)
+        for i in range(n):
+            gain = column[i] * shrink
+            for j in range(n):
+                matrix[i, j] = (matrix[i, j] - gain * column[j]) * forget
+
+
+@borrowing_kernel
+def _both_products(matrix, regressors, forgetting, column, row):
+    one, n = matrix.dtype.type(1), len(matrix)
+    forget = one / forgetting
+    for k in range(len(regressors)):
+        psi = regressors[k]
+        shrink = one / _multiply(matrix, psi, forgetting, column)
+        for i in range(n):
+            row[i] = matrix[0, i] * psi[0]
+        for j in range(1, n):
+            for i in range(n):
+                row[i] += matrix[j, i] * psi[j]
+        for i in range(n):
+            gain = column[i] * shrink
+            for j in range(n):
+                matrix[i, j] = (matrix[i, j] - gain * row[j]) * forget
+
+
+# === Cures ========================================================================================================
+# What keeps the covariance bounded when a direction of the floor falls silent, compared in closed loop.
+#
+# The loop is the smallest one that has what matters: one actuator, a secondary path that is known exactly but for
+# its sample of delay, and weights w that cancel the floor perfectly:
+#
+#     e(k) = N [ (W(k-1) - w) psi(k-1) + n(k) ]
+
+
+CURES = ("none", "trace bound", "leakage", "limit", "directional", "no forgetting", "variable", "resetting")
+NONE, TRACE_BOUND, LEAKAGE, LIMIT, DIRECTIONAL, NO_FORGETTING, VARIABLE, RESETTING = range(8)
+
+FASTEST = 10.0  # times the printed 1 - lambda: as fast as variable forgetting may forget (chosen)
+RESET_SHARE = 0.01  # of its start, to which resetting lets P fall at most (chosen)
+# A command this many times the largest one that the right weights would give has left every actuator's range.
+OVERLOAD = 1e3
+
+
+class SmallestLoop(NamedTuple):
+    """What the floor alone decides of the module's loop, the same whatever becomes of P.
+
+    Kept whole for all cures: 16 bytes a sample and regressor.
+    """
+
+    regressors: Float64[np.ndarray, "samples n"]  # psi
+    filtered: Float64[np.ndarray, "samples n"]  # psi_N
+    optima: Float64[np.ndarray, "segments n"]  # w of each segment
+    segment: Int64[np.ndarray, "samples"]  # to which a sample belongs
+    shaping: Float64[np.ndarray, "sections 6"]  # N
+
+
+def smallest_loop(
+    segments: Sequence[tuple[ArrayLike, ArrayLike]], integrator: ArrayLike, shaping: ArrayLike
+) -> SmallestLoop:
+    """Loop on (floor (sensors, samples) in m/s², optimum w) that follow one another, from rest."""
+    floors = [require_array("floor", floor, ndim=2) for floor, _ in segments]
+    optima = np.array([require_array("optimum", w, ndim=1) for _, w in segments])
+    integrator = require_array("integrator", integrator, shape=(None, 6))
+    shaping = require_array("shaping", shaping, shape=(None, 6))
+    direct = np.concatenate(floors, axis=1)
+    band, (sensors, samples) = signal.sosfilt(shaping, direct), direct.shape
+    regressors, filtered = np.empty((2, samples, optima.shape[1]))
+    for first in range(0, optima.shape[1], sensors):
+        if first:
+            direct, band = signal.sosfilt(integrator, direct), signal.sosfilt(integrator, band)
+        columns = slice(first, first + sensors)
+        regressors[:, columns], filtered[:, columns] = direct.T, band.T
+    segment = np.repeat(np.arange(len(floors)), [part.shape[1] for part in floors])
+    return SmallestLoop(regressors, filtered, optima, segment, shaping)
+
+
+@dataclass(frozen=True)
+class CureRun:
+    """Closed-loop adaptation with one cure, at equally spaced moments; NaN after an overload."""
+
+    samples: Float64[np.ndarray, "kept"]  # samples seen
+    growth: Float64[np.ndarray, "kept n"]  # diagonal of P over that of P(-1)
+    misalignment: Float64[np.ndarray, "kept"]  # size of W - w in the metric of P(-1), over its start
+    error_power: Float64[np.ndarray, "kept"]  # mean square of e over the interval
+
+    def decay(self, start: int, stop: int) -> float:
+        """Time constant of the misalignment in samples, fitted to the kept moments `start` to `stop`."""
+        rows = slice(start, stop)
+        return float(-1 / np.polyfit(self.samples[rows], np.log(self.misalignment[rows]), 1)[0])
+
+
+def run_cure(
+    cure: str,
+    loop: SmallestLoop,
+    covariance: ArrayLike,
+    forgetting: float,
+    *,
+    growth: float = 10.0,
+    noise: ArrayLike | float = 0.0,
+    noise_power: float = 1.0,
+    keep_every: int = 1000,
+) -> CureRun:
+    """Adapt in closed loop from zero weights.
+
+    Of the cures, ``limit`` is the library's: the diagonal of P stays below `growth` times its start;
+    ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
+    silent one settles at `growth`; ``directional`` after Kulhavy: only what the regressor says anew is forgotten,
+    R + (lambda - (1 - lambda) / psi' P psi) psi psi'; ``no forgetting``: lambda = 1; ``trace bound``: P is
+    scaled down as a whole when its trace exceeds `growth` times its start; ``variable`` after Fortescue,
+    Kershenbaum and Ydstie: 1 - lambda grows with the error, (1 - lambda) e² / (noise (1 + psi' P psi)), at
+    most `FASTEST` times, noise being `noise_power` (N²), the error's when all is learnt; ``resetting`` after Salgado,
+    Goodwin and Middleton, in units of the start D, P / lambda - P psi psi' P / (1 + psi' P psi) + b D - d P D^-1 P, which
+    without excitation settles at `growth`. `covariance` is the diagonal of P(-1), steady values; `noise` runs over all
+    segments together (N).
+    """
+    code = CURES.index(require_choice("cure", cure, CURES))
+    start = require_array("covariance", covariance, shape=loop.optima.shape[1:])
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
+    growth = require_number("growth", growth, above=1.0)
+    every = require_count("keep_every", keep_every)
+    noise_power = require_number("noise_power", noise_power, above=0.0)
+    samples = len(loop.segment)
+    noise = np.broadcast_to(require_array("noise", noise), samples).astype(float)
+    kept = np.full((samples // every, len(start) + 2), np.nan)
+    _cure_run(code, loop, noise, start, forgetting, growth, noise_power, every, kept)
+    return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1])
+
+
+@inlined_kernel
+def _cascade(sections, state, value):
+    """One sample through second-order sections in transposed direct form II."""
+    for s in range(len(sections)):
+        out = sections[s, 0] * value + state[s, 0]
+        state[s, 0] = sections[s, 1] * value - sections[s, 4] * out + state[s, 1]
+        state[s, 1] = sections[s, 2] * value - sections[s, 5] * out
+        value = out
+    return value
+
+
+@kernel
+def _leverage(covariance, psi, gain):
+    """P psi into `gain`; returns psi' P psi."""
+    set_product(covariance, psi, gain)
+    return inner_product(gain, psi)
+
+
+@kernel
+def _reset(weights, covariance, psi, error, forgetting, growth, start, gain, spare):
+    """One sample of exponential resetting and forgetting."""
+    n, power = len(psi), _leverage(covariance, psi, gain)
+    grow = 1.0 / forgetting - 1.0
+    for i in range(n):
+        weights[0, i] -= error * gain[i] / (1.0 + power)
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(n):
+                total += covariance[i, k] * covariance[k, j] / start[k]
+            spare[i, j] = (
+                covariance[i, j] / forgetting - gain[i] * gain[j] / (1.0 + power) - grow / growth * total
+            )
+        spare[i, i] += grow * RESET_SHARE * start[i]
+    for i in range(n):
+        for j in range(i + 1):
+            covariance[i, j] = covariance[j, i] = spare[i, j]
+
+
+@kernel
+def _forget_along(weights, covariance, psi, error, forgetting, gain):
+    """One sample of directional forgetting: the information of directions that are not excited stays."""
+    n, power = len(psi), _leverage(covariance, psi, gain)
+    if not power > 0.0:
+        return
+    for i in range(n):
+        weights[0, i] -= error * gain[i] / (1.0 + power)
+    share = forgetting - (1.0 - forgetting) / power
+    share = share / (1.0 + share * power)
+    for i in range(n):
+        for j in range(i + 1):
+            covariance[i, j] -= share * gain[i] * gain[j]
+            covariance[j, i] = covariance[i, j]
+
+
+@kernel
+def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, kept):
+    regressors, filtered, optima, segment, shaping = loop
+    n, memory = len(start), np.zeros((len(shaping), 2))
+    weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((3, n))
+    bound = 0.0
+    for i in range(n):
+        covariance[i, i] = start[i]
+        levels[0, i] = growth * start[i] if cure == LIMIT else np.inf
+        bound += growth * start[i]
+    gain, spare = np.empty(n), np.empty((n, n))
+    error = np.empty(1)
+    command, wanted, squares, largest, first = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        first += optima[0, i] ** 2 / start[i]
+    for k in range(len(noise)):
+        psi, shaped = regressors[k], filtered[k]
+        error[0] = _cascade(shaping, memory, command - wanted + noise[k])
+        squares += error[0] * error[0]
+        optimum = optima[segment[k]]
+        command, wanted = plus_row(0.0, weights, 0, psi), inner_product(optimum, psi)
+        largest = max(largest, abs(wanted))
+        if not abs(command) <= OVERLOAD * largest:
+            return
+
+        reached = False
+        if cure == DIRECTIONAL:
+            _forget_along(weights, covariance, shaped, error[0], forgetting, gain)
+        elif cure == RESETTING:
+            _reset(weights, covariance, shaped, error[0], forgetting, growth, start, gain, spare)
+        else:
+            kept_share = 1.0 if cure == NO_FORGETTING else forgetting
+            if cure == VARIABLE:
+                surprise = error[0] ** 2 / noise_power / (1.0 + _leverage(covariance, shaped, gain))
+                kept_share = 1.0 - (1.0 - forgetting) * min(surprise, FASTEST)
+            _, reached = ferls_update(weights, covariance, kept_share, levels, np.inf, gain, shaped, error)
+        if reached:
+            hold_triangle(covariance, forgetting, levels, gain)
+        if cure == LEAKAGE:
+            # One axis a sample with n times the amount: the same on average at the cost of one.
+            axis = k % n
+            information = n * (1 - forgetting) / (growth * start[axis])
+            add_triangle_information(covariance, axis, information, gain)
+        elif cure == TRACE_BOUND:
+            trace = 0.0
+            for i in range(n):
+                trace += covariance[i, i]
+            excess = trace / bound
+            if excess > 1.0:
+                for i in range(n):
+                    for j in range(n):
+                        covariance[i, j] /= excess
+        if (k + 1) % every == 0:
+            row, distance = k // every, 0.0
+            for i in range(n):
+                distance += (weights[0, i] - optimum[i]) ** 2 / start[i]
+                kept[row, 2 + i] = covariance[i, i] / start[i]
+            kept[row, 0] = np.sqrt(distance / first)
+            kept[row, 1] = squares / every
+            squares = 0.0
+
+
+def peak_error(run: Run, from_s: float) -> float:
+    """Largest filtered error from a moment on over its mean in the ten seconds before; infinite if the run broke."""
+    if run.broke_s is not None:
+        return float("inf")
+    error, before = np.sqrt(run.error_power), (run.time_s > from_s - 10) & (run.time_s <= from_s)
+    return float(error[run.time_s > from_s].max() / error[before].mean())
+
+
+# === Stability pictures ===========================================================================================
+# Figures of numerical stability (notebook 07).
+
+
+_LINES = ("-", "--", "-", ":", "-.", "--", "-")
+EXPLORED = ("one product", "both products", "triangle", "Joseph", "UD")
+FLOOR = 1e-19  # where exact zeros are drawn; the axis says so
+
+
+def paint_map(
+    conditions: ArrayLike,
+    found: Mapping[tuple[str, str], np.ndarray],
+    shipped: Mapping[str, tuple[float, Mapping[str, CovarianceRun]]],
+    forgettings: tuple[float, float],
+):
+    """Error of P in its own metric over the condition number, drawn at one where it is larger, and where forms break.
+
+    `found` by precision and form is what `stability_map` gives, `shipped` by floor a condition number and the runs in
+    float32 by form; the forgetting factors are those of the synthetic regressors and of the shipped floors.
+    """
+    precisions = list(dict.fromkeys(precision for precision, _ in found))
+    figure, grid = figures.new(1, len(precisions), height=3.9, sharey=True, squeeze=False)
+    for axes, precision in zip(grid[0], precisions, strict=True):
+        lost, place = [], 0
+        for (of, form), (distance, breakdown) in found.items():
+            if of != precision:
+                continue
+            held = np.all(np.isinf(breakdown), axis=1)
+            low, high = distance.min(axis=1), distance.max(axis=1)
+            middle = np.median(distance, axis=1)
+            style = {"color": f"C{place}", "ls": _LINES[place], "capsize": 2, "label": form}
+            axes.errorbar(conditions, middle, (middle - low, high - middle), **style)
+            lost += list(zip(np.asarray(conditions)[~held], middle[~held], strict=True))
+            place += 1
+        if lost:
+            style = {"color": figures.BLACK, "ms": 7, "mew": 1.5, "label": "P lost definiteness"}
+            axes.plot(*np.transpose(lost), "x", **style)
+        if precision == "float32":
+            for mark, (name, (condition, runs)) in zip("osD", shipped.items(), strict=False):
+                values = [run.worst for run in runs.values()]
+                axes.plot(np.full(len(values), condition), values, mark, color=figures.GREY, label=name)
+        certain, mean = condition_bounds(forgettings[0], precision)
+        for bound, line, text in ((certain, ":", "errors of one sign "), (mean, "--", "independent errors ")):
+            axes.axvline(bound, color=figures.BLACK, lw=0.8, ls=line)
+            axes.annotate(text, (bound, 1e-13), rotation=90, ha="right", va="bottom", fontsize=7)
+        axes.axhline(1.0, color=figures.GREY, lw=0.8)
+        axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 10))
+        axes.set(xlabel="condition number of the scaled regressors")
+    grid[0, 0].set(ylabel="largest relative error of P, in its own metric")
+    figures.legend_below(grid[0, 0], 4)
+    return figure
+
+
+def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: float):
+    """Asymmetry and error of P over time constants, by precision and form; `experiment` is the published length."""
+    figure, grid = figures.new(2, len(runs), height=5.4, sharex=True, squeeze=False)
+    for (upper, lower), (precision, forms) in zip(grid.T, runs.items(), strict=True):
+        for style, (form, run) in zip(_LINES, forms.items(), strict=False):
+            t = run.time_constants
+            upper.semilogy(t, np.maximum(run.asymmetry, FLOOR), style, label=form)
+            lower.semilogy(t, run.error, style, label=form)
+            if np.isfinite(run.breakdown):
+                for axes in (upper, lower):
+                    axes.axvline(run.breakdown, color=figures.GREY, lw=0.8, ls=":")
+                # Towards the wider side of the line, or the words would leave the frame.
+                side = "left" if run.breakdown < t[-1] / 2 else "right"
+                look = {"fontsize": 8, "ha": side, "va": "bottom", "color": figures.GREY}
+                text = f" indefinite at about {run.breakdown_tens():.0f} "
+                lower.annotate(text, (run.breakdown, 1e-13), **look)
+        unit = np.finfo(precision).eps
+        guide = np.array([0.0, np.log(1 / unit)])
+        style = {"color": figures.BLACK, "lw": 0.8, "label": "slope 1/λ a sample"}
+        upper.semilogy(guide, unit / 10 * np.exp(guide), **style)
+        for axes in (upper, lower):
+            axes.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
+        upper.set(title=precision, ylabel="antisymmetric part of P", ylim=(FLOOR / 3, 10))
+        _name_zero(upper)
+        lower.set(xlabel="time constants of the forgetting", ylabel="error of P", ylim=(1e-14, 1e3))
+        upper.set_yticks(10.0 ** np.arange(-18, 4, 3))
+        lower.set_yticks(10.0 ** np.arange(-12, 4, 3))
+    style = {"ha": "center", "va": "top", "fontsize": 8, "color": figures.GREY}
+    grid[0, 0].annotate("the paper's 200 s", (experiment / 2, 5.0), **style)
+    figures.legend_below(grid[0, 0], 3)
+    return figure
+
+
+def _name_zero(axes):
+    style = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom", "fontsize": 8}
+    axes.annotate("exactly 0 is drawn here", (0.99, FLOOR * 2), color=figures.GREY, **style)
+
+
+def paint_windup(runs: Mapping[str, CovarianceRun]):
+    """Largest eigenvalue of P while a direction is silent, a panel for each kind of silence."""
+    figure, grid = figures.new(1, len(runs), height=3.0, sharey=True, squeeze=False)
+    for axes, (title, run) in zip(grid[0], runs.items(), strict=True):
+        t = run.time_constants
+        axes.semilogy(t, run.largest, label="every form")
+        axes.semilogy(t, np.exp(t), color=figures.GREY, lw=4, alpha=0.4, zorder=1, label="exp(t / T)")
+        axes.set(xlabel="time constants of the forgetting", title=title, ylim=(0.3, 1e15))
+    grid[0, 0].set(ylabel="largest eigenvalue of P / start")
+    figures.legend_below(grid[0, 0], 2)
+    return figure
+
+
+def paint_return(outcomes: Mapping[str, Sequence[Run]], return_s: float):
+    """Filtered error around the return of a silent sensor; a cross marks where a run broke."""
+    figure, grid = figures.new(1, len(outcomes), height=3.0, sharey=True, squeeze=False)
+    for axes, (name, runs) in zip(grid[0], outcomes.items(), strict=True):
+        for number, run in enumerate(runs, 1):
+            near, error = run.time_s > return_s - 5, np.sqrt(run.error_power)
+            axes.semilogy(run.time_s[near] - return_s, error[near], lw=0.9, label=f"floor {number}")
+            if run.broke_s is not None:
+                style = {"color": axes.lines[-1].get_color(), "label": f"floor {number}, broke"}
+                axes.plot(run.broke_s - return_s, error[-1], "x", ms=9, mew=2, **style)
+        axes.axvspan(-5, 0, color=figures.GREY, alpha=0.12, lw=0)
+        axes.set(xlabel="time since the sensor's return (s)", title=name, xlim=(-5, 15))
+        axes.legend(loc="upper right")
+    grid[0, 0].set(ylabel="filtered error, rms (N)")
+    return figure
+
+
+def paint_cures(
+    runs: Mapping[str, CureRun], samples_per_constant: float, silence: tuple[float, float], step: float
+):
+    """Growth of P, misalignment and error of the cures."""
+    figure, (top, middle, bottom) = figures.new(3, 1, height=6.4, sharex=True)
+    styles = ("-", "--", "-.", "-", "--", ":", "-.", "--")
+    colors = (*COLOURS, figures.GREY)
+    for style, color, (name, run) in zip(styles, colors, runs.items(), strict=False):
+        t = run.samples / samples_per_constant
+        top.semilogy(t, run.growth.max(axis=1), style, color=color, label=f"{name}, largest")
+        top.semilogy(t, run.growth.min(axis=1), style, color=color, lw=0.7, label=f"{name}, smallest")
+        middle.semilogy(t, run.misalignment, style, color=color, label=name)
+        bottom.semilogy(t, np.sqrt(run.error_power), style, color=color, label=name)
+    for axes in (top, middle, bottom):
+        axes.axvspan(*silence, color=figures.GREY, alpha=0.12, lw=0)
+        axes.axvline(step, color=figures.BLACK, lw=0.8, ls=":")
+    look = {"xycoords": ("data", "axes fraction"), "va": "top", "fontsize": 8}
+    top.annotate("one floor sensor silent", (np.mean(silence), 0.96), ha="center", **look)
+    look |= {"xytext": (-4, 0), "textcoords": "offset points"}
+    middle.annotate("the optimum moves by 20 %", (step, 0.96), ha="right", **look)
+    top.set(ylabel="diagonal of P / start", ylim=(1e-2, 1e6))
+    middle.set(ylabel="misalignment")
+    bottom.set(xlabel="time constants of the forgetting", ylabel="filtered error, rms (N)")
+    figures.legend_below(top, 4)
+    return figure
+
+
+def explore_forms(regressors: ArrayLike, initial: ArrayLike):
+    """Explorer: asymmetry of every form, with another forgetting or precision."""
+
+    def paint(precision: str, samples_per_constant: float, time_constants: float):
+        figure, axes = figures.new(1, 1, height=3.0)
+        forgetting = float(np.exp(-1 / samples_per_constant))
+        for style, form in zip(_LINES, EXPLORED, strict=False):
+            run = covariance_run(form, regressors, forgetting, initial, time_constants, precision, 2)
+            broke = f"indefinite at about {run.breakdown_tens():.0f}"
+            label = f"{form}: {'stays definite' if np.isinf(run.breakdown) else broke}"
+            axes.semilogy(run.time_constants, np.maximum(run.asymmetry, FLOOR), style, label=label)
+        axes.set(xlabel="time constants of the forgetting", ylabel="antisymmetric part of P")
+        axes.set(
+            ylim=(FLOOR / 3, 10), title=f"{precision}, time constant of {samples_per_constant:.0f} samples"
+        )
+        axes.set_yticks(10.0 ** np.arange(-18, 1, 3), minor=False)
+        _name_zero(axes)
+        axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
+        return figure
+
+    # Both precisions are compiled here, not at a reader's first move.
+    for precision in ("float64", "float32"):
+        covariance_run("triangle", regressors, 0.5, initial, 1, precision, per_time_constant=1)
+    return paint

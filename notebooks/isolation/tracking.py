@@ -1,0 +1,263 @@
+"""Tracking a change of the floor: what this notebook alone needs."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from experiments.isolation.algorithm_styles import COLORS, STYLES
+from experiments.isolation.convergence import ALGORITHMS
+from experiments.isolation.floors import ShapedFloor, colored_floor, flat_floor
+from experiments.isolation.mean_convergence import mean_course
+from experiments.isolation.simulation import sample_seeds, simulate_together
+from experiments.isolation.steady import FORGETTING, Steady, steady_state
+from experiments.isolation.twin import Twin, load_twin
+from stillwork.base.checks import require_choice
+from stillwork.estimation.adaptive import FeLms, FeRls
+from workbook import figures
+from workbook.studies import Study
+
+# === Tracking =====================================================================================================
+# Response of the weights to a change of the floor (section 5.1.2, Fig. 6).
+
+
+GROUPS = {"all": slice(0, 9), "w1-w3": slice(0, 3), "w4-w6": slice(3, 6), "w7-w9": slice(6, 9)}
+LEAD_S = 30.0  # on the first floor, from its optimum: three memories of FeRLS, so that its noise has settled
+SHARE = 0.37  # of the shift that is left after one time constant
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A change of the floor, and where the weights settle before and after it."""
+
+    before: ShapedFloor
+    after: ShapedFloor
+    start: Steady  # oracle of the floor before, end: of that after
+    end: Steady
+
+    @property
+    def shift(self) -> Float64[np.ndarray, "parameters"]:
+        """Way of the first actuator's optimum."""
+        return self.end.weights[0] - self.start.weights[0]
+
+
+def switch_between(twin: Twin, before: ShapedFloor, after: ShapedFloor) -> Switch:
+    """Switch of a twin from one floor to another."""
+    return Switch(before, after, steady_state(twin, before), steady_state(twin, after))
+
+
+def settled(switch: Switch, step_size: float, forgetting: float) -> dict[str, FeLms | FeRls]:
+    """The two algorithms as they are after a long time on the first floor.
+
+    P is given in full, so it is also its own start on the new floor; it may grow beyond its printed law only
+    where the floor gets quieter by more than the limit of `FeRls`.
+    """
+    covariance = (1 - forgetting) * np.linalg.inv(switch.start.correlation)
+    return {
+        "FeLMS": FeLms(step_size=step_size),
+        "FeRLS": FeRls((covariance + covariance.T) / 2, forgetting, growth_limit=np.inf),
+    }
+
+
+@dataclass(frozen=True)
+class Response:
+    """Course of the first actuator's weights around a switch at time zero."""
+
+    time_s: Float64[np.ndarray, "kept"]  # from the switch on; negative before it
+    weights: Float64[np.ndarray, "kept parameters"]
+    switch: Switch
+
+    def left(self, group: str = "all") -> Float64[np.ndarray, "kept"]:
+        """Share of the shift still to go: projection of a group of weights on it, 1 before, 0 in the end."""
+        rows = GROUPS[require_choice("group", group, GROUPS)]
+        shift = self.switch.shift[rows]
+        return (self.switch.end.weights[0, rows] - self.weights[:, rows]) @ shift / (shift @ shift)
+
+    def settling_s(self, group: str = "all") -> float:
+        """Time from which on a group stays within 37 % of the shift around its new optimum.
+
+        The band has two sides, as in Table 1: an overshoot beyond 137 % of the shift has not settled. Infinite
+        where the last tenth of the run still leaves the band: nothing tells then that it will stay.
+        """
+        after = self.time_s > 0
+        time = self.time_s[after]
+        late = np.flatnonzero(np.abs(self.left(group)[after]) > SHARE)
+        if len(late) == 0:
+            return float(time[0])
+        return float(time[late[-1] + 1]) if time[late[-1]] <= 0.9 * time[-1] else np.inf
+
+    @property
+    def noise(self) -> float:
+        """Noise of the parameters before the switch in units of the shift, standard deviation."""
+        return float(self.left()[self.time_s <= 0].std())
+
+
+def respond(
+    twin: Twin, switch: Switch, both: dict[str, FeLms | FeRls], duration_s: float, seeds: Sequence[int]
+) -> list[dict[str, Response]]:
+    """Simulate a switch of the floor for each seed, the same for each of the `settled` algorithms."""
+    runs = simulate_together(
+        twin,
+        [(LEAD_S, switch.before), (duration_s, switch.after)],
+        adaptations=both,
+        weights=switch.start.weights,
+        seeds=seeds,
+    )
+    return [
+        {
+            name: Response(run.time_s - LEAD_S, np.ascontiguousarray(run.weights[:, 0]), switch)
+            for name, run in each.items()
+        }
+        for each in runs
+    ]
+
+
+def expected_response(twin: Twin, switch: Switch, name: str, step_size: float, memory_s: float) -> Response:
+    """Mean course after a switch from the oracle, without noise and without simulation, for 20 minutes."""
+    time = np.concatenate([np.arange(0.1, 60, 0.1), np.arange(60, 1200, 1.0)])
+    course = mean_course(
+        twin, switch.end, name, time, step_size=step_size, memory_s=memory_s, start=switch.start
+    )
+    return Response(time, course, switch)
+
+
+def tracking_trial(
+    draws: Sequence[np.random.Generator], *, twin: Twin, switch: Switch, both: dict, duration_s: float
+) -> list[dict[str, float]]:
+    """One switch for each generator, for `run_study` with `together`: both algorithms on the same floor.
+
+    ``"FeLMS all"``, ``"FeRLS w4-w6"``, ...: settling time of each group, s, infinite where it has not settled;
+    ``"FeLMS noise"``, ...
+    """
+    seeds = sample_seeds(draws)
+    return [
+        settling_times(responses) | {f"{name} noise": each.noise for name, each in responses.items()}
+        for responses in respond(twin, switch, both, duration_s, seeds)
+    ]
+
+
+def settling_times(responses: Mapping[str, Response]) -> dict[str, float]:
+    """``"FeLMS all"``, ``"FeRLS w4-w6"``, ...: settling time of each group of weights, s."""
+    return {f"{name} {group}": responses[name].settling_s(group) for name in ALGORITHMS for group in GROUPS}
+
+
+# === Tracking pictures ============================================================================================
+# Figures of the response to a change of the floor (Fig. 6).
+
+
+# of each power of the integrator, the largest shift
+SHOWN = {1: figures.BLUE, 5: figures.GREEN, 7: figures.RED}
+MILLI = 1e3
+
+
+def paint_switches(panels: Mapping[str, Mapping[str, Response]]):
+    """Fig. 6: weights around a switch of the floor, as distances from their optimum before it."""
+    figure, axes = figures.new(len(panels), 1, height=2.9 * len(panels), sharex=True, squeeze=False)
+    for panel, (title, responses) in zip(axes[:, 0], panels.items(), strict=True):
+        for name, response in responses.items():
+            start = response.switch.start.weights[0]
+            for row, color in SHOWN.items():
+                way = MILLI * (response.weights[:, row] - start[row])
+                label = f"w{row + 1}, {name}"
+                panel.plot(response.time_s, way, STYLES[name], color=color, lw=1.0, label=label)
+        for row, color in SHOWN.items():
+            after = response.time_s > 0
+            level = np.full(after.sum(), MILLI * response.switch.shift[row])
+            panel.plot(response.time_s[after], level, ":", color=color, label=f"w{row + 1}, new optimum")
+        panel.axvline(0, color=figures.BLACK, lw=0.8)
+        panel.set_title(title)
+    figures.label(axes, "time after the switch (s)", "w − optimum before\n(10⁻³ N per m/s²)")
+    figures.legend_below(axes[0, 0], 3)
+    return figure
+
+
+def paint_settling(
+    studies: Mapping[str, Study], expected: Mapping[str, Mapping[str, Response]], duration_s: float
+):
+    """Settling times of all weights and of each group: run by run, and of the noise-free mean course.
+
+    A run that has not settled at its end `duration_s` is a triangle there: its time is longer, or endless.
+    """
+    figure, axes = figures.new(1, len(studies), height=3.6, sharey=True, squeeze=False)
+    at = np.arange(len(GROUPS))
+    for panel, (title, study) in zip(axes[0], studies.items(), strict=True):
+        for shift, name in zip((-0.15, 0.15), ALGORITHMS, strict=True):
+            color = COLORS[name]
+            times = np.array([study[f"{name} {group}"] for group in GROUPS]).ravel()
+            places = np.repeat(at + shift, study.runs)
+            ended = np.isfinite(times)
+            panel.plot(places[ended], times[ended], "o", ms=3, color=color, alpha=0.6, label=f"{name}, runs")
+            if not ended.all():
+                # Side by side, or several would look like one.
+                spread = places[~ended] + 0.04 * (np.arange(np.sum(~ended)) % 3 - 1)
+                ends, label = np.full(len(spread), duration_s), f"{name}, not settled in {duration_s:g} s"
+                panel.plot(spread, ends, "^", ms=5, color=color, mfc="none", label=label)
+            means = [expected[title][name].settling_s(group) for group in GROUPS]
+            panel.plot(at + shift, means, "_", ms=12, mew=2, color=color, label=f"{name}, mean course")
+        panel.set_yscale("log")
+        panel.set_xticks(at, list(GROUPS))
+        panel.set_title(title)
+    figures.label(axes, "weights", f"time to stay within {SHARE:.0%}\nof the shift (s)")
+    # Of all panels, for an algorithm may leave runs unsettled in one of them only.
+    entries = [panel.get_legend_handles_labels() for panel in axes[0]]
+    named = {name: handle for handles, names in entries for handle, name in zip(handles, names, strict=True)}
+    figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def expected_switch_painter(twin: Twin, switches: Mapping[str, Switch], duration_s: float) -> Callable:
+    """Explorer: expected share of the shift still to go, all weights."""
+    time = np.linspace(duration_s / 60, duration_s, 60)
+
+    def paint(direction: str, step_size: float, memory_s: float):
+        switch = switches[direction]
+        figure, axes = figures.new(1, 1, height=3.2)
+        for name in ALGORITHMS:
+            moved = {"step_size": step_size, "memory_s": memory_s, "start": switch.start}
+            left = Response(time, mean_course(twin, switch.end, name, time, **moved), switch).left()
+            style = {"color": COLORS[name], "label": name}
+            axes.plot(np.append(0.0, time), np.append(1.0, left), STYLES[name], **style)
+        axes.axhline(SHARE, color=figures.GREY, lw=0.8)
+        axes.set(xlabel="time after the switch (s)", ylabel="share of the shift to go")
+        axes.legend()
+        return figure
+
+    return paint
+
+
+# === Open choices =================================================================================================
+
+
+STEP_SIZE, MEMORY_S = 1e-4, 10.0  # section 5.1.1
+TRACKED_S = 90.0  # s after a switch in notebook 03
+QUIET = 1e-5  # m/s^2/sqrt(Hz), output noise of notebook 03's twin
+
+
+def follow(
+    *, trace: str, floor_upper_end: float, color_gain: float, seed: int, lean: bool
+) -> dict[str, float]:
+    """Fig. 6: one run each way of notebook 03, or (`lean`) the mean courses."""
+    twin = load_twin("fitted").varied(platform_noise=QUIET)
+    flat, colored = flat_floor(floor_upper_end), colored_floor(floor_upper_end, gain=color_gain)
+    step_size = STEP_SIZE / (twin.actuators if trace == "literal" else 1)
+    into, back = (
+        _settling(twin, switch_between(twin, *floors), step_size, seed, lean)
+        for floors in ((flat, colored), (colored, flat))
+    )
+    gains = [times["FeLMS all"] / times["FeRLS all"] for times in (into, back)]
+    return {
+        "isolation.tracking.flat-to-colored": into["FeRLS all"] < into["FeLMS all"],
+        "isolation.tracking.colored-to-flat": back["FeLMS all"] <= back["FeRLS all"],
+        "isolation.tracking.colored-to-flat-w4-w6": back["FeLMS w4-w6"] <= back["FeRLS w4-w6"],
+        "isolation.tracking.benefit-shrinks": gains[1] < gains[0],
+    }
+
+
+def _settling(twin: Twin, switch: Switch, step_size: float, seed: int, lean: bool) -> dict[str, float]:
+    if not lean:
+        both = settled(switch, step_size, FORGETTING)
+        options = {"twin": twin, "switch": switch, "both": both, "duration_s": TRACKED_S}
+        return tracking_trial([np.random.default_rng(seed)], **options)[0]
+    courses = {name: expected_response(twin, switch, name, step_size, MEMORY_S) for name in ALGORITHMS}
+    return settling_times(courses)

@@ -1,0 +1,30 @@
+"""Poles and zeros beside the magnitude."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from experiments.motion.magnitudes import add_magnitude
+from stillwork.base.rounding import in_order
+from stillwork.lti.state_space import StateModel
+from workbook import figures
+
+
+def paint_pole_zero(systems: Mapping[str, StateModel]):
+    """Poles and zeros in the upper half-plane beside the magnitude, for systems with a few modes."""
+    figure, axes = figures.new(1, 2, height=3.2)
+    colours = [figures.BLUE, figures.GREEN, figures.RED]
+    top = max(np.abs(system.poles).max() for system in systems.values())
+    omega = np.geomspace(top / 30, top * 2, 1500)
+    for colour, (label, system) in zip(colours, systems.items(), strict=True):
+        for kind, marker, values in (("poles", "x", system.poles), ("zeros", "o", system.zeros)):
+            values = top * in_order(values / top)
+            upper = values[(values.imag >= -1e-6) & (np.abs(values) < 3 * top)]
+            style = {"color": colour, "markerfacecolor": "none"}
+            axes[0].plot(upper.real, upper.imag / (2 * np.pi), marker, label=f"{label}, {kind}", **style)
+        add_magnitude(axes[1], omega, system.frequency_response(omega)[0, 0], color=colour, label=label)
+    axes[0].set(xlabel="real part (1/s)", ylabel="imaginary part (Hz)")
+    axes[0].legend(fontsize=7)
+    axes[1].set(xlabel="frequency (Hz)", ylabel="magnitude (dB re 1 m/N)")
+    axes[1].legend(fontsize=7)
+    return figure

@@ -1,0 +1,190 @@
+"""The bandwidth table: what this notebook alone needs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from experiments.motion.choices import limit
+from experiments.motion.designs import DAMPING, DESIGNS, Design, first_crossing, stage_bandwidth
+from experiments.motion.intervals import Values
+from experiments.motion.machines import published_deviations
+from stillwork.base.checks import InputError, require_array
+from stillwork.control.applications import Application
+from stillwork.control.bandwidth import Bandwidth
+from stillwork.control.crossover import crossover
+from stillwork.estimation.observer import NoiseIntensities
+from workbook import figures
+
+# === Bandwidth pictures ===========================================================================================
+# The published bandwidths as a table and as a map over what the thesis leaves open (notebook 09).
+
+
+def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz: Sequence[float]):
+    """First crossings at one mass with their range over the masses, and the design parameters, beside the published."""
+    figure, axis = figures.new(1, 1, height=3.2)
+    places, crossings = range(len(found)), np.array([each.crossing_hz for each in found.values()])
+    middle = crossings[:, position - 1]
+    reach = [middle - crossings.min(axis=1), crossings.max(axis=1) - middle]
+    label = f"first crossing, mass {position} and range over masses"
+    axis.errorbar(places, middle, yerr=reach, fmt="o", capsize=4, color=figures.BLUE, label=label)
+    designs = [each.design_hz for each in found.values()]
+    style = {"markersize": 14, "color": figures.RED, "label": "design parameter $f_{bw}$"}
+    axis.plot(places, designs, "_", **style)
+    figures.mark_published(axis, places, published_hz)
+    names = [name.replace(", ", ",\n").replace(" with ", "\nwith ") for name in found]
+    axis.set_xticks(places, names, fontsize=7)
+    axis.set_ylabel("bandwidth (Hz)")
+    axis.legend()
+    return figure
+
+
+def paint_map(crossing_hz: np.ndarray, selectivity: Sequence, noise_model: Sequence, best: tuple):
+    """A `bandwidth_map`, each cell as wide as the other; `best` is a printed place (Q_nu, Q) and what it says."""
+    figure, axis = figures.new(1, 1, height=3.4)
+    mesh = axis.pcolormesh(_edges(noise_model), _edges(selectivity), crossing_hz, cmap="viridis")
+    figure.colorbar(mesh, ax=axis, label="first crossing (Hz)")
+    axis.set(xscale="log", yscale="log", xlabel=r"noise model $Q_\nu$ (N²/s)", ylabel="selectivity $Q$")
+    figures.mark_published(axis, *best[:2], label=best[2], markersize=9, color="white")
+    axis.legend(axis.lines, [best[2]], loc="lower left", labelcolor="white")
+    return figure
+
+
+def _edges(centres: Sequence[float]) -> np.ndarray:
+    """Edges of cells around ascending positive centres, halfway in logarithms."""
+    inner = np.sqrt(np.multiply(centres[1:], centres[:-1]))
+    return np.concatenate([[centres[0] ** 2 / inner[0]], inner, [centres[-1] ** 2 / inner[-1]]])
+
+
+# === Open choices =================================================================================================
+
+
+def sensor_noise_alone() -> NoiseIntensities:
+    """Half the printed R: the sensor noise without the sensor reference, R = sigma_d^2."""
+    sigma = published_deviations()
+    return NoiseIntensities(sigma["w"] ** 2, sigma["d"] ** 2)
+
+
+CHOICES = {
+    "as published": {},
+    "6 dB taken as 2": {"limit": 2.0},
+    "R = sensor noise alone": {"noise": sensor_noise_alone},
+    "grid of 2000 points": {"points": 2000, "around": 0, "low_hz": 1.0, "high_hz": 1e4, "refine": False},
+    "grid of 10000 points": {"points": 10000, "around": 0, "low_hz": 1.0, "high_hz": 1e4, "refine": False},
+    "damping 0.1 %": {"damping_ratio": 0.001},
+}
+
+# What the text leaves open. R is printed, so another R is a sensitivity and no reading; the coarse grids
+# are errors, and Table 3.4 refutes the damping of 0.1 %.
+LEGITIMATE = ("as published", "6 dB taken as 2")
+
+
+@dataclass(frozen=True)
+class OpenChoices:
+    """One design under every choice."""
+
+    found: dict[str, Bandwidth]
+
+    @property
+    def published(self) -> Bandwidth:
+        return self.found["as published"]
+
+    @property
+    def crossing(self) -> float:
+        """First 0 dB crossing for the measured mass 5 of the chapter (Hz)."""
+        return float(self.published.crossing_hz[4])
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Crossings over the seven masses and the readings of 6 dB, widened by half a printed hertz."""
+        crossings = np.concatenate([self.found[name].crossing_hz for name in LEGITIMATE])
+        return float(crossings.min() - 0.5), float(crossings.max() + 0.5)
+
+
+def open_choices(name: str) -> OpenChoices:
+    """Bandwidth of a published design under each of `CHOICES`; without an observer R has no effect."""
+    found = {}
+    for choice, given in CHOICES.items():
+        settings = dict(given)
+        if "noise" in settings:
+            settings["noise"] = settings["noise"]()
+            if DESIGNS[name].application is None:  # no observer: R has no effect
+                found[choice] = found["as published"]
+                continue
+        if "damping_ratio" in settings and DESIGNS[name].application is not None:
+            continue  # the observer's damping target would change with it: shown for the PID designs only
+        found[choice] = stage_bandwidth(name, **settings)
+    return OpenChoices(found)
+
+
+def bandwidth_map(selectivity: ArrayLike, noise_model: ArrayLike) -> Float64[np.ndarray, "rows columns"]:
+    """First crossings (Hz) at mass 5 of MC and AD together over (Q, Q_nu), the search of (3.47) as a map.
+
+    NaN where nothing in the range is feasible.
+    """
+    rows = require_array("selectivity", selectivity, ndim=1)
+    columns = require_array("noise_model", noise_model, ndim=1)
+    for name, values in (("selectivity", rows), ("noise_model", columns)):
+        if not len(values) or np.any(values <= 0):
+            raise InputError(f"{name} must hold at least one value, all of them positive")
+    uses = [Application(True, DAMPING, selectivity=float(q)) for q in rows]
+    return np.array([[first_crossing(Design(used, float(size)), 5) for size in columns] for used in uses])
+
+
+# --- Chapter 3: bandwidths ---------------------------------------------------------------------------------------
+
+BANDWIDTHS = {  # entries of Table 3.5 and of the text, in the order of the published values
+    "pid": "PID",
+    "notches": "PID with notches",
+    "mc": "MC",
+    "mc-and-ad-no-band-pass": "MC and AD, no band-pass",
+    "ad-no-band-pass": "AD, no band-pass",
+    "mc-two-constraints": "MC, two constraints",
+    "ad": "AD",
+    "mc-and-ad": "MC and AD",
+}
+OPEN_LOOPS = {  # which of them Definition 1.2.1 means
+    "P_eq C_fb": lambda at: at.loop,
+    "P C_eq": lambda at: at.output_loop,
+    "P C_fb": lambda at: at.plant * at.controller,
+}
+
+
+def bandwidths(
+    *, open_loop: str, mass: int, six: str, compensation: str, stage_damping: float, seed: int, lean: bool
+) -> Values:
+    """Bandwidths of chapter 3 at one mass, each with the half hertz that its print rounds off; it has no leaner form.
+
+    `open_loop` is one of `OPEN_LOOPS` or ``f_bw``, `six` of `SIX`, `compensation` of `COMPENSATIONS`, and
+    `stage_damping` a ratio.
+    """
+    found = {
+        claim: bandwidth(name, open_loop, mass, six, compensation, stage_damping)
+        for claim, name in BANDWIDTHS.items()
+    }
+    values = list(found.values())
+    found["mc-two-constraints-again"] = found["mc-two-constraints"]
+    return {f"motion.bandwidth.{claim}": (hz, (hz - 0.5, hz + 0.5)) for claim, hz in found.items()} | {
+        "motion.bandwidth.ordering": float(values == sorted(values)),
+        "motion.bandwidth.doubled-by-ad": float(found["ad"] > 2 * found["pid"]),
+        "motion.bandwidth.doubled-by-both": float(found["mc-and-ad"] > 2 * found["pid"]),
+    }
+
+
+def bandwidth(
+    name: str,
+    open_loop: str,
+    mass: int,
+    six: str = "6 dB",
+    compensation: str = "noise model",
+    stage_damping: float = 0.005,
+) -> float:
+    """What is called the bandwidth of a design (Hz): a crossing at one mass (1 to 7), or the parameter f_bw."""
+    loops, found = limit(name, six, compensation, stage_damping)
+    if open_loop == "f_bw":
+        return found.design_hz
+    loop, function = loops[mass - 1], OPEN_LOOPS[open_loop]
+    magnitude = np.abs(function(loop.at(found.controller)))
+    return crossover(lambda w: function(loop.at(found.controller, w)), loop.omega, magnitude) / (2 * np.pi)

@@ -1,0 +1,157 @@
+"""The observer in discrete time (section 4.1): placement in z beside its closed form, and the figures."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from experiments.motion.designs import COMPENSATED, RETAINED
+from experiments.motion.machines import published_noise, stage
+from experiments.motion.magnitude_panels import paint_magnitudes
+from experiments.motion.magnitudes import add_magnitude
+from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.control.applications import Application
+from stillwork.control.discrete_damping import damped_poles, discrete_damping_gain
+from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
+from stillwork.control.feedback import place
+from stillwork.control.loops import channel, closed_loop
+from stillwork.lti.discretisation import zoh_modes
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.peaks import resonance_grid
+from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel, constant
+from workbook import figures
+
+Z_METHODS = ("Ackermann", "robust")
+
+
+def gain_by_placement(
+    model: ModalModel, increase: float | ArrayLike, sample_time: float, method: str
+) -> Float64[np.ndarray, "1 states"]:
+    """The gain of (4.3) by a general pole-placement method in z, for comparison: it loses digits at high rates."""
+    require_choice("method", method, Z_METHODS)
+    upper = np.exp(damped_poles(model, increase) * sample_time)
+    wanted = np.concatenate([upper, upper.conj()])
+    rigid = model.rigid_modes
+    sampled = zoh_modes(model.modes(slice(rigid, None)), sample_time)
+    gain = np.zeros((1, 2 * len(model.frequencies)))
+    if method == "Ackermann":
+        gain[:, 2 * rigid :] = place(sampled, wanted)
+        return gain
+    from scipy.signal import place_poles
+
+    try:
+        gain[:, 2 * rigid :] = -place_poles(sampled.a, sampled.b, wanted).gain_matrix
+    except ValueError as error:
+        raise InputError(f"model: its poles cannot be placed ({error}); lower the sampling rate") from None
+    return gain
+
+
+def placement_error(
+    model: ModalModel, gain: ArrayLike, increase: float | ArrayLike, sample_time: float
+) -> float:
+    """Largest distance of a pole of A + BK from the wanted one, relative to the distance it had to move."""
+    rigid = model.rigid_modes
+    gain = require_array("gain", gain, shape=(1, 2 * len(model.frequencies)))
+    flexible = model.modes(slice(rigid, None))
+    sampled = zoh_modes(flexible, sample_time)
+    poles = linalg.eigvals(sampled.a + sampled.b @ gain[:, 2 * rigid :])
+    free = flexible.poles[: len(flexible.frequencies)]
+    wanted, before = (np.exp(each * sample_time) for each in (damped_poles(model, increase), free))
+    return float((np.abs(poles[:, None] - wanted).min(axis=0) / np.abs(before - wanted)).max())
+
+
+def typical_placement_error(
+    model: ModalModel,
+    increase: float | ArrayLike,
+    sample_time: float,
+    method: str,
+    machines: int = 21,
+    spread: float = 0.01,
+) -> float:
+    """Median of `placement_error` over machines that differ by a little: the size of rounding without its luck.
+
+    What rounding leaves on one machine is a draw: the next one, or the same one on another processor, gives ten times
+    as much or as little. The median over 21 of them, with frequencies within `spread` of those of `model`, moved by a
+    factor below 2 between processors. NaN where the method takes most of the machines for uncontrollable.
+    """
+    require_choice("method", method, ("closed form", *Z_METHODS))
+    require_number("spread", spread, at_least=0.0, below=1.0)
+    errors = []
+    for shift in np.linspace(-spread, spread, require_count("machines", machines)):
+        machine = replace(model, frequencies=(1 + shift) * model.frequencies)
+        if method == "closed form":
+            gain = discrete_damping_gain(machine, increase, sample_time)
+        else:
+            try:
+                gain = gain_by_placement(machine, increase, sample_time, method)
+            except InputError:
+                errors.append(np.inf)
+                continue
+        errors.append(placement_error(machine, gain, increase, sample_time))
+    middle = float(np.median(errors))
+    return middle if np.isfinite(middle) else np.nan
+
+
+# How the estimate arrives: form and delay of `discrete_compensator`.
+TIMINGS = {
+    "filter, no delay": ("filter", 0),
+    "filter, one sample late": ("filter", 1),
+    "predictor, one sample late": ("predictor", 1),
+}
+
+
+def equivalent_plant(plant: StateModel, block: StateModel) -> StateModel:
+    """What a controller of a sampled machine sees: from u to y - y_flex, with the damping loop closed."""
+    seen = channel(closed_loop(plant, block, constant(np.zeros((1, 1)), plant.sample_time)), "u_ff", "e_meas")
+    return StateModel(seen.a, seen.b, -seen.c, -seen.d, seen.sample_time)
+
+
+LOW_HZ = 100.0  # where the pictures begin
+
+
+def sampled_frequencies(sample_time: float) -> np.ndarray:
+    """Grid around the resonances of the stage, up to half the sampling frequency (rad/s)."""
+    if 0.5 / sample_time <= LOW_HZ:
+        raise InputError(f"sample_time is {sample_time:g} s, too long for frequencies above {LOW_HZ:g} Hz")
+    return resonance_grid(stage().poles, LOW_HZ, min(2.5e3, 0.499 / sample_time), 250, 20)
+
+
+def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
+    """Magnitude of sampled plants, one panel a group; lines that coincide are told apart by their dashes."""
+    styles = [{"color": figures.GREY, "linewidth": 2.5}]
+    styles += [{"color": colour, "linewidth": 1.1} for colour in (figures.BLUE, figures.RED, figures.GREEN)]
+    styles[3]["linestyle"] = "--"
+    curves = {title: {} for title in panels}
+    for title, plants in panels.items():
+        for (name, plant), style in zip(plants.items(), styles, strict=False):
+            omega = sampled_frequencies(plant.sample_time)
+            curves[title][name] = omega, plant.frequency_response(omega)[0, 0], style
+    figure, axes = paint_magnitudes(curves, "magnitude (dB re 1 m/N)", height=3.4, sharey=True)
+    figures.legend_below(axes[0, 0], len(axes[0, 0].lines), fontsize=7)
+    return figure
+
+
+def paint_sampled(rate_khz: float, damping: float, compensate: str, timing: str):
+    """Explorer: what the controller sees of the sampled stage at mass 5, bare and with a sampled observer."""
+    sample_time = 1e-3 / rate_khz
+    machine = stage().at([0], [4])
+    plant = zoh_modes(machine, sample_time)
+    reduced = truncate(machine, RETAINED, COMPENSATED)
+    observer = discrete_kalman_observer(reduced, published_noise(), sample_time, 0.03)
+    application = Application(compensate == "yes", damping, "pole placement")
+    block = discrete_compensator(observer, application, *TIMINGS[timing])
+    seen = equivalent_plant(plant, block)
+    figure, axis = figures.new(1, 1, height=3.0)
+    omega = sampled_frequencies(sample_time)
+    for name, each, colour in (("plant", plant, figures.GREY), ("with the observer", seen, figures.BLUE)):
+        add_magnitude(axis, omega, each.frequency_response(omega)[0, 0], label=name, color=colour)
+    # Two poles of the rigid body stay at z = 1; everything else must decay.
+    grows = np.sort(np.abs(seen.poles))[-1] > 1 + 1e-4
+    axis.set_title("the damping loop is unstable" if grows else timing)
+    figures.label(axis, "frequency (Hz)", "magnitude (dB re 1 m/N)")
+    axis.legend()
+    return figure

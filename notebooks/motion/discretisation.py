@@ -1,0 +1,87 @@
+"""The sampled matrices of a flexible mode as chapter 2 prints them, beside the exact ones (notebook 04)."""
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.lti.discretisation import zoh
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel
+from workbook import figures
+
+VARIANTS = ("exact", "printed", "lightly damped")
+
+
+def transition(
+    omega: float, damping: float, sample_time: float, variant: str = "exact"
+) -> Float64[np.ndarray, "2 2"]:
+    r"""Transition matrix of one flexible mode, states :math:`(\eta, \dot\eta)`.
+
+    ``exact``; ``printed``, (2.31) to the letter, whose off-diagonal terms lack :math:`1/\sqrt{1-\zeta^2}`;
+    ``lightly damped``, (2.32).
+    """
+    require_number("omega", omega, above=0.0)
+    require_number("damping", damping, at_least=0.0, below=1.0)
+    require_number("sample_time", sample_time, above=0.0)
+    require_choice("variant", variant, VARIANTS)
+    light = variant == "lightly damped"
+    root = 1.0 if light else np.sqrt(1 - damping**2)
+    ratio = 0.0 if light else damping / root
+    sine, cosine = np.sin(omega * root * sample_time), np.cos(omega * root * sample_time)
+    off = sine if variant == "printed" else sine / root
+    decay = np.exp(-damping * omega * sample_time)
+    return decay * np.array([[ratio * sine + cosine, off / omega], [-omega * off, cosine - ratio * sine]])
+
+
+def transition_error(omega: float, ratios, sample_time: float, variant: str, row: int) -> list[float]:
+    """Relative error of an entry in the second column of a variant's transition matrix, by damping ratio."""
+    pairs = ([transition(omega, ratio, sample_time, each) for each in (variant, "exact")] for ratio in ratios)
+    return [float(np.abs(given / exact - 1)[row, 1]) for given, exact in pairs]
+
+
+def undamped_input(omega: float, shapes, sample_time: float) -> Float64[np.ndarray, "2 inputs"]:
+    """Input matrix of one flexible mode without its damping, (2.33)."""
+    shapes = require_array("shapes", shapes, ndim=1)
+    return undamped_disturbance(omega, np.zeros(len(shapes)), shapes, sample_time)
+
+
+def undamped_disturbance(
+    omega: float, on_position, on_velocity, sample_time: float
+) -> Float64[np.ndarray, "2 disturbances"]:
+    """Disturbance matrix of one flexible mode without its damping, (2.34), for G_i = (g_i1, g_i2)."""
+    require_number("omega", omega, above=0.0)
+    g1 = require_array("on_position", on_position, ndim=1)
+    g2 = require_array("on_velocity", on_velocity, ndim=1)
+    sine, cosine = np.sin(omega * sample_time), np.cos(omega * sample_time)
+    return np.array([(1 - cosine) / omega**2 * g2 + sine / omega * g1, sine / omega * g2 + (cosine - 1) * g1])
+
+
+def disturbance_matrix(
+    model: ModalModel, disturbance, sample_time: float
+) -> Float64[np.ndarray, "states disturbances"]:
+    """Exact zero-order-hold disturbance matrix for any G (form 1), by the matrix exponential."""
+    states = model.state_space()
+    g = require_array("disturbance", disturbance, shape=(len(states.a), None))
+    held = zoh(StateModel(states.a, g, states.c, np.zeros((len(states.c), g.shape[1]))), sample_time)
+    return held.b
+
+
+def discrete_compliance(model: StateModel) -> Float64[np.ndarray, "outputs inputs"]:
+    """Static gain C (I - A)^-1 B + D of a discrete model without rigid-body modes, (2.22)."""
+    if not model.sample_time:
+        raise InputError("model is in continuous time; discretise it first")
+    return model.c @ np.linalg.solve(np.eye(len(model.a)) - model.a, model.b) + model.d
+
+
+def paint_transition_error(frequency_hz: float, damping: float):
+    """Explorer: error of the printed and of the lightly damped transition matrix over the sample time."""
+    steps = np.geomspace(1e-6, 0.4 / frequency_hz, 200)
+    figure, axis = figures.new(1, 1, height=2.8)
+    w = 2 * np.pi * frequency_hz
+    size = np.array([[1, 1 / w], [w, 1]])  # of each entry, which itself passes zero
+    for variant in VARIANTS[1:]:
+        off = [transition(w, damping, step, variant) - transition(w, damping, step) for step in steps]
+        axis.loglog(1e3 * steps, (np.abs(off) / size).max(axis=(1, 2)), label=variant)
+    axis.set(xlabel="sample time (ms)", ylabel="largest error, scaled entries")
+    axis.legend()
+    return figure

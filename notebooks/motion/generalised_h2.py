@@ -1,0 +1,182 @@
+r"""Generalised H2 norm (energy to peak) of time-varying filters, section 5.5 of the observer thesis.
+
+The error :math:`e_{k+1} = F_ke_k + D_kn_k` answers energy-bounded disturbances n. Its largest possible peak over
+:math:`\|n\|_2 \le 1` is the root of the largest eigenvalue that the reachability Gramian
+:math:`P_{k+1} = F_kP_kF_k^T + D_kD_k^T` ever has: the same recursion that gives a covariance.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from experiments.motion.scan_study import output_rows, published_scan
+from stillwork.base.algebra import add_square, congruence
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.kernels import kernel
+from stillwork.lti.discretisation import zoh_modes
+from workbook import figures
+
+SLACK = 1e-9  # relative, of what fulfils a strict inequality
+
+
+@dataclass(frozen=True)
+class ErrorSystem:
+    """Error dynamics of a predictor with gain L and unit noise: F = A - L C, D = [G Q^1/2, -L R^1/2]."""
+
+    f: Float64[np.ndarray, "samples states states"]
+    d: Float64[np.ndarray, "samples states noises"]
+
+
+def error_system(
+    a: ArrayLike, g: ArrayLike, c: ArrayLike, process: ArrayLike, sensor: ArrayLike, gains: ArrayLike
+):
+    """Error dynamics of a predictor with any gains, for covariances or weights of bounded energy."""
+    c = require_array("c", c, ndim=3)
+    samples, outputs, n = c.shape
+    a = require_array("a", a, shape=(n, n))
+    g = require_array("g", g, shape=(n, None))
+    gains = require_array("gains", gains, shape=(samples, n, outputs))
+    roots = []
+    for name, matrix, size in (("process", process, g.shape[1]), ("sensor", sensor, outputs)):
+        matrix = require_array(name, matrix, shape=(size, size))
+        try:
+            roots.append(np.linalg.cholesky(matrix))
+        except np.linalg.LinAlgError:
+            raise InputError(f"{name} is not positive definite; give a covariance or a weight") from None
+    driven = np.broadcast_to(g @ roots[0], (samples, n, g.shape[1]))
+    return ErrorSystem(a - gains @ c, np.concatenate([driven, -gains @ roots[1]], axis=2))
+
+
+def predictor_gains(
+    a: ArrayLike, g: ArrayLike, c: ArrayLike, process: ArrayLike, sensor: ArrayLike
+) -> Float64[np.ndarray, "samples states outputs"]:
+    """Gains of the time-varying Kalman predictor that starts from a known state, (5.37).
+
+    Parameters as for `error_system`. Known state: the disturbances are all that drives the error, as the
+    definition of the norm has it.
+    """
+    c = require_array("c", c, ndim=3)
+    samples, outputs, n = c.shape
+    a, g = require_array("a", a, shape=(n, n)), require_array("g", g, shape=(n, None))
+    q = g @ require_array("process", process, shape=(g.shape[1],) * 2) @ g.T
+    r = require_array("sensor", sensor, shape=(outputs, outputs))
+    p, gains = np.zeros((n, n)), np.zeros((samples, n, outputs))
+    for k in range(samples):
+        gains[k], p = _predicted(a, c[k], p, q, r)
+    return gains
+
+
+def _predicted(a, c, p, q, r) -> tuple[np.ndarray, np.ndarray]:
+    """Gain of the predictor and covariance after one sample, (5.37)."""
+    gain = np.linalg.solve(c @ p @ c.T + r, c @ p @ a.T).T
+    rest = a - gain @ c
+    return gain, rest @ p @ rest.T + gain @ r @ gain.T + q
+
+
+@dataclass(frozen=True)
+class PeakGain:
+    """Generalised H2 norm, and the disturbance that reaches it."""
+
+    norm: float
+    sample: int  # where the largest peak can occur
+    gramians: Float64[np.ndarray, "ends states states"]  # P_k; index 0 is zero
+    worst: Float64[np.ndarray, "samples noises"]  # unit-energy disturbance with this peak
+
+
+def generalised_h2_norm(system: ErrorSystem) -> PeakGain:
+    """Generalised H2 norm over the horizon, exactly, with its worst-case disturbance."""
+    gramians = np.zeros((len(system.f) + 1, *system.f.shape[1:]))
+    _gramians(np.ascontiguousarray(system.f), np.ascontiguousarray(system.d), gramians)
+    largest = np.linalg.eigvalsh(gramians)[:, -1]
+    if not np.all(np.isfinite(largest)):
+        raise InputError("the error grows without bound; give gains that keep it stable")
+    sample = int(largest.argmax())
+    worst = np.zeros(system.d.shape[::2])
+    back = np.linalg.eigh(gramians[sample])[1][:, -1]  # the direction of the peak
+    for k in range(sample - 1, -1, -1):
+        worst[k] = system.d[k].T @ back
+        back = system.f[k].T @ back
+    size = np.linalg.norm(worst)
+    return PeakGain(float(np.sqrt(largest[sample])), sample, gramians, worst / (size or 1.0))
+
+
+@kernel
+def _gramians(f, d, out):
+    half = np.empty(f.shape[1:])
+    for k in range(len(f)):
+        congruence(f[k], out[k], half, out[k + 1])
+        add_square(d[k], out[k + 1])
+
+
+def inequality_margins(system: ErrorSystem, level: float) -> tuple[float, float]:
+    r"""Smallest eigenvalues of (5.30) and (5.31) over the samples for the matrices that fulfil them if any do.
+
+    With :math:`K_k=\gamma P_k^{-1}`, P the Gramian with a factor 1 + `SLACK` a step, (5.30) is P above what one step
+    makes of it, and (5.31) :math:`P\prec\gamma^2I`. Both are scaled so that the diagonal blocks are unit matrices.
+    """
+    n = system.f.shape[1]
+    start = SLACK * np.abs(system.d[0] @ system.d[0].T).max() * np.eye(n)
+    p, first, second = start, np.inf, np.inf
+    for f, d in zip(system.f, system.d, strict=True):
+        following = (1 + SLACK) * (f @ p @ f.T + d @ d.T) + start
+        root, next_root = np.linalg.cholesky(p), np.linalg.cholesky(following)
+        coupling = np.linalg.solve(next_root, np.hstack([f @ root, d]))
+        block = np.block([[np.eye(n), coupling], [coupling.T, np.eye(coupling.shape[1])]])
+        first = min(first, np.linalg.eigvalsh(block)[0])
+        second = min(second, 1 - np.linalg.eigvalsh(following)[-1] / level**2)
+        p = following
+    return float(first), float(second)
+
+
+def settled_covariance(a, g, c, process, sensor, start, steps: int) -> Float64[np.ndarray, "states states"]:
+    """Covariance of the Kalman predictor after so many steps of (5.37) with one C, from any `start`."""
+    a, g, c, process, sensor, p = map(np.asarray, (a, g, c, process, sensor, start))
+    driven = g @ process @ g.T
+    for _ in range(steps):
+        _, p = _predicted(a, c, p, driven, sensor)
+    return p
+
+
+def response_peak(system: ErrorSystem, disturbance: ArrayLike) -> float:
+    """Largest Euclidean norm of the error under a disturbance, by simulation."""
+    disturbance = require_array("disturbance", disturbance, shape=system.d.shape[::2])
+    e, peak = np.zeros(system.f.shape[1]), 0.0
+    for f, d, n in zip(system.f, system.d, disturbance, strict=True):
+        e = f @ e + d @ n
+        peak = max(peak, float(np.linalg.norm(e)))
+    return peak
+
+
+@cache
+def _scaled_scan(sample_time: float):
+    """Sampled model and output rows of the published scan, states in displacements, lengths in nanometres."""
+    scan = published_scan(sample_time=sample_time)
+    sampled = zoh_modes(scan.nominal, sample_time)
+    flexible = scan.nominal.frequencies[1:]
+    scale = np.array([1.0, flexible[0], *np.repeat(flexible, 2) ** np.array([0, 1, 0, 1])])
+    c = 1e9 * output_rows(scan.shapes) * scale
+    return sampled.a * scale / scale[:, None], sampled.b / scale[:, None], c, scan.deviations
+
+
+def paint_worst(force: float, detuning: float):
+    """Explorer: what the worst disturbance does to a filter designed for `detuning` times the `force` (N)."""
+    sample_time = 1e-3
+    a, b, c, (_, reference, sensor) = _scaled_scan(sample_time)
+    noise = 1e18 * np.array([[reference**2 + sensor**2]])
+    process = np.array([[force**2]])
+    figure, (left, right) = figures.new(1, 2, height=2.8)
+    time = sample_time * np.arange(len(c))
+    for name, designed in (("Kalman", 1.0), ("detuned", detuning)):
+        gains = predictor_gains(a, b, c, designed**2 * process, noise)
+        found = generalised_h2_norm(error_system(a, b, c, process, noise, gains))
+        peak = np.sqrt(np.linalg.eigvalsh(found.gramians[1:])[:, -1])
+        left.semilogy(time, 1e9 * peak, label=f"{name}: {1e9 * found.norm:.3g}")
+        right.plot(time, found.worst[:, 0], label=name)
+    left.set_ylabel("largest possible error ($10^{-9}$ m√kg)")
+    right.set_ylabel("worst force (in deviations)")
+    figures.label((left, right), "time (s)")
+    left.legend()
+    return figure

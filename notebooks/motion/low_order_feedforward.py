@@ -1,0 +1,250 @@
+r"""Low-order feedforward for a loop with an observer, the second recommendation of chapter 7.
+
+The force is :math:`\sum_k\Theta_k r^{(k)} + \sum_i F_i(s)\ddot r` with a few filters F of one or two states. Their
+poles are picked from those of the observer copy (Appendix A); all gains come from one least-squares problem on the
+simulated error, like those of (A.1).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float64
+
+from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
+from experiments.motion.legends import CASES
+from experiments.motion.machines import published_setpoint, stage
+from experiments.motion.scan_errors import paint_errors
+from experiments.motion.uncertainty import perturbed, sample_errors
+from stillwork.base.checks import InputError, require_choice, require_count
+from stillwork.control.feedforward import (
+    BASIS,
+    Feedforward,
+    error_loop,
+    least_squares,
+    modified_feedforward,
+    tracking_error,
+    tracking_model,
+)
+from stillwork.control.loops import channel, closed_loop
+from stillwork.control.setpoint import Setpoint
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.signals.moving_average import rms
+from workbook import figures
+
+
+def direct_loop(loop: StateModel) -> StateModel:
+    """Of a single `closed_loop`, the model from (r, u_ff) to e_true: the feedforward that the observer sees."""
+    return channel(loop, ("r", "u_ff"), "e_true")
+
+
+def copy_poles(feedforward: StateModel) -> tuple[complex, ...]:
+    """Poles a low-order feedforward may take from an observer copy: stable ones, one of every pair."""
+    poles = feedforward.poles
+    rate = np.abs(poles).max()
+    return tuple(complex(p) for p in poles if p.real < -1e-9 * rate and p.imag >= 0)
+
+
+def filters(pole: complex) -> list[StateModel]:
+    """Filters with this pole (and its conjugate), gain one where they pass: 1 and s over the denominator."""
+    w = abs(pole)
+    if pole.imag == 0:
+        return [StateModel(np.array([[-w]]), np.array([[w]]), np.ones((1, 1)), np.zeros((1, 1)))]
+    a, b = np.array([[0, w], [-w, 2 * pole.real]]), np.array([[0.0], [w]])
+    return [StateModel(a, b, row[None], np.zeros((1, 1))) for row in np.eye(2)]
+
+
+@dataclass(frozen=True)
+class LowOrder:
+    """A feedforward with filters; without any it is (A.1)."""
+
+    gains: Feedforward
+    poles: tuple[complex, ...] = ()  # one of every pair, rad/s
+    weights: tuple[float, ...] = ()  # kg, one or two a pole: of its `filters`, on the acceleration
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return sum(len(filters(pole)) for pole in self.poles)
+
+    def error(self, loop: StateModel, setpoint: Setpoint) -> Float64[np.ndarray, " samples"]:
+        """True tracking error over the move (m); `loop` is a `direct_loop`."""
+        return MoveResponses(loop, setpoint).error(self)
+
+
+class MoveResponses:
+    """What a move without feedforward and one unit of every feedforward give: the error is their sum, linear in the gains."""
+
+    def __init__(self, loop: StateModel, setpoint: Setpoint):
+        """Prepare a model from (r, force) to e_true, a `direct_loop` or an `error_loop`, and a move."""
+        self._loop, self._setpoint = loop, setpoint
+        self._filtered: dict[complex, list[np.ndarray]] = {}
+        self.alone = tracking_error(loop, setpoint, Feedforward())
+        # One model for the four derivatives: its inputs are the force and its own derivatives, in each sample.
+        turned = StateModel(loop.a, loop.b[:, ::-1], loop.c, loop.d[:, ::-1])
+        forced = tracking_model(turned, Feedforward(), setpoint.sample_time)
+        rows = setpoint.derivatives
+        self._direct = {  # error that one unit of a derivative causes as a force
+            name: simulate(forced, np.vstack([rows[k:], np.zeros_like(rows[:k])]))[0]
+            for k, name in enumerate(BASIS, 1)
+        }
+
+    def filtered(self, pole: complex) -> list[Float64[np.ndarray, " samples"]]:
+        """Errors that the acceleration causes through each of the `filters` of a pole, exactly."""
+        if pole not in self._filtered:
+            feedback, external = np.zeros((3, 2)), np.zeros((3, 2))
+            feedback[1, 1] = external[2, 1] = 1  # the setpoint itself stays out
+            wanted, unit = np.array([[1.0, 0.0]]), Feedforward(acceleration=1.0)
+            through = (interconnect([self._loop, each], feedback, external, wanted) for each in filters(pole))
+            self._filtered[pole] = [tracking_error(each, self._setpoint, unit) for each in through]
+        return self._filtered[pole]
+
+    def error(self, feedforward: LowOrder) -> Float64[np.ndarray, " samples"]:
+        """True tracking error over the move (m)."""
+        gains = [*feedforward.gains.gains, *feedforward.weights]
+        return self.alone + np.array(gains) @ self._columns(BASIS, feedforward.poles)
+
+    def fit(self, poles: tuple[complex, ...] = (), basis: tuple[str, ...] = BASIS) -> LowOrder:
+        """See `fit_low_order`."""
+        if not (basis or poles):
+            raise InputError("basis and poles are empty; give at least one")
+        gains = least_squares(self._columns(basis, poles).T, -self.alone)
+        direct, weights = gains[: len(basis)], tuple(gains[len(basis) :])
+        return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
+
+    def _columns(self, basis, poles) -> Float64[np.ndarray, "gains samples"]:
+        direct = [self._direct[require_choice("basis", name, BASIS)] for name in basis]
+        return np.array(direct + [each for pole in poles for each in self.filtered(pole)])
+
+
+def fit_low_order(
+    loop: StateModel, setpoint: Setpoint, poles: Sequence[complex] = (), basis: tuple[str, ...] = BASIS
+) -> LowOrder:
+    """Gains and weights that minimise the sum of squared errors over the move, for given poles (one of a pair)."""
+    if any(pole.real >= 0 or pole.imag < 0 for pole in poles):
+        raise InputError("poles must be stable, one of every pair with a positive imaginary part, in rad/s")
+    return MoveResponses(loop, setpoint).fit(tuple(poles), basis)
+
+
+def pick_poles(
+    loop: StateModel, setpoint: Setpoint, candidates: Sequence[complex], order: int
+) -> list[LowOrder]:
+    """Feedforwards of growing order: each takes the one candidate more that lowers the squared error most."""
+    require_count("order", order, at_least=0)
+    responses = MoveResponses(loop, setpoint)
+    found = [responses.fit()]
+    while True:
+        chosen = found[-1].poles
+        fitting = [
+            responses.fit((*chosen, pole))
+            for pole in candidates
+            if pole not in chosen and found[-1].order + len(filters(pole)) <= order
+        ]
+        if not fitting:
+            return found
+        found.append(min(fitting, key=lambda each: np.sum(responses.error(each) ** 2)))
+
+
+def perturbed_trial(
+    rng: np.random.Generator,
+    plant: ModalModel,
+    compensator: StateModel,
+    controller: StateModel,
+    setpoint: Setpoint,
+    copied: Feedforward,
+    candidates: Mapping[str, LowOrder],
+    size: float,
+) -> dict[str, float]:
+    """Rms of the true error in the scan (m) of every feedforward on one perturbed plant; a trial of a study.
+
+    Every feedforward meets the plant twice: with the gains that were found on the nominal plant, and with gains
+    tuned again on this one (poles and observer copy stay), as the data-based tuning does. The flexible modes err by
+    `size`; mass and place of the sensor are known. `copied` are the gains in front of the observer copy.
+    """
+    loop = closed_loop(perturbed(plant, sample_errors(rng, plant, size)), compensator, controller)
+    direct, hidden = (MoveResponses(each(loop), setpoint) for each in (direct_loop, error_loop))
+    found = {
+        "observer copy, kept": hidden.error(LowOrder(copied)),
+        "observer copy, tuned": hidden.error(hidden.fit()),
+    }
+    for name, each in candidates.items():
+        found[f"{name}, kept"] = direct.error(each)
+        found[f"{name}, tuned"] = direct.error(direct.fit(each.poles))
+    return {name: rms(error[setpoint.scanning]) for name, error in found.items()}
+
+
+def paint_errors_over_order(
+    low: Mapping[str, Sequence[tuple[int, float]]],
+    copies: Mapping[str, tuple[int, float]],
+    published: Mapping[str, float],
+    noise: Mapping[str, float],
+):
+    """Rms error in the scan over the number of states of the feedforward, one panel a design.
+
+    Points are (states, rms in m), of low-order feedforwards and of the observer copy, without noise (dashed) and with
+    what `noise` alone makes (m); published is Table 3.7 (nm), with noise.
+    """
+    figure, axes = figures.new(1, len(low), height=3.0, sharey=True, squeeze=False)
+    for axis, (name, points) in zip(axes[0], low.items(), strict=True):
+        states, errors = np.array(points).T
+        order, copied = copies[name]
+        for alone, label, hollow in ((noise[name], "with noise", False), (0.0, "without", True)):
+            line, face = "--" if hollow else "-", "none" if hollow else None
+            style = {"color": CASES[name], "markerfacecolor": face, "label": f"low order, {label}"}
+            axis.semilogy(states, 1e9 * np.hypot(errors, alone), f"o{line}", **style)
+            style = {"color": figures.BLACK, "markerfacecolor": face, "label": f"observer copy, {label}"}
+            axis.semilogy([order], [1e9 * np.hypot(copied, alone)], "s", **style)
+        figures.mark_published(axis, copies[name][0], published[name], "published, with noise")
+        axis.xaxis.get_major_locator().set_params(integer=True)
+        axis.set(title=f"{name}, redesigned", xlabel="states of the feedforward (1)")
+    axes[0, 0].set_ylabel("rms error in the scan (nm)")
+    figures.legend_below(axes[0, 0], 3)
+    return figure
+
+
+def paint_errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
+    """Rms errors of MC and AD over perturbed plants, kept gains beside gains tuned again; one panel a size of the errors."""
+    from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
+
+    figure, axes = figures.new(1, len(studies), height=3.4, sharex=True, sharey=True, squeeze=False)
+    for axis, (title, study) in zip(axes[0], studies.items(), strict=True):
+        names = list(dict.fromkeys(key.rpartition(",")[0] for key in study))
+        for offset, how, fill in ((0.12, "kept", "white"), (-0.12, "tuned", CASES["MC and AD"])):
+            values = [1e9 * np.asarray(study[f"{name}, {how}"]) for name in names]
+            low, middle, high = (np.array([np.quantile(v, q) for v in values]) for q in (0.025, 0.5, 0.975))
+            rows = np.arange(len(names))[::-1] + offset
+            style = {"fmt": "o", "markersize": 4, "markerfacecolor": fill, "color": CASES["MC and AD"]}
+            style["label"] = "gains of the nominal plant" if how == "kept" else "gains tuned on each plant"
+            axis.errorbar(middle, rows, xerr=[middle - low, high - middle], capsize=3, **style)
+        axis.set_yticks(np.arange(len(names))[::-1], names)
+        axis.set_xscale("log")
+        axis.xaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20, 50]))
+        axis.xaxis.set_major_formatter(ScalarFormatter())
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.set(title=title, xlabel="rms error in the scan (nm)")
+    figures.legend_below(axes[0, 0], 2)
+    return figure
+
+
+@cache
+def _prepared(name: str) -> tuple[object, list[LowOrder]]:
+    """The redesigned loop of mass 5 and its low-order feedforwards."""
+    setpoint, block = published_setpoint(), stage_compensator(5, DESIGNS[name])
+    controller = stage_bandwidth(name).controller.state_space()
+    loop = direct_loop(closed_loop(stage().at([0], [4]), block, controller))
+    return loop, pick_poles(loop, setpoint, copy_poles(modified_feedforward(block, controller)), 8)
+
+
+def paint_low_order(design: str, states: int, gain: float):
+    """Explorer: error over the move for a feedforward of so many states, its filters' gains scaled by `gain` %."""
+    loop, found = _prepared(design)
+    chosen = [each for each in found if each.order <= states][-1]
+    chosen = replace(chosen, weights=tuple(gain / 100 * w for w in chosen.weights))
+    setpoint = published_setpoint()
+    error = chosen.error(loop, setpoint)
+    size = 1e9 * rms(error[setpoint.scanning])
+    title = f"{chosen.order} states: {size:.2f} nm rms in the scan (grey)"
+    return paint_errors(setpoint, {"error": error}, title)

@@ -1,0 +1,258 @@
+"""The optimal observer: its problem, Fig. 5.2 of the observer thesis, what it trades for what, and both in pictures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import optimize
+
+from experiments.motion.designs import DAMPING
+from experiments.motion.ideal_feedforward import invert
+from experiments.motion.machines import published_noise, stage, stage_mass
+from experiments.motion.magnitudes import add_magnitude
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.control.applications import filtered_estimates
+from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.feedback import band_pass, damping_gain
+from stillwork.control.loops import INPUTS, closed_loop
+from stillwork.control.pid import Pid, PidFamily, series
+from stillwork.estimation.h2 import H2Synthesis, h2_riccati
+from stillwork.estimation.observer import Observer, kalman_observer
+from stillwork.lti.generalised_plant import GeneralisedPlant
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.norms import h2_norm, hinf_norm
+from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel, constant, interconnect
+from workbook import figures
+
+
+@dataclass(frozen=True)
+class ObserverProblem:
+    """Fig. 5.2: find the observer for given controller, damping gain and compensation.
+
+    The estimate acts only through the compensation C_f and the damped modal velocities, so these few signals,
+    not all states, are the control: y_flex first, then one velocity a flexible mode. The observer sees the
+    plant input f and the measurement y + d. Exogenous: r, w, v, d; performance: e_true.
+    """
+
+    plant: ModalModel
+    controller: Pid
+    increase: float  # of the damping ratios
+    selectivity: float  # Q of the band-passes
+    scales: tuple[float, float, float]  # S_w (N), S_v, S_d (m), for a reference of unit intensity
+    corners_hz: tuple[float, float, float] = (700.0, 200.0, 200.0)  # W_r, W_w, W_v
+
+    def __post_init__(self):
+        if self.plant.feedthrough.shape != (1, 1) or np.any(self.plant.feedthrough):
+            raise InputError("plant must have one input, one output and no feedthrough; pick them with at()")
+
+    @property
+    def flexible(self) -> int:
+        """Number of flexible modes, as many as band-passes."""
+        return len(self.plant.frequencies) - self.plant.rigid_modes
+
+    def _damping(self) -> tuple[list[StateModel], np.ndarray]:
+        """Band-pass and gain of every flexible mode's velocity."""
+        rigid = self.plant.rigid_modes
+        filters = [band_pass(float(w), self.selectivity) for w in self.plant.frequencies[rigid:]]
+        return filters, damping_gain(self.plant, self.increase)[:, 2 * rigid + 1 :: 2]
+
+    def generalised(self) -> GeneralisedPlant:
+        """The generalised plant: 8 + 3 + 6 + 3 = 20 states for the stage."""
+        plant, control, n = self.plant.state_space(), self.controller.state_space(), self.flexible
+        filters, gain = self._damping()
+        weights = [low_pass(corner) for corner in self.corners_hz]
+        s_w, s_v, s_d = self.scales
+        # Outputs: y0, u_fb, filtered velocities, W_r r, W_w w, W_v v. Inputs likewise. External: r, w, v, d,
+        # then the controls y_flex and velocities.
+        total = 2 + n + 3
+        reference, force, sensor = range(2 + n, total)
+        feedback, external = np.zeros((total, total)), np.zeros((total, 4 + 1 + n))
+        feedback[0, 1], feedback[0, 2 : 2 + n], feedback[0, force] = 1, gain[0], s_w
+        feedback[1, 0], feedback[1, reference], feedback[1, sensor] = -1, 1, s_v
+        external[1, 3], external[1, 4] = -s_d, 1
+        external[2 : 2 + n, 5:] = np.eye(n)
+        external[reference:, :3] = np.eye(3)
+        read, direct = np.zeros((3, total)), np.zeros((3, 4 + 1 + n))
+        read[0, 0], read[0, reference], read[0, sensor] = -1, 1, s_v  # e_true = r - (y0 - v)
+        read[1, 1], read[1, 2 : 2 + n] = 1, gain[0]  # f
+        read[2, 0], read[2, sensor], direct[2, 3] = 1, -s_v, s_d  # y + d
+        model = interconnect([plant, control, *filters, *weights], feedback, external, read, direct)
+        return GeneralisedPlant(model, exogenous=4, performance=1)
+
+    @property
+    def bound(self) -> float:
+        r"""What no linear controller's two-norm can fall below, whatever it measures.
+
+        The error to the reference is (1 - T) W_r with T = P Q stable, so at every zero z of P in the right half plane
+        it is W_r(z). The smallest two-norm of a stable function with given values at given points follows from the
+        kernel 1 / (s + z*) of that space: the root of :math:`w^HK^{-1}w` with :math:`K_{ij}=1/(z_i+z_j^*)`.
+        """
+        zeros = invert(self.plant).zeros
+        zeros = zeros[zeros.real > 1e-9 * np.abs(zeros).max()]
+        reference = 2 * np.pi * self.corners_hz[0]
+        values = reference / (zeros + reference)
+        kernel = 1 / (zeros[:, None] + zeros.conj())
+        return float(np.sqrt((values.conj() @ np.linalg.solve(kernel, values)).real))
+
+    def read(self, observer: Observer) -> StateModel:
+        """An observer of chapter 3 as the block that this problem asks for: (f, y + d) to (y_flex, velocities)."""
+        if len(observer.model.frequencies) != len(self.plant.frequencies):
+            raise InputError("observer has other modes than the problem's plant")
+        velocities = observer.read(np.eye(self.flexible), "velocity")
+        return observer.estimator(np.vstack([observer.flexible_outputs, velocities]))
+
+    def idle(self) -> StateModel:
+        """The block that does nothing: no observer."""
+        return constant(np.zeros((1 + self.flexible, 2)))
+
+    def compensator(self, observer: StateModel) -> StateModel:
+        """The observer with band-passes and damping gain: (f, y + d) to (u_d, y_flex), as `loops` wants it."""
+        return filtered_estimates(observer, *self._damping())
+
+
+def problem_sizes(weight_states: int, axes: int, modes: int, flexible: int, sensors: int) -> dict[str, int]:
+    """Size of Fig. 5.2's problem for a machine with so many controlled axes, modes, band-passes an axis and sensors.
+
+    States are those of the plant, of a PID and of `flexible` band-passes, and of four weights, three of first order;
+    inputs r, w, v, d and the estimates; outputs e, weighted e, f and y.
+    """
+    states = 2 * modes + 3 * axes + 2 * flexible + 3 * axes + weight_states * axes
+    return {"states": states, "inputs": axes + 3 * sensors + 2 * modes, "outputs": 2 * axes + 2 * sensors}
+
+
+def low_pass(corner_hz: float) -> StateModel:
+    """First-order low-pass of unit gain."""
+    w = 2 * np.pi * require_number("corner_hz", corner_hz, above=0.0)
+    return StateModel(np.array([[-w]]), np.array([[w]]), np.array([[1.0]]), np.zeros((1, 1)))
+
+
+def sensitivity_weight(corner_hz: float, floor: float = 0.02) -> StateModel:
+    """Weight with slope -3 below the corner and the inverse of 6 dB above: 1 over a wanted sensitivity.
+
+    Below `floor` of the corner it stays constant: a pure integrator would make every norm infinite.
+    """
+    w = 2 * np.pi * require_number("corner_hz", corner_hz, above=0.0)
+    floor = require_number("floor", floor, above=0.0, below=1.0)
+    one = np.ones((1, 1))
+    whole = series([StateModel(-floor * w * one, w * (1 - floor) * one, one, one)] * 3)
+    return StateModel(whole.a, whole.b, whole.c / SIX_DB, whole.d / SIX_DB)
+
+
+def weighted_peak(loop: StateModel, weight: StateModel) -> float:
+    """H-infinity norm of the weighted transfer from r to e_true, the first input and output of `loop`.
+
+    The other inputs stay out: no observer makes the sensor noise d smaller than the weight at low frequencies
+    wants, since the loop must follow what it measures.
+    """
+    return hinf_norm(series([loop.select([0], [0]), weight])).magnitude
+
+
+def tipping_corner(loop: StateModel) -> float:
+    """Corner (1 to 60 Hz) of the weight at which this loop just keeps a weighted peak of 1."""
+
+    def excess(corner_hz: float) -> float:
+        return weighted_peak(loop, sensitivity_weight(corner_hz)) - 1
+
+    if excess(1.0) * excess(60.0) > 0:
+        raise InputError("the loop keeps or breaks the weight at every corner from 1 to 60 Hz")
+    return float(optimize.brentq(excess, 1.0, 60.0, xtol=1e-9))
+
+
+def emphasised(plant: GeneralisedPlant, weight: StateModel, emphasis: float) -> GeneralisedPlant:
+    """The plant with `emphasis` times the weighted error as a second performance output."""
+    if plant.performance != 1:
+        raise InputError(f"plant has {plant.performance} performance outputs; the trade-off is for one")
+    outputs, inputs = plant.model.d.shape
+    feedback, external = np.zeros((inputs + 1, outputs + 1)), np.eye(inputs + 1, inputs)
+    feedback[inputs, 0] = 1
+    signals = np.eye(outputs + 1)  # of the plant, then the weighted error
+    read = np.insert(signals[:outputs], 1, emphasis * signals[outputs], axis=0)
+    return GeneralisedPlant(interconnect([plant.model, weight], feedback, external, read), plant.exogenous, 2)
+
+
+@dataclass(frozen=True)
+class FrontPoint:
+    """One verified loop on the trade-off."""
+
+    emphasis: float
+    synthesis: H2Synthesis
+    h2: float  # of the loop as posed
+    weighted_peak: float  # H-infinity norm of the weighted error
+
+
+def front(
+    plant: GeneralisedPlant,
+    weight: StateModel,
+    emphases: ArrayLike,
+    effort: float | ArrayLike,
+    noise: float | ArrayLike,
+) -> list[FrontPoint]:
+    """Loops that trade the H2 norm for the weighted peak; every norm is taken on the loop itself."""
+    points = []
+    for emphasis in require_array("emphases", emphases, ndim=1):
+        found = h2_riccati(emphasised(plant, weight, float(emphasis)), effort, noise)
+        loop = plant.close(found.controller)
+        points.append(FrontPoint(float(emphasis), found, h2_norm(loop), weighted_peak(loop, weight)))
+    return points
+
+
+def regularisation(problem: ObserverProblem, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Cost of the controls and noise of the measurements, both `size` in units of the loop.
+
+    A metre of compensation costs like a metre of error, a velocity like the position it belongs to; a force
+    is weighed against the controller's gain at the frequency where its phase lead is largest.
+    """
+    flexible = problem.plant.frequencies[problem.plant.rigid_modes :]
+    effort = size * np.concatenate([[1.0], 1 / flexible])
+    crossing = 3 * problem.controller.differentiator  # omega_bw of Table 3.3
+    force = abs(problem.controller.frequency_response(np.array([crossing]))[0])
+    reference = 2 * np.pi * problem.corners_hz[0]
+    return effort, size * np.array([force, 1.0]) / np.sqrt(reference)
+
+
+COLOURS = {"no observer": figures.GREY, "Kalman": figures.RED, "optimal": figures.GREEN}
+
+
+def paint_responses(
+    problem: ObserverProblem, observers: Mapping[str, StateModel], weight: StateModel | None = None
+):
+    """Sensitivity from r to e_true and equivalent controller from y to f of several observers."""
+    omega = 2 * np.pi * np.geomspace(0.1, 2000, 1500)
+    figure, (left, right) = figures.new(1, 2, height=3.2)
+    for name, observer in observers.items():
+        closed = closed_loop(problem.plant, problem.compensator(observer), problem.controller.state_space())
+        loop = closed.frequency_response(omega)
+        style = {"label": name, "color": COLOURS.get(name, figures.BLUE)}
+        # Opened at the plant, f = C_y y: from d (added to y alone) the loop gives f = -C_y d / (1 + P C_y).
+        d = INPUTS.index("d")
+        add_magnitude(left, omega, loop[0, INPUTS.index("r")], **style)
+        add_magnitude(right, omega, loop[3, d] / (1 - loop[0, d]), **style)
+    if weight is not None:
+        style = {"color": figures.BLACK, "linewidth": 0.8, "label": "1 / $W_{sens}$"}
+        add_magnitude(left, omega, 1 / weight.frequency_response(omega)[0, 0], **style)
+    left.set_ylabel("$r$ to $e_{true}$ (dB)")
+    right.set_ylabel("equivalent controller (dB re 1 N/m)")
+    figures.label((left, right), "frequency (Hz)")
+    left.legend()
+    return figure
+
+
+@cache
+def _compared() -> tuple[ObserverProblem, GeneralisedPlant, StateModel, StateModel]:
+    """The published problem, its generalised plant, the Kalman observer and the weight that it just keeps."""
+    plant = truncate(stage().at([0], [4]), 4, 0)
+    scales = (0.01 / 0.17, 1e-9 / 0.17, 1e-9 / 0.17)  # over the length of the move
+    problem = ObserverProblem(plant, PidFamily(stage_mass())(83.0), DAMPING, 2.0, scales)
+    generalised = problem.generalised()
+    kalman = problem.read(kalman_observer(problem.plant, published_noise(), 1e3))
+    return problem, generalised, kalman, sensitivity_weight(tipping_corner(generalised.close(kalman)))
+
+
+def paint_emphasis(emphasis: float):
+    """Explorer: the loop on the front at one emphasis, beside the Kalman loop."""
+    problem, generalised, kalman, weight = _compared()
+    found = h2_riccati(emphasised(generalised, weight, emphasis), *regularisation(problem, 0.01))
+    return paint_responses(problem, {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.controller}, weight)

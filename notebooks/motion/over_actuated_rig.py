@@ -1,0 +1,142 @@
+"""The loops of the over-actuated rig and its tracking, and an explorer of one entry (notebook 24)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.motion.explorer_panels import plain
+from experiments.motion.magnitude_panels import paint_magnitudes
+from experiments.motion.magnitudes import add_magnitude
+from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published
+from experiments.motion.rig_axes import COLOURS, FORCES, MOTIONS, UNITS, frequencies
+from experiments.motion.rig_designs import published_settings, rig_loops
+from experiments.motion.rig_loops import RigLoop
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.signals.spectra import Spectrum
+from workbook import figures
+
+
+def physical_plant(loop: RigLoop) -> np.ndarray:
+    """Decoupled plant from (Fz, Mx, My) to (z, rx, ry) in SI units, shape (3, 3, frequencies)."""
+    edges = loop.decoupling.edges
+    return loop.equivalent_plant() / edges[:, None, None] / edges[None, :, None]
+
+
+def places(axis, geometry: Geometry, shape: np.ndarray | None = None) -> None:
+    """Plate, actuators and sensors seen from above, over the contours of a mode shape."""
+    x, y = geometry.half
+    if shape is not None:
+        grid = np.linspace(-1, 1, len(shape))
+        largest = np.abs(shape).max()
+        axis.contourf(
+            grid * x, grid * y, shape.T, levels=np.linspace(-largest, largest, 12), cmap="RdBu_r", alpha=0.7
+        )
+    axis.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=figures.GREY, linewidth=0.8)
+    used = geometry.actuator_places[list(geometry.used)]
+    idle = geometry.actuator_places[[geometry.left_out]]
+    axis.plot(*used.T, "o", color=figures.BLACK, markersize=5, markerfacecolor="none", label="actuator")
+    axis.plot(*idle.T, "o", color=figures.GREY, markersize=2, label="actuator, idle")
+    axis.plot(*geometry.sensor_places.T, "x", color=figures.BLACK, markersize=4, label="sensor")
+    axis.set_aspect("equal")
+    axis.grid(False)
+
+
+def paint_mode_shapes(geometry: Geometry):
+    """The eight flexible modes with the published frequencies."""
+    p = published()
+    modes = plate_modes(geometry.width / geometry.length, geometry.poisson, 8)
+    grid = np.linspace(-1, 1, 25)
+    xi, eta = (g.ravel() for g in np.meshgrid(grid, grid, indexing="ij"))
+    shapes = modes.shapes(xi, eta).reshape(25, 25, 8)
+    figure, axes = figures.new(2, 4, height=3.9, sharex=True, sharey=True)
+    for k, axis in enumerate(axes.ravel()):
+        places(axis, geometry, shapes[:, :, k])
+        axis.set_title(f"mode {k + 1}, {p['frequencies_hz'][k]:.0f} Hz")
+    figures.label(axes, "x (m)", "y (m)")
+    figures.legend_below(axes[0, 0], 3)
+    return figure
+
+
+def paint_decoupled_plants(loops: Sequence[RigLoop]):
+    """All nine entries of the decoupled plant at the four positions: Figs 6.3 and 6.5 to 6.7."""
+    figure, axes = figures.new(3, 3, height=6.2, sharex=True, sharey=False)
+    for number, loop in enumerate(loops, 1):
+        plant = physical_plant(loop)
+        for place in np.ndindex(3, 3):
+            # Thinner and thinner: on a symmetric plate positions coincide.
+            width = (4.0, 2.6, 1.4, 0.6)[number - 1]
+            add_magnitude(axes[place], loop.omega, plant[place], linewidth=width, label=f"position {number}")
+    for i, j in np.ndindex(3, 3):
+        axes[i, j].set_title(f"${FORCES[j]}$ to ${MOTIONS[i]}$")
+        axes[i, j].set_ylabel(f"magnitude (dB re 1 {UNITS[i][j]})", fontsize=7)
+    figures.label(axes, "frequency (Hz)")
+    # Nine panels with axes of their own: the constrained layout would take longer than all the rest.
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(left=0.09, right=0.99, bottom=0.12, top=0.96, wspace=0.4, hspace=0.28)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=4)
+    return figure
+
+
+def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], to: int):
+    """From F_z to one direction of the decoupled plant under the four uses of the observer: Figs 6.8 and 6.9."""
+    panels = {f"position {number}": {} for number in range(1, 5)}
+    for case, each in loops.items():
+        for lines, loop in zip(panels.values(), each, strict=True):
+            lines[case] = loop.omega, physical_plant(loop)[to, 0], {"color": COLOURS[case], "linewidth": 0.9}
+    quantity = f"$F_z$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][0]})"
+    figure, axes = paint_magnitudes(panels, quantity, rows=2, height=4.6, sharex=True, sharey=True)
+    figures.legend_below(axes[0, 0], 4)
+    return figure
+
+
+def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, sample_time: float):
+    """True errors (m and rad) over one period with the scaled trajectory in black: Figs 6.10 and 6.11."""
+    figure, axes = figures.new(3, 1, height=5.2, sharex=True)
+    every = 10  # samples between those drawn: the errors are slow
+    time = np.arange(reference.shape[1])[::every] * sample_time
+    for k, axis in enumerate(axes):
+        largest = max(np.abs(error[k]).max() for error in errors.values()) * 1e6
+        scale = largest / np.abs(reference[k]).max()
+        style = {"color": figures.BLACK, "linewidth": 0.8}
+        axis.plot(time, scale * reference[k, ::every], label="trajectory, scaled", **style)
+        for order, (case, error) in enumerate(errors.items()):
+            width = 1.9 - 0.45 * order  # lines that coincide stay visible
+            axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=width, label=case)
+        axis.set_ylabel(f"error in ${MOTIONS[k]}$ ({'µm' if k == 0 else 'µrad'})")
+    axes[-1].set_xlabel("time (s)")
+    figures.legend_below(axes[0], 5)
+    return figure
+
+
+def paint_error_spectra(spectra: Mapping[str, Spectrum]):
+    """Amplitude spectra of the true errors in three directions: what Fig. 6.10 does not let one see."""
+    figure, axes = figures.new(1, 3, height=2.7, sharex=True)
+    for order, (case, each) in enumerate(spectra.items()):
+        drawn = (each.frequencies_hz >= 2) & (each.frequencies_hz <= 2000)
+        style = {"color": COLOURS[case], "linewidth": 2.4 - 0.6 * order, "label": case}  # all stay visible
+        for axis, density in zip(axes, each.density, strict=True):
+            axis.loglog(each.frequencies_hz[drawn], 1e6 * np.sqrt(density[drawn]), **style)
+    figures.label(axes, "frequency (Hz)")
+    for k, axis in enumerate(axes):
+        axis.set(title=f"${MOTIONS[k]}$", ylabel=f"error ({'µm' if k == 0 else 'µrad'}/√Hz)")
+    figures.legend_below(axes[0], 4)
+    return figure
+
+
+ENTRIES = {"Fz to z": 0, "Fz to rx": 1}
+
+
+def paint_rig(use: str, entry: str, target_damping: float, sensor_exponent: float, position: int):
+    """Explorer: one entry of what the controller sees, with and without one use of the observer."""
+    settings, row = published_settings(), ENTRIES[entry]
+    noise = NoiseIntensities(settings.noise.process, 10**sensor_exponent)
+    settings = replace(settings, noise=noise, target_damping=target_damping)
+    omega = frequencies(20.0, points=80, around=5)
+    loops = rig_loops(assumed_geometry(), settings, None, [POSITIONS[position - 1]], omega, ("Original", use))
+    figure, axis = plain()
+    for name, (loop, *_) in loops.items():
+        add_magnitude(axis, omega, physical_plant(loop)[row, 0], color=COLOURS[name], label=name)
+    axis.set(xlabel="frequency (Hz)", ylabel=f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
+    axis.legend()
+    return figure

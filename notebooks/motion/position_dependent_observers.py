@@ -1,0 +1,113 @@
+"""Position-dependent observers (section 4.2), one line a place, coloured along the structure (notebook 15)."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from experiments.motion.designs import Design
+from experiments.motion.explorer_panels import plain
+from experiments.motion.legends import LABELS
+from experiments.motion.loop_functions import paint_limited
+from experiments.motion.machines import stage, stage_mass
+from experiments.motion.magnitude_panels import paint_magnitudes
+from experiments.motion.magnitudes import add_magnitude, mark_limit
+from experiments.motion.position_dependence import place_loops, stage_grid
+from stillwork.control.applications import Application
+from stillwork.control.bandwidth import Loop
+from stillwork.control.pid import Pid, PidFamily
+from stillwork.lti.peaks import resonance_grid
+from workbook import figures
+
+
+def _along(loops: Mapping[float, Loop], low_hz: float, high_hz: float):
+    """One grid for all places, dense at the poles of plants and compensators, and each loop's label and line."""
+    from matplotlib import colormaps
+
+    each = list(loops.values())
+    poles = np.concatenate([each[0].plant.poles, *(loop.compensator.poles for loop in each[::3])])
+    shades = colormaps["viridis"](np.linspace(0.0, 0.92, len(loops)))  # dark to light along the structure
+    styles = [{"color": shade, "linewidth": 1.0} for shade in shades]
+    lines = zip([f"{place:g} m" for place in loops], each, styles, strict=True)
+    return resonance_grid(poles, low_hz, high_hz, 250, 6), list(lines)
+
+
+def paint_sensitivities(
+    loops: Mapping[float, Loop],
+    controllers: Mapping[str, Pid],
+    functions: Sequence[str] = ("input_sensitivity", "output_sensitivity"),
+):
+    """Loop functions, a row a controller (by the name in the title), a line a place (m), and the allowed 6 dB."""
+    omega, lines = _along(loops, 10.0, 2e3)
+    panels = {
+        f"{LABELS[function]}{name}": {
+            label: (omega, getattr(loop.at(controller, omega), function), style)
+            for label, loop, style in lines
+        }
+        for name, controller in controllers.items()
+        for function in functions
+    }
+    rows = len(controllers)
+    return paint_limited(panels, -15, 12, 3.4 if rows == 1 else 5.2, rows)
+
+
+def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid):
+    """Equivalent controllers from r and from y to the plant input, a line a place (m), beside the controller."""
+    omega, lines = _along(loops, 1.0, 3e3)
+    broad = {"color": figures.GREY, "linewidth": 2.5}
+    both = {"reference $r$": "reference_controller", "position $y$": "output_controller"}
+    panels = {
+        f"{source} to force $f$": {"controller": (omega, controller.frequency_response(omega), broad)}
+        | {label: (omega, getattr(loop.at(controller, omega), name), style) for label, loop, style in lines}
+        for source, name in both.items()
+    }
+    figure, axes = paint_magnitudes(panels, "magnitude (dB re 1 N/m)", height=3.4, sharey=True)
+    axes[0, 0].legend(ncols=2, fontsize=7)
+    return figure
+
+
+def paint_observers(loops: Mapping[float, Loop]):
+    """Observers from u and from y to the damping force and to the estimated deformation, a line a place (Fig. 4.2)."""
+    omega, lines = _along(loops, 1.0, 3e3)
+    found = [(label, loop.compensator.frequency_response(omega), style) for label, loop, style in lines]
+    units = {
+        "$u$ to $u_d$": "N/N",
+        "$y$ to $u_d$": "N/m",
+        r"$u$ to $\hat y_{flex}$": "m/N",
+        r"$y$ to $\hat y_{flex}$": "m/m",
+    }
+    panels = {
+        title: {label: (omega, response[divmod(k, 2)], style) for label, response, style in found}
+        for k, title in enumerate(units)
+    }
+    figure, axes = paint_magnitudes(panels, rows=2, height=5.0, sharex=True)
+    for axis, unit in zip(axes.ravel(), units.values(), strict=True):
+        axis.set_ylabel(f"magnitude (dB re 1 {unit})")
+    axes[0, 0].legend(ncols=2, fontsize=7)
+    return figure
+
+
+def paint_place(place: float, damping: float, compensate: str, noise_exponent: float, bandwidth_hz: float):
+    """Explorer: equivalent controller and output sensitivity with the sensor at one place of the stage."""
+    from matplotlib.ticker import NullLocator
+
+    application = Application(compensate == "yes", damping)
+    design = Design(application if damping or compensate == "yes" else None, 10.0**noise_exponent)
+    loop = place_loops(stage(), stage_grid(), [place], design, points=150, around=6)[0]
+    controller = PidFamily(stage_mass())(bandwidth_hz)
+    shown = (loop.omega > 2 * np.pi * 5) & (loop.omega < 2 * np.pi * 3e3)
+    omega = loop.omega[shown]
+    response = loop.at(controller, omega)
+    margins = {"left": 0.09, "bottom": 0.16, "right": 0.985, "top": 0.91, "wspace": 0.2}
+    figure, (left, right) = plain(2, 3.0, **margins)
+    original = controller.frequency_response(omega)
+    add_magnitude(left, omega, original, color=figures.GREY, linewidth=2.5, label="controller")
+    add_magnitude(left, omega, response.output_controller, label="equivalent, $y$ to $f$")
+    add_magnitude(right, omega, response.input_sensitivity, label="input sensitivity")
+    add_magnitude(right, omega, response.output_sensitivity, label="output sensitivity")
+    mark_limit(right)
+    right.set(ylim=(-20, 15), title="stable" if loop.is_stable(controller) else "unstable")
+    for axis, unit in ((left, "dB re 1 N/m"), (right, "dB")):
+        axis.set(xlabel="frequency (Hz)", ylabel=f"magnitude ({unit})")
+        axis.xaxis.set_minor_locator(NullLocator())
+        axis.legend(fontsize=7)
+    return figure

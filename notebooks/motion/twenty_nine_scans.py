@@ -1,0 +1,405 @@
+"""Twenty-nine scans: what this notebook alone needs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from experiments.motion import perturbed_tracking
+from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
+from experiments.motion.ideal_feedforward import Force, feedforward_error, respond, sampled_ideal_force
+from experiments.motion.intervals import Values, key
+from experiments.motion.legends import case_styles
+from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
+from experiments.motion.magnitudes import plain_numbers
+from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
+from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
+from experiments.motion.scan_errors import paint_errors
+from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.control.applications import Application
+from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors
+from stillwork.control.loops import channel, closed_loop, require_stable
+from stillwork.control.pid import Pid, PidFamily
+from stillwork.control.setpoint import Setpoint
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel
+from workbook import figures
+
+# === Location study ===============================================================================================
+# One feedforward error at many places of the structure, under every published design (section 4.2.5).
+
+
+SETTLED = 2e-8  # m, within which an error has settled
+ErrorsByCase = Mapping[str, Float64[np.ndarray, "places samples"]]
+
+
+@dataclass(frozen=True)
+class LocationStudy:
+    """True errors at every place."""
+
+    places: Float64[np.ndarray, " places"]  # m
+    setpoint: Setpoint
+    errors: ErrorsByCase  # m, at the samples of the setpoint
+
+    def noisy(self, noise: ErrorsByCase) -> "LocationStudy":
+        """The same with noise on the errors."""
+        return replace(self, errors={name: each + noise[name] for name, each in self.errors.items()})
+
+    def rms(self, case: str) -> Float64[np.ndarray, " places"]:
+        """Root mean square in the scanning phase (m)."""
+        window = self.errors[require_choice("case", case, self.errors)][:, self.setpoint.scanning]
+        return np.sqrt(np.mean(window**2, axis=1))
+
+    def settled(self, case: str, band: float) -> Float64[np.ndarray, " places"]:
+        """Time (s) from the end of the acceleration until the error stays within +-`band` (m) to the scan's end."""
+        require_number("band", band, above=0.0)
+        time = self.setpoint.time
+        window = (time >= self.setpoint.acceleration_end) & (time <= self.setpoint.scan[1])
+        outside = np.abs(self.errors[require_choice("case", case, self.errors)][:, window]) > band
+        last = np.where(outside.any(axis=1), outside.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
+        return last * self.setpoint.sample_time
+
+    def over(self, case: str, low: float, high: float, count: int = 29) -> Float64[np.ndarray, "3"]:
+        """Smallest, mean and largest rms error (m) at `count` equally spaced places from `low` to `high` (m).
+
+        Between the places of the study the rms follows a spline.
+        """
+        from scipy.interpolate import CubicSpline
+
+        if not self.places[0] <= low < high <= self.places[-1]:
+            raise InputError(
+                f"low and high are {low:g} and {high:g} m; keep them in this order and within the study, from "
+                f"{self.places[0]:g} to {self.places[-1]:g} m"
+            )
+        at = np.linspace(low, high, require_count("count", count, at_least=2))
+        values = CubicSpline(self.places, self.rms(case))(at)
+        return np.array([values.min(), values.mean(), values.max()])
+
+
+Loops = Mapping[float, Mapping[str, StateModel]]
+
+# Table 4.1
+CASES = {name.replace("none", "original"): case for name, case in perturbed_tracking.CASES.items()}
+
+
+def structure(masses: int = 8, spacing: float = 0.05) -> tuple[ModalModel, Float64[np.ndarray, " masses"]]:
+    """Stage with a sensor at every place (m) of seven masses, or of all `masses` = 8, the actuator's first."""
+    plant, grid = stage(), stage_grid(spacing)
+    if require_count("masses", masses, at_least=len(grid)) > len(grid) + 1:
+        raise InputError(f"masses is {masses}; the stage has {len(grid)} and that of the actuator")
+    if masses == len(grid):
+        return plant, grid
+    shapes = np.vstack([plant.input_shapes.T, plant.output_shapes])
+    whole = replace(plant, output_shapes=shapes, feedthrough=np.zeros((masses, 1)))
+    return whole, spacing * np.arange(-1, len(grid))
+
+
+@cache
+def table_cases() -> dict[str, tuple[str, Pid]]:
+    """The seven cases of Table 4.1 with the controllers of the bandwidth table."""
+    controllers = {name: stage_bandwidth(name).controller for name in ("PID", *APPLICATIONS)}
+    return {case: (design, controllers[name]) for case, (design, name) in CASES.items()}
+
+
+@cache
+def table_loops(masses: int) -> dict[float, dict[str, StateModel]]:
+    """Closed loops of the seven cases at 29 equally spaced places from the first to the last of the masses."""
+    plant, grid = structure(masses)
+    return location_loops(plant, grid, np.linspace(grid[0], grid[-1], 29), table_cases())
+
+
+def read_table(
+    *, channel: str, noise: bool, masses: int, fit_noise: bool, fit_loop: str, sample_time: float, seed: int
+) -> LocationStudy:
+    """The study of Table 4.1 at one reading of all that the thesis leaves open.
+
+    The error acts through `channel`; the loops run with `noise` or without; the sensor moves along 7 or 8 `masses`;
+    the gains are fitted to a move with noise or without (`fit_noise`), in the loop with the controller of `fit_loop`.
+    """
+    study = _quiet_table(channel, masses, fit_noise, fit_loop, sample_time, seed)
+    return study.noisy(_table_noise(masses, sample_time, seed)) if noise else study
+
+
+# Readings that differ in one choice alone share the rest.
+
+
+@lru_cache(maxsize=2)
+def _table_noise(masses: int, sample_time: float, seed: int) -> ErrorsByCase:
+    setpoint = published_setpoint(sample_time)
+    return location_noise(table_loops(masses), setpoint, published_deviations(), [seed])[0]
+
+
+@lru_cache(maxsize=2)
+def _quiet_table(
+    channel: str, masses: int, fit_noise: bool, fit_loop: str, sample_time: float, seed: int
+) -> LocationStudy:
+    setpoint, deviations = published_setpoint(sample_time), published_deviations()
+    controller, noise = stage_bandwidth(fit_loop).controller, None
+    if fit_noise:
+        loop = closed_loop(stage().at([0], [4]), None, controller.state_space())
+        draws = np.random.default_rng((seed, 0))
+        noise = noise_error(loop, sample_time, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
+    force = stage_error(setpoint, controller, noise=noise)
+    return study_locations(table_loops(masses), force, setpoint, channel)
+
+
+def table_agreement(
+    study: LocationStudy, published: Mapping[str, tuple[float, float, float]]
+) -> Float64[np.ndarray, "cases 3"]:
+    """Relative distance of smallest, mean and largest rms error from `published` ones (nm), a row a case."""
+    sizes = {name: 1e9 * study.rms(name) for name in published}
+    found = np.array([[each.min(), each.mean(), each.max()] for each in sizes.values()])
+    return np.abs(found / np.array(list(published.values())) - 1)
+
+
+def table_statements(study: LocationStudy) -> dict[str, bool]:
+    """Whether one run of Table 4.1's cases says what section 4.2.5 says of it."""
+    size = {name: study.rms(name) for name in CASES}
+    mean = {name: each.mean() for name, each in size.items()}
+    time, start = study.setpoint.time, study.setpoint.acceleration_end
+    settling = (time >= start) & (time < study.setpoint.scan[0])
+    transient = {name: np.mean(study.errors[name][:, settling] ** 2) for name in ("MC", "MC, redesigned")}
+    settled = {name: np.median(study.settled(name, SETTLED)) for name in ("original", "AD, redesigned")}
+    damped = ("AD", "MC and AD")
+    return {
+        "damping-mean": all(mean[name] < mean["original"] for name in damped),
+        "damping-variance": all(size[name].var() < size["original"].var() for name in damped),
+        "compensation": mean["MC"] > mean["original"],
+        "both-best": all(mean[f"MC and {name}"] < mean[name] for name in ("AD", "AD, redesigned")),
+        "redesign": all(mean[f"{name}, redesigned"] < mean[name] for name in APPLICATIONS),
+        "transient": transient["MC, redesigned"] < transient["MC"],
+        "settling": settled["AD, redesigned"] < settled["original"],
+    }
+
+
+def location_loops(
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, cases: Mapping[str, tuple[str | Design, Pid]]
+) -> dict[float, dict[str, StateModel]]:
+    """Closed loops of every case at every place, with the observer of that place.
+
+    The sensor stands still at each place; `cases` hold a design, or its name in `DESIGNS`, and the controller.
+    """
+    places = require_array("places", places, ndim=1)
+    if not len(places) or np.any(np.diff(places) <= 0):
+        raise InputError("places must hold at least one place, in ascending order")
+    designs = {
+        name: DESIGNS[require_choice("design", d, DESIGNS)] if isinstance(d, str) else d
+        for name, (d, _) in cases.items()
+    }
+    controllers = {name: controller.state_space() for name, (_, controller) in cases.items()}
+    found = {}
+    for place in places.tolist():
+        machine = at_place(plant, grid, place)
+        blocks = {design: compensator_at(plant, grid, place, design) for design in set(designs.values())}
+        found[place] = {
+            name: closed_loop(machine, blocks[designs[name]], controllers[name]) for name in cases
+        }
+        for name, loop in found[place].items():
+            try:
+                require_stable(loop)
+            except InputError as error:
+                raise InputError(f"{name} at {place:g} m: {error}") from None
+    return found
+
+
+def study_locations(loops: Loops, force: Force, setpoint: Setpoint, source: str = "w") -> LocationStudy:
+    """Send the same force into the loops of every place, without noise.
+
+    The force is a feedforward error, ideal less applied: the plant gets that much too little. Through ``w`` the
+    observer does not see it, through ``u_ff`` it does.
+    """
+    require_choice("source", source, ("w", "u_ff"))
+    ahead = len(force.time) - len(setpoint.time)
+    if ahead < 0 or not np.allclose(
+        force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.sample_time
+    ):
+        raise InputError("force and setpoint do not have the same samples; make both with one sample time")
+    errors = {
+        name: -np.array([respond(channel(loop, source, "e_true"), force)[0, ahead:] for loop in each])
+        for name, each in _by_case(loops).items()
+    }
+    return LocationStudy(np.array(list(loops)), setpoint, errors)
+
+
+def _by_case(loops: Loops) -> dict[str, list[StateModel]]:
+    return {name: [cases[name] for cases in loops.values()] for name in next(iter(loops.values()), ())}
+
+
+def location_noise(
+    loops: Loops, setpoint: Setpoint, deviations: dict[str, float], seeds: Sequence
+) -> list[ErrorsByCase]:
+    """What noise of these deviations adds to the errors, for each seed: fresh at every place, the same for all cases."""
+    samples = WARM_UP + len(setpoint.time)
+    starts = np.array([np.random.default_rng(seed).integers(2**63, size=len(loops)) for seed in seeds])
+    found = {}
+    for name, each in _by_case(loops).items():
+        drawn = (map(np.random.default_rng, row) for row in starts.T)  # a row a place
+        noises = [
+            noise_errors(loop, setpoint.sample_time, samples, deviations, list(draws))
+            for loop, draws in zip(each, drawn, strict=True)
+        ]
+        found[name] = np.array([[run[0, WARM_UP:] for run in runs] for runs in noises])
+    return [{name: each[:, run] for name, each in found.items()} for run in range(len(seeds))]
+
+
+def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.ndarray, "ranges 2"]:
+    """All ranges (m) between `points` equally spaced places of the structure, of at least `shortest` of its length."""
+    places = require_array("places", places, ndim=1)
+    require_number("shortest", shortest, above=0.0, at_most=1.0)
+    ends = np.linspace(places[0], places[-1], require_count("points", points, at_least=2))
+    low, high = np.meshgrid(ends, ends, indexing="ij")
+    wide = high - low >= shortest * (ends[-1] - ends[0]) * (1 - 1e-9)
+    return np.stack([low[wide], high[wide]], axis=1)
+
+
+def bare_error(controller: Pid, measured: int = 5) -> StateModel:
+    """Of the stage without observer, the model from a force that is missing to the true error of one mass."""
+    if require_count("measured", measured) > len(stage().output_shapes):
+        raise InputError(f"measured is {measured}; the stage has masses 1 to {len(stage().output_shapes)}")
+    loop = closed_loop(stage().at([0], [measured - 1]), None, controller.state_space())
+    return channel(loop, "w", "e_true")
+
+
+def stage_error(
+    setpoint: Setpoint, controller: Pid, measured: int = 5, noise: ArrayLike | None = None
+) -> Force:
+    """Feedforward error of the stage for one measured mass, in samples that are held.
+
+    Ideal force less the gains fitted to the loop without observer, see `fit_to_force`.
+    """
+    loop = bare_error(controller, measured)
+    ideal = sampled_ideal_force(stage().at([0], [measured - 1]), setpoint)
+    return feedforward_error(ideal, fit_to_force(loop, ideal, noise))
+
+
+def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None) -> Feedforward:
+    """Gains that leave the smallest sum of squared errors over the move, of the ideal force less theirs.
+
+    `loop` leads from the force to the error; with `noise` of the measured error (m) the gains are fitted to a noisy
+    move.
+    """
+    move = ideal.time > -1e-6 * (ideal.time[1] - ideal.time[0])
+    unit = np.eye(len(ideal.states))[-4:]
+    columns = [respond(loop, replace(ideal, row=row))[0, move] for row in unit]
+    wanted = respond(loop, ideal)[0, move]
+    if noise is not None:
+        wanted = wanted + require_array("noise", noise, shape=wanted.shape)
+    return Feedforward(**dict(zip(BASIS, least_squares(np.array(columns).T, wanted), strict=True)))
+
+
+# === Location pictures ============================================================================================
+# Tracking errors over the places of the sensor, Table 4.1 and its figures (notebook 16).
+
+
+def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
+    """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11)."""
+    figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
+    time = study.setpoint.time
+    pixel = max(round(5e-4 / study.setpoint.sample_time), 1)  # samples of one
+    starts = np.arange(0, len(time), pixel)
+    for axis, (title, case) in zip(axes.ravel(), panels.items(), strict=True):
+        errors, size = 1e9 * study.errors[case], study.rms(case)
+        band = (each.reduceat(each.reduce(errors, axis=0), starts) for each in (np.minimum, np.maximum))
+        axis.fill_between(time[starts], *band, color=figures.GREY, alpha=0.35, linewidth=0)
+        order = np.argsort(size)
+        chosen = {"largest": order[-1], "middle": order[len(order) // 2], "smallest": order[0]}
+        for (name, k), colour in zip(chosen.items(), (figures.RED, figures.BLUE, figures.GREEN), strict=True):
+            axis.plot(time, errors[k], color=colour, linewidth=0.5, label=f"{name} rms")
+        for edge in (study.setpoint.acceleration_end, study.setpoint.scan[1]):
+            axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
+        axis.set_title(f"{title}: {1e9 * size.min():.1f} to {1e9 * size.max():.1f} nm rms")
+    figures.legend_below(axes[0, 0], 3, fontsize=7)
+    figures.label(axes, "time (s)", "error (nm)")
+    return figure
+
+
+def paint_rms_along(study: LocationStudy, cases: Sequence[str]):
+    """Rms error in the scan over the place; dashed with a redesigned controller."""
+    figure, axis = figures.new(1, 1, height=3.2)
+    styles = case_styles(cases)
+    for case in cases:
+        axis.semilogy(study.places, 1e9 * study.rms(case), label=case, linewidth=1.2, **styles.get(case, {}))
+    axis.set(xlabel="place of the sensor (m)", ylabel="rms error in the scan (nm)")
+    plain_numbers(axis.yaxis)
+    axis.legend(ncols=3, fontsize=7, loc="upper center")
+    return figure
+
+
+def paint_table_of_ranges(
+    names: Sequence[str],
+    whole: Mapping[str, np.ndarray],
+    spread: Mapping[str, np.ndarray],
+    published: Mapping[str, ArrayLike],
+):
+    """Smallest, mean and largest rms error (nm) of every case, their spread over the ranges, and the published values."""
+    figure, axis = figures.new(1, 1, height=3.4)
+    parts = (("smallest", -0.22, figures.GREEN), ("mean", 0.0, figures.BLUE), ("largest", 0.22, figures.RED))
+    for k, (part, offset, colour) in enumerate(parts):
+        place = np.arange(len(names)) + offset
+        low, high = (np.array([f(spread[n][:, k]) for n in names]) for f in (np.min, np.max))
+        middle = np.array([whole[n][k] for n in names])
+        axis.vlines(place, low, high, color=colour, linewidth=4, alpha=0.4, label=f"{part}, over the ranges")
+        axis.plot(place, middle, "_", color=colour, markersize=9, label=f"{part}, whole structure")
+        marks = [np.asarray(published[n])[k] for n in names]
+        figures.mark_published(axis, place, marks, label="published" if k == 0 else None)
+    axis.set_yscale("log")
+    axis.set_xticks(np.arange(len(names)), [n.replace(", ", ",\n") for n in names], fontsize=7)
+    axis.set(ylabel="rms error in the scan (nm)", ylim=(0.3, None))
+    axis.legend(ncols=3, fontsize=7, loc="lower left")
+    return figure
+
+
+@cache
+def _explored() -> tuple[Setpoint, Force]:
+    setpoint = published_setpoint(2e-4)
+    return setpoint, stage_error(setpoint, PidFamily(stage_mass())(35.6))
+
+
+def paint_location(place: float, damping: float, compensate: str, bandwidth_hz: float):
+    """Explorer: the tracking error at one place under the feedforward error, bare and with an observer."""
+    setpoint, force = _explored()
+    controller = PidFamily(stage_mass())(bandwidth_hz)
+    cases = {"no observer": (Design(), controller)}
+    if damping or compensate == "yes":
+        application = Application(compensate == "yes", damping, selectivity=2.0 if damping else None)
+        cases["observer"] = (Design(application, 0.03), controller)
+    study = study_locations(location_loops(stage(), stage_grid(), [place], cases), force, setpoint)
+    labels = {name: f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan" for name in cases}
+    return paint_errors(setpoint, {labels[name]: study.errors[name][0] for name in cases})
+
+
+# --- Section 4.2.5: Table 4.1 ------------------------------------------------------------------------------------
+
+
+def locations(
+    *,
+    error_channel: str,
+    location_noise: bool,
+    location_masses: int,
+    gains_from: str,
+    gains_in: str,
+    location_sample_time: float,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """Table 4.1 (nm), one draw of the noise and its spread over ranges of the places; it has no leaner form."""
+    study = read_table(
+        channel={"seen by the observer": "u_ff", "unseen": "w"}[error_channel],
+        noise=location_noise,
+        masses=location_masses,
+        fit_noise=gains_from == "noisy move",
+        fit_loop={"37 Hz": "PID", "83 Hz": "MC and AD"}[gains_in],
+        sample_time=location_sample_time,
+        seed=seed,
+    )
+    found: Values = {}
+    ends = study.places[0], study.places[-1]
+    for case in CASES:
+        over = 1e9 * np.array([study.over(case, *each) for each in ranges(study.places, 0.5)])
+        for part, value, each in zip(("min", "mean", "max"), study.over(case, *ends), over.T, strict=True):
+            over_places_nm = float(each.min()), float(each.max())
+            found[f"motion.table-4-1.{key(case)}.{part}"] = float(1e9 * value), over_places_nm
+    return found

@@ -1,0 +1,195 @@
+"""The two-inertia drive: what a model error leaves: what this notebook alone needs."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from experiments.motion.bode import paint_bode
+from experiments.motion.legends import CASES
+from experiments.motion.machines import Drive, drive
+from experiments.motion.magnitudes import add_magnitude, plain_numbers
+from stillwork.control.applications import Application, compensator
+from stillwork.control.loops import channel, closed_loop
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.observer import Observer
+from stillwork.estimation.riccati import continuous_gain
+from stillwork.identification.frequency_response import Identified, closed_loop_response
+from stillwork.lti.discretisation import zoh
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel
+from workbook import figures
+
+# === Drive ========================================================================================================
+# The experiment of section 3.6 in simulation: observer, loops and identification of the two-inertia drive.
+
+
+# Section 3.6: Q = diag(.1, .1, 1, 1) and R, in rad and rad/s; here by (theta1, theta2, speed1, speed2).
+SENSOR = 5e-5
+WEIGHTS = {"angles first": (0.1, 0.1, 1.0, 1.0), "inertia by inertia": (0.1, 1.0, 0.1, 1.0)}
+
+
+def drive_observer(drive: Drive, weights: str = "angles first") -> Observer:
+    """Kalman observer of section 3.6, in modal states (sum and difference of the angles)."""
+    states = drive.modal_states()
+    shape = 1 / np.sqrt(2 * drive.inertia)
+    # (theta1, theta2, speed1, speed2) of the modal states (eta1, speed of eta1, eta2, speed of eta2)
+    physical = shape * np.array([[1, 0, 1, 0], [1, 0, -1, 0], [0, 1, 0, 1], [0, 1, 0, -1]], dtype=float)
+    solved = continuous_gain(states.a, np.linalg.inv(physical), states.c, np.diag(WEIGHTS[weights]), SENSOR)
+    return Observer(drive.modes(), states.a, states.b, states.c, solved.gain, solved.residual)
+
+
+def drive_applications(damping: float) -> dict[str, Application | None]:
+    """The four cases of Fig. 3.36, with this added damping ratio for AD."""
+    return {
+        "no observer": None,
+        "MC": Application(compensate=True),
+        "AD": Application(damping=damping),
+        "MC and AD": Application(compensate=True, damping=damping),
+    }
+
+
+def drive_loop(
+    plant: Drive,
+    model: Drive,
+    application: Application | None,
+    bandwidth_hz: float,
+    weights: str = "angles first",
+) -> StateModel:
+    """Closed loop of a drive with an observer made for `model`, angle measured across the rod."""
+    block = None if application is None else compensator(drive_observer(model, weights), application)
+    inertia = 2 * plant.inertia / plant.motor_constant  # what the controller's rules call the mass
+    return closed_loop(plant.modal_states(), block, PidFamily(inertia)(bandwidth_hz).state_space())
+
+
+def seen_by_controller(loop: StateModel, omega: Float64[np.ndarray, " frequencies"]) -> np.ndarray:
+    """Exact response that the controller sees, u to the compensated output, from a `closed_loop`."""
+    measured, force = channel(loop, "u_ff", ("e_meas", "u")).frequency_response(omega)[:, 0]
+    return -measured / force
+
+
+def identify(
+    loop: StateModel,
+    rng: np.random.Generator,
+    *,
+    sample_time: float,
+    samples: int,
+    segment: int,
+    excitation: float,
+    sensor_noise: float,
+    imbalance: float,
+    turns_hz: float,
+) -> Identified:
+    """The experiment: white current on the plant input, sensor noise, and the imbalance of the turning inertias.
+
+    `excitation` (A) and `sensor_noise` (rad) are standard deviations, `imbalance` an amplitude (A at the motor).
+    """
+    noise = excitation * rng.standard_normal(samples)
+    swing = imbalance * np.sin(2 * np.pi * turns_hz * sample_time * np.arange(samples))
+    sensor = sensor_noise * rng.standard_normal(samples)
+    chosen = channel(loop, ("u_ff", "w", "d"), ("u", "e_meas"))
+    u, e = simulate(zoh(chosen, sample_time), np.array([noise, swing, sensor]))
+    return closed_loop_response(noise, u, -e, sample_time, segment)
+
+
+def rigid_response(plant: Drive, omega: Float64[np.ndarray, " frequencies"]) -> np.ndarray:
+    """Response of the drive if its rod were stiff."""
+    return plant.motor_constant / (1j * omega * (2j * omega * plant.inertia + 2 * plant.friction))
+
+
+def statements(levels: Mapping[str, np.ndarray]) -> dict[str, bool]:
+    """What section 3.6 says of Fig. 3.36, from each case's level over the rigid body (dB) around the resonance.
+
+    A notch is as far from the rigid body as a peak.
+    """
+    away = {name: float(np.abs(level).max()) for name, level in levels.items()}
+    return {
+        "compensation-reduces": away["MC"] < away["no observer"],
+        "residual-peak": bool(levels["MC"].max() > -levels["MC"].min()),
+        "damping-reduces-less": away["MC"] < away["AD"] < away["no observer"],
+        "combination-best": away["MC and AD"] < min(away["MC"], away["AD"]),
+    }
+
+
+def residual_trial(
+    rng: np.random.Generator,
+    plant: Drive,
+    applications: dict[str, Application | None],
+    bandwidth_hz: float,
+    error: float,
+) -> dict[str, float]:
+    """What is left of the resonance by a model wrong by up to `error`: its peak over the rigid body (ratio), by case.
+
+    And the largest distance from the rigid body, up or down (dB), by ``<case>, distance``.
+    """
+    names = ("stiffness", "inertia", "damper")
+    wrong = replace(
+        plant, **{name: getattr(plant, name) * (1 + rng.uniform(-error, error)) for name in names}
+    )
+    omega = plant.resonance * np.linspace(0.5, 1.6, 800)
+    found = {}
+    for name, each in applications.items():
+        seen = seen_by_controller(drive_loop(plant, wrong, each, bandwidth_hz), omega)
+        ratio = np.abs(seen / rigid_response(plant, omega))
+        found[name] = float(ratio.max())
+        found[f"{name}, distance"] = float(np.abs(20 * np.log10(ratio)).max())
+    return found
+
+
+# === Drive pictures ===============================================================================================
+# Figure and explorer of the two-inertia drive (notebook 12).
+
+
+def paint_identified(
+    plant: Drive, loops: Mapping[str, StateModel], found: Mapping[str, Identified], hertz: tuple[float, float]
+):
+    """What the controller of the drive sees, as identified and exact, beside the rigid body, and the coherence."""
+    figure, axes = figures.new(2, 1, height=5.0, sharex=True)
+    for name, each in found.items():
+        shown = (each.omega > 2 * np.pi * hertz[0]) & (each.omega < 2 * np.pi * hertz[1])
+        omega, style = each.omega[shown], {"color": CASES[name], "linewidth": 0.7}
+        add_magnitude(axes[0], omega, each.response[shown], label=f"{name}, identified", **style)
+        exact = seen_by_controller(loops[name], omega)
+        add_magnitude(axes[0], omega, exact, label=f"{name}, exact", color=CASES[name], linestyle=":")
+        axes[1].semilogx(omega / (2 * np.pi), each.coherence[shown], label=name, **style)
+    add_magnitude(axes[0], omega, rigid_response(plant, omega), label="rigid body", color=figures.GREY)
+    axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
+    axes[0].legend(ncols=3, fontsize=7)
+    axes[1].set(ylabel="coherence", xlabel="frequency (Hz)")
+    plain_numbers(axes[1].xaxis)
+    return figure
+
+
+def paint_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
+    """Explorer: what the controller of the two-inertia drive sees, with an observer whose stiffness is off."""
+    plant = drive()
+    model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
+    omega = 2 * np.pi * np.geomspace(2, 60, 400)
+    curves = {
+        name: (omega, seen_by_controller(drive_loop(plant, model, each, bandwidth_hz), omega))
+        for name, each in drive_applications(damping).items()
+    }
+    return paint_bode(curves, "magnitude (dB re 1 rad/A)", height=3.2)[0]
+
+
+# --- Section 3.6: Fig. 3.36 --------------------------------------------------------------------------------------
+
+
+def drive_figure(
+    *, stiffness_error: float, drive_damping: float, drive_weights: str, seed: int, lean: bool
+) -> dict[str, float]:
+    """What Fig. 3.36 shows, from exact responses between 5 and 30 Hz; it has no leaner form.
+
+    `stiffness_error` is that of the observer's model (relative), `drive_damping` the added ratio, `drive_weights` one
+    of `drive.WEIGHTS`. The controller has no effect on what it sees.
+    """
+    plant = drive()
+    model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
+    omega = 2 * np.pi * np.linspace(5, 30, 2000)
+    levels = {}
+    for name, each in drive_applications(drive_damping).items():
+        loop = drive_loop(plant, model, each, 4.0, drive_weights)
+        levels[name] = 20 * np.log10(np.abs(seen_by_controller(loop, omega) / rigid_response(plant, omega)))
+    found = {f"motion.fig-3-36.{name}": float(holds) for name, holds in statements(levels).items()}
+    return found | {"motion.fig-3-36.rigid": float(np.abs(levels["MC and AD"]).max())}

@@ -1,0 +1,190 @@
+"""FIR identification with a noisy input: what this notebook alone needs."""
+
+import numpy as np
+
+from experiments.worstcase.simulations import fir_trial
+from workbook import figures
+from workbook.studies import Study, run_study
+
+# === Identification pictures ======================================================================================
+# Pictures of FIR identification with noisy inputs (Fig. 1) and of what happens as the record grows.
+
+
+METHODS = (
+    ("min_max", "min-max", figures.BLUE, "-"),
+    ("total", "total least squares", figures.RED, "--"),
+    ("least", "least squares (not in the paper)", figures.BLACK, "-"),
+)
+
+
+def paint_fig_1(study: Study, parameters: tuple[float, ...]):
+    """Estimates averaged over the realisations (a), (b) and residuals (c), drawn as in Fig. 1."""
+    figure, (*panels, third) = figures.new(3, 1, height=7.2, sharex=True)
+    time = _paint_estimates(panels, study, parameters)
+    panels[0].legend(ncols=3)
+    third.plot(time, study["min_max_worst"].mean(0), color=figures.BLUE, label="min-max: worst case")
+    third.plot(time, study["total_target"].mean(0), "--", color=figures.RED, label="TLS: |(A + δA)x − b|")
+    style = {"color": figures.RED, "label": "TLS: worst case under the same bound, median"}
+    third.plot(time, np.median(study["total_worst"], 0), ":", **style)
+    third.set(ylabel="residual", xlabel="time (samples)", title="(c)")
+    third.set(ylim=(0, 1.5 * study["min_max_worst"].mean(0)[-1]))
+    third.legend(ncols=2)
+    return figure
+
+
+def _paint_estimates(panels, study: Study, parameters: tuple[float, ...]) -> np.ndarray:
+    time = np.arange(1, study["bound"].shape[1] + 1)
+    for number, (axes, truth) in enumerate(zip(panels, parameters, strict=True)):
+        for name, label, colour, style in METHODS:
+            axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
+        axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
+        axes.set(ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})")
+        # The first samples of total least squares run off any scale.
+        late = study["min_max"][:, number].mean(0)[10:]
+        reach = max(0.6, 1.3 * np.abs(late - truth).max())
+        axes.set(ylim=(truth - reach, truth + reach))
+    return time
+
+
+def paint_corrections(study: Study):
+    """Norm of the perturbation that TLS assumes, beside the true one and its bound."""
+    figure, axes = figures.new(height=3.0)
+    time = np.arange(1, study["bound"].shape[1] + 1)
+    axes.plot(time, study["total_matrix"].mean(0), "--", color=figures.RED, label="correction assumed by TLS")
+    axes.plot(time, study["bound"][0], color=figures.BLUE, label="bound √(2t) × largest input noise")
+    axes.plot(time, study["perturbation"].mean(0), color=figures.GREY, label="true perturbation")
+    axes.set(xlabel="time (samples)", ylabel="2-norm of the perturbation of A")
+    axes.legend()
+    return figure
+
+
+def error_norms(study: Study, parameters: tuple[float, ...], group: int = 1) -> dict[str, np.ndarray]:
+    """|x - estimate| of the averages over groups of realisations, shape (groups, samples), by method."""
+    truth, groups = np.asarray(parameters, float)[:, None], study.runs // group
+    found = {name: study[name][: groups * group] for name, *_ in METHODS}
+    means = {name: v.reshape(groups, group, *v.shape[1:]).mean(axis=1) for name, v in found.items()}
+    return {name: np.linalg.norm(mean - truth, axis=1) for name, mean in means.items()}
+
+
+def paint_long(study: Study, parameters: tuple[float, ...], least_limit: np.ndarray):
+    """Median error over realisations as the record grows, and the limit of least squares."""
+    figure, axes = figures.new(height=3.2)
+    for name, label, colour, style in METHODS:
+        values = np.median(error_norms(study, parameters)[name], axis=0)
+        time = np.unique(np.geomspace(len(parameters) + 2, len(values), 150).astype(int))
+        axes.loglog(time, values[time - 1], style, color=colour, label=label)
+    limit = np.linalg.norm(least_limit - np.asarray(parameters))
+    axes.axhline(limit, color=figures.BLACK, linestyle=":", linewidth=1, label="limit of least squares")
+    axes.set(xlabel="time (samples)", ylabel="median |x − estimate|")
+    axes.legend()
+    return figure
+
+
+def win_shares(
+    cases: list[tuple[tuple[float, ...], int]],
+    runs: int,
+    group: int,
+    seed: int,
+    samples: int,
+    first: int,
+    **noise: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Share of experiments that min-max wins against TLS and against least squares, by (parameters, period).
+
+    An experiment averages `group` realisations; it is won when the time average of |x - average estimate|
+    from sample `first` on is smaller.
+    """
+    shares = []
+    for parameters, period in cases:
+        record = {"parameters": parameters, "period": period, "samples": samples, **noise}
+        study = run_study(fir_trial, runs, seed, progress=False, **record)
+        errors = {name: e[:, first:].mean(1) for name, e in error_norms(study, parameters, group).items()}
+        shares.append([np.mean(errors["min_max"] < errors[other]) for other in ("total", "least")])
+    return tuple(np.array(shares).T)
+
+
+def paint_wins(cases: list[tuple[tuple[float, ...], int]], against_total, against_least):
+    """Bars of `win_shares`."""
+    figure, axes = figures.new(height=3.2)
+    places = np.arange(len(cases))
+    axes.bar(places - 0.2, against_total, 0.38, color=figures.RED, label="min-max beats total least squares")
+    axes.bar(places + 0.2, against_least, 0.38, color=figures.BLACK, label="min-max beats least squares")
+    names = [f"({', '.join(f'{p:g}' for p in parameters)})\n{period}" for parameters, period in cases]
+    axes.set_xticks(places, names)
+    axes.set_xlabel("true parameters, and period of the square wave (samples)")
+    axes.set(ylabel="share of experiments", ylim=(0, 1.25))
+    axes.legend(ncols=2, loc="upper center")
+    return figure
+
+
+def explore_fig_1(period: int, input_noise: float, output_noise: float, second: float):
+    """Estimates of Fig. 1 with other unpublished choices: period, noise amplitudes, second parameter."""
+    parameters = (1.0, second)
+    study = run_study(
+        fir_trial, 10, 1, progress=False, parameters=parameters, period=int(period), samples=200,
+        input_noise=input_noise, output_noise=output_noise,
+    )  # fmt: skip
+    figure, panels = figures.new(1, 2, height=3.2)
+    _paint_estimates(panels, study, parameters)
+    figures.label(panels, "time (samples)")
+    figures.legend_below(panels[0], 3)
+    return figure
+
+
+# --- Section 9: Fig. 1 --------------------------------------------------------------------------------------------
+
+AVERAGED = 10  # realisations behind a curve of Fig. 1
+EXPERIMENTS = 10  # of that many realisations; the notebook has 50
+COMPARED = 20  # records at each ratio of the noises; the notebook has 100
+INPUT_NOISE, OUTPUT_NOISE = 0.1, 1.0  # section 9
+COMPETITORS = "min_max", "total", "least"
+
+
+def identification(
+    *,
+    fig_1_parameters: str,
+    square_wave_period: int,
+    fig_1_length: int,
+    noise_law: str,
+    min_max_update: str,
+    fig_1_error: str,
+    fig_1_from: int,
+    seed: int,
+    lean: bool,
+) -> dict[str, float]:
+    """Fig. 1; the lean form makes 10 experiments of 10 realisations instead of 50, and 20 records a ratio."""
+    truth = tuple(float(each) for each in fig_1_parameters.split(","))
+    settings = {"parameters": truth, "period": square_wave_period, "samples": fig_1_length}
+    settings |= {"input_noise": INPUT_NOISE, "law": noise_law, "update": min_max_update}
+    experiments, compared = (EXPERIMENTS, COMPARED) if lean else (50, 100)
+    many, three, one = (
+        run_study(fir_trial, runs, seed, progress=False, output_noise=ratio * INPUT_NOISE, **settings)
+        for runs, ratio in (
+            (AVERAGED * experiments, OUTPUT_NOISE / INPUT_NOISE),
+            (compared, 3.0),
+            (compared, 1.0),
+        )
+    )
+    errors = {m: _parameter_errors(many[m], truth, fig_1_error) for m in COMPETITORS}
+    error = {name: each[..., fig_1_from:].mean(-1) for name, each in errors.items()}
+    wins = error["min_max"] < error["total"]
+    growth = [(each["total_matrix"] / each["bound"])[:compared, -1] for each in (one, three, many)]
+    found = {
+        "fig-1a": wins[:, 0].mean(),
+        "fig-1b": wins[:, 1].mean(),
+        "fig-1c": np.mean((many["total_matrix"] > many["bound"])[:, fig_1_from - 1 :]),
+        "row-bound": np.mean((many["perturbation"] <= many["bound"]).all(axis=1)),
+        "much-greater": np.mean(np.diff(growth, axis=0) > 0),
+        "least-squares": (error["min_max"] < error["least"]).all(1).mean(),
+        "least-squares-both": (error["least"] < error["min_max"]).all(1).mean(),
+        "square-error": np.median(
+            (many["total_target"][:, -1] ** 2 / many["min_max_worst"][:, -1])[:AVERAGED]
+        ),
+    }
+    return {f"worstcase.identification.{name}": value for name, value in found.items()}
+
+
+def _parameter_errors(estimates: np.ndarray, truth: tuple[float, ...], error: str) -> np.ndarray:
+    """Of each experiment, (experiments, unknowns, samples): of the mean estimate, or the mean of the errors."""
+    groups = estimates.reshape(-1, AVERAGED, *estimates.shape[1:]) - np.array(truth)[:, None]
+    return np.abs(groups.mean(axis=1)) if error == "of the average" else np.abs(groups).mean(axis=1)

@@ -1,0 +1,58 @@
+"""Pictures of the measured case."""
+
+import numpy as np
+
+from experiments.worstcase.measured import bound_sweep
+from experiments.worstcase.pairs import MeasuredPair, Spectra, load_pair
+from workbook import figures
+
+
+def paint_spectra(pair: MeasuredPair, spectra: Spectra, quiet_hz: tuple[float, float]):
+    """Densities of both channels with the sensor noise read from the quiet band, and their coherence."""
+    figure, (upper, lower) = figures.new(2, 1, height=4.4, sharex=True)
+    shown = spectra.frequency > 5
+    frequency = spectra.frequency[shown]
+    upper.loglog(frequency, spectra.input[shown], linewidth=0.8, label="input, channel 2")
+    upper.loglog(frequency, spectra.output[shown], linewidth=0.8, label="output, channel 3")
+    level = pair.noise**2 / (pair.band_hz[1] - pair.band_hz[0])
+    taken = "sensor noise taken, over the pass band"
+    upper.loglog(pair.band_hz, [level, level], color=figures.BLACK, label=taken)
+    upper.set_ylabel("density ((m/s²)²/Hz)")
+    upper.legend()
+    lower.semilogx(frequency, spectra.coherence[shown], linewidth=0.8, color=figures.GREEN, label="coherence")
+    lower.axvspan(*quiet_hz, color=figures.GREY, alpha=0.25, lw=0, label="band where the noise is read")
+    lower.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1))
+    lower.legend(loc="upper left")
+    return figure
+
+
+def paint_tracking(memories: list[int], found: dict[str, np.ndarray]):
+    """One-step prediction error of the recursive estimators against their memory."""
+    figure, axes = figures.new(height=3.0)
+    colours = {"RLS": figures.BLACK, "ridge": figures.GREEN, "min-max, typical bound": figures.BLUE}
+    for name, values in found.items():
+        axes.semilogx(memories, values, "o-", markersize=4, color=colours[name], label=name)
+    axes.axhline(1, color=figures.GREY, linewidth=0.8)
+    axes.set(xlabel="memory 1 / (1 − λ) (samples)", ylabel="rms error / rms output", ylim=(0.4, 1.1))
+    axes.legend()
+    return figure
+
+
+def paint_sweep(factors: np.ndarray, found: dict[int, np.ndarray]):
+    """Median out-of-sample residual against the bound, for several window lengths."""
+    figure, axes = figures.new(height=3.0)
+    for length, values in found.items():
+        axes.semilogx(factors, values, "o-", markersize=3, label=f"window of {length} samples")
+    axes.axvline(1, color=figures.BLACK, linewidth=0.8, linestyle="--")
+    axes.text(1, axes.get_ylim()[1], " from the sensor noise", va="top", fontsize=8)
+    axes.set(xlabel="bound over the typical norm of the sensor noise")
+    axes.set(ylabel="median rms residual / rms output")
+    axes.legend()
+    return figure
+
+
+def explore_sweep(taps: int, length: int):
+    """`paint_sweep` for another model and window."""
+    pair, _ = load_pair((100.0, 1500.0), (300.0, 600.0))
+    factors = np.geomspace(0.1, 5, 9)
+    return paint_sweep(factors, {int(length): bound_sweep(pair, int(taps), int(length), factors, 10)})
