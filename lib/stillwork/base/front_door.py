@@ -167,6 +167,14 @@ def own_arrays(instance) -> None:
             object.__setattr__(instance, name, np.array(value))
 
 
+def made(model: type[_Model], **values) -> _Model:
+    """A frozen model of our own making: every field is what its annotation says and nobody else's, so none is asked or copied."""
+    instance = object.__new__(model)
+    for name in model.__dataclass_fields__:  # type: ignore[attr-defined]
+        object.__setattr__(instance, name, values[name])
+    return instance
+
+
 def outside(function: Callable, check: Callable = lambda value: value) -> Callable:
     """A reader's own function, as the toolbox calls it: what it calls of ours is asked, its errors are its own."""
 

@@ -17,7 +17,7 @@ import numpy as np
 from stillwork.base.algebra import add_scaled, copy_vector, plus_column, plus_left, plus_row, project
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel, pasted_kernel
 
 FORMS = ("triangle", "Joseph", "square root", "UD", "inverse QR")
 TRIANGLE, JOSEPH, SQUARE_ROOT, UD, INVERSE_QR = range(5)
@@ -196,18 +196,10 @@ def variance(form, matrix, axis):
 
 @borrowing_kernel
 def add_triangle_information(covariance, axis, information, gain):
-    """`add_information` of the triangle, which stays symmetric."""
+    """Add to one diagonal element of the inverse of P, in place: a regressor along this axis, seen without forgetting.
+
+    P stays symmetric, and positive definite for information above zero.
+    """
     copy_vector(covariance[axis], gain)
     one = covariance.dtype.type(1)
     shrink_along(covariance, gain, information / (one + information * gain[axis]), one)
-
-
-@kernel
-def add_information(form, matrix, axis, information, gain, inner):
-    """Add to one diagonal element of the inverse of P, in place: a regressor along this axis, seen without forgetting.
-
-    P stays positive definite for information above zero. The triangle has `add_triangle_information`.
-    """
-    unit = np.zeros(len(matrix), matrix.dtype)
-    unit[axis] = np.sqrt(information)
-    update_form(form, matrix, unit, matrix.dtype.type(1), gain, inner)
