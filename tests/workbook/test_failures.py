@@ -11,6 +11,7 @@ import time
 
 import pytest
 
+from stillwork.workbook.execution import Failure
 from stillwork.workbook.warm import PROGRAM
 from workbook import toy as toys
 from workbook.toy import until
@@ -82,6 +83,16 @@ def test_a_notebook_that_raises(built):
     both = built.run("figures")
     assert both.stdout.endswith("\nthe last good results of 1 of these stand untouched\n")
     assert "last good results" not in built.run("figures", "isolation/03-third").stdout
+
+
+def test_what_a_notebook_raises_steers_no_terminal():
+    failure = Failure(
+        "cell [1] a", "KeyError: a\x1b[2Jb\x07", "\x1b[31mTraceback\x1b[0m\n  a\x1b]0;title\x07"
+    )
+    assert (failure.error, failure.traceback) == (
+        r"KeyError: a\x1b[2Jb\x07",
+        "Traceback\n  a\\x1b]0;title\\x07",
+    )
 
 
 def test_wrong_input_is_told_once_and_without_a_traceback(built):
