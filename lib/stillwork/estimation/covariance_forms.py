@@ -203,6 +203,28 @@ def add_triangle_information(covariance, axis, information, gain):
 
 
 @kernel
+def hold_diagonal(covariance, limits, held, gain):
+    """Add to the triangle what brings its diagonal back to these limits, and note whose variance is `held` by it.
+
+    The one farthest above its limit comes first, each at most once: to bring one down lowers the others, so in the
+    order of the regressors the result would depend on that order.
+    """
+    one = covariance.dtype.type(1)
+    for i in range(len(limits)):
+        held[i] = False
+    for _ in range(len(limits)):
+        farthest, ratio = -1, one
+        for i in range(len(limits)):
+            if not held[i] and covariance[i, i] > ratio * limits[i]:
+                farthest, ratio = i, covariance[i, i] / limits[i]
+        if farthest < 0:
+            return
+        held[farthest] = True
+        information = one / limits[farthest] - one / covariance[farthest, farthest]
+        add_triangle_information(covariance, farthest, information, gain)
+
+
+@kernel
 def add_information(form, matrix, axis, information, gain, inner):
     """Add to one diagonal element of the inverse of P, in place: a regressor along this axis, seen without forgetting.
 
