@@ -1,6 +1,8 @@
 """Whatever goes wrong in a build: the last good figures stand, the others go on, nothing is left behind."""
 
+import errno
 import os
+import re
 import resource
 import select
 import signal
@@ -8,10 +10,13 @@ import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
+from stillwork.base import paths
 from stillwork.workbook.execution import Failure
+from stillwork.workbook.inputs import present
 from stillwork.workbook.warm import PROGRAM
 from workbook import toy as toys
 from workbook.toy import until
@@ -83,6 +88,25 @@ def test_a_notebook_that_raises(built):
     both = built.run("figures")
     assert both.stdout.endswith("\nthe last good results of 1 of these stand untouched\n")
     assert "last good results" not in built.run("figures", "isolation/03-third").stdout
+
+
+@pytest.mark.parametrize("code", [errno.EMFILE, errno.EIO, errno.EACCES])
+def test_what_a_disk_cannot_read_is_not_gone(code, tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "root", lambda: tmp_path)
+    (tmp_path / "a.csv").write_text("1")
+    assert present("a.csv") and present("./")
+    for absent in ("b.csv", "b/", "a.csv/", "a.csv/b", "x" * 5000, "a\0"):
+        assert present(absent) is None
+
+    def fail(*_, **__):
+        raise OSError(code, os.strerror(code))
+
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "listdir", fail)
+        broken.setattr(Path, "stat", fail)
+        for name in ("a.csv", "./"):
+            with pytest.raises(OSError, match=re.escape(os.strerror(code))):
+                present(name)
 
 
 def test_what_a_notebook_raises_steers_no_terminal():
