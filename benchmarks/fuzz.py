@@ -157,6 +157,7 @@ def _watched(kind, make, rng) -> tuple[str, str]:
 def _outcome(kind, name, told, must_work, call) -> tuple[str, str]:
     """What became of a case: ``result``, ``refused`` or ``unnamed`` (a documented error), or what is wrong."""
     from fuzzing import calls
+
     from stillwork.base.checks import InputError
     from stillwork.estimation.online import UnstableAdaptation
 

@@ -8,7 +8,6 @@ import copy
 import dataclasses
 import pkgutil
 import re
-from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from types import ModuleType, SimpleNamespace
@@ -394,14 +393,19 @@ def catalogue() -> dict:
     }  # fmt: skip
 
 
+refused_as_made: set[str] = set()  # calls that are refused before anything is spoiled, found by `warm`
+
+
 def warm() -> None:
     """Every good call once: it must work, and compiles what it needs before anybody takes the time."""
     for name, (function, good) in catalogue().items():
         if name not in REFUSED:
             function(**good)
-    for function, good in behind().values():
-        with suppress(Exception):  # a case of its own says what it is
+    for name, (function, good) in behind().items():
+        try:
             function(**good)
+        except Exception:  # a case of its own says what it is
+            refused_as_made.add(name)
 
 
 def missing() -> list[str]:
@@ -463,9 +467,13 @@ def case(rng: np.random.Generator) -> tuple:
 
 
 def is_named(name: str, told: list[str], message: str) -> bool:
-    """Whether a refusal holds one of the spoiled arguments, or a field of one, by name."""
+    """Whether a refusal holds one of the spoiled arguments, or a field of one, by name, or another was no good before."""
+    if name in refused_as_made | REFUSED:
+        return True
     _, good = (catalogue() | behind())[name]
-    words = {word for each in told if (key := each.partition("=")[0]) in good for word in (key, *_names(good[key]))}
+    words = {
+        word for each in told if (key := each.partition("=")[0]) in good for word in (key, *_names(good[key]))
+    }
     return any(re.search(rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])", message) for word in words)
 
 

@@ -158,7 +158,9 @@ def test_arguments_that_do_not_fit_together_are_named_with_their_sizes():
     def applied(matrix: Float64[np.ndarray, "a b"], model: Part, vector: Float64[np.ndarray, " b"]):
         return matrix @ vector
 
-    with pytest.raises(InputError, match=r"\bmatrix 2 x 3, model\.size a number, model\.rows 1 x 2, vector 2$"):
+    with pytest.raises(
+        InputError, match=r"\bmatrix 2 x 3, model\.size a number, model\.rows 1 x 2, vector 2$"
+    ):
         applied(np.ones((2, 3)), Part(1.0, [[1, 2]]), vector=[1.0, 2.0])
 
 
