@@ -224,8 +224,10 @@ def enclose_gain_margins(n: Polynomial, d: Polynomial) -> tuple[Enclosure, Enclo
     if any(low <= 1.0 <= high for low, high in found):
         return NOT_PROVEN, NOT_PROVEN
     below, above = ([each for each in found if (each[0] > 1) == larger] for larger in (False, True))
-    lows, highs = zip(*below, (0.0, 0.0), strict=True), zip(*above, (inf, inf), strict=True)
-    return Enclosure(*map(max, lows), True), Enclosure(*map(min, highs), True)
+    least, most = (0.0, 0.0), (inf, inf)
+    lower = [max(each) for each in zip(*below, least, strict=True)]
+    upper = [min(each) for each in zip(*above, most, strict=True)]
+    return Enclosure(lower[0], lower[1], True), Enclosure(upper[0], upper[1], True)
 
 
 def _factors_of_roots(axis: _Axis) -> Iterator[tuple[float, float]]:
