@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 import stillwork
-from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.checks import InputError, counted, require_choice, require_number
 from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, PeakConstraint
 from stillwork.control.c_code import controller_code, require_names
 from stillwork.control.digital import DigitalController, equivalent_biquads, from_biquads, in_units, runnable
-from stillwork.control.loop_enclosures import proven_peaks
+from stillwork.control.loop_enclosures import proven_numbers
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box, uncertainty_of
@@ -197,7 +197,19 @@ def design_file(
     facts = [*zip(("rate", "delay of the loop", "limit of the output"), (*rates, most), strict=True)]
     if own_units != taken.units:
         facts.append(("the controller's own units", f"{own_units[0]} in, {own_units[1]} out"))
-    pages = machine, found, best, controllers, peaks, helps, box_table(machine, spread, margins), facts
+    every = *loops, *safe[best].perturbed
+    proven = proven_numbers(every, pid, [each.model for each in controllers])
+    pages = (
+        machine,
+        found,
+        best,
+        controllers,
+        peaks,
+        proven,
+        helps,
+        box_table(machine, spread, margins),
+        facts,
+    )
     files["report.html"] = report(*pages, sorted(files))
     write_folder(folder, files)
     rows = {
@@ -207,7 +219,7 @@ def design_file(
         f"{machine.source}: {taken.kind}; {machine.mass:.4g} {machine.mass_unit}; first resonance at {machine.resonances_hz[0]:.4g} Hz",
         *machine.notes,
         *(f"{use}: {row}{found[use].reason and '; ' + found[use].reason}" for use, row in rows.items()),
-        proven_peaks((*loops, *safe[best].perturbed), pid, [each.model for each in controllers]),
+        f"the written controller over {counted(len(every), 'loop')}: {'; '.join(map(' '.join, proven))}",
         f"taken: {best}, stopped by {safe[best].summary['stopped by']}",
         f"the promise holds for {'; '.join(map(' '.join, box_table(machine, spread, margins)))}",
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
@@ -387,6 +399,7 @@ def report(
     best: str,
     controllers: list[DigitalController],
     peaks: dict[str, dict[str, float]],
+    proven: list[tuple[str, str]],
     helps: list[list[str]],
     box: list[list[str]],
     about: list[tuple[str, str]],
@@ -411,6 +424,7 @@ def report(
         box=table([], box or [["everything", "as the model has it: no uncertainty was asked for"]]),
         uses=uses_table(found),
         peaks=table(["peak", *where], sizes),
+        proven=table([], list(map(list, proven))),
         helps=table(["change", "bandwidth (Hz)"], helps or [["nothing that was tried", ""]]),
         machine=picture(paint_machine(machine), "accelerance of the model and of the measurement"),
         loops=picture(

@@ -285,6 +285,12 @@ def test_an_error_is_one_line_whatever_the_file_is_called(tmp_path, capsys):
         assert said.endswith("\n") and said[:-1].isprintable() and "no such file" in said
 
 
+def test_what_a_command_prints_steers_no_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(inspecting, "inspect_file", lambda file: "one \x1b[2J\ntwo")
+    main(["inspect", "a.csv"])
+    assert capsys.readouterr().out == "one \\x1b[2J\ntwo\n"
+
+
 def test_a_record_too_short_for_a_floor_gets_no_command_for_it(tmp_path):
     assert inspecting.SHORTEST_FLOOR_S == SHORTEST_S
     rows = "\n".join(f"{i / 100},{i % 7}" for i in range(1400))

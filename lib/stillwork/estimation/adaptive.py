@@ -28,9 +28,9 @@ from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
     UD,
-    add_triangle_information,
     covariance_of,
     factor_of,
+    hold_diagonal,
     update_covariance,
     update_form,
     update_ud,
@@ -340,12 +340,11 @@ def watch_power(levels, i, value, forgetting, allowance):
 @kernel
 def hold_triangle(covariance, forgetting, levels, gain):
     """Bring the diagonal of P back to its limits, as if each regressor above its own had been seen once more."""
-    one = covariance.dtype.type(1)
-    for i in range(levels.shape[1]):
-        found = covariance[i, i]
-        if found > levels[0, i]:
-            add_triangle_information(covariance, i, one / levels[0, i] - one / found, gain)
-            levels[2, i] += one - covariance.dtype.type(forgetting)
+    held = np.empty(levels.shape[1], np.bool_)
+    hold_diagonal(covariance, levels[0], held, gain)
+    for i in range(len(held)):
+        if held[i]:
+            levels[2, i] += covariance.dtype.type(1) - covariance.dtype.type(forgetting)
 
 
 @kernel

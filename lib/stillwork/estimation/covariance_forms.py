@@ -17,7 +17,7 @@ import numpy as np
 from stillwork.base.algebra import add_scaled, copy_vector, plus_column, plus_left, plus_row, project
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import borrowing_kernel, inlined_kernel, pasted_kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 
 FORMS = ("triangle", "Joseph", "square root", "UD", "inverse QR")
 TRIANGLE, JOSEPH, SQUARE_ROOT, UD, INVERSE_QR = range(5)
@@ -203,3 +203,25 @@ def add_triangle_information(covariance, axis, information, gain):
     copy_vector(covariance[axis], gain)
     one = covariance.dtype.type(1)
     shrink_along(covariance, gain, information / (one + information * gain[axis]), one)
+
+
+@kernel
+def hold_diagonal(covariance, limits, held, gain):
+    """Add to the triangle what brings its diagonal back to these limits, and note whose variance is `held` by it.
+
+    The one farthest above its limit comes first, each at most once: to bring one down lowers the others, so in the
+    order of the regressors the result would depend on that order.
+    """
+    one = covariance.dtype.type(1)
+    for i in range(len(limits)):
+        held[i] = False
+    for _ in range(len(limits)):
+        farthest, ratio = -1, one
+        for i in range(len(limits)):
+            if not held[i] and covariance[i, i] > ratio * limits[i]:
+                farthest, ratio = i, covariance[i, i] / limits[i]
+        if farthest < 0:
+            return
+        held[farthest] = True
+        information = one / limits[farthest] - one / covariance[farthest, farthest]
+        add_triangle_information(covariance, farthest, information, gain)
