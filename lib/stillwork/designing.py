@@ -324,7 +324,10 @@ def improvements(machine: Machine, settings: DesignSettings, how: dict, reached:
     before = reached.on_model.crossing_hz.min() if reached.on_model else 0.0
     gains = []
     for words, (other, changes) in trials.items():
-        found = _reached(other, settings, changes).on_model
+        low, high = search_range(other, changes["sample_time"])
+        if reached.on_model:  # what leads no further is none
+            low = max(low, min(reached.on_model.design_hz, 0.99 * high))
+        found = _reached(other, settings, changes | {"search_hz": (low, high)}).on_model
         if found is not None and found.crossing_hz.min() > (1 + WORTH) * before:
             gains.append([float(found.crossing_hz.min()), words])
     return [[words, f"{hertz:.1f}"] for hertz, words in sorted(gains, key=lambda each: -each[0])]
