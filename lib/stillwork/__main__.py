@@ -159,6 +159,18 @@ _OF_A_MACHINE = (
     _number("sample-rate", "HZ", "of records that do not say it", float),
 )
 
+_OF_A_LOOP = (
+    _number("delay", "SAMPLES", "from measurement to force, whole or not; default 1", float, default=1.0),
+    _band("loop-hz", "where the measurement can be trusted"),
+    _option(
+        "--uncertainty",
+        default="",
+        metavar="NAME=SHARE,...",
+        help="frequency, residue, damping, gain, mass, delay (s); none; default frequency=0.05,gain=0.05",
+    ),
+    _option("--damping-ratio", type=float, default=0.005, help="of matrices without damping"),
+)
+
 COMMANDS = {
     "figures": Command(
         "build the figures that are stale",
@@ -249,7 +261,9 @@ COMMANDS = {
             _file("of a machine, a record, or power spectral densities"),
             _option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
             _option("--unit", default="", help="of a record's channels, or of densities"),
+            _number("rate", "HZ", "of the controller (default: chosen and printed)", float, default=0.0),
             *_OF_A_MACHINE,
+            *_OF_A_LOOP,
         ),
         needs_checkout=False,
     ),
@@ -257,23 +271,21 @@ COMMANDS = {
         "from a machine's file to a controller in C, and a page about it",
         "stillwork.designing:design_file",
         (
-            _file("frequency response, hammer records, or M and K"),
+            _option(
+                "files",
+                type=_named,
+                nargs="+",
+                metavar="FILE",
+                help="frequency response, hammer records, or M and K; several: one machine elsewhere, all served",
+            ),
             _number("rate", "HZ", "of the controller", float, required=True),
             *_C_FOLDER,
-            _number("delay", "SAMPLES", "from measurement to force, whole or not", float, default=1.0),
             _number("limit", "N", "largest output, N, N m or A", float, default=float("inf")),
             _number("counts", "N", "encoder counts a m or rad: inputs in counts", float, default=0.0),
             _number("motor-constant", "K", "N/A or N m/A: output in A", float, default=0.0),
             *_OF_A_MACHINE,
-            _band("loop-hz", "where the measurement can be trusted"),
+            *_OF_A_LOOP,
             _flag("mirrored-sensor", "serve a mirrored sensor, too"),
-            _option(
-                "--uncertainty",
-                default="",
-                metavar="NAME=SHARE,...",
-                help="frequency, residue, damping, gain, mass, delay (s); none; default frequency=0.05,gain=0.05",
-            ),
-            _option("--damping-ratio", type=float, default=0.005, help="of matrices without damping"),
         ),
         needs_checkout=False,
     ),

@@ -18,7 +18,7 @@ from stillwork.signals.records import (
     stated_unit,
     unit_factor,
 )
-from stillwork.workbook.own_files import figures_command, in_checkout, model_file, own_file
+from stillwork.workbook.own_files import command, figures_command, in_checkout, model_file, own_file
 
 # What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
 # arguments, tables of parameters.
@@ -40,7 +40,7 @@ def inspect_file(file: str) -> str:
     with np.errstate(all="ignore"):  # what is not finite, a line says
         lines = [f"{path.name}: {own}"] if own else list(kinds.get(path.suffix.lower(), _data)(path))
     if not in_checkout() and any(line.startswith("for ") for line in lines):
-        lines.append("these commands are run in a checkout of stillwork")
+        lines.append("the commands behind 'for' are run in a checkout of stillwork")
     return "\n".join(map(one_line, lines))
 
 
@@ -120,9 +120,6 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
             resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
             yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}, first resonances at {resonances} Hz"
-            settings["mirrored_sensor"] = str(
-                len(machine.sensors) == 1 and machine.sensors[0].rigid_modes > 0
-            ).lower()
         else:
             hertz = file.accelerance.omega / (2 * np.pi)
             yield f"{kind} of a machine: {counted(len(hertz), 'line')} from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
@@ -136,6 +133,12 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
     except InputError as error:
         yield f"not a machine as it stands: {error}"
         return
+    words = [str(path.resolve())]
+    for name in ("response_unit", "force_unit", "response"):
+        if settings.get(name):
+            words += [f"--{name.replace('_', '-')}", settings[name]]
+    yield command("a controller in C", ["design", *words, "--rate", "HZ", "--out", "my_controller"])
+    yield command("one page about it", ["report", *words])
     yield figures_command("motion/29-your-machine", settings)
 
 

@@ -15,6 +15,7 @@ from stillwork.lti.reduction import truncate
 
 MISSED = 0.5  # relative error below half the first resonance, or at the end of the band, that is told
 END = 0.01  # of the band's highest frequency
+TURNED = "counted against the force, turned"
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 
@@ -136,7 +137,7 @@ def _fitted(
     ]
     if fit.turned:
         measured = measured._replace(response=-measured.response)
-        notes.append("counted against the force, turned")
+        notes.append(TURNED)
     if not model.rigid_modes:
         notes.append(
             f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz"
@@ -212,7 +213,7 @@ def _built(file: MachineFile, model: ModalModel) -> Machine:
             f"{file.source}: the sensors see rigid bodies of {listing} kg; let each output be a position along "
             "the force (a row of shares that add up to 1)"
         )
-    notes = ("counted against the force, turned",) if turned else ()
+    notes = (TURNED,) if turned else ()
     if suspended:
         notes += (f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz",)
     return Machine(

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from importlib.util import find_spec
 
 
 class Progress:
@@ -21,7 +22,7 @@ class Progress:
         self._bar = None
         self._tell = tell
         self._task, self._total, self._done, self._begin = task, total, 0, time.monotonic()
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and find_spec("tqdm"):  # of an extra
             from tqdm import tqdm
 
             self._bar = tqdm(total=total, unit=unit, desc=task, leave=False)
