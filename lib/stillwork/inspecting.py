@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from stillwork.base.checks import InputError, counted, one_line, shown
-from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.datafiles import read_arrays, read_columns
+from stillwork.signals.densities import DENSITIES_SAID, frequency_axis, spectra_of
 from stillwork.signals.records import (
     MOTION_UNITS,
     UNITS_SAID,
@@ -50,12 +51,31 @@ def _data(path: Path) -> Iterator[str]:
     width = max(map(len, arrays), default=0)
     for name, values in arrays.items():
         yield f"  {name:{width}}  {_described(values)}"
+    if spectra_of(arrays):
+        yield from _spectra(path)
+        return
     machine = list(_machine(path, arrays))
     yield from machine
     # One hit's force and response may be an input-output record, too; several hits side by side are none.
     signals = [array for name, array in arrays.items() if array.size > 1 and not is_time(name)]
     if not machine or [np.squeeze(array).ndim for array in signals] == [1, 1]:
         yield from _record(path)
+
+
+def _spectra(path: Path) -> Iterator[str]:
+    """What takes spectra of a motion."""
+    columns = read_columns(path)
+    hertz, spectra = columns[frequency_axis(columns)], spectra_of(columns)
+    name, unit = next(iter(spectra.items()))
+    yield f"spectra over {len(hertz)} frequencies up to {hertz.max():.4g} Hz: {', '.join(spectra)}"
+    if not unit:
+        yield f"it does not say the unit of its densities; put one of these for UNIT: {DENSITIES_SAID}"
+    unit = unit or "UNIT"
+    yield command("one page about it", ["report", str(path.resolve()), "--unit", unit])
+    settings = {"floor_record": path.resolve(), "floor_unit": unit}
+    if len(spectra) > 1:
+        settings["floor_channels"] = json.dumps([name], ensure_ascii=False)
+    yield figures_command("isolation/08-your-floor", settings)
 
 
 def _record(path: Path) -> Iterator[str]:

@@ -1,7 +1,6 @@
 """The command ``report``: what a measurement says, on one page: a machine's, a record's, or power spectral densities."""
 
 import html
-import re
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,7 +23,14 @@ from stillwork.identification.machine_files import (
 )
 from stillwork.inspecting import inspect_file
 from stillwork.signals.datafiles import read_arrays
-from stillwork.signals.densities import DENSITIES_SAID, density_unit, frequency_axis, read_densities
+from stillwork.signals.densities import (
+    DENSITIES_SAID,
+    density_unit,
+    frequency_axis,
+    read_densities,
+    spectra_of,
+    stated_density,
+)
 from stillwork.signals.records import (
     UNITS_SAID,
     Record,
@@ -100,8 +106,7 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
         kind = kind_of(arrays)
     except InputError:
         kind = "densities" if frequency_axis(arrays) else "record"
-    real = kind == "frequency response" and not complex_responses(arrays)
-    if real and not re.search(r"\b(re|real|mag|magnitude|amplitude|gain)\b", " ".join(arrays).lower()):
+    if kind == "frequency response" and spectra_of(arrays):
         kind = "densities"
     parts = {"densities": _densities, "record": _record}.get(kind, _machine)
     lines, sections = [], []
@@ -196,7 +201,7 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
 
 def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     names = [name for name in arrays if name != frequency_axis(arrays)]
-    found = {each[1] for name in names if (each := re.search(r"[(\[](.+)[)\]]$", name.strip()))}
+    found = {stated_density(name) for name in names} - {""}
     unit = said.get("unit") or (found.pop() if len(found) == 1 else "")
     if not unit or not density_unit(unit):
         raise Missing("unit", f"{source.name} does not say the unit of its densities ({DENSITIES_SAID})")

@@ -9,6 +9,7 @@ BY_PACKAGE = {
     "control": "control",
     "cvxpy": "control",
     "clarabel": "control",
+    "matplotlib": "design",
     "griffe": "site",
     "jinja2": "site",
     "latex2mathml": "site",
