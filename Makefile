@@ -18,7 +18,7 @@ endif
 export PYTHONPATH := $(CURDIR)/lib
 
 # The settings of processor and process that numbers are made under; a build sets them for its kernels by itself.
-PINNED := lib/stillwork/workbook/pinned.env
+PINNED := lib/workbook/pinned.env
 UNDER_PINS = env $(shell grep -v '^\#' $(PINNED))
 
 # nbval is for the notebooks, anyio for nobody; loading them takes a second of every process.
@@ -62,7 +62,7 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 	@# The plugin lies in the package, so the package is imported before its types could be checked.
 	$(call part,notebooks,rm -rf build/nbval && $(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" \
 		$(BIN)/python -m pytest notebooks \
-		-p no:nbval -p stillwork.workbook.nbval_check --jaxtyping-packages= --nbval --nbval-rerun $(RERUN) \
+		-p no:nbval -p workbook.nbval_check --jaxtyping-packages= --nbval --nbval-rerun $(RERUN) \
 		--nbval-begun $(BEGUN) --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
 	$(call part,what is committed,$(UNDER_PINS) $(BIN)/python -m pytest tests/committed \
 		-p no:nbval -p no:anyio -n logical --dist worksteal)
@@ -76,7 +76,7 @@ course: $(READY) ## Run the solutions of the course's exercises
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/notebooks/index.ipynb \
-		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 --ServerApp.jpserver_extensions=stillwork.workbook.lab=True $(ARGS)
+		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 --ServerApp.jpserver_extensions=workbook.lab=True $(ARGS)
 
 site: $(READY) ## Write the static site to build/site/index.html
 	@$(BIN)/python -m stillwork site

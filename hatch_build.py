@@ -8,6 +8,6 @@ class CheckoutHook(BuildHookInterface):
 
     def initialize(self, version, build_data):
         if version == "editable":
-            build_data["shared_data"]["lib/stillwork/workbook/lab.json"] = (
+            build_data["shared_data"]["lib/workbook/lab.json"] = (
                 "etc/jupyter/jupyter_server_config.d/stillwork.json"
             )

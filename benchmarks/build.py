@@ -35,11 +35,11 @@ sys.path.insert(0, str(ROOT / "lib"))
 
 from stillwork.base.checks import InputError  # noqa: E402
 from stillwork.base.kernel_folder import FOLDER_VARIABLE  # noqa: E402
-from stillwork.workbook.lock import run_whole  # noqa: E402
-from stillwork.workbook.notebooks import read_notebook, select  # noqa: E402
-from stillwork.workbook.pinned import environment  # noqa: E402
-from stillwork.workbook.portable import BLAS, LIBC, NUMPY, SAMPLE  # noqa: E402
-from stillwork.workbook.tasks import BUILT  # noqa: E402
+from workbook.lock import run_whole  # noqa: E402
+from workbook.notebooks import read_notebook, select  # noqa: E402
+from workbook.pinned import environment  # noqa: E402
+from workbook.portable import BLAS, LIBC, NUMPY, sampled  # noqa: E402
+from workbook.tasks import BUILT  # noqa: E402
 
 PROCESSOR_S, CLOCK_S = 375, 200  # what a build from nothing is to take at most; the clock's on two cores
 
@@ -93,7 +93,7 @@ def measure(name: str) -> dict[str, float]:
     from matplotlib.figure import Figure
     from numba.core import event
 
-    from stillwork.workbook import page
+    from workbook import page
 
     class Compilation(event.Listener):
         def on_start(self, _event):
@@ -184,7 +184,7 @@ def print_pins(targets: list[str], rounds: int, kernels: str) -> None:
     """A row a notebook: seconds under all pins, and these over the seconds without one of them and without any."""
     print(f"{'notebook':40}{'pinned':>9}" + "".join(f"{f'x {name}':>12}" for name in list(WITHOUT)[1:]))
     total = dict.fromkeys(WITHOUT, 0.0)
-    for notebook in select(*(targets or SAMPLE)):
+    for notebook in select(*(targets or sampled())):
         in_a_process_of_its_own(notebook.name, kernels)  # compiles
         taken = [
             {pin: work(notebook.name, kernels, names) for pin, names in WITHOUT.items()}

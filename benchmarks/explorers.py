@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "lib"))
 os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", MPLBACKEND="Agg")
 
 from stillwork.base.checks import InputError  # noqa: E402
-from stillwork.workbook import explorer as explorers  # noqa: E402
-from stillwork.workbook.notebooks import select  # noqa: E402
+from workbook import explorer as explorers  # noqa: E402
+from workbook.notebooks import select  # noqa: E402
 
 LIMIT_MS = 200.0
 

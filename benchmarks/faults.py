@@ -40,7 +40,7 @@ import psutil
 TESTS = Path(__file__).parents[1] / "tests"
 sys.path.insert(0, str(TESTS))
 
-from workbook import toy as toys  # noqa: E402
+from engine import toy as toys  # noqa: E402
 
 FIRST, SECOND, OTHER = NOTEBOOKS = ("isolation/01-first", "isolation/02-second", "motion/01-first")
 READS = "rig = paths.data('{}', 'rig.toml').read_text()", "written = (folder / 'rig.csv').write_text(rig)"
@@ -373,7 +373,7 @@ def random_files(draw: random.Random, version: str) -> Files:
 
 def publish_fault(bench: Bench, draw: random.Random, way: str) -> str:
     """One notebook's results, cut."""
-    from stillwork.workbook.publish import replace_record, tidy
+    from workbook.publish import replace_record, tidy
 
     place = bench.root / "build" / "bench"
     shutil.rmtree(place, ignore_errors=True)
@@ -461,7 +461,7 @@ def many_files(bench: Bench, draw: random.Random) -> tuple[Path, Files, Files, d
 def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
     """Many files as one, cut."""
     from stillwork.base.checks import InputError
-    from stillwork.workbook.publish import finish, replace_all
+    from workbook.publish import finish, replace_all
 
     place, old, new, changed = many_files(bench, draw)
 
@@ -494,7 +494,7 @@ def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
 def harmed_journal(bench: Bench, draw: random.Random) -> str:
     """The journal of a change that was killed, harmed before the next command; half may stand where it is set aside."""
     from stillwork.base.checks import InputError
-    from stillwork.workbook.publish import finish, replace_all, unfinished
+    from workbook.publish import finish, replace_all, unfinished
 
     place, old, new, changed = many_files(bench, draw)
 
@@ -1119,8 +1119,8 @@ def work(home: Path, mounted: bool, chosen: list[tuple[int, str]], seed: int) ->
     bench = Bench(home, mounted, toy)
     import papermill  # noqa: F401
 
-    from stillwork.site import derived  # noqa: F401
-    from stillwork.workbook import accept, compare  # noqa: F401
+    from workbook import accept, compare  # noqa: F401
+    from workbook.site import derived  # noqa: F401
 
     gc.freeze()
     if any(kind.startswith("build") for _, kind in chosen):

@@ -130,7 +130,7 @@ total = time.process_time() - start
 import numba, stillwork
 missed = sum(
     sum(kernel.stats.cache_misses.values())
-    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "experiments"))
+    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "workbook", "experiments"))
     for kernel in vars(module).values() if isinstance(kernel, numba.core.registry.CPUDispatcher)
 )
 print(imported, total, missed)

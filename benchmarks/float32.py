@@ -21,10 +21,10 @@ import numpy as np  # noqa: E402
 
 from experiments.isolation import load_twin, simulate  # noqa: E402
 from experiments.isolation.recorded_floors import record_floor  # noqa: E402
-from stillwork.base import paths  # noqa: E402
 from stillwork.estimation.adaptive import FeRls  # noqa: E402
 from stillwork.estimation.online import run_ferls  # noqa: E402
 from stillwork.signals import load_record  # noqa: E402
+from workbook import paths  # noqa: E402
 
 FORGETTING = float(np.exp(-2e-4 / 10))
 MEMORY = 100  # time constants that the float64 reference runs

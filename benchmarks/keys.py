@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "lib"))
 
 from stillwork.base.source_digest import code, code_digest  # noqa: E402
-from stillwork.workbook.readings import closure  # noqa: E402
+from workbook.readings import closure  # noqa: E402
 
 SCHEMES = ("bytes", "code", "definitions", "names")
 Fragment = tuple[str, frozenset[str]]  # digest of a piece of code, and the names that stand in it

@@ -41,7 +41,7 @@ from stillwork.estimation.robust import kalman_gains  # noqa: E402
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate  # noqa: E402
 from stillwork.lti import simulate  # noqa: E402
 from stillwork.lti.discretisation import zoh_modes  # noqa: E402
-from stillwork.workbook.studies import run_study  # noqa: E402
+from workbook.studies import run_study  # noqa: E402
 
 FAMILY = PidFamily(stage_mass())
 PEER_GRID = 2 * np.pi * np.geomspace(1, 3000, 300)  # a reduced grid: the peer steps over the sharpest peaks

@@ -27,8 +27,8 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "lib")]
 
 from stillwork.base.kernel_folder import kernels_digest  # noqa: E402
-from stillwork.workbook.pinned import pins  # noqa: E402
-from stillwork.workbook.readings.closure import imports  # noqa: E402
+from workbook.pinned import pins  # noqa: E402
+from workbook.readings.closure import imports  # noqa: E402
 
 PLACE = ROOT / "build" / "mutants"
 TREE, KERNELS = PLACE / "tree", PLACE / "kernels"

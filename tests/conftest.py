@@ -13,7 +13,7 @@ import typecheck
 gc.disable()
 gc.set_threshold(20_000)
 
-# As in `stillwork.__main__`: a second or two of every process that loads nbformat.
+# As in `stillwork.base.command_line`: a second or two of every process that loads nbformat.
 sys.modules.setdefault("rfc3987_syntax", None)
 
 # Neither the machine's load nor chance decides a test: every run tries the same examples. Others are sought with
@@ -27,7 +27,7 @@ settings.load_profile("workbook")
 def pytest_xdist_auto_num_workers(config):
     """One worker more than processors for all tests: a tenth of the time some wait for processes that they started."""
     if config.option.dist == "loadfile" and not config.option.markexpr:
-        from stillwork.workbook.workers import cores  # not before the types of what it imports can be checked
+        from workbook.workers import cores  # not before the types of what it imports can be checked
 
         return cores() + 1
     return None  # as many as processors

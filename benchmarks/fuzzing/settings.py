@@ -4,7 +4,7 @@ import random
 
 import numpy as np
 
-from stillwork.workbook.parameters import Parameter
+from workbook.parameters import Parameter
 
 KINDS = {
     "int": 1, "float": 1.5, "str": "a", "bool": True, "list[float]": [1.0], "list[int]": [1], "list[str]": ["a"],

@@ -11,9 +11,9 @@ from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.isolation.twin import load_twin
 from experiments.motion import beam, joint_designs, machines, rig
 from fuzzing.hostile import wrong
-from stillwork.base import paths
 from stillwork.inspecting import inspect_file
-from stillwork.workbook.claims import ledger, load_entries
+from workbook import paths
+from workbook.claims import ledger, load_entries
 
 # A TOML file holds no other kinds.
 PLAIN = (

@@ -33,8 +33,8 @@ from stillwork.identification.machine import TURNED, Machine, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.modal import ModalModel
-from stillwork.workbook import figures
-from stillwork.workbook.progress import Progress
+from workbook import figures
+from workbook.progress import Progress
 
 ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
 USES = 5  # that are searched

@@ -19,7 +19,7 @@ from stillwork.signals.records import (
     stated_unit,
     unit_factor,
 )
-from stillwork.workbook.own_files import command, figures_command, in_checkout, model_file, own_file
+from workbook.own_files import command, figures_command, in_checkout, model_file, own_file
 
 # What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
 # arguments, tables of parameters.

@@ -41,8 +41,8 @@ from stillwork.signals.records import (
     unit_factor,
 )
 from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
-from stillwork.workbook import figures
-from stillwork.workbook.progress import Progress
+from workbook import figures
+from workbook.progress import Progress
 
 SEGMENTS = 16  # of a record, at least, in its spectra
 MOST_CHANNELS = 8  # of a record or of spectra on one page

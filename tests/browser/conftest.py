@@ -12,8 +12,8 @@ from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.support.ui import WebDriverWait
 
-from stillwork.site.build import site_files
-from stillwork.workbook.publish import replace_folder
+from workbook.publish import replace_folder
+from workbook.site.build import site_files
 
 # No window, and nothing of Chromium's own on the network.
 SWITCHES = (

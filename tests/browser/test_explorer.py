@@ -6,12 +6,12 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 from stillwork.base.checks import InputError
-from stillwork.site.build import static_files
-from stillwork.site.explorers import Explorer
-from stillwork.site.states import packed, states
-from stillwork.workbook import figures
-from stillwork.workbook.explorer import Choice, Slider
-from stillwork.workbook.publish import replace_folder
+from workbook import figures
+from workbook.explorer import Choice, Slider
+from workbook.publish import replace_folder
+from workbook.site.build import static_files
+from workbook.site.explorers import Explorer
+from workbook.site.states import packed, states
 
 PAGE = """<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>x</title>
 <link rel="stylesheet" href="static/site.css"><script src="static/explorer.js" defer></script></head>

@@ -5,11 +5,11 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from stillwork.base import paths
-from stillwork.site.standing import class_of
-from stillwork.workbook.claims import ledger
-from stillwork.workbook.readings.command import standings_of
-from stillwork.workbook.report import column
+from workbook import paths
+from workbook.claims import ledger
+from workbook.readings.command import standings_of
+from workbook.report import column
+from workbook.site.standing import class_of
 
 CLAIMS = ledger()
 ROWS = "return [...document.querySelectorAll('#claims tbody tr')].filter((row) => !row.hidden).map((row) => row.id)"

@@ -5,7 +5,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
-from stillwork.workbook.claims import ledger
+from workbook.claims import ledger
 
 CLAIM = next(claim for claim in ledger() if claim.notebook and claim.entry.reason)
 

@@ -8,7 +8,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from stillwork.workbook.claims import ledger
+from workbook.claims import ledger
 
 NARROW, WIDE = 390, 1440
 

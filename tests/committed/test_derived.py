@@ -1,7 +1,7 @@
 """What follows from the ledger and the notebooks is as they are: README, index notebook, manifests."""
 
-from stillwork.base import paths
-from stillwork.site.derived import derived_files
+from workbook import paths
+from workbook.site.derived import derived_files
 
 
 def test_the_readme_has_a_place_for_the_ledger():

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from stillwork.base import paths
-from stillwork.workbook.compare import numbers_difference
-from stillwork.workbook.tasks import built
+from workbook import paths
+from workbook.compare import numbers_difference
+from workbook.tasks import built
 
 COMMITTED = paths.root() / "figures"
 REBUILT = Path(os.environ.get("STILLWORK_REBUILT") or built())

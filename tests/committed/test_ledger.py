@@ -6,10 +6,10 @@ from decimal import Decimal
 
 import pytest
 
-from stillwork.base import paths
-from stillwork.workbook.claims import AGREEMENT, Claim, ledger
-from stillwork.workbook.compare import same_value
-from stillwork.workbook.publish import digest
+from workbook import paths
+from workbook.claims import AGREEMENT, Claim, ledger
+from workbook.compare import same_value
+from workbook.publish import digest
 
 from .test_figures import COMMITTED, REBUILT
 

@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from stillwork.base import paths
-from stillwork.workbook.notebooks import notebook_text, select
+from workbook import paths
+from workbook.notebooks import notebook_text, select
 
 NOTEBOOKS = select()
 FORBIDDEN = ("image/png", "text/html", "papermill", "injected-parameters", "widget-view", str(paths.root()))

@@ -3,13 +3,13 @@
 import pytest
 
 from committed.again import compute_again
-from stillwork.base import paths
-from stillwork.workbook.claims import load_entries
-from stillwork.workbook.readings.axes import Multiverse, load_axes
-from stillwork.workbook.readings.checking import moves, note, parts_a_day, today
-from stillwork.workbook.readings.command import standings_of
-from stillwork.workbook.readings.results import read_results
-from stillwork.workbook.readings.sampling import design
+from workbook import paths
+from workbook.claims import load_entries
+from workbook.readings.axes import Multiverse, load_axes
+from workbook.readings.checking import moves, note, parts_a_day, today
+from workbook.readings.command import standings_of
+from workbook.readings.results import read_results
+from workbook.readings.sampling import design
 
 PARTS = 4  # tests that share the studies of a room, for workers to take
 

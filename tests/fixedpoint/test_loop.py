@@ -10,7 +10,7 @@ from stillwork.control.fixed_point import IntegrationWarning
 from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation import LowPass, Plant
 from stillwork.estimation.coordinate_filters import MovingWindow, SavitzkyGolay, UnscentedKalman
-from stillwork.workbook.studies import Study
+from workbook.studies import Study
 
 SAMPLE_TIME = 1e-3
 

@@ -14,8 +14,8 @@ from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from stillwork.base.checks import InputError
 from stillwork.control import asin_trajectory, simulate
 from stillwork.control.fixed_point_convergence import strongest_oscillation
-from stillwork.workbook import figures
-from stillwork.workbook.timings import measured_times
+from workbook import figures
+from workbook.timings import measured_times
 
 DRAWINGS = [
     (

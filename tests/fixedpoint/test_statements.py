@@ -19,7 +19,7 @@ from experiments.fixedpoint.statements import (
     table,
 )
 from stillwork.control import asin_trajectory
-from stillwork.workbook.studies import Study
+from workbook.studies import Study
 
 
 def study(position, roughness, velocity=(1, 1)):

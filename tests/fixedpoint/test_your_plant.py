@@ -18,12 +18,12 @@ from experiments.fixedpoint.your_plant import (
     warnings_of,
 )
 from experiments.fixedpoint.your_plant_pictures import paint_contraction, paint_runs, plant_explorer
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control import FlowTransformation, asin_trajectory, simulate
 from stillwork.control.trajectory import sine_trajectory
 from stillwork.control.transformation import RobustTransformation
 from stillwork.inspecting import outline
+from workbook import paths
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")
 ARM = paths.data("fixedpoint", "arm.py")

@@ -9,7 +9,7 @@ from experiments.isolation.performance import expected_density, record_case
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
 from readings.defaults import accepted_claims, at_the_defaults, require_accepted
-from stillwork.workbook.readings.command import standings_of
+from workbook.readings.command import standings_of
 
 
 def test_the_rig_at_its_defaults_is_the_shipped_one():

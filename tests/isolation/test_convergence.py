@@ -18,7 +18,7 @@ from experiments.isolation.tracking import Response, respond, settled, switch_be
 from experiments.isolation.twin import load_twin
 from stillwork.base.checks import InputError
 from stillwork.estimation.adaptive import FeLms, FeRls
-from stillwork.workbook.studies import run_study
+from workbook.studies import run_study
 
 FITTED = load_twin("fitted").varied(platform_noise=1e-6, mains_hz=[], floor_mains=[], platform_mains=[])
 FLOOR = flat_floor(80.0)

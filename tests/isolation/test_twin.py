@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.isolation.twin import load_twin, twin_from_table
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 
 
 def table(name="rigid_body"):

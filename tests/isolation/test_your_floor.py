@@ -21,11 +21,11 @@ from experiments.isolation.your_floor import (
     optimum_left,
     translating_spectrum,
 )
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.records import load_record
 from stillwork.signals.spectra import estimate_spectrum
+from workbook import paths
 
 GROUND = paths.data("isolation", "ligo_llo_ground/ground_velocity_density.npz")
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")

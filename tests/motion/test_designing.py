@@ -12,7 +12,6 @@ from scipy import signal
 from shared.compiled import compiled, pointer
 from stillwork import designing
 from stillwork.__main__ import main
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.digital import from_biquads, load_controller
@@ -23,6 +22,7 @@ from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine, stated_units
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel, modal_model
+from workbook import paths
 
 TEMPLATES = paths.data("motion", "your_machine")
 RATE = 1e4

@@ -15,7 +15,7 @@ from experiments.motion.energy_to_peak import (
 )
 from experiments.motion.intervals import share
 from stillwork.base.checks import InputError
-from stillwork.workbook.studies import proportion_interval
+from workbook.studies import proportion_interval
 
 
 def problem(seed, samples=12, n=3, outputs=1):

@@ -39,7 +39,6 @@ from experiments.motion.joint_search import (
 )
 from experiments.motion.machines import parameters, published_setpoint, stage
 from stillwork.__main__ import main
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedforward import error_loop, fit_feedforward, tracking_error
@@ -47,6 +46,7 @@ from stillwork.control.loops import INPUTS, OUTPUTS, channel, closed_loop
 from stillwork.lti.discretisation import tustin, zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
+from workbook import paths
 
 PUBLISHED = JointDesign()
 ODD = replace(

@@ -43,8 +43,8 @@ from experiments.motion.observer_contest.table import (
 )
 from experiments.motion.observer_contest.told import OwnObserver, told_of
 from experiments.motion.observer_contest.tuning import WORST
-from stillwork.base import paths
 from stillwork.base.checks import InputError
+from workbook import paths
 
 GUIDE = (paths.root() / "docs" / "contest.md").read_text(encoding="utf-8")
 # The guide's Kalman filter shares no code with the house's: its Riccati equation is run until it stands still.

@@ -18,7 +18,7 @@ from experiments.motion import (
 )
 from experiments.motion.open_choices import bandwidth_map, open_choices
 from stillwork.base.checks import InputError
-from stillwork.workbook import figures
+from workbook import figures
 
 
 @pytest.mark.slow

@@ -43,7 +43,7 @@ from stillwork.control.loops import channel
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti import ModalModel, simulate
 from stillwork.lti.discretisation import zoh_modes
-from stillwork.workbook.studies import run_study
+from workbook.studies import run_study
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()

@@ -21,7 +21,7 @@ from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.lti.discretisation import zoh_modes
-from stillwork.workbook.studies import run_study
+from workbook.studies import run_study
 
 
 @pytest.fixture(scope="module")

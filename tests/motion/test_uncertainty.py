@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import FUNCTIONS, holds, make_loop
 from stillwork.control.c_code import controller_code
@@ -29,6 +28,7 @@ from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import modal_model
+from workbook import paths
 
 STIFFNESS = np.array([[3e7, -3e7, 0], [-3e7, 5e7, -2e7], [0, -2e7, 2e7]])
 CHAIN = modal_model(np.diag([20.0, 10, 10]), STIFFNESS, [[1.0], [0], [0]], [[0.0, 0, 1]], damping_ratio=0.005)

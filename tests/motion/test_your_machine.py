@@ -15,12 +15,12 @@ from experiments.motion.your_machine_pictures import (
     paint_sensitivities,
 )
 from shared.universal_files import function, write_universal
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control.machine_loops import Intensities, applications, reach
 from stillwork.identification.machine import Machine, build_machine, whole_band
 from stillwork.identification.machine_files import MachineFile, load_machine
 from stillwork.identification.modal_fit import fit_modes, identify_modes
+from workbook import paths
 
 TEMPLATES = paths.data("motion", "your_machine")
 HAMMER = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")

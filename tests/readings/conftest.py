@@ -3,9 +3,9 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from readings import toy_work
-from stillwork.workbook.readings.axes import load_axes
-from stillwork.workbook.readings.journal import Journal
-from stillwork.workbook.readings.running import run_readings
+from workbook.readings.axes import load_axes
+from workbook.readings.journal import Journal
+from workbook.readings.running import run_readings
 
 
 @pytest.fixture

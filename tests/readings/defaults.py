@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-from stillwork.workbook.claims import Claim, ledger
-from stillwork.workbook.readings.axes import load_axes
-from stillwork.workbook.readings.running import calls_of, compute
+from workbook.claims import Claim, ledger
+from workbook.readings.axes import load_axes
+from workbook.readings.running import calls_of, compute
 
 
 def at_the_defaults(room: str, study: str, lean: bool) -> dict[str, float]:

@@ -4,7 +4,7 @@ import pytest
 
 from readings.toy_work import LEDGER, SEEDS, A, B, axis, study
 from stillwork.base.checks import InputError
-from stillwork.workbook.readings.axes import begins_with, load_axes
+from workbook.readings.axes import begins_with, load_axes
 
 
 def test_axes_and_studies_are_read_as_declared(workbook):

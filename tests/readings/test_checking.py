@@ -15,9 +15,9 @@ from committed.again import compute_again
 from readings import toy_work
 from readings.toy_work import SEEDS, A, B, axis, study
 from stillwork.base.checks import InputError
-from stillwork.workbook.claims import load_entries
-from stillwork.workbook.readings.axes import load_axes
-from stillwork.workbook.readings.checking import (
+from workbook.claims import load_entries
+from workbook.readings.axes import load_axes
+from workbook.readings.checking import (
     DAYS,
     age,
     drawn,
@@ -26,8 +26,8 @@ from stillwork.workbook.readings.checking import (
     note,
     parts_a_day,
 )
-from stillwork.workbook.readings.command import standings_of
-from stillwork.workbook.readings.results import read_results, results_text
+from workbook.readings.command import standings_of
+from workbook.readings.results import read_results, results_text
 
 ROOT = Path(__file__).parents[2]
 NOISY = A + B + SEEDS + study("noisy")

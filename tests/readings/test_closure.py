@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from stillwork.workbook.readings.closure import modules
+from workbook.readings.closure import modules
 
 FILES = {
     "work/__init__.py": "_NAMES = {'lazy': ('Late', 'later'), 'unused': ('Never',)}\n\n\ndef __getattr__(name): ...\n",
@@ -49,8 +49,8 @@ def test_all_that_is_imported_anywhere_is_followed(package):
 
 def test_it_holds_what_python_imports():
     """Of the library, every module that importing one loads."""
-    name = "stillwork.workbook.readings.judging"
-    script = f"import sys, {name}\nprint(*[m for m in sys.modules if m.split('.')[0] == 'stillwork'])"
+    name = "workbook.readings.judging"
+    script = f"import sys, {name}\nprint(*[m for m in sys.modules if m.split('.')[0] in ('stillwork', 'workbook')])"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert set(done.stdout.split()) <= set(modules(name))
 
@@ -83,7 +83,7 @@ def test_the_digest_moves_with_code_and_data_and_nothing_else(tmp_path, file, mo
 
 def digest(root):
     """Without the memory that a process keeps."""
-    from stillwork.workbook.readings import closure
+    from workbook.readings import closure
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STILLWORK_ROOT", str(root))

@@ -7,11 +7,11 @@ import pytest
 
 from readings.toy_work import SEEDS, A, B, study
 from stillwork.base.checks import InputError
-from stillwork.workbook.claims import load_entries
-from stillwork.workbook.figures import plotted, save
-from stillwork.workbook.readings.axes import load_axes
-from stillwork.workbook.readings.drawing import paint_room_readings, paint_specification_curve
-from stillwork.workbook.readings.judging import judge
+from workbook.claims import load_entries
+from workbook.figures import plotted, save
+from workbook.readings.axes import load_axes
+from workbook.readings.drawing import paint_room_readings, paint_specification_curve
+from workbook.readings.judging import judge
 
 
 def stand(found):

@@ -10,10 +10,10 @@ from scipy import stats
 
 from readings.toy_work import FIRST, LEDGER, SEEDS, TOTAL, A, B, axis, study
 from stillwork.base.checks import InputError
-from stillwork.workbook.claims import load_entries
-from stillwork.workbook.readings.axes import load_axes
-from stillwork.workbook.readings.judging import agreement, group_of, judge, wilson_interval
-from stillwork.workbook.readings.results import collect
+from workbook.claims import load_entries
+from workbook.readings.axes import load_axes
+from workbook.readings.judging import agreement, group_of, judge, wilson_interval
+from workbook.readings.results import collect
 
 GRID = list(itertools.product(range(3), range(2)))
 
@@ -119,7 +119,7 @@ def test_the_best_joint_reading_is_one_for_the_whole_group(outcomes):
 
 
 def test_a_joint_reading_counts_its_numbers_by_their_distance(outcomes, monkeypatch):
-    monkeypatch.setattr("stillwork.workbook.readings.judging.NEAR", (0.3, 1 / 3 + 1e-12, 1.0))
+    monkeypatch.setattr("workbook.readings.judging.NEAR", (0.3, 1 / 3 + 1e-12, 1.0))
     found = judged(outcomes())["motion.table-1.sum"].joint
     assert found.near == {"30%": 0, "33%": 1, "100%": 2, "of": 2}
 

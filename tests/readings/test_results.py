@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from readings.toy_work import SEEDS, TOY, A, B, study
 from stillwork.base.checks import InputError
-from stillwork.workbook.readings.results import read_results, results_text, rounded
+from workbook.readings.results import read_results, results_text, rounded
 
 
 def written(found, tmp_path):

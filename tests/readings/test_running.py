@@ -19,12 +19,12 @@ from readings import toy_work
 from readings.toy_work import SEEDS, A, B, axis, study
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
-from stillwork.workbook.lock import held
-from stillwork.workbook.readings.command import standings_of
-from stillwork.workbook.readings.journal import Journal
-from stillwork.workbook.readings.results import results_text
-from stillwork.workbook.readings.running import DIED, calls_of, run_readings
-from stillwork.workbook.workers import processes
+from workbook.lock import held
+from workbook.readings.command import standings_of
+from workbook.readings.journal import Journal
+from workbook.readings.results import results_text
+from workbook.readings.running import DIED, calls_of, run_readings
+from workbook.workers import processes
 
 NOISY = A + B + SEEDS + study("noisy")
 ROOT = Path(__file__).parents[2]
@@ -176,7 +176,7 @@ def test_an_interrupt_does_not_wait_for_a_long_reading(workbook, tmp_path):
 
 
 def test_another_checkout_on_a_worker_is_refused(workbook, tmp_path, monkeypatch):
-    from stillwork.workbook.readings import running
+    from workbook.readings import running
 
     _, multiverses = workbook()
     own = running.study_digest

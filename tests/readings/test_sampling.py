@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.workbook.readings.axes import Axis, Multiverse
-from stillwork.workbook.readings.sampling import design
+from workbook.readings.axes import Axis, Multiverse
+from workbook.readings.sampling import design
 
 
 def multiverse(sizes, defaults=None, points=64):

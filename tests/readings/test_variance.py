@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from readings.toy_work import FIRST, TOTAL
-from stillwork.workbook.readings.variance import SEED, variance_shares
+from workbook.readings.variance import SEED, variance_shares
 
 
 def grid(*sizes):

@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from stillwork.base.checks import InputError
-from stillwork.workbook.claims import (
+from workbook.claims import (
     Claim,
     ClaimsTable,
     Entry,
@@ -16,7 +16,7 @@ from stillwork.workbook.claims import (
     load_entries,
     make_claim,
 )
-from stillwork.workbook.studies import proportion_interval
+from workbook.studies import proportion_interval
 
 values = st.floats(-1e6, 1e6).filter(lambda v: abs(v) > 1e-6)
 levels = st.floats(0, 1)

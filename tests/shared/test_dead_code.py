@@ -7,10 +7,10 @@ from collections import defaultdict
 
 import pytest
 
-from stillwork.base import paths
+from workbook import paths
 
 # A face, a command, a study of `data/<room>/readings.toml` and a notebook's text name a function without calling it.
-NAMED = re.compile(r"experiments[\w.]*:(\w+)|stillwork[\w.]*:(\w+)")
+NAMED = re.compile(r"experiments[\w.]*:(\w+)|(?:stillwork|workbook)[\w.]*:(\w+)")
 WRITTEN = re.compile(r"`[\w.]*?(\w+)`")
 # pytest and Jupyter call these by their names.
 HOOKS = re.compile(r"__\w+__|pytest_\w+|_(load_)?jupyter_server_extension\w*")

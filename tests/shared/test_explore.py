@@ -4,8 +4,8 @@ import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from stillwork.base.checks import InputError
-from stillwork.workbook import figures
-from stillwork.workbook.explorer import Choice, Redraw, Slider, StaticPicture, explore
+from workbook import figures
+from workbook.explorer import Choice, Redraw, Slider, StaticPicture, explore
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, published=2.0, unit="V"),

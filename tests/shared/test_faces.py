@@ -5,10 +5,8 @@ from importlib import import_module
 import pytest
 
 PACKAGES = [
-    *(
-        f"stillwork.{name}"
-        for name in ("signals", "lti", "identification", "estimation", "control", "workbook")
-    ),
+    *(f"stillwork.{name}" for name in ("signals", "lti", "identification", "estimation", "control")),
+    "workbook",
     *(f"experiments.{name}" for name in ("isolation", "motion", "worstcase", "fixedpoint")),
 ]
 

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from stillwork.base.checks import InputError
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def numbers(figure, series):
@@ -240,7 +240,7 @@ DRAW = """\
 import sys
 from pathlib import Path
 import numpy as np
-from stillwork.workbook import figures
+from workbook import figures
 figure, axes = figures.new(height=2)
 axes.plot(np.random.default_rng(1).normal(size=50), label="noise")
 axes.set_xlabel("time (s)")

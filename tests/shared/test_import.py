@@ -12,10 +12,10 @@ HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "cvxpy", "numpy", 
     [
         ("stillwork", ()),
         *((f"stillwork.{name}", ()) for name in TOOLBOX),
-        ("stillwork.workbook.page", ("numpy",)),
-        ("stillwork.workbook.explorer", ("numpy",)),
-        ("stillwork.workbook.build", ("numpy",)),
-        ("stillwork.workbook.readings.command", ("numpy",)),
+        ("workbook.page", ("numpy",)),
+        ("workbook.explorer", ("numpy",)),
+        ("workbook.build", ("numpy",)),
+        ("workbook.readings.command", ("numpy",)),
     ],
 )
 def test_an_import_loads_no_more_than_it_needs(module, allowed):

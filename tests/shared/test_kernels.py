@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 import stillwork
-from stillwork.base import kernel_cache, paths
+from stillwork.base import kernel_cache
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.base.kernels import callback
-from stillwork.site.house import modules
+from workbook import paths
+from workbook.site.house import modules
 
 CALLED = """
 from stillwork.base.kernels import inlined_kernel
@@ -391,7 +392,8 @@ def imported_names(source: bytes) -> dict[str, Path]:
     return {
         alias.asname or alias.name: LIBRARY.joinpath(*node.module.split(".")).with_suffix(".py")
         for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("stillwork.", "experiments."))
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").startswith(("stillwork.", "workbook.", "experiments."))
         for alias in node.names
     }
 

@@ -2,15 +2,19 @@
 
 import ast
 import importlib
+import re
 
 import pytest
 
-from stillwork.base import paths
-from stillwork.site.house import TOOLBOX, arrows, folder, imports, modules
+from stillwork.base.source_digest import code
+from workbook import paths
+from workbook.site.house import TOOLBOX, arrows, folder, imports, modules
 
-ORDER = (*TOOLBOX, "workbook", "site")
+ORDER = (*TOOLBOX, "workbook", "workbook.site")
 ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
-LOADERS = {"stillwork.base.faces", "stillwork.base.extras"}  # import what they are told by name
+LOADERS = {
+    f"stillwork.base.{name}" for name in ("faces", "extras", "command_line")
+}  # import what they are told by name
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +30,8 @@ def imported(trees):
 def floor(module):
     """How high a module stands; the package's own ``__init__`` is the ground."""
     first, *rest = module.split(".")
+    if first == "workbook":
+        return ORDER.index(folder(module)) if rest != ["__main__"] else ABOVE
     if first == "stillwork":
         return ORDER.index(rest[0]) if rest and rest[0] in ORDER else ABOVE if rest else -1
     return ABOVE + 1 + (first == "notebooks")
@@ -67,16 +73,6 @@ def between_rooms(imported):
     return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
 
 
-def placed(imported):
-    """Modules of the toolbox that ask where the workbook stands: the ledger and what a paper printed lie there."""
-    above_base = {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
-    return [
-        module
-        for module, others in imported.items()
-        if folder(module) in above_base and "stillwork.base.paths" in others
-    ]
-
-
 @pytest.mark.slow
 def test_no_arrow_runs_up(imported):
     assert rising(imported) == []
@@ -104,22 +100,33 @@ def test_the_workbook_knows_no_physics(imported):
     seen = {
         folder(other)
         for module, others in imported.items()
-        if folder(module) in ("stillwork.workbook", "stillwork.site")
+        if folder(module) in ("workbook", "workbook.site")
         for other in others
     }
     assert not seen & {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
+
+
+def test_the_engine_names_no_room():
+    """But in examples, which docstrings give."""
+    rooms = re.compile(rf"\b({'|'.join(paths.rooms())})\b")
+    places = {}
+    for file in sorted((paths.root() / "lib" / "workbook").rglob("*")):
+        if file.suffix == ".py":
+            texts = [
+                each.value for each in ast.walk(code(file.read_bytes())) if isinstance(each, ast.Constant)
+            ]
+            places[file] = " ".join(each for each in texts if isinstance(each, str))
+        elif file.suffix in (".toml", ".html", ".js", ".css", ".env"):
+            places[file] = file.read_text(encoding="utf-8")
+    assert len(places) > 60
+    assert [file.name for file, text in places.items() if rooms.search(text)] == []
 
 
 @pytest.mark.slow
 def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
     assert between_rooms(imported) == []
     below = [module for module in imported if module.startswith(("experiments.", "notebooks."))]
-    assert not [(a, b) for a in below for b in imported[a] if folder(b) == "stillwork.site"]
-
-
-@pytest.mark.slow
-def test_the_toolbox_reads_no_ledger_and_no_work(imported):
-    assert placed(imported) == []
+    assert not [(a, b) for a in below for b in imported[a] if folder(b) == "workbook.site"]
 
 
 def written(**sources):
@@ -137,17 +144,20 @@ def test_the_rules_find_what_breaks_them():
             experiments__motion__rig="import experiments.isolation.twin",
             experiments__isolation__twin="",
             stillwork__base="",
-            stillwork__base__paths="",
-            stillwork__lti__a="from stillwork.base.paths import data",
-            stillwork__lti__b="from stillwork.base import paths",
-            stillwork__lti__c="def read():\n    import stillwork.base.paths as places",
-            stillwork__site__d="from stillwork.base.paths import data",
+            workbook="",
+            workbook__paths="",
+            stillwork__lti__a="from workbook.paths import data",
+            stillwork__lti__b="from workbook import paths",
+            stillwork__lti__c="def read():\n    import workbook.paths as places",
+            workbook__site__d="from workbook.paths import data",
         )
     )
     assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
     assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
     assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
-    assert placed(broken) == ["stillwork.lti.a", "stillwork.lti.b", "stillwork.lti.c"]
+    assert [("stillwork.lti." + name, "workbook.paths") for name in "abc"] == [
+        pair for pair in rising(broken) if pair[1] == "workbook.paths"
+    ]
 
 
 def test_an_import_that_the_rules_would_not_see_is_found():
@@ -242,7 +252,7 @@ def broken_imports(source: str) -> list[str]:
         (node.module, alias.name)
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.ImportFrom)
-        and (node.module or "").split(".")[0] in ("stillwork", "experiments")
+        and (node.module or "").split(".")[0] in ("stillwork", "workbook", "experiments")
         for alias in node.names
     ]
     missing = []

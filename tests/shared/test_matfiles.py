@@ -76,7 +76,7 @@ def test_a_build_sees_the_file(tmp_path):
     (tmp_path / "hers.mat").write_bytes(saved())
     script = (
         "from pathlib import Path\nfrom stillwork.signals.matfiles import read_mat\n"
-        "from stillwork.workbook.kernel_process import Installed, watch\n"
+        "from workbook.kernel_process import Installed, watch\n"
         "watch('reads', Installed('/nowhere/reads'))\nread_mat(Path('hers.mat'))"
     )
     environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}

@@ -3,10 +3,9 @@ import json
 import pytest
 from matplotlib.figure import Figure
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.workbook import figures
-from stillwork.workbook.page import Page
+from workbook import figures, paths
+from workbook.page import Page
 
 LEDGER = """\
 [motion.gain]

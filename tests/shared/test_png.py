@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from stillwork.workbook import png
+from workbook import png
 
 
 def opaque(rgb):

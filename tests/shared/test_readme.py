@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from stillwork.__main__ import main
-from stillwork.base import paths
-from stillwork.workbook.tasks import built
+from workbook import paths
+from workbook.tasks import built
 
 README = (paths.root() / "README.md").read_text(encoding="utf-8")
 SETTINGS = [text for text in re.findall(r'ARGS="([^"]*)"', README) if "-p" in text]

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.axis import Axis
 from matplotlib.image import imread
 
-from stillwork.workbook import figures, rendering
+from workbook import figures, rendering
 
 X = np.linspace(0.5, 3000, 400)
 

@@ -8,7 +8,7 @@ from scipy import stats
 
 from shared import trials
 from stillwork.base.checks import InputError
-from stillwork.workbook.studies import mean_interval, proportion_interval, run_study, spread_interval
+from workbook.studies import mean_interval, proportion_interval, run_study, spread_interval
 
 RUNS, SEED = 23, 5
 

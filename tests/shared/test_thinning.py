@@ -3,8 +3,8 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from stillwork.workbook import figures
-from stillwork.workbook.thinning import DENSE, REACH, kept_points, thin
+from workbook import figures
+from workbook.thinning import DENSE, REACH, kept_points, thin
 
 
 def distance(points, line):

@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
-from stillwork.base import paths
-from stillwork.site.benchmarks import benchmarks
-from workbook import toy as toys
+from engine import toy as toys
+from workbook import paths
+from workbook.site.benchmarks import benchmarks
 
 
 def test_ratios_are_those_of_the_committed_times():

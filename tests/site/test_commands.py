@@ -11,20 +11,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine import toy as toys
 from experiments.isolation.floor_files import SHORTEST_S
 from shared.universal_files import function, write_universal
 from stillwork import inspecting
 from stillwork.__main__ import main
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.inspecting import inspect_file
-from stillwork.site.mathematics import markdown
-from stillwork.site.papers import cited, papers
-from stillwork.site.scaffold import new_result
-from stillwork.workbook.claims import load_entries
-from stillwork.workbook.notebooks import read_notebook
-from stillwork.workbook.readings import command
-from workbook import toy as toys
+from workbook import paths
+from workbook.claims import load_entries
+from workbook.notebooks import read_notebook
+from workbook.readings import command
+from workbook.site.mathematics import markdown
+from workbook.site.papers import cited, papers
+from workbook.site.scaffold import new_result
 
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")
 
@@ -575,23 +575,35 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
     written = new_result("isolation", "09-heavy-payload")
     assert written == [
         "notebooks/isolation/09-heavy-payload.ipynb",
+        "notebooks/isolation/heavy_payload.py",
         "tests/isolation/test_heavy_payload.py",
         "data/isolation/published.toml",
     ]
     assert toy.files("data/isolation")["data/isolation/published.toml"].startswith(before)
-    assert "isolation.heavy-payload.decrement" in load_entries("isolation")
-    assert read_notebook("isolation/09-heavy-payload").parameters["damping"].value == 0.1
+    assert "isolation.heavy-payload.deviation" in load_entries("isolation")
+    assert read_notebook("isolation/09-heavy-payload").parameters["divisor"].value == "n - 1"
     done = toy.run("figures", "isolation/09-heavy-payload")
     assert done.returncode == 0, done.stdout + done.stderr
     claims = toy.run("claims", "--built").stdout
-    assert "isolation.heavy-payload.decrement" in claims
+    assert "isolation.heavy-payload.deviation" in claims
     assert "1 replicated" in claims
     test = toy.root / "tests/isolation/test_heavy_payload.py"
     # Without plugins: they take longer to load than the test to run.
     bare = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-o", "addopts=", str(test)]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "no:cacheprovider",
+        "-o",
+        "addopts=",
+        "-o",
+        "pythonpath=.",
+    ]
+    command.append(str(test))
     done = subprocess.run(command, cwd=toy.root, env=bare, capture_output=True, text=True)
-    assert "3 passed" in done.stdout, done.stdout
+    assert "2 passed" in done.stdout, done.stdout
     style = [
         sys.executable,
         "-m",
@@ -600,9 +612,15 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
         "--config",
         str(Path(__file__).parents[2] / "pyproject.toml"),
     ]
-    style += ["--config", 'lint.isort.known-first-party=["stillwork"]']  # the toy has no library of its own
+    style += [
+        "--config",
+        'lint.isort.known-first-party=["notebooks", "workbook"]',
+    ]  # the toy has no library of its own
     notebook = toy.root / "notebooks/isolation/09-heavy-payload.ipynb"
-    done = subprocess.run([*style, str(test), str(notebook)], cwd=toy.root, capture_output=True, text=True)
+    beside = notebook.with_name("heavy_payload.py")
+    done = subprocess.run(
+        [*style, str(test), str(notebook), str(beside)], cwd=toy.root, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stdout
     words = [cell for cell in json.loads(notebook.read_text())["cells"] if cell["cell_type"] == "markdown"]
     assert any('<math display="block"' in markdown("".join(cell["source"])) for cell in words)
@@ -625,11 +643,11 @@ def test_a_new_result_needs_a_room_and_a_name(toy, room, name, message):
 def test_a_new_room_has_a_ledger_and_a_paper_and_is_the_last(toy):
     before = paths.rooms()
     written = new_result("crane", "01-sway", create=True)
-    assert written[2:] == ["data/crane/published.toml", "data/crane/paper.toml"]
+    assert written[3:] == ["data/crane/published.toml", "data/crane/paper.toml"]
     assert paths.rooms() == ("crane", *before)  # by name: none of them says its order
     toy.write("data/motion/paper.toml", "order = 1")
     assert paths.rooms() == ("motion", "crane", "isolation")
-    assert list(load_entries("crane")) == ["crane.sway.decrement"]
+    assert list(load_entries("crane")) == ["crane.sway.deviation"]
     paper = papers()["crane"]
     assert (paper["title"], paper["headline"]) == ("Crane", []) and "crane" not in cited()
 

@@ -10,8 +10,8 @@ from functools import cache
 
 import pytest
 
-from stillwork.base import paths
-from stillwork.workbook.notebooks import select
+from workbook import paths
+from workbook.notebooks import select
 
 COURSE = paths.root() / "docs/course"
 TRACKS = sorted(file.stem for file in (COURSE / "solutions").glob("*.py"))

@@ -15,20 +15,20 @@ import pytest
 import yaml
 from PIL import Image
 
-from stillwork.base import paths
+from engine import toy as toys
 from stillwork.base.checks import InputError
-from stillwork.site import reference
-from stillwork.site.build import site_files
-from stillwork.site.links import broken_links
-from stillwork.site.mathematics import markdown
-from stillwork.site.papers import papers
-from stillwork.site.standing import class_of, stands
-from stillwork.workbook.claims import Claim, Entry, Tolerance, ledger
-from stillwork.workbook.notebooks import select
-from stillwork.workbook.publish import replace_folder
-from stillwork.workbook.readings.command import standings_of
-from stillwork.workbook.readings.judging import Standing
-from workbook import toy as toys
+from workbook import paths
+from workbook.claims import Claim, Entry, Tolerance, ledger
+from workbook.notebooks import select
+from workbook.publish import replace_folder
+from workbook.readings.command import standings_of
+from workbook.readings.judging import Standing
+from workbook.site import reference
+from workbook.site.build import site_files
+from workbook.site.links import broken_links
+from workbook.site.mathematics import markdown
+from workbook.site.papers import papers
+from workbook.site.standing import class_of, stands
 
 pytestmark = pytest.mark.slow
 

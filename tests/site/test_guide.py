@@ -14,13 +14,13 @@ from experiments.isolation.sources import BLOCK, Sources
 from experiments.isolation.your_floor import isolate
 from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
-from stillwork.base import paths
 from stillwork.base.toml_files import read_toml
 from stillwork.control.digital import load_controller
 from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.online import UnstableAdaptation
 from stillwork.identification.machine_files import load_machine
 from stillwork.signals.records import load_record
+from workbook import paths
 
 GUIDE = (paths.root() / "docs/your-rig.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)

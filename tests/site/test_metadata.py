@@ -14,11 +14,11 @@ import jsonschema
 import pytest
 import yaml
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.site import metadata
-from stillwork.site.metadata import binder, codemeta, crate, project, release_date, zenodo
-from stillwork.site.papers import cited
+from workbook import paths
+from workbook.site import metadata
+from workbook.site.metadata import binder, codemeta, crate, project, release_date, zenodo
+from workbook.site.papers import cited
 
 CRATE = json.loads((paths.root() / "ro-crate-metadata.json").read_text(encoding="utf-8"))
 CITATION = yaml.safe_load((paths.root() / "CITATION.cff").read_text(encoding="utf-8"))

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 import stillwork.lti
 from stillwork.base.checks import InputError
-from stillwork.site import picture, reference
-from stillwork.site.mathematics import markdown, mathml
-from stillwork.site.pages import with_outputs
-from stillwork.workbook import reading
-from stillwork.workbook.claims import Claim, Entry, Tolerance
+from workbook import reading
+from workbook.claims import Claim, Entry, Tolerance
+from workbook.site import picture, reference
+from workbook.site.mathematics import markdown, mathml
+from workbook.site.pages import with_outputs
 
 IDS = ["room.fig-1.a", "room.fig-1.b", "room.table-2.a"]
 
@@ -44,13 +44,13 @@ def test_a_cell_that_is_not_python_draws_nothing():
 
 def test_used_functions_carry_their_full_names():
     cells = [
-        "from stillwork.base import paths\nfrom experiments.isolation.twin import load_twin as load",
+        "from workbook import paths\nfrom experiments.isolation.twin import load_twin as load",
         "load(paths.data)",
     ]
     assert reading.used(cells) == [
         "experiments.isolation.twin.load_twin",
-        "stillwork.base.paths",
-        "stillwork.base.paths.data",
+        "workbook.paths",
+        "workbook.paths.data",
     ]
 
 

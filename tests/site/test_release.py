@@ -8,9 +8,9 @@ import zipfile
 
 import pytest
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.site import release
+from workbook import paths
+from workbook.site import release
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stillwork.__main__ import main
-from stillwork.base import paths
 from stillwork.reporting import Missing, report_file
+from workbook import paths
 
 HERTZ = np.arange(5.0, 500.0)
 RESPONSE = 1 - 0.5 * HERTZ**2 / (120.0**2 - HERTZ**2 + 2j * 0.01 * 120 * HERTZ)

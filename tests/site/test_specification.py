@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from stillwork.site.specification import HEIGHT, TOP, curve_of
-from stillwork.workbook.claims import Entry, Tolerance
-from stillwork.workbook.readings.axes import Axis, Multiverse
-from stillwork.workbook.readings.judging import Standing
-from stillwork.workbook.readings.results import Outcomes
+from workbook.claims import Entry, Tolerance
+from workbook.readings.axes import Axis, Multiverse
+from workbook.readings.judging import Standing
+from workbook.readings.results import Outcomes
+from workbook.site.specification import HEIGHT, TOP, curve_of
 
 # Value = size of `scale`, or minus it: published is 2, and 1.5 to 2.5 agree.
 SCALE = Axis("motion.scale", "how large?", (1.0, 2.0, 4.0), 2.0, "not printed", ("motion.size",), "number")

@@ -7,17 +7,17 @@ import zlib
 import numpy as np
 import pytest
 
+from engine import toy as toys
 from stillwork.base.checks import InputError
-from stillwork.site import states as states_of
-from stillwork.site.explorers import Explorer, read_explorer, statements
-from stillwork.site.shapes import panels
-from stillwork.site.states import compute, kept_states, make_states, packed, states
-from stillwork.site.stops import distance, ladder
-from stillwork.workbook import figures
-from stillwork.workbook.explorer import Choice, Slider
-from stillwork.workbook.notebooks import Notebook
-from stillwork.workbook.tasks import tasks
-from workbook import toy as toys
+from workbook import figures
+from workbook.explorer import Choice, Slider
+from workbook.notebooks import Notebook
+from workbook.site import states as states_of
+from workbook.site.explorers import Explorer, read_explorer, statements
+from workbook.site.shapes import panels
+from workbook.site.states import compute, kept_states, make_states, packed, states
+from workbook.site.stops import distance, ladder
+from workbook.tasks import tasks
 
 
 def notebook(*cells: str) -> Notebook:
@@ -40,7 +40,7 @@ def paint(**settings):
 
 def test_only_what_the_explorer_needs_runs():
     cells = [
-        "import math\nfrom stillwork.workbook.explorer import Slider, explore",
+        "import math\nfrom workbook.explorer import Slider, explore",
         "level: float = 2.0  # V",
         "%matplotlib inline",
         "study = 1 / 0",
@@ -260,8 +260,8 @@ def test_what_takes_long_or_fails_says_so(explorer, monkeypatch):
 
 
 EXPLORER = """\
-from stillwork.workbook import figures
-from stillwork.workbook.explorer import Slider, explore
+from workbook import figures
+from workbook.explorer import Slider, explore
 def draw(x):
     figure, axes = figures.new()
     axes.plot([0, 1], [level, x])

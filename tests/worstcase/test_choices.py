@@ -14,7 +14,7 @@ from experiments.worstcase.simulations import (
 from experiments.worstcase.theory import random_problem
 from readings.defaults import require_accepted
 from stillwork.base.checks import InputError
-from stillwork.workbook.studies import run_study
+from workbook.studies import run_study
 
 FIG_1 = {"parameters": (1.0, 0.5), "period": 20, "samples": 60, "input_noise": 0.1, "output_noise": 1.0}
 FIG_2 = {

@@ -23,7 +23,7 @@ from experiments.worstcase.comparison import (
 )
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import smallest_level
-from stillwork.workbook import figures
+from workbook import figures
 
 FORGETTING = 0.9
 

@@ -38,8 +38,8 @@ from stillwork.base.checks import InputError
 from stillwork.estimation import min_max_solve
 from stillwork.identification import fir_regressors
 from stillwork.identification.regressors import exponential_bound
-from stillwork.workbook import figures
-from stillwork.workbook.studies import run_study
+from workbook import figures
+from workbook.studies import run_study
 
 FIG_1 = {"parameters": (1.0, 0.5), "period": 20, "samples": 60, "input_noise": 0.1, "output_noise": 1.0}
 

@@ -13,13 +13,13 @@ from experiments.worstcase.your_record import (
     weighted_corner,
     window_lengths,
 )
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_kernels import FEW
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.identification.regressors import fir_regressors, noise_bound
+from workbook import paths
 
 TEMPLATE = paths.data("worstcase", "your_record/template.csv")
 SHIPPED = paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz")

@@ -9,10 +9,10 @@ from scipy import optimize, signal
 
 from experiments.isolation import load_twin
 from experiments.isolation.modes import suspension_modes
-from stillwork.base import paths
 from stillwork.estimation import AdaptationStepper, FeLms, FeRls, identify
 from stillwork.lti import StateModel
 from stillwork.signals import estimate_spectrum, load_record
+from workbook import paths
 
 
 def signs(seed: int, rows: int, samples: int) -> np.ndarray:

@@ -3,8 +3,8 @@
 import numpy as np
 
 from experiments.fixedpoint.published import EXTENDED, KALMAN, LITERAL, LOW_PASS, POLYNOMIAL, WINDOW
-from stillwork.workbook import figures
-from stillwork.workbook.studies import mean_interval
+from workbook import figures
+from workbook.studies import mean_interval
 
 COLOURS = {
     WINDOW: figures.BLUE,

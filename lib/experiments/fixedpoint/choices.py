@@ -17,7 +17,7 @@ from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.trajectory import Trajectory, asin_trajectory, trapezoid_trajectory
 from stillwork.control.transformation import FlowTransformation
 from stillwork.estimation.coordinate_filters import MovingWindow, UnscentedKalman
-from stillwork.workbook.studies import mean_interval, run_study
+from workbook.studies import mean_interval, run_study
 
 Values = dict[str, float | tuple[float, tuple[float, float]]]
 

@@ -17,7 +17,7 @@ from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop, linea
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.transformation import FlowTransformation, Transformation
 from stillwork.estimation.coordinate_filters import MovingWindow
-from stillwork.workbook import figures
+from workbook import figures
 
 SMALL = {"textcoords": "offset points", "fontsize": 7}  # words beside a mark
 

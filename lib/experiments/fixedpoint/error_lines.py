@@ -12,7 +12,7 @@ from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import asin_trajectory
 from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation.coordinate_filters import LowPass, MovingWindow
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def _approximate():

@@ -10,7 +10,7 @@ from stillwork.base.checks import InputError, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.trajectory import Trajectory, asin_trajectory
 from stillwork.estimation.plant import Plant
-from stillwork.workbook.studies import Study, run_study
+from workbook.studies import Study, run_study
 
 QUANTITIES = ("position", "velocity", "roughness", "velocity_roughness", "position_shift", "velocity_shift")
 

@@ -13,8 +13,8 @@ from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import EXTENDED
 from stillwork.control.fixed_point_linear import semi_implicit_motion
 from stillwork.estimation.plant import partial_derivatives
-from stillwork.workbook import figures
-from stillwork.workbook.studies import Study
+from workbook import figures
+from workbook.studies import Study
 
 
 def paint_noise_correlations(found: dict[str, Correlations]):

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, require_number
 from stillwork.base.kernels import kernel
 from stillwork.base.toml_files import read_toml
 from stillwork.estimation.plant import Plant
+from workbook import paths
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from experiments.fixedpoint.published import published_controllers
 from stillwork.base.rounding import first_largest
 from stillwork.control.fixed_point import ControlledRun
 from stillwork.control.trajectory import Trajectory, asin_trajectory
-from stillwork.workbook import figures
-from stillwork.workbook.studies import Study
+from workbook import figures
+from workbook.studies import Study
 
 
 def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
-from stillwork.workbook.studies import Study, proportion_interval
+from workbook.studies import Study, proportion_interval
 
 SMOOTHEST = "low pass smoothest"
 HECTIC = "Kalman filter most hectic"

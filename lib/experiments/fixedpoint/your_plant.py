@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float64
 from experiments.fixedpoint.noise import Noise, lose
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW, published_controllers
-from stillwork.base import paths
 from stillwork.base.checks import InputError, counted, nearest, require_choice, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.fixed_point_convergence import StableRange, stable_range
@@ -39,6 +38,7 @@ from stillwork.estimation.filtering import UNIT_MASS
 from stillwork.estimation.plant import Plant, force_slope
 from stillwork.inspecting import TABLES, outline, plant_form
 from stillwork.signals.records import load_record
+from workbook import paths
 
 UNITS = {"m": "N", "rad": "N m"}  # of a coordinate, and of what pushes it
 COPY = "copy data/fixedpoint/your_plant.py, or arm.py beside it for several coordinates, and fill it in"

@@ -13,7 +13,7 @@ from stillwork.control.fixed_point import ControlledRun, Controller
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import FlowTransformation
-from stillwork.workbook import figures
+from workbook import figures
 
 _BINS = 240  # of an envelope over a run
 _SHOWN = 20_000  # samples in the explorer at most

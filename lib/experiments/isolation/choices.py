@@ -15,8 +15,8 @@ from experiments.isolation.performance import (
 )
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin, twin_from_table
-from stillwork.base import paths
 from stillwork.base.toml_files import read_toml
+from workbook import paths
 
 RESOLUTION_HZ = 0.25
 MEMORY_S, STEP_SIZE = 10.0, 1e-4  # section 5.1.1

@@ -13,9 +13,9 @@ from experiments.isolation.responses import responses
 from experiments.isolation.steady import Steady, steady_state
 from experiments.isolation.twin import Twin
 from stillwork.base.rounding import in_order
-from stillwork.workbook import figures
-from stillwork.workbook.claims import load_entries
-from stillwork.workbook.studies import Study, spread_interval
+from workbook import figures
+from workbook.claims import load_entries
+from workbook.studies import Study, spread_interval
 
 SHOWN = {0: figures.BLUE, 3: figures.GREEN, 6: figures.RED}  # w1, w4, w7: the colours of Fig. 5
 

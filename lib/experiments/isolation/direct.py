@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
-from stillwork.workbook import figures
+from workbook import figures
 
 FORMS = ("full inverse", "Newton", "block inverse")
 

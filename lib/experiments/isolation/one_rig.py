@@ -18,8 +18,8 @@ from experiments.isolation.power import BAND_HZ, reduction_percent
 from experiments.isolation.rig import Lines, Rig
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.base import paths
 from stillwork.base.toml_files import read_toml
+from workbook import paths
 
 MASS, STIFFNESS = 5.4, 60e3  # kg, N/m: sections 2 and 2.1
 DURATION_S = 200.0  # of a run, as in notebook 02

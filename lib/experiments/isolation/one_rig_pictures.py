@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from experiments.isolation.performance import DIRECTIONS, ENTRIES
-from stillwork.workbook import figures
+from workbook import figures
 
 _BANDS = {
     "seen": ("all numbers seen", figures.BLUE, -0.17),

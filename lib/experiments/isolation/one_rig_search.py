@@ -14,10 +14,10 @@ from scipy import optimize
 
 from experiments.isolation.one_rig import edges, numbers, parameters, ranges
 from experiments.isolation.performance import ENTRIES
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
-from stillwork.workbook.claims import load_entries
+from workbook import paths
+from workbook.claims import load_entries
 
 DRAWS, STARTS, MEMBERS, SEED = 200, 3, 60, 1
 EVALUATIONS, STEP = 12, 0.02  # of a fit; step of its derivatives

@@ -11,7 +11,7 @@ from experiments.isolation.performance import DIRECTIONS, exact_transmissibility
 from experiments.isolation.power import BAND_HZ, reduction_percent
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
-from stillwork.workbook import figures
+from workbook import figures
 
 _STYLES = {
     "passive": {"color": figures.BLUE, "ls": "--"},

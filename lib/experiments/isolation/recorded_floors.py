@@ -7,10 +7,10 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import SAMPLE_RATE, SENSORS
-from stillwork.base import paths
 from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.records import STANDARD_GRAVITY, Record, resample, to_acceleration
+from workbook import paths
 
 # The range of interest of the FeRLS paper ends here; a criterion continued further would be no measurement.
 UPPER_HZ = 300.0

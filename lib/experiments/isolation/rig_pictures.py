@@ -10,7 +10,7 @@ from experiments.isolation.rig import Rig
 from experiments.isolation.twin import Twin
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.spectra import Spectrum
-from stillwork.workbook import figures
+from workbook import figures
 
 _STRUT_M = 0.06  # drawn length; the model needs only directions
 _VIEW = np.radians([25.0, 20.0])  # azimuth, elevation

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from experiments.isolation.cures import CureRun
 from experiments.isolation.simulation import Run
 from experiments.isolation.stability import CovarianceRun, condition_bounds, covariance_run
-from stillwork.workbook import figures
-from stillwork.workbook.palette import COLOURS
+from workbook import figures
+from workbook.palette import COLOURS
 
 _LINES = ("-", "--", "-", ":", "-.", "--", "-")
 EXPLORED = ("one product", "both products", "triangle", "Joseph", "UD")

@@ -9,8 +9,8 @@ from experiments.isolation.convergence import ALGORITHMS
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.tracking import GROUPS, SHARE, Response, Switch
 from experiments.isolation.twin import Twin
-from stillwork.workbook import figures
-from stillwork.workbook.studies import Study
+from workbook import figures
+from workbook.studies import Study
 
 # of each power of the integrator, the largest shift
 SHOWN = {1: figures.BLUE, 5: figures.GREEN, 7: figures.RED}

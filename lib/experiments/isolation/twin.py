@@ -14,10 +14,10 @@ from experiments.isolation.rig import Rig, rig_from_table
 from experiments.isolation.settings import Instruments, SelfTunedFeedforward, Skyhook
 from experiments.isolation.shaping import FrequencyNotch, NoiseShaping, SecondaryPath
 from experiments.isolation.tables import build, require_names, require_table
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_choice, require_number, shown
 from stillwork.base.front_door import checked
 from stillwork.base.toml_files import read_toml
+from workbook import paths
 
 SHIPPED = ("rigid_body", "fitted")
 

@@ -18,7 +18,7 @@ from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.estimation.adaptive import FeRls
 from stillwork.signals.criteria import criterion_met, criterion_velocity, one_third_octave_velocity
 from stillwork.signals.spectra import band_power, estimate_spectrum
-from stillwork.workbook import figures
+from workbook import figures
 
 SETTLE_S = 5.0  # cut off before anything is judged
 TRAINING_SHARE = 2 / 3  # of the floor, its first part; the weights never see the rest

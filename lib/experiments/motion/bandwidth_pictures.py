@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stillwork.control.bandwidth import Bandwidth
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz: Sequence[float]):

@@ -6,11 +6,11 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.toml_files import read_numbers
 from stillwork.lti.modal import ModalModel
+from workbook import paths
 
 TERMS = 20  # polynomials of the Ritz series; the first six bending modes have converged to 1e-9 with them
 

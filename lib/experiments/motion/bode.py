@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.motion.legends import case_styles
 from experiments.motion.magnitudes import decibel
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_bode(

@@ -6,7 +6,7 @@ from experiments.motion.bode import paint_bode
 from experiments.motion.machines import chain
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import roll_off, truncate
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_reduction(retained: int, cutoff_hz: float):

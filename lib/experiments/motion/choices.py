@@ -28,7 +28,7 @@ from stillwork.control.crossover import crossover
 from stillwork.control.feedforward import error_loop, fit_feedforward
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.workbook.studies import run_study, spread_interval
+from workbook.studies import run_study, spread_interval
 
 # --- Chapter 3: bandwidths ---------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from experiments.motion.location_study import CASES as LOCATION_CASES
 from experiments.motion.location_study import ranges, read_table
 from experiments.motion.perturbed_tracking import CASES, published_blocks, tracking_trial
 from experiments.motion.scan_study import judge, published_scan
-from stillwork.workbook.studies import run_study
+from workbook.studies import run_study
 
 # --- Section 4.2.5: Table 4.1 ------------------------------------------------------------------------------------
 

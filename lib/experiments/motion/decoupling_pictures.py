@@ -10,7 +10,7 @@ from experiments.motion.explorer_panels import plain
 from experiments.motion.magnitudes import decibel
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures
 
 COLOURS = (figures.BLUE, figures.GREEN, figures.RED, figures.ORANGE)
 

@@ -23,7 +23,7 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel, constant
-from stillwork.workbook import figures
+from workbook import figures
 
 Z_METHODS = ("Ackermann", "robust")
 

@@ -12,7 +12,7 @@ from experiments.motion.machines import Drive, drive
 from experiments.motion.magnitudes import add_magnitude, plain_numbers
 from stillwork.identification.frequency_response import Identified
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_identified(

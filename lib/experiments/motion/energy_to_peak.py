@@ -17,7 +17,7 @@ from stillwork.base.algebra import add_square, congruence
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import kernel
 from stillwork.lti.discretisation import zoh_modes
-from stillwork.workbook import figures
+from workbook import figures
 
 SLACK = 1e-9  # relative, of what fulfils a strict inequality
 

@@ -1,6 +1,6 @@
 """Panels without the work that an explorer has no time for."""
 
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def plain(panels: int = 1, height: float = 2.8, **margins: float):

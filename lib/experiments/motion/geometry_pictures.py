@@ -8,7 +8,7 @@ import numpy as np
 from experiments.motion.explorer_panels import plain
 from experiments.motion.rig import assumed_geometry, rig_model
 from experiments.motion.rig_axes import COLOURS, MOTIONS
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_over_geometries(

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array
-from stillwork.workbook.studies import proportion_interval
+from workbook.studies import proportion_interval
 
 Values = dict[str, float | tuple[float, tuple[float, float]]]  # by entry
 

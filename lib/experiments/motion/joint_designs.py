@@ -23,10 +23,10 @@ from experiments.motion.joint_search import (
     starts,
 )
 from experiments.motion.machines import stage
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.toml_files import read_numbers
 from stillwork.control.bandwidth import SIX_DB
+from workbook import paths
 
 STARTS, SEED = 5, 1  # of every search: the published design and random ones around it
 SIZES = (0.0, 0.02, 0.05)  # relative errors of the modal parameters that the designs serve

@@ -13,7 +13,7 @@ from experiments.motion.joint_search import PEAKS, Judged, grid, judge, serve, s
 from experiments.motion.machines import stage
 from experiments.motion.magnitudes import add_magnitude, mark_limit
 from experiments.motion.uncertainty import detuned
-from stillwork.workbook import figures
+from workbook import figures
 
 SIZES = {0.0: figures.RED, 0.02: figures.BLUE, 0.05: figures.GREEN}  # of the errors that a design serves
 # of what a search was free to change

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from stillwork.workbook import figures
+from workbook import figures
 
 LABELS = {
     "input_sensitivity": "input sensitivity $S_I$",

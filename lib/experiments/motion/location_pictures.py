@@ -17,7 +17,7 @@ from experiments.motion.scan_errors import paint_errors
 from stillwork.control.applications import Application
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):

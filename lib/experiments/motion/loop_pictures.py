@@ -12,7 +12,7 @@ from stillwork.control.bandwidth import Loop
 from stillwork.control.loops import channel
 from stillwork.control.pid import Pid
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_rejections(

@@ -33,7 +33,7 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel, interconnect
 from stillwork.signals.moving_average import rms
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def direct_loop(loop: StateModel) -> StateModel:

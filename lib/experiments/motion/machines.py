@@ -7,13 +7,13 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.base.toml_files import read_numbers
 from stillwork.control.setpoint import Setpoint, point_to_point
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.lti.state_space import StateModel
+from workbook import paths
 
 
 def parameters(machine: str) -> dict:

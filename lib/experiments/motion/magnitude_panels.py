@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from experiments.motion.magnitudes import add_magnitude
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_magnitudes(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from stillwork.control.bandwidth import SIX_DB
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def decibel(response) -> np.ndarray:

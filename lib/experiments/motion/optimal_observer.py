@@ -25,7 +25,7 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import h2_norm, hinf_norm
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel, constant, interconnect
-from stillwork.workbook import figures
+from workbook import figures
 
 
 @dataclass(frozen=True)

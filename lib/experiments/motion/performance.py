@@ -16,7 +16,7 @@ from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures
 
 
 class CumulativePower(NamedTuple):

@@ -7,7 +7,7 @@ import numpy as np
 from experiments.motion.magnitudes import add_magnitude
 from stillwork.base.rounding import in_order
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_pole_zero(systems: Mapping[str, StateModel]):

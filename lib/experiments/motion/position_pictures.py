@@ -16,7 +16,7 @@ from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.peaks import resonance_grid
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def _along(loops: Mapping[float, Loop], low_hz: float, high_hz: float):

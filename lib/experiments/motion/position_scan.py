@@ -22,7 +22,7 @@ from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
-from stillwork.workbook import figures
+from workbook import figures
 
 RETAINED, COMPENSATED = 4, 3
 

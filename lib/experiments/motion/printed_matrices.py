@@ -7,7 +7,7 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures
 
 VARIANTS = ("exact", "printed", "lightly damped")
 

@@ -9,12 +9,12 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.rounding import first_largest
 from stillwork.base.toml_files import read_numbers
 from stillwork.control.decoupling import Decoupling
 from stillwork.lti.modal import ModalModel
+from workbook import paths
 
 # of the polynomials along each side; the first fourteen modes then hold to a hundredth of a per cent
 DEGREE = 13

@@ -5,7 +5,7 @@ import numpy as np
 from experiments.motion.rig import published
 from experiments.motion.rig_designs import CASES
 from stillwork.lti.peaks import resonance_grid
-from stillwork.workbook import figures
+from workbook import figures
 
 COLOURS = dict(zip(CASES, (figures.BLACK, figures.BLUE, figures.GREEN, figures.RED), strict=True))
 FORCES, MOTIONS = ("F_z", "M_x", "M_y"), ("z", "r_x", "r_y")

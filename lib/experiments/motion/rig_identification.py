@@ -20,7 +20,7 @@ from stillwork.identification.multisine import MultisineRecords, ResponseMatrix,
 from stillwork.lti.discretisation import zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
-from stillwork.workbook import figures
+from workbook import figures
 
 ALL = (0, 1, 2, 3)
 

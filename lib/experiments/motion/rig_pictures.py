@@ -14,7 +14,7 @@ from experiments.motion.rig_designs import published_settings, rig_loops
 from experiments.motion.rig_loops import RigLoop
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.signals.spectra import Spectrum
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def physical_plant(loop: RigLoop) -> np.ndarray:

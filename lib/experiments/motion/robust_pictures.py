@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.motion.contest import ENTRANTS, Contest, prepare, run_entrant, sample_scans
 from experiments.motion.scan_study import Errors, Records, Scan, published_scan
-from stillwork.workbook import figures
+from workbook import figures
 
 STATES = [
     (mode, *error)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from stillwork.control.setpoint import Setpoint
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_errors(setpoint: Setpoint, errors: Mapping[str, np.ndarray], title: str = ""):

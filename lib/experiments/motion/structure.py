@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillwork.base import paths
 from stillwork.base.checks import require_number
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.modal import ModalModel
+from workbook import paths
 
 
 def measured_accelerance(padding: int = 4) -> Identified:

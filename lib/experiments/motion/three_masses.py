@@ -10,7 +10,7 @@ from stillwork.base.checks import require_array, require_number
 from stillwork.control.bandwidth import Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.modal import ModalModel, modal_model
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def three_masses(masses: ArrayLike, springs: ArrayLike) -> ModalModel:

@@ -11,7 +11,7 @@ from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.signals.moving_average import rms
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):

@@ -11,7 +11,7 @@ import control
 import numpy as np
 from scipy import linalg
 
-from stillwork.base import paths
+from workbook import paths
 
 SAMPLE_TIME, HALF = 1e-4, 0.5e-4  # s; the force is late by three halves of a sample
 NANO = 1e9  # lengths in nm: no entry of a matrix is larger than it need be

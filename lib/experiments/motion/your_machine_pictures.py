@@ -14,7 +14,7 @@ from stillwork.control.loops import LoopResponse
 from stillwork.control.machine_loops import Intensities, Reached, observer_settings, observing_compensator
 from stillwork.identification.machine import Machine
 from stillwork.lti.peaks import resonance_grid
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_machine(machine: Machine):

@@ -14,7 +14,7 @@ from experiments.worstcase.simulations import (
 )
 from experiments.worstcase.theory import convergence_trial
 from stillwork.identification.regressors import exponential_bound, exponential_weights
-from stillwork.workbook.studies import Study, run_study, spread_interval
+from workbook.studies import Study, run_study, spread_interval
 
 # --- Section 8: Theorem 3 on random problems ----------------------------------------------------------------------
 

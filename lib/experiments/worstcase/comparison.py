@@ -19,7 +19,7 @@ from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.identification.regressors import exponential_weights, fir_regressors
-from stillwork.workbook.studies import mean_interval, run_study
+from workbook.studies import mean_interval, run_study
 
 METHODS = {
     "least": "least squares",

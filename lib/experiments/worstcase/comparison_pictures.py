@@ -3,8 +3,8 @@
 import numpy as np
 
 from experiments.worstcase.comparison import EXCITATIONS, METHODS, Setting, among_best, compare, over_best
-from stillwork.workbook import figures
-from stillwork.workbook.studies import mean_interval
+from workbook import figures
+from workbook.studies import mean_interval
 
 AGAINST = (
     ("min_max", figures.BLUE),

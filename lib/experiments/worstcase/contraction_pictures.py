@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.worstcase.theory import counter_example
 from stillwork.estimation.secular import SecularFunction
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_scalar(function: SecularFunction):

@@ -5,7 +5,7 @@ import numpy as np
 from experiments.worstcase.random_problem import sample_problem
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.secular import secular_function
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def costs(matrix: np.ndarray, target: np.ndarray, bound: float, points: np.ndarray) -> np.ndarray:

@@ -3,8 +3,8 @@
 import numpy as np
 
 from experiments.worstcase.simulations import fir_trial
-from stillwork.workbook import figures
-from stillwork.workbook.studies import Study, run_study
+from workbook import figures
+from workbook.studies import Study, run_study
 
 METHODS = (
     ("min_max", "min-max", figures.BLUE, "-"),

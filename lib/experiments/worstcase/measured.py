@@ -8,13 +8,12 @@ from scipy import signal
 
 from experiments.worstcase.pairs import MeasuredPair, residual
 from experiments.worstcase.total import total_least_squares
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_count, require_number
 from stillwork.estimation.min_max import solve_silently, solve_sweep, triangle
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
 from stillwork.identification.regressors import fir_regressors
-from stillwork.workbook import figures
+from workbook import figures, paths
 
 METHODS = (
     ("least squares", figures.BLACK, "o--"),

@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.worstcase.measured import bound_sweep
 from experiments.worstcase.pairs import MeasuredPair, Spectra, load_pair
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_spectra(pair: MeasuredPair, spectra: Spectra, quiet_hz: tuple[float, float]):

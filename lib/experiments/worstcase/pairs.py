@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import linalg, signal
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, counted, require_count, require_number
 from stillwork.signals.records import load_record, stated_unit, unit_factor
+from workbook import paths
 
 QUIETEST = 0.1  # share of the band whose density counts as sensor noise when nothing else is said
 SETTLE_S = 1.0  # cut off after a band-pass

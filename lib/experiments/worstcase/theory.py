@@ -1,4 +1,4 @@
-"""Random problems on which the paper's statements are tried: trials for `stillwork.workbook.studies.run_study`."""
+"""Random problems on which the paper's statements are tried: trials for `workbook.studies.run_study`."""
 
 import numpy as np
 

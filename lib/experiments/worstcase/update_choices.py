@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
 from experiments.worstcase.theory import recursion_trial
-from stillwork.workbook.studies import run_study
+from workbook.studies import run_study
 
 SMALL_BOUND, SAMPLES = 0.1, 375  # of notebook 03, which has this bound beside the large one
 

@@ -5,8 +5,8 @@ import numpy as np
 from experiments.worstcase.costs import multiplications
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
 from experiments.worstcase.theory import recursion_trial
-from stillwork.workbook import figures
-from stillwork.workbook.timings import measured_times
+from workbook import figures
+from workbook.timings import measured_times
 
 COLOURS = {
     "least squares": figures.BLACK,

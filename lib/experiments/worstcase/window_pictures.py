@@ -3,7 +3,7 @@
 import numpy as np
 
 from experiments.worstcase.measured import METHODS
-from stillwork.workbook import figures
+from workbook import figures
 
 
 def paint_windows(

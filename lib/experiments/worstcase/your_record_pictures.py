@@ -9,7 +9,7 @@ from experiments.worstcase.window_pictures import paint_windows
 from experiments.worstcase.your_record import Fitted, parts, weighted_corner
 from stillwork.estimation.min_max import solve_silently
 from stillwork.identification.regressors import fir_regressors
-from stillwork.workbook import figures
+from workbook import figures
 
 STYLES = {
     "RLS": (figures.BLACK, "-"),

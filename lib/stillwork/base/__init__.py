@@ -1,1 +1,1 @@
-"""What everything stands on: checked arguments, paths, kernels, tables, lazy faces."""
+"""What everything stands on: checked arguments, kernels, tables, lazy faces."""

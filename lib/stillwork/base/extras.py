@@ -37,7 +37,7 @@ def missing(error: ModuleNotFoundError) -> ImportError:
         return MissingPackage(
             "this needs the experiments, which stand in a checkout of stillwork; run it there"
         )
-    if not name or name == "stillwork":
+    if not name or name in ("stillwork", "workbook"):
         return error
     extra = BY_PACKAGE.get(name, "workbook")
     return MissingPackage(f"{name} is not installed; pip install 'stillwork[{extra}]'")

@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-from stillwork.base import paths
 from stillwork.base.source_digest import code_digest
 
 try:
@@ -18,8 +17,8 @@ try:
 except ImportError:  # not a Unix: a folder counts as used by its time alone
     fcntl = None  # type: ignore[assignment]
 
-FOLDER_VARIABLE = "STILLWORK_KERNELS"
-PACKAGES = ("stillwork", "experiments")  # those beside each other that have kernels
+FOLDER_VARIABLE, ROOT_VARIABLE = "STILLWORK_KERNELS", "STILLWORK_ROOT"
+PACKAGES = ("stillwork", "workbook", "experiments")  # those beside each other that have kernels
 NAME = re.compile("[0-9a-f]{16}")
 KEPT = 7 * 24 * 3600  # s, without use
 
@@ -53,7 +52,7 @@ def kernels_digest() -> str:
     name, known = "", None
     # To parse them takes a quarter of a second, so what it gave is kept.
     with contextlib.suppress(OSError, UnicodeDecodeError):
-        known = paths.root() / "build" / "kernels" / f"{_digest(texts)}.code"
+        known = _every_folder() / f"{_digest(texts)}.code"
         name = known.read_text()
     if not NAME.fullmatch(name):
         name = _digest(code_digest(text).encode() for text in texts)
@@ -63,10 +62,18 @@ def kernels_digest() -> str:
     return name
 
 
+def _every_folder() -> Path:
+    """What holds the folders of all digests: in the workbook that ``STILLWORK_ROOT`` names, or in this checkout."""
+    root = Path(os.environ.get(ROOT_VARIABLE) or Path(__file__).parents[3])
+    if not (root / "data").is_dir():
+        raise FileNotFoundError(f"no workbook at {root}")
+    return root / "build" / "kernels"
+
+
 @cache
 def _folder_by_content() -> str:
     try:
-        folder = paths.root() / "build" / "kernels" / kernels_digest()
+        folder = _every_folder() / kernels_digest()
         if not folder.exists():
             folder.mkdir(parents=True, exist_ok=True)
             _remove_unused(folder.parent)

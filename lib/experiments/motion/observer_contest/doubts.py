@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.observer_contest.plants import ContestPlant
-from stillwork.base import paths
 from stillwork.base.toml_files import read_numbers
 from stillwork.lti.discretisation import zoh_modes
+from workbook import paths
 
 PIECES = 20  # of a record, over each of which the machine stays as it is
 

@@ -17,9 +17,9 @@ from experiments.motion.observer_contest.plants import ContestPlant, sample_plan
 from experiments.motion.observer_contest.scores import ENTRANTS
 from experiments.motion.observer_contest.told import OwnObserver, told_of
 from experiments.motion.observer_contest.tuning import TRAINING, capped_mean, positions
-from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.workbook.studies import mean_interval
+from workbook import paths
+from workbook.studies import mean_interval
 
 SIZES = (0.005, 0.01, 0.02, 0.05, 0.1)  # of the errors of frequency, damping, gain and shape
 NOISES = (1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)  # factors on the sensor's noise

@@ -21,7 +21,7 @@ from experiments.motion.observer_contest.plants import sample_plant
 from experiments.motion.observer_contest.scores import ENTRANTS
 from experiments.motion.observer_contest.told import OwnObserver
 from experiments.motion.observer_contest.tuning import settings_for
-from stillwork.workbook import figures
+from workbook import figures
 
 INKS = figures.RED, figures.BLUE, figures.GREEN, figures.PURPLE, figures.ORANGE
 COLOURS = dict(zip(MAPPED, INKS, strict=True))

@@ -9,11 +9,11 @@ import numpy as np
 from experiments.motion.machines import drive, parameters, stage, stage_mass
 from experiments.motion.rig import assumed_geometry, published, rig_model
 from experiments.motion.structure import as_stage, measured_accelerance
-from stillwork.base import paths
 from stillwork.base.checks import require_choice
 from stillwork.base.toml_files import read_numbers
 from stillwork.identification.modal_fit import fit_modes
 from stillwork.lti.modal import ModalModel
+from workbook import paths
 
 # Where a machine comes without noises it gets those of the thesis's stage over its forces and deflections:
 # w = 0.01 N of 1250 N, and a sensor's 1.4 nm of the 19 um by which its first mode gives way.

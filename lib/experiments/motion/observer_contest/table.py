@@ -18,9 +18,9 @@ from experiments.motion.observer_contest.doubts import DOUBTS
 from experiments.motion.observer_contest.plants import PLANTS
 from experiments.motion.observer_contest.scores import ENTRANTS, SCORES, Scored, contest_trial
 from experiments.motion.observer_contest.tuning import capped_mean, settings_for
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_choice, require_count
-from stillwork.workbook.workers import client_of, cores, processes
+from workbook import paths
+from workbook.workers import client_of, cores, processes
 
 COLUMNS = ("entrant", "plant", "doubt", "score", "median", "low", "high", "microseconds")
 RESAMPLES = 1000

@@ -9,9 +9,9 @@ from scipy.stats import qmc
 
 from experiments.motion.observer_contest.plants import PLANTS
 from experiments.motion.observer_contest.scores import ENTRANTS, contest_trial
-from stillwork.base import paths
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.toml_files import read_toml
+from workbook import paths
 
 TRAINING = "training"  # in a public number's place
 SEEDS, TRIES = 2, 12  # a plant, and settings of each entrant

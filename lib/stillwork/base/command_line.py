@@ -1,0 +1,132 @@
+"""The command line of the toolbox and of the workbook: commands, their options, and what becomes of an error."""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, NamedTuple
+
+from stillwork.base.checks import InputError, nearest, one_line
+from stillwork.base.extras import MissingPackage, missing
+
+# A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
+# had; nothing here holds an address against it.
+sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]
+
+
+def run(program: str, commands: dict[str, "Command"], arguments: list[str] | None = None) -> int:
+    """Run one of a program's commands; returns the exit code (2 for wrong input, 130 when interrupted)."""
+    parser = _parser(program, commands)
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        parser.error(f"unknown {unknown[0]!r}{_meant(unknown[0], options.command, commands)}")
+    try:
+        return _run(**vars(options))
+    except BrokenPipeError:  # the reader, e.g. `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except (InputError, OSError, ImportError) as error:
+        told = missing(error) if isinstance(error, ModuleNotFoundError) else error
+        if isinstance(told, ImportError) and not isinstance(told, MissingPackage):
+            raise
+        if isinstance(told, OSError) and told.filename and told.strerror:
+            told = f"{os.fsdecode(told.filename)}: {told.strerror}"
+        print(f"{program}: {one_line(str(told))}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        if arguments is None:  # what was being made when it came goes half made, and without a word
+            sys.unraisablehook = lambda *_: None
+        return 130
+
+
+def _run(command: "Command", **chosen) -> int:
+    """Call the function of a command with its options and print what it returns, unless that is the exit code."""
+    for target in command.before:
+        _function(target)()
+    told = _function(command.target)(**chosen)
+    if isinstance(told, int):
+        return told
+    print(told if isinstance(told, str) else "\n".join(map(one_line, told)))
+    return 0
+
+
+def _function(target: str) -> Callable:
+    module, _, name = target.partition(":")
+    return getattr(import_module(module), name)
+
+
+def _meant(word: str, command: "Command", commands: dict[str, "Command"]) -> str:
+    """What an option that a command does not have may have meant: one of its own, or which commands have it."""
+    if word[:1] != "-":
+        return ""
+    name = word.partition("=")[0]
+    others = [each for each, other in commands.items() if name in other.words]
+    return f"; it is an option of {', '.join(others)}" if others else nearest(name, command.words)
+
+
+def _parser(program: str, commands: dict[str, "Command"]) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {program}",
+        description="The workbook's commands; `make help` lists those that set up the environment by themselves.",
+        allow_abbrev=False,
+    )
+    group = parser.add_subparsers(required=True, metavar="COMMAND")
+    for name, command in commands.items():
+        own = group.add_parser(name, help=command.help, allow_abbrev=False)
+        own.set_defaults(command=command)
+        for names, how in command.options:
+            own.add_argument(*names, **how)
+    return parser
+
+
+Option = tuple[tuple[str, ...], dict[str, Any]]  # what `add_argument` takes
+
+
+def option(*names: str, **how) -> Option:
+    """An option, or where its name has no dash a word, as `add_argument` takes it."""
+    return names, how
+
+
+def count(text: str) -> int:
+    """A number of things, as it is typed."""
+    # Decimal alone: int() takes no superscripts, and not more than some thousand digits.
+    if not text.isdecimal() or len(text) > 9 or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number; give 1 or more")
+    return int(text)
+
+
+def named(text: str) -> str:
+    """A text that is not empty."""
+    if not text:
+        raise argparse.ArgumentTypeError("'' names nothing; give a name")
+    return text
+
+
+class Command(NamedTuple):
+    """A command: each option is an argument of the function that it calls."""
+
+    help: str
+    target: str  # ``module:function``, imported when it is called
+    options: tuple[Option, ...] = ()
+    before: tuple[str, ...] = ()  # functions to call first, which may refuse
+
+    @property
+    def words(self) -> list[str]:
+        """Its options, as they are typed."""
+        return [name for names, _ in self.options for name in names if name[:1] == "-"]
+
+
+def number(name: str, metavar: str, help: str, type: Callable = count, **how) -> Option:
+    """``--name NUMBER``."""
+    return option(f"--{name}", type=type, metavar=metavar, help=help, **how)
+
+
+def text(name: str, metavar: str, help: str, **how) -> Option:
+    """``--name TEXT``."""
+    return option(f"--{name}", type=named, metavar=metavar, help=help, **how)
+
+
+def flag(name: str, help: str) -> Option:
+    """``--name`` alone."""
+    return option(f"--{name}", action="store_true", help=help)

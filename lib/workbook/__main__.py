@@ -1,0 +1,140 @@
+"""Command line of the engine: ``python -m workbook figures|readings|claims|portable|accept|site|release|refresh|verify|init|new|doctor``."""
+
+import argparse
+import sys
+
+from stillwork.base.checks import require_number
+from stillwork.base.command_line import Command, flag, number, option, run, text
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
+    return run("workbook", COMMANDS, arguments)
+
+
+def _minutes(text: str) -> float:
+    try:
+        return require_number("budget", float(text), above=0)
+    except ValueError:  # an `InputError` among them
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time; give minutes, more than 0") from None
+
+
+IN_A_WORKBOOK = ("workbook.paths:root",)  # who has none misses no package
+SETTLED = (*IN_A_WORKBOOK, "workbook.lock:settle")  # an accept that was killed is finished first
+_TARGETS = option("targets", nargs="*", metavar="ROOM[/NOTEBOOK]", help="by default everything")
+_ROOM = option("room", nargs="?", metavar="ROOM")
+_KERNELS = number("jobs", "N", "kernels at once (default: one a core)")
+PROCESSES = number("jobs", "N", "processes (default: one a core)")
+SCHEDULER = text("scheduler", "ADDRESS", "run on the workers of a Dask cluster")
+
+COMMANDS = {
+    "figures": Command(
+        "build the figures that are stale",
+        "workbook.commands:figures",
+        (
+            _TARGETS,
+            option(
+                "-p",
+                dest="settings",
+                metavar="NAME=VALUE",
+                action="append",
+                default=[],
+                help="set a parameter; the results go to build/variants/",
+            ),
+            _KERNELS,
+            SCHEDULER,
+            flag("force", "build what is up to date, too"),
+            flag("why", "only say what would be built, and why"),
+        ),
+        before=IN_A_WORKBOOK,
+    ),
+    "readings": Command(
+        "try every choice that the works leave open",
+        "workbook.readings.command:compute_readings",
+        (
+            _ROOM,
+            PROCESSES,
+            SCHEDULER,
+            number(
+                "budget",
+                "MINUTES",
+                "begin no reading after so long; run again to go on",
+                _minutes,
+                dest="budget_min",
+            ),
+            flag("changed", "only studies with a value that moved, in a sample, and those never run"),
+            text("study", "NAME", "only this study of the room, all of it"),
+        ),
+        before=IN_A_WORKBOOK,
+    ),
+    "claims": Command(
+        "print the ledger",
+        "workbook.commands:claims",
+        (
+            _ROOM,
+            text("entry", "ID", "one entry whole, with its readings"),
+            flag("json", "as JSON"),
+            flag("built", "with what the last build found, accepted or not"),
+        ),
+        before=SETTLED,
+    ),
+    "portable": Command(
+        "build under other processors' settings and compare",
+        "workbook.portable:portable",
+        (
+            _TARGETS,
+            option(
+                "--processor",
+                default="",
+                metavar="NAME",
+                help="part of a stand-in's name, e.g. 2004; qemu emulates one",
+            ),
+            flag("sample", "a few notebooks under two of them"),
+        ),
+        before=IN_A_WORKBOOK,
+    ),
+    "accept": Command(
+        "copy the built results into notebooks/ and figures/",
+        "workbook.site.commands:accept",
+        before=IN_A_WORKBOOK,
+    ),
+    "site": Command("write the static site to build/site", "workbook.site.build:build_site", before=SETTLED),
+    "release": Command(
+        "write wheel, site and archive to build/release, and try the wheel",
+        "workbook.site.release:release",
+        before=SETTLED,
+    ),
+    "refresh": Command(
+        "rewrite what follows from ledger and notebooks: README tables, index, manifests",
+        "workbook.site.commands:refresh",
+        before=SETTLED,
+    ),
+    "verify": Command(
+        "check stored results again by another library alone",
+        "workbook.commands:verify",
+        (option("name", metavar="NAME", help="e.g. joint"),),
+        before=IN_A_WORKBOOK,
+    ),
+    "init": Command(
+        "begin a workbook for a paper of yours, in a new folder",
+        "workbook.site.beginning:begin",
+        (option("folder", metavar="DIR"),),
+    ),
+    "new": Command(
+        "begin a result: notebook, ledger entry and test",
+        "workbook.site.commands:new",
+        (
+            option("room", metavar="ROOM"),
+            option("name", metavar="NAME", help="a number and words, e.g. 09-payload"),
+            flag("create", "in a room that is not there yet"),
+        ),
+        before=IN_A_WORKBOOK,
+    ),
+    "doctor": Command(
+        "compare this environment with environment.txt", "workbook.doctor:doctor", before=IN_A_WORKBOOK
+    ),
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,479 @@
+"""The ledger: every published number, the value replicated here, and the verdict on the pair.
+
+A room's published numbers stand in ``data/<room>/published.toml``, entered by hand; what a notebook found stands in
+``figures/<room>/<notebook>/claims.json``, written by a build. A verdict is computed from the two and never written
+down.
+"""
+
+import json
+import math
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+
+from stillwork.base.checks import (
+    InputError,
+    nearest,
+    require_array,
+    require_choice,
+    require_kind,
+    require_number,
+    shown,
+)
+from workbook import paths
+
+KINDS = ("value", "exact", "ordering", "slope", "reported", "check")
+VERDICTS = ("replicated", "better", "deviates", "reported", "passes", "fails", "not built")
+AGREEMENT = ("replicated", "better", "passes")
+BASES = ("predicted", "fitted", "calibrated")
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far a value may lie from another; exactly one rule, and where the rule comes from."""
+
+    source: str
+    relative: float | None = None
+    absolute: float | None = None
+    interval: float | None = None  # level of the interval over runs that must hold the published value
+
+    def __post_init__(self):
+        rules = [self.relative, self.absolute, self.interval]
+        if sum(rule is not None for rule in rules) != 1:
+            raise InputError("tolerance: give exactly one of relative, absolute and interval")
+        require_number("tolerance", next(r for r in rules if r is not None), at_least=0)
+        if not isinstance(self.source, str) or not self.source:
+            raise InputError("tolerance: say in source where it comes from")
+
+    def allows(self, published: float, ours: float, interval: tuple[float, float] | None) -> bool:
+        if self.interval is not None:
+            if interval is None:
+                raise InputError("this claim is judged by an interval; pass interval=(low, high)")
+            return interval[0] <= published <= interval[1]
+        return abs(ours - published) <= self.width(published)
+
+    def width(self, value: float) -> float:
+        """How far another value may lie from this one, by a relative or absolute rule."""
+        return self.absolute if self.relative is None else self.relative * abs(value)
+
+
+# How far a rebuilt value may lie from the accepted one, where the entry says nothing else.
+DRIFT = Tolerance("room for the rounding of another machine, far below any tolerance in use", relative=1e-3)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One published number or statement, as the ledger's TOML gives it.
+
+    Attributes
+    ----------
+    id : str
+        Dotted name, room first.
+    place : str
+        Where it stands in the work.
+    quantity, unit : str
+        What it is.
+    published : float or None
+        The published value; for an ordering the fraction of runs that must obey it, 1. None only for `reported`
+        and `check`: what the work does not state.
+    kind : str
+        ``value``, ``exact``, ``ordering``, ``slope``, ``reported`` (shown, not judged) or ``check`` (of our own:
+        no replication).
+    tolerance : Tolerance or None
+        None for `reported`, `ordering`, and a check that is a fraction of runs.
+    drift : Tolerance
+        How far a rebuilt value may lie from the accepted one, relative or absolute. A value that is a small
+        difference of large ones, or a fit to rounding, moves by more than a part of itself.
+    basis : str
+        ``predicted``; ``fitted`` or ``calibrated`` when the published value itself went into the model.
+    reason : str
+        Why it deviates or cannot be judged.
+    threshold : float or None
+        For an ordering, and a check that is a fraction of runs: the least fraction that must obey it. The lower
+        end of the fraction's interval over runs is held against it. Without one, all runs must obey it.
+    better : str or None
+        ``larger`` or ``smaller`` where a value on that side of the published one is better.
+    counterfactual : bool
+        Whether it tells of something that the work did not do, e.g. its filter corrected.
+    expected : float or None
+        For a check, what theory gives and the work does not state. Without it and without a published value a
+        check is the residual of an identity: nothing should be left.
+    """
+
+    id: str
+    place: str
+    quantity: str
+    unit: str
+    kind: str
+    published: float | None = None
+    tolerance: Tolerance | None = None
+    drift: Tolerance = DRIFT
+    basis: str = "predicted"
+    reason: str = ""
+    threshold: float | None = None
+    better: str | None = None
+    counterfactual: bool = False
+    expected: float | None = None
+
+    def __post_init__(self):
+        require_choice(f"{self.id}: kind", self.kind, KINDS)
+        require_choice(f"{self.id}: basis", self.basis, BASES)
+        for name in ("place", "quantity", "unit", "reason"):
+            if not isinstance(getattr(self, name), str):
+                raise InputError(f"{self.id}: {name} is {shown(getattr(self, name))}; give text")
+            if name in ("place", "quantity") and not getattr(self, name):
+                raise InputError(f"{self.id}: {name} is empty; fill it in")
+        if self.published is not None:
+            require_number(f"{self.id}: published", self.published)
+        elif self.kind not in ("reported", "check"):
+            raise InputError(
+                f"{self.id}: published is missing; only a check or what is reported goes without"
+            )
+        if self.kind in ("value", "exact", "slope") and self.tolerance is None:
+            raise InputError(f"{self.id}: a {self.kind} needs a tolerance with a source")
+        if self.kind in ("reported", "ordering") and self.tolerance is not None:
+            raise InputError(f"{self.id}: {self.kind} takes no tolerance; remove it")
+        if self.drift.interval is not None:
+            raise InputError(f"{self.id}: drift takes relative or absolute, not interval")
+        if self.kind == "reported" and not self.reason:
+            raise InputError(f"{self.id}: say in reason why it is not judged")
+        self._require_threshold()
+        if self.expected is not None:
+            require_number(f"{self.id}: expected", self.expected)
+            if self.kind != "check" or self.tolerance is None or self.published is not None:
+                raise InputError(
+                    f"{self.id}: only a check of a size that is not published takes expected; remove it"
+                )
+        if self.better is not None:
+            require_choice(f"{self.id}: better", self.better, ("larger", "smaller"))
+            if self.kind not in ("value", "slope"):
+                raise InputError(f"{self.id}: {self.kind} takes no better; remove it")
+
+    def _require_threshold(self):
+        if self.threshold is None:
+            return
+        if not self.is_fraction:
+            raise InputError(f"{self.id}: only a fraction of runs takes a threshold; remove it")
+        require_number(f"{self.id}: threshold", self.threshold, above=0, at_most=1)
+
+    @property
+    def is_fraction(self) -> bool:
+        """Whether it is judged by the fraction of runs that obey it."""
+        return self.kind == "ordering" or (self.kind == "check" and self.tolerance is None)
+
+    @property
+    def needs_interval(self) -> bool:
+        """Whether it is judged by an interval over runs."""
+        return self.threshold is not None or (
+            self.tolerance is not None and self.tolerance.interval is not None
+        )
+
+    @property
+    def is_residual(self) -> bool:
+        """Whether it is what an identity leaves: rounding, judged by its tolerance alone."""
+        if self.kind != "check":
+            return self.kind == "exact"
+        return self.tolerance is not None and self.published is None and self.expected is None
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it is ours alone: a check, or a number that the work does not state."""
+        return self.kind == "check" or self.published is None
+
+    @property
+    def is_replication(self) -> bool:
+        """Whether it counts among the numbers of the work that were held against ours."""
+        return not self.is_own and not self.counterfactual
+
+    @property
+    def room(self) -> str:
+        return self.id.partition(".")[0]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """An entry with the value found by a notebook (None: not built yet)."""
+
+    entry: Entry
+    ours: float | None = None
+    interval: tuple[float, float] | None = None
+    notebook: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """What comes of holding ours against the entry.
+
+        ``replicated`` or ``deviates``; ``better`` where ours lies beyond the tolerance on the side that the entry
+        calls better; ``passes`` or ``fails`` for a check; ``reported``; ``not built``.
+        """
+        entry = self.entry
+        if self.ours is None:
+            return "not built"
+        if entry.kind == "reported":
+            return "reported"
+        if self._agrees():
+            return "passes" if entry.kind == "check" else "replicated"
+        if entry.kind == "check":
+            return "fails"
+        larger = self.ours > entry.published
+        return "better" if entry.better == ("larger" if larger else "smaller") else "deviates"
+
+    def _agrees(self) -> bool:
+        entry = self.entry
+        if not entry.is_fraction:
+            aim = entry.published if entry.expected is None else entry.expected
+            return entry.tolerance.allows(aim or 0.0, self.ours, self.interval)
+        if entry.threshold is None:
+            return self.ours == (1.0 if entry.published is None else entry.published)
+        if self.interval is None:
+            raise InputError(
+                f"{entry.id} is judged by the interval of a fraction over runs; pass interval=(low, high), "
+                "e.g. from workbook.studies.proportion_interval"
+            )
+        return self.interval[0] >= entry.threshold
+
+    @property
+    def judgement(self) -> str:
+        """The verdict, and in brackets what keeps it from being evidence: its basis, or that the work did no such thing."""
+        entry = self.entry
+        notes = [entry.basis] * (entry.basis != "predicted") + ["counterfactual"] * entry.counterfactual
+        return f"{self.verdict} ({', '.join(notes)})" if notes else self.verdict
+
+    @property
+    def deviation(self) -> float | None:
+        """Relative distance from the published value; None where it has no meaning."""
+        if self.ours is None or not self.entry.published:
+            return None
+        return abs(self.ours - self.entry.published) / abs(self.entry.published)
+
+    def shown(self, digits: int) -> str:
+        """Ours as text; of what is rounding the bound that it keeps: an identity's residual, or less than its drift."""
+        entry = self.entry
+        if entry.drift.absolute and abs(self.ours) <= entry.drift.absolute:
+            return f"< {entry.drift.absolute:g}"
+        if entry.is_residual and not entry.published and self.verdict in AGREEMENT:
+            if bound := entry.tolerance.absolute:  # 0 where a count is judged
+                return f"< {bound:g}"
+        if self.ours and entry.drift.absolute:  # no digit that another processor may turn
+            size, room = (math.log10(abs(each)) for each in (self.ours, entry.drift.absolute))
+            digits = min(digits, max(1, 1 + math.floor(size) - math.ceil(room)))
+        text = f"{self.ours:.{digits}g}"
+        while entry.is_fraction and float(text) == 1 != self.ours and digits < 8:  # nearly all is not all
+            digits += 1
+            text = f"{self.ours:.{digits}g}"
+        return text
+
+    def as_dict(self) -> dict:
+        """All of it as plain values, for JSON and for tables."""
+        entry = self.entry
+        return {
+            "id": entry.id,
+            "place": entry.place,
+            "quantity": entry.quantity,
+            "unit": entry.unit,
+            "kind": entry.kind,
+            "basis": entry.basis,
+            "published": entry.published,
+            "expected": entry.expected,
+            "threshold": entry.threshold,
+            "better": entry.better,
+            "own": entry.is_own,
+            "counterfactual": entry.counterfactual,
+            "ours": self.ours,
+            "interval": list(self.interval) if self.interval else None,
+            "verdict": self.verdict,
+            "tolerance": entry.tolerance.source if entry.tolerance else "",
+            "reason": entry.reason,
+            "notebook": self.notebook,
+        }
+
+
+def load_entries(room: str) -> dict[str, Entry]:
+    """Read the published numbers of a room, by id.
+
+    Raises
+    ------
+    InputError
+        When there is no such room, or an entry is incomplete or holds an unknown field; the message names it.
+    """
+    file = paths.data(paths.require_room(room), "published.toml")
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{file} is not text; give TOML in UTF-8") from None
+    return dict(_parsed(file, text))
+
+
+@lru_cache(maxsize=32)  # a notebook reads the same text at every check
+def _parsed(file: Path, text: str) -> dict[str, Entry]:
+    try:
+        tree = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
+    return {entry.id: entry for entry in _entries(tree, ())}
+
+
+def _entries(tree: dict, path: tuple[str, ...]) -> Iterator[Entry]:
+    if "place" in tree:
+        yield _entry(".".join(path), tree)
+        return
+    for name, branch in tree.items():
+        if not isinstance(branch, dict):
+            raise InputError(f"{'.'.join((*path, name))}: a value outside any entry; give the entry a place")
+        yield from _entries(branch, (*path, name))
+
+
+def _entry(name: str, fields: dict) -> Entry:
+    known = [key for key in Entry.__dataclass_fields__ if key != "id"]
+    rules = {key: fields[key] for key in ("tolerance", "drift") if key in fields}
+    for key, rule in rules.items():
+        if not isinstance(rule, dict):
+            raise InputError(
+                f"{name}: {key} is {shown(rule)}; give a table such as {{ relative = 0.01, source = '...' }}"
+            )
+    for given, allowed in (
+        (fields, known),
+        *((rule, Tolerance.__dataclass_fields__) for rule in rules.values()),
+    ):
+        for key in given:
+            if key not in allowed:
+                raise InputError(f"{name}: unknown field {key!r}{nearest(key, allowed)}")
+    if not isinstance(fields.get("counterfactual", False), bool):
+        raise InputError(f"{name}: counterfactual is {fields['counterfactual']!r}; give true or false")
+    try:
+        return Entry(id=name, **{**fields, **{key: Tolerance(**rule) for key, rule in rules.items()}})
+    except (TypeError, InputError) as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+@dataclass
+class ClaimsTable:
+    """What one notebook found, judged; prints as a text table."""
+
+    claims: list[Claim] = field(default_factory=list)
+
+    def add(self, claim: Claim) -> None:
+        """Add a claim; a second value for the same id replaces the first."""
+        self.claims = [c for c in self.claims if c.entry.id != claim.entry.id] + [claim]
+
+    def write(self, file: Path) -> None:
+        """Write the values (not the verdicts) as JSON."""
+        found = {
+            claim.entry.id: {
+                "ours": claim.ours,
+                **({"interval": list(claim.interval)} if claim.interval else {}),
+            }
+            for claim in self.claims
+        }
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(claims_text(found), encoding="utf-8")
+
+    def __repr__(self) -> str:
+        rows = [("claim", "place", "published", "ours", "interval", "unit", "verdict")]
+        for claim in self.claims:
+            entry = claim.entry
+            spread = "" if not claim.interval else "{:.3g} .. {:.3g}".format(*claim.interval)
+            published = "" if entry.published is None else f"{entry.published:.4g}"
+            row = (entry.id, entry.place, published, claim.shown(3), spread)
+            rows.append((*row, entry.unit, claim.judgement))
+        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        lines.insert(1, "-" * len(lines[0]))
+        reasons = [
+            f"{c.entry.id}: {c.entry.reason}"
+            for c in self.claims
+            if c.entry.reason and c.verdict not in AGREEMENT
+        ]
+        return "\n".join(lines + (["", *reasons] if reasons else []))
+
+
+def claims_text(found: dict[str, dict]) -> str:
+    """The text of a ``claims.json``."""
+    return json.dumps(found, indent=1) + "\n"
+
+
+def make_claim(
+    name: str, ours: float, interval: tuple[float, float] | None = None, notebook: str = ""
+) -> Claim:
+    """Hold a value against the ledger's entry `name`.
+
+    Raises
+    ------
+    InputError
+        When the ledger has no such entry (the nearest is named), the value is not finite, or a fraction of runs
+        leaves 0 to 1.
+    """
+    room = require_kind("claim", name, str).partition(".")[0]
+    entries = load_entries(room)
+    if name not in entries:
+        raise InputError(f"the ledger has no entry {shown(name)}{nearest(name, entries)}")
+    within = {"at_least": 0, "at_most": 1} if entries[name].is_fraction else {}
+    value = require_number(name, ours, **within)
+    if interval is not None:
+        low, high = require_array(f"{name}: interval", interval, shape=(2,)).tolist()
+        if low > high:
+            raise InputError(f"{name}: interval is ({low:g}, {high:g}); give the lower end first")
+        require_number(f"{name}: lower end of the interval", low, **within)
+        require_number(f"{name}: upper end of the interval", high, **within)
+        interval = _rounded(low), _rounded(high)
+    return Claim(entries[name], _rounded(value), interval, notebook)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.8g}")
+
+
+def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
+    """The whole ledger: every entry with what the built notebooks found.
+
+    A value without the interval that its entry asks for is none: it was found before the entry asked.
+
+    Parameters
+    ----------
+    figures : Path, optional
+        Folder of built figures; by default the workbook's own.
+    room : str, optional
+        Only this room.
+
+    Raises
+    ------
+    InputError
+        When a notebook recorded a value for an entry that the ledger lacks, or two notebooks claim one.
+    """
+    figures = figures or paths.root() / "figures"
+    claims = {
+        name: Claim(entry)
+        for each in ([room] if room else paths.rooms())
+        for name, entry in load_entries(each).items()
+    }
+    pattern = f"{room or '[!.]*'}/[!.]*/claims.json"  # a build's half-written folders are hidden
+    for file in sorted(figures.glob(pattern)):
+        notebook = file.parent.relative_to(figures).as_posix()
+        for name, (ours, interval) in recorded_claims(file).items():
+            if name not in claims:
+                raise InputError(f"{file}: the ledger has no entry {name!r}{nearest(name, claims)}")
+            if claims[name].notebook:
+                raise InputError(f"{name} is claimed by {claims[name].notebook} and by {notebook}; keep one")
+            if interval is None and claims[name].entry.needs_interval:
+                ours = None
+            claims[name] = replace(claims[name], ours=ours, interval=interval, notebook=notebook)
+    return list(claims.values())
+
+
+def recorded_claims(file: Path) -> dict[str, tuple[float, tuple[float, float] | None]]:
+    """What a notebook recorded in its ``claims.json``: value and interval of every claim."""
+    try:
+        recorded = json.loads(file.read_text(encoding="utf-8"))
+        return {
+            name: (
+                require_number(f"{name}: ours", entry["ours"]),
+                tuple(require_array(f"{name}: interval", entry["interval"], shape=(2,)).tolist())
+                if "interval" in entry
+                else None,
+            )
+            for name, entry in recorded.items()
+        }
+    except (InputError, ValueError, RecursionError, AttributeError, KeyError, TypeError) as error:
+        raise InputError(f"{file} is not what a build writes ({error}); build that notebook anew") from None

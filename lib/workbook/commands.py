@@ -1,0 +1,64 @@
+"""What commands do that are more than one call: figures, claims, verify."""
+
+from importlib import import_module
+from json import dumps
+
+from stillwork.base.checks import InputError
+from workbook import paths
+
+
+def figures(targets: list[str], settings: list[str], **how) -> int:
+    """Build what is stale, a variant where parameters are set by ``NAME=VALUE``."""
+    from workbook.build import build_figures
+
+    chosen: dict[str, str] = {}
+    for text in settings:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier():
+            raise InputError(f"-p {text!r} is not a setting; give -p NAME=VALUE")
+        if name in chosen:
+            raise InputError(f"-p {name} is given twice; keep one")
+        chosen[name] = value
+    return build_figures(*targets, settings=chosen, **how)
+
+
+def claims(room: str | None, entry: str | None, json: bool, built: bool) -> str:
+    """The ledger, or one entry of it, as text."""
+    from workbook import report, tasks
+    from workbook.claims import ledger
+
+    if room is not None:
+        paths.require_room(room)
+    found = ledger(tasks.built() if built else None, room)
+    if entry:
+        found = [report.find(found, entry)]
+    if json:
+        return dumps(_with_readings(found), indent=1, ensure_ascii=False)
+    if entry:
+        return report.entry_text(_with_readings(found)[0], report.screen())
+    return report.ledger_text(found, report.screen())
+
+
+def _with_readings(claims: list) -> list[dict]:
+    """The claims as plain values, each with how it stands over its readings (None where it has none)."""
+    from workbook.readings.command import standings_of
+
+    rooms = dict.fromkeys(claim.entry.room for claim in claims)
+    standings = {name: standing for room in rooms for name, standing in standings_of(room).items()}
+    return [
+        claim.as_dict()
+        | {"readings": standings[claim.entry.id].as_dict() if claim.entry.id in standings else None}
+        for claim in claims
+    ]
+
+
+def verify(name: str) -> int:
+    """Check stored results by another library alone."""
+    prefix = "verify_"
+    files = sorted((paths.root() / "lib" / "experiments").glob(f"*/{prefix}*.py"))
+    modules = {
+        file.stem.removeprefix(prefix): f"experiments.{file.parent.name}.{file.stem}" for file in files
+    }
+    if name not in modules:
+        raise InputError(f"there is nothing to verify called {name!r}; use {', '.join(modules)}")
+    return 0 if import_module(modules[name]).main() else 1

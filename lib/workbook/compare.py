@@ -1,0 +1,422 @@
+"""How far a build's results lie from the committed ones: tables, pictures, claims and printed text.
+
+On another processor, or with another C library, the last bits of a number differ. What agrees within the
+tolerances here is the same result; each says where it comes from.
+"""
+
+import itertools
+import json
+import os
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.base.checks import InputError
+from workbook import paths
+from workbook.claims import Claim, load_entries
+from workbook.figures import read_table
+from workbook.notebooks import cleaned, joined
+from workbook.tasks import Task, built
+
+# Of the range that a series spans: chosen, a ninth of a pixel in the tallest picture (1155 pixels with its frame), so
+# what agrees looks the same. How much of it is used is the `worst` that a build and `make portable` print, and most
+# where an adaptive filter carries rounding on. The rest is room for another system's libm.
+TABLE = 1e-4
+
+# A line that was thinned may have kept other points of the same curve where a value lay on the edge: then the
+# points of each must lie on the other, to what the thinning may leave out and the tolerance.
+THINNED = 1e-3
+
+# A table has seven digits: two x further apart are two points, however near. Where a line is steep its y then tells
+# of the step between them.
+PLACE = 2e-6
+
+# A number is printed rounded: numbers that agree may still fall on two sides of a rounding. Of a number with a single
+# digit that is a factor of two, at most; what a statement rests on is a claim or a plotted number, held more closely.
+PRINTED = 1.0  # units of the last printed digit
+
+# Decades: a series that a page notes as rounding itself (`Page.save`) keeps its size, not its digits.
+ROUNDING = 1.0
+
+# Levels of 256 by which any pixel may be off. The settings of other processors moved none by more than 43, along the
+# edge of a line whose numbers moved; none by more than 15 where the table is the same to the byte. A line in another
+# colour of the palette (`workbook.figures`) or a new mark moves some by more.
+SHADE, SAME_NUMBERS = 48, 24
+
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One notebook's results beside the committed ones.
+
+    Attributes
+    ----------
+    notebook : str
+        Room and name.
+    pictures : int
+        How many pictures were compared.
+    worst : float
+        Largest difference of a plotted number among those that agree, of the range that its series spans.
+    files : tuple of str
+        Names of the figures (without suffix) that do not agree, are new or are gone.
+    cells : tuple of str
+        Ids of the code cells that print something else.
+    claims : tuple of str
+        Ids of the ledger's entries whose value left the committed one by more than its drift.
+    moved : tuple of str
+        Those of them that had a value before, with both values.
+    verdicts : tuple of str
+        Those of them whose verdict is another, with both.
+    """
+
+    notebook: str
+    pictures: int
+    worst: float
+    files: tuple[str, ...]
+    cells: tuple[str, ...]
+    claims: tuple[str, ...]
+    moved: tuple[str, ...]
+    verdicts: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        return not (self.files or self.cells or self.claims)
+
+
+def compare(task: Task) -> Comparison:
+    """Hold what was built of a notebook against what is committed of it."""
+    names = {file.stem for folder in (task.target, task.committed) for file in folder.glob("*.png")}
+    names |= {file.stem for folder in (task.target, task.committed) for file in folder.glob("*.csv")}
+    off = {name: difference(task.target / name, task.committed / name) for name in sorted(names)}
+    apart = tuple(name for name, each in off.items() if each is None)
+    claims, moved, verdicts = _claims(task)
+    return Comparison(
+        task.notebook.name,
+        len(names),
+        max((each for each in off.values() if each is not None), default=0.0),
+        apart,
+        tuple(_cells(task)),
+        claims,
+        moved,
+        verdicts,
+    )
+
+
+def summary(found: list[Comparison]) -> list[str]:
+    """What a person is told at the end of a build."""
+    lines = []
+    for each in found:
+        what = [f"figure {name}" for name in each.files] + [f"cell {name}" for name in each.cells]
+        what += [f"claim {name}" for name in each.claims]
+        if what:
+            shown = ", ".join(what[:4]) + (f" and {len(what) - 4} more" if len(what) > 4 else "")
+            lines.append(f"moved: {each.notebook}: {shown}")
+        lines += [f"verdict moved: {line}" for line in each.verdicts]
+    agree = sum(each.pictures - len(each.files) for each in found)
+    pictures = sum(each.pictures for each in found)
+    worst = max((each.worst for each in found), default=0.0)
+    which = f"{agree} pictures agree" if agree == pictures else f"{agree} of {pictures} pictures agree"
+    verdicts = sum(len(each.verdicts) for each in found)
+    lines.append(
+        f"{which} with the committed ones (worst {worst:.0e} of the range), {verdicts} verdicts moved; "
+        f"pictures and tables: {os.path.relpath(built(), paths.root())}/"
+    )
+    return lines
+
+
+def difference(now: Path, before: Path) -> float | None:
+    """Largest difference between two figures, given without suffix; None when they are not the same figure."""
+    tables = [_bytes(each.with_name(each.name + ".csv")) for each in (now, before)]
+    pictures = [_bytes(each.with_name(each.name + ".png")) for each in (now, before)]
+    if pictures == [None, None] and tables[0] == tables[1]:  # numbers of a notebook's own making
+        return 0.0
+    if None in pictures or (tables[0] is None) != (tables[1] is None):
+        return None
+    noted = _noted(before)
+    if noted != _noted(now):
+        return None
+    shade = SAME_NUMBERS if tables[0] == tables[1] else SHADE
+    if pictures[0] != pictures[1] and not noted and not same_picture(*pictures, shade):
+        return None
+    return numbers_difference(now, before)
+
+
+def numbers_difference(now: Path, before: Path) -> float | None:
+    """As `difference`, of the plotted numbers alone."""
+    tables = [each.with_name(each.name + ".csv") for each in (now, before)]
+    if _bytes(tables[0]) == _bytes(tables[1]) is not None:
+        return 0.0
+    if not all(each.is_file() for each in tables):
+        return None
+    try:
+        return table_difference(*tables, set(_noted(before)))
+    except (InputError, UnicodeDecodeError):  # a damaged table is not this one
+        return None
+
+
+def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) -> float | None:
+    """Largest difference of the numbers in two tables, as a part of the range of their series; None when too large.
+
+    Parameters
+    ----------
+    now, before : Path
+    rounding : collection of str
+        Series whose numbers are rounding itself: their sizes are compared, and do not count as a difference.
+    """
+    built, committed = read_table(now), read_table(before)
+    if list(built) != list(committed):
+        return None
+    worst = 0.0
+    for key, values in committed.items():
+        if key[1] in rounding:
+            if not same_size(built[key], values):
+                return None
+            continue
+        off, allowed = np.inf, TABLE
+        if built[key].shape == values.shape:
+            off = max(distance(built[key][:, column], values[:, column]) for column in range(3))
+        flat = np.isnan(values[:, 2]).all() and np.isnan(built[key][:, 2]).all()
+        if off > TABLE and flat and not same_places(built[key], values):
+            off, allowed = apart(built[key], values), THINNED
+        if not off <= allowed:
+            return None
+        worst = max(worst, off)
+    return worst
+
+
+def same_places(now: np.ndarray, before: np.ndarray) -> bool:
+    """Whether two series have their points at the same x, but for its last digit: then none was kept in another's place."""
+    if now.shape != before.shape:
+        return False
+    x, zero = before[:, 0], 1e-12 * np.nanmax(np.abs(before[:, 0]), initial=0.0)
+    return np.allclose(now[:, 0], x, PLACE, zero, equal_nan=True)
+
+
+def same_size(now: np.ndarray, before: np.ndarray) -> bool:
+    """Whether two series of rounding are of one size: their quartiles, in decades.
+
+    The largest number is left to chance, and after a breakdown to chaos. A residual that is exactly zero has no
+    decade: it agrees with any that is a few rounding units.
+    """
+    sizes = []
+    for each in (now, before):
+        size = np.abs(each[:, 1][np.isfinite(each[:, 1])])
+        sizes.append(np.quantile(size, [0.25, 0.5, 0.75]) if len(size) else np.zeros(3))
+    low, high = np.minimum(*sizes), np.maximum(*sizes)
+    small = (low == 0) & (high <= 1e3 * np.finfo(float).eps)
+    return bool(np.all(small | (high <= 10**ROUNDING * low)))
+
+
+def same_picture(now: bytes, before: bytes, shade: int = SHADE) -> bool:
+    """Whether two PNG pictures differ in no more than the shades along their lines."""
+    import io
+
+    from matplotlib.image import imread
+
+    try:
+        shades = [np.atleast_3d(imread(io.BytesIO(each)))[..., :3] for each in (now, before)]
+    except (OSError, SyntaxError, ValueError):  # what Pillow says of a damaged file
+        return False
+    if shades[0].shape != shades[1].shape:
+        return False
+    return float(np.abs(shades[0] - shades[1]).max()) <= (shade + 0.5) / 255
+
+
+# A place in a work is a name, not a number that is rounded.
+REFERENCE = re.compile(
+    r"\b(?:Table|Fig|Eq|eq|equation|Equation|Section|section|Chapter|Remark|Definition|Example|Theorem|Corollary|"
+    r"Lemma|Conclusion|Algorithm)s?\.?\s*\(?[A-Z]?\d[\d.]*"
+)
+LETTERS = str.maketrans("0123456789.", "abcdefghij_")
+
+
+def same_text(now: str, before: str) -> bool:
+    """Whether two printed texts differ in nothing but the last digit of a number that is not whole.
+
+    Widths of columns do not count: they follow from the numbers.
+    """
+    if now == before:
+        return True
+    now, before = (REFERENCE.sub(lambda found: found[0].translate(LETTERS), text) for text in (now, before))
+    words = [[_plain(word) for word in NUMBER.split(text)] for text in (now, before)]
+    numbers = [NUMBER.findall(text) for text in (now, before)]
+    return words[0] == words[1] and all(itertools.starmap(_same_number, zip(*numbers, strict=True)))
+
+
+def _same_number(now: str, before: str) -> bool:
+    if now == before:
+        return True
+    if not any(mark in now + before for mark in ".eE"):
+        return False
+    unit = min(_last_digit(now), _last_digit(before))  # "2" may be 2.00 without its zeros, but not 1.01
+    values = [float(each.replace("−", "-")) for each in (now, before)]
+    return abs(values[0] - values[1]) <= PRINTED * unit * (1 + 1e-9)
+
+
+def _last_digit(number: str) -> float:
+    """What one unit of the last digit stands for."""
+    mantissa, _, exponent = number.lower().partition("e")
+    return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[ \t]+", " ", re.sub(r"-{3,}", "---", text)).replace(" \n", "\n").strip(" ")
+
+
+def distance(now: np.ndarray, before: np.ndarray) -> float:
+    """Largest difference, as a part of the range that the committed numbers span.
+
+    Positive numbers that span more than a decade are drawn on a logarithmic axis and compared on one.
+    """
+    known = np.isfinite(before)
+    if not np.array_equal(now[~known], before[~known], equal_nan=True) or not np.isfinite(now[known]).all():
+        return np.inf
+    if not known.any():
+        return 0.0
+    now, before = now[known], before[known]
+    if before.min() > 0 and before.max() > 10 * before.min():
+        if now.min() <= 0:
+            return np.inf
+        now, before = np.log(now), np.log(before)
+    span = np.ptp(before) or np.abs(before).max() or 1.0
+    return float(np.abs(now - before).max() / span)
+
+
+def apart(now: np.ndarray, before: np.ndarray) -> float:
+    """Largest distance of a point of either line from the other line, as a part of the committed one's range.
+
+    A table does not say whether an axis was logarithmic; the scale in which the lines are closest counts.
+    """
+    found = []
+    for scales in itertools.product((np.array, np.log), repeat=2):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = (np.c_[scales[0](line[:, 0]), scales[1](line[:, 1])] for line in (now, before))
+        # On a scale on which a point has no place (the logarithm of zero) nothing can be said.
+        if all(
+            np.isfinite(each).sum() == np.isfinite(raw[:, :2]).sum()
+            for each, raw in ((first, now), (second, before))
+        ):
+            span = np.nanmax(second, axis=0) - np.nanmin(second, axis=0)
+            size = np.nanmax(np.abs(second), axis=0)  # of a line that does not rise
+            span = np.where(span > 0, span, np.where(size > 0, size, 1.0))
+            first, second = first / span, second / span
+            found.append(max(_off(first, second), _off(second, first)))
+    return min(found, default=np.inf)
+
+
+def _off(points: np.ndarray, line: np.ndarray) -> float:
+    """Largest distance of the finite points from the line."""
+    points = points[np.isfinite(points).all(axis=1)]
+    start, step = line[:-1], np.diff(line, axis=0)
+    there = np.isfinite(step).all(axis=1)
+    start, step = start[there], step[there]
+    if not len(points) or not len(start):
+        return 0.0 if len(points) == len(start) else np.inf
+    length = np.maximum((step**2).sum(axis=1), 1e-300)
+    worst = 0.0
+    for point in points:
+        share = np.clip(((point - start) * step).sum(axis=1) / length, 0, 1)
+        worst = max(worst, np.hypot(*(start + share[:, None] * step - point).T).min())
+    return worst
+
+
+def _noted(figure: Path) -> dict[str, str]:
+    """Series of a figure (given without suffix) that its page notes as rounding, with the reasons."""
+    file = figure.with_name("rounding.json")
+    return json.loads(file.read_text(encoding="utf-8")).get(figure.name, {}) if file.is_file() else {}
+
+
+def _cells(task: Task) -> list[str]:
+    """Ids of the code cells whose printed text is not the committed one."""
+    notebook = json.loads(task.notebook.source)
+    executed = cleaned(notebook, json.loads(task.executed.read_text(encoding="utf-8")))
+    found = []
+    for before, now in zip(notebook["cells"], executed["cells"], strict=True):
+        if before["cell_type"] == "code" and not same_outputs(now["outputs"], before["outputs"]):
+            found.append(before["id"])
+    return found
+
+
+def same_outputs(now: list[dict], before: list[dict]) -> bool:
+    """Whether two lists of a cell's text outputs are of one kind and print the same."""
+    now, before = joined(now), joined(before)
+    if len(now) != len(before):
+        return False
+    return all(
+        a["output_type"] == b["output_type"] and same_text(printed(a), printed(b))
+        for a, b in zip(now, before, strict=True)
+    )
+
+
+def printed(output: dict) -> str:
+    """The text of an output."""
+    text = (
+        output.get("text")
+        if output["output_type"] == "stream"
+        else output.get("data", {}).get("text/plain", "")
+    )
+    return "".join(text or "")
+
+
+def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Entries whose claim is another; of these, where it had one before, values and verdicts, each before and now."""
+    now, before = (found_claims(folder / "claims.json") for folder in (task.target, task.committed))
+    entries = _entries(task.notebook.room, (task.committed.parents[2] / "data").as_posix())
+    claims, moved, verdicts = [], [], []
+    for name in sorted(set(now) | set(before)):
+        if name not in now or name not in before or name not in entries:
+            claims.append(name)
+            continue
+        if entries[name].needs_interval and not ("interval" in now[name] and "interval" in before[name]):
+            claims.append(name)
+            continue
+        new, old = (
+            Claim(entries[name], each["ours"], tuple(each["interval"]) if "interval" in each else None)
+            for each in (now[name], before[name])
+        )
+        if new.verdict != old.verdict:
+            verdicts.append(f"{name}: {old.verdict} -> {new.verdict}")
+        if new.verdict != old.verdict or not same_value(new, old):
+            claims.append(name)
+            moved.append(f"{name}: {old.ours:.6g} -> {new.ours:.6g}")
+    return tuple(claims), tuple(moved), tuple(verdicts)
+
+
+def same_value(now: Claim, before: Claim) -> bool:
+    """Whether value and interval lie within the entry's drift; of an interval, drift of its larger end."""
+    entry = before.entry
+    if entry.is_residual:
+        return True
+    if bool(now.interval) != bool(before.interval):
+        return False
+    wide = max(map(abs, before.interval or (0.0,)))
+    for a, b in zip((now.ours, *(now.interval or ())), (before.ours, *(before.interval or ())), strict=True):
+        if abs(a - b) > 1e-12 + entry.drift.width(max(abs(b), wide)):
+            return False
+    return True
+
+
+@cache
+def _entries(room: str, _data: str) -> dict:
+    return load_entries(room)
+
+
+def found_claims(file: Path) -> dict:
+    """The claims in a file; none where it is missing or damaged, so that all of them count as moved."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    except ValueError:
+        return {}
+    whole = isinstance(found, dict) and all(
+        isinstance(each, dict) and "ours" in each for each in found.values()
+    )
+    return found if whole else {}
+
+
+def _bytes(file: Path) -> bytes | None:
+    return file.read_bytes() if file.is_file() else None

@@ -1,0 +1,243 @@
+"""One notebook in one kernel: from its source to the bytes of its results.
+
+`execute` writes nothing that outlives it and returns plain values, so it runs alike in a thread and on a
+worker of a cluster. Whoever called it publishes the results.
+"""
+
+import contextlib
+import fcntl
+import json
+import logging
+import os
+import platform
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from importlib import metadata
+from pathlib import Path
+
+from workbook import paths
+from workbook.inputs import read_inputs
+from workbook.jupyter_kernel import kernel_manager
+from workbook.warm import Warm
+
+PREFIX, LOCK = "stillwork-", "lock"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to execute.
+
+    Attributes
+    ----------
+    build : str
+        Which build asks; `stop` ends all its kernels.
+    notebook, source : str
+        Name ``room/nn-result`` and the file's text.
+    settings : dict
+        Parameters that differ from the published settings.
+    """
+
+    build: str
+    notebook: str
+    source: str
+    settings: dict[str, object]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Where and why a notebook failed."""
+
+    where: str
+    error: str
+    traceback: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job: the files it wrote, the executed notebook and what was read for them, or a failure."""
+
+    files: dict[str, bytes] = field(default_factory=dict)
+    executed: bytes = b""
+    reads: dict[str, str] = field(default_factory=dict)
+    software: dict[str, object] = field(default_factory=dict)
+    failure: Failure | None = None
+    seconds: float = 0.0
+
+    def claimed(self) -> set[str]:
+        """Ids of the ledger's entries that the notebook holds its numbers against."""
+        return set(json.loads(self.files.get("claims.json", b"{}")))
+
+
+def execute(job: Job, on_cell: Callable[[], object] = lambda: None, warm: Warm | None = None) -> Outcome:
+    """Execute a notebook in a kernel of its own; a failure is an outcome, not an exception.
+
+    Parameters
+    ----------
+    job : Job
+    on_cell : callable
+        Called when a code cell has run.
+    warm : Warm, optional
+        The process to fork the kernel from; without, one is started.
+    """
+    begin = time.monotonic()
+    with _folder() as folder:
+        outcome = _execute(job, folder, on_cell, warm)
+    return replace(outcome, seconds=time.monotonic() - begin)
+
+
+@contextlib.contextmanager
+def _folder():
+    """A folder for one kernel and what it writes, locked as long as this process lives."""
+    folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+    try:
+        with (folder / LOCK).open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield folder
+    finally:
+        for pause in (0.0, 0.05, 0.2, 1.0):  # a kernel that was killed may just be writing its last file
+            time.sleep(pause)
+            shutil.rmtree(folder, ignore_errors=True)
+            if not folder.exists():
+                break
+
+
+def sweep() -> None:
+    """Remove the folders of runners that were killed; one that has just been made may not be locked yet."""
+    _take_temporary()
+    for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        try:
+            if time.time() - folder.stat().st_mtime > 60:
+                with (folder / LOCK).open() as lock:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    shutil.rmtree(folder, ignore_errors=True)
+        except OSError:  # in use, gone meanwhile, or somebody else's
+            continue
+
+
+def _take_temporary() -> None:
+    """Take the folder for temporary files by its name: `tempfile` writes one to try it, which a kill would leave there."""
+    places = (*(os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP")), "/tmp")
+    usable = (each for each in places if each and os.path.isdir(each) and os.access(each, os.W_OK | os.X_OK))
+    if tempfile.tempdir is None:
+        tempfile.tempdir = next(map(os.path.abspath, usable), None)
+
+
+def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: Warm | None) -> Outcome:
+    import nbformat
+    from nbclient.exceptions import DeadKernelError
+    from papermill import execute_notebook
+    from papermill.exceptions import PapermillExecutionError
+    from papermill.translators import papermill_translators
+
+    papermill_translators.register("python", _translator())
+    for noisy in ("papermill", "traitlets"):  # what they log is in the outcome
+        logging.getLogger(noisy).setLevel(logging.CRITICAL)
+    source = nbformat.reads(job.source, as_version=4)
+    source.metadata.setdefault("language_info", {"name": "python"})
+    begun = []
+
+    def counts(cell) -> bool:
+        return cell.cell_type == "code" and "injected-parameters" not in cell.metadata.get("tags", [])
+
+    def note(cell, cell_index):
+        if counts(cell):
+            begun.append(cell.source)
+
+    def step(cell, cell_index, execute_reply):
+        if counts(cell):
+            on_cell()
+
+    output, reads = folder / "output", folder / "reads"
+    manager = kernel_manager(job.build, folder, output, reads, warm)
+    try:
+        executed = execute_notebook(
+            source,
+            None,
+            parameters=job.settings,
+            progress_bar=False,
+            kernel_name="python3",
+            start_timeout=120,
+            kernel_manager_class=manager,
+            shutdown_kernel="immediate",
+            resources={"metadata": {"path": str(paths.root())}},
+            on_cell_start=note,
+            on_cell_executed=step,
+            record_timing=False,
+            iopub_timeout=60,
+        )
+    except PapermillExecutionError as error:
+        message = f"{error.ename}: {error.evalue}".strip().splitlines()[-1]
+        # Wrong input says itself what to do; where it was refused deep in the library tells its reader nothing.
+        traceback = "" if error.ename == "InputError" else _plain("\n".join(error.traceback))
+        return Outcome(failure=Failure(_where(begun), message, traceback))
+    except DeadKernelError:
+        return Outcome(failure=Failure(_where(begun), manager.last_words()))
+    except RuntimeError as error:  # the kernel did not come up
+        return Outcome(failure=Failure(_where(begun), f"{manager.last_words()} ({error})"))
+    finally:
+        manager.end()
+    _forget_run(executed)
+    try:
+        files = _collect(output, job.notebook)
+        inputs = read_inputs(reads)  # last: where the folder was emptied, so was this
+    except (OSError, ValueError) as error:
+        return Outcome(failure=Failure("files", str(error)))
+    return Outcome(files, nbformat.writes(executed).encode() + b"\n", inputs, _software())
+
+
+def _where(begun: list[str]) -> str:
+    if not begun:
+        return "kernel start"
+    first = next(iter(begun[-1].strip().splitlines()), "")
+    return f"cell [{len(begun)}] {first if len(first) <= 60 else first[:59] + '…'}"
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"\x1b\[[0-9;]*m", "", text)
+
+
+def _forget_run(notebook) -> None:
+    """Drop what papermill notes about the run: times and folders of this machine."""
+    notebook.metadata.pop("papermill", None)
+    for cell in notebook.cells:
+        cell.metadata.pop("papermill", None)
+        if not cell.metadata.get("tags"):
+            cell.metadata.pop("tags", None)
+        elif "injected-parameters" in cell.metadata.tags:
+            cell["id"] = "injected-parameters"
+
+
+def _collect(output: Path, notebook: str) -> dict[str, bytes]:
+    home = output / notebook
+    files = {}
+    for file in sorted(output.rglob("*")):
+        if file.is_file():
+            if not file.is_relative_to(home):
+                page = file.parent.relative_to(output).as_posix()
+                raise ValueError(f"the notebook writes to the page {page!r}; name it Page({notebook!r})")
+            files[file.relative_to(home).as_posix()] = file.read_bytes()
+    return files
+
+
+def _software() -> dict[str, object]:
+    from workbook.environment import drift
+
+    versions = {name: metadata.version(name) for name in ("numpy", "numba")}
+    return {"python": platform.python_version(), **versions, "drift": drift()}
+
+
+def _translator():
+    from papermill.translators import PythonTranslator
+
+    class Translator(PythonTranslator):
+        """Papermill's, and tuples, which it would turn into strings."""
+
+        @classmethod
+        def translate(cls, val):
+            return repr(val) if isinstance(val, tuple | list) else super().translate(val)
+
+    return Translator

@@ -1,0 +1,262 @@
+"""Explorers: turn a drawing function into sliders with live redraw, or a static picture in a build."""
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from stillwork.base.checks import InputError, nearest, require_number
+from workbook.paths import in_batch
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A number a reader may move.
+
+    Attributes
+    ----------
+    low, high : float
+        Range. Where these, `published` and `step` are ``int``, so is what the parameter gets.
+    published : float
+        The work's own setting: the start, the mark and what Reset returns to.
+    unit : str
+        Shown behind the name.
+    step : float, optional
+        By default 1/50 of the range, for a whole number at least 1; in decades for a logarithmic slider.
+    log : bool
+        Move in decades.
+    """
+
+    low: float
+    high: float
+    published: float
+    unit: str = ""
+    step: float | None = None
+    log: bool = False
+
+    def __post_init__(self):
+        require_number("published", self.published, at_least=self.low, at_most=self.high)
+        if self.log:
+            require_number("low", self.low, above=0)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the parameter is a whole number."""
+        return all(isinstance(value, int) for value in (self.low, self.high, self.published, self.step or 1))
+
+    def read(self, value: float) -> float:
+        """What the parameter gets when the control stands at `value`."""
+        return round(value) if self.whole else value
+
+    def widget(self, name: str):
+        import ipywidgets as widgets
+
+        text = f"{name.replace('_', ' ')}{f' ({self.unit})' if self.unit else ''}"
+        # While the kernel draws, the front end keeps the last place alone: a drag is never behind by more than one.
+        shared = {"description": text, "continuous_update": True}
+        shared["style"] = {"description_width": "initial"}
+        shared["layout"] = widgets.Layout(width="32em")
+        if self.log:
+            from math import log10
+
+            return widgets.FloatLogSlider(
+                value=self.published,
+                min=log10(self.low),
+                max=log10(self.high),
+                step=self.step or 0.02,
+                **shared,
+            )
+        step = self.step or (self.high - self.low) / 50
+        kind = widgets.FloatSlider
+        if self.whole:
+            kind, step = widgets.IntSlider, max(1, round(step))
+        return kind(value=self.published, min=self.low, max=self.high, step=step, **shared)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of a few named settings; `published` is the work's own."""
+
+    options: tuple[str, ...]
+    published: str
+
+    def __post_init__(self):
+        if self.published not in self.options:
+            raise InputError(
+                f"published is {self.published!r}, not an option{nearest(self.published, self.options)}"
+            )
+
+    def read(self, value: str) -> str:
+        """What the parameter gets: the name as it is."""
+        return value
+
+    def widget(self, name: str):
+        import ipywidgets as widgets
+
+        return widgets.Dropdown(
+            options=self.options,
+            value=self.published,
+            description=name.replace("_", " "),
+            style={"description_width": "initial"},
+            layout=widgets.Layout(width="32em"),
+        )
+
+
+@dataclass(frozen=True)
+class StaticPicture:
+    """What stands where no widgets run."""
+
+    png: bytes
+    settings: str
+
+    def _repr_png_(self) -> bytes:
+        return self.png
+
+    def __repr__(self) -> str:
+        return f"explorer at the published setting: {self.settings}"
+
+
+class Redraw:
+    """Pictures of one drawing function, quick from the second on.
+
+    Two thirds of a picture's time go into its layout, its minor ticks and the measuring of its texts. So the
+    panels stay where they were laid out first, a logarithmic axis shows its decades alone, and one renderer,
+    which remembers the texts that it has set, serves all pictures.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns a `matplotlib.figure.Figure`.
+    """
+
+    def __init__(self, draw: Callable):
+        self._draw = draw
+        self._renderer = None
+        self._places = []
+
+    def __call__(self, **settings) -> bytes:
+        """The picture for ``draw(**settings)``, as PNG."""
+        figure = self._draw(**settings)
+        if len(figure.axes) == len(self._places):
+            figure.set_layout_engine("none")
+            for axes, place in zip(figure.axes, self._places, strict=True):
+                axes.set_position(place)
+            self._render(figure)
+            if self._complete(figure):
+                return self._png()
+            figure = self._draw(**settings)  # a panel that was put in its place takes no part in a layout
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.set(w_pad=0.08, h_pad=0.06)  # inches: room for tick labels to grow
+        self._render(figure)
+        self._places = [axes.get_position(original=True) for axes in figure.axes]
+        return self._png()
+
+    def _render(self, figure) -> None:
+        from matplotlib.backends.backend_agg import RendererAgg
+
+        for axes in figure.axes:
+            axes.minorticks_off()
+        size = figure.bbox.size
+        if self._renderer is None or (self._renderer.width, self._renderer.height) != tuple(size):
+            self._renderer = RendererAgg(*size, figure.dpi)
+        self._renderer.clear()
+        figure.draw(self._renderer)
+
+    def _complete(self, figure) -> bool:
+        """Whether no label of an axis reaches out of the picture."""
+        labels = [axis.label for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
+        boxes = [label.get_window_extent(self._renderer) for label in labels if label.get_text()]
+        return all(box.x0 >= 0 and box.y0 >= 0 for box in boxes)
+
+    def _png(self) -> bytes:
+        from matplotlib.image import imsave
+
+        buffer = io.BytesIO()
+        imsave(buffer, self._renderer.buffer_rgba(), format="png", metadata={"Software": None})
+        return buffer.getvalue()
+
+
+def lines_of(figure) -> list[list]:
+    """Points (n, 2) of the lines of each panel; lines across a whole panel are marks, not data."""
+    return [
+        [line.get_xydata().copy() for line in axes.lines if line.get_transform() == axes.transData]
+        for axes in figure.axes
+    ]
+
+
+def show_behind(figure, lines: list[list]) -> None:
+    """Lines, as `lines_of` gives them, in grey behind a figure of as many panels; its axes keep their limits."""
+    from matplotlib.lines import Line2D
+
+    from workbook.palette import GREY
+
+    if len(lines) != len(figure.axes):
+        return
+    for axes, each in zip(figure.axes, lines, strict=True):
+        for points in each:
+            axes.add_artist(Line2D(*points.T, color=GREY, alpha=0.45, lw=2.5, zorder=0.5))
+
+
+def explore(draw: Callable, **controls: Slider | Choice):
+    """Redraw ``draw(**settings)`` while a control moves, before the published lines in grey; Reset returns to these.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns a `matplotlib.figure.Figure`.
+    **controls : Slider or Choice
+        One a parameter of `draw`.
+
+    Returns
+    -------
+    ipywidgets.VBox or StaticPicture
+        The picture at the published setting where a build, not a person, runs the notebook.
+    """
+    published = {name: control.published for name, control in controls.items()}
+    ghost: list[list] = []
+
+    def drawn(**settings):
+        figure = draw(**settings)
+        if settings == published:
+            ghost[:] = lines_of(figure)
+        else:
+            show_behind(figure, ghost)
+        return figure
+
+    picture_of = Redraw(drawn)
+    if in_batch():
+        return StaticPicture(picture_of(**published), ", ".join(f"{k} = {v}" for k, v in published.items()))
+
+    import ipywidgets as widgets
+
+    rows = {name: control.widget(name) for name, control in controls.items()}
+    picture = widgets.Image(format="png", layout=widgets.Layout(max_width="100%"))
+    message = widgets.HTML()
+    reset = widgets.Button(description="Published setting", icon="undo")
+
+    def redraw(_change=None):
+        settings = {name: controls[name].read(row.value) for name, row in rows.items()}
+        try:
+            picture.value = picture_of(**settings)
+            at_home = settings == published
+            message.value = "at the published setting" if at_home else "moved from the published setting"
+        except InputError as error:  # an impossible setting is an answer, not a crash
+            message.value = f"no picture: {_escaped(str(error))}"
+
+    def go_home(_button):
+        for name, row in rows.items():
+            row.value = published[name]
+
+    for row in rows.values():
+        row.observe(redraw, names="value")
+    reset.on_click(go_home)
+    redraw()
+    marked = [
+        widgets.HBox([row, widgets.Label(f"published: {published[name]}")]) for name, row in rows.items()
+    ]
+    return widgets.VBox([*marked, widgets.HBox([reset, message]), picture])
+
+
+def _escaped(text: str) -> str:
+    from html import escape
+
+    return escape(text)

@@ -1,0 +1,76 @@
+"""Figures that carry the style of the house: matplotlib's settings change while one is made or drawn, no longer."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache, wraps
+from inspect import getmembers, isfunction
+
+from matplotlib import RcParams, cycler, rcParams
+from matplotlib.figure import Figure
+
+from workbook.palette import COLOURS, STYLE
+
+_SETTINGS = dict(RcParams({**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}))
+_KEPT = (
+    "get_data_ratio",
+    "get_cursor_data",
+    "cla",
+)  # matplotlib asks whether a class has others than its own
+_inside = False  # the settings are one for the process, and so is this
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """matplotlib's settings as the figures of the house have them, and after it as they were before."""
+    global _inside
+    if _inside:
+        yield
+        return
+    before = {name: rcParams[name] for name in _SETTINGS}
+    _inside = True
+    # As matplotlib restores settings: they are checked, and to check them again at each call takes a millisecond.
+    dict.update(rcParams, _SETTINGS)
+    try:
+        yield
+    finally:
+        dict.update(rcParams, before)
+        _inside = False
+
+
+def _styled(method):
+    @wraps(method)
+    def styled(*arguments, **options):
+        if _inside:
+            return method(*arguments, **options)
+        with house_style():
+            return method(*arguments, **options)
+
+    return styled
+
+
+@cache
+def _dressed(kind: type) -> type:
+    """A class of figures or panels whose public methods run in the style: titles and ticks read it when they are made."""
+    methods = {
+        name: _styled(each)
+        for name, each in getmembers(kind, isfunction)
+        if not name.startswith("_") and name not in _KEPT
+    }
+    return type(kind.__name__, (kind,), {"__module__": kind.__module__, **methods})
+
+
+class HouseFigure(_dressed(Figure)):
+    """A figure in the style of the house, as is each panel that it is given: by `subplots`, `twinx` or a colour bar."""
+
+    def add_subplot(self, *arguments, **options):
+        return _dress(super().add_subplot(*arguments, **options))
+
+    def add_axes(self, *arguments, **options):
+        return _dress(super().add_axes(*arguments, **options))
+
+
+def _dress(axes):
+    if not hasattr(axes, "in_house_style"):
+        axes.__class__ = _dressed(type(axes))
+        axes.in_house_style = True
+    return axes

@@ -1,0 +1,109 @@
+"""One command at a time may write to a checkout, and none is torn halfway by an interrupt."""
+
+import contextlib
+import fcntl
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+
+from stillwork.base.checks import InputError
+from workbook import paths
+from workbook.publish import finish, leftovers, unfinished
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """Hold the checkout's lock; two writers would swap the same files.
+
+    What an accept had decided when it was killed is done first (`workbook.publish.finish`).
+
+    Raises
+    ------
+    InputError
+        When another command holds it, or a killed accept had to be taken back.
+    """
+    refusal = "another build or accept of this checkout is running; wait for it or stop it"
+    with held("lock", refusal):
+        finish(paths.root())
+        yield
+
+
+@contextlib.contextmanager
+def held(name: str, refusal: str) -> Iterator[None]:
+    """Hold the file ``build/<name>`` against other processes.
+
+    Raises
+    ------
+    InputError
+        With `refusal`, when another one holds it.
+    """
+    file = paths.root() / "build" / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(refusal) from None
+        yield
+
+
+def settle() -> None:
+    """Do what an accept had decided when it was killed, so that nobody reads half of it."""
+    if unfinished(paths.root()):
+        with alone():
+            pass
+    elif leftovers(paths.root()):
+        with contextlib.suppress(InputError), alone():  # or they are those of an accept at work
+            pass
+
+
+@contextlib.contextmanager
+def unwound() -> Iterator[None]:
+    """Let a signal that asks to end do so as an exception does, so that what lies about is cleared away."""
+
+    def leave(number: int, _frame) -> None:
+        raise SystemExit(128 + number)
+
+    with _handled(leave, signal.SIGTERM, signal.SIGHUP):
+        yield
+
+
+@contextlib.contextmanager
+def interrupts() -> Iterator[list[int]]:
+    """Note an interrupt instead of raising it, so that it tears nothing halfway; yields what came."""
+    caught: list[int] = []
+    with _handled(lambda number, _frame: caught.append(number), signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        yield caught
+
+
+@contextlib.contextmanager
+def _handled(handler: Callable, *numbers: signal.Signals) -> Iterator[None]:
+    """Let `handler` take these signals for a while, apart from those that the process was started to ignore.
+
+    `nohup` ignores the end of a session so, and a shell the interrupts of its background jobs.
+    """
+    heard = [each for each in numbers if signal.getsignal(each) != signal.SIG_IGN]
+    before = {each: signal.signal(each, handler) for each in heard}
+    try:
+        yield
+    finally:
+        for each, usual in before.items():
+            signal.signal(each, usual)
+
+
+def run_whole(command: list[str], **how) -> int:
+    """Run a command that tidies up after itself; returns its exit code, 128 + signal when interrupted.
+
+    An interrupt is passed on to it, and its end waited for. It stands in a group of processes of its own, so that
+    a terminal's Ctrl-C, too, reaches it once: from here. `how` is `subprocess.Popen`'s.
+    """
+    with interrupts() as caught:
+        passed = 0
+        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, process_group=0, **how)
+        while child.poll() is None:
+            for number in caught[passed:]:
+                child.send_signal(number)
+                passed += 1
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.wait(0.2)
+    return 128 + caught[0] if caught else child.returncode

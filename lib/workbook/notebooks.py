@@ -1,0 +1,205 @@
+"""The workbook's notebooks, and which of them a command means."""
+
+import difflib
+import json
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillwork.base.checks import InputError, nearest
+from workbook import paths
+from workbook.parameters import Parameter, read_parameters
+
+NEAREST = 3  # how many are suggested where none is near
+LISTED = 12  # parameters that are all named in a line
+
+# A notebook's own, in the form that is committed: no version of whatever ran it.
+METADATA = {
+    "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+    "language_info": {"name": "python"},
+}
+
+
+@dataclass(frozen=True)
+class Notebook:
+    """A notebook as it stands in the workbook.
+
+    Attributes
+    ----------
+    name : str
+        ``room/nn-result``.
+    source : str
+        The file's text.
+    cells : dict of str to str
+        Code cells by id, without the parameters cell.
+    parameters : dict of str to Parameter
+        In the order of the notebook.
+    """
+
+    name: str
+    source: str
+    cells: dict[str, str]
+    parameters: dict[str, Parameter]
+
+    @property
+    def room(self) -> str:
+        return self.name.partition("/")[0]
+
+
+def read_notebook(name: str) -> Notebook:
+    """Read ``notebooks/<name>.ipynb``.
+
+    Raises
+    ------
+    InputError
+        When it is no notebook, two of its cells have one id, or its parameters cell has another form; the message
+        names the id or the line.
+    """
+    file = notebook_file(name)
+    source = file.read_text(encoding="utf-8")
+    try:
+        every = json.loads(source)["cells"]
+        cells = [cell for cell in every if cell["cell_type"] == "code"]
+        tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
+        code = {cell["id"]: _text(cell) for cell in cells if cell not in tagged}
+        twice = [name for name, count in Counter(cell["id"] for cell in every).items() if count > 1]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(
+            f"{file}: not a notebook whose cells have ids (nbformat 4.5); save it again from Jupyter"
+        ) from None
+    if twice:
+        raise InputError(f"{file}: several cells have the id {twice[0]!r}; give each its own")
+    if len(tagged) > 1:
+        raise InputError(f"{file}: {len(tagged)} cells are tagged 'parameters'; keep one")
+    parameters = read_parameters(str(file), _text(tagged[0])) if tagged else {}
+    return Notebook(name, source, code, parameters)
+
+
+def notebook_file(name: str) -> Path:
+    """Path of the notebook ``room/nn-result``."""
+    return paths.root() / "notebooks" / f"{name}.ipynb"
+
+
+def select(*targets: str) -> list[Notebook]:
+    """Read the notebooks that `targets` mean: notebooks, rooms, or (without any) all of the workbook.
+
+    Raises
+    ------
+    InputError
+        When there is no such room or notebook; the nearest is named.
+    """
+    folder = paths.root() / "notebooks"
+    names = [
+        f"{room}/{file.stem}"
+        for room in paths.rooms()
+        for file in sorted((folder / room).glob("[!.]*.ipynb"))
+    ]
+    wanted = {
+        target: target.removeprefix("notebooks/").removesuffix(".ipynb").rstrip("/") for target in targets
+    }
+    for target, name in wanted.items():
+        if not any(name in (each, each.partition("/")[0]) for each in names):
+            raise InputError(f"there is no notebook or room {target!r}{_meant(name, names)}")
+    chosen = {name for name in names if {name, name.partition("/")[0]} & set(wanted.values())}
+    return [read_notebook(name) for name in names if name in chosen or not targets]
+
+
+def _meant(name: str, names: list[str]) -> str:
+    """Suggestion of notebooks or a room, as `nearest` writes it."""
+    begun = [each for each in names if each.startswith(name)]  # a number without its words
+    if len(begun) == 1:
+        return f"; did you mean {begun[0]!r}?"
+    room, slash, number = name.partition("/")
+    inside = [each.partition("/")[2] for each in names if each.startswith(f"{room}/")]
+    if slash and inside:
+        close = difflib.get_close_matches
+        found = close(number, inside, 1, cutoff=0.5) or close(number, inside, NEAREST, cutoff=0)
+        return f"; did you mean {' or '.join(repr(f'{room}/{each}') for each in found)}?"
+    return nearest(name, [*names, *{each.partition("/")[0] for each in names}])
+
+
+def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[Notebook, dict[str, object]]]:
+    """Give each notebook the `settings` that it declares; those that declare none of them drop out.
+
+    Returns
+    -------
+    list of (Notebook, dict)
+        The values that differ from the published settings.
+
+    Raises
+    ------
+    InputError
+        When no notebook has a parameter of that name, or its type is another.
+    """
+    known = list(dict.fromkeys(name for notebook in notebooks for name in notebook.parameters))
+    for name in settings:
+        if name not in known:
+            where = notebooks[0].name if len(notebooks) == 1 else "no notebook here"
+            has = "has no" if len(notebooks) == 1 else "has a"
+            hint = nearest(name, known)
+            if known and not hint:
+                hint = f"; {'it has' if len(notebooks) == 1 else 'they have'} "
+                if len(known) <= LISTED:
+                    hint += ", ".join(known)
+                else:
+                    close = difflib.get_close_matches(name, known, NEAREST, cutoff=0)
+                    hint += f"{len(known)}, nearest are {', '.join(close)}"
+            raise InputError(f"{where} {has} parameter {name!r}{hint}")
+    chosen = []
+    for notebook in notebooks:
+        mine = {name: text for name, text in settings.items() if name in notebook.parameters}
+        if settings and not mine:
+            continue
+        try:
+            values = {name: notebook.parameters[name].read(text) for name, text in mine.items()}
+        except InputError as error:
+            raise InputError(f"{notebook.name}: {error}") from None
+        changed = {k: v for k, v in values.items() if repr(v) != repr(notebook.parameters[k].value)}
+        chosen.append((notebook, changed))
+    return chosen
+
+
+def cleaned(notebook: dict, executed: dict) -> dict:
+    """`notebook` with the text outputs of `executed`: no pictures, widgets, HTML, times or random ids."""
+    outputs = {cell["id"]: cell for cell in executed["cells"] if cell["cell_type"] == "code"}
+    cells = []
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            ran = outputs[cell["id"]]
+            kept = [text for output in ran["outputs"] if (text := _text_only(output))]
+            cell = {**cell, "execution_count": ran["execution_count"], "outputs": joined(kept)}
+            cell["metadata"] = {k: v for k, v in cell["metadata"].items() if k == "tags"}
+        cells.append(cell)
+    return {**notebook, "cells": cells, "metadata": METADATA}
+
+
+def notebook_text(notebook: dict) -> str:
+    """The file's text, in the one order that accepting writes."""
+    return json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
+def joined(outputs: list[dict]) -> list[dict]:
+    """Outputs with one stream where several of its name follow each other: how many came is a matter of time."""
+    found: list[dict] = []
+    for output in outputs:
+        last = found[-1] if found else {}
+        if output["output_type"] == "stream" and last.get("name") == output["name"]:
+            text = "".join(last["text"]) + "".join(output["text"])
+            as_lines = isinstance(output["text"], list)
+            found[-1] = {**last, "text": text.splitlines(True) if as_lines else text}
+        else:
+            found.append(output)
+    return found
+
+
+def _text_only(output: dict) -> dict | None:
+    if output["output_type"] == "stream":
+        return output
+    text = output.get("data", {}).get("text/plain")  # an error has no data
+    if text is None:
+        return None
+    return {**output, "data": {"text/plain": text}, "metadata": {}}
+
+
+def _text(cell: dict) -> str:
+    return "".join(cell["source"])

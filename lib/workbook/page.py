@@ -1,0 +1,99 @@
+"""A notebook's page: where its figures go and where its numbers are held against the ledger."""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from stillwork.base.checks import InputError, require_choice, require_kind, shown
+from workbook import paths
+from workbook.claims import ClaimsTable, make_claim
+from workbook.figures import SavedFigure, plotted, save
+
+# Letters, digits, - and _, with dots inside: a name that is a file's on every system, and no path.
+_NAME = re.compile(r"(?=.{1,100}$)[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*")
+
+
+@dataclass
+class Page:
+    """The page of one notebook: ``page = Page("isolation/02-convergence")``.
+
+    In a build it writes to the folder that the runner gives, in Jupyter to ``build/interactive/``.
+
+    Attributes
+    ----------
+    notebook : str
+        Room and name of the notebook, without suffix.
+    claims : ClaimsTable
+        What the notebook has claimed so far; show it at the end.
+    """
+
+    notebook: str
+    claims: ClaimsTable = field(default_factory=ClaimsTable, init=False, repr=False)
+    _rounding: dict[str, dict[str, str]] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self):
+        room, _, name = require_kind("notebook", self.notebook, str).partition("/")
+        if not paths.is_room(room) or not _NAME.fullmatch(name):
+            raise InputError(f"notebook is {shown(self.notebook)}; give 'room/name', e.g. 'room/02-result'")
+
+    def save(self, name: str, figure, rounding: Mapping[str, str] | None = None) -> SavedFigure:
+        """Write ``<name>.png`` and the plotted numbers ``<name>.csv``; returns a picture for the notebook.
+
+        Parameters
+        ----------
+        name : str
+            Of the files, without suffix.
+        figure : matplotlib.figure.Figure
+        rounding : mapping of str to str, optional
+            Series, by their labels, whose numbers are rounding itself, and why: another processor gives others
+            of the same size. They are noted in ``rounding.json`` beside the figure; a rebuilt one has to agree
+            with them within a factor of ten.
+
+        Raises
+        ------
+        InputError
+            When the name is none of letters, digits, ``-``, ``_`` and dots inside, `figure` is no whole figure, a
+            formula in it cannot be set, no series has such a label, or a reason is no text or empty.
+        """
+        from matplotlib.figure import Figure
+
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise InputError(f"name is {shown(name)}; give at most 100 letters, digits, - or _, e.g. 'fig-5'")
+        require_kind("figure", figure, Figure)
+        if rounding:
+            require_kind("rounding", rounding, Mapping)
+            drawn = {series for _, series, *_ in plotted(figure)}
+            for series, why in rounding.items():
+                require_choice("rounding", series, drawn)
+                if not isinstance(why, str) or not why.strip():
+                    raise InputError(f"rounding: say why {series!r} is rounding")
+        saved = save(figure, paths.output(self.notebook) / name)
+        if rounding:
+            self._rounding[name] = dict(rounding)
+        else:
+            self._rounding.pop(name, None)
+        notes = saved.path.with_name("rounding.json")
+        if self._rounding:
+            noted = json.dumps(self._rounding, indent=1, ensure_ascii=False)
+            notes.write_text(noted + "\n", encoding="utf-8")
+        else:
+            notes.unlink(missing_ok=True)
+        return saved
+
+    def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:
+        """Hold `ours` against the ledger's entry `claim` (with the room in front); returns the verdict.
+
+        Parameters
+        ----------
+        claim : str
+            Id in ``published.toml``.
+        ours : float
+            The replicated value; for an ordering the fraction of runs that obey it.
+        interval : tuple of float, optional
+            Its interval over runs.
+        """
+        made = make_claim(claim, ours, interval, self.notebook)
+        self.claims.add(made)
+        self.claims.write(paths.output(self.notebook) / "claims.json")
+        return made.verdict

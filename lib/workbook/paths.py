@@ -1,0 +1,100 @@
+"""Where things stand: the workbook's root folder, its rooms, and where a notebook writes."""
+
+import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+from stillwork.base.checks import InputError, nearest, require_number, shown
+from stillwork.base.kernel_folder import ROOT_VARIABLE
+from stillwork.base.toml_files import read_toml
+
+OUTPUT_VARIABLE = "STILLWORK_OUTPUT"
+
+
+def root() -> Path:
+    """Folder that holds `notebooks/`, `data/` and `figures/`.
+
+    It is what the environment variable `STILLWORK_ROOT` names, else the folder at or above the present one with a
+    ledger, else the checkout that this package runs from.
+    """
+    named = os.environ.get(ROOT_VARIABLE)
+    folder = Path(named) if named else _around(os.getcwd()) or Path(__file__).parents[2]
+    if not (folder / "data").is_dir():
+        raise FileNotFoundError(
+            f"no workbook at {folder if named else os.getcwd()} (no data/ folder); run this in one, set "
+            f"{ROOT_VARIABLE} to one, or begin one: python -m workbook init DIR"
+        )
+    return folder
+
+
+@cache
+def _around(folder: str) -> Path | None:
+    places = (Path(folder), *Path(folder).parents)
+    return next((each for each in places if any(each.glob("data/*/published.toml"))), None)
+
+
+@contextmanager
+def rooted(folder: Path) -> Iterator[None]:
+    """Let the root be another folder for a while."""
+    before = os.environ.get(ROOT_VARIABLE)
+    os.environ[ROOT_VARIABLE] = str(folder)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[ROOT_VARIABLE]
+        else:
+            os.environ[ROOT_VARIABLE] = before
+
+
+def rooms() -> tuple[str, ...]:
+    """The rooms, which are the folders of ``data/`` with a ledger, by the `order` in their ``paper.toml``, then by name.
+
+    It reads what belongs to every room. What a notebook calls asks `require_room`, which reads nothing: else a room
+    that is added would make the results of the others stale.
+    """
+    there = [file.parent.name for file in (root() / "data").glob("*/published.toml")]
+    return tuple(sorted(filter(is_room, there), key=lambda room: (_order(room), room)))
+
+
+def _order(room: str) -> float:
+    file = data(room, "paper.toml")
+    given = read_toml(file) if file.is_file() else {}
+    return require_number(f"{file}: order", given["order"]) if "order" in given else math.inf
+
+
+def is_room(name: str) -> bool:
+    """Whether there is such a room."""
+    return name.isidentifier() and os.path.isfile(data(name, "published.toml"))  # however long the name
+
+
+def require_room(name: str) -> str:
+    """Return `name` when it is a room's, else raise `InputError` with the nearest one."""
+    if not isinstance(name, str) or not is_room(name):
+        raise InputError(f"room is {shown(name)}; use one of {', '.join(rooms())}{nearest(name, rooms())}")
+    return name
+
+
+def data(room: str, name: str = "") -> Path:
+    """Path of a shipped data file of a room, e.g. ``data("isolation", "rigid_body.toml")``."""
+    return root() / "data" / room / name
+
+
+def own_settings() -> dict:
+    """What ``[tool.workbook]`` of pyproject.toml says; nothing without."""
+    file = root() / "pyproject.toml"
+    return read_toml(file).get("tool", {}).get("workbook", {}) if file.is_file() else {}
+
+
+def in_batch() -> bool:
+    """Whether the runner or the tests, not a person, execute the notebook."""
+    return OUTPUT_VARIABLE in os.environ
+
+
+def output(notebook: str) -> Path:
+    """Folder that `notebook` (``room/name``) writes to: the runner's, or ``build/interactive``."""
+    base = os.environ.get(OUTPUT_VARIABLE)
+    return (Path(base) if base else root() / "build" / "interactive") / notebook

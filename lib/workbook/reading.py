@@ -1,0 +1,80 @@
+"""What a code cell draws, claims and calls, read from its source without running it."""
+
+import ast
+import json
+import re
+
+from workbook.notebooks import Notebook
+
+PACKAGES = ("stillwork", "workbook", "experiments")
+
+
+def saved(source: str, available: list[str]) -> list[str]:
+    """Names of the figures that a cell saves, of those `available`."""
+    return _named(source, "save", available)
+
+
+def checked(source: str, available: list[str]) -> list[str]:
+    """Ids of the claims that a cell makes, of those `available`."""
+    return _named(source, "check", available)
+
+
+def _named(source: str, method: str, available: list[str]) -> list[str]:
+    """Those `available` that a first argument of ``page.<method>(...)`` can mean, in the order of the calls."""
+    found = []
+    for node in ast.walk(_parsed(source)):
+        match node:
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="page"), attr=name), args=[first, *_]) if (
+                name == method
+            ):
+                pattern = re.compile(_pattern(first))
+                found += [each for each in available if pattern.fullmatch(each) and each not in found]
+    return found
+
+
+def _pattern(node: ast.expr) -> str:
+    """Regular expression of the strings that an expression may give: what is not literal matches anything."""
+    match node:
+        case ast.Constant(value=str(text)):
+            return re.escape(text)
+        case ast.JoinedStr(values=parts):
+            return "".join(_pattern(part) for part in parts)
+    return ".+"
+
+
+def used(sources: list[str]) -> list[str]:
+    """Dotted names of what cells use of the library, e.g. ``experiments.isolation.twin.load_twin``, sorted."""
+    local = {}
+    trees = [_parsed(source) for source in sources]
+    for tree in trees:
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES:
+                local |= {each.asname or each.name: f"{node.module}.{each.name}" for each in node.names}
+    found = set()
+    for tree in trees:
+        for node in ast.walk(tree):
+            match node:
+                case ast.Attribute(value=ast.Name(id=name), attr=member) if name in local:
+                    found |= {local[name], f"{local[name]}.{member}"}
+                case ast.Name(id=name) if name in local:
+                    found.add(local[name])
+    return sorted(found)
+
+
+def comments(notebook: Notebook) -> dict[str, str]:
+    """What stands behind each parameter in the notebook's cell of parameters."""
+    cells = json.loads(notebook.source)["cells"]
+    tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
+    lines = "".join(tagged[0]["source"]) if tagged else ""
+    found = {}
+    for name in notebook.parameters:
+        comment = re.search(rf"^{name}\s*:[^#\n]*#\s*(.+)$", lines, re.MULTILINE)
+        found[name] = comment[1] if comment else ""
+    return found
+
+
+def _parsed(source: str) -> ast.Module:
+    try:
+        return ast.parse(source)
+    except SyntaxError:  # a cell with Jupyter's own commands
+        return ast.Module(body=[], type_ignores=[])

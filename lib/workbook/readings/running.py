@@ -1,0 +1,222 @@
+"""Computes readings on any executor, goes on after a kill, and outlives the readings that fail."""
+
+import contextlib
+import hashlib
+import importlib
+import inspect
+import json
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillwork.base.checks import InputError
+from workbook.progress import Progress
+from workbook.readings.axes import Multiverse, Option
+from workbook.readings.closure import study_digest
+from workbook.readings.journal import Journal
+from workbook.readings.results import Outcomes, Value, collect, rounded
+from workbook.readings.sampling import design
+
+DIED = "its process died"
+LONGEST_REASON = 200  # characters
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of a study: a reading and a seed.
+
+    Attributes
+    ----------
+    function, room : str
+    options : dict
+        Arguments.
+    seed : int
+    lean : bool
+    entries : tuple of str
+        What it must return.
+    code : str
+        Digest of the code that asks for it; a worker whose code differs refuses.
+    """
+
+    function: str
+    room: str
+    options: dict[str, Option]
+    seed: int
+    lean: bool
+    entries: tuple[str, ...]
+    code: str
+
+    @property
+    def key(self) -> str:
+        """Under which the journal keeps what it gave."""
+        facts = [self.code, self.function, self.options, self.seed, self.lean, self.entries]
+        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+
+def calls_of(multiverse: Multiverse) -> dict[tuple[int, int], Call]:
+    """All runs of a study, by point and place of the seed."""
+    code = study_digest(multiverse.function, multiverse.room)
+    return {
+        (k, s): Call(
+            multiverse.function,
+            multiverse.room,
+            multiverse.options(point),
+            seed,
+            bool(multiverse.lean),
+            multiverse.entries,
+            code,
+        )
+        for k, point in enumerate(design(multiverse))
+        for s, seed in enumerate(multiverse.seeds)
+    }
+
+
+def compute(run: Call) -> dict[str, Value] | str:
+    """What the study gives, rounded to the digits that are kept; the reason, where it raises.
+
+    Raises
+    ------
+    InputError
+        When the study cannot be called like this, does not return what it should, or is other code than asked for.
+    """
+    if study_digest(run.function, run.room) != run.code:
+        raise InputError(f"{run.function}: the worker's checkout differs; bring it to the same state")
+    module, _, name = run.function.partition(":")
+    function = getattr(importlib.import_module(module), name, None)
+    if function is None:
+        raise InputError(f"{module} has no function {name!r}; correct readings.toml")
+    try:
+        inspect.signature(function).bind(**run.options, seed=run.seed, lean=run.lean)
+    except TypeError as error:
+        raise InputError(f"{run.function} cannot take the axes that touch its entries: {error}") from None
+    try:
+        given = dict(function(**run.options, seed=run.seed, lean=run.lean))
+    except Exception as error:  # a reading that cannot be computed is a result, too
+        return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
+    for entry in (*run.entries, *given):
+        if (entry in given) != (entry in run.entries):
+            word = "is not among its entries" if entry in given else "is missing from what it returns"
+            raise InputError(f"{run.function}: {entry} {word}; correct it or readings.toml")
+    return {entry: _kept(given[entry]) for entry in run.entries}
+
+
+def _kept(value: Value | np.bool_) -> Value:
+    """Rounded; NaN for what is not finite; 1 for what is true."""
+    if isinstance(value, tuple):
+        middle, (low, high) = value
+        ends = (_kept(low), _kept(high))
+        return (_kept(middle), ends) if all(map(math.isfinite, ends)) else _kept(middle)
+    value = float(value)
+    return rounded(value) if math.isfinite(value) else math.nan
+
+
+def run_readings(
+    multiverses: list[Multiverse],
+    executor: Callable[[], contextlib.AbstractContextManager[Executor]],
+    journal: Journal,
+    *,
+    at_once: int = 2,
+    budget_s: float = math.inf,
+    stopped: Callable[[], bool] = lambda: False,
+    runs_of: Callable[[Multiverse], dict[tuple[int, int], Call]] = calls_of,
+) -> list[Outcomes]:
+    """Compute what the journal does not hold yet; returns the studies that are whole.
+
+    The numbers depend neither on the executor, on its workers, on their order, nor on interruptions.
+
+    Parameters
+    ----------
+    multiverses : list of Multiverse
+    executor : callable
+        Gives a context with an executor; called again when a process of the first one dies.
+    journal : Journal
+    at_once : int
+        Readings that are handed out at a time.
+    budget_s : float
+        After so many seconds no reading is begun.
+    stopped : callable
+        When this tells so, what is under way is given up, too.
+    runs_of : callable
+        The runs of a study that are wanted, all of them by default.
+    """
+    plans = [(multiverse, runs_of(multiverse)) for multiverse in multiverses]
+    missing = {run.key: run for _, runs in plans for run in runs.values() if run.key not in journal.found}
+    waiting = deque(_spread([list(runs.values()) for _, runs in plans], missing))
+    end = time.monotonic() + budget_s
+    with Progress(len(missing), task="readings", unit="reading", tell=True) as progress:
+
+        def keep(run: Call, found: dict | str) -> None:
+            journal.add(run.key, found)
+            progress.step()
+
+        with contextlib.suppress(_Interrupted):
+            while waiting and time.monotonic() < end:
+                suspects = _run_until_broken(waiting, executor, at_once, keep, end, stopped)
+                for run in suspects:
+                    keep(run, _run_alone(run, executor))
+    return [
+        collect(
+            multiverse,
+            design(multiverse),
+            {at: journal.found[run.key] for at, run in runs.items()},
+            next(iter(runs.values())).code,
+        )
+        for multiverse, runs in plans
+        if all(run.key in journal.found for run in runs.values())
+    ]
+
+
+def _spread(plans: list[list[Call]], missing: dict[str, Call]) -> list[Call]:
+    """Missing runs of all studies, each study advancing at the same pace."""
+    placed = [(k / len(runs), run) for runs in plans for k, run in enumerate(runs) if run.key in missing]
+    return [run for _, run in sorted(placed, key=lambda each: each[0])]
+
+
+class _Interrupted(Exception):
+    """Leaves the executor's context at once."""
+
+
+def _run_until_broken(waiting: deque[Call], executor, at_once, keep, end, stopped) -> list[Call]:
+    """Hand out runs until none waits; returns those that were under way when a process died."""
+    running = {}
+    with executor() as pool:
+        try:
+            while running or (waiting and time.monotonic() < end):
+                if stopped():
+                    raise _Interrupted
+                while waiting and len(running) < at_once and time.monotonic() < end:
+                    future = pool.submit(compute, waiting[0])  # refused by a broken pool: it still waits
+                    running[future] = waiting.popleft()
+                done, _ = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
+                for future in done:
+                    found = _found(future)
+                    keep(running.pop(future), found)
+        except BrokenExecutor:
+            return list(running.values())
+        except BaseException:
+            for future in running:
+                future.cancel()
+            raise
+    return []
+
+
+def _found(future: Future) -> dict | str:
+    try:
+        return future.result()
+    except Exception as error:
+        if type(error).__name__ == "KilledWorker":  # a cluster gives up on it after several workers
+            return DIED
+        raise
+
+
+def _run_alone(run: Call, executor) -> dict | str:
+    with executor() as pool:
+        try:
+            return pool.submit(compute, run).result()
+        except BrokenExecutor:
+            return DIED

@@ -1,0 +1,261 @@
+"""Draw a figure in one pass: the pixels of `savefig`, for a good half of the time."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
+
+import numpy as np
+
+from stillwork.base.checks import InputError, shown
+from stillwork.base.garbage import no_collection
+from workbook.house_style import HouseFigure, house_style
+
+
+def pixels(figure, dpi: float) -> np.ndarray:
+    """The picture of a figure, as `matplotlib.figure.Figure.savefig` draws it; the figure stays as it is.
+
+    `savefig` draws twice where a figure has a layout engine, the first time to find the layout alone. Here the
+    engine is asked directly. A minor tick without a label is a stroke that the layout need not know, and all
+    strokes of an axis are one line: as ticks each of them is three lines and two texts.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    dpi : float
+        Dots per inch.
+
+    Returns
+    -------
+    ndarray of uint8, shape (height, width, 4)
+        Red, green, blue and alpha; rows from the top.
+
+    Raises
+    ------
+    InputError
+        When a formula in the figure cannot be set, or its layout cannot be found.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(no_collection())
+        stack.enter_context(_text_named(figure))
+        stack.enter_context(house_style() if isinstance(figure, HouseFigure) else nullcontext())
+        canvas = stack.enter_context(_canvas(figure, dpi))
+        groups = _bare_groups(figure)
+        stack.enter_context(_ticks_once(figure))
+        stack.enter_context(_places(figure))
+        engine = figure.get_layout_engine()
+        if engine is not None:
+            with _without_minor_ticks(groups):
+                _lay_out(figure, engine)
+            stack.callback(figure.set_layout_engine, engine)
+            figure.set_layout_engine("none")
+        for axis in (axis for group in groups for axis in group if _drawn(axis)):
+            for strokes in _strokes(axis):
+                axis.axes.add_artist(strokes)
+                strokes.set_clip_on(False)
+                stack.callback(strokes.remove)
+        with _without_minor_ticks(groups):
+            canvas.draw()
+        return np.array(canvas.buffer_rgba())
+
+
+@contextmanager
+def _text_named(figure) -> Iterator[None]:
+    """Formulas are read only when they are set: say which text it is that could not be."""
+    try:
+        yield
+    except ValueError:
+        if (text := _unset(figure)) is not None:
+            raise InputError(
+                f"figure has the text {shown(text)}, which cannot be set; mend its formula, or write \\$ for a dollar"
+            ) from None
+        raise
+
+
+def _unset(figure) -> str | None:
+    """The first text of a figure whose formula cannot be read."""
+    from matplotlib.mathtext import MathTextParser
+    from matplotlib.text import Text
+
+    parser = MathTextParser("path")
+    for each in figure.findobj(Text):
+        text, is_formula = each._preprocess_math(each.get_text())
+        if is_formula is True:
+            for line in text.split("\n"):
+                try:
+                    parser.parse(line)
+                except ValueError:
+                    return each.get_text()
+    return None
+
+
+def _lay_out(figure, engine) -> None:
+    try:
+        engine.execute(figure)
+    except ValueError as error:  # it has rules of its own, such as panels from one grid alone
+        raise InputError(f"figure has no such layout ({error}); make it with layout='constrained'") from None
+
+
+@contextmanager
+def _canvas(figure, dpi: float) -> Iterator:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    before, before_dpi = figure.canvas, figure.dpi
+    canvas = FigureCanvasAgg(figure)
+    figure.set_dpi(dpi)
+    try:
+        yield canvas
+    finally:
+        figure.set_dpi(before_dpi)
+        figure.set_canvas(before)
+
+
+@contextmanager
+def _places(figure) -> Iterator[None]:
+    """Put back what a layout and a drawing move: margins, parts, panels, their views, the figure's titles."""
+    figures = [figure]
+    for each in figures:
+        figures += each.subfigs
+    panels = [panel for axes in figure.axes for panel in (axes, *axes.child_axes)]
+    boxes = [part.bbox_relative for part in figures[1:]] + [panel.viewLim for panel in panels]
+    boxes = [(box, box.frozen()) for box in boxes]
+    margins = [(each.subplotpars, dict(vars(each.subplotpars))) for each in figures]
+    titles = [(text, text.get_position()) for each in figures for text in each.texts]
+    places = [
+        # Where a locator put it last; without one a panel finds its place from the original one when asked.
+        (each, each.get_in_layout(), each.get_position(True), each.get_position(not each.get_axes_locator()))
+        for each in panels
+    ]
+    try:
+        yield
+    finally:
+        for margin, before in margins:
+            margin.update(**before)
+        for text, place in titles:
+            text.set_position(place)
+        for panel, in_layout, place, located in places:
+            panel.set_position(place)  # takes it out of later layouts
+            panel.set_position(located, which="active")
+            panel.set_in_layout(in_layout)
+        for box, before in boxes:
+            box.set(before)
+
+
+@contextmanager
+def _ticks_once(figure) -> Iterator[None]:
+    """Place ticks and measure their labels once for each view and place of a panel: a layout asks a dozen times."""
+    every = [axis for axes in figure.axes for panel in (axes, *axes.child_axes) for axis in _axes_of(panel)]
+    for axis in every:
+        ticks = _Ticks(axis)
+        axis._update_ticks, axis._get_ticklabel_bboxes = ticks.placed, ticks.boxes
+    try:
+        yield
+    finally:
+        for axis in every:
+            del axis._update_ticks, axis._get_ticklabel_bboxes
+
+
+class _Ticks:
+    """What an axis told of its ticks, for as long as it would say the same."""
+
+    def __init__(self, axis):
+        self._axis, self._update, self._measure = axis, axis._update_ticks, axis._get_ticklabel_bboxes
+        self._seen = self._offset = self._placed = self._boxes = None
+
+    def placed(self) -> list:
+        axis, axes = self._axis, self._axis.axes
+        seen = (
+            *(axes.viewLim.bounds, axes.bbox.bounds, axis.get_transform()),
+            *(axis.major.locator, axis.minor.locator, axis.major.formatter, axis.minor.formatter),
+        )
+        # Panels that share an axis share its formatter, whose offset is that of the ticks it saw last.
+        if self._seen != seen or self._offset != axis.major.formatter.get_offset():
+            self._placed, self._boxes = self._update(), None
+            self._seen, self._offset = seen, axis.major.formatter.get_offset()
+        return self._placed
+
+    def boxes(self, ticks: list, renderer) -> tuple[list, list]:
+        if ticks is not self._placed:
+            return self._measure(ticks, renderer)
+        if self._boxes is None:
+            self._boxes = self._measure(ticks, renderer)
+        return self._boxes
+
+
+@contextmanager
+def _without_minor_ticks(groups: list[list]) -> Iterator[None]:
+    from matplotlib.ticker import NullLocator
+
+    before = [(group[0].minor, group[0].minor.locator) for group in groups]
+    for ticker, _ in before:
+        ticker.locator = NullLocator()
+    try:
+        yield
+    finally:
+        for ticker, locator in before:
+            ticker.locator = locator
+
+
+def _bare_groups(figure) -> list[list]:
+    """Axes that share their minor ticks, where none of these needs more than a stroke."""
+    groups = {}
+    for axes in figure.axes:
+        for panel in (axes, *axes.child_axes):
+            for axis in _axes_of(panel):
+                groups.setdefault(id(axis.minor), []).append(axis)
+    return [group for group in groups.values() if all(not _drawn(axis) or _bare(axis) for axis in group)]
+
+
+def _axes_of(panel) -> tuple:
+    return panel.xaxis, panel.yaxis
+
+
+def _drawn(axis) -> bool:
+    return axis.axes.get_visible() and axis.axes.axison and axis.get_visible()
+
+
+def _bare(axis) -> bool:
+    """Whether the minor ticks are strokes alone, and a longer major tick tells a layout all it has to know."""
+    axes = axis.axes
+    if (
+        axes.name != "rectilinear" or axes.get_aspect() != "auto"
+    ):  # the latter changes size or view when drawn
+        return False
+    if not len(locations := axis.get_minorticklocs()):
+        return False
+    if any(axis.get_minor_formatter().format_ticks(locations)):
+        return False
+    low, high = sorted(axis.get_view_interval())
+    if not any(low <= place <= high for place in axis.get_majorticklocs()):
+        return False
+    (major,), (minor,) = axis.get_major_ticks(1), axis.get_minor_ticks(1)
+    return (
+        not minor.gridline.get_visible()
+        and major.get_tick_padding() >= minor.get_tick_padding()
+        and major.get_pad() >= minor.get_pad()
+        and all(
+            getattr(major, part).get_visible() or not getattr(minor, part).get_visible()
+            for part in ("tick1line", "tick2line", "label1", "label2")
+        )
+    )
+
+
+def _strokes(axis) -> list:
+    """The minor ticks of an axis in view, as one line a side."""
+    from matplotlib.lines import Line2D
+
+    locations = axis.get_minorticklocs()
+    scaled, (low, high) = (axis.get_transform().transform(v) for v in (locations, axis.get_view_interval()))
+    room = 1e-10 * abs(high - low)  # as matplotlib: a tick on the edge is in view
+    locations = locations[(scaled >= min(low, high) - room) & (scaled <= max(low, high) + room)]
+    lines = []
+    (tick,) = axis.get_minor_ticks(1)
+    for end in (tick.tick1line, tick.tick2line):
+        if end.get_visible():
+            x, y = end.get_data()
+            ends = (locations, np.full(len(locations), y[0]))
+            if axis.axis_name == "y":
+                ends = (np.full(len(locations), x[0]), locations)
+            line = Line2D(*ends)
+            line.update_from(end)
+            line.set_zorder(np.nextafter(axis.get_zorder(), np.inf))  # right behind the major ticks
+            lines.append(line)
+    return lines

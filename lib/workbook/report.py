@@ -1,0 +1,234 @@
+"""The ledger as text: for a terminal, one entry whole, and as the summary that stands in the README."""
+
+import shutil
+import sys
+import textwrap
+from collections import Counter
+from collections.abc import Iterable
+
+from stillwork.base.checks import InputError, nearest
+from workbook import paths
+from workbook.claims import AGREEMENT, BASES, Claim, ledger
+
+BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
+# What a claim is counted as: first the work's numbers, then what is none of them.
+REPLICATIONS = (
+    *(f"{verdict}, {basis}" for verdict in ("replicated", "better") for basis in BASES),
+    "deviates",
+    "reported",
+)
+APART = ("no number published", "checks passed", "checks failed", "counterfactual", "not built")
+# Columns that are shown even when they are empty: what could be mistaken for evidence stands beside it.
+ALWAYS = ("replicated, predicted", "replicated, fitted", "replicated, calibrated", "deviates", "reported")
+GAP = "  "
+NARROWEST = 8  # characters to which a column may shrink
+
+
+def published_quantity(claim: Claim) -> str:
+    """The published value with its unit; of a fraction of runs, the share of cases in which it holds."""
+    published = claim.entry.published
+    return "" if published is None else _quantity(claim, published, f"{published:.4g}")
+
+
+def our_quantity(claim: Claim) -> str:
+    """The value found, as `published_quantity`; empty where nothing was."""
+    return "" if claim.ours is None else _quantity(claim, claim.ours, claim.shown(4))
+
+
+def _quantity(claim: Claim, value: float, text: str) -> str:
+    if claim.entry.is_fraction:
+        return "always" if value == 1 else "never" if value == 0 else f"in {_percent(value)} % of cases"
+    unit = claim.entry.unit
+    return text if unit in ("", "1") else f"{text} {unit}"
+
+
+def _percent(share: float) -> str:
+    """A share that is not whole, in per cent; what three digits round to the whole gets more of them."""
+    texts = [f"{100 * share:.{digits}g}" for digits in range(3, 9)]
+    return next((text for text in texts if float(text) != 100), texts[-1])
+
+
+def screen() -> int:
+    """Characters in a line of the terminal; where the text goes elsewhere, no line is too long."""
+    return shutil.get_terminal_size((sys.maxsize, 24)).columns
+
+
+def table(rows: list[tuple[str, ...]], width: int) -> list[str]:
+    """Lines of a table, the first row its head.
+
+    Where it is wider than `width`, the first cell of a row stands on a line of its own, the others below it, and the
+    widest columns wrap.
+
+    Parameters
+    ----------
+    rows : list of tuple of str
+        As many cells in each.
+    width : int
+        Characters; a table of many columns keeps eight for each even where that is too much.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    stacked = _length(widths) > width
+    if stacked:
+        widths = widths[1:]
+        while _length(widths) + len(GAP) > width and max(widths) > NARROWEST:
+            widths[widths.index(max(widths))] -= 1
+    lines = []
+    for number, row in enumerate(rows):
+        if stacked:
+            lines += textwrap.wrap(row[0], width)
+            row = row[1:]
+        cells = [textwrap.wrap(cell, columns) or [""] for cell, columns in zip(row, widths, strict=True)]
+        for k in range(max(map(len, cells))):
+            parts = (cell[k] if k < len(cell) else "" for cell in cells)
+            line = GAP.join(p.ljust(w) for p, w in zip(parts, widths, strict=True))
+            lines.append((GAP * stacked + line).rstrip())
+        if number == 0:
+            lines.append("-" * (_length(widths) + len(GAP) * stacked))
+    return lines
+
+
+def _length(widths: list[int]) -> int:
+    return sum(widths) + len(GAP) * (len(widths) - 1)
+
+
+def ledger_text(claims: list[Claim], width: int) -> str:
+    """Table of all claims, the reasons of those that do not agree, and the counts.
+
+    Parameters
+    ----------
+    claims : list of Claim
+    width : int
+        Characters in a line.
+    """
+    rows = [("claim", "place", "published", "ours", "interval", "unit", "kind", "verdict")]
+    for claim in claims:
+        entry = claim.entry
+        ours = "" if claim.ours is None else claim.shown(4)
+        published = "" if entry.published is None else f"{entry.published:.4g}"
+        spread = "{:.3g} .. {:.3g}".format(*claim.interval) if claim.interval else ""
+        rows.append((entry.id, entry.place, published, ours, spread, entry.unit, entry.kind, claim.judgement))
+    reasons = [
+        paragraph(f"{claim.entry.id}: {claim.entry.reason}", width)
+        for claim in claims
+        if claim.entry.reason and claim.verdict not in AGREEMENT
+    ]
+    total = paragraph(tally(claims) or "no entries", width)
+    return "\n".join([*table(rows, width), *(["", *reasons] if reasons else []), "", total])
+
+
+def paragraph(text: str, width: int) -> str:
+    """`text` in lines of at most `width`, those after the first indented."""
+    return textwrap.fill(text, width, subsequent_indent=GAP, break_on_hyphens=False)
+
+
+def find(claims: list[Claim], name: str) -> Claim:
+    """The claim of the entry `name`.
+
+    Raises
+    ------
+    InputError
+        When the ledger has no such entry; the nearest is named.
+    """
+    by_id = {claim.entry.id: claim for claim in claims}
+    if name not in by_id:
+        raise InputError(f"the ledger has no entry {name!r}{nearest(name, by_id)}")
+    return by_id[name]
+
+
+def entry_text(fields: dict, width: int) -> str:
+    """All fields of one entry, a line or paragraph each; nested ones indented under their name.
+
+    Parameters
+    ----------
+    fields : dict
+        As `Claim.as_dict` gives them. What is empty is left out, and a mark that does not apply; of a joint reading an
+        option may be false, too.
+    width : int
+        Characters in a line.
+    """
+    return "\n".join(_field_lines(fields, width, ""))
+
+
+def _field_lines(fields: dict, width: int, indent: str) -> list[str]:
+    lines = []
+    for name, value in fields.items():
+        if value in (None, "", [], {}) or (value is False and not indent):
+            continue
+        if isinstance(value, dict):
+            lines += [f"{indent}{name}:", *_field_lines(value, width, indent + GAP)]
+        elif isinstance(value, list) and isinstance(value[0], dict):
+            lines.append(f"{indent}{name}:")
+            lines += [_field(f"{indent}{GAP}", "; ".join(_pairs(each)), width) for each in value]
+        else:
+            between = " .. " if name in ("interval", "range") else ", "
+            lines.append(_field(f"{indent}{name}: ", _shown(value, between), width))
+    return lines
+
+
+def _field(begin: str, text: str, width: int) -> str:
+    deeper = " " * (len(begin) - len(begin.lstrip())) + GAP
+    return textwrap.fill(begin + text, width, subsequent_indent=deeper, break_on_hyphens=False)
+
+
+def _pairs(fields: dict) -> list[str]:
+    return [f"{name} {_shown(value)}" for name, value in fields.items() if value is not False and value != ""]
+
+
+def _shown(value, between: str = ", ") -> str:
+    if isinstance(value, list):
+        return between.join(map(_shown, value))
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def column(claim: Claim) -> str:
+    """Under what a claim is counted.
+
+    Agreement is split by what it rests on, so that only what was predicted stands at the head. Checks of our own,
+    what the work gives no number for and counterfactuals are no replications and have names of their own.
+    """
+    entry, verdict = claim.entry, claim.verdict
+    if verdict == "not built":
+        return verdict
+    if entry.counterfactual:
+        return "counterfactual"
+    if entry.kind == "check":
+        return "checks passed" if verdict == "passes" else "checks failed"
+    if entry.published is None:
+        return "no number published"
+    return f"{verdict}, {entry.basis}" if verdict in AGREEMENT else verdict
+
+
+def columns(claims: list[Claim]) -> list[str]:
+    """Columns of a count: the common ones, and those others that occur."""
+    seen = {column(claim) for claim in claims} | set(ALWAYS)
+    return [name for name in (*REPLICATIONS, *APART) if name in seen]
+
+
+def tally(claims: Iterable[Claim]) -> str:
+    """How many claims are counted as what, in words; empty where there are none."""
+    counts = Counter(map(column, claims))
+    return "; ".join(f"{counts[name]} {name}" for name in (*REPLICATIONS, *APART) if counts[name])
+
+
+def summary() -> str:
+    """Markdown table of the counts, a row a room; `numbers` are those that the work publishes."""
+    claims = ledger()
+    shown = columns(claims)
+    lines = [
+        "| room | numbers | " + " | ".join(shown) + " |",
+        "|---|" + "---:|" * (len(shown) + 1),
+    ]
+    for room in paths.rooms():
+        mine = [claim for claim in claims if claim.entry.room == room]
+        counts = Counter(map(column, mine))
+        if mine:
+            numbers = " | ".join(str(counts[name]) for name in shown)
+            lines.append(f"| `{room}` | {sum(c.entry.is_replication for c in mine)} | {numbers} |")
+    return "\n".join(lines)
+
+
+def readme_with_summary(text: str) -> str:
+    """`text` with the block between the ledger's marks made anew; unchanged where it has no marks."""
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    return f"{before}{BEGIN}\n{summary()}\n{END}{after}" if begin and end else text

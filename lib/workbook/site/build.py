@@ -1,0 +1,276 @@
+"""Builds the site: every page as a string, all files in one folder that appears whole or not at all."""
+
+import base64
+import json
+import re
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import jinja2
+from markupsafe import Markup
+
+from stillwork.base.checks import InputError
+from workbook import paths, publish
+from workbook.claims import KINDS, VERDICTS, Claim, ledger
+from workbook.notebooks import notebook_file
+from workbook.provenance import commit, modified
+from workbook.readings.command import standings_of
+from workbook.readings.judging import Standing
+from workbook.report import APART, REPLICATIONS, column, our_quantity, published_quantity, tally
+from workbook.site import picture, reference, search
+from workbook.site.benchmarks import benchmarks
+from workbook.site.links import broken_links
+from workbook.site.mathematics import markdown
+from workbook.site.metadata import about, address, binder, project
+from workbook.site.pages import NotebookPage, read_page
+from workbook.site.papers import papers
+from workbook.site.specification import curves
+from workbook.site.standing import class_of, stands
+from workbook.site.states import kept_states, make_states
+from workbook.tasks import tasks
+
+HERE = Path(__file__).parent
+
+
+def build_site() -> int:
+    """Write ``build/site``; returns 1, with a line for each, when a link of it leads nowhere."""
+    target = paths.root() / "build" / "site"
+    make_states(tasks())
+    files = site_files()
+    publish.recover(target)
+    publish.replace_folder(target, files)
+    broken = broken_links(target)
+    for line in broken:
+        print(line)
+    pages = sum(name.endswith(".html") for name in files)
+    print(f"{pages} pages, {len(broken)} broken links: {target / 'index.html'}")
+    return int(bool(broken))
+
+
+def site_files() -> dict[str, bytes]:
+    """The site's files by path, with the explorers' states that are kept."""
+    claims = ledger()
+    wanted = tasks()
+    pages = [read_page(task, claims) for task in wanted]
+    states = kept_states(wanted)
+    modules = reference.read_modules()
+    guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
+    standings = {entry: each for room in paths.rooms() for entry, each in standings_of(room).items()}
+    rooms = [_room(name, paper, claims, pages, standings) for name, paper in papers().items()]
+    render = _renderer(
+        rooms=[room for room in rooms if room["pages"] or room["counts"]],
+        # Of a folder its front stands in the navigation and leads to the others.
+        guides={
+            name: _title(text) for name, text in guides.items() if "/" not in name or name.endswith("/index")
+        },
+        places=reference.index(modules),
+        timed=bool(timed := benchmarks()),
+        standings=standings,
+        verdicts=[verdict for verdict in VERDICTS if any(claim.verdict == verdict for claim in claims)],
+        counts=Counter(map(column, claims)),
+    )
+
+    files = static_files()
+    by_name = {page.name: page for page in pages}
+    files["index.html"] = render("index.html", "", citation=_citation())
+    files["ledger.html"] = render(
+        "ledger.html",
+        "",
+        claims=claims,
+        by_name=by_name,
+        curved={curve.standing.entry.id for room in rooms for curve in room["curves"]},
+        kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
+        classes=sorted({class_of(standings.get(claim.entry.id)) for claim in claims}),
+    )
+    for room in rooms:
+        if room["curves"]:
+            files[f"readings/{room['name']}.html"] = render(
+                "readings.html", "../", room=room, curves=room["curves"]
+            )
+    files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
+    files["gallery.html"] = render("gallery.html", "", pages=pages)
+    files["benchmarks.html"] = render("benchmarks.html", "", tables=timed)
+    files["replicate.html"] = render(
+        "replicate.html", "", pages=pages, binder=binder("notebooks/index.ipynb")
+    )
+    for page in pages:
+        files[f"notebooks/{page.name}.html"] = render(
+            "notebook.html",
+            "../../",
+            page=page,
+            neighbours=_neighbours(page, pages),
+            states=states.get(page.name, {}),
+            binder=binder(f"notebooks/{page.name}.ipynb"),
+        )
+        files[f"notebooks/{page.name}.ipynb"] = notebook_file(page.name).read_bytes()
+        for figure in page.figures:
+            files[f"{figure.path}.png"] = figure.png
+            if figure.csv is not None:
+                files[f"{figure.path}.csv"] = figure.csv
+                files[figure.thumbnail] = figure.small[0]
+    files["reference/index.html"] = render(
+        "reference.html", "../", folders=reference.folders(modules), doc=_doc
+    )
+    for module in modules:
+        files[f"reference/{module.name}.html"] = render(
+            "module.html", "../", module=module, doc=_doc, source=_source(module.source)
+        )
+    bodies = {name: markdown(text) for name, text in guides.items()}
+    for name, body in bodies.items():
+        files[f"guide/{name}.html"] = render(
+            "guide.html", _to_front(name), title=_title(guides[name]), body=Markup(body)
+        )
+    for name, file in _documents("*.py").items():
+        files[f"guide/{name}.html"] = render(
+            "source.html",
+            _to_front(name),
+            file=file.relative_to(paths.root()).as_posix(),
+            source=_source(file.read_text(encoding="utf-8")),
+        )
+    files["search.html"] = render("search.html", "")
+    files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims))
+    return files
+
+
+def static_files() -> dict[str, bytes]:
+    """Style, script and icon. The font goes into the style: from the disk not every browser loads it as a file."""
+    files = {f"static/{file.name}": file.read_bytes() for file in sorted((HERE / "static").iterdir())}
+    font = base64.b64encode(files.pop("static/mathematics.woff"))
+    style = files["static/site.css"]
+    files["static/site.css"] = style.replace(b"mathematics.woff", b"data:font/woff;base64," + font)
+    return files
+
+
+def _neighbours(page: NotebookPage, pages: list[NotebookPage]) -> list[tuple[str, NotebookPage]]:
+    """The notebooks before and after one in its room, with the relation's name."""
+    mine = [each for each in pages if each.room == page.room]
+    at = mine.index(page)
+    before = [("prev", mine[at - 1])] if at else []
+    return before + [("next", each) for each in mine[at + 1 : at + 2]]
+
+
+def _room(
+    name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage], standings: dict[str, Standing]
+) -> dict:
+    """What a template shows of a room."""
+    mine = [claim for claim in claims if claim.entry.room == name]
+    drawn = curves(name, standings)
+    joints = {curve.standing.joint.group: curve.standing.joint for curve in drawn if curve.standing.joint}
+    return {
+        "name": name,
+        **paper,
+        "counts": Counter(map(column, mine)),
+        "picture": picture.draw(mine),
+        "curves": drawn,
+        "joints": [joint for joint in joints.values() if len(joint.ours) > 1],
+        "classes": Counter(curve.standing.class_ for curve in drawn if curve.standing.class_),
+        "headline": _said(paper["headline"], mine),
+        "found": _said(paper["found"], mine),
+        "rests": [entry for entry in paper["rests"] if any(claim.entry.id == entry for claim in mine)],
+        "hero": next(
+            (each for page in pages for each in page.figures if each.path == f"figures/{paper['hero']}"), None
+        ),
+        "orderings": Counter(column(claim) for claim in mine if claim.entry.kind == "ordering"),
+        "pages": [page for page in pages if page.room == name],
+    }
+
+
+def _said(statements: list[dict], claims: list[Claim]) -> list[tuple[str, Claim]]:
+    """What a work says, each with the claim that judges it."""
+    by_id = {claim.entry.id: claim for claim in claims}
+    return [(each["says"], by_id[each["entry"]]) for each in statements if each["entry"] in by_id]
+
+
+def _citation() -> str:
+    said = project()
+    authors = ", ".join(each["name"] for each in said["authors"])
+    begin = f"{authors}, " if authors else ""
+    return f"{begin}{said['name']}: {said['description']}, version {said['version']}."
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(HERE / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = lambda value: f"{value:.4g}"
+    environment.filters["published"] = published_quantity
+    environment.filters["ours"] = our_quantity
+    environment.filters["off_by"] = _off_by
+    environment.filters["slug"] = lambda name: name.replace(",", "").replace(" ", "-")
+    environment.filters["short_title"] = _short_title
+    environment.filters["column"] = column
+    environment.filters["tally"] = tally
+    environment.filters["stands"] = stands
+    environment.filters["class_of"] = class_of
+    return environment
+
+
+def _renderer(**shared):
+    """``render(template, root, **values)``; `root` leads from the page to the site's front."""
+    site = {
+        **about(),
+        "address": address(),
+        "commit": commit() or "",
+        "modified": bool({name for name in modified() if not name.startswith("build/")}),
+        "replications": REPLICATIONS,
+        "columns": (*REPLICATIONS, *APART),
+    }
+
+    def render(template: str, root: str, **values) -> bytes:
+        page = _templates().get_template(template)
+        return page.render(root=root, site=site, **shared, **values).encode()
+
+    return render
+
+
+def _off_by(claim: Claim) -> str:
+    """Distance from the published value as a reader takes it in: per cent, far off as a factor."""
+    if claim.deviation is None:
+        return ""
+    if claim.deviation < 10:
+        return f"{100 * claim.deviation:.2g} %" if claim.deviation < 1 else f"{100 * claim.deviation:.0f} %"
+    return f"factor {claim.ours / claim.entry.published:.3g}"
+
+
+def _documents(pattern: str) -> dict[str, Path]:
+    """Files below ``docs`` by their path there without suffix; a page lies as deep, so that links serve in both."""
+    folder = paths.root() / "docs"
+    return {
+        file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.rglob(pattern))
+    }
+
+
+def _to_front(guide: str) -> str:
+    """What leads from a guide's page to the site's front."""
+    return "../" * (1 + guide.count("/"))
+
+
+def _title(text: str) -> str:
+    if found := re.match(r"# (.+)", text):
+        return found[1]
+    raise InputError(f"a guide begins with {text[:40]!r}; begin it with '# ' and its title")
+
+
+def _short_title(guide: str) -> str:
+    """A guide's word in the navigation, which is one line: ``Your rig`` of ``your-rig``, ``Course`` of ``course/index``."""
+    return guide.removesuffix("/index").replace("-", " ").capitalize()
+
+
+def _doc(text: str) -> Markup:
+    return Markup(reference.doc_html(text))
+
+
+@cache
+def _source(text: str) -> Markup:
+    """Highlighted source, every line a place to link to: ``#line-42``."""
+    from pygments import highlight
+    from pygments.formatters import HtmlFormatter
+    from pygments.lexers import PythonLexer
+
+    return Markup(highlight(text, PythonLexer(), HtmlFormatter(lineanchors="line", anchorlinenos=False)))

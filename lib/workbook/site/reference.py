@@ -1,0 +1,254 @@
+"""The library's reference, read from its source: modules, functions, classes and their docstrings."""
+
+import ast
+import inspect
+import re
+from dataclasses import dataclass
+from functools import cache
+from html import escape, unescape
+from pathlib import Path
+
+import griffe
+
+import stillwork
+from workbook import paths
+from workbook.site.house import TOOLBOX, face_names
+from workbook.site.mathematics import mathml
+
+LIBRARY = Path(stillwork.__file__).parents[1]
+FOR_NOTEBOOKS = (
+    "__init__",
+    "claims",
+    "explorer",
+    "figures",
+    "page",
+    "paths",
+    "studies",
+)  # modules of the workbook
+
+
+@dataclass(frozen=True)
+class Item:
+    """A public function, class or method.
+
+    Attributes
+    ----------
+    name : str
+        As it is called within its module: ``adapt``, ``Record.duration``.
+    signature : str
+        As Python would print it.
+    doc : str
+        The docstring, without indentation; empty when there is none.
+    line : int
+        Where it begins in the module.
+    members : tuple of Item
+        Public methods and properties of a class.
+    """
+
+    name: str
+    signature: str
+    doc: str
+    line: int
+    members: tuple["Item", ...] = ()
+
+
+@dataclass(frozen=True)
+class Module:
+    """A module of the library: ``experiments.isolation.twin``; `doc` and `source` as in its file."""
+
+    name: str
+    doc: str
+    source: str
+    items: tuple[Item, ...]
+    constants: dict[str, int]  # line by name
+
+    @property
+    def folder(self) -> str:
+        """The concept or the room that it belongs to: ``lti``, ``motion``, or ``workbook``."""
+        first, *rest = self.name.split(".")
+        return first if first == "workbook" else rest[0]
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A concept or a room: what it is, the places and items that it hands out, and its modules."""
+
+    name: str
+    doc: str
+    public: tuple[tuple[str, Item], ...]
+    modules: tuple[Module, ...]
+
+
+def folders(modules: list[Module]) -> list[Folder]:
+    """The modules by folder, in the order of the house: the toolbox from the ground up, the workbook, the rooms."""
+    found = []
+    packages = {module.name: module for module in modules}
+    wanted = [f"stillwork.{name}" for name in TOOLBOX]
+    for name in [*wanted, "workbook", *(f"experiments.{room}" for room in paths.rooms())]:
+        if not (package := packages.get(name)):
+            continue  # a room whose notebooks share nothing
+        mine = [module for module in modules if module.name == name or module.name.startswith(f"{name}.")]
+        names = face_names(ast.parse(package.source))
+        by_name = {module.name: module for module in mine}
+        public = tuple(
+            _handed_out(each, by_name[f"{package.name}.{names[each]}"])
+            for each in sorted(names, key=str.lower)
+        )
+        inner = tuple(module for module in mine if module is not package)
+        found.append(Folder(package.folder, package.doc, public, inner))
+    return found
+
+
+def _handed_out(name: str, module: Module) -> tuple[str, Item]:
+    """A public name with its place; of a constant the page shows the line."""
+    for item in module.items:
+        if item.name == name:
+            return f"{module.name}.html#{name}", item
+    line = module.constants[name]
+    return f"{module.name}.html#line-{line}", Item(name, name, "", line)
+
+
+def library_files() -> list[Path]:
+    """Files of the toolbox, and of what notebooks use of the engine; none where they are installed from a wheel.
+
+    Left out are what builds the notebooks, the command line and the site.
+    """
+    if not (paths.root() / "lib" / "stillwork").is_dir():
+        return []
+    files = [
+        file
+        for file in (LIBRARY / "stillwork").rglob("*.py")
+        if file.name not in ("__main__.py", "inspecting.py")
+    ]
+    return sorted([*files, *(LIBRARY / "workbook" / f"{name}.py" for name in FOR_NOTEBOOKS)])
+
+
+def read_modules() -> list[Module]:
+    """The toolbox's and the workbook's modules and those of the rooms, in this order, each sorted by name."""
+    files = [file for file in library_files() if file != LIBRARY / "stillwork" / "__init__.py"]
+    for room in paths.rooms():
+        files += sorted((LIBRARY / "experiments" / room).rglob("*.py"))
+    return [_module(file) for file in files]
+
+
+def index(modules: list[Module]) -> dict[str, str]:
+    """Dotted name to its place ``<module>.html#<item>`` among the reference's pages.
+
+    A folder also answers for what its modules define, as it does in Python: ``stillwork.estimation.FeRls``.
+    """
+    places = {}
+    for module in modules:
+        places[module.name] = f"{module.name}.html"
+        for name, line in module.constants.items():
+            places[f"{module.name}.{name}"] = f"{module.name}.html#line-{line}"
+        for item in module.items:
+            place = f"{module.name}.html#{item.name}"
+            places[f"{module.name}.{item.name}"] = place
+            places.setdefault(f"{module.name.rpartition('.')[0]}.{item.name}", place)
+    return places
+
+
+def _module(file: Path) -> Module:
+    parts = file.relative_to(LIBRARY).with_suffix("").parts
+    name = ".".join(part for part in parts if part != "__init__")
+    return read_source(name, file, file.read_text(encoding="utf-8"))
+
+
+@cache
+def read_source(name: str, file: Path, source: str) -> Module:
+    """A module by its text, read once."""
+    read = griffe.visit(name, filepath=file, code=source)
+    constants = {each.name: each.lineno or 1 for each in _public(read) if each.is_attribute}
+    return Module(name, _text(read), source, _items(read), constants)
+
+
+def _public(read: griffe.Module | griffe.Class) -> list[griffe.Object]:
+    """What is defined there, without what is imported and what a leading underscore hides."""
+    return [each for name, each in read.members.items() if not each.is_alias and not name.startswith("_")]
+
+
+def _items(read: griffe.Module | griffe.Class, owner: str = "") -> tuple[Item, ...]:
+    items = []
+    for each in _public(read):
+        if not each.is_attribute or "property" in each.labels:
+            name = f"{owner}{each.name}"
+            members = _items(each, f"{name}.") if each.is_class else ()
+            items.append(Item(name, _signature(each), _text(each), each.lineno or 1, members))
+    return tuple(items)
+
+
+def _text(read: griffe.Object) -> str:
+    return read.docstring.value if read.docstring else ""
+
+
+def _signature(read: griffe.Object) -> str:
+    """As Python would print it: without `self`, and for a class its annotated fields."""
+    if read.is_class:
+        fields = [
+            f"{each.name}: {each.annotation}" + (f" = {each.value}" if each.value is not None else "")
+            for each in _public(read)
+            if each.is_attribute and each.annotation is not None and "property" not in each.labels
+        ]
+        return f"{read.name}({', '.join(fields)})"
+    if read.is_attribute:
+        return read.name + (f" -> {read.annotation}" if read.annotation else "")
+    shown = read.signature()
+    return re.sub(r"\((?:self|cls)(?:, )?", "(", shown, count=1) if read.parent.is_class else shown
+
+
+@cache
+def doc_html(doc: str) -> str:
+    """HTML of a numpydoc docstring: paragraphs, indented blocks and sections of definitions."""
+    html = []
+    for section in griffe.Docstring(inspect.cleandoc(doc)).parse("numpy", warnings=False):
+        kind, value = section.kind.value, section.value
+        if kind == "text":
+            html.append(_blocks(value))
+        elif kind == "examples":
+            blocks = (
+                f'<pre tabindex="0">{escape(text)}</pre>' if part.value == "examples" else _blocks(text)
+                for part, text in value
+            )
+            html.append(f"<h4>Examples</h4>{''.join(blocks)}")
+        elif kind == "admonition":
+            html.append(f"<h4>{escape(section.title)}</h4>{_blocks(value.contents)}")
+        else:
+            html.append(
+                f"<h4>{kind.capitalize()}</h4><dl>{''.join(_definition(each) for each in value)}</dl>"
+            )
+    return "".join(html)
+
+
+def _definition(element) -> str:
+    """A name with its type, and what is said about it; a result has the type alone."""
+    name, kind = getattr(element, "name", ""), str(element.annotation or "")
+    shown = f"<code>{escape(name or kind)}</code>"
+    if name and kind:
+        shown += f" <span>{_inline(kind)}</span>"
+    return f"<dt>{shown}</dt><dd>{_blocks(element.description)}</dd>"
+
+
+def _blocks(text: str) -> str:
+    """Paragraphs, and as they stand blocks that are indented."""
+    html = []
+    for block in re.split(r"\n\s*\n", text.strip("\n")):
+        if not block.strip():
+            continue
+        rows = block.splitlines()
+        if rows[0].startswith(">>>") or all(row.startswith("    ") for row in rows):
+            html.append(f'<pre tabindex="0">{escape(inspect.cleandoc(block))}</pre>')
+        elif rows[0].startswith(".. math::"):
+            html.append(mathml(block.strip().removeprefix(".. math::"), block=True))
+        else:
+            text = " ".join(row.strip() for row in rows)
+            html.append(f"<p>{_inline(text[:-1] if text.endswith('::') else text)}</p>")
+    return "".join(html)
+
+
+def _inline(text: str) -> str:
+    """A docstring's words as HTML: its names as code, its formulas as MathML."""
+    return re.sub(
+        r":math:`(.+?)`|``(.+?)``|`(.+?)`",
+        lambda m: mathml(unescape(m[1])) if m[1] else f"<code>{m[2] or m[3]}</code>",
+        escape(text, quote=False),
+    )

@@ -1,0 +1,136 @@
+"""Specification curves: an entry's values under all readings, sorted, and which options were on below each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from workbook.readings.axes import load_axes
+from workbook.readings.judging import Standing
+from workbook.readings.results import Outcomes, read_results
+
+WIDTH, TOP = 460, 10  # of the values and dots; a page stretches the width to what it has
+HEIGHT, ROW = 120, 15  # of the values; of an option
+LETTER = 7  # width of one in the words beside them
+SPREAD = 30.0  # largest over smallest value from which on the scale is logarithmic
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What the template draws of an entry, in SVG units: words in one picture and, beside it, what they tell of.
+
+    Attributes
+    ----------
+    standing : Standing
+    dots : dict of str to str
+        Path of each kind of readings: those under which the entry agrees, differs, or is not judged.
+    seeds : str
+        Path of the ranges over seeds.
+    ticks : tuple of (float, str)
+        Heights and texts on the axis of values.
+    published : float or None
+        Height of the published value; None where there is none, or it lies beyond all values.
+    band : tuple of float or None
+        Top and height of what agrees with it, inside the picture.
+    axes : tuple of (float, str)
+        Height and name of each axis, which stands above its options.
+    options : tuple of (float, str, dict of str to str)
+        Height and name of each option, and paths as of `dots` where it was on.
+    height : float
+    """
+
+    standing: Standing
+    dots: dict[str, str]
+    seeds: str
+    ticks: tuple[tuple[float, str], ...]
+    published: float | None
+    band: tuple[float, float] | None
+    axes: tuple[tuple[float, str], ...]
+    options: tuple[tuple[float, str, dict[str, str]], ...]
+    height: float
+    width: int = WIDTH
+
+    @property
+    def words(self) -> int:
+        """Width of the longest word beside the dots."""
+        beside = [text for _, text in self.ticks] + [text for _, text, _ in self.options]
+        return 10 + LETTER * max(map(len, beside))
+
+
+def curves(room: str, standings: dict[str, Standing]) -> list[Curve]:
+    """Of the entries of a room that have a value under some reading: what depends first, then what fails and holds."""
+    found = [
+        curve_of(study, standings[entry])
+        for study in read_results(load_axes(room)[1])
+        for entry, values in study.values.items()
+        if np.isfinite(values).any()
+    ]
+    order = ("depends", "fails", "holds", None)
+    return sorted(found, key=lambda curve: order.index(curve.standing.class_))
+
+
+def curve_of(study: Outcomes, standing: Standing) -> Curve:
+    points = np.flatnonzero(np.isfinite(standing.values).any(axis=1))
+    middle = np.nanmean(standing.values[points], axis=1)
+    order = np.argsort(middle, kind="stable")
+    points, middle = points[order], middle[order]
+    kinds = np.where(standing.agrees[points].mean(axis=1) >= 0.5, "agrees", "differs")
+    if standing.agree is None:
+        kinds[:] = "open"
+    x = (np.arange(len(points)) + 0.5) * WIDTH / len(points)
+    scale, ticks, published, band = _scale(standing, standing.values[points])
+    low, high = (scale(pick(standing.values[points], axis=1)) for pick in (np.nanmin, np.nanmax))
+    ranges = "".join(f"M{a:.1f} {b:.1f}V{c:.1f}" for a, b, c in zip(x, low, high, strict=True))
+
+    touching = {axis.name for axis in standing.axes}
+    axes, options, y = [], [], TOP + HEIGHT + 18.0
+    for column, axis in enumerate(study.multiverse.axes):
+        if axis.name not in touching:
+            continue
+        places = np.array([study.design[point][column] for point in points])
+        axes.append((y, f"{axis.name}, {axis.texts[axis.default_index]} taken"))
+        y += ROW
+        for place, text in enumerate(axis.texts):
+            options.append((y, text, _paths(x, y, kinds, places == place)))
+            y += ROW
+        y += ROW / 2
+    dots = _paths(x, scale(middle), kinds, np.ones(len(points), bool))
+    ranged = ranges if standing.values.shape[1] > 1 else ""
+    return Curve(standing, dots, ranged, ticks, published, band, tuple(axes), tuple(options), y)
+
+
+def _scale(standing: Standing, values: np.ndarray):
+    """From a value to a height; the ends of the axis, the published value and what agrees with it in heights."""
+    entry, ends = standing.entry, [float(np.nanmin(values)), float(np.nanmax(values))]
+    published = entry.published
+    if published is not None and abs(published - np.mean(ends)) < 3 * max(np.ptp(ends), 0.1 * abs(published)):
+        ends = [min(*ends, published), max(*ends, published)]
+    if np.ptp(ends) == 0:
+        ends = [ends[0] - 0.5 * abs(ends[0] or 1), ends[1] + 0.5 * abs(ends[1] or 1)]
+    logarithmic = ends[0] > 0 and ends[1] / ends[0] > SPREAD
+    shape = np.log if logarithmic else np.asarray
+    bottom, top = shape(ends[0]), shape(ends[1])
+
+    def height(value):
+        return TOP + HEIGHT * (1 - (shape(value) - bottom) / (top - bottom))
+
+    def inside(value: float) -> float:
+        return ends[0] if value < ends[0] else min(value, ends[1])
+
+    ticks = tuple((float(height(end)), f"{end:.3g}") for end in ends)
+    if published is None or not ends[0] <= published <= ends[1]:
+        return height, ticks, None, None
+    band, tolerance = None, entry.tolerance
+    if tolerance is not None and (
+        reach := tolerance.absolute or (tolerance.relative or 0.0) * abs(published)
+    ):
+        upper, lower = (float(height(inside(published + sign * reach))) for sign in (1, -1))
+        band = (upper, lower - upper)
+    return height, ticks, float(height(published)), band
+
+
+def _paths(x: np.ndarray, y: float | np.ndarray, kinds: np.ndarray, shown: np.ndarray) -> dict[str, str]:
+    """A path of dots for each kind; of many elements a browser would make a slow page."""
+    found: dict[str, str] = {}
+    for at, height, kind in zip(x[shown], np.broadcast_to(y, len(x))[shown], kinds[shown], strict=True):
+        found[kind] = found.get(kind, "") + f"M{at:.1f} {height:.1f}h0"
+    return found

@@ -1,0 +1,233 @@
+"""Explorers that move without a kernel: their pictures at many settings, computed once for each build of a notebook."""
+
+import base64
+import contextlib
+import itertools
+import json
+import math
+import os
+import tempfile
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+from stillwork.base.checks import InputError
+from workbook import paths
+from workbook.explorer import Choice, Slider
+from workbook.notebooks import read_notebook
+from workbook.publish import digest, read_record, replace_file
+from workbook.site.explorers import Explorer, read_explorer, statements
+from workbook.site.shapes import panels
+from workbook.site.stops import Ladder, distance, ladder, shares
+from workbook.tasks import Task
+from workbook.workers import cores, processes
+
+STATES = (80, 40, 20)  # pictures of an explorer: as many as go into a page
+JOINT = 0.6  # share of these for two controls moved together, where there are more than two
+COARSE, FEWEST = 5, 5  # stops by which controls are weighed, and of one that is moved together with another
+LARGEST = 300_000  # bytes of a page's pictures
+LONGEST_S = 60.0  # of computing for one explorer
+SOURCES = ("explorers.py", "shapes.py", "stops.py", "states.py")
+
+
+def picture(draw: Callable, settings: dict) -> list | dict:
+    """The panels of a drawing function's figure, or its own word on why there is none."""
+    try:
+        return panels(draw(**settings))
+    except InputError as error:
+        return {"message": f"no picture: {error}"}
+
+
+def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None) -> dict:
+    """Pictures of an explorer: each control by itself, and the two that change the picture most together.
+
+    Parameters
+    ----------
+    explorer : Explorer
+    count : int
+        How many pictures, about.
+    known : dict, optional
+        Pictures of a call before, which are not computed again.
+
+    Returns
+    -------
+    dict
+        ``controls`` (name, unit, stops, published), ``joint`` (the two), ``states`` (for the stops of all controls,
+        as ``"0.3.2"``, the place in ``pictures``) and ``pictures``.
+
+    Raises
+    ------
+    TimeoutError
+        When it takes longer than `LONGEST_S` of computing.
+    """
+    begun = time.process_time()
+    controls = explorer.controls
+    published = {name: control.published for name, control in controls.items()}
+    known = {} if known is None else known
+
+    def at(**moved):
+        settings = {**published, **moved}
+        key = tuple(settings.values())
+        if key not in known:
+            if time.process_time() - begun > LONGEST_S:
+                raise TimeoutError
+            known[key] = picture(explorer.draw, settings)
+        return known[key]
+
+    def along(name: str) -> Callable:
+        return lambda value: at(**{name: value})
+
+    pair = list(controls)
+    if len(pair) > 2:
+        swings = {name: _swing(ladder(controls[name], along(name), COARSE), along(name)) for name in pair}
+        pair = [name for name in controls if name in sorted(swings, key=swings.get)[-2:]]
+    counts = _counts(controls, pair, count)
+    ladders = {name: ladder(controls[name], along(name), counts[name]) for name in controls}
+    home = {name: each.published for name, each in ladders.items()}
+    stops = {name: range(len(each.values)) for name, each in ladders.items()}
+    wanted = [
+        dict(zip(pair, each, strict=True)) for each in itertools.product(*(stops[name] for name in pair))
+    ]
+    wanted += [{name: stop} for name in controls if name not in pair for stop in stops[name]]
+    pictures: dict[str, int] = {}
+    found = {}
+    for moved in wanted:
+        text = _text(at(**{name: ladders[name].values[stop] for name, stop in moved.items()}))
+        place = pictures.setdefault(text, len(pictures))
+        found[".".join(str(stop) for stop in {**home, **moved}.values())] = place
+    return {
+        "controls": [_control(name, controls[name], ladders[name]) for name in controls],
+        "joint": [list(controls).index(name) for name in pair],
+        "states": found,
+        "pictures": [json.loads(text) for text in pictures],
+    }
+
+
+def _swing(stops: Ladder, picture_of: Callable) -> float:
+    """How much the picture changes on a control's way."""
+    return sum(distance(picture_of(a), picture_of(b)) for a, b in itertools.pairwise(stops.values))
+
+
+def _counts(controls: dict, pair: list[str], count: int) -> dict[str, int]:
+    """Stops of each control; a choice has as many as options."""
+    if len(pair) == 1:
+        return {pair[0]: count}
+    others = len(controls) - len(pair)
+    budget = round(JOINT * count) if others else count
+    counts = dict.fromkeys(controls, 1 + (count - budget) // max(1, others))
+    first, second = sorted(pair, key=lambda name: _offered(controls[name]))
+    size = _offered(controls[first])
+    counts[first] = size if isinstance(controls[first], Choice) else min(size, math.isqrt(budget))
+    counts[second] = max(FEWEST, budget // counts[first])
+    return counts
+
+
+def _offered(control: Slider | Choice) -> int:
+    return len(control.options) if isinstance(control, Choice) else len(shares(control))
+
+
+def _control(name: str, control: Slider | Choice, stops: Ladder) -> dict:
+    choice = isinstance(control, Choice)
+    unit = "" if choice else control.unit
+    *words, last = name.split("_")
+    return {
+        "name": " ".join(words if words and last == unit.lower() else [*words, last]),
+        "unit": unit,
+        "choice": choice,
+        "stops": list(stops.values) if choice else _numbers(stops.values),
+        "published": stops.published,
+    }
+
+
+def _numbers(values: tuple) -> list[str]:
+    """The shortest words, of three digits or more, that tell them all apart and are what the parameter gets."""
+    for digits in range(3, 17):
+        words = [f"{value:.{digits}g}" for value in values]
+        if all(float(word) == value for word, value in zip(words, values, strict=True)):
+            break
+    return words
+
+
+def _text(value) -> str:
+    return json.dumps(value, ensure_ascii=False, separators=(",", ":"))
+
+
+def packed(value: dict) -> str:
+    """JSON, deflated, as letters that an attribute holds."""
+    return base64.b64encode(zlib.compress(_text(value).encode(), 9)).decode()
+
+
+def compute(name: str) -> dict:
+    """What a page holds of a notebook's explorer: ``states`` and their ``count``, or ``reason`` why it has none."""
+    with tempfile.TemporaryDirectory() as folder, _writing_to(folder):
+        # What a drawing function trips over is told on its page, and does not stop the site.
+        try:
+            explorer, known = read_explorer(read_notebook(name)), {}
+            for count in STATES:  # what takes too long or is too large for many pictures may do for fewer
+                try:
+                    found = states(explorer, count, known)
+                except TimeoutError:
+                    reason = f"its pictures take more than {LONGEST_S:g} s to compute"
+                    continue
+                if len(text := packed(found)) <= LARGEST:
+                    return {"states": text, "count": len(found["pictures"])}
+                reason = f"its pictures take more than {LARGEST // 1000} kB"
+        except Exception as error:
+            reason = f"to compute its pictures failed: {type(error).__name__}: {error}"
+    return {"reason": reason}
+
+
+@contextlib.contextmanager
+def _writing_to(folder: str):
+    """What a notebook's page would write goes nowhere."""
+    before = dict(os.environ)
+    os.environ[paths.OUTPUT_VARIABLE] = folder
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+def _file(name: str) -> Path:
+    return paths.root() / "build" / "explorers" / f"{name}.json"
+
+
+def _key(task: Task) -> str | None:
+    """Of a fresh build and of what computes the states from it; None where the notebook's build is not fresh."""
+    if (record := read_record(task.target)) is None or task.reasons():
+        return None
+    here = Path(__file__).parent
+    sources = [digest((here / each).read_bytes()) for each in SOURCES]
+    return digest(json.dumps([sorted(record[0].items()), sources]).encode())
+
+
+def kept_states(of: list[Task]) -> dict[str, dict]:
+    """What `compute` gave for these notebooks, where their builds have not changed since."""
+    found = {}
+    for task in of:
+        with contextlib.suppress(OSError, ValueError):
+            kept = json.loads(_file(task.notebook.name).read_text(encoding="utf-8"))
+            if (key := _key(task)) is not None and kept.pop("key") == key:
+                found[task.notebook.name] = kept
+    return found
+
+
+def make_states(of: list[Task]) -> dict[str, dict]:
+    """`kept_states`, after computing those that are missing of notebooks whose builds are fresh."""
+    found = kept_states(of)
+    missing = {
+        task.notebook.name: key
+        for task in of
+        if task.notebook.name not in found and statements(task.notebook.source) and (key := _key(task))
+    }
+    if missing:
+        print(f"computing the pictures of {len(missing)} explorers; they are kept for the next time")
+        with processes(min(cores(), len(missing))) as pool:
+            for name, made in zip(missing, pool.map(compute, missing), strict=True):
+                replace_file(_file(name), _text({"key": missing[name], **made}).encode())
+                found[name] = made
+                if "reason" in made:
+                    print(f"{name}: the explorer stands still: {made['reason']}")
+    return found

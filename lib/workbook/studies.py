@@ -1,0 +1,136 @@
+"""Seeded Monte Carlo: one trial, many independent random streams, any executor, intervals."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.special import stdtrit
+
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from workbook.paths import in_batch
+
+
+@dataclass(frozen=True)
+class Study:
+    """What every trial of a study gave.
+
+    Attributes
+    ----------
+    seed : int
+        Root of all random streams: trial k draws from ``SeedSequence(seed).spawn(runs)[k]``.
+    values : dict of str to ndarray, shape (runs, ...)
+        One array a quantity, trials along the first axis.
+    """
+
+    seed: int
+    values: Mapping[str, np.ndarray]
+
+    @property
+    def runs(self) -> int:
+        """Number of trials."""
+        return len(next(iter(self.values.values())))
+
+    def __getitem__(self, quantity: str) -> np.ndarray:
+        return self.values[quantity]
+
+
+def run_study(
+    trial: Callable[..., Mapping[str, float | np.ndarray]],
+    runs: int,
+    seed: int,
+    *,
+    together: int = 1,
+    executor: Executor | None = None,
+    progress: bool = True,
+    **settings,
+) -> Study:
+    """Run ``trial(rng, **settings)`` once for each of `runs` independent random streams.
+
+    The result does not depend on the executor, on its number of workers or on their order.
+
+    Parameters
+    ----------
+    trial : callable
+        Takes a `numpy.random.Generator` and the settings; returns a mapping from quantity to number or
+        array. A function of a module when the executor has other processes.
+    runs : int
+        Number of trials.
+    seed : int
+        Root seed.
+    together : int
+        How many trials one call makes: above 1 the trial takes a list of that many generators, at the end fewer, and
+        returns a list with a mapping for each.
+    executor : concurrent.futures.Executor, optional
+        Threads, processes or ``distributed.Client.get_executor()``; without one, trials run in turn.
+    progress : bool
+        Show a progress bar, where a person is looking.
+    **settings
+        Passed to every trial.
+
+    Raises
+    ------
+    InputError
+        When `runs` is not a positive whole number or trials return different quantities.
+    """
+    runs = require_count("runs", runs)
+    together = require_count("together", together)
+    streams = np.random.SeedSequence(seed).spawn(runs)
+    calls = [streams[first : first + together] for first in range(0, runs, together)]
+    one = partial(_run_some, trial, settings, together > 1)
+    outcomes = map(one, calls) if executor is None else _in_order(executor, one, calls)
+    if progress and not in_batch():
+        from tqdm.auto import tqdm
+
+        outcomes = tqdm(outcomes, total=len(calls), desc=getattr(trial, "__name__", "study"))
+    outcomes = [outcome for some in outcomes for outcome in some]
+    if len(outcomes) != runs:
+        raise InputError(f"trial gave {len(outcomes)} mappings for {runs} generators; return one for each")
+    if any(outcome.keys() != outcomes[0].keys() for outcome in outcomes):
+        raise InputError("trial returned different quantities in different runs; return all of them")
+    return Study(seed, {key: np.array([o[key] for o in outcomes]) for key in outcomes[0]})
+
+
+def _run_some(trial, settings, several, streams) -> list[dict]:
+    draws = [np.random.default_rng(stream) for stream in streams]
+    return [dict(each) for each in (trial(draws, **settings) if several else [trial(draws[0], **settings)])]
+
+
+def _in_order(executor, one, calls):
+    futures = [executor.submit(one, call) for call in calls]
+    try:
+        for future in futures:
+            yield future.result()
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def mean_interval(values, level: float = 0.95) -> tuple[float, float]:
+    """Confidence interval of the mean of independent runs (Student's t)."""
+    values = require_array("values", values, ndim=1)
+    require_number("level", level, above=0, below=1)
+    if len(values) < 2:
+        raise InputError("values holds one run; an interval takes at least 2")
+    half = stdtrit(len(values) - 1, 0.5 + level / 2) * values.std(ddof=1) / np.sqrt(len(values))
+    return float(values.mean() - half), float(values.mean() + half)
+
+
+def spread_interval(values, level: float = 0.95) -> tuple[float, float]:
+    """Prediction interval: where the next single run falls with probability `level` (Student's t).
+
+    A published experiment is one run, so this is what it is held against.
+    """
+    values = require_array("values", values, ndim=1)
+    low, high = mean_interval(values, level)
+    half = (high - low) / 2 * np.sqrt(len(values) + 1)
+    return float(values.mean() - half), float(values.mean() + half)
+
+
+def proportion_interval(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
+    """Wilson's confidence interval of a proportion."""
+    from scipy.stats import binomtest  # its import takes longer than most studies
+
+    interval = binomtest(int(successes), int(runs)).proportion_ci(level, method="wilson")
+    return float(interval.low), float(interval.high)

@@ -1,0 +1,92 @@
+"""What a build is made of: notebooks at their settings, and why their results are stale."""
+
+import json
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from workbook import paths
+from workbook.inputs import changes, environment_inputs, notebook_inputs, present_again
+from workbook.notebooks import Notebook, assign, select
+from workbook.publish import digest, read_record
+
+BUILT = "STILLWORK_BUILT"  # an environment variable that names another folder for the results
+
+
+def built() -> Path:
+    """Folder of the results at the published settings; what is committed stands in ``figures/``."""
+    return Path(os.environ.get(BUILT) or paths.root() / "build" / "figures")
+
+
+@dataclass(frozen=True)
+class Task:
+    """One notebook at one setting.
+
+    Attributes
+    ----------
+    notebook : Notebook
+    settings : dict
+        Parameters that differ from the published settings.
+    inputs : dict of str to str
+        What its results depend on, as far as it is known before it runs.
+    """
+
+    notebook: Notebook
+    settings: dict[str, object]
+    inputs: dict[str, str]
+
+    @property
+    def variant(self) -> str:
+        """Folder name of the settings; empty for the published ones."""
+        text = ",".join(f"{name}={value}" for name, value in self.settings.items())
+        safe = re.sub(r"[^\w.,=+\-\[\]()]", "_", text, flags=re.ASCII)  # a file's name is limited in bytes
+        return safe if safe == text and len(safe) < 120 else f"{safe[:100]}-{digest(text.encode())[:8]}"
+
+    @property
+    def cells(self) -> int:
+        """Number of code cells."""
+        return len(self.notebook.cells) + bool(self.notebook.parameters)
+
+    @property
+    def label(self) -> str:
+        shown = ", ".join(f"{name}={value!r}" for name, value in self.settings.items())
+        return self.notebook.name + (f" ({shown})" if shown else "")
+
+    @property
+    def target(self) -> Path:
+        """Folder of the results."""
+        if self.settings:
+            return paths.root() / "build" / "variants" / self.notebook.name / self.variant
+        return built() / self.notebook.name
+
+    @property
+    def executed(self) -> Path:
+        """The executed notebook, among the results."""
+        return self.target / f"{self.notebook.name.partition('/')[2]}.ipynb"
+
+    @property
+    def committed(self) -> Path:
+        """Folder of the accepted results."""
+        return paths.root() / "figures" / self.notebook.name
+
+    def reasons(self) -> list[str]:
+        """Why the results are stale; empty when they are not."""
+        if (found := read_record(self.target)) is None:
+            return ["never built"]
+        before, complaints = found
+        return complaints or changes(before, {**self.inputs, **present_again(before)})
+
+    def outputs(self) -> dict[str, list[dict]]:
+        """What each code cell gave when the notebook was executed, by the cell's id."""
+        executed = json.loads(self.executed.read_text(encoding="utf-8"))["cells"]
+        return {cell.get("id"): cell["outputs"] for cell in executed if cell["cell_type"] == "code"}
+
+
+def tasks(*targets: str, settings: dict[str, str] | None = None) -> list[Task]:
+    """What rooms and notebooks (all without any) and the text of ``-p`` mean; `InputError` before anything runs."""
+    around = environment_inputs()
+    return [
+        Task(notebook, changed, {**notebook_inputs(notebook, changed), **around})
+        for notebook, changed in assign(select(*targets), settings or {})
+    ]

@@ -1,0 +1,411 @@
+"""Accepting takes over text and numbers, and nothing that differs from run to run."""
+
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from engine import toy as toys
+from engine.toy import LEDGER, cell
+from workbook import accept, durations, publish
+from workbook.notebooks import cleaned
+from workbook.publish import replace_all
+
+pytestmark = pytest.mark.slow
+
+README = "# Toy\n\n<!-- ledger:begin -->\nold\n<!-- ledger:end -->\n\nThe end.\n"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """A workbook of one page, built once and not accepted."""
+    made = toys.make(tmp_path_factory.mktemp("page"))
+    made.add_page("isolation/01-first")
+    made.write("README.md", README)
+    (made.root / "data/motion/published.toml").unlink()
+    assert made.run("figures").returncode == 0
+    yield made
+    toys.clean_up(made)
+
+
+@pytest.fixture(scope="module")
+def accepted_page(page, tmp_path_factory):
+    with toys.copy_of(page, tmp_path_factory.mktemp("accepted")) as copy:
+        assert copy.run("accept").returncode == 0
+        yield copy
+
+
+@pytest.fixture
+def built(page, tmp_path):
+    """A copy of the built workbook that a test may change."""
+    with toys.copy_of(page, tmp_path) as copy:
+        yield copy
+
+
+@pytest.fixture
+def accepted(accepted_page, tmp_path):
+    """A copy of the accepted workbook that a test may change."""
+    with toys.copy_of(accepted_page, tmp_path) as copy:
+        yield copy
+
+
+def test_accepts_a_build(toy):
+    toy.add_page("isolation/01-first")
+    toy.add("motion/01-first", "print('hello')")
+    toy.write("README.md", README)
+    toy.write("figures/motion/00-gone/fig-1.csv", "panel,series,x,y,z\n")
+
+    ledger = toy.files("data")
+    refused = toy.run("accept")
+    assert refused.returncode == 1
+    assert "stale: isolation/01-first: never built" in refused.stdout
+    assert toy.run("figures").returncode == 0
+    done = toy.run("accept")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        "claimed by no notebook: motion.gain",
+        "belongs to no notebook, remove it: figures/motion/00-gone",
+        "accepted 2 notebooks and 2 ledger entries: 13 files changed",
+    ]
+
+    assert toy.files("data") == ledger
+    claims = (toy.root / "figures/isolation/01-first/claims.json").read_text()
+    assert json.loads(claims) == {"isolation.gain": {"ours": 2.0}}
+
+    text = (toy.root / "notebooks/isolation/01-first.ipynb").read_text()
+    cells = {each["id"]: each for each in json.loads(text)["cells"]}
+    assert [each.get("execution_count") for each in cells.values()] == [None, 1, 2, 3, 4, 5]
+    assert cells["figure"]["outputs"][0]["data"] == {"text/plain": ["fig-1.png, fig-1.csv"]}
+    assert "replicated" in "".join(cells["claims"]["outputs"][0]["data"]["text/plain"])
+    assert cells["parameters"]["metadata"] == {"tags": ["parameters"]}
+    for forbidden in ("papermill", "image/png", "text/html", str(toy.root), "injected"):
+        assert forbidden not in text
+
+    readme = (toy.root / "README.md").read_text()
+    assert "| `isolation` | 1 | 1 | 0 | 0 | 0 | 0 |" in readme
+    assert readme.endswith("<!-- ledger:end -->\n\nThe end.\n")
+
+    assert toy.run("figures").stdout.startswith("nothing to do: 2 ")
+    before = toy.stamps("notebooks", "data", "figures", "README.md")
+    assert toy.run("accept").stdout.endswith("2 ledger entries: 0 files changed\n")
+    assert toy.stamps("notebooks", "data", "figures", "README.md") == before
+    assert toy.leftovers() == []
+
+
+def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(accepted):
+    """As on another processor: the library gives the same within rounding, at another commit."""
+    toy = accepted
+    before = toy.stamps("notebooks", "data", "figures", "README.md")
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.0 * (1 + 1e-9)")
+    done = toy.run("figures")
+    assert (
+        "1 pictures agree with the committed ones (worst 0e+00 of the range), 0 verdicts moved" in done.stdout
+    )
+    assert toy.run("accept").stdout.endswith("0 files changed\n")
+    assert toy.stamps("notebooks", "data", "figures", "README.md") == before
+
+
+def test_a_parameter_that_is_renamed_is_renamed_in_the_provenance(accepted):
+    toy = accepted
+    toy.replace("notebooks/isolation/01-first.ipynb", "level", "gain_level")
+    assert toy.run("figures").returncode == 0
+    assert toy.run("accept").returncode == 0
+    kept = json.loads((toy.root / "figures/isolation/01-first/provenance.json").read_text())
+    assert "gain_level" in kept["parameters"] and "level" not in kept["parameters"]
+
+
+def test_how_long_a_notebook_took_is_noted_and_makes_nothing_stale(accepted):
+    """On a machine of another pace it is no news."""
+    file = accepted.root / durations.FILE
+    noted = json.loads(file.read_text())
+    assert list(noted) == ["isolation/01-first"] and noted["isolation/01-first"] > 0
+    accepted.write(durations.FILE, json.dumps({"isolation/01-first": 1000.0}))
+    before = accepted.stamps("notebooks", "data", "figures", "README.md")
+    assert accepted.run("figures", "--why").stdout == "isolation/01-first: up to date\n"
+    assert accepted.run("accept").returncode == 0
+    assert accepted.stamps("notebooks", "data", "figures", "README.md") == before
+
+
+def test_a_file_that_somebody_writes_all_the_time_is_named(accepted, monkeypatch):
+    monkeypatch.chdir(accepted.root)
+    monkeypatch.setenv("STILLWORK_ROOT", str(accepted.root))
+    read = accept._committed
+
+    def growing(folder):
+        log = folder / "data/isolation/log.csv"
+        log.write_text(log.read_text() + "1" if log.exists() else "")
+        return read(folder)
+
+    monkeypatch.setattr(accept, "_committed", growing)
+    with (
+        pytest.raises(publish.Edited, match=r"data/isolation/log\.csv\b"),
+        accept.committed_copy(),
+    ):
+        pass
+    assert accepted.leftovers() == []
+
+
+def test_what_no_build_wrote_is_named_and_stays_as_it_is(accepted):
+    """Notes beside the pictures, a pipe and links that lead back, and the modes of what is replaced."""
+    toy = accepted
+    toy.write("figures/isolation/01-first/notes.txt", "mine")
+    os.mkfifo(toy.root / "data/isolation/pipe")
+    (toy.root / "data/isolation/back").symlink_to("..")
+    (toy.root / "README.md").chmod(0o600)
+    before = (toy.root / "README.md").read_bytes()
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
+    assert toy.run("figures").returncode == 0
+    done = toy.run("accept")
+    assert done.returncode == 0 and " files changed" in done.stdout
+    assert "of no build, and left there: figures/isolation/01-first/notes.txt\n" in done.stdout
+    assert (toy.root / "figures/isolation/01-first/notes.txt").read_text() == "mine"
+    assert (toy.root / "README.md").stat().st_mode & 0o777 == 0o600
+    assert (toy.root / "README.md").read_bytes() != before
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGKILL])
+def test_an_accept_that_is_ended_leaves_nothing_to_the_next_reader(built, number):
+    script = f"""
+import os
+from stillwork.__main__ import main
+from workbook.site import derived
+derived.refresh = lambda: os.kill(os.getpid(), {int(number)})
+raise SystemExit(main(["accept"]))
+"""
+    toy = built
+    before = toy.stamps("notebooks", "data", "figures", "README.md")
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=toy.root,
+        env=toy.environment(),
+        capture_output=True,
+        text=True,
+        preexec_fn=toys.set_signals,
+    )
+    assert done.returncode == (-number if number == signal.SIGKILL else 128 + number)
+    assert "Traceback" not in done.stderr
+    assert number == signal.SIGKILL or not list(toy.root.glob(".accepting*"))
+    assert toy.run("claims").returncode == 0
+    assert not list(toy.root.glob(".accepting*"))
+    assert toy.stamps("notebooks", "data", "figures", "README.md") == before
+
+
+def test_what_moved_is_said_by_the_build_and_taken_over(accepted):
+    toy = accepted
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
+    toy.replace("notebooks/isolation/01-first.ipynb", "size=3)", "size=3) + gain(level)")
+    said = toy.run("figures").stdout.splitlines()
+    assert "moved: isolation/01-first: figure fig-1, cell claim, cell claims, claim isolation.gain" in said
+    assert "verdict moved: isolation.gain: replicated -> deviates" in said
+    assert said[-1].startswith("0 of 1 pictures agree") and "1 verdicts moved" in said[-1]
+    done = toy.run("accept")
+    assert done.returncode == 0
+    assert "moved: isolation.gain: 2 -> 2.1\n" in done.stdout
+    assert (
+        toy.files("figures")["figures/isolation/01-first/fig-1.csv"]
+        == (toy.files("build/figures")["build/figures/isolation/01-first/fig-1.csv"])
+    )
+    assert '"ours": 2.1' in (toy.root / "figures/isolation/01-first/claims.json").read_text()
+
+
+def test_a_value_that_agrees_keeps_the_accepted_one_though_another_claim_moved(accepted):
+    """Else many small steps, each within the drift, would add up unseen."""
+    file = "figures/isolation/01-first/claims.json"
+    kept = {"isolation.gain": {"ours": 2.001}}
+    accepted.write(file, json.dumps(kept | {"isolation.gone": {"ours": 1.0}}))
+    assert accepted.run("accept").returncode == 0
+    assert json.loads((accepted.root / file).read_text()) == kept
+
+
+def test_an_entry_that_comes_to_ask_for_an_interval_gets_it_with_the_next_accept(accepted):
+    toy = accepted
+    toy.replace("data/isolation/published.toml", "relative = 0.01", "interval = 0.95")
+    toy.replace("notebooks/isolation/01-first.ipynb", "gain(level))", "gain(level), (1.9, 2.2))")
+    assert "1 not built" in toy.run("claims").stdout
+    said = toy.run("figures").stdout
+    assert "moved: isolation/01-first: cell claims, claim isolation.gain" in said
+    assert toy.run("accept").returncode == 0
+    assert "1 replicated, predicted" in toy.run("claims").stdout
+
+
+def test_a_full_disk_leaves_everything_as_it_was(built):
+    toy = built
+    before = toy.stamps("notebooks", "data", "figures")
+    limit = "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+    limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+    script = f"{limit}from stillwork.__main__ import main\nraise SystemExit(main(['accept']))"
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert done.stdout.startswith("nothing accepted: ")
+    assert done.stderr == ""
+    assert toy.stamps("notebooks", "data", "figures") == before
+    assert toy.leftovers() == []
+
+
+def cut_short(toy: toys.Toy, monkeypatch, entry: bytes) -> None:
+    """An accept of another ledger that was killed before the first of its files was in its place."""
+    names = {"data/isolation/published.toml": entry, "figures/isolation/00-gone/a.csv": None}
+    toy.write("figures/isolation/00-gone/a.csv", "")
+    toy.write(".accepting.trial/figures/x", "")
+
+    def killed(*_arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(os, "replace", killed)
+        replace_all(
+            toy.root, {name: ((toy.root / name).read_bytes(), after) for name, after in names.items()}
+        )
+
+
+def test_an_accept_that_was_killed_is_finished_before_anybody_reads(toy, monkeypatch):
+    """What is decided stands beside; what was only tried goes."""
+    cut_short(toy, monkeypatch, LEDGER.format(room="isolation").replace("= 2.0", "= 7.0").encode())
+    done = toy.run("claims", "isolation", "--json")
+    assert json.loads(done.stdout)[0]["published"] == 7.0
+    assert not list((toy.root / "figures").rglob("a.csv"))
+    assert toy.leftovers() == []
+
+
+def test_an_accept_that_was_killed_does_not_undo_what_was_written_since(toy, monkeypatch):
+    cut_short(toy, monkeypatch, LEDGER.format(room="isolation").replace("= 2.0", "= 7.0").encode())
+    toy.replace("data/isolation/published.toml", "published = 2.0", "published = 3.0")
+    done = toy.run("claims", "isolation", "--json")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "data/isolation/published.toml" in done.stderr
+    assert json.loads(toy.run("claims", "isolation", "--json").stdout)[0]["published"] == 3.0
+    assert (toy.root / "figures/isolation/00-gone/a.csv").exists()
+
+
+@pytest.mark.parametrize("harm", ["", "null", "[]", "{}", '{"files":', None])
+def test_a_damaged_journal_is_named_and_set_aside_once(toy, harm):
+    toy.write(".accepting/manifest.json", harm or "")
+    if harm is None:
+        (toy.root / ".accepting/manifest.json").unlink()
+    refused = toy.run("claims", "isolation")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "(manifest.json)" in refused.stderr and ".accepting.damaged/" in refused.stderr
+    assert "Traceback" not in refused.stderr
+    assert toy.run("claims", "isolation").returncode == 0
+
+
+EDITS = {
+    "in place": "with open(file, 'a') as stream: stream.write('# mine\\n')",
+    "by a rename": "(root / '~').write_text(file.read_text() + '# mine\\n'); (root / '~').rename(file)",
+    "removed": "file.unlink()",
+}
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_what_somebody_changes_meanwhile_is_not_undone(built, edit, name="README.md"):
+    """Files are changed, added and removed when all has been read, and before any is put in its place."""
+    toy = built
+    toy.write("figures/isolation/01-first/gone.csv", "")
+    toy.write("data/motion/note.md", "")
+    script = f"""
+from pathlib import Path
+from stillwork.__main__ import main
+from workbook.site import derived
+refresh = derived.refresh
+def edited():
+    root = Path({str(toy.root)!r})
+    file = root / {name!r}
+    {EDITS[edit]}
+    (root / "data/isolation/own.csv").write_text("mine")
+    (root / "data/motion/note.md").unlink()
+    return refresh()
+derived.refresh = edited
+raise SystemExit(main(["accept"]))
+"""
+    before = toy.files("notebooks", "data", "figures") | {"README.md": (toy.root / "README.md").read_bytes()}
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+    )
+    said = f"nothing accepted: changed while accepting: {name}; nothing was written, repeat\n"
+    assert (done.returncode, done.stdout, done.stderr) == (1, said, "")
+    now = toy.files("notebooks", "data", "figures")
+    if (toy.root / "README.md").exists():
+        now["README.md"] = (toy.root / "README.md").read_bytes()
+    text = None if edit == "removed" else before[name] + b"# mine\n"
+    wanted = before | {name: text, "data/isolation/own.csv": b"mine", "data/motion/note.md": None}
+    assert now == {each: content for each, content in wanted.items() if content is not None}
+    assert toy.leftovers() == []
+    if edit != "removed":
+        assert toy.run("accept").returncode == 0
+        assert b"# mine" in (toy.root / name).read_bytes()
+
+
+def test_what_somebody_changes_meanwhile_elsewhere_stays_beside_what_is_accepted(built):
+    toy = built
+    script = f"""
+from pathlib import Path
+from stillwork.__main__ import main
+from workbook.site import derived
+refresh = derived.refresh
+def edited():
+    Path({str(toy.root)!r}, "data/isolation/own.csv").write_text("mine")
+    Path({str(toy.root)!r}, "data/motion/rig.toml").write_text("mass = 3.0")
+    Path({str(toy.root)!r}, "environment.txt").unlink()
+    return refresh()
+derived.refresh = edited
+raise SystemExit(main(["accept"]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+    )
+    assert "accepted 1 notebooks" in done.stdout
+    assert (toy.root / "data/isolation/own.csv").read_text() == "mine"
+    assert (toy.root / "data/motion/rig.toml").read_text() == "mass = 3.0"
+    assert not (toy.root / "environment.txt").exists()
+    assert toy.leftovers() == []
+
+
+def test_two_at_once_are_refused(toy):
+    toy.write("build/lock", "")
+    with (toy.root / "build/lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = toy.run("accept")
+    assert done.returncode == 2
+    assert "running" in done.stderr
+
+
+def test_says_what_moved_and_what_lacks_a_reason(toy):
+    toy.add_page("isolation/01-first")
+    toy.replace("data/isolation/published.toml", "published = 2.0", "published = 3.0")
+    toy.write("figures/isolation/01-first/claims.json", '{"isolation.gain": {"ours": 1.9}}')
+    toy.run("figures")
+    said = toy.run("accept").stdout.splitlines()
+    assert "moved: isolation.gain: 1.9 -> 2" in said
+    assert "deviates without a reason: isolation.gain" in said
+
+
+def test_cleaning_keeps_text_only():
+    source = {
+        "cells": [cell("a", "x"), cell("b", "# t", "markdown")],
+        "metadata": {"kernelspec": {"name": "odd"}},
+    }
+    data = {"text/plain": "<Figure>", "image/png": "iVBO", "text/html": "<b>", "application/vnd.x+json": {}}
+    outputs = [
+        {"output_type": "stream", "name": "stdout", "text": "sa"},
+        {"output_type": "stream", "name": "stdout", "text": "id\n"},
+        {"output_type": "display_data", "data": data, "metadata": {"isolated": True}},
+        {"output_type": "display_data", "data": {"image/png": "iVBO"}, "metadata": {}},
+        {"output_type": "stream", "name": "stdout", "text": ["more\n"]},
+        {"output_type": "stream", "name": "stdout", "text": ["and ", "more\n", "lines\n"]},
+    ]
+    ran = {
+        "cells": [{**cell("a", "x"), "outputs": outputs, "execution_count": 1}, cell("b", "# t", "markdown")]
+    }
+    code, text = cleaned(source, ran)["cells"]
+    assert code["outputs"] == [
+        {"output_type": "stream", "name": "stdout", "text": "said\n"},
+        {"output_type": "display_data", "data": {"text/plain": "<Figure>"}, "metadata": {}},
+        {"output_type": "stream", "name": "stdout", "text": ["more\n", "and more\n", "lines\n"]},
+    ]
+    assert text == cell("b", "# t", "markdown")

@@ -1,0 +1,251 @@
+"""`tests/committed` passes on an accepted workbook and notices what differs."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from engine import toy as toys
+from workbook.nbval_check import chosen_to_run
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[2]
+NAME = "isolation/01-first"
+README = "# Toy\n\n<!-- ledger:begin -->\n<!-- ledger:end -->\n"
+
+
+def git(toy, *arguments):
+    identity = ["-c", "user.name=toy", "-c", "user.email=toy@example.org"]
+    subprocess.run(["git", "-C", str(toy.root), *identity, *arguments], check=True, capture_output=True)
+
+
+def nbval(toy, *options: str) -> subprocess.CompletedProcess:
+    """Compare what the notebooks print with what is committed; without `options` they are executed for it."""
+    environment = toy.environment() | {
+        "STILLWORK_ROOT": str(toy.root),
+        "STILLWORK_OUTPUT": str(toy.root / "build" / "nbval"),
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+    }
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "workbook.nbval_check",
+        "-p",
+        "no:cacheprovider",
+    ]
+    command += ["--color=no", "-o", "addopts=", str(toy.root / "notebooks"), "--nbval", "--nbval-current-env"]
+    command += options
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+
+
+class Outcomes:
+    """A plugin that notes what did not pass: names of tests without their parameters, and skips."""
+
+    def __init__(self):
+        self.failed: set[str] = set()
+        self.skipped: set[str] = set()
+
+    def pytest_runtest_logreport(self, report):
+        name = report.location[2].partition("[")[0].rpartition(".")[2]
+        if report.failed:
+            self.failed.add(name)
+        if report.skipped:
+            self.skipped.add(name)
+
+
+def committed(toy, monkeypatch) -> Outcomes:
+    """Run `tests/committed` on the toy within this process: a new one would import for seconds, a dozen times."""
+    monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
+    monkeypatch.chdir(ROOT)
+    outcomes = Outcomes()
+    quiet = [
+        f"-pno:{name}"
+        for name in ("cacheprovider", "faulthandler", "jaxtyping", "nbval", "terminal", "xdist")
+    ]
+    try:
+        code = pytest.main(
+            [*quiet, "-o", "addopts=--import-mode=importlib", "--capture=no", "tests/committed"],
+            plugins=[outcomes],
+        )
+    finally:
+        for name in [each for each in sys.modules if each.split(".")[0] == "committed"]:
+            del sys.modules[name]  # these modules hold what they read when they were imported
+    assert code == (pytest.ExitCode.TESTS_FAILED if outcomes.failed else pytest.ExitCode.OK)
+    return outcomes
+
+
+@pytest.fixture(scope="module")
+def accepted(tmp_path_factory):
+    """A workbook of one notebook: built at a commit, accepted, run again by nbval."""
+    toy = toys.make(tmp_path_factory.mktemp("accepted"))
+    toy.add_page(NAME)
+    cells = toy.root / f"notebooks/{NAME}.ipynb"
+    end = ', {"cell_type": "markdown", "id": "end", "metadata": {}, "source": "All agrees."}]}'
+    cells.write_text(cells.read_text().removesuffix("]}") + end)
+    (toy.root / "data/motion/published.toml").unlink()
+    (toy.root / "environment.txt").write_text("")
+    toy.write("README.md", README)
+    toy.write(".gitignore", "build/\n__pycache__/\n")
+    git(toy, "init", "--quiet")
+    git(toy, "add", ".")
+    git(toy, "commit", "--quiet", "-m", "toy")
+    assert toy.run("figures").returncode == 0
+    assert toy.run("accept").returncode == 0
+    done = nbval(toy)
+    assert done.returncode == 0, done.stdout
+    yield toy
+    toys.clean_up(toy)
+
+
+@pytest.fixture
+def toy(accepted):
+    """The accepted workbook; what a test does to it is undone."""
+    before = accepted.files("figures", "data", "notebooks", "build/figures") | {
+        "README.md": (accepted.root / "README.md").read_bytes()
+    }
+    yield accepted
+    for name in accepted.files("figures", "data", "notebooks", "build/figures"):
+        if name not in before:
+            (accepted.root / name).unlink()
+    for name, content in before.items():
+        (accepted.root / name).write_bytes(content)
+
+
+def test_an_accepted_workbook_passes(toy, monkeypatch):
+    outcomes = committed(toy, monkeypatch)
+    assert (outcomes.failed, outcomes.skipped) == (set(), set())
+
+
+@pytest.mark.parametrize("options", [(), ("--nbval-rerun", "0")], ids=["executed", "replayed"])
+def test_nbval_notices_another_output(toy, options):
+    toy.replace(f"notebooks/{NAME}.ipynb", "'replicated'", "'deviates'")
+    done = nbval(toy, *options)
+    assert done.returncode == 1
+    assert "1 failed" in done.stdout
+
+
+def test_nbval_replays_a_fresh_build_and_executes_a_stale_one(toy, tmp_path):
+    written = toy.root / "build/nbval" / NAME / "fig-1.csv"
+    written.unlink()
+    assert nbval(toy, "--nbval-rerun", "0").returncode == 0
+    assert not written.exists()
+    toy.replace("data/isolation/rig.toml", "1.0", "2.0")
+    assert nbval(toy, "--nbval-rerun", "0").returncode == 0
+    assert written.exists()
+    toy.replace("data/isolation/rig.toml", "2.0", "1.0")
+    written.unlink()
+    begun = tmp_path / "begun"
+    begun.touch()
+    os.utime(begun, (0, 0))  # before the build: what this run built has had its turn
+    assert nbval(toy, "--nbval-rerun", "1", "--nbval-begun", str(begun)).returncode == 0
+    assert not written.exists()
+    begun.touch()
+    assert nbval(toy, "--nbval-rerun", "1", "--nbval-begun", str(begun)).returncode == 0
+    assert written.exists()
+
+
+@given(st.integers(1, 9), st.integers(1, 60), st.integers(0, 10**6))
+def test_every_notebook_has_its_turn_to_be_executed_again(count, notebooks, day):
+    names = [str(number) for number in range(notebooks)]
+    days = -(-notebooks // count)
+    turns = [chosen_to_run(count, names, day + later) for later in range(days)]
+    assert set().union(*turns) == set(names)
+    assert {len(each) for each in turns} == {min(count, notebooks)}
+
+
+def move_a_number(toy):
+    file = toy.root / f"build/figures/{NAME}/fig-1.csv"
+    lines = file.read_text().splitlines()
+    *start, y, z = lines[2].split(",")
+    lines[2] = ",".join([*start, str(float(y) + 0.01), z])
+    file.write_text("\n".join(lines) + "\n")
+
+
+def round_a_number(toy):
+    """What another machine may do."""
+    file = toy.root / f"build/figures/{NAME}/fig-1.csv"
+    lines = file.read_text().splitlines()
+    *start, y, z = lines[2].split(",")
+    lines[2] = ",".join([*start, str(float(y) * (1 + 1e-5)), z])
+    file.write_text("\n".join(lines) + "\n")
+
+
+def drop_a_figure(toy):
+    (toy.root / f"figures/{NAME}/fig-1.csv").unlink()
+    toy.write(f"figures/{NAME}/fig-2.csv", "panel,series,x,y,z\n")
+
+
+def move_the_accepted_value(toy):
+    toy.replace(f"figures/{NAME}/claims.json", '"ours": 2.0', '"ours": 2.01')
+
+
+def add_an_entry(toy):
+    ledger = toy.root / "data/isolation/published.toml"
+    ledger.write_text(ledger.read_text() + toys.LEDGER.format(room="isolation").replace(".gain", ".other"))
+
+
+def deviate(toy):
+    toy.replace("data/isolation/published.toml", "published = 2.0", "published = 2.5")
+
+
+def edit_the_readme(toy):
+    toy.replace("README.md", "| `isolation` | 1 |", "| `isolation` | 2 |")
+
+
+def forget_the_outputs(toy):
+    toy.add_page(NAME)
+
+
+def rename_the_page(toy):
+    toy.replace(f"notebooks/{NAME}.ipynb", "Page('isolation/01-first')", "Page('isolation/01-frst')")
+
+
+def change_a_pin(toy):
+    toy.replace(f"figures/{NAME}/provenance.json", '"environment_sha256": "', '"environment_sha256": "0')
+
+
+LEDGER, FRESH = (
+    "test_every_entry_is_accepted_and_explained",
+    "test_a_fresh_run_finds_the_accepted_value_and_verdict",
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (round_a_number, set()),
+        (move_a_number, {"test_a_fresh_run_plots_the_committed_numbers"}),
+        (
+            drop_a_figure,
+            {
+                "test_a_derived_file_is_current",
+                "test_every_figure_was_rebuilt_and_every_rebuilt_one_is_committed",
+                "test_every_table_has_its_picture",
+                "test_a_fresh_run_plots_the_committed_numbers",
+            },
+        ),
+        (move_the_accepted_value, {FRESH}),
+        (add_an_entry, {LEDGER, "test_a_derived_file_is_current"}),
+        (deviate, {LEDGER, "test_a_derived_file_is_current"}),
+        (edit_the_readme, {"test_a_derived_file_is_current"}),
+        (
+            forget_the_outputs,
+            {
+                "test_was_accepted_with_clean_text_outputs",
+                "test_its_file_is_the_one_that_accept_writes",
+            },
+        ),
+        (rename_the_page, {"test_its_page_is_named_after_its_file"}),
+        (change_a_pin, {"test_figures_come_from_a_commit_and_the_pinned_environment"}),
+    ],
+)
+def test_what_differs_is_noticed(toy, monkeypatch, change, expected):
+    change(toy)
+    assert committed(toy, monkeypatch).failed == expected

@@ -1,0 +1,249 @@
+"""Whatever goes wrong in a build: the last good figures stand, the others go on, nothing is left behind."""
+
+import os
+import resource
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from engine import toy as toys
+from engine.toy import until
+from workbook.warm import PROGRAM
+
+pytestmark = pytest.mark.slow
+
+# Say which process it is, whole, and wait to be killed.
+WAIT = """\
+import os, time
+from pathlib import Path
+begun = Path(os.environ["TOY"], "{}")
+written = begun.with_suffix(".part").write_text(str(os.getpid()))
+begun.with_suffix(".part").rename(begun)
+time.sleep(1000)"""
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """Two good notebooks, built once."""
+    made = toys.make(tmp_path_factory.mktemp("good"))
+    made.add("isolation/01-first")
+    made.add("isolation/02-second")
+    assert made.run("figures").returncode == 0
+    yield made
+    toys.clean_up(made)
+
+
+@pytest.fixture
+def built(good, tmp_path):
+    """A copy of the built workbook that a test may change."""
+    with toys.copy_of(good, tmp_path) as copy:
+        yield copy
+
+
+def end_with(built, *sources) -> dict[str, bytes]:
+    """Make the first notebook end with `sources`, and both stale; returns the good figures."""
+    before = built.results()
+    built.add("isolation/01-first", *sources)
+    built.replace("notebooks/isolation/02-second.ipynb", "seed: int = 1", "seed: int = 2")
+    return before
+
+
+def assert_only_second_was_built(toy, good):
+    first = {name: content for name, content in good.items() if "01-first" in name}
+    now = toy.results()
+    assert first == {name: content for name, content in now.items() if "01-first" in name}
+    assert now["build/figures/isolation/02-second/out.csv"] == b"2,2.0\n"
+    assert toy.leftovers() == []
+
+
+def test_a_notebook_that_raises(built):
+    """6 s of CPU: two builds by real kernels; the traceback, the other notebook and the last good result are seen at once."""
+    good = end_with(built, "ratio = 1 / 0")
+    done = built.run("figures")
+    assert done.returncode == 1
+    assert "1 built, 1 failed" in done.stdout
+    table = done.stdout.splitlines()[-2]
+    assert (
+        table.split()
+        == "isolation/01-first cell [4] ratio = 1 / 0 ZeroDivisionError: division by zero".split()
+    )
+    assert done.stdout.endswith("\nthe last good results of these stand untouched\n")
+    assert_only_second_was_built(built, good)
+    assert built.run("figures", "--why").stdout.splitlines() == [
+        "isolation/01-first: cell cell-1 added",
+        "isolation/02-second: up to date",
+    ]
+    built.add("isolation/03-third", "ratio = 1 / 0")
+    both = built.run("figures")
+    assert both.stdout.endswith("\nthe last good results of 1 of these stand untouched\n")
+    assert "last good results" not in built.run("figures", "isolation/03-third").stdout
+
+
+def test_wrong_input_is_told_once_and_without_a_traceback(built):
+    refuse = (
+        "from stillwork.base.checks import require_number\nchecked = require_number('level', -level, above=0)"
+    )
+    good = end_with(built, refuse)
+    done = built.run("figures")
+    assert done.returncode == 1
+    assert (done.stdout + done.stderr).count("level is -1; give a finite number above 0") == 1
+    assert "Traceback" not in done.stdout + done.stderr
+    assert_only_second_was_built(built, good)
+
+
+def test_a_kernel_that_is_killed_and_had_children(built):
+    child = "import subprocess\nchild = subprocess.Popen(['sleep', '1000'])"
+    good = end_with(built, child, "import os\nos.kill(os.getpid(), 9)")
+    done = built.run("figures")
+    assert done.returncode == 1
+    assert "cell [5] import os" in done.stdout
+    assert "killed by SIGKILL" in done.stdout
+    assert_only_second_was_built(built, good)
+
+
+def test_a_kernel_that_is_killed_from_outside(built):
+    good = end_with(built, WAIT.format("begun"))
+    process = built.start("figures", "--jobs", "2")
+    built.wait_for("begun")
+    os.kill(int((built.root / "begun").read_text()), signal.SIGKILL)
+    printed = process.communicate(timeout=60)[0]
+    assert process.returncode == 1
+    assert "cell [4] import os, time" in printed
+    assert_only_second_was_built(built, good)
+
+
+LARGE = "written = (folder / 'large.csv').write_bytes(bytes(3_000_000))"
+
+
+def limit_files():
+    """Files of this process and its children end at 2 MB, as on a full disk; a child may lift it."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, resource.RLIM_INFINITY))
+
+
+def test_a_disk_that_is_full_for_the_notebook(built):
+    good = end_with(built, LARGE)
+    done = built.run("figures", preexec_fn=limit_files)
+    assert done.returncode == 1
+    assert "File too large" in done.stdout.splitlines()[-2]
+    assert "cell [4]" in done.stdout.splitlines()[-2]
+    assert_only_second_was_built(built, good)
+
+
+def test_a_disk_that_is_full_for_the_results(built):
+    lift = "import resource\nhard = resource.RLIM_INFINITY\nresource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))"
+    good = end_with(built, lift, LARGE)
+    done = built.run("figures", preexec_fn=limit_files)
+    assert done.returncode == 1
+    assert "writing the results" in done.stdout.splitlines()[-2]
+    assert "File too large" in done.stdout.splitlines()[-2]
+    assert_only_second_was_built(built, good)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupt_of_a_parallel_build(built, number):
+    toy = built
+    good = toy.results()
+    for name in ("01-first", "02-second", "03-third"):
+        toy.add(
+            f"isolation/{name}",
+            "import subprocess\nchild = subprocess.Popen(['sleep', '1000'])",
+            WAIT.format(name),
+        )
+    process = toy.start("figures", "--jobs", "2")
+    toy.wait_for("01-first", "02-second")
+    printed = toy.interrupt(process, number)
+    assert process.returncode == 128 + number
+    assert "0 built, 3 failed" in printed
+    assert [line.split()[-1] for line in printed.splitlines()[-4:-1]] == ["interrupted"] * 3
+    assert toy.results() == good
+    assert toy.leftovers() == []
+
+
+def test_a_build_goes_on_through_signals_that_it_was_started_to_ignore(toy):
+    """As `nohup` and a shell's background jobs ask; the end of a session is no end of the build."""
+    go_on = "\nwhile not begun.with_suffix('.go').exists():\n    time.sleep(0.05)"
+    toy.add("isolation/01-first", WAIT.format("begun").replace("\ntime.sleep(1000)", go_on))
+    process = toy.start("figures", ignored=(signal.SIGINT, signal.SIGHUP))
+    toy.wait_for("begun")
+    for number in (signal.SIGINT, signal.SIGHUP):
+        os.killpg(process.pid, number)
+    time.sleep(0.5)  # longer than the build's look for what came
+    toy.write("begun.go", "")
+    assert "1 built, 0 failed" in process.communicate(timeout=60)[0]
+    assert process.returncode == 0
+
+
+def test_an_interrupt_while_kernels_start(toy):
+    toy.add("isolation/01-first")
+    toy.add("isolation/02-second")
+    process = toy.start("figures", "--jobs", "2")
+    until(lambda: len(toy.processes()) > 1)
+    toy.interrupt(process, signal.SIGINT)
+    assert process.returncode == 130
+    assert not (toy.root / "build/figures").exists()
+    assert toy.leftovers() == []
+
+
+def test_kernels_die_with_a_runner_that_is_killed_and_the_next_build_tidies_up(toy):
+    toy.add("isolation/01-first", WAIT.format("begun"))
+    process = toy.start("figures")
+    toy.wait_for("begun")
+    process.kill()
+    process.communicate()
+    until(lambda: not toy.processes())
+    assert toy.leftovers()
+    for folder in toy.temporary.iterdir():
+        os.utime(folder, (0, 0))  # as if some time had passed
+    toy.add("isolation/01-first")
+    assert toy.run("figures").returncode == 0
+    assert toy.leftovers() == []
+
+
+def test_results_that_are_harmed_in_mid_build_are_not_compared(built):
+    harm = "file = paths.root() / 'build/figures/isolation/02-second/02-second.ipynb'\nwritten = file.write_text('')"
+    built.add("isolation/01-first", harm)
+    done = built.run("figures")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (
+        "isolation/02-second: output 02-second.ipynb was changed by hand"
+        in built.run("figures", "--why").stdout
+    )
+
+
+def test_a_warmed_process_whose_driver_was_killed_ends_without_a_word():
+    mine, theirs = socket.socketpair()
+    command = [sys.executable, "-P", str(PROGRAM), "warm", str(theirs.fileno())]
+    process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stderr=subprocess.PIPE, text=True)
+    theirs.close()
+    mine.sendall(b'{"asked": 1, "arguments": [], "environment": {}, "folder": "/nowhere"}\n')
+    select.select([mine], [], [])
+    mine.close()  # what it told is not read any more
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 0
+    assert "ConnectionResetError" not in said
+
+
+def test_a_page_of_another_name(toy):
+    toy.add(
+        "isolation/01-first",
+        "other = paths.output('isolation/02-x')\nother.mkdir()\n(other / 'a.csv').touch()",
+    )
+    done = toy.run("figures")
+    assert done.returncode == 1
+    assert "writes to the page 'isolation/02-x'" in done.stdout
+    assert toy.leftovers() == []
+
+
+def test_two_builds_at_once(toy):
+    toy.add("isolation/01-first", WAIT.format("begun"))
+    process = toy.start("figures")
+    toy.wait_for("begun")
+    second = toy.run("figures")
+    assert second.returncode == 2
+    assert "another build" in second.stderr
+    toy.interrupt(process, signal.SIGINT)

@@ -1,0 +1,258 @@
+"""The commands of make: as they are documented, wherever they are called, and never in a half-made environment."""
+
+import os
+import re
+import shlex
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from order import PLACES
+from workbook.pinned import FILE, pins
+
+ROOT = Path(__file__).parents[2]
+
+STUB = """\
+#!/bin/sh
+echo "$@" >> calls
+for each; do printf '%s\\0' "$each"; done > last
+case "$*" in
+    "-m venv --clear .venv") rm -rf .venv && mkdir -p .venv/bin && cp stub .venv/bin/python && cp stub .venv/bin/ruff ;;
+    *"-r environment.txt") test ! -e broken ;;
+    -c*) test ! -e old ;;
+esac
+"""
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A folder with the Makefile and a Python that only notes how it was called; no path of it is a plain word."""
+    root = tmp_path / "ein Ort für alle"
+    root.mkdir()
+    for name in ("Makefile", "environment.txt", "pyproject.toml"):
+        shutil.copy(ROOT / name, root)
+    (root / FILE.relative_to(ROOT)).parent.mkdir(parents=True)
+    shutil.copy(FILE, root / FILE.relative_to(ROOT))
+    stub = root / "stub"
+    stub.write_text(STUB)
+    stub.chmod(stub.stat().st_mode | stat.S_IEXEC)
+    for name in ("python", "ruff"):
+        (root / "own one" / "bin").mkdir(parents=True, exist_ok=True)
+        shutil.copy(stub, root / "own one" / "bin" / name)
+    return root
+
+
+OWN = "ENVIRONMENT=own one"
+
+
+def run(checkout, command, **around):
+    """A process in the checkout; an outer make hands down nothing to it, nor does anything else."""
+    around = {"PATH": os.environ["PATH"], "PWD": str(checkout)} | around
+    return subprocess.run(command, cwd=checkout, env=around, capture_output=True, text=True)
+
+
+def make(checkout, *arguments):
+    return run(checkout, ["make", "PYTHON=./stub", *arguments])
+
+
+def calls(checkout) -> list[str]:
+    """Calls since the last look."""
+    log = checkout / "calls"
+    lines = log.read_text().splitlines() if log.exists() else []
+    log.unlink(missing_ok=True)
+    return [line for line in lines if not line.startswith("-c")]
+
+
+MADE = ["-m venv --clear .venv", "pip install -r", "pip install -e"]
+
+
+def short(lines: list[str]) -> list[str]:
+    """Calls without pip's options."""
+    kept = []
+    for line in lines:
+        if "pip install" in line:
+            line = "pip install -r" if "--require-hashes -r environment.txt" in line else "pip install -e"
+        kept.append(line)
+    return kept
+
+
+def test_the_first_use_makes_the_environment_and_the_next_does_not(checkout):
+    assert make(checkout, "figures", "ARGS=isolation -p seed=3").returncode == 0
+    assert short(calls(checkout)) == [*MADE, "-m stillwork figures isolation -p seed=3"]
+    assert make(checkout, "doctor").returncode == 0
+    assert short(calls(checkout)) == ["-m stillwork doctor"]
+
+
+def test_a_half_made_environment_is_made_again(checkout):
+    (checkout / "broken").touch()
+    assert make(checkout, "figures").returncode != 0
+    assert short(calls(checkout)) == MADE[:2]
+    (checkout / "broken").unlink()
+    assert make(checkout, "figures").returncode == 0
+    assert short(calls(checkout)) == [*MADE, "-m stillwork figures"]
+
+
+def test_another_pin_makes_the_environment_again(checkout):
+    make(checkout, "figures")
+    calls(checkout)
+    later = (checkout / ".venv" / "complete").stat().st_mtime + 10
+    os.utime(checkout / "environment.txt", (later, later))
+    assert make(checkout, "figures").returncode == 0
+    assert short(calls(checkout))[:3] == MADE
+
+
+def test_jupyter_reaches_data_and_figures_beside_the_notebooks(checkout):
+    """Its files begin at the checkout, and it opens on the index below."""
+    make(checkout, "lab")
+    (started,) = [line for line in calls(checkout) if "jupyter lab" in line]
+    assert "--ServerApp.root_dir=. " in started
+    assert "--LabApp.default_url=/lab/tree/notebooks/index.ipynb" in started
+
+
+def test_binder_gets_a_python_that_the_pins_serve_and_a_script_that_runs():
+    runtime = (ROOT / ".binder" / "runtime.txt").read_text().strip()
+    assert runtime in {f"python-3.{minor}" for minor in range(11, 15)}
+    assert os.access(ROOT / ".binder" / "postBuild", os.X_OK)
+    subprocess.run(["bash", "-n", str(ROOT / ".binder" / "postBuild")], check=True)
+
+
+def test_the_pins_are_installed_from_wheels():
+    """By make, Binder and anyone with pip: the option stands in the file of the pins."""
+    assert (ROOT / "environment.txt").read_text().splitlines()[0] == "--only-binary :all:"
+    assert (ROOT / ".binder" / "requirements.txt").samefile(ROOT / "environment.txt")
+
+
+def test_another_python_is_refused(checkout):
+    (checkout / "old").touch()
+    done = make(checkout, "figures")
+    assert done.returncode != 0
+    assert "./stub is not a Python 3.11, 3.12, 3.13 or 3.14; name one: make PYTHON=" in done.stdout
+    assert calls(checkout) == []
+
+
+def test_an_environment_of_ones_own_is_left_alone(checkout):
+    assert make(checkout, OWN, "figures").returncode == 0
+    assert make(checkout, f"ENVIRONMENT={checkout}/own one", "figures").returncode == 0
+    assert calls(checkout) == ["-m stillwork figures"] * 2
+    assert not (checkout / ".venv").exists()
+
+
+def documented() -> list[str]:
+    """Each way of calling make that a text shows, as somebody types it."""
+    found = []
+    for file in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / ".ci" / "run"]:
+        text = file.read_text(encoding="utf-8")
+        found += re.findall(r"^make [a-z].*", text, re.MULTILINE) + re.findall(r"`(make [a-z][^`]*)`", text)
+    head = "".join((ROOT / "Makefile").read_text(encoding="utf-8").splitlines()[:2])
+    ways = re.findall(r"(make [A-Z]+=\S+) \.\.\.", head)
+    found += [f"{way} {target}" for way in ways for target in ("figures", "test")]
+    return sorted({line.partition("#")[0].strip() for line in found})
+
+
+DOCUMENTED = documented()
+
+
+def test_each_way_of_calling_the_two_commands_is_found():
+    variants = [
+        line for line in DOCUMENTED if line.startswith('make figures ARGS="isolation/02-convergence -p')
+    ]
+    assert variants and {"make figures", "make test", 'make figures ARGS="--why"'} <= set(DOCUMENTED)
+    assert {"make PYTHON=python3.12 test", "make ENVIRONMENT=/path/to/it figures"} <= set(DOCUMENTED)
+
+
+@pytest.mark.parametrize("line", DOCUMENTED)
+def test_what_is_documented_runs_as_it_is_typed(checkout, line):
+    """By a shell, in a folder whose name has blanks; what `ARGS` says arrives in words as a shell parts them."""
+    (checkout / "tools").mkdir()
+    for name in ("python3", "python3.12"):
+        shutil.copy(checkout / "stub", checkout / "tools" / name)
+    asked = shlex.quote(f"{checkout}/own one") if "ENVIRONMENT" in line else None
+    typed = line.replace("/path/to/it", asked) if asked else line
+    done = run(checkout, ["sh", "-c", typed], PATH=f"{checkout}/tools:{os.environ['PATH']}")
+    assert done.returncode == 0, done.stdout + done.stderr
+    given = [word for word in shlex.split(line) if word.startswith("ARGS=")]
+    for text in given:
+        words = shlex.split(text.removeprefix("ARGS=").replace("$PWD", str(checkout)))
+        assert (checkout / "last").read_text().split("\0")[-len(words) - 1 : -1] == words
+    assert (checkout / ".venv" / "complete").exists() == (asked is None and not re.search("help|clean", line))
+
+
+def test_what_an_outer_make_hands_down_reaches_no_make_of_these_tests(checkout, monkeypatch):
+    """`make test ENVIRONMENT=/path` hands the variable to all that it runs, and so to these tests."""
+    for name in ("MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "ENVIRONMENT", "PYTHON", "ARGS", "BIN", "READY"):
+        monkeypatch.setenv(name, "n -- ENVIRONMENT=/nowhere" if name == "MAKEFLAGS" else "/nowhere")
+    assert make(checkout, "figures").returncode == 0
+    assert short(calls(checkout)) == [*MADE, "-m stillwork figures"]
+
+
+def test_help_lists_every_target(checkout):
+    shown = make(checkout, "help").stdout
+    targets = next(
+        line for line in (ROOT / "Makefile").read_text().splitlines() if line.startswith(".PHONY:")
+    )
+    assert {line.split()[1] for line in shown.splitlines()} == set(targets.split()[1:])
+    assert calls(checkout) == []
+
+
+def test_the_tests_run_notebooks_under_the_settings_of_a_build(checkout):
+    (checkout / "own one/bin/python").write_text(STUB + "env >> settings\n")
+    assert make(checkout, OWN, "test").returncode == 0
+    settings = set((checkout / "settings").read_text().splitlines())
+    assert {f"{name}={value}" for name, value in pins().items()} <= settings
+    assert f"STILLWORK_OUTPUT={checkout}/build/nbval" in settings
+
+
+PARTS = ["style", "types", "unit tests", "build", "notebooks", "what is committed"]
+
+
+def table(printed: str) -> dict[str, str]:
+    """The rows at the end of a test run: what became of each part."""
+    rows = [re.fullmatch(r"(\S.*?) +(\d+) s  (passed|FAILED)", line) for line in printed.splitlines()[-7:-1]]
+    last = re.fullmatch(r"all of them +(\d+) s", printed.splitlines()[-1])
+    assert int(last[1]) == sum(int(row[2]) for row in rows)
+    return {row[1]: row[3] for row in rows}
+
+
+@pytest.mark.parametrize(
+    ("failing", "parts"),
+    [
+        ("", []),
+        ("*ruff*check\\ .", ["style"]),
+        ("*mypy*", ["types"]),
+        ("*pytest\\ tests\\ *", ["unit tests"]),
+        ("*stillwork*figures*", ["build"]),
+        ("*", PARTS),
+    ],
+)
+def test_a_test_run_ends_with_all_its_parts_whatever_became_of_them(checkout, failing, parts):
+    for name in ("python", "ruff"):
+        fails = f'case "{name} $*" in {failing or "nothing"}) exit 1 ;; esac\n'
+        (checkout / "own one" / "bin" / name).write_text(STUB + fails)
+    done = make(checkout, OWN, "test")
+    assert bool(done.returncode) == bool(parts)
+    assert table(done.stdout) == {name: "FAILED" if name in parts else "passed" for name in PARTS}
+
+
+def test_the_files_that_begin_first_are_there():
+    assert [file for file in PLACES if not file.is_file()] == []
+
+
+@pytest.mark.slow
+def test_pytest_takes_the_options_for_the_notebooks(checkout):
+    """Its plugins must agree on them in this order; only a run shows it."""
+    assert make(checkout, OWN, "test").returncode == 0
+    (given,) = [line for line in calls(checkout) if line.startswith("-m pytest notebooks ")]
+    arguments = given.replace("notebooks", "notebooks/fixedpoint/01-noise-free.ipynb", 1).split()
+    done = subprocess.run(
+        [sys.executable, *arguments, "-n0", "--collect-only", "-p", "no:cacheprovider"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "lib"), "STILLWORK_OUTPUT": str(checkout / "nbval")},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "01-noise-free.ipynb::Cell 0" in done.stdout

@@ -1,0 +1,236 @@
+"""Parameters: declared in the notebook, checked before anything runs."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from engine.toy import cell, notebook
+from stillwork.base.checks import InputError
+from workbook import pinned
+from workbook.notebooks import assign, read_notebook, select
+from workbook.parameters import Parameter
+from workbook.tasks import Task
+
+
+@pytest.fixture
+def workbook(tmp_path, monkeypatch):
+    """Write a notebook of the room `motion` with this parameters cell and read it."""
+    (tmp_path / "data" / "motion").mkdir(parents=True)
+    (tmp_path / "data" / "motion" / "published.toml").touch()
+    (tmp_path / "notebooks" / "motion").mkdir(parents=True)
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
+
+    def write(parameters, name="motion/01-x", tags=("parameters",)):
+        cells = [cell("begin", "x = 1"), cell("settings", parameters, tags=tags), cell("end", "y = 2")]
+        (tmp_path / "notebooks" / f"{name}.ipynb").write_text(notebook(cells), encoding="utf-8")
+        return read_notebook(name)
+
+    return write
+
+
+def test_reads_names_types_and_published_values(workbook):
+    source = """\
+# about the run
+seed: int = 7  # root of all streams
+rate: float = 5000  # Hz
+record: str | None = None  # file
+bands: list[float] = [1, 2.5]  # Hz
+corner: tuple[float, str] = (-1e-3, "x")  # of the filter
+names: tuple[str, ...] = ()  # of the axes
+fast: bool = False  # or slow"""
+    found = {p.name: (p.annotation, p.value) for p in workbook(source).parameters.values()}
+    assert found == {
+        "seed": ("int", 7),
+        "rate": ("float", 5000.0),
+        "record": ("str | None", None),
+        "bands": ("list[float]", [1.0, 2.5]),
+        "corner": ("tuple[float, str]", (-0.001, "x")),
+        "names": ("tuple[str, ...]", ()),
+        "fast": ("bool", False),
+    }
+    assert type(found["rate"][1]) is float
+
+
+def test_the_parameters_cell_is_no_code_cell(workbook):
+    read = workbook("seed: int = 1  # of the noise")
+    assert read.cells == {"begin": "x = 1", "end": "y = 2"}
+    assert read.room == "motion"
+
+
+def test_a_notebook_may_have_no_parameters(workbook):
+    assert workbook("seed = 1", tags=()).parameters == {}
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("a: int = 1\nseed = 1", "line 2: 'seed = 1'"),
+        ("import numpy", "line 1: 'import numpy'"),
+        ("a: int = 1\n\nseed: int", "line 3: 'seed: int'"),
+        ("seed: int = 1 +", r"line 1\b.*Python"),
+        ("seed: int = 2 * 3", r"line 1\b.*2 \* 3"),
+        ("seed: int = get()", r"line 1\b.*get\(\)"),
+        ("seed: Path = 'x'", r"line 1\b.*'x'"),
+        ("seed: int = 1.0", r"line 1\b.*\bint\b"),
+        ("seed: int = True", r"line 1\b.*\bint\b"),
+        ("rate: float = '1'", r"line 1\b.*\bfloat\b"),
+        ("bands: list[float] = [1, 'x']", r"list\[float\]"),
+        ("pair: tuple[int, int] = (1, 2, 3)", r"tuple\[int, int\]"),
+    ],
+)
+def test_a_malformed_line_is_named(workbook, source, message):
+    with pytest.raises(InputError, match=message) as error:
+        workbook(source)
+    assert "01-x.ipynb: parameters cell" in str(error.value)
+    assert "name: type = literal" in str(error.value)
+
+
+CODE = '{"cell_type": "code", "id": "a", "metadata": {}, "source": "1"}'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<html>",
+        "[]",
+        '{"cells": 1}',
+        '{"cells": [1]}',
+        *(
+            f'{{"cells": [{CODE.replace(*part)}]}}'
+            for part in [('"id": "a", ', ""), ('"metadata": {}, ', ""), ("{}", "1")]
+        ),
+        '{{"cells": [{}]}}'.format(CODE.replace('"1"', "1")),
+    ],
+)
+def test_a_file_that_is_no_notebook(workbook, tmp_path, text):
+    (tmp_path / "notebooks/motion/01-x.ipynb").write_text(text)
+    with pytest.raises(InputError, match="nbformat"):
+        read_notebook("motion/01-x")
+
+
+def test_two_cells_of_one_id_are_refused(workbook, tmp_path):
+    cells = [cell("title", "# A", "markdown"), cell("3f2a9c1b", "x = 1"), cell("3f2a9c1b", "y = 2")]
+    (tmp_path / "notebooks/motion/01-x.ipynb").write_text(notebook(cells))
+    with pytest.raises(InputError, match="3f2a9c1b"):
+        read_notebook("motion/01-x")
+
+
+@pytest.mark.parametrize(
+    ("annotation", "text", "value"),
+    [
+        ("int", "3", 3),
+        ("int", "-3", -3),
+        ("float", "3", 3.0),
+        ("float", "1e-3", 0.001),
+        ("str", "3", "3"),
+        ("str", "none", "none"),
+        ("str", "'quoted'", "'quoted'"),
+        ("str", "['a', 1]", "['a', 1]"),
+        ("str", " a,", " a,"),
+        ("str", "../my floor.csv", "../my floor.csv"),
+        ("str | None", "none", None),
+        ("str | None", "None", None),
+        ("str | None", "flat", "flat"),
+        ("float | str", "flat", "flat"),
+        ("float | str", "2", 2.0),
+        ("bool", "true", True),
+        ("bool", "False", False),
+        ("list[float]", "[1, 2.5]", [1.0, 2.5]),
+        ("list[float]", "1,2.5", [1.0, 2.5]),
+        ("list[str]", "a, b", ["a", "b"]),
+        ("list[str]", "a,", ["a"]),
+        ("list[str]", "1,", ["1"]),
+        ("list[str]", "a,none,2.5", ["a", "none", "2.5"]),
+        ("list[str]", '["a, b", "\\"c"]', ["a, b", '"c']),
+        ("tuple[int, ...]", "1,2,3", (1, 2, 3)),
+        ("tuple[float, str]", "(1, 'x')", (1.0, "x")),
+        ("list[float] | None", "none", None),
+    ],
+)
+def test_reads_what_a_shell_gives(annotation, text, value):
+    read = Parameter("x", annotation, None).read(text)
+    assert read == value
+    assert type(read) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("annotation", "text"),
+    [
+        ("int", "3.0"),
+        ("int", "true"),
+        ("int", ""),
+        ("float", "none"),
+        ("float", "1,2"),
+        ("bool", "1"),
+        ("list[float]", "3"),
+        ("list[float]", "a,b"),
+        ("tuple[int, int]", "1,2,3"),
+        ("float", "__import__('os')"),
+    ],
+)
+def test_refuses_another_type(annotation, text):
+    with pytest.raises(InputError, match=r"^parameter x\b"):
+        Parameter("x", annotation, None).read(text)
+
+
+@pytest.mark.slow
+@given(
+    st.one_of(
+        st.integers().map(lambda v: ("int", v)),
+        st.floats(allow_nan=False, allow_infinity=False).map(lambda v: ("float", v)),
+        st.booleans().map(lambda v: ("bool", v)),
+        st.lists(st.integers()).map(lambda v: ("list[int]", v)),
+        st.tuples(st.booleans(), st.text()).map(lambda v: ("tuple[bool, str]", v)),
+    )
+)
+def test_reads_back_every_literal(case):
+    annotation, value = case
+    assert Parameter("x", annotation, None).read(repr(value)) == value
+
+
+def test_assign_keeps_what_differs_and_drops_who_has_none(workbook):
+    workbook("seed: int = 1  # a\nrate: float = 2.0  # b", "motion/01-x")
+    workbook("runs: int = 5  # c", "motion/02-y")
+    chosen = assign(select(), {"seed": "1", "rate": "3"})
+    assert [(n.name, changed) for n, changed in chosen] == [("motion/01-x", {"rate": 3.0})]
+    assert [changed for _, changed in assign(select(), {})] == [{}, {}]
+    with pytest.raises(InputError, match=r"'run'.*'runs'"):
+        assign(select(), {"run": "3"})
+    with pytest.raises(InputError, match=r"'forgetting'.* seed, rate$"):
+        assign(select("motion/01-x"), {"forgetting": "3"})
+    with pytest.raises(InputError, match=r"'forgetting'.* seed, rate, runs$"):
+        assign(select(), {"forgetting": "3"})
+
+
+def test_one_differs_from_true_and_from_a_float(workbook):
+    workbook("level: float | int | bool = 1  # mixed")
+    assert [changed for _, changed in assign(select(), {"level": "true"})] == [{"level": True}]
+
+
+def test_a_variant_has_a_folder_whatever_its_values(workbook, tmp_path):
+    read = workbook('channel: str = "left"  # of the record')
+    names = ["a/b", "../../x", "\n", "加速度" * 60, "x" * 1000, ".", ""]
+    folders = [Task(read, {"channel": name}, {}).target for name in names]
+    for folder in folders:
+        folder.mkdir(parents=True)
+        assert folder.parent == tmp_path / "build" / "variants" / "motion" / "01-x"
+    assert len(set(folders)) == len(names)
+
+
+def test_of_many_parameters_the_nearest_are_named(workbook):
+    many = workbook("\n".join(f"level_{k}: int = {k}  # of the noise" for k in range(20)))
+    with pytest.raises(InputError, match=r"'x'.*\b20\b.* level_\d+, level_\d+, level_\d+$"):
+        assign([many], {"x": "1"})
+
+
+def test_a_number_that_a_room_lacks_gets_the_nearest_of_the_room(workbook):
+    for name in ("03-a", "09-longer-words", "12-b", "13-c"):
+        workbook("seed: int = 1  # of the noise", f"motion/{name}")
+    with pytest.raises(InputError, match=r"'motion/99'.*'motion/09-longer-words'.*'motion/\S+'"):
+        select("motion/99")
+
+
+def test_a_setting_of_the_processor_is_a_name_and_a_value(monkeypatch):
+    monkeypatch.setenv(pinned.OTHER, "QEMU_CPU=Nehalem foo")
+    with pytest.raises(InputError, match=r"^STILLWORK_PROCESSOR\b.*'foo'.*NPY_.*--processor"):
+        pinned.settings()

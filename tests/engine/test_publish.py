@@ -1,0 +1,635 @@
+"""Whole or not at all, also when the swap itself is cut short."""
+
+import contextlib
+import errno
+import io
+import os
+import shutil
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from stillwork.base.checks import InputError
+from workbook.publish import (
+    MANIFEST,
+    RECORD,
+    Edited,
+    finish,
+    read_record,
+    recover,
+    replace_all,
+    replace_file,
+    replace_folder,
+    replace_record,
+    seconds_taken,
+    tidy,
+    unfinished,
+)
+
+
+@pytest.fixture(autouse=True)
+def quick_disk(monkeypatch):
+    """Nothing here waits for the disk."""
+    monkeypatch.setattr(os, "fsync", lambda _: None)
+
+
+OLD = {"a.csv": b"old"}
+NEW = {"a.csv": b"new", "deep/b.csv": b"b"}
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_replaces_all_that_was_there(tmp_path):
+    target = tmp_path / "room" / "notebook"
+    replace_folder(target, {**OLD, "gone.csv": b""})
+    replace_folder(target, NEW)
+    assert content(target) == NEW
+    assert os.listdir(target.parent) == ["notebook"]
+
+
+def test_an_error_while_writing_leaves_the_old(tmp_path, monkeypatch):
+    target = tmp_path / "notebook"
+    replace_folder(target, OLD)
+    write = Path.write_bytes
+
+    def full(self, data):
+        if data == b"b":
+            raise OSError(28, "No space left on device")
+        return write(self, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space"):
+        replace_folder(target, NEW)
+    with pytest.raises(OSError, match="No space"):
+        replace_file(tmp_path / "notebook" / "a.csv", b"b")
+    assert content(tmp_path) == {"notebook/a.csv": b"old"}
+
+
+@pytest.mark.parametrize("cut", range(4))
+def test_a_cut_swap_ends_with_one_whole_version(tmp_path, monkeypatch, cut):
+    """Stop after each of: nothing, the first rename, the second, part of the old folder's removal."""
+    target = tmp_path / "notebook"
+    replace_folder(target, {**OLD, "c.csv": b"old"})
+    steps = []
+    rename = Path.rename
+
+    class Killed(BaseException):
+        pass
+
+    def counted(self, *arguments):
+        if len(steps) == cut:
+            raise Killed
+        steps.append(self)
+        return rename(self, *arguments)
+
+    def removal(folder, **_options):
+        if cut == 3:
+            (folder / "c.csv").unlink()
+        if cut >= 2:
+            raise Killed
+
+    monkeypatch.setattr(Path, "rename", counted)
+    monkeypatch.setattr("workbook.publish.shutil.rmtree", removal)
+    with pytest.raises(Killed):
+        replace_folder(target, NEW)
+    monkeypatch.undo()
+    recover(target)
+    assert content(target) == ({**OLD, "c.csv": b"old"} if cut < 2 else NEW)
+    assert os.listdir(tmp_path) == ["notebook"]
+    replace_folder(target, NEW)
+    assert content(target) == NEW
+
+
+def test_recovering_a_whole_folder_changes_nothing(tmp_path):
+    target = tmp_path / "notebook"
+    recover(target)
+    assert os.listdir(tmp_path) == []
+    replace_folder(target, OLD)
+    recover(target)
+    assert content(target) == OLD
+
+
+class Killed(BaseException):
+    """Stands for SIGKILL: no handler of the code under test may take it for an error."""
+
+
+STEPS = ("mkdir", "write_bytes", "symlink_to", "rename", "unlink", "rmdir")
+
+
+def cut_after(monkeypatch, steps: int) -> list[str]:
+    """Let this many changes of the file system happen, then nothing any more: neither repairs nor removals."""
+
+    def killed(*_arguments):
+        raise Killed
+
+    rmtree = "workbook.publish.shutil.rmtree"
+    monkeypatch.setattr(rmtree, lambda *_, **__: None)
+    return before_step(monkeypatch, lambda step: step >= steps, killed, rmtree)
+
+
+def before_step(
+    monkeypatch, wanted: Callable[[int], bool], act: Callable, rmtree: str = "shutil.rmtree"
+) -> list[str]:
+    """Call `act` with the name and the arguments of a change of the file system before it happens."""
+    done: list[str] = []
+
+    def counted(name, call):
+        def step(*arguments, **options):
+            done.append(name)
+            if wanted(len(done) - 1):
+                act(name, *arguments)
+            return call(*arguments, **options)
+
+        return step
+
+    for name in STEPS:
+        monkeypatch.setattr(Path, name, counted(name, getattr(Path, name)))
+    for name in ("replace", "link", "fsync"):
+        monkeypatch.setattr(os, name, counted(name, getattr(os, name)))
+    monkeypatch.setattr(rmtree, counted("rmtree", shutil.rmtree))
+    return done
+
+
+def test_a_record_is_whole_old_or_new_wherever_it_is_cut(tmp_path, monkeypatch):
+    target = tmp_path / "room" / "notebook"
+    replace_record(target, OLD, {"cell a": "1"})
+    seen = set()
+    for steps in range(40):
+        with monkeypatch.context() as patch:
+            cut_after(patch, steps)
+            try:
+                replace_record(target, NEW, {"cell a": "2"})
+            except Killed:
+                pass
+            else:
+                break
+        found = {name: text for name, text in content(target.resolve()).items() if name != RECORD}
+        inputs, complaints = read_record(target)
+        assert complaints == []
+        assert (found, inputs) in ((OLD, {"cell a": "1"}), (NEW, {"cell a": "2"}))
+        seen.add(inputs["cell a"])
+        tidy(target)
+        assert len(os.listdir(target.with_name(".notebook"))) == 1
+        replace_record(target, OLD, {"cell a": "1"})
+    assert seen == {"1", "2"}
+    assert read_record(target) == ({"cell a": "2"}, [])
+
+
+def test_how_long_results_took_is_known_where_it_was_noted(tmp_path):
+    target = tmp_path / "notebook"
+    assert seconds_taken(target) is None
+    replace_record(target, NEW, {})
+    assert seconds_taken(target) is None
+    replace_record(target, NEW, {}, 12.5)
+    assert seconds_taken(target) == 12.5
+    (target / RECORD).write_text((target / RECORD).read_text().replace("12.5", "13.5"))
+    assert seconds_taken(target) is None
+
+
+def test_a_folder_that_stands_in_the_place_of_results_gives_way(tmp_path):
+    target = tmp_path / "notebook"
+    target.mkdir()
+    (target / "mine.txt").write_text("x")
+    replace_record(target, NEW, {})
+    assert read_record(target) == ({}, [])
+    assert set(content(target.resolve())) == {*NEW, RECORD}
+
+
+def link_to_nowhere(file: Path) -> None:
+    file.unlink()
+    file.symlink_to("nowhere")
+
+
+@pytest.mark.parametrize(
+    ("harm", "complaint"),
+    [
+        (lambda folder: (folder / "a.csv").unlink(), "output a.csv missing"),
+        (lambda folder: (folder / "a.csv").write_text(""), "output a.csv was changed by hand"),
+        (lambda folder: (folder / "deep/x").write_text(""), "output deep/x is not the build's"),
+        (lambda folder: (folder / RECORD).unlink(), "its record is missing"),
+        (lambda folder: (folder / RECORD).write_text("{}"), "its record is damaged"),
+        (lambda folder: (folder / RECORD).write_text('{"seal": 1}'), "its record is damaged"),
+        (lambda folder: (folder / RECORD).write_text("[" * 100_000), "its record is damaged"),
+        (lambda folder: link_to_nowhere(folder / "a.csv"), "output a.csv was changed by hand"),
+    ],
+)
+def test_what_is_not_as_it_was_written_is_named(tmp_path, harm, complaint):
+    target = tmp_path / "notebook"
+    assert read_record(target) is None
+    replace_record(target, NEW, {})
+    harm(target)
+    assert read_record(target)[1] == [complaint]
+
+
+def change(root: Path, after: dict[str, bytes | None]) -> None:
+    """Make some files hold this, whatever stands there now."""
+    there = {name: (root / name).read_bytes() if (root / name).exists() else None for name in after}
+    replace_all(root, {name: (there[name], after[name]) for name in after})
+
+
+def test_a_change_that_was_made_is_not_begun_again_when_its_journal_is_removed_in_part(tmp_path, monkeypatch):
+    """A kill while the journal is removed: some of its files are gone by then."""
+
+    def killed(folder, **_options):
+        (folder / MANIFEST).unlink(missing_ok=True)
+        if not folder.is_dir():
+            return
+        raise Killed
+
+    monkeypatch.setattr("workbook.publish.shutil.rmtree", killed)
+    with pytest.raises(Killed):
+        change(tmp_path, {"notebooks/a": b"1"})
+    monkeypatch.undo()
+    (tmp_path / "notebooks/a").write_bytes(b"written since")
+    finish(tmp_path)
+    assert content(tmp_path) == {"notebooks/a": b"written since"}
+    assert not list(tmp_path.glob(".accepting*"))
+
+
+def test_a_change_that_cannot_be_put_in_place_says_so_and_is_done_later(tmp_path, monkeypatch):
+    replace = os.replace
+
+    def refused(source, target):
+        if target == tmp_path / "notebooks/a":
+            raise OSError(30, "Read-only file system", "notebooks/a")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", refused)
+    with pytest.raises(InputError, match=r"^accepted\b.*notebooks"):
+        change(tmp_path, {"figures/a": b"1", "notebooks/a": b"1"})
+    monkeypatch.undo()
+    assert unfinished(tmp_path)
+    finish(tmp_path)
+    assert content(tmp_path) == {"figures/a": b"1", "notebooks/a": b"1"}
+    assert not unfinished(tmp_path)
+
+
+BEFORE = {"notebooks/a": b"1", "figures/b": b"1", "figures/gone": b"1"}
+AFTER = {"notebooks/a": b"2", "figures/b": b"2", "figures/new/c": b"new"}
+CHANGED = {**AFTER, "figures/gone": None}
+
+
+def shelves(root: Path) -> dict[str, bytes]:
+    return {name: text for name, text in content(root).items() if not name.startswith(".")}
+
+
+def killed_after(steps, folder, monkeypatch) -> bool:
+    """Whether a change of many files was cut short by a kill after so many steps, or came to its end."""
+    with monkeypatch.context() as patch:
+        cut_after(patch, steps)
+        try:
+            change(folder, CHANGED)
+        except Killed:
+            return True
+    return False
+
+
+def test_many_files_change_as_one_wherever_it_is_cut(tmp_path, monkeypatch):
+    seen = set()
+    for steps in count():
+        change(tmp_path, {**BEFORE, "figures/new/c": None})
+        if not killed_after(steps, tmp_path, monkeypatch):
+            break
+        finish(tmp_path)
+        assert shelves(tmp_path) in (BEFORE, AFTER)
+        seen.add(shelves(tmp_path) == AFTER)
+        assert not list(tmp_path.glob(".accepting*"))
+    assert seen == {False, True}
+    assert shelves(tmp_path) == AFTER
+
+
+MINE = b" mine"
+
+
+def edited(edit: Callable, file: Path) -> list[bytes | None]:
+    """What stands there after an edit; nothing where it found nothing to remove."""
+    if edit is remove and not file.exists():
+        return []
+    os.makedirs(file.parent, exist_ok=True)
+    edit(file)
+    return [file.read_bytes() if file.exists() else None]
+
+
+def edit_in_place(file: Path) -> None:
+    with file.open("ab") as stream:
+        stream.write(MINE)
+
+
+def edit_by_rename(file: Path) -> None:
+    beside = file.with_name("~")
+    with beside.open("wb") as stream:
+        stream.write((file.read_bytes() if file.exists() else b"") + MINE)
+    os.rename(beside, file)
+
+
+def remove(file: Path) -> None:
+    os.remove(file)
+
+
+EDITS = (edit_in_place, edit_by_rename, remove)
+
+
+@pytest.mark.parametrize("edit", EDITS)
+@pytest.mark.parametrize("name", [*CHANGED, "figures/own"])
+def test_what_somebody_changes_meanwhile_stays_and_nothing_else_is_changed(tmp_path, monkeypatch, edit, name):
+    """At every step; a file that comes in the moment between the last look and our rename is left out."""
+    seen, file = set(), tmp_path / name
+    for steps in count():
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        change(tmp_path, {**BEFORE, "figures/own": b"1"})
+        theirs: list[bytes | None] = []
+
+        def act(step, *arguments, theirs=theirs):
+            kept = edit is edit_in_place and file.exists()
+            if kept or step not in ("replace", "unlink") or file not in arguments:
+                theirs += edited(edit, file)
+
+        with monkeypatch.context() as patch:
+            done = before_step(patch, steps.__eq__, act)
+            try:
+                change(tmp_path, CHANGED)
+            except Edited as error:
+                assert str(error) == f"changed while accepting: {name}; nothing was written, repeat"
+                base = BEFORE
+            else:
+                base = AFTER
+        if steps >= len(done):
+            break
+        wanted = {**base, "figures/own": b"1", **dict(zip([name], theirs, strict=False))}
+        if base is AFTER and theirs and theirs[0] and name in AFTER:
+            assert theirs[0].startswith(AFTER[name])  # on top of the new one
+        assert shelves(tmp_path) == {each: text for each, text in wanted.items() if text is not None}
+        assert not list(tmp_path.glob(".accepting*"))
+        seen.add(base is AFTER)
+    untouched = name == "figures/own" or (name == "figures/new/c" and edit is remove)
+    assert seen == ({True} if untouched else {False, True})
+
+
+@pytest.mark.parametrize("edit", EDITS)
+@pytest.mark.parametrize("name", CHANGED)
+def test_what_is_changed_after_a_kill_stays_and_the_rest_is_whole(tmp_path, monkeypatch, edit, name):
+    for steps in count():
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        change(tmp_path, BEFORE)
+        if not killed_after(steps, tmp_path, monkeypatch):
+            break
+        if not (theirs := edited(edit, tmp_path / name)):
+            continue
+        decided = unfinished(tmp_path)
+        try:
+            finish(tmp_path)
+        except InputError as error:
+            assert name in str(error)
+            finish(tmp_path)
+        else:
+            assert not decided or theirs == [CHANGED[name]]
+        now = shelves(tmp_path)
+        assert [now.pop(name, None)] == theirs
+        assert now in [{each: base[each] for each in base if each != name} for base in (BEFORE, AFTER)]
+        assert not list(tmp_path.glob(".accepting*"))
+
+
+@pytest.mark.parametrize("taken", range(12))
+def test_what_is_taken_back_is_taken_back_whole_wherever_it_is_cut(tmp_path, monkeypatch, taken):
+    """Killed when all but the last file are in their places; that is edited; then taking back is killed, too."""
+    change(tmp_path, BEFORE)
+    with monkeypatch.context() as patch:
+
+        def killed(step, *arguments):
+            if step == "replace" and tmp_path / "notebooks/a" in arguments:
+                raise Killed
+
+        before_step(patch, lambda _: True, killed)
+        with pytest.raises(Killed):
+            change(tmp_path, CHANGED)
+    edit_in_place(tmp_path / "notebooks/a")
+    with monkeypatch.context() as patch, pytest.raises((Killed, InputError)):
+        cut_after(patch, taken)
+        finish(tmp_path)
+    with pytest.raises(InputError, match="taken back") if unfinished(tmp_path) else contextlib.nullcontext():
+        finish(tmp_path)
+    finish(tmp_path)
+    assert shelves(tmp_path) == {**BEFORE, "notebooks/a": b"1 mine"}
+    assert not list(tmp_path.glob(".accepting*"))
+
+
+def test_all_is_on_the_disk_before_the_first_file_is_put_in_its_place(tmp_path, monkeypatch):
+    change(tmp_path, BEFORE)
+    flushed, fsync, replace = set(), os.fsync, os.replace
+
+    def noted(descriptor):
+        flushed.add(os.fstat(descriptor).st_ino)
+        fsync(descriptor)
+
+    def checked(source, target):
+        journal = tmp_path / ".accepting"
+        wanted = [tmp_path, journal, *journal.rglob("*")]
+        assert [each for each in wanted if each.stat().st_ino not in flushed] == []
+        monkeypatch.setattr(os, "replace", replace)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    monkeypatch.setattr(os, "replace", checked)
+    change(tmp_path, CHANGED)
+    assert os.replace is replace
+
+
+@pytest.fixture
+def half(tmp_path, monkeypatch):
+    """A change that was killed after its first file."""
+    change(tmp_path, BEFORE)
+
+    def killed(step, *arguments):
+        if step == "replace" and tmp_path / "notebooks/a" in arguments:
+            raise Killed
+
+    with monkeypatch.context() as patch:
+        before_step(patch, lambda _: True, killed)
+        with pytest.raises(Killed):
+            change(tmp_path, CHANGED)
+    assert shelves(tmp_path)["figures/b"] == b"2"
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda journal: (journal / MANIFEST).write_text(""),
+        lambda journal: (journal / MANIFEST).write_text("null"),
+        lambda journal: (journal / MANIFEST).write_text("[]"),
+        lambda journal: (journal / MANIFEST).write_text("{}"),
+        lambda journal: (journal / MANIFEST).write_text('{"files": {}, "seal": ""}'),
+        lambda journal: (journal / MANIFEST).write_text((journal / MANIFEST).read_text()[:-20]),
+        lambda journal: (journal / MANIFEST).write_text(
+            (journal / MANIFEST).read_text().replace("gone", "gona")
+        ),
+        lambda journal: (journal / MANIFEST).write_bytes(b"\xff\xfe"),
+        lambda journal: (journal / MANIFEST).unlink(),
+        lambda journal: ((journal / MANIFEST).unlink(), (journal / MANIFEST).mkdir()),
+        lambda journal: (shutil.rmtree(journal), journal.mkdir()),
+        lambda journal: (
+            (journal / "new/notebooks/a").write_text("rot"),
+            (journal / "old/figures/b").unlink(),
+        ),
+    ],
+)
+def test_a_damaged_journal_is_set_aside_and_nothing_is_touched(half, harm):
+    before = shelves(half)
+    harm(half / ".accepting")
+    (half / ".accepting.damaged").mkdir()  # an older one
+    journal = content(half / ".accepting")
+    with pytest.raises(InputError, match=r"\.accepting\.damaged1/"):
+        finish(half)
+    assert shelves(half) == before
+    assert content(half / ".accepting.damaged1") == journal
+    finish(half)
+    change(half, {"figures/new/c": b"3"})
+    assert shelves(half) == {**before, "figures/new/c": b"3"}
+
+
+def test_a_journal_whose_new_file_is_damaged_is_taken_back(half):
+    (half / ".accepting/new/notebooks/a").write_text("rot")
+    with pytest.raises(InputError, match=r"notebooks/a\b"):
+        finish(half)
+    assert shelves(half) == BEFORE
+
+
+def test_a_journal_that_lacks_what_it_no_longer_needs_is_finished(half):
+    (half / ".accepting/old/notebooks/a").unlink()
+    (half / ".accepting/old/figures/b").unlink()
+    finish(half)
+    assert shelves(half) == AFTER
+
+
+def test_a_file_in_the_place_of_a_folder_is_left_and_nothing_is_changed(tmp_path):
+    (tmp_path / "notebooks").write_text("in the way")
+    with pytest.raises(Edited, match="notebooks/a"):
+        change(tmp_path, {"figures/a": b"1", "notebooks/a": b"1"})
+    assert content(tmp_path) == {"notebooks": b"in the way"}
+
+
+ERRORS = (("once", errno.EMFILE), ("done", errno.EIO), ("from then on", errno.EROFS))
+CHANGES = ("replace", "rename", "link", "unlink", "mkdir", "rmdir", "symlink", "fsync")
+CALLS = {os: (*CHANGES, "open", "stat", "lstat", "scandir", "listdir", "readlink"), io: ("open",)}
+
+
+def fail_at(monkeypatch, steps: int, number: int, how: str = "once") -> list[str]:
+    """Let call number `steps` of the file system fail with this error: once, with its work done, or all from then on."""
+    done: list[str] = []
+
+    def counted(name, call):
+        def step(*arguments, **options):
+            done.append(name)
+            if len(done) - 1 < steps or (len(done) - 1 > steps and how != "from then on"):
+                return call(*arguments, **options)
+            if how == "done" and name in ("replace", "rename"):
+                call(*arguments, **options)
+            raise OSError(number, os.strerror(number), str(arguments[:1]))
+
+        return step
+
+    for module, names in CALLS.items():
+        for name in names:
+            monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
+    return done
+
+
+def outcome_of(call: Callable) -> str:
+    try:
+        call()
+    except Edited:
+        return "edited"
+    except InputError:
+        return "decided"
+    except OSError:
+        return "nothing"
+    return "done"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "number"), ERRORS)
+def test_an_error_of_the_disk_leaves_a_change_as_it_says(tmp_path, monkeypatch, number, how):
+    """An error is one at any step: where nothing was changed it says so, else the next command does the rest."""
+    seen = set()
+    for steps in count():
+        shutil.rmtree(tmp_path)
+        change(tmp_path, BEFORE)
+        with monkeypatch.context() as patch:
+            done = fail_at(patch, steps, number, how)
+            outcome = outcome_of(lambda: change(tmp_path, CHANGED))
+        if len(done) <= steps:
+            break
+        at = f"{steps} {done[steps]}"
+        assert outcome != "edited", at
+        if outcome == "nothing":
+            assert shelves(tmp_path) == BEFORE, at
+            finish(tmp_path)
+            assert shelves(tmp_path) == BEFORE, at
+        finish(tmp_path)
+        assert (shelves(tmp_path) == AFTER) == (outcome != "nothing"), at
+        assert not list(tmp_path.glob(".accepting*")), at
+        seen.add(outcome)
+    assert seen == {"nothing", "decided", "done"}
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.EIO])
+def test_an_error_of_the_disk_while_a_change_is_finished_leaves_it_to_the_next_command(
+    half, monkeypatch, number, tmp_path_factory
+):
+    copies = tmp_path_factory.mktemp("copies")
+    seen = set()
+    for steps in count():
+        root = copies / str(steps)
+        shutil.copytree(half, root)
+        with monkeypatch.context() as patch:
+            done = fail_at(patch, steps, number)
+            outcome = outcome_of(lambda: finish(root))  # noqa: B023  called here
+        if len(done) <= steps:
+            break
+        assert outcome in ("decided", "done", "nothing"), done[steps]
+        finish(root)
+        assert shelves(root) == AFTER, done[steps]
+        assert not list(root.glob(".accepting*")), done[steps]
+        seen.add(outcome)
+    assert "decided" in seen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "number"), ERRORS)
+def test_an_error_of_the_disk_leaves_a_record_as_it_says(tmp_path, monkeypatch, number, how):
+    target = tmp_path / "room" / "notebook"
+    seen = set()
+    for steps in count():
+        replace_record(target, OLD, {"cell a": "1"})
+        with monkeypatch.context() as patch:
+            done = fail_at(patch, steps, number, how)
+            outcome = outcome_of(lambda: replace_record(target, NEW, {"cell a": "2"}))
+        if len(done) <= steps:
+            break
+        assert read_record(target) == ({"cell a": "2" if outcome == "done" else "1"}, []), done[steps]
+        tidy(target)
+        assert len(os.listdir(target.with_name(".notebook"))) == 1
+        seen.add(outcome)
+    assert seen == {"nothing", "done"}
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.EIO])
+def test_an_error_of_the_disk_while_a_record_is_read_is_no_damage(tmp_path, monkeypatch, number):
+    target = tmp_path / "notebook"
+    replace_record(target, NEW, {"cell a": "1"})
+    for steps in count():
+        with monkeypatch.context() as patch:
+            done = fail_at(patch, steps, number)
+            try:
+                assert read_record(target) == ({"cell a": "1"}, []), done[steps]
+            except OSError as error:
+                assert error.errno == number
+        if len(done) <= steps:
+            break
+    assert steps > 3
