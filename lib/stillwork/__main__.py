@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork inspect|report|design|export|contest``, and the commands of ``python -m workbook``."""
+"""Command line: ``python -m stillwork inspect|report|design|retest|export|contest``, and the commands of ``python -m workbook``."""
 
 import sys
 
@@ -82,6 +82,21 @@ COMMANDS = {
             *_OF_A_MACHINE,
             *_OF_A_LOOP,
             flag("mirrored-sensor", "serve a mirrored sensor, too"),
+        ),
+    ),
+    "retest": Command(
+        "say on a page whether a new response keeps what a design promised",
+        "stillwork.retesting:retest_file",
+        (
+            option("controller", type=named, metavar="CONTROLLER.json", help="that design wrote"),
+            _file("the machine again, in the same units"),
+            option("--out", default="", metavar="PAGE", help="by default FILE.retest.html, here"),
+            flag(
+                "closed-loop",
+                "FILE is the force on the machine over the one injected, the controller running",
+            ),
+            *_OF_A_MACHINE,
+            _band("loop-hz", "where the measurement can be trusted"),
         ),
     ),
     "export": Command(

@@ -114,7 +114,7 @@ def design_file(
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
     require_number("rate", rate, above=0.0)
-    require_number("delay", delay, at_least=0.0)
+    asked = require_number("delay", delay, at_least=0.0)
     shares = asked_uncertainty(uncertainty)
     for each, value in (("counts", counts), ("motor_constant", motor_constant)):
         require_number(each, value, at_least=0.0)
@@ -181,6 +181,8 @@ def design_file(
             "use": best,
             "settings": asdict(made.settings[best]),
             "uncertainty": {name: np.asarray(getattr(spread, name)).tolist() for name in NAMES},
+            "rate_hz": rate,
+            "delay_samples_asked": asked,
             "delay_samples_of_the_loop": delay,
             "design_hz": reached.recommended.design_hz,
             "others": [

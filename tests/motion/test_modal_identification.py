@@ -5,13 +5,13 @@ import pytest
 from scipy.signal import find_peaks
 
 from experiments.motion.structure import measured_accelerance
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.identification.complex_frequency import complex_frequency_poles, stabilisation
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import brought_forward, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
+from workbook import paths
 
 
 def accelerance(hertz, mass, modes):
@@ -369,7 +369,9 @@ def test_a_band_with_one_resonance_is_told_what_it_lacks(tmp_path):
     """A mass on springs, 1 Hz, and nothing else: within a part of the measurement and over all of it."""
     hertz = np.arange(0.05, 12.0, 0.01)
     s = 2j * np.pi * hertz
-    np.savez(tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/N)": 1 / (s**2 + 0.3 * s + (2 * np.pi) ** 2)})
+    np.savez(
+        tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/N)": 1 / (s**2 + 0.3 * s + (2 * np.pi) ** 2)}
+    )
     file = load_machine(tmp_path / "a.npz")
     for band, told in (((0.0, 0.0), "measure further"), ((0.05, 6.0), "widen fit_hz")):
         with pytest.raises(InputError, match=rf"a\.npz has one resonance .*at 1 Hz.*{told}"):
