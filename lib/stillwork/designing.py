@@ -141,7 +141,7 @@ def design_file(
         raise InputError(
             f"{against[0].source} moves against {source.name} under the same force; mend the sign of one of them"
         )
-    with Progress(EACH * USES + CHANGES, task="design", unit="search", tell=True) as progress:
+    with Progress(EACH * USES + CHANGES, task="design", unit="search", tell=True, aside=True) as progress:
         made = search_designs(
             machines[0],
             machines[1:],

@@ -149,7 +149,7 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
         key: said[key] for key in ("rate", "delay", "uncertainty", "loop_hz") if key in said
     }
     try:
-        with Progress(EACH * USES, task="report", unit="search", tell=True) as progress:
+        with Progress(EACH * USES, task="report", unit="search", tell=True, aside=True) as progress:
             made = search_designs(machine, **asked, told=lambda _: progress.step())
     except InputError as error:
         yield f"no loop was searched: {error}"
