@@ -151,14 +151,17 @@ def _observer(a, b, c, d, sample_time: float) -> StateModel:
 
 def _model(entries: Table) -> ModalModel:
     """The model that the design was made for, as its file holds it."""
-    residues = require_array("model: residues", entries["residues"], ndim=1)
+    frequencies, damping, residues = (
+        require_array(f"model: {name}", entries[name], ndim=1)
+        for name in ("frequencies_rad_s", "damping", "residues")
+    )
     shapes = np.sqrt(np.abs(residues))
     return ModalModel(
-        entries["frequencies_rad_s"],
-        entries["damping"],
+        frequencies,
+        damping,
         shapes[:, None],
         (shapes * np.sign(residues))[None],
-        [[entries["compliance"]]],
+        np.array([[entries["compliance"]]]),
         drag=entries["drag_1_s"],
     )
 

@@ -21,7 +21,13 @@ class Progress:
     """
 
     def __init__(
-        self, total: int, *, task: str = "figures", unit: str = "cell", tell: bool = False, aside: bool = False
+        self,
+        total: int,
+        *,
+        task: str = "figures",
+        unit: str = "cell",
+        tell: bool = False,
+        aside: bool = False,
     ):
         self._bar = None
         self._tell, self._aside = tell, aside
