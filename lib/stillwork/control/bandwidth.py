@@ -20,7 +20,7 @@ from stillwork.lti.delays import delayed, split_delay
 from stillwork.lti.discretisation import continuous_poles, late_modes, prewarped, tustin, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import Peak, refine_peak, resonance_grid
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, response_between
 
 SIX_DB = 10 ** (6 / 20)  # not 2
 
@@ -192,7 +192,8 @@ class Loop:
         """
         if omega is None:
             return self.within(controller, slice(None))
-        observer = self.compensator.frequency_response(omega)
+        respond = response_between if self.sample_time else StateModel.frequency_response
+        observer = respond(self.compensator, omega)
         return LoopResponse(self.plant_at(omega), observer, self._controlled(controller, omega))
 
     @checked(missing=True)

@@ -280,7 +280,7 @@ def runnable(
     )
 
 
-@checked
+@checked(infinite=True)
 def in_units(
     controller: DigitalController, position: float, drive: float, units: tuple[str, str]
 ) -> DigitalController:
