@@ -15,7 +15,7 @@ from stillwork.signals.records import (
     MOTION_UNITS,
     UNITS_SAID,
     is_time,
-    load_record,
+    load_unscaled,
     stated_unit,
     unit_factor,
 )
@@ -81,7 +81,7 @@ def _spectra(path: Path) -> Iterator[str]:
 def _record(path: Path) -> Iterator[str]:
     """What the rooms that take signals over time make of a file."""
     try:
-        record = load_record(path, "1")
+        record = load_unscaled(path)
     except InputError as error:
         yield f"not a record as it stands: {error}"
         return

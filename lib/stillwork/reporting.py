@@ -25,7 +25,6 @@ from stillwork.inspecting import inspect_file
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import (
     DENSITIES_SAID,
-    density_unit,
     frequency_axis,
     read_densities,
     spectra_of,
@@ -34,8 +33,9 @@ from stillwork.signals.densities import (
 from stillwork.signals.records import (
     UNITS_SAID,
     Record,
+    channel_unit,
     is_time,
-    load_record,
+    load_unscaled,
     sampling_rate,
     stated_unit,
     unit_factor,
@@ -176,11 +176,14 @@ def _modes(machine: Machine) -> str:
 
 def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     rate = _rate(source, arrays, said)
-    record = load_record(source, "1", sample_rate=rate, most_channels=MOST_CHANNELS)
-    units = [stated_unit(name) or said.get("unit", "") for name in record.names]
-    if "" in units:
-        name = record.names[units.index("")]
-        raise Missing("unit", f"{source.name} does not say the unit of {name} ({UNITS_SAID})")
+    record = load_unscaled(source, sample_rate=rate, most_channels=MOST_CHANNELS)
+    given = said.get("unit", "")
+    silent = [name for name in record.names if not stated_unit(name)]
+    if silent and not given:
+        raise Missing("unit", f"{source.name} does not say the unit of {silent[0]} ({UNITS_SAID})")
+    for name in () if silent else record.names:
+        channel_unit(source.name, name, given)  # nothing is left that a given unit could mean
+    units = [stated_unit(name) or given for name in record.names]
     factors, units = zip(*map(unit_factor, units), strict=True)
     signals = record.signals * np.array(factors)[:, None]
     signals -= signals.mean(axis=1, keepdims=True)
@@ -201,9 +204,8 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
 
 def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     names = [name for name in arrays if name != frequency_axis(arrays)]
-    found = {stated_density(name) for name in names} - {""}
-    unit = said.get("unit") or (found.pop() if len(found) == 1 else "")
-    if not unit or not density_unit(unit):
+    unit = said.get("unit", "")
+    if not (unit or all(map(stated_density, names))):
         raise Missing("unit", f"{source.name} does not say the unit of its densities ({DENSITIES_SAID})")
     hertz, density = read_densities(source, unit, [], MOST_CHANNELS)
     yield f"power spectral densities, {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, as accelerations"

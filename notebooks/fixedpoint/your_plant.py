@@ -197,7 +197,7 @@ def open_trajectory(
     )
     if read.unit != quantity:
         raise InputError(
-            f"trajectory_unit is {unit!r}; this coordinate is in {quantity}: {quantity}, m{quantity}, u{quantity} or "
+            f"trajectory_unit is {unit or read.unit!r}; this coordinate is in {quantity}: {quantity}, m{quantity}, u{quantity} or "
             f"k{quantity}"
         )
     position = read.signals[0]

@@ -27,7 +27,13 @@ from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.estimation.adaptive import FeRls
 from stillwork.signals.criteria import criterion_met, criterion_velocity, one_third_octave_velocity
 from stillwork.signals.datafiles import read_columns
-from stillwork.signals.densities import DENSITIES_SAID, density_unit, frequency_axis, read_densities
+from stillwork.signals.densities import (
+    DENSITIES_SAID,
+    density_unit,
+    frequency_axis,
+    read_densities,
+    stated_density,
+)
 from stillwork.signals.records import PASS_SHARE, is_time, load_record
 from stillwork.signals.spectra import band_power, estimate_spectrum
 from workbook import figures
@@ -40,6 +46,9 @@ SHORTEST_S = 15.0  # two thirds of it are the adaptation's own time constant of 
 FADE_S = 1.0  # at the beginning of a record; the first 5 s are judged by nobody
 FARTHEST = 0.1  # m rms: no floor travels so far, a drifting sensor seems to (chosen)
 QUIETEST = 1e-8  # m/s^2 rms: the quietest ground on Earth (Peterson's low noise model) has that at 1-10 Hz
+
+
+TABLES = (".csv", ".txt", ".tsv", ".npz", ".mat")  # files of columns by name
 
 
 def open_floor(
@@ -65,7 +74,8 @@ def open_floor(
         Path of a CSV, MAT, NPZ or universal file, see `stillwork.signals.records.load_record`; empty for the
         ground. Spectra stand beside a column or array named ``frequency``, in Hz.
     unit : str
-        Of the record; a density, such as ``(m/s)^2/Hz`` or ``m/s^2/sqrt(Hz)``, says that the file holds spectra.
+        Of the record; a density, such as ``(m/s)^2/Hz`` or ``m/s^2/sqrt(Hz)``, says that the file holds spectra. Empty
+        where the file states it in brackets.
     rate_hz : float
         Of the record; 0 where the file tells it.
     channels : list of str
@@ -90,7 +100,7 @@ def open_floor(
     measured = False
     if not floor_record:
         floor = ground_floor(duration_s, seed, gain=ground_gain, channels=twin.sensors, **options)
-    elif density_unit(unit):
+    elif density_unit(unit) if unit else _holds_densities(Path(floor_record)):
         path = Path(floor_record)
         f, density = read_densities(path, unit, channels, twin.sensors)
         if f[0] > lowest or f[-1] < highest:
@@ -110,19 +120,23 @@ def open_floor(
     if peak > LOUDEST:
         raise InputError(
             f"{floor.source}: the floor accelerates by up to {peak:.3g} m/s^2, beyond 1 g, where nothing stays on it; "
-            f"check the unit {unit!r}, or cut out what shook the sensor alone"
+            f"check the unit{unit and f' {unit!r}'}, or cut out what shook the sensor alone"
         )
     if rms < QUIETEST:
         raise InputError(
             f"{floor.source}: the floor accelerates by {rms:.1g} m/s^2 rms, less than the quietest ground on Earth; "
-            f"check the unit {unit!r}"
+            f"check the unit{unit and f' {unit!r}'}"
         )
     return _from_rest(floor) if measured else floor  # a wrong unit travels far, too, and is no drift
 
 
+def _holds_densities(path: Path) -> bool:
+    return path.suffix.lower() in TABLES and any(map(stated_density, read_columns(path)))
+
+
 def _recorded(floor_record, unit, rate_hz, channels, twin, highest) -> RecordedFloor:
     path = Path(floor_record)
-    if path.suffix.lower() in (".csv", ".txt", ".tsv", ".npz", ".mat") and not rate_hz:
+    if path.suffix.lower() in TABLES and not rate_hz:
         columns = read_columns(path)
         if frequency_axis(columns) and not any(is_time(name) for name in columns):
             raise InputError(

@@ -159,7 +159,7 @@ def test_a_low_pass_takes_the_noise_out_of_the_acceleration(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"record": str(MOTION), "unit": "mm/s"}, r"^trajectory_unit\b"),
+        ({"record": str(MOTION), "unit": "mm/s"}, r"^unit\b"),
         ({"record": str(MOTION), "unit": "mm", "channel": "positon"}, r"^channel\b.*'position"),
         ({"record": str(MOTION), "unit": "mm", "low_pass_hz": 30.0}, r"^low_pass_hz\b"),
         ({"record": "none.csv"}, r"none\.csv"),

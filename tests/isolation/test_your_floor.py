@@ -276,7 +276,7 @@ def test_the_shipped_ground_spectra_are_a_floor_and_each_of_several_its_own(twin
         ({"frequency": [1, 300], "a": [1, 1]}, "m/s^2 per Hz", r"^unit\b.*'m/s\^2 per Hz'"),
         ({"frequency": [1, 300], "a": [1, 1]}, "m/s^2", r"\(m/s\^2\)\^2/Hz"),
         ({"frequency": [-1, 0], "a": [1, 1]}, "(m/s)^2/Hz", r"'frequency'.*\b0\b"),
-        ({"x": [1, 300], "a": [1, 1]}, "(m/s)^2/Hz", r"\bfrequency\b.*\(m/s\)\^2/Hz"),
+        ({"x": [1, 300], "a": [1, 1]}, "(m/s)^2/Hz", r"\bfrequency\b"),
         ({"f": [1, 300], **{n: [1, 1] for n in "abcd"}}, "(m/s)^2/Hz", r"^spectra\.npz\b.*\b4\b"),
     ],
 )

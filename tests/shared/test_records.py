@@ -12,6 +12,7 @@ from scipy.io import savemat
 
 from stillwork.base.checks import InputError
 from stillwork.signals import datafiles
+from stillwork.signals.densities import read_densities
 from stillwork.signals.records import (
     UNITS,
     Record,
@@ -449,3 +450,49 @@ def test_a_channel_that_never_moves_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"channel stuck\b"):
         load_record(file, "m/s^2")
     assert load_record(file, "m/s^2", channels=["a"]).names == ("a",)
+
+
+def test_a_unit_in_the_header_is_obeyed(tmp_path):
+    table = np.column_stack([np.arange(SIGNALS.shape[1]) / RATE, *SIGNALS])
+    for unit, factor in (("mm/s^2", 1e-3), ("g", 9.80665), ("m/s²", 1.0)):
+        file = tmp_path / "floor.csv"
+        np.savetxt(
+            file,
+            table,
+            header=f"time (s),a ({unit}),b [{unit}]",
+            comments="",
+            delimiter=",",
+            encoding="utf-8",
+        )
+        for asked in ("", unit):
+            record = load_record(file, asked)
+            assert record.unit == "m/s^2" and record.signals == pytest.approx(factor * SIGNALS)
+        with pytest.raises(InputError, match=r"^unit\b.*'m/s'"):
+            load_record(file, "m/s")
+
+
+def test_a_unit_is_asked_for_where_the_header_has_none_and_channels_of_one_quantity_are_taken(tmp_path):
+    table = np.column_stack([np.arange(SIGNALS.shape[1]) / RATE, *SIGNALS])
+    file = tmp_path / "a.csv"
+    np.savetxt(file, table, header="time,left (north),right (mV)", comments="", delimiter=",")
+    with pytest.raises(InputError, match=r"^unit\b.*left"):
+        load_record(file)
+    assert load_record(file, "mV").signals == pytest.approx(1e-3 * SIGNALS)
+    assert load_record(file, channels=["right (mV)"]).unit == "V"
+    np.savetxt(file, table, header="time,left (m/s),right (mV)", comments="", delimiter=",")
+    with pytest.raises(InputError, match=r"\bchannels\b"):
+        load_record(file)
+
+
+def test_a_unit_in_the_header_of_spectra_is_obeyed(tmp_path):
+    hertz, asd = np.array([1.0, 10.0, 100.0]), np.array([2.0, 1.0, 3.0])
+    np.savez(tmp_path / "a.npz", **{"frequency": hertz, "x (mm/s^2/sqrt(Hz))": asd, "y ((m/s)^2/Hz)": asd})
+    f, found = read_densities(tmp_path / "a.npz", "", [], 3)
+    assert np.array_equal(f, hertz)
+    assert found == pytest.approx(np.array([1e-6 * asd**2, asd * (2 * np.pi * hertz) ** 2]))
+    with pytest.raises(InputError, match=r"^unit\b.*g\^2/Hz"):
+        read_densities(tmp_path / "a.npz", "g^2/Hz", [], 3)
+    np.savez(tmp_path / "b.npz", frequency=hertz, x=asd)
+    with pytest.raises(InputError, match=r"^unit\b.*'x'"):
+        read_densities(tmp_path / "b.npz", "", [], 3)
+    assert read_densities(tmp_path / "b.npz", "g^2/Hz", [], 3)[1][0] == pytest.approx(9.80665**2 * asd)

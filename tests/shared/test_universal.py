@@ -57,10 +57,13 @@ def test_a_file_written_by_hand_after_the_form_of_dataset_58(tmp_path):
 
 def test_a_universal_file_is_a_record(tmp_path):
     channels = [function("time", TIME, row, node=n, unit="g") for n, row in enumerate(ROWS, 1)]
-    record = load_record(write_universal(tmp_path / "a.uff", channels), "mg")
+    file = write_universal(tmp_path / "a.uff", channels)
+    with pytest.raises(InputError, match=r"^unit\b.*'mg'"):
+        load_record(file, "mg")
+    record = load_record(file)
     assert record.names == ("acceleration 1+Z (g)", "acceleration 2+Z (g)")
     assert record.sample_rate == pytest.approx(RATE, rel=1e-5)
-    assert record.signals == pytest.approx(9.80665e-3 * ROWS, abs=1e-10)
+    assert record.signals == pytest.approx(9.80665 * ROWS, abs=1e-6)
 
 
 def test_names_tell_the_two_ends_and_never_collide(tmp_path):

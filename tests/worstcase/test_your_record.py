@@ -98,10 +98,12 @@ def test_the_shipped_record_opens_as_in_the_notebook_before():
 
 def test_units_scale_what_they_should(template, tmp_path):
     pair, _, fitted = template
-    other, _ = open_pair(TEMPLATE, units=("mV", "g"), noise=(0.1, 0.0))
+    silent = tmp_path / "silent.csv"
+    silent.write_text(TEMPLATE.read_text().replace(" (V)", "").replace(" (m/s^2)", ""))
+    other, _ = open_pair(silent, units=("mV", "g"), noise=(0.1, 0.0))
     assert other.input == pytest.approx(1e-3 * pair.input, rel=1e-12)
     assert other.noise[0] == pytest.approx(1e-4) and other.units == ("V", "m/s^2")
-    same, _ = open_pair(TEMPLATE, units=("mV", "g"))
+    same, _ = open_pair(silent, units=("mV", "g"))
     again = fit_pair(same, 24, 640)
     assert again.held_out["min-max, typical bound"] == pytest.approx(
         fitted.held_out["min-max, typical bound"], rel=1e-6

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from scipy import linalg, signal
 
 from stillwork.base.checks import InputError, counted, require_count, require_number
-from stillwork.signals.records import load_record, stated_unit, unit_factor
+from stillwork.signals.records import channel_unit, load_unscaled
 from workbook import paths
 
 QUIETEST = 0.1  # share of the band whose density counts as sensor noise when nothing else is said
@@ -97,22 +97,17 @@ def open_pair(
     an upper bound on a white floor. `noise` are standard deviations in the pass band from a data sheet or a measurement
     at rest, in the file's units; 0: from `quiet_hz`.
     """
-    factors, si = zip(*(unit_factor(unit) for unit in units), strict=True)
     named = [name for name in channels if name]
     if len(named) == 1:
         raise InputError("only one of input_channel and output_channel is given; give both or none")
-    record = load_record(file, "1", sample_rate=sample_rate, channels=named or None)
+    record = load_unscaled(file, sample_rate=sample_rate, channels=named or None)
     if len(record.names) != 2:
         raise InputError(
             f"{record.source} holds {counted(len(record.names), 'channel')} ({', '.join(record.names)}); name the two with "
             "input_channel and output_channel"
         )
-    for side, name, unit, quantity in zip(("input", "output"), record.names, units, si, strict=True):
-        stated = stated_unit(name)
-        if stated and unit_factor(stated)[1] != quantity:
-            raise InputError(
-                f"{side}_unit is {unit}, but {record.source} names the channel {name!r}; give {side}_unit {stated}"
-            )
+    sides = zip(record.names, units, ("input_unit", "output_unit"), strict=True)
+    factors, si = zip(*(channel_unit(record.source, *side) for side in sides), strict=True)
     rate = record.sample_rate
     raw = record.signals * np.array(factors)[:, None]
     raw = raw - raw.mean(axis=1, keepdims=True)

@@ -61,13 +61,16 @@ def spectra_of(columns: dict[str, np.ndarray]) -> dict[str, str]:
 
 @checked
 def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra."""
+    """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra.
+
+    `unit` is that of the spectra whose names state none in brackets; a name that states another is refused.
+    """
     columns = read_columns(path)
     axis = frequency_axis(columns)
     if not axis:
         raise InputError(
-            f"{path.name} has no column named frequency (in Hz), which a density in {unit} needs; "
-            "name it, or give the unit of a record"
+            f"{path.name} has no column named frequency (in Hz), which densities need; name it, or give the unit of a "
+            "record"
         )
     f = columns.pop(axis)
     named = {name: column for name, column in columns.items() if column.size == f.size}
@@ -78,12 +81,7 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
         raise InputError(
             f"{path.name} holds {len(named)} spectra ({', '.join(named)}) beside {axis!r}; choose 1 to {most}"
         )
-    if not (said := density_unit(unit)):
-        raise InputError(f"unit is {unit!r}; give a density as {DENSITIES_SAID}")
-    motion, power = said
-    factor, si_unit = unit_factor(motion)
-    if si_unit not in MOTION_UNITS:
-        raise InputError(f"unit is {unit!r}; a floor needs a density of m/s^2, m/s or m")
+    scales = [_scale(path.name, name, unit) for name in named]
     known = f > 0
     if known.sum() < 2:
         raise InputError(
@@ -94,8 +92,34 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
         raise InputError(f"{path.name} holds a density that is missing, infinite or negative; mend it")
     order = np.argsort(f[known], kind="stable")  # some analysers write the highest frequency first
     f, rows = f[known][order], rows[:, order]
-    squares = (factor * rows) ** 2 if power == 1 else factor**2 * rows
-    return f, squares * (2 * np.pi * f) ** (2 * MOTION_UNITS.index(si_unit))
+    squares = [
+        factor**2 * (row**2 if power == 1 else row) * (2 * np.pi * f) ** (2 * derivatives)
+        for row, (factor, power, derivatives) in zip(rows, scales, strict=True)
+    ]
+    return f, np.array(squares)
+
+
+def _scale(source: str, name: str, unit: str) -> tuple[float, int, int]:
+    """Factor to SI of the motion, the power to which the density has it, and derivatives that lack to acceleration."""
+    stated = stated_density(name)
+    if not (unit or stated):
+        raise InputError(
+            f"unit is not given, and {source} states none for {name!r}; give a density as {DENSITIES_SAID}"
+        )
+    if unit and stated and _meaning(unit) != _meaning(stated):
+        raise InputError(
+            f"unit is {unit!r}, but {source} names the spectrum {name!r}; leave it empty, or correct one of them"
+        )
+    return _meaning(stated or unit)
+
+
+def _meaning(unit: str) -> tuple[float, int, int]:
+    if not (said := density_unit(unit)):
+        raise InputError(f"unit is {unit!r}; give a density as {DENSITIES_SAID}")
+    factor, si_unit = unit_factor(said[0])
+    if si_unit not in MOTION_UNITS:
+        raise InputError(f"unit is {unit!r}; a floor needs a density of m/s^2, m/s or m")
+    return factor, said[1], MOTION_UNITS.index(si_unit)
 
 
 @checked

@@ -139,7 +139,7 @@ class Record:
 @checked
 def load_record(
     path: str | Path,
-    unit: str,
+    unit: str = "",
     *,
     sample_rate: float | None = None,
     channels: list[str] | None = None,
@@ -157,8 +157,9 @@ def load_record(
     ----------
     path : str or Path
         ``.csv`` (also ``.txt``, ``.tsv``), ``.mat``, ``.npz``, ``.uff`` or ``.unv``.
-    unit : str
-        Of all channels, e.g. ``m/s^2``, ``mg``, ``mm/s``, ``um``, ``N``; see `UNITS`.
+    unit : str, optional
+        Of the channels whose names state none in brackets, e.g. ``m/s^2``, ``mg``, ``mm/s``, ``um``, ``N``; see `UNITS`.
+        Where a name states another one, the file is refused.
     sample_rate : float, optional
         Hz; needed when the file has neither a time nor a rate.
     channels : list of str, optional
@@ -174,18 +175,41 @@ def load_record(
     Raises
     ------
     InputError
-        For an unknown unit or channel, NaN, a channel that never moves, gaps, uneven time, an implausible or
-        contradictory rate, too short a record or too many channels. The message says what to do.
+        For an unknown, missing or contradictory unit, channels of several quantities, an unknown channel, NaN, a channel
+        that never moves, gaps, uneven time, an implausible or contradictory rate, too short a record or too many
+        channels. The message says what to do.
 
     Examples
     --------
     >>> time = np.arange(1000) / 500
-    >>> np.savetxt("floor.csv", np.column_stack([time, np.sin(time)]), header="time floor", comments="")
-    >>> signals.load_record("floor.csv", "mm/s").unit
-    'm/s'
+    >>> table = np.column_stack([time, np.sin(time)])
+    >>> np.savetxt("floor.csv", table, header="time,floor (mm/s)", comments="", delimiter=",")
+    >>> record = signals.load_record("floor.csv")
+    >>> record.unit, round(record.signals.max(), 6)
+    ('m/s', 0.000909)
     """
+    if unit:
+        unit_factor(unit)
+    record = load_unscaled(path, sample_rate=sample_rate, channels=channels, most_channels=most_channels)
+    factors, units = zip(*(channel_unit(record.source, each, unit) for each in record.names), strict=True)
+    if len(set(units)) > 1:
+        listing = ", ".join(f"{name}: {each}" for name, each in zip(record.names, units, strict=True))
+        raise InputError(
+            f"{record.source}: channels are of several quantities ({listing}); choose those of one with channels=[...]"
+        )
+    return replace(record, signals=record.signals * np.array(factors)[:, None], unit=units[0])
+
+
+@checked
+def load_unscaled(
+    path: str | Path,
+    *,
+    sample_rate: float | None = None,
+    channels: list[str] | None = None,
+    most_channels: int | None = None,
+) -> Record:
+    """`load_record` with the numbers as the file has them, in unit ``1`` whatever the names state."""
     path = Path(path)
-    factor, si_unit = unit_factor(unit)
     columns = read_columns(path)
     rate = sampling_rate(path.name, columns, sample_rate)
     columns = {name: column for name, column in columns.items() if not is_time(name) and column.size > 1}
@@ -211,7 +235,7 @@ def load_record(
                 f"{path.name}, channel {name} stands at {column[0]:.4g} throughout; leave it out with "
                 "channels=[...] or mend the sensor"
             )
-    return Record(np.array(list(columns.values())) * factor, rate, si_unit, tuple(columns), path.name)
+    return Record(np.array(list(columns.values())), rate, "1", tuple(columns), path.name)
 
 
 @checked
@@ -235,6 +259,21 @@ def stated_unit(name: str) -> str:
     except InputError:
         return ""
     return found[1]
+
+
+@checked
+def channel_unit(source: str, name: str, unit: str, argument: str = "unit") -> tuple[float, str]:
+    """Factor to SI and the SI unit of a channel: that of its name's brackets, or the one given; never two that differ."""
+    stated = stated_unit(name)
+    if not (unit or stated):
+        raise InputError(
+            f"{argument} is not given, and {source} states none for {name!r}; give it ({UNITS_SAID})"
+        )
+    if unit and stated and unit_factor(unit) != unit_factor(stated):
+        raise InputError(
+            f"{argument} is {unit!r}, but {source} names the channel {name!r}; leave {argument} empty, or correct one of them"
+        )
+    return unit_factor(stated or unit)
 
 
 @checked
