@@ -548,8 +548,8 @@ def test_a_word_too_many_is_not_taken_for_an_option(capsys):
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
-        (["figures", "--out", "x"], "unknown '--out'; it is an option of report, design, export, contest"),
-        (["figures", "--out=x"], "unknown '--out=x'; it is an option of report, design, export, contest"),
+        (["figures", "--out", "x"], "unknown '--out'; it is an option of report, design, retest, export, contest"),
+        (["figures", "--out=x"], "unknown '--out=x'; it is an option of report, design, retest, export, contest"),
         (["doctor", "--sedes", "3"], "unknown '--sedes'"),  # near the contest's --seeds alone
         (["contest", "--sedes", "3"], "unknown '--sedes'; did you mean '--seeds'?"),
         (["claims", "-p", "a=1"], "unknown '-p'; it is an option of figures"),
@@ -687,7 +687,7 @@ def test_a_new_result_overwrites_nothing(toy):
     before = toy.files("notebooks", "data", "tests")
     for name, message in [
         ("09-a", r"09-a\.ipynb"),
-        ("10-a", r"test_a\.py"),
+        ("10-a", r"\ba\.py"),
         ("09-b", r"\b09-a\b"),
     ]:
         with pytest.raises(InputError, match=message):
