@@ -257,3 +257,10 @@ def test_margin_at_the_limit_is_refused():
 def test_a_covariance_that_is_none_is_refused():
     with pytest.raises(InputError, match="sensor"):
         TimeVaryingModel(np.eye(2), np.eye(2), np.eye(2), np.ones((3, 1, 2)), np.eye(2), [[-1.0]], np.eye(2))
+
+
+def test_a_recursion_that_overflows_names_the_sample():
+    one = np.eye(2)
+    model = TimeVaryingModel(1e200 * one, one, one, np.ones((5, 1, 2)), one, [[1.0]], one)
+    with pytest.raises(InputError, match=r"gain\b.*sample 1\b"):
+        kalman_gains(model)

@@ -274,9 +274,9 @@ def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor
     n, forget = len(regressor), matrix.dtype.type(forgetting)
     denominator, shrink = update_covariance(matrix, regressor, forget, gain)
     step_weights(weights, gain, shrink, error)
+    watch_powers(levels, regressor, forget, allowance)
     reached = False
     for i in range(n):
-        watch_power(levels, i, regressor[i], forget, allowance)
         reached |= matrix[i, i] > levels[0, i]
     return denominator, reached
 
@@ -290,8 +290,7 @@ def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner,
     n, forget = len(regressor), matrix.dtype.type(forgetting)
     denominator = update_ud(matrix, regressor, forget, gain, inner)
     step_weights(weights, gain, matrix.dtype.type(1) / denominator, error)
-    for i in range(n):
-        watch_power(levels, i, regressor[i], forget, allowance)
+    watch_powers(levels, regressor, forget, allowance)
     axis = sample % n
     return denominator, variance(UD, matrix, axis) > levels[0, axis]
 
@@ -305,8 +304,7 @@ def ferls_form_update(
     forget = matrix.dtype.type(forgetting)
     denominator = update_form(form, matrix, regressor, forget, gain, inner)
     step_weights(weights, gain, one / denominator, error)
-    for i in range(n):
-        watch_power(levels, i, regressor[i], forget, allowance)
+    watch_powers(levels, regressor, forget, allowance)
     found = variance(form, matrix, axis)
     if found > levels[0, axis]:
         # As in `hold_ud`, here: in a function of its own the compiler would make machine code of all forms once more.
@@ -328,13 +326,18 @@ def step_weights(weights, gain, shrink, error):
 
 
 @inlined_kernel
-def watch_power(levels, i, value, forgetting, allowance):
-    """Power of a regressor in the window; the limit of its variance where that asks for a lower one."""
-    power = forgetting * levels[1, i] + value * value
-    levels[1, i] = power
-    levels[2, i] *= forgetting
-    if levels[0, i] * power > allowance:
-        levels[0, i] = allowance / power
+def watch_powers(levels, regressor, forgetting, allowance):
+    """Power of each regressor in the window; the limit of its variance where that asks for a lower one."""
+    lower = False
+    for i in range(len(regressor)):
+        power = forgetting * levels[1, i] + regressor[i] * regressor[i]
+        levels[1, i] = power
+        levels[2, i] *= forgetting
+        lower |= levels[0, i] * power > allowance
+    if lower:  # rare, and a division that hardly anyone asks for would keep the compiler from vectors
+        for i in range(len(regressor)):
+            if levels[0, i] * levels[1, i] > allowance:
+                levels[0, i] = allowance / levels[1, i]
 
 
 @kernel
