@@ -47,7 +47,12 @@ PARTS = {
 REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
 # Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing, no limit) is a stated result.
 MAY_BE_INFINITE = {
-    *("enclose_covariance", "enclose_peaks", "enclose_quotients"),  # where nothing is proven
+    *(
+        "enclose_covariance",
+        "enclose_peaks",
+        "enclose_margins",
+        "enclose_quotients",
+    ),  # where nothing is proven
     *("enclose_hinf_norm", "enclose_h2_norm"),  # and of unstable models
     "min_max_solve",
     "run",
@@ -369,6 +374,7 @@ def catalogue() -> dict:
         "linear_filter, window": (c.linear_filter, {"signal_filter": e.MovingWindow(), "sample_time": 1e-3}),
         "linear_filter, extended": (c.linear_filter, {"signal_filter": e.ExtendedKalman(plant), "sample_time": 1e-3}),
         "linear_loop": (c.linear_loop, {"plant": plant, "controller": controller, "sample_time": 1e-3, "position": 0.1, "velocity": 0.1}),
+        "enclose_margins": (c.enclose_margins, {"loop": search, "pid": pid(20.0)}),
         "enclose_peaks": (c.enclose_peaks, {"loop": search, "pid": pid(20.0)}),
         "make_loop": (c.make_loop, {"plant": model, "low_hz": 1.0, "high_hz": 1000.0, "points": 30, "around": 2}),
         "maximise_bandwidth": (c.maximise_bandwidth, {"loops": [search], "family": pid, "constraints": [c.PeakConstraint("input_sensitivity")], "low_hz": 5.0, "high_hz": 100.0, "scan": 10, "tolerance_hz": 0.5}),

@@ -240,6 +240,7 @@ ORDERS = {
 }
 
 
+@pytest.mark.filterwarnings("ignore::stillwork.estimation.recursive.GrowthLimitWarning")
 @pytest.mark.parametrize("name", ORDERS)
 def test_the_order_of_channels_changes_no_answer(name):
     agrees(ORDERS[name](ORDER, BACK), ORDERS[name](np.arange(3), np.arange(3)), "FeLMS")

@@ -154,7 +154,9 @@ class FeRls:
         P(-1), but from ten times the steady value that the regressor's own power gives, 1 / sum lambda^j psi^2, where
         that is less: a P(-1) as large as one likes protects all the same. A floor that gets quieter by more than
         this, in power, and a combination of regressors that is weaker than this are followed more slowly; `held`
-        of the result tells which regressors the limit held.
+        of the result tells which regressors the limit held. The triangle does not depend on the order of the
+        regressors; forms with factors hold one regressor a sample, in turn, so that while limits act their result
+        depends on the order.
     form : str
         How P is kept, one of `covariance_forms.FORMS`. ``safe``: the triangle in float64; in float32, where it loses
         definiteness on regressors that one record drives, Bierman's factors, which take no longer.
