@@ -29,7 +29,7 @@ HERE = Path(__file__).resolve().parent
 SECONDS = 20  # of processor time; a case that takes more is a finding
 BATCH = 5000  # cases a process
 MEMORY = 8 * 2**30  # bytes of address space
-sys.path[:0] = [str(HERE), str(HERE.parent / "lib")]
+sys.path[:0] = [str(HERE), str(HERE.parent / "lib"), str(HERE.parent)]
 
 
 class TooSlow(BaseException):

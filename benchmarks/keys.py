@@ -53,10 +53,10 @@ class Tree:
         closure.syntax_tree = lambda file: parsed(self.content(file))
         self._own_imports, closure.imports = closure.imports, self._imports
         self._known: dict[tuple, list[str]] = {}
-        sys.path.insert(0, str(folder / "lib"))
+        sys.path[:0] = [str(folder / "lib"), str(folder)]
 
     def show(self, commit: str) -> None:
-        lines = git("ls-tree", "-r", commit, "lib", "notebooks", "data").decode().splitlines()
+        lines = git("ls-tree", "-r", commit, "lib", "contest", "notebooks", "data").decode().splitlines()
         files = {line.partition("\t")[2]: line.split()[2] for line in lines}
         files = {
             name: sha for name, sha in files.items() if name.endswith((".py", ".ipynb", "readings.toml"))
@@ -94,7 +94,7 @@ class Tree:
                     if cell["cell_type"] == "code"
                 ]
                 text = "\n".join("".join(cell["source"]) for cell in cells)
-                begin = self.folder / "lib" / "cells_of_a_notebook.py"
+                begin = self.folder / "cells_of_a_notebook.py"  # from where it imports what stands beside it
                 begin.write_text(text)
                 found[name] = self._key(text, closure.modules(begin.stem))
                 begin.unlink()

@@ -40,7 +40,7 @@ from stillwork.estimation.filtering import UNIT_MASS
 from stillwork.estimation.plant import Plant, force_slope
 from stillwork.inspecting import TABLES, outline, plant_form
 from stillwork.signals.records import load_record
-from workbook import figures
+from workbook import figures, paths
 
 # === Your plant ============================================================================================
 UNITS = {"m": "N", "rad": "N m"}  # of a coordinate, and of what pushes it

@@ -1,5 +1,6 @@
 """Whole notebooks on the workers of a real cluster."""
 
+import os
 import shutil
 import signal
 import subprocess

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine import toy as toys
 from notebooks.isolation.your_floor import SHORTEST_S
 from shared.universal_files import function, write_universal
 from stillwork import inspecting
