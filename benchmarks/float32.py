@@ -52,7 +52,7 @@ def settled(dtype: str, regressors, disturbance, passes: int, growth_limit: floa
     while done < passes:
         begin = time.thread_time()
         ran, definite = run_ferls(
-            weights, recursion, *recursion[-2:], *record, True, np.inf, history, len(regressors) + 1, False
+            weights, recursion, *recursion[-2:], *record, True, np.inf, history, len(regressors) + 1, False, 0
         )
         if ran < len(regressors) or not np.all(np.isfinite(weights)):
             raise SystemExit(f"{dtype}: lost at sample {done * len(regressors) + ran}, definite: {definite}")

@@ -1,13 +1,15 @@
 """Wrong values for every public function, reader, table and setting: nothing but results and documented errors.
 
 ``python benchmarks/fuzz.py --cases 50000`` throws that many, each made from the seed and its number alone, in
-processes of their own, and lists what ended in another exception, in a result with NaN, in a crash, or not at all.
-``--only KIND`` and ``--case NUMBER`` repeat some of it. ``--only forms`` calls every function with good arrays in
+processes of their own, and lists what ended in another exception, in a result with NaN, in a crash, or not at all,
+and what a library printed or warned of on the way. ``--unnamed`` lists the refusals whose message holds none of the
+spoiled arguments by name (nor a field of one). ``--only KIND`` and ``--case NUMBER`` repeat some of it. ``--only forms`` calls every function with good arrays in
 every form that holds the same numbers instead.
 """
 
 import argparse
 import collections
+import ctypes
 import faulthandler
 import json
 import os
@@ -46,7 +48,8 @@ def main() -> int:
 
         warnings.simplefilter("ignore")
         return min(forms.main(), 1)
-    wrong, done, start = collections.Counter(), collections.Counter(), time.monotonic()
+    wrong, done, refused = collections.Counter(), collections.Counter(), collections.Counter()
+    start = time.monotonic()
     first, end = (options.case, options.case + 1) if options.case is not None else (0, options.cases)
     while first < end:
         last = min(first + BATCH, end)
@@ -70,7 +73,10 @@ def main() -> int:
                 number, kind, outcome, what = json.loads(line)
                 first = number + (outcome != "begun")
                 done[kind] += outcome != "begun"
-                if outcome not in ("begun", "result", "refused"):
+                refused[outcome] += outcome in ("refused", "unnamed")
+                if outcome == "unnamed" and options.unnamed:
+                    print(f"unnamed: {number} {kind}: {what}", flush=True)
+                if outcome not in ("begun", "result", "refused", "unnamed"):
                     wrong[outcome] += 1
                     print(f"{outcome}: {number} {kind}: {what}", flush=True)
             if worker.wait():
@@ -81,7 +87,10 @@ def main() -> int:
                 if not begun:
                     return 1
     kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(done.items()))
-    print(f"{sum(done.values())} cases ({kinds}), {wrong.total()} wrong, in {time.monotonic() - start:.0f} s")
+    print(
+        f"{sum(done.values())} cases ({kinds}), {wrong.total()} wrong, {refused.total()} refused, of which "
+        f"{refused['unnamed']} name no spoiled argument, in {time.monotonic() - start:.0f} s"
+    )
     return min(wrong.total(), 1)
 
 
@@ -92,6 +101,7 @@ def _options():
     parser.add_argument(
         "--only", choices=("all", "calls", "files", "tables", "settings", "forms"), default="all"
     )
+    parser.add_argument("--unnamed", action="store_true", help="list refusals that name no argument")
     parser.add_argument("--case", type=int, help="this one alone")
     parser.add_argument("--first", type=int, help=argparse.SUPPRESS)
     return parser.parse_args()
@@ -109,11 +119,10 @@ def _worker(options) -> int:
     report = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # LAPACK complains of its arguments there
     faulthandler.enable()
-    warnings.simplefilter("ignore")
-    calls.warm()
+    with warnings.catch_warnings(action="ignore"):
+        calls.warm()
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     signal.signal(signal.SIGPROF, _stop)
-    np.seterr(all="ignore")
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         for number in range(options.first, options.cases):
@@ -121,7 +130,7 @@ def _worker(options) -> int:
             kind = str(rng.choice(list(shares), p=list(shares.values())))
             kind = kind if options.only == "all" else options.only
             print(json.dumps([number, kind, "begun", ""]), file=report)
-            print(json.dumps([number, kind, *_outcome(makers[kind], rng)]), file=report)
+            print(json.dumps([number, kind, *_watched(kind, makers[kind], rng)]), file=report)
     return 0
 
 
@@ -129,18 +138,39 @@ def _stop(*_):
     raise TooSlow
 
 
-def _outcome(make, rng) -> tuple[str, str]:
-    """What became of a case: ``result``, ``refused`` (a documented error), or what is wrong."""
+def _watched(kind, make, rng) -> tuple[str, str]:
+    """What became of a case, and ``leak`` where it was well but something else printed or warned of it."""
+    case = make(rng)
+    before = os.lseek(2, 0, os.SEEK_CUR)
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        outcome, what = _outcome(kind, *case)
+    sys.stderr.flush()
+    ctypes.CDLL(None).fflush(None)
+    said = os.pread(2, 300, before).decode(errors="replace") if os.lseek(2, 0, os.SEEK_CUR) > before else ""
+    foreign = [each for each in caught if not each.category.__module__.startswith("stillwork")]
+    said += "; ".join(f"{each.message} at {Path(each.filename).name}:{each.lineno}" for each in foreign[:3])
+    if said and outcome in ("result", "refused", "unnamed"):
+        return "leak", f"{case[0]} {case[1]}: {' '.join(said.split())}"
+    return outcome, what
+
+
+def _outcome(kind, name, told, must_work, call) -> tuple[str, str]:
+    """What became of a case: ``result``, ``refused`` or ``unnamed`` (a documented error), or what is wrong."""
+    from fuzzing import calls
+
     from stillwork.base.checks import InputError
     from stillwork.estimation.online import UnstableAdaptation
 
-    name, told, must_work, call = make(rng)
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
         result = call()
         result = result, _properties(result)
     except (InputError, FileNotFoundError, UnstableAdaptation) as error:
-        return ("refused a good value", f"{name} {told}: {error}") if must_work else ("refused", "")
+        what = f"{name} {told}: {error}"
+        if must_work:
+            return "refused a good value", what
+        unnamed = kind == "calls" and not calls.is_named(name, told, str(error))
+        return "unnamed" if unnamed else "refused", what
     except TooSlow:
         return "too slow", f"{name} {told}"
     except Exception as error:

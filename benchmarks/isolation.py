@@ -166,7 +166,9 @@ def update_times() -> dict[str, tuple[float, float, float]]:
             history = np.empty((0, ACTUATORS, REGRESSORS))
             arrays = [array.astype(state.matrix.dtype) for array in (weights, psi, error)]
             begin = time.thread_time()
-            run_ferls(arrays[0], state, *state[-2:], *arrays[1:], False, np.inf, history, samples + 1, False)
+            run_ferls(
+                arrays[0], state, *state[-2:], *arrays[1:], False, np.inf, history, samples + 1, False, 0
+            )
             return time.thread_time() - begin, samples
 
         return run

@@ -1,7 +1,7 @@
-"""The toolbox in an empty environment of some Python: size, imports, examples, `stillwork inspect`.
+"""The toolbox in an empty environment of some Python: size, imports, examples, `stillwork inspect` and `design`.
 
 ``python3.13 benchmarks/wheel.py stillwork-0.1.0-py3-none-any.whl`` needs nothing but that Python and the network; what
-stands behind the file are extras, ``data control``. `python -m hatchling build -t wheel -d FOLDER` makes the wheel.
+stands behind the file are extras, ``data control design``. `python -m hatchling build -t wheel -d FOLDER` makes the wheel.
 """
 
 import argparse
@@ -14,7 +14,9 @@ import venv
 from pathlib import Path
 
 FOLDERS = ("base", "signals", "lti", "identification", "estimation", "control")
-RECORD = Path(__file__).parents[1] / "data" / "worstcase" / "your_record"
+DATA = Path(__file__).parents[1] / "data"
+RECORD = DATA / "worstcase" / "your_record"
+MACHINE = DATA / "motion" / "your_machine" / "matrices.csv"
 
 EXAMPLES = """
 import doctest, inspect, json
@@ -64,7 +66,7 @@ def main() -> int:
     """Try one wheel; 1 where something of it does not work."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("wheel", type=Path)
-    parser.add_argument("extras", nargs="*", help="data, control")
+    parser.add_argument("extras", nargs="*", help="data, control, design")
     given = parser.parse_args()
     wanted = str(given.wheel.resolve()) + (f"[{','.join(given.extras)}]" if given.extras else "")
     with tempfile.TemporaryDirectory() as folder:
@@ -91,6 +93,10 @@ def main() -> int:
         record = next(RECORD.glob("*.csv"))
         if "data" in given.extras:
             print(run(programs / "stillwork", "inspect", str(record)).splitlines()[0])
+        if "design" in given.extras:
+            out = Path(folder, "controller")
+            run(programs / "stillwork", "design", MACHINE, "--rate", "10000", "--out", out)
+            print("design: " + ", ".join(sorted(each.name for each in out.iterdir())))
     return bool(failed)
 
 

@@ -7,7 +7,7 @@ made from the annotations.
 import copy
 import dataclasses
 import pkgutil
-from contextlib import suppress
+import re
 from functools import cache
 from importlib import import_module
 from types import ModuleType, SimpleNamespace
@@ -393,14 +393,19 @@ def catalogue() -> dict:
     }  # fmt: skip
 
 
+refused_as_made: set[str] = set()  # calls that are refused before anything is spoiled, found by `warm`
+
+
 def warm() -> None:
     """Every good call once: it must work, and compiles what it needs before anybody takes the time."""
     for name, (function, good) in catalogue().items():
         if name not in REFUSED:
             function(**good)
-    for function, good in behind().values():
-        with suppress(Exception):  # a case of its own says what it is
+    for name, (function, good) in behind().items():
+        try:
             function(**good)
+        except Exception:  # a case of its own says what it is
+            refused_as_made.add(name)
 
 
 def missing() -> list[str]:
@@ -459,6 +464,27 @@ def case(rng: np.random.Generator) -> tuple:
         return result
 
     return name, told, must_work, call
+
+
+def is_named(name: str, told: list[str], message: str) -> bool:
+    """Whether a refusal holds one of the spoiled arguments, or a field of one, by name, or another was no good before."""
+    if name in refused_as_made | REFUSED:
+        return True
+    _, good = (catalogue() | behind())[name]
+    words = {
+        word for each in told if (key := each.partition("=")[0]) in good for word in (key, *_names(good[key]))
+    }
+    return any(re.search(rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])", message) for word in words)
+
+
+def _names(value) -> set[str]:
+    """The names of a model's fields, and of those of the models in it."""
+    if isinstance(value, list | tuple):
+        return {name for each in value[:10] for name in _names(each)}
+    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+        return set()
+    parts = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    return {*parts, *(name for each in parts.values() for name in _names(each))}
 
 
 class Spoiled:

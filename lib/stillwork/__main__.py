@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork inspect|report|design|export|contest``, and the commands of ``python -m workbook``."""
+"""Command line: ``python -m stillwork inspect|report|design|retest|export|contest``, and the commands of ``python -m workbook``."""
 
 import sys
 
@@ -33,6 +33,18 @@ _OF_A_MACHINE = (
     number("sample-rate", "HZ", "of records that do not say it", float),
 )
 
+_OF_A_LOOP = (
+    number("delay", "SAMPLES", "from measurement to force, whole or not; default 1", float, default=1.0),
+    _band("loop-hz", "where the measurement can be trusted"),
+    option(
+        "--uncertainty",
+        default="",
+        metavar="NAME=SHARE,...",
+        help="frequency, residue, damping, gain, mass, delay (s); none; default frequency=0.05,gain=0.05",
+    ),
+    option("--damping-ratio", type=float, default=0.005, help="of matrices without damping"),
+)
+
 COMMANDS = {
     "inspect": Command(
         "say what a file of yours holds and which notebooks can use it",
@@ -46,30 +58,45 @@ COMMANDS = {
             _file("of a machine, a record, or power spectral densities"),
             option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
             option("--unit", default="", help="of a record's channels, or of densities"),
+            number("rate", "HZ", "of the controller (default: chosen and printed)", float, default=0.0),
             *_OF_A_MACHINE,
+            *_OF_A_LOOP,
         ),
     ),
     "design": Command(
         "from a machine's file to a controller in C, and a page about it",
         "stillwork.designing:design_file",
         (
-            _file("frequency response, hammer records, or M and K"),
+            option(
+                "files",
+                type=named,
+                nargs="+",
+                metavar="FILE",
+                help="frequency response, hammer records, or M and K; several: one machine elsewhere, all served",
+            ),
             number("rate", "HZ", "of the controller", float, required=True),
             *_C_FOLDER,
-            number("delay", "SAMPLES", "from measurement to force, whole or not", float, default=1.0),
             number("limit", "N", "largest output, N, N m or A", float, default=float("inf")),
             number("counts", "N", "encoder counts a m or rad: inputs in counts", float, default=0.0),
             number("motor-constant", "K", "N/A or N m/A: output in A", float, default=0.0),
             *_OF_A_MACHINE,
-            _band("loop-hz", "where the measurement can be trusted"),
+            *_OF_A_LOOP,
             flag("mirrored-sensor", "serve a mirrored sensor, too"),
-            option(
-                "--uncertainty",
-                default="",
-                metavar="NAME=SHARE,...",
-                help="frequency, residue, damping, gain, mass, delay (s); none; default frequency=0.05,gain=0.05",
+        ),
+    ),
+    "retest": Command(
+        "say on a page whether a new response keeps what a design promised",
+        "stillwork.retesting:retest_file",
+        (
+            option("controller", type=named, metavar="CONTROLLER.json", help="that design wrote"),
+            _file("the machine again, in the same units"),
+            option("--out", default="", metavar="PAGE", help="by default FILE.retest.html, here"),
+            flag(
+                "closed-loop",
+                "FILE is the force on the machine over the one injected, the controller running",
             ),
-            option("--damping-ratio", type=float, default=0.005, help="of matrices without damping"),
+            *_OF_A_MACHINE,
+            _band("loop-hz", "where the measurement can be trusted"),
         ),
     ),
     "export": Command(

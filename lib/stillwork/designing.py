@@ -3,45 +3,52 @@
 import hashlib
 import html
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 import stillwork
-from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.checks import InputError, counted, require_number
+from stillwork.base.extras import require_package
 from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, PeakConstraint
 from stillwork.control.c_code import controller_code, require_names
 from stillwork.control.digital import DigitalController, equivalent_biquads, from_biquads, in_units, runnable
-from stillwork.control.loop_enclosures import proven_peaks
-from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
-from stillwork.control.machine_tuning import DesignSettings, tuned
-from stillwork.control.uncertainty import NAMES, Uncertainty, make_box, uncertainty_of
+from stillwork.control.loop_enclosures import proven_numbers
+from stillwork.control.machine_designs import (
+    DELAY,
+    EACH,
+    Designed,
+    asked_uncertainty,
+    reach_one,
+    search_designs,
+)
+from stillwork.control.machine_loops import SHOWN, Reached, search_range
+from stillwork.control.machine_tuning import DesignSettings
+from stillwork.control.uncertainty import NAMES, Uncertainty, make_box
 from stillwork.exporting import require_free, write_folder
 from stillwork.html_page import page, picture, table
-from stillwork.identification.machine import Machine, brought_forward, build_machine
+from stillwork.identification.machine import TURNED, Machine, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.modal import ModalModel
 from workbook import figures
+from workbook.progress import Progress
 
-# What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
-INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
-ADDED_DAMPING, SELECTIVITY, RETAINED = 0.02, 2.0, 5
 ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
-NOTCHED = "PID with notches"
-UNCERTAINTY = {"frequency": 0.05, "gain": 0.05}  # of a machine of which nothing else is said
+USES = 5  # that are searched
+CHANGES = 4  # of the machine or its processor, of which each is tried for what it would help
 SHOWN_FROM = 0.01  # %, of what the box holds
 WORTH = 0.01  # relative gain of bandwidth below which a change of the machine is none
 
 
 def design_file(
-    file: str,
+    files: str | Sequence[str],
     folder: str,
     rate: float,
     *,
-    delay: float = 1.0,
+    delay: float = DELAY,
     limit: float = np.inf,
     name: str = "controller",
     precision: str = "double",
@@ -53,17 +60,19 @@ def design_file(
     motor_constant: float = 0.0,
     **reading,
 ) -> list[str]:
-    """Design a controller for the machine in `file` and write it, in C and otherwise, into a new folder.
+    """Design a controller for the machine in `files` and write it, in C and otherwise, into a new folder.
 
     Parameters
     ----------
-    file, folder : str
-        See `load_machine`; the folder is new or empty.
+    files : str or sequence of str
+        See `load_machine`. Of several, which hold the same machine at other positions or with other loads, the first is
+        that of the observer; the constraints hold for all of them, and in the box around each.
+    folder : str
+        New or empty.
     rate : float
         Samples a second of the controller, Hz.
     delay : float
-        Samples from a measurement to the force that follows from it, whole or not, beside the hold and beside a delay
-        that the measured response itself holds, which is found and added as it is.
+        See `search_designs`.
     limit : float
         Largest output of the controller: force in N, torque in N m, or current in A.
     name, precision : str
@@ -94,20 +103,27 @@ def design_file(
 
     Raises
     ------
+    MissingPackage
+        When the page cannot be drawn, before anything is computed.
     InputError
         When the file cannot be used, no use of an observer has a safe loop, or something stands in the folder.
     """
+    require_package("matplotlib")
     require_free(folder)
     require_names(name, precision)
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
-    sample_time = 1 / require_number("rate", rate, above=0.0)
+    require_number("rate", rate, above=0.0)
+    asked = require_number("delay", delay, at_least=0.0)
+    shares = asked_uncertainty(uncertainty)
     for each, value in (("counts", counts), ("motor_constant", motor_constant)):
         require_number(each, value, at_least=0.0)
-    delay = require_number("delay", delay, at_least=0.0)
-    uncertainty = asked_uncertainty(uncertainty)
-    source = Path(file)
-    taken = load_machine(source, **reading)
+    sources = [Path(each) for each in ([files] if isinstance(files, str) else files)]
+    if not sources:
+        raise InputError("files is empty; name the file of a machine")
+    source = sources[0]
+    every = [load_machine(each, **reading) for each in sources]
+    taken = every[0]
     position, drive = taken.units
     if counts and position == "count":
         raise InputError(f"{source.name} is in counts already; leave counts out")
@@ -117,36 +133,36 @@ def design_file(
         )
     own_units = "count" if counts else position, "A" if motor_constant else drive
     scales = counts or 1.0, 1 / motor_constant if motor_constant else 1.0
-    machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
-    lowest, resonance = search_range(machine, 0.0)[0], float(machine.resonances_hz[0])
-    # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
-    require_number("rate", rate, above=10 * lowest, at_most=resonance / np.sqrt(np.finfo(float).eps))
-    if delay * sample_time * lowest >= 1:
+    machines = [
+        build_machine(each, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor) for each in every
+    ]
+    against = [each for each in machines if (TURNED in each.notes) != (TURNED in machines[0].notes)]
+    if against:
         raise InputError(
-            f"delay is {delay:g}, a period of the lowest bandwidth ({lowest:.3g} Hz) or more; give fewer samples"
+            f"{against[0].source} moves against {source.name} under the same force; mend the sign of one of them"
         )
-    if (
-        machine.fit
-    ):  # what is early is no part of a machine: the measurement is only made to agree with the model
-        machine = brought_forward(machine, machine.fit.delay)
-        delay += max(machine.fit.delay, 0.0) / sample_time
-    spread = uncertainty_of(machine, uncertainty)
-    how = {"uncertainty": uncertainty, "sample_time": sample_time, "delay": delay}
-    settings, found = {}, {}
-    for use, application in ({"PID": None, NOTCHED: None} | applications(ADDED_DAMPING, SELECTIVITY)).items():
-        first = DesignSettings(application, RETAINED, INTENSITIES, use == NOTCHED)
-        settings[use], found[use] = _furthest(machine, first, how, loop_hz)
-    safe = {use: each for use, each in found.items() if each.recommended is not None}
-    if not safe:
-        reasons = "; ".join(
-            f"{use}: {each.reason or 'unstable on the measurement'}" for use, each in found.items()
+    with Progress(EACH * USES + CHANGES, task="design", unit="search", tell=True, aside=True) as progress:
+        made = search_designs(
+            machines[0],
+            machines[1:],
+            rate=rate,
+            delay=delay,
+            uncertainty=shares,
+            loop_hz=loop_hz,
+            told=lambda _: progress.step(),
         )
-        raise InputError(
-            f"{source.name}: no safe loop at {rate:g} Hz ({reasons}); sample faster or add damping"
-        )
-    # In the order of the uses, so that of equals the simplest is taken.
-    best = max(safe, key=lambda use: round(_crossing(safe[use]), 2))
-    pid, loops = safe[best].recommended.controller, safe[best].model_loops
+        if not made.ranking:
+            reasons = "; ".join(
+                f"{use}: {each.reason or 'unstable on the measurement'}" for use, each in made.found.items()
+            )
+            raise InputError(
+                f"{source.name}: no safe loop at {rate:g} Hz ({reasons}); sample faster or add damping"
+            )
+        machine, delay, found, spread = made.machine, made.delay, made.found, made.spreads[0]
+        best = made.ranking[0]
+        reached = found[best]
+        helps = improvements(machine, made.settings[best], made.how, reached, lambda _: progress.step())
+    pid, loops = reached.recommended.controller, reached.model_loops
     about = {
         "gains": asdict(pid),
         "units": f"inputs {own_units[0]}, output {own_units[1]}; gain {drive}/{position}, integrator, differentiator and "
@@ -154,7 +170,7 @@ def design_file(
         "provenance": {
             "made_by": f"stillwork {stillwork.__version__} design",
             "file": source.name,
-            "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+            "sha256": _sha256(source),
             "machine": taken.kind,
             "notes": list(machine.notes),
             "mass": machine.mass,
@@ -163,99 +179,106 @@ def design_file(
             "motor_constant": motor_constant or None,
             "resonances_hz": machine.resonances_hz.tolist(),
             "use": best,
-            "settings": asdict(settings[best]),
+            "settings": asdict(made.settings[best]),
             "uncertainty": {name: np.asarray(getattr(spread, name)).tolist() for name in NAMES},
+            "rate_hz": rate,
+            "delay_samples_asked": asked,
             "delay_samples_of_the_loop": delay,
-            "design_hz": safe[best].recommended.design_hz,
+            "design_hz": reached.recommended.design_hz,
+            "others": [
+                {"file": each.name, "sha256": _sha256(each), "resonances_hz": other.resonances_hz.tolist()}
+                for each, other in zip(sources[1:], made.others, strict=True)
+            ],
         },
     }
     controllers = [runnable(pid, loop.compensator, limit / scales[1], about, taken.units) for loop in loops]
-    peaks = recheck(safe[best], controllers)
+    peaks = recheck(reached, controllers)
     worst = max(size for each in peaks.values() for size in each.values())
     if worst > ALLOWED_DB:
         raise InputError(f"{source.name}: the sampled controller peaks at {worst:.2f} dB; sample faster")
-    margins = over_the_box(safe[best], spread)
+    margins = over_the_box(reached, made.spreads)
     if margins and (worst := 20 * np.log10(max(margins.values()))) > ALLOWED_DB:
         raise InputError(
             f"{source.name}: somewhere in the box a peak of {worst:.2f} dB was found at last; ask for a little more uncertainty"
         )
-    helps = improvements(machine, settings[best], how, safe[best])
     written = [
         each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers
     ]
     written = [
-        replace(each, about=about | {"biquads": checked_biquads(each, loop, *scales)})
+        replace(each, about=about | retest_data(loop) | {"biquads": checked_biquads(each, loop, *scales)})
         for each, loop in zip(written, loops, strict=True)
     ]
-    files = {}
+    code = {}
     for number, controller in enumerate(written, 1):
         own = name if len(written) == 1 else f"{name}_{number}"
-        files[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
-        files |= controller_code(controller, own, precision)
+        code[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
+        code |= controller_code(controller, own, precision)
+    write_folder(folder, code)  # before the page: what was computed is not lost with a picture
     rates = f"{rate:g} Hz", f"{delay:.4g} samples ({1e6 * delay / rate:.4g} us) and the hold"
     most = f"{limit:g} {own_units[1]}" if np.isfinite(limit) else "none: give --limit"
     facts = [*zip(("rate", "delay of the loop", "limit of the output"), (*rates, most), strict=True)]
     if own_units != taken.units:
         facts.append(("the controller's own units", f"{own_units[0]} in, {own_units[1]} out"))
-    pages = machine, found, best, controllers, peaks, helps, box_table(machine, spread, margins), facts
-    files["report.html"] = report(*pages, sorted(files))
-    write_folder(folder, files)
-    rows = {
-        use: ", ".join(f"{key} {value}" for key, value in each.summary.items()) for use, each in found.items()
-    }
+    if made.others:
+        facts.append(("other responses", ", ".join(each.source for each in made.others)))
+    held = box_table(machine, spread, margins)
+    every = *loops, *reached.perturbed
+    proven = proven_numbers(every, pid, [each.model for each in controllers])
+    text = report(made, best, controllers, peaks, proven, helps, held, facts, sorted(code))
+    (Path(folder) / "report.html").write_text(text, encoding="utf-8")
     return [
         f"{machine.source}: {taken.kind}; {machine.mass:.4g} {machine.mass_unit}; first resonance at {machine.resonances_hz[0]:.4g} Hz",
         *machine.notes,
-        *(f"{use}: {row}{found[use].reason and '; ' + found[use].reason}" for use, row in rows.items()),
-        proven_peaks((*loops, *safe[best].perturbed), pid, [each.model for each in controllers]),
-        f"taken: {best}, stopped by {safe[best].summary['stopped by']}",
-        f"the promise holds for {'; '.join(map(' '.join, box_table(machine, spread, margins)))}",
+        *(
+            note
+            for each in made.others
+            for note in (f"{each.source}: {each.mass:.4g} {each.mass_unit}", *each.notes)
+        ),
+        *made.lines(),
+        f"the written controller over {counted(len(every), 'loop')}: {'; '.join(map(' '.join, proven))}",
+        f"taken: {best}, stopped by {reached.summary['stopped by']}",
+        f"the promise holds for {'; '.join(map(' '.join, held))}",
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
-        f"{folder}: {', '.join(sorted(files))}",
+        f"{folder}: {', '.join(sorted([*code, 'report.html']))}",
     ]
 
 
-def asked_uncertainty(said: str | Mapping[str, float]) -> dict[str, float]:
-    """Shares by `NAMES`: those of `UNCERTAINTY`, and what is said; ``none``: nothing but what is said."""
-    if not isinstance(said, str):
-        named = dict(said)
-    else:
-        words = [each.strip() for each in said.split(",") if each.strip()]
-        named = {}
-        for word in words:
-            name, _, value = word.partition("=")
-            if word == "none":
-                continue
-            try:
-                named[name.strip()] = float(value)
-            except ValueError:
-                raise InputError(
-                    f"uncertainty holds {word!r}; give NAME=SHARE of {', '.join(NAMES)}, commas between, or none"
-                ) from None
-        if "none" not in words:
-            named = UNCERTAINTY | named
-    for name, value in named.items():
-        require_choice("uncertainty", name, NAMES)
-        below = {} if name == "delay" else {"below": 1.0}
-        require_number(f"uncertainty: {name}", value, at_least=0.0, **below)
-    return {name: value for name, value in named.items() if value}
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def over_the_box(reached: Reached, spread: Uncertainty) -> dict[str, float]:
-    """Largest magnitude of each loop function all over the box, by another search than the design's: more starts."""
-    if spread.is_empty:
+def retest_data(loop: Loop) -> dict:
+    """What the command `retest` needs of a loop beside the controller: the observer's part and the model, in the file's units."""
+    observer, model = loop.compensator, loop.plant
+    return {
+        "compensator": {name: getattr(observer, name).tolist() for name in "abcd"},
+        "model": {
+            "frequencies_rad_s": model.frequencies.tolist(),
+            "damping": model.damping.tolist(),
+            "residues": (model.output_shapes[0] * model.input_shapes[:, 0]).tolist(),
+            "compliance": float(model.feedthrough[0, 0]),
+            "drag_1_s": float(model.drag),
+        },
+    }
+
+
+def over_the_box(reached: Reached, spreads: Sequence[Uncertainty]) -> dict[str, float]:
+    """Largest magnitude of each loop function all over the boxes, by another search than the design's: more starts."""
+    if all(spread.is_empty for spread in spreads):
         return {}
     pid = reached.recommended.controller
     constraints = [PeakConstraint(name) for name in FUNCTIONS]
+    pairs = [(loop, spreads[0]) for loop in reached.model_loops]
+    pairs += zip(reached.elsewhere, spreads[1:], strict=True)
     sizes = [
         [size for size, _ in make_box(loop, spread).worst(loop, pid, constraints, every=True, starts=24)]
-        for loop in reached.model_loops
+        for loop, spread in pairs
     ]
     return dict(zip(FUNCTIONS, np.max(sizes, axis=0).tolist(), strict=True))
 
 
 def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) -> list[list[str]]:
-    """What the box holds and what is left over it, in words."""
+    """What the box holds and what is left over it, in words; that around another response is as wide but for its fit."""
     rows = []
     hertz = machine.sensors[0].frequencies / (2 * np.pi)
     words = {"frequency": "resonances", "residue": "parts of the modes", "damping": "damping ratios"}
@@ -277,33 +300,14 @@ def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) 
     return rows
 
 
-def _reached(machine: Machine, settings: DesignSettings, how: dict) -> Reached:
-    own = {each.name: getattr(settings, each.name) for each in fields(settings) if each.name != "application"}
-    return reach(machine, {"": settings.application}, **own, **how)[""]
-
-
-def _furthest(
-    machine: Machine, settings: DesignSettings, how: dict, loop_hz: tuple[float, float]
-) -> tuple[DesignSettings, Reached]:
-    """The settings, tuned where that leads further, and how far they get."""
-    found = _reached(machine, settings, how | {"loop_hz": loop_hz})
-    lowest, _ = search_range(machine, how["sample_time"])
-    trial = tuned(machine, settings, found.recommended.design_hz if found.recommended else lowest, **how)
-    further = found if trial == settings else _reached(machine, trial, how | {"loop_hz": loop_hz})
-    if further.recommended is None or _crossing(further) <= _crossing(found):
-        return settings, found
-    return trial, further
-
-
-def _crossing(reached: Reached) -> float:
-    return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0
-
-
-def improvements(machine: Machine, settings: DesignSettings, how: dict, reached: Reached) -> list[list[str]]:
+def improvements(
+    machine: Machine,
+    settings: DesignSettings,
+    how: dict,
+    reached: Reached,
+    told: Callable[[str], None] = lambda _: None,
+) -> list[list[str]]:
     """Changes of the machine that raise the bandwidth of the same settings on the model, and to what, the best first."""
-
-    def changed(change) -> Machine:
-        return replace(machine, measured=None, fit=None, sensors=tuple(map(change, machine.sensors)))
 
     def damped(model: ModalModel) -> ModalModel:
         factor = np.append(1.0, np.full(len(model.damping) - 1, 2.0))
@@ -313,18 +317,28 @@ def improvements(machine: Machine, settings: DesignSettings, how: dict, reached:
         shapes = np.abs(model.output_shapes) * np.sign(model.input_shapes.T)
         return replace(model, output_shapes=shapes, feedthrough=np.abs(model.feedthrough))
 
-    trials = {
-        "twice the damping of its modes:": (changed(damped), how),
-        "the sensor where the force acts:": (changed(beside), how),
-        "twice the rate:": (changed(lambda model: model), how | {"sample_time": how["sample_time"] / 2}),
-        "no delay:": (changed(lambda model: model), how | {"delay": 0}),
+    trials: dict[str, tuple[Callable[[ModalModel], ModalModel], dict]] = {
+        "twice the damping of its modes:": (damped, {}),
+        "the sensor where the force acts:": (beside, {}),
+        "twice the rate:": (lambda model: model, {"sample_time": how["sample_time"] / 2}),
+        "no delay:": (lambda model: model, {"delay": 0.0}),
     }
     if not how["delay"]:
         del trials["no delay:"]
     before = reached.on_model.crossing_hz.min() if reached.on_model else 0.0
     gains = []
-    for words, (other, changes) in trials.items():
-        found = _reached(other, settings, changes).on_model
+    for words, (change, settled) in trials.items():
+        told(words)
+        changed, *others = (
+            replace(each, measured=None, fit=None, sensors=tuple(map(change, each.sensors)))
+            for each in (machine, *(other for other, _ in how.get("others", ())))
+        )
+        late = [settled.get("delay", delay) for _, delay in how.get("others", ())]
+        changes = how | settled | {"others": tuple(zip(others, late, strict=True))}
+        low, high = search_range(changed, changes["sample_time"])
+        if reached.on_model:  # what leads no further is none
+            low = max(low, min(reached.on_model.design_hz, 0.99 * high))
+        found = reach_one(changed, settings, changes | {"search_hz": (low, high)}).on_model
         if found is not None and found.crossing_hz.min() > (1 + WORTH) * before:
             gains.append([float(found.crossing_hz.min()), words])
     return [[words, f"{hertz:.1f}"] for hertz, words in sorted(gains, key=lambda each: -each[0])]
@@ -382,18 +396,18 @@ def own_functions(loop: Loop, controller: DigitalController) -> np.ndarray:
 
 
 def report(
-    machine: Machine,
-    found: dict[str, Reached],
+    made: Designed,
     best: str,
     controllers: list[DigitalController],
     peaks: dict[str, dict[str, float]],
+    proven: list[tuple[str, str]],
     helps: list[list[str]],
     box: list[list[str]],
     about: list[tuple[str, str]],
     files: list[str],
 ) -> str:
     """One page: the machine, how far each use of an observer gets, what was taken, its peaks, and how to run it."""
-    reached = found[best]
+    machine, reached = made.machine, made.found[best]
     where = list(next(iter(peaks.values())))
     sizes = [[SHOWN[name], *(f"{each[column]:.2f}" for column in where)] for name, each in peaks.items()]
     facts = [
@@ -409,8 +423,9 @@ def report(
         stopped=html.escape(reached.summary["stopped by"]),
         facts=table([], facts),
         box=table([], box or [["everything", "as the model has it: no uncertainty was asked for"]]),
-        uses=uses_table(found),
+        uses=uses_table(made),
         peaks=table(["peak", *where], sizes),
+        proven=table([], list(map(list, proven))),
         helps=table(["change", "bandwidth (Hz)"], helps or [["nothing that was tried", ""]]),
         machine=picture(paint_machine(machine), "accelerance of the model and of the measurement"),
         loops=picture(
@@ -420,13 +435,15 @@ def report(
     )
 
 
-def uses_table(found: dict[str, Reached]) -> str:
-    """How far each use of an observer gets, or why it gets nowhere."""
-    columns = list(dict.fromkeys(key for each in found.values() for key in each.summary))
+def uses_table(made: Designed) -> str:
+    """How far each use of an observer gets, or why it gets nowhere, and in which order."""
+    columns = list(dict.fromkeys(key for each in made.found.values() for key in each.summary))
     rows = [
-        [use, *(each.summary.get(key, "") for key in columns), each.reason] for use, each in found.items()
+        [use, *(each.summary.get(key, "") for key in columns), each.reason]
+        for use, each in made.found.items()
     ]
-    return table(["use", *columns, "why none"], rows)
+    words = "".join(f"<p>{html.escape(line)}</p>\n" for line in (*made.notes, made.ranking_line))
+    return words + table(["use", *columns, "why none"], rows)
 
 
 def paint_machine(machine: Machine):
@@ -471,8 +488,9 @@ def paint_loops(reached: Reached, controllers: list[DigitalController]):
     """The three loop functions of every sensor with the controllers' own numbers, and what they may reach."""
     figure, axes = figures.new(1, 3, height=2.8, sharey=True)
     colours = (figures.RED, figures.BLUE, figures.GREEN, figures.ORANGE)
-    for number, pair in enumerate(zip(reached.loops, controllers, strict=True)):
-        hertz = pair[0].omega / (2 * np.pi)
+    for number, loop in enumerate(reached.loops):
+        pair = loop, controllers[number % len(controllers)]
+        hertz = loop.omega / (2 * np.pi)
         for axis, name, response in zip(axes, FUNCTIONS, own_functions(*pair), strict=True):
             axis.semilogx(hertz, 20 * np.log10(np.abs(response)), linewidth=0.8, color=colours[number % 4])
             axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)

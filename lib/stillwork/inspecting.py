@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from stillwork.base.checks import InputError, counted, one_line, shown
-from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.datafiles import read_arrays, read_columns
+from stillwork.signals.densities import DENSITIES_SAID, frequency_axis, spectra_of
 from stillwork.signals.records import (
     MOTION_UNITS,
     UNITS_SAID,
@@ -18,7 +19,7 @@ from stillwork.signals.records import (
     stated_unit,
     unit_factor,
 )
-from workbook.own_files import figures_command, in_checkout, model_file, own_file
+from workbook.own_files import command, figures_command, in_checkout, model_file, own_file
 
 # What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
 # arguments, tables of parameters.
@@ -40,7 +41,7 @@ def inspect_file(file: str) -> str:
     with np.errstate(all="ignore"):  # what is not finite, a line says
         lines = [f"{path.name}: {own}"] if own else list(kinds.get(path.suffix.lower(), _data)(path))
     if not in_checkout() and any(line.startswith("for ") for line in lines):
-        lines.append("these commands are run in a checkout of stillwork")
+        lines.append("the commands behind 'for' are run in a checkout of stillwork")
     return "\n".join(map(one_line, lines))
 
 
@@ -50,12 +51,31 @@ def _data(path: Path) -> Iterator[str]:
     width = max(map(len, arrays), default=0)
     for name, values in arrays.items():
         yield f"  {name:{width}}  {_described(values)}"
+    if spectra_of(arrays):
+        yield from _spectra(path)
+        return
     machine = list(_machine(path, arrays))
     yield from machine
     # One hit's force and response may be an input-output record, too; several hits side by side are none.
     signals = [array for name, array in arrays.items() if array.size > 1 and not is_time(name)]
     if not machine or [np.squeeze(array).ndim for array in signals] == [1, 1]:
         yield from _record(path)
+
+
+def _spectra(path: Path) -> Iterator[str]:
+    """What takes spectra of a motion."""
+    columns = read_columns(path)
+    hertz, spectra = columns[frequency_axis(columns)], spectra_of(columns)
+    name, unit = next(iter(spectra.items()))
+    yield f"spectra over {len(hertz)} frequencies up to {hertz.max():.4g} Hz: {', '.join(spectra)}"
+    if not unit:
+        yield f"it does not say the unit of its densities; put one of these for UNIT: {DENSITIES_SAID}"
+    unit = unit or "UNIT"
+    yield command("one page about it", ["report", str(path.resolve()), "--unit", unit])
+    settings = {"floor_record": path.resolve(), "floor_unit": unit}
+    if len(spectra) > 1:
+        settings["floor_channels"] = json.dumps([name], ensure_ascii=False)
+    yield figures_command("isolation/08-your-floor", settings)
 
 
 def _record(path: Path) -> Iterator[str]:
@@ -120,9 +140,6 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
             resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
             yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}, first resonances at {resonances} Hz"
-            settings["mirrored_sensor"] = str(
-                len(machine.sensors) == 1 and machine.sensors[0].rigid_modes > 0
-            ).lower()
         else:
             hertz = file.accelerance.omega / (2 * np.pi)
             yield f"{kind} of a machine: {counted(len(hertz), 'line')} from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
@@ -136,6 +153,12 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
     except InputError as error:
         yield f"not a machine as it stands: {error}"
         return
+    words = [str(path.resolve())]
+    for name in ("response_unit", "force_unit", "response"):
+        if settings.get(name):
+            words += [f"--{name.replace('_', '-')}", settings[name]]
+    yield command("a controller in C", ["design", *words, "--rate", "HZ", "--out", "my_controller"])
+    yield command("one page about it", ["report", *words])
     yield figures_command("motion/29-your-machine", settings)
 
 

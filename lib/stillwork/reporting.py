@@ -1,7 +1,6 @@
 """The command ``report``: what a measurement says, on one page: a machine's, a record's, or power spectral densities."""
 
 import html
-import re
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,16 +10,9 @@ import numpy as np
 from scipy import integrate
 
 from stillwork.base.checks import InputError, one_line
-from stillwork.control.machine_loops import applications, reach
-from stillwork.designing import (
-    ADDED_DAMPING,
-    INTENSITIES,
-    RETAINED,
-    SELECTIVITY,
-    paint_machine,
-    paint_stabilisation,
-    uses_table,
-)
+from stillwork.base.extras import require_package
+from stillwork.control.machine_designs import DELAY, EACH, asked_uncertainty, search_designs
+from stillwork.designing import USES, paint_machine, paint_stabilisation, uses_table
 from stillwork.html_page import page, picture, table
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import (
@@ -31,7 +23,14 @@ from stillwork.identification.machine_files import (
 )
 from stillwork.inspecting import inspect_file
 from stillwork.signals.datafiles import read_arrays
-from stillwork.signals.densities import DENSITIES_SAID, density_unit, frequency_axis, read_densities
+from stillwork.signals.densities import (
+    DENSITIES_SAID,
+    density_unit,
+    frequency_axis,
+    read_densities,
+    spectra_of,
+    stated_density,
+)
 from stillwork.signals.records import (
     UNITS_SAID,
     Record,
@@ -43,6 +42,7 @@ from stillwork.signals.records import (
 )
 from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
 from workbook import figures
+from workbook.progress import Progress
 
 SEGMENTS = 16  # of a record, at least, in its spectra
 MOST_CHANNELS = 8  # of a record or of spectra on one page
@@ -83,10 +83,14 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
     """Write one page about the measurement in `file`, a new one; returns what was found, a line each.
 
     `said` is what the file may leave out: `unit` of a record or of densities, `response_unit`, `force_unit`, `response`,
-    `sample_rate` (Hz), `fit_hz`; empty or None where nothing is said. What is needed and said nowhere is `Missing`.
+    `sample_rate` (Hz), `damping_ratio` and `fit_hz`; and what a controller is searched for, as the command `design` has
+    it: `rate` (Hz), `delay` (samples), `uncertainty` and `loop_hz`. Empty or None where nothing is said: what is needed
+    of the file and said nowhere is `Missing`, what is searched for has a default, which the page prints.
     """
+    require_package("matplotlib")
     source = Path(file)
-    said = {name: value for name, value in said.items() if value}
+    said = {name: value for name, value in said.items() if value or (name == "delay" and value is not None)}
+    asked_uncertainty(said.get("uncertainty", ""))
     held = inspect_file(file)
     if source.suffix.lower() in (".toml", ".py"):
         raise InputError(
@@ -102,8 +106,7 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
         kind = kind_of(arrays)
     except InputError:
         kind = "densities" if frequency_axis(arrays) else "record"
-    real = kind == "frequency response" and not complex_responses(arrays)
-    if real and not re.search(r"\b(re|real|mag|magnitude|amplitude|gain)\b", " ".join(arrays).lower()):
+    if kind == "frequency response" and spectra_of(arrays):
         kind = "densities"
     parts = {"densities": _densities, "record": _record}.get(kind, _machine)
     lines, sections = [], []
@@ -117,9 +120,8 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
 
 
 def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
-    options = {
-        key: said[key] for key in ("response_unit", "force_unit", "sample_rate", "response") if key in said
-    }
+    reading = ("response_unit", "force_unit", "sample_rate", "response", "damping_ratio")
+    options = {key: said[key] for key in reading if key in said}
     kind = kind_of(arrays)
     if kind == "frequency response":
         several = list(complex_responses(arrays))
@@ -143,14 +145,17 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     yield "Modes", _modes(machine) + picture(paint_machine(machine), "accelerance")
     if machine.fit:
         yield "Stabilisation", picture(paint_stabilisation(machine.fit), "poles over the order")
+    asked = {"delay": DELAY} | {
+        key: said[key] for key in ("rate", "delay", "uncertainty", "loop_hz") if key in said
+    }
     try:
-        found = reach(
-            machine, applications(ADDED_DAMPING, SELECTIVITY), retained=RETAINED, intensities=INTENSITIES
-        )
+        with Progress(EACH * USES, task="report", unit="search", tell=True, aside=True) as progress:
+            made = search_designs(machine, **asked, told=lambda _: progress.step())
     except InputError as error:
         yield f"no loop was searched: {error}"
     else:
-        yield "How far a PID controller gets, and what an observer adds", uses_table(found)
+        yield from made.lines()
+        yield "How far a PID controller gets, and what an observer adds", uses_table(made)
 
 
 def _modes(machine: Machine) -> str:
@@ -196,7 +201,7 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
 
 def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     names = [name for name in arrays if name != frequency_axis(arrays)]
-    found = {each[1] for name in names if (each := re.search(r"[(\[](.+)[)\]]$", name.strip()))}
+    found = {stated_density(name) for name in names} - {""}
     unit = said.get("unit") or (found.pop() if len(found) == 1 else "")
     if not unit or not density_unit(unit):
         raise Missing("unit", f"{source.name} does not say the unit of its densities ({DENSITIES_SAID})")

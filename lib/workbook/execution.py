@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 
+from stillwork.base.checks import one_line
 from workbook import paths
 from workbook.inputs import read_inputs
 from workbook.jupyter_kernel import kernel_manager
@@ -54,6 +55,12 @@ class Failure:
     where: str
     error: str
     traceback: str = ""
+
+    def __post_init__(self):
+        # What a notebook raises may quote a file, and is printed on a terminal.
+        for name in ("where", "error", "traceback"):
+            lines = _plain(getattr(self, name)).split("\n")
+            object.__setattr__(self, name, "\n".join(map(one_line, lines)))
 
 
 @dataclass(frozen=True)
@@ -172,7 +179,7 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: Warm |
     except PapermillExecutionError as error:
         message = f"{error.ename}: {error.evalue}".strip().splitlines()[-1]
         # Wrong input says itself what to do; where it was refused deep in the library tells its reader nothing.
-        traceback = "" if error.ename == "InputError" else _plain("\n".join(error.traceback))
+        traceback = "" if error.ename == "InputError" else "\n".join(error.traceback)
         return Outcome(failure=Failure(_where(begun), message, traceback))
     except DeadKernelError:
         return Outcome(failure=Failure(_where(begun), manager.last_words()))

@@ -9,6 +9,7 @@ A module below `MODULES` stands with two digests, of its bytes and of its code (
 same nothing is parsed, and when they are not, its code decides. All else stands with one, of its bytes.
 """
 
+import errno
 import json
 import os
 import platform
@@ -28,6 +29,7 @@ ENVIRONMENT = ("environment: ", "setting ")
 KNOWN_BEFORE = ("cell ", "order ", "parameter ", "file ", *ENVIRONMENT)
 LEDGER = "ledger "
 VALUES = ("parameter ", *ENVIRONMENT)  # inputs kept as they are; of the others a digest
+ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.ELOOP)  # of what no file has as its name
 MODULES = ("lib/", "notebooks/")
 
 _digests: dict[tuple, str] = {}
@@ -85,7 +87,7 @@ def _code(name: str, wanted: str | None) -> str | None:
     if wanted not in _codes:
         try:
             source = (paths.root() / name).read_bytes()
-        except OSError:
+        except FileNotFoundError:
             return None
         if digest(source) != wanted:  # it changed meanwhile
             return None
@@ -101,7 +103,10 @@ def still(name: str, before: str) -> str | None:
 
 
 def present(name: str) -> str | None:
-    """The digest that a file, or the listing of a folder (``name/``), has now; None when there is none."""
+    """The digest that a file, or the listing of a folder (``name/``), has now; None when there is none.
+
+    An error of the disk is raised: what could not be read is not gone, and would be missing among a result's inputs.
+    """
     path = paths.root() / name
     try:
         if name.endswith("/"):
@@ -113,8 +118,12 @@ def present(name: str) -> str | None:
         if key not in _digests:
             _digests[key] = digest(path.read_bytes())
         return _digests[key]
-    except (OSError, ValueError):
+    except ValueError:  # no path, such as a text with a null
         return None
+    except OSError as error:
+        if error.errno in ABSENT:
+            return None
+        raise
 
 
 def present_again(before: dict[str, str]) -> dict[str, str]:

@@ -87,13 +87,18 @@ def _takers(path: Path, room: str) -> Iterator[str]:
 
 
 def figures_command(notebook: str, settings: dict) -> str:
-    """The line for a shell, with every name as one word of it."""
-    words = ["python", "-m", "stillwork", "figures", notebook]
-    for key, value in settings.items():
-        if not str(value).isprintable():  # a terminal acts on a control code that is pasted, quoted or not
-            return f"no command for {notebook}: {value} holds what cannot be typed; rename it and ask again"
-        words += ["-p", f"{key}={value}"]
-    return f"for {notebook}: {shlex.join(words)}"
+    """The line for a shell that runs a notebook with these settings."""
+    words = [word for key, value in settings.items() for word in ("-p", f"{key}={value}")]
+    return command(f"for {notebook}", ["figures", notebook, *words])
+
+
+def command(purpose: str, words: list[str]) -> str:
+    """A line for a shell, with every name as one word of it."""
+    for word in words:
+        if not word.isprintable():  # a terminal acts on a control code that is pasted, quoted or not
+            held = word.partition("=")[2] or word
+            return f"no command {purpose if purpose.startswith('for ') else 'for ' + purpose}: {held} holds what cannot be typed; rename it and ask again"
+    return f"{purpose}: {shlex.join(['python', '-m', 'stillwork', *words])}"
 
 
 def in_checkout() -> bool:

@@ -3,6 +3,7 @@
 import ast
 import math
 import typing
+import warnings
 from dataclasses import dataclass
 from types import UnionType
 
@@ -130,7 +131,11 @@ def _candidates(text: str):
     if text.lower() in words:
         yield words[text.lower()]
     try:
-        yield ast.literal_eval(text)
+        with warnings.catch_warnings(
+            action="ignore"
+        ):  # Python's doubts about a text such as 1if are not the user's
+            value = ast.literal_eval(text)
+        yield value
     except (ValueError, SyntaxError, MemoryError, RecursionError, OverflowError, TypeError):
         pass
     if "," in text:

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from importlib.util import find_spec
 
 
 class Progress:
@@ -15,13 +16,23 @@ class Progress:
         What runs, and what a step is.
     tell : bool
         Whether a line at every tenth stands for the bar where there is no terminal.
+    aside : bool
+        Lines go to the stream of errors, beside what a command prints.
     """
 
-    def __init__(self, total: int, *, task: str = "figures", unit: str = "cell", tell: bool = False):
+    def __init__(
+        self,
+        total: int,
+        *,
+        task: str = "figures",
+        unit: str = "cell",
+        tell: bool = False,
+        aside: bool = False,
+    ):
         self._bar = None
-        self._tell = tell
+        self._tell, self._aside = tell, aside
         self._task, self._total, self._done, self._begin = task, total, 0, time.monotonic()
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and find_spec("tqdm"):  # of an extra
             from tqdm import tqdm
 
             self._bar = tqdm(total=total, unit=unit, desc=task, leave=False)
@@ -42,7 +53,7 @@ class Progress:
     def say(self, line: str) -> None:
         if self._bar is not None:
             self._bar.clear()
-        print(line, flush=True)
+        print(line, flush=True, file=sys.stderr if self._aside else sys.stdout)
         if self._bar is not None:
             self._bar.refresh()
 

@@ -23,7 +23,13 @@ from stillwork.base.checks import (
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel
 from stillwork.estimation import covariance_forms
 from stillwork.estimation.adaptive import ferls_update, hold_triangle
-from stillwork.estimation.covariance_forms import add_triangle_information, factor_of, update_form
+from stillwork.estimation.covariance_forms import (
+    TRIANGLE,
+    add_triangle_information,
+    factor_of,
+    update_covariance,
+    update_form,
+)
 from workbook import figures
 from workbook.palette import COLOURS
 
@@ -208,19 +214,30 @@ def stability_map(
     return found
 
 
-@borrowing_kernel
 def recur(form, matrix, regressors, forgetting, column, row):
     """Update what the form keeps over a block in place, in the arrays' precision."""
-    # A loop a form: asked at every sample for its form, the compiler would optimise none of them.
+    # A kernel a form: asked at every sample for its form, the compiler would optimise none of them, and who looks at
+    # one of them does not wait for the others. Those that keep a factor are functions of their own anyway.
     if form == ONE_PRODUCT:
-        for k in range(len(regressors)):
-            _one_product(matrix, regressors[k], forgetting, column)
+        _one_products(matrix, regressors, forgetting, column)
     elif form == BOTH_PRODUCTS:
-        for k in range(len(regressors)):
-            _both_products(matrix, regressors[k], forgetting, column, row)
+        _both_products(matrix, regressors, forgetting, column, row)
+    elif form - 2 == TRIANGLE:
+        _triangles(matrix, regressors, forgetting, column)
     else:
-        for k in range(len(regressors)):
-            update_form(form - 2, matrix, regressors[k], forgetting, column, row)
+        _forms(form - 2, matrix, regressors, forgetting, column, row)
+
+
+@borrowing_kernel
+def _triangles(matrix, regressors, forgetting, column):
+    for k in range(len(regressors)):
+        update_covariance(matrix, regressors[k], forgetting, column)
+
+
+@borrowing_kernel
+def _forms(form, matrix, regressors, forgetting, column, row):
+    for k in range(len(regressors)):
+        update_form(form, matrix, regressors[k], forgetting, column, row)
 
 
 @inlined_kernel
@@ -237,31 +254,34 @@ def _multiply(matrix, psi, forgetting, column):
     return denominator
 
 
-@inlined_kernel
-def _one_product(matrix, psi, forgetting, column):
-    one, n = matrix.dtype.type(1), len(psi)
-    shrink = one / _multiply(matrix, psi, forgetting, column)
+@borrowing_kernel
+def _one_products(matrix, regressors, forgetting, column):
+    one, n = matrix.dtype.type(1), len(matrix)
     forget = one / forgetting
-    for i in range(n):
-        gain = column[i] * shrink
-        for j in range(n):
-            matrix[i, j] = (matrix[i, j] - gain * column[j]) * forget
-
-
-@inlined_kernel
-def _both_products(matrix, psi, forgetting, column, row):
-    one, n = matrix.dtype.type(1), len(psi)
-    shrink = one / _multiply(matrix, psi, forgetting, column)
-    forget = one / forgetting
-    for i in range(n):
-        row[i] = matrix[0, i] * psi[0]
-    for j in range(1, n):
+    for k in range(len(regressors)):
+        shrink = one / _multiply(matrix, regressors[k], forgetting, column)
         for i in range(n):
-            row[i] += matrix[j, i] * psi[j]
-    for i in range(n):
-        gain = column[i] * shrink
-        for j in range(n):
-            matrix[i, j] = (matrix[i, j] - gain * row[j]) * forget
+            gain = column[i] * shrink
+            for j in range(n):
+                matrix[i, j] = (matrix[i, j] - gain * column[j]) * forget
+
+
+@borrowing_kernel
+def _both_products(matrix, regressors, forgetting, column, row):
+    one, n = matrix.dtype.type(1), len(matrix)
+    forget = one / forgetting
+    for k in range(len(regressors)):
+        psi = regressors[k]
+        shrink = one / _multiply(matrix, psi, forgetting, column)
+        for i in range(n):
+            row[i] = matrix[0, i] * psi[0]
+        for j in range(1, n):
+            for i in range(n):
+                row[i] += matrix[j, i] * psi[j]
+        for i in range(n):
+            gain = column[i] * shrink
+            for j in range(n):
+                matrix[i, j] = (matrix[i, j] - gain * row[j]) * forget
 
 
 # === Cures ========================================================================================================

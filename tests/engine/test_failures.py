@@ -1,6 +1,8 @@
 """Whatever goes wrong in a build: the last good figures stand, the others go on, nothing is left behind."""
 
+import errno
 import os
+import re
 import resource
 import select
 import signal
@@ -8,11 +10,15 @@ import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from engine import toy as toys
 from engine.toy import until
+from workbook import paths
+from workbook.execution import Failure
+from workbook.inputs import present
 from workbook.warm import PROGRAM
 
 pytestmark = pytest.mark.slow
@@ -82,6 +88,35 @@ def test_a_notebook_that_raises(built):
     both = built.run("figures")
     assert both.stdout.endswith("\nthe last good results of 1 of these stand untouched\n")
     assert "last good results" not in built.run("figures", "isolation/03-third").stdout
+
+
+@pytest.mark.parametrize("code", [errno.EMFILE, errno.EIO, errno.EACCES])
+def test_what_a_disk_cannot_read_is_not_gone(code, tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "root", lambda: tmp_path)
+    (tmp_path / "a.csv").write_text("1")
+    assert present("a.csv") and present("./")
+    for absent in ("b.csv", "b/", "a.csv/", "a.csv/b", "x" * 5000, "a\0"):
+        assert present(absent) is None
+
+    def fail(*_, **__):
+        raise OSError(code, os.strerror(code))
+
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "listdir", fail)
+        broken.setattr(Path, "stat", fail)
+        for name in ("a.csv", "./"):
+            with pytest.raises(OSError, match=re.escape(os.strerror(code))):
+                present(name)
+
+
+def test_what_a_notebook_raises_steers_no_terminal():
+    failure = Failure(
+        "cell [1] a", "KeyError: a\x1b[2Jb\x07", "\x1b[31mTraceback\x1b[0m\n  a\x1b]0;title\x07"
+    )
+    assert (failure.error, failure.traceback) == (
+        r"KeyError: a\x1b[2Jb\x07",
+        "Traceback\n  a\\x1b]0;title\\x07",
+    )
 
 
 def test_wrong_input_is_told_once_and_without_a_traceback(built):

@@ -7,8 +7,7 @@ from scipy import signal
 from experiments.isolation.lanes import lanes
 from experiments.isolation.together import ferls_updates, hold_each
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import FeRls, ferls_update, hold_covariance
-from stillwork.estimation.covariance_forms import TRIANGLE
+from stillwork.estimation.adaptive import FeRls, ferls_update, hold_triangle
 
 RUNS, REGRESSORS, FORGETTING = 4, 3, 0.97
 
@@ -40,7 +39,7 @@ def advance_alone(weights, matrix, levels, gain, allowance, regressors, errors):
             weights, matrix, FORGETTING, levels, allowance, gain, regressors[k], errors[k]
         )
         if reached:
-            hold_covariance(TRIANGLE, matrix, FORGETTING, levels, gain, gain, 0)
+            hold_triangle(matrix, FORGETTING, levels, gain)
 
 
 # Of P(-1): at 1e4 only the power sets the limits, at 1e-3 P(-1) alone does, between them both.

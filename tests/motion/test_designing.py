@@ -15,13 +15,15 @@ from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.digital import from_biquads, load_controller
+from stillwork.control.machine_designs import ADDED_DAMPING, INTENSITIES, SELECTIVITY
 from stillwork.control.machine_loops import applications, pid_family, reach
 from stillwork.control.machine_tuning import DesignSettings, varied
-from stillwork.designing import ADDED_DAMPING, INTENSITIES, SELECTIVITY, design_file
+from stillwork.designing import design_file
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine, stated_units
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.retesting import retest_file
 from workbook import paths
 
 TEMPLATES = paths.data("motion", "your_machine")
@@ -58,6 +60,8 @@ def test_it_writes_all_of_it(written):
     page = (folder / "report.html").read_text()
     assert "&lt;pair&gt;.npz" in page and "<pair>" not in page and page.count("data:image/png;base64,") == 2
     assert not re.search(r"(src|href)=\"http|<script", page)
+    assert page.count(", proven") == 8 and "not proven" not in page
+    assert sum(line.count(", proven") for line in said) == 8
     assert said[0].endswith("40 kg; first resonance at 225.1 Hz") and said[-4].startswith("taken: ")
     assert held["provenance"]["uncertainty"] == {
         "frequency": [0.0, 0.05], "residue": [0.0, 0.0], "damping": [0.0, 0.0], "gain": 0.05, "mass": 0.0, "delay": 0.0
@@ -179,6 +183,104 @@ def test_notches_stand_where_tustin_puts_them():
     omega = 2 * np.pi * np.linspace(150, 300, 3001)
     lowest = omega[np.abs(pid.frequency_response(omega)[0, 0]).argmin()]
     assert lowest == pytest.approx(PAIR.frequencies[1], rel=1e-3)
+
+
+def held_response(machine, hertz):
+    """Of the machine behind SciPy's hold, a sample late, by solving at each frequency."""
+    model = machine.state_space()
+    a, b, c, d, _ = signal.cont2discrete((model.a, model.b, model.c, model.d), 1 / RATE)
+    z = np.exp(2j * np.pi * hertz / RATE)
+    rows = np.linalg.solve(z[:, None, None] * np.eye(len(a)) - a, np.broadcast_to(b, (len(z), *b.shape)))
+    return ((c @ rows)[:, 0, 0] + d[0, 0]) / z
+
+
+def changed(folder, factor, name="now.npz"):
+    """The same machine with its resonance elsewhere."""
+    np.savez(folder / name, M=MASS, K=factor**2 * STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
+    return str(folder / name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("factor", "holds", "inside"), [(1.0, True, True), (0.96, True, True), (0.6, False, False)]
+)
+def test_a_retest_says_whether_the_promise_holds(written, tmp_path, monkeypatch, factor, holds, inside):
+    """From 10 decibels down to the machine of the design, whose peaks are those of the design's page."""
+    monkeypatch.chdir(tmp_path)
+    controller = str(written[0] / "controller.json")
+    assert main(["retest", controller, changed(tmp_path, factor), "--out", "page.html"]) == 0
+    lines = retest_file(controller, "now.npz", "again.html")
+    assert ("the promise holds" in lines[0]) == holds and ("design again" in lines[0]) == (not holds)
+    assert any("outside the box" in line for line in lines) == (not inside)
+    sizes = dict(re.findall(r"(S_I|S_O|r to e_true) ([-.\d]+) dB", lines[1]))
+    assert (max(map(float, sizes.values())) <= 6.01) or not holds
+    page = (tmp_path / "page.html").read_text()
+    assert "What has changed" in page and lines[0] in page and page.count("data:image/png;base64,") == 1
+    if factor == 1.0:
+        told = (written[0] / "report.html").read_text()
+        for name, size in sizes.items():
+            assert f"<td>{name}</td><td>{size}</td>" in told
+
+
+@pytest.mark.slow
+def test_a_sensitivity_measured_in_the_loop_is_a_retest(written, tmp_path):
+    """S by SciPy's hold alone: its own peak comes back, and the tracking error that it implies."""
+    controller = load_controller(written[0] / "controller.json")
+    hertz = np.unique(np.concatenate([np.geomspace(1.0, 4e3, 2000), np.linspace(200, 250, 500)]))
+    plant = held_response(PAIR, hertz)
+    k_r, k_y = controller.linear.frequency_response(2 * np.pi * hertz)[0]
+    sensitivity = 1 / (1 - k_y * plant)
+    np.savez(tmp_path / "s.npz", **{"frequency (Hz)": hertz, "s": sensitivity})
+    said = retest_file(
+        str(written[0] / "controller.json"), str(tmp_path / "s.npz"), str(tmp_path / "page.html"), closed_loop=True
+    )  # fmt: skip
+    assert "the promise holds" in said[0]
+    sizes = dict(re.findall(r"(S_I|S_O|r to e_true) ([-.\d]+) dB", said[1]))
+    assert float(sizes["S_O"]) == pytest.approx(20 * np.log10(np.abs(sensitivity).max()), abs=0.006)
+    error = np.abs(1 - k_r * plant * sensitivity).max()
+    assert float(sizes["r to e_true"]) == pytest.approx(20 * np.log10(error), abs=0.006)
+
+
+def test_a_controller_without_its_observer_is_not_retested(tmp_path):
+    (tmp_path / "my.toml").write_text(
+        "[controller]\nrate_hz = 1e4\nbiquads = [[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]\n"
+    )
+    with pytest.raises(InputError, match=r"^my\.toml: 'provenance'"):
+        retest_file(str(tmp_path / "my.toml"), changed(tmp_path, 1.0), str(tmp_path / "page.html"))
+
+
+@pytest.mark.slow
+def test_several_responses_are_all_served(written, tmp_path):
+    """Loaded by 4 kg, the resonance lower: one controller keeps six decibels on both, and in the box around each."""
+    np.savez(tmp_path / "free.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
+    loaded = MASS + np.diag([0.0, 4.0])
+    np.savez(tmp_path / "loaded.npz", M=loaded, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
+    files = [str(tmp_path / name) for name in ("free.npz", "loaded.npz")]
+    said = design_file(files, str(tmp_path / "out"), RATE)
+    held = json.loads((tmp_path / "out" / "controller.json").read_text())
+    assert held["provenance"]["others"][0]["file"] == "loaded.npz"
+    assert "loaded.npz" in (tmp_path / "out" / "report.html").read_text()
+    linear = load_controller(tmp_path / "out" / "controller.json").linear
+    hertz = np.concatenate([np.geomspace(0.5, 4e3, 3000), np.linspace(180, 245, 4000)])
+    k_r, k_y = linear.frequency_response(2 * np.pi * hertz)[0]
+    for mass in (MASS, loaded):
+        for factor in (0.95, 1.0, 1.05):
+            for gain in (0.95, 1.05):
+                machine = modal_model(
+                    mass, factor**2 * STIFFNESS, [[1.0], [0.0]], [[0.0, gain]], damping_ratio=0.005
+                )
+                p = held_response(machine, hertz)
+                assert 20 * np.log10(np.abs(1 / (1 - k_y * p)).max()) < 6.01
+                assert 20 * np.log10(np.abs(1 - k_r * p / (1 - k_y * p)).max()) < 6.01
+    alone = float(re.search(r"from the furthest: [^,]*? ([\d.]+) Hz", "\n".join(written[1]))[1])
+    both = float(re.search(r"from the furthest: [^,]*? ([\d.]+) Hz", "\n".join(said))[1])
+    assert both < alone
+
+
+def test_responses_that_move_against_each_other_are_refused(tmp_path):
+    np.savez(tmp_path / "other.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, -1.0]])
+    with pytest.raises(InputError, match=r"^other\.npz moves against now\.npz"):
+        design_file([changed(tmp_path, 1.0), str(tmp_path / "other.npz")], str(tmp_path / "out"), RATE)
 
 
 CLOSED = """

@@ -227,7 +227,7 @@ def test_a_search_does_not_end_at_an_unstable_design_whose_peaks_are_low():
             [unstable], FAMILY, [PeakConstraint("input_sensitivity", limit)], 20.0, 60.0, lowest=True
         )
         assert found.design_hz == pytest.approx(30.0, abs=1e-3) and found.function == "stability"
-    with pytest.raises(Infeasible, match=r"\b40 \w+ 60 Hz.*stability.*loop 1\b"):
+    with pytest.raises(Infeasible, match=r"\b40 \w+ 60 Hz.*stability"):
         maximise_bandwidth([unstable], FAMILY, [PeakConstraint("input_sensitivity")], 40.0, 60.0, lowest=True)
 
 

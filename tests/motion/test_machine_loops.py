@@ -153,7 +153,7 @@ def test_the_lowest_of_two_intervals_is_taken():
     ended = maximise_bandwidth([machine_plant], family, limits, 5.0, 80.0, lowest=True)
     assert ended.design_hz == pytest.approx(80.0) and ended.function == "the end of the search"
     with pytest.raises(InputError, match=r"25 Hz input sensitivity.*loop 1\b"):
-        maximise_bandwidth([machine_plant], gapped, limits, 25.0, 50.0, lowest=True)
+        maximise_bandwidth([machine_plant] * 2, gapped, limits, 25.0, 50.0, lowest=True)
 
 
 # ----------------------------------------------------------------------------------------------------- sampled loops

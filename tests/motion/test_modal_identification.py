@@ -11,6 +11,7 @@ from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import brought_forward, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
+from workbook import paths
 
 
 def accelerance(hertz, mass, modes):
@@ -347,3 +348,31 @@ def test_a_body_without_friction_is_given_none():
     response = response * (1 + 0.01 * (errors[0] + 1j * errors[1]) / np.sqrt(2))
     fit = identify_modes(Identified(omega, response, np.full(len(omega), 1 / (1 + 1e-4))), (4.0, 159.75))
     assert fit.model.drag == 0.0
+
+
+def test_the_modes_of_a_suspension_are_found_over_the_whole_band():
+    """Measured: modes at 0.50, 0.68 and 2.75 Hz, few of 1,280 even lines up to 10 Hz; from 0.2 to 5 Hz they stand out."""
+    source = paths.data("motion", "suspension_pitch/pitch.npz")
+    file = load_machine(source, "rad", "N m")
+    whole, given = (
+        build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
+        for band in ((0.0, 0.0), (0.2, 5.0))
+    )
+    for hertz in (0.502, 0.677, 2.745):
+        assert np.abs(whole.resonances_hz / hertz - 1).min() < 2e-3
+        assert np.abs(given.resonances_hz / hertz - 1).min() < 2e-3
+    assert any("fitted from 0.2" in note and "fit_hz" in note for note in whole.notes)
+    assert not any("fitted from" in note for note in given.notes)
+
+
+def test_a_band_with_one_resonance_is_told_what_it_lacks(tmp_path):
+    """A mass on springs, 1 Hz, and nothing else: within a part of the measurement and over all of it."""
+    hertz = np.arange(0.05, 12.0, 0.01)
+    s = 2j * np.pi * hertz
+    np.savez(
+        tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/N)": 1 / (s**2 + 0.3 * s + (2 * np.pi) ** 2)}
+    )
+    file = load_machine(tmp_path / "a.npz")
+    for band, told in (((0.0, 0.0), "measure further"), ((0.05, 6.0), "widen fit_hz")):
+        with pytest.raises(InputError, match=rf"a\.npz has one resonance .*at 1 Hz.*{told}"):
+            build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)

@@ -22,8 +22,8 @@ from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
 from experiments.motion.rig_loops import (
     MEASURES,
+    Positions,
     RigLoop,
-    Stage,
     make_rig_loop,
     maximise_rig_bandwidth,
     sampled_controller,
@@ -34,7 +34,7 @@ from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.loops import channel
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti.discretisation import prewarped, tustin, zoh_modes, zoh_response
+from stillwork.lti.discretisation import continuous_poles, prewarped, tustin, zoh_modes, zoh_response
 
 SAMPLE_TIME = 1e-4
 GEOMETRY = assumed_geometry()
@@ -322,18 +322,31 @@ def test_search_on_a_coarse_grid_finds_the_peaks_between_its_points(loops):
     assert np.max(fine.at(found.pids)) < SIX_DB * (1 + 1e-3)
 
 
-def test_a_stage_knows_what_its_loop_answers(loops):
-    """On a grid that has gained points too, to the last bit: a search must not depend on what it asked before."""
-    family, loop = rig_controllers(GEOMETRY.edge_masses), loops["MC and AD"][0]
-    before = Stage(loop)
+def test_positions_know_what_their_loops_answer(loops):
+    """On grids that have gained points too, to the last bit: a search must not depend on what it asked before."""
+    family, every = rig_controllers(GEOMETRY.edge_masses), [*loops["MC and AD"], *loops["AD"]]
+    before = Positions(every)
     designs = [family(hertz, 1.2 * hertz) for hertz in (5.0, 10.0, 12.0)]
     for pids in designs[:2]:
         before.at(pids)
-    stage = before.denser(designs[1])
-    assert len(stage.omega) > len(loop.omega)
+    positions = before.denser(designs[1])
+    assert len(positions.omega) > len(before.omega)
     for pids in designs:
-        np.testing.assert_array_equal(stage.at(pids), stage.loop.at(pids))
-        np.testing.assert_array_equal(stage.poles(pids), loop.poles(pids))
+        for loop, sizes in zip(positions.loops, positions.each_at(pids), strict=True):
+            np.testing.assert_array_equal(sizes, loop.at(pids))
+        for loop, poles in zip(positions.loops, positions.each_poles(pids), strict=True):
+            np.testing.assert_array_equal(poles, loop.poles(pids))
+        last = positions.within(pids, slice(-1, None))
+        np.testing.assert_array_equal(np.ravel(last), np.array(positions.loops[-1].at(pids))[:, -1])
+
+
+@pytest.mark.parametrize("case", ["Original", "MC and AD"])
+def test_poles_are_those_of_the_whole_loop(loops, case):
+    loop, pids = loops[case][0], rig_controllers(GEOMETRY.edge_masses)(4.0, 5.0)
+    whole = continuous_poles(loop.closed(pids).poles, SAMPLE_TIME)
+    far = np.abs(loop.poles(pids)[:, None] - whole)
+    assert far.shape == (len(whole), len(whole))
+    assert np.all(far.min(axis=0) < 1e-6 * np.abs(whole))  # three integrators in a row meet at zero
 
 
 def test_a_search_looks_for_the_crossings_once_and_for_no_poles_twice(loops, monkeypatch):

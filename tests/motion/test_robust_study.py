@@ -295,6 +295,19 @@ def test_tracking_trial_repeats_and_compares_all_cases():
     assert exact["AD"] < exact["none"]
 
 
+def test_an_exact_plant_is_known_by_its_designs():
+    """What it answers is kept from run to run: a plant whose errors vanish beside 1 is computed each time."""
+    designs = published_blocks()
+    for chosen in (["none", "AD"], ["none"]):
+        blocks = {case: designs["none" if case == "none" else chosen[-1]] for case in ("none", "AD")}
+        for seed in (1, 2):
+            kept, computed = (
+                tracking_trial(np.random.default_rng(seed), blocks, size) for size in (0.0, 1e-300)
+            )
+            assert kept == computed
+        assert (kept["AD"] == kept["none"]) == (len(chosen) == 1)
+
+
 def test_shapes_that_do_not_fit_the_uncertain_modes_are_named(scan):
     model = filter_model(scan)
     sampled = sampled_derivatives(scan.nominal, scan.sample_time)

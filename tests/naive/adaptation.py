@@ -65,11 +65,13 @@ def weighted_least_squares(regressors, disturbance, initial_covariance, forgetti
 
 
 def limited(covariance, limits):
-    """P after adding information along each axis whose variance exceeds its limit, by explicit inverses."""
-    for i, limit in enumerate(limits):
-        if covariance[i, i] > limit:
-            axis = np.zeros(len(limits))
-            axis[i] = 1
-            information = (1 / limit - 1 / covariance[i, i]) * np.outer(axis, axis)
+    """P after adding information along the axis whose variance exceeds its limit most, in turn, by explicit inverses."""
+    left = list(range(len(limits)))
+    while left:
+        excess = np.diag(covariance)[left] / limits[left]
+        i = left.pop(int(np.argmax(excess)))
+        if excess.max() > 1:
+            information = np.zeros_like(covariance)
+            information[i, i] = 1 / limits[i] - 1 / covariance[i, i]
             covariance = np.linalg.inv(np.linalg.inv(covariance) + information)
     return covariance

@@ -49,12 +49,14 @@ class Complex:
         return self.re**2 + self.im**2
 
 
-def gain(model, w):
-    """Largest singular value of C (sI - A)^-1 B + D at s = jw, or at z = (1 + jw) / (1 - jw); one or two inputs."""
+def place(model, w):
+    """s = jw, or z = (1 + jw) / (1 - jw)."""
+    return Complex(1, w) / Complex(1, -w) if model.sample_time else Complex(0, w)
+
+
+def response(model, s):
+    """C (sI - A)^-1 B + D at s, rows of complex numbers."""
     n, inputs = model.b.shape
-    s = Complex(0, w)
-    if model.sample_time:
-        s = Complex(1, w) / Complex(1, -w)
     rows = [
         [Complex(-Decimal(float(x))) for x in a] + [Complex(Decimal(float(x))) for x in b]
         for a, b in zip(model.a, model.b, strict=True)
@@ -85,6 +87,12 @@ def gain(model, w):
             for k in range(n):
                 total = total + Complex(Decimal(float(line[k]))) * solved[k][j]
             found[i].append(total)
+    return found
+
+
+def gain(model, w):
+    """Largest singular value at `place`; one or two inputs."""
+    found, inputs = response(model, place(model, w)), model.b.shape[1]
     columns = [[row[j] for row in found] for j in range(inputs)]
     if inputs == 1:
         return sum(each.square() for each in columns[0]).sqrt()

@@ -1,6 +1,7 @@
 import re
 from decimal import Decimal
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from stillwork.base.checks import (
     require_finite_run,
     require_number,
 )
+from stillwork.base.toml_files import read_toml
 from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.recursive import RecursiveStepper
 from stillwork.estimation.recursive_settings import LeastSquares
@@ -26,6 +28,7 @@ from stillwork.identification.regressors import arx_regressors, exponential_weig
 from stillwork.lti.delays import delayed
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.state_space import StateModel
+from stillwork.signals import load_record
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -39,6 +42,41 @@ def test_nearest_suggests_only_what_is_near():
 @pytest.mark.parametrize("word", ["stage", 3, None])
 def test_what_is_no_text_is_near_nothing(word):
     assert nearest(word, [1, None, "drive"]) == ""
+
+
+def steers(text: str) -> bool:
+    return not all(each.isprintable() for each in text)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        pytest.param(lambda hostile: require_choice("floor", hostile, ["flat"]), id="an argument"),
+        pytest.param(
+            lambda hostile: require_number(f"deviations[{hostile}]", "x"), id="a name in an argument"
+        ),
+        pytest.param(lambda hostile: load_record(f"{hostile}.csv", "m"), id="a file that is not there"),
+        pytest.param(
+            lambda hostile: read_toml(written("a.toml", f"a = 1\n{hostile} = 2")), id="a broken TOML file"
+        ),
+        pytest.param(
+            lambda hostile: load_record(written("a.csv", f"time,{hostile}\n1,2\n1,x\n"), "m"),
+            id="a column's name",
+        ),
+    ],
+)
+def test_what_a_message_quotes_steers_no_terminal(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for hostile in ("a\x1b[2Jb", "a\x07b", "a\u202eb", "a\x9bb"):
+        with pytest.raises(InputError) as refused:
+            call(hostile)
+        assert not steers(str(refused.value)), hostile
+    assert str(InputError("a\nb \x1b[31mred")) == "a\\nb \\x1b[31mred"
+
+
+def written(name: str, content: str) -> Path:
+    Path(name).write_text(content)
+    return Path(name)
 
 
 @pytest.mark.parametrize(("axis", "sample"), [(0, 1), (1, 2), (-1, 2)])

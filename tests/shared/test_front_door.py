@@ -134,6 +134,50 @@ def test_a_result_that_is_not_finite_is_an_error():
         endless(0.0)
 
 
+def test_a_result_out_of_range_names_the_argument_farthest_from_1():
+    @checked
+    def product(number: float, others: Sequence[Part], matrix: Float64[np.ndarray, "a b"]) -> float:
+        return float(np.float64(number) * others[0].size * matrix.sum() ** 2)
+
+    part = Part(1e250, np.ones((1, 2)))
+    with pytest.raises(InputError, match=r"^product\b.*: look at others\[0\]\.size \(1e\+250\)$"):
+        product(3.0, [part], matrix=[[1e29]])
+    with pytest.raises(InputError, match=r"^product\b.*: look at matrix \(1e\+200\)$"):
+        product(3.0, [Part(1.0, part.rows)], matrix=[[-1e200]])
+
+    @checked
+    def inverse(matrix: Float64[np.ndarray, "a a"], model: Part):
+        return np.linalg.inv(matrix)
+
+    with pytest.raises(InputError, match=r"^inverse\b.*: look at matrix, model\.size, model\.rows$"):
+        inverse(np.zeros((2, 2)), Part(1.0, [[1, 2]]))
+
+
+def test_arguments_that_do_not_fit_together_are_named_with_their_sizes():
+    @checked
+    def applied(matrix: Float64[np.ndarray, "a b"], model: Part, vector: Float64[np.ndarray, " b"]):
+        return matrix @ vector
+
+    with pytest.raises(
+        InputError, match=r"\bmatrix 2 x 3, model\.size a number, model\.rows 1 x 2, vector 2$"
+    ):
+        applied(np.ones((2, 3)), Part(1.0, [[1, 2]]), vector=[1.0, 2.0])
+
+
+def test_numpy_warns_of_a_readers_own_function_alone(recwarn):
+    @checked(infinite=True)
+    def overflown(number: float, call: Callable) -> float:
+        return float(np.float64(number) * 1e300 + call(1.0))
+
+    assert overflown(1e300, abs) == np.inf
+    assert [str(each.message) for each in recwarn] == []
+    overflown(1.0, lambda number: np.float64(number) / 0.0)
+    assert [each.category for each in recwarn] == [RuntimeWarning]
+    with np.errstate(divide="ignore"):
+        overflown(1.0, lambda number: np.float64(number) / 0.0)
+    assert len(recwarn) == 1
+
+
 def test_what_a_library_said_is_quoted_as_it_said_it():
     @checked
     def solved(number: float):

@@ -202,6 +202,14 @@ def test_a_unit_of_time_changes_no_answer(name, rate):
 # Of channels, or of rows, that come in another order what comes out in the order of before.
 ORDER = np.array([2, 0, 1])
 BACK = np.argsort(ORDER)
+
+
+def quieter(shape):
+    """Correlated rows that fall silent, one combination after the other, so that several limits act in a sample."""
+    rows = noise(7, (shape[0], shape[0])) @ noise(shape=shape)
+    return rows * np.exp(-np.arange(shape[1]) / 60)
+
+
 ORDERS = {
     "spectrum": lambda o, b: signals.estimate_spectrum(noise(shape=(3, 900))[o], 1000.0, 5.0).density[b],
     "response": lambda o, b: signals.estimate_response(
@@ -213,10 +221,18 @@ ORDERS = {
     "FeRLS": lambda o, b: adapted(
         estimation.FeRls(1e3, 0.99, growth_limit=np.inf), noise(shape=(3, 500))[o], noise(1, (1, 500))
     )[:, b],
+    "FeRLS at its limits": lambda o, b: adapted(
+        estimation.FeRls(1.0, 0.98, growth_limit=1.0), quieter((3, 500))[o], noise(1, (1, 500))
+    )[:, b],
     "FeLMS": lambda o, b: adapted(estimation.FeLms(0.1), noise(shape=(3, 500))[o], noise(1, (1, 500)))[:, b],
     "min-max": lambda o, b: estimation.min_max_solve(noise(shape=(9, 3))[:, o], noise(1, 9), 0.3).estimate[b],
     "least squares": lambda o, b: estimation.run(
         estimation.LeastSquares(0.98, initial_covariance=10.0), noise(shape=(3, 300))[o], noise(1, 300)
+    ).estimates[b],
+    "least squares at their limits": lambda o, b: estimation.run(
+        estimation.LeastSquares(0.98, initial_covariance=1.0, growth_limit=1.0),
+        quieter((3, 300))[o],
+        noise(1, 300),
     ).estimates[b],
     "recursive min-max": lambda o, b: estimation.run(
         estimation.MinMax(bound=2.0, forgetting=0.98), noise(shape=(3, 300))[o], noise(1, 300)

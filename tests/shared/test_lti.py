@@ -26,7 +26,7 @@ from stillwork.lti.discretisation import (
 )
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.lti.peaks import refine_peak
-from stillwork.lti.state_space import constant
+from stillwork.lti.state_space import constant, response_between
 
 GRID = lti.resonance_grid(stage().poles, 1.0, 1e4, 400, 20)
 
@@ -92,6 +92,16 @@ def test_a_grid_is_dense_where_a_pole_is_narrow():
     grid = lti.resonance_grid([-0.05 + 500j, -0.05 - 500j], 1.0, 1000.0)
     near = grid[np.abs(grid - 500) < 0.1]  # twice the half width of the resonance
     assert len(near) > 8 and np.diff(near).max() < 0.05
+
+
+@pytest.mark.parametrize("samples", [0, 1, 3])
+def test_between_the_points_of_a_grid_the_response_is_the_same(samples):
+    """Of a model whose eigenvectors are too skew, as a line of delays makes them, and of one where they are not."""
+    model = delayed(zoh_modes(random_modal(5), 1e-4), samples)
+    omega = np.linspace(20.0, 6e3, 41)
+    expected = model.frequency_response(omega)
+    found = response_between(model, omega)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
 def test_discrete_response_is_that_of_python_control():

@@ -66,11 +66,12 @@ def test_it_holds_the_toolbox_and_no_more(wheel):
 def test_its_metadata_name_the_command_and_the_extras(wheel):
     (info,) = {name.partition("/")[0] for name in wheel.namelist() if ".dist-info/" in name}
     metadata = Parser().parsestr(wheel.read(f"{info}/METADATA").decode())
-    assert metadata.get_all("Provides-Extra") == ["all", "control", "data", "site", "workbook"]
+    assert metadata.get_all("Provides-Extra") == ["all", "control", "data", "design", "site", "workbook"]
     needed = metadata.get_all("Requires-Dist")
     core = [each.partition(">")[0] for each in needed if "extra" not in each]
     assert [each.partition("<")[0] for each in core] == ["jaxtyping", "numba", "numpy", "scipy"]
     assert "pandas>=2.2; extra == 'data'" in needed and "pandas>=2.2; extra == 'workbook'" in needed
+    assert "matplotlib>=3.10; extra == 'design'" in needed and "pandas>=2.2; extra == 'design'" in needed
     assert "stillwork = stillwork.__main__:main" in wheel.read(f"{info}/entry_points.txt").decode()
 
 
@@ -91,6 +92,17 @@ def test_inspect_works_without_a_checkout(wheel, tmp_path):
     done = _run(wheel, tmp_path, "inspect", str(ROOT / "data" / "isolation" / "fitted.toml"))
     assert done.returncode == 0, done.stderr
     assert "checkout" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["design", "report"])
+def test_a_page_that_cannot_be_drawn_is_told_before_anything_is_computed(wheel, tmp_path, command):
+    """Nothing of the file is read: it is not there."""
+    arguments = {"design": ["--rate", "1e4", "--out", "out"]}.get(command, [])
+    done = _run(wheel, tmp_path, command, "missing.csv", *arguments)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr == "stillwork: matplotlib is not installed; pip install 'stillwork[design]'\n"
+    assert {each.name for each in tmp_path.iterdir()} == {"installed"}
 
 
 @pytest.mark.slow
@@ -128,7 +140,7 @@ def test_its_weight_is_that_of_what_it_brings(tmp_path):
 def test_what_is_missing_is_asked_of_the_extra_that_brings_it():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     imported = {"griffelib": "griffe"}
-    for extra in ("data", "control", "site"):
+    for extra in ("data", "control", "design", "site"):
         brought = {each.partition(">")[0] for each in extras[extra] if not each.startswith("stillwork")}
         assert {imported.get(each, each) for each in brought} == {
             name for name, of in BY_PACKAGE.items() if of == extra

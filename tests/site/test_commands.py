@@ -285,6 +285,12 @@ def test_an_error_is_one_line_whatever_the_file_is_called(tmp_path, capsys):
         assert said.endswith("\n") and said[:-1].isprintable() and "no such file" in said
 
 
+def test_what_a_command_prints_steers_no_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(inspecting, "inspect_file", lambda file: "one \x1b[2J\ntwo")
+    main(["inspect", "a.csv"])
+    assert capsys.readouterr().out == "one \\x1b[2J\ntwo\n"
+
+
 def test_a_record_too_short_for_a_floor_gets_no_command_for_it(tmp_path):
     assert inspecting.SHORTEST_FLOOR_S == SHORTEST_S
     rows = "\n".join(f"{i / 100},{i % 7}" for i in range(1400))
@@ -323,7 +329,7 @@ def test_an_input_output_record_in_volts_is_for_the_room_that_takes_it():
         (
             "matrices",
             "matrices of a machine of 12 kg, first resonances at 355.9, 616.4 Hz",
-            {"mirrored_sensor": False},
+            {},
         ),
     ],
 )
@@ -332,6 +338,12 @@ def test_every_form_of_a_machine_is_recognised(name, said, settings):
     report = inspect_file(str(file))
     assert said in report
     assert commands(report) == {"motion/29-your-machine": {"machine_file": str(file), **settings}}
+    lines = report.splitlines()
+    design, page, notebook = (
+        next(k for k, line in enumerate(lines) if f"stillwork {word} " in line)
+        for word in ("design", "report", "figures")
+    )
+    assert design < page < notebook and str(file) in lines[design] and "--rate HZ" in lines[design]
 
 
 def test_hits_side_by_side_are_no_input_output_record():
@@ -347,6 +359,27 @@ def test_several_complex_responses_name_the_first(tmp_path):
     assert "unit of the response" in report
     found = commands(report)["motion/29-your-machine"]
     assert found["response"] == "h1" and found["response_unit"] == "UNIT"
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [
+        ("ground_m_rthz", "m/sqrt(Hz)"),
+        ("floor_nm_s_rthz", "nm/s/sqrt(Hz)"),
+        ("floor_um_s2_2_hz", "(um/s^2)^2/Hz"),
+        ("floor ((m/s)^2/Hz)", "(m/s)^2/Hz"),
+        ("floor", "UNIT"),
+    ],
+)
+def test_spectra_are_recognised_as_spectra(tmp_path, column, unit):
+    hertz = np.arange(1.0, 100.0)
+    np.savez(tmp_path / "a.npz", **{"f_hz": hertz, column: 1 / hertz})
+    report = inspect_file(str(tmp_path / "a.npz"))
+    assert commands(report) == {
+        "isolation/08-your-floor": {"floor_record": str(tmp_path / "a.npz"), "floor_unit": unit}
+    }
+    assert f"spectra over 99 frequencies up to 99 Hz: {column}" in report and "not a" not in report
+    assert ("put one of these for UNIT" in report) == (unit == "UNIT")
 
 
 def test_a_machine_that_cannot_be_used_says_why(tmp_path):

@@ -28,6 +28,7 @@ BUILDS = [line for line in LINES if line.startswith("make figures")]
 INSPECTIONS = [line for line in LINES if line.startswith("python -m stillwork inspect")]
 CODE = [line for line in LINES if line.startswith("python -m stillwork design")]
 EXPORTS = [line for line in LINES if line.startswith("python -m stillwork export")]
+RETESTS = [line for line in LINES if line.startswith("python -m stillwork retest")]
 REPORTS = [line for line in LINES if line.startswith("python -m stillwork report")]
 SNIPPETS = [block for language, block in BLOCKS if language == "python"]
 COPIES = dict(line.split()[:0:-1] for line in LINES if line.startswith("cp "))
@@ -52,7 +53,8 @@ def test_every_command_is_one_that_these_tests_know():
     others = [
         line
         for line in LINES
-        if line not in BUILDS + INSPECTIONS + CODE + EXPORTS + REPORTS and not line.startswith("cp ")
+        if line not in BUILDS + INSPECTIONS + CODE + RETESTS + EXPORTS + REPORTS
+        and not line.startswith("cp ")
     ]
     assert others == [
         "make doctor",
@@ -63,7 +65,7 @@ def test_every_command_is_one_that_these_tests_know():
     assert {
         line.split()[1] for line in LINES + re.findall(r"`(make [a-z]+)`", GUIDE) if line.startswith("make")
     } <= set(targets)
-    assert all((BUILDS, INSPECTIONS, CODE, EXPORTS, REPORTS))
+    assert all((BUILDS, INSPECTIONS, CODE, RETESTS, EXPORTS, REPORTS))
 
 
 @pytest.mark.slow
@@ -112,6 +114,10 @@ def test_a_design_writes_the_files_that_the_guide_names(line, checkout, tmp_path
     k_r, k_y = controller.linear.frequency_response(omega)[0]
     for size in (1 / (1 - k_y * plant), 1 - k_r * plant / (1 - k_y * plant)):
         assert 1.5 < np.abs(size).max() < 10 ** (6.01 / 20)
+    [again] = [shlex.split(each)[3:] for each in RETESTS]
+    again[1], again[-1] = str(tmp_path / "code" / "controller.json"), str(tmp_path / again[-1])
+    assert main(again) == 0
+    assert "the promise holds" in (tmp_path / "retest.html").read_text(encoding="utf-8")
 
 
 def test_the_table_of_a_controller_is_exported(tmp_path):

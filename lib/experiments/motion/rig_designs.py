@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 
 import numpy as np
 from jaxtyping import Float64
@@ -109,8 +109,13 @@ def rig_loops(
 
 def rig_controllers(masses: Float64[np.ndarray, "3"]) -> Callable[[float, float], tuple[Pid, Pid, Pid]]:
     """PIDs on the motions of the edges from the design bandwidths of z and of both rotations (Hz)."""
-    z, rx, ry = (PidFamily(mass) for mass in masses.tolist())
+    z, rx, ry = (partial(_pid, mass) for mass in masses.tolist())
     return lambda z_hz, rotation_hz: (z(z_hz), rx(rotation_hz), ry(rotation_hz))
+
+
+@lru_cache(maxsize=10_000)  # all searches of one geometry begin with the same ones
+def _pid(mass: float, bandwidth_hz: float) -> Pid:
+    return PidFamily(mass)(bandwidth_hz)
 
 
 def bandwidths(loops: dict[str, list[RigLoop]], measure: str) -> dict[str, RigBandwidth]:

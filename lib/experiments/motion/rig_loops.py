@@ -18,12 +18,12 @@ from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, PeakConstraint, maximise_bandwidth
 from stillwork.control.crossover import crossover
-from stillwork.control.loops import closed_loop
+from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import continuous_poles, prewarped, tustin, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel, constant, interconnect
 
 # Section 6.1: both orders of the plant with the controller, at the controller and at the plant, and the true error.
 MEASURES = ("singular values", "diagonal")  # what "peak below 6 dB" means for a matrix is not printed
@@ -81,16 +81,19 @@ class RigLoop:
     @checked
     def at(self, pids: Sequence[Pid], omega: np.ndarray | None = None) -> "Sizes":
         """Sizes of the loop functions on the grid, or at other frequencies (rad/s)."""
-        loop = self if omega is None else self.on(omega)
-        return Sizes(*_sizes(loop.parts, loop.controlled(pids), self.measure == "diagonal"))
+        return (self if omega is None else self.on(omega)).sizes(pids)
+
+    def sizes(self, pids: Sequence[Pid]) -> "Sizes":
+        """As of `at`, on the grid, of controllers that are known to be such."""
+        return Sizes(*_sizes(self.parts, self.controlled(pids), self.measure == "diagonal"))
 
     def within(self, pids: Sequence[Pid], part: slice) -> "Sizes":
         """Sizes on a part of the grid."""
-        return replace(self, omega=self.omega[part], parts=self.parts[part]).at(pids)
+        return replace(self, omega=self.omega[part], parts=self.parts[part]).sizes(pids)
 
-    def denser(self, sizes: "Sizes") -> "RigLoop":
-        """The loop on its grid with more points around every local maximum of these that is near the limit."""
-        values, w = np.array(sizes), self.omega
+    def denser(self, values: Float64[np.ndarray, "functions frequencies"]) -> "RigLoop":
+        """The loop on its grid with more points around every local maximum of these sizes that is near the limit."""
+        w = self.omega
         inner = (values[:, 1:-1] >= values[:, :-2]) & (values[:, 1:-1] >= values[:, 2:])
         places = 1 + np.unique(np.nonzero(inner & (values[:, 1:-1] > 0.8 * SIX_DB))[1])
         if not len(places):
@@ -122,11 +125,21 @@ class RigLoop:
     @checked
     def poles(self, pids: Sequence[Pid]) -> Complex128[np.ndarray, " states"]:
         """Closed-loop poles, rad/s."""
-        return continuous_poles(self.closed(pids).poles, self.sample_time)
+        blocks = [self._seen, *(_sampled(pid, self.sample_time) for pid in pids)]
+        joined, none = np.kron([[0, 1], [1, 0]], np.eye(3)), np.zeros((6, 0))
+        return continuous_poles(interconnect(blocks, joined, none, none.T).poles, self.sample_time)
+
+    @cached_property  # what every controller meets, from its forces to its errors
+    def _seen(self) -> StateModel:
+        block = None if self.compensator is None else self.compensator.realised
+        open_loop = closed_loop(self._held, block, constant(np.zeros((3, 3)), self.sample_time))
+        loop = channel(open_loop, "u_ff", "e_meas", 3, 3)
+        upsilon, gamma = self.decoupling.sensing, self.decoupling.actuation
+        return replace(loop, b=loop.b @ gamma, c=upsilon @ loop.c, d=upsilon @ loop.d @ gamma)
 
     def radius(self, pids: Sequence[Pid]) -> float:
         """Largest magnitude of the closed-loop poles in discrete time; below 1 the loop is stable."""
-        return float(np.exp(self.poles(pids).real.max() * self.sample_time))
+        return _radius(self.poles(pids), self.sample_time)
 
     @checked
     def crossing_hz(self, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
@@ -256,12 +269,13 @@ def maximise_rig_bandwidth(
 
     All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
     """
-    stages = [Stage(replace(loop, measure=require_choice("measure", measure, MEASURES))) for loop in loops]
+    measure = require_choice("measure", measure, MEASURES)
+    positions = Positions([replace(loop, measure=measure) for loop in loops])
     family = cache(family)
 
     def raised(along: Callable[[float], tuple[Pid, ...]], start: float) -> Bandwidth:
         found = maximise_bandwidth(
-            stages,
+            [positions],
             along,
             LIMITS,
             start,
@@ -281,8 +295,8 @@ def maximise_rig_bandwidth(
         together = raised(lambda hz: family(hz, hz), low_hz).design_hz
         rotation = raised(lambda hz, z=together: family(z, hz), together).design_hz
         last = raised(lambda hz, turned=rotation: family(hz, turned), together)
-        stages = [stage.denser(last.controller) for stage in stages]
-        found = np.array([np.max(stage.at(last.controller), axis=1) for stage in stages])
+        positions = positions.denser(last.controller)
+        found = np.array([each.max(axis=1) for each in positions.each_at(last.controller)])
         if found.max() <= SIX_DB * (1 + PEAK_TOLERANCE):
             break
     else:
@@ -291,49 +305,80 @@ def maximise_rig_bandwidth(
         )
     return RigBandwidth(
         (last.design_hz, rotation),
-        np.array([stage.loop.crossing_hz(last.controller) for stage in stages]),
+        np.array([loop.crossing_hz(last.controller) for loop in positions.loops]),
         last.controller,
         found,
-        np.array([stage.radius(last.controller) for stage in stages]),
+        np.array(
+            [
+                _radius(poles, positions.loops[0].sample_time)
+                for poles in positions.each_poles(last.controller)
+            ]
+        ),
     )
 
 
-class Stage:
-    """A loop as the search above needs it, which asks it for the same thing again and again.
+def _radius(poles: np.ndarray, sample_time: float) -> float:
+    """Largest magnitude in discrete time of poles in rad/s."""
+    return float(np.exp(poles.real.max() * sample_time))
 
-    A stage begins where the one before ended, and the first of a round goes through the same designs on a grid that
-    has gained points: the others are known. No grid moves a pole. Crossings are those of the final design alone.
+
+class Positions:
+    """All positions as one loop of the search above, which asks it for the same thing again and again.
+
+    A stage begins where the one before ended, and the first of a round goes through the same designs on grids that
+    have gained points: the others are known. No grid moves a pole. Crossings are those of the final design alone.
     """
 
-    def __init__(self, loop: RigLoop, before: "Stage | None" = None):
-        self.loop, self.omega, self.within = loop, loop.omega, loop.within
-        self.poles = before.poles if before else cache(loop.poles)
+    def __init__(self, loops: Sequence[RigLoop], before: "Positions | None" = None):
+        self.loops, self.omega = loops, np.concatenate([loop.omega for loop in loops])
+        self._all = self._of(loops, slice(None))
+        self.each_poles = before.each_poles if before else cache(self._each_poles)
         self._known: dict[tuple[Pid, ...], Sizes] = {}
         self._before = before._known if before else {}
-        self._old = np.isin(loop.omega, before.omega) if before else np.zeros(len(loop.omega), bool)
-        self._more = replace(loop, omega=loop.omega[~self._old], parts=loop.parts[~self._old])
+        if before:
+            pairs = zip(loops, before.loops, strict=True)
+            self._old = np.concatenate([np.isin(loop.omega, old.omega) for loop, old in pairs])
+            self._more = self._of(loops, ~self._old)
+
+    @staticmethod
+    def _of(loops: Sequence[RigLoop], part) -> RigLoop:
+        """One loop with a part of the frequencies of all: what answers needs neither plant nor observer."""
+        omega, parts = (
+            np.concatenate([getattr(each, name) for each in loops])[part] for name in ("omega", "parts")
+        )
+        return replace(loops[0], omega=omega, parts=parts)
 
     def at(self, pids: tuple[Pid, ...], omega: np.ndarray | None = None) -> Sizes:
-        if omega is not None:
-            return self.loop.at(pids, omega)
+        assert omega is None, "positions have no grid in common"
         if pids not in self._known:
-            self._known[pids] = self._grown(pids) if pids in self._before else self.loop.at(pids)
+            self._known[pids] = self._grown(pids) if pids in self._before else self._all.sizes(pids)
         return self._known[pids]
 
     def _grown(self, pids: tuple[Pid, ...]) -> Sizes:
         sizes = np.empty((len(FUNCTIONS), len(self.omega)))
-        sizes[:, self._old], sizes[:, ~self._old] = self._before[pids], self._more.at(pids)
+        sizes[:, self._old], sizes[:, ~self._old] = self._before[pids], self._more.sizes(pids)
         return Sizes(*sizes)
 
-    def radius(self, pids: tuple[Pid, ...]) -> float:
-        return float(np.exp(self.poles(pids).real.max() * self.loop.sample_time))
+    def within(self, pids: tuple[Pid, ...], part: slice) -> Sizes:
+        return self._all.within(pids, part)
+
+    def each_at(self, pids: tuple[Pid, ...]) -> list[np.ndarray]:
+        """Sizes of every position on its own grid, each of shape (functions, frequencies)."""
+        ends = np.cumsum([len(loop.omega) for loop in self.loops])
+        return np.split(np.array(self.at(pids)), ends[:-1], axis=1)
+
+    def _each_poles(self, pids: tuple[Pid, ...]) -> list[np.ndarray]:
+        return [loop.poles(pids) for loop in self.loops]
+
+    def poles(self, pids: tuple[Pid, ...]) -> np.ndarray:
+        return np.concatenate(self.each_poles(pids))
 
     def crossing_hz(self, pids: tuple[Pid, ...]) -> np.ndarray:
         return np.zeros(len(pids))
 
-    def denser(self, pids: tuple[Pid, ...]) -> "Stage":
-        loop = self.loop.denser(self.at(pids))
-        return self if loop is self.loop else Stage(loop, self)
+    def denser(self, pids: tuple[Pid, ...]) -> "Positions":
+        pairs = zip(self.loops, self.each_at(pids), strict=True)
+        return Positions([loop.denser(sizes) for loop, sizes in pairs], self)
 
 
 @kernel

@@ -20,7 +20,13 @@ MOST_SAMPLES = 1e8  # of what a duration and a sample time ask for; a slip of un
 
 
 class InputError(ValueError):
-    """A value from outside that cannot be used; the message names it and says what to do."""
+    """A value from outside that cannot be used; the message names it and says what to do.
+
+    Messages quote arguments and what stands in files: control characters are escaped, for they steer a terminal.
+    """
+
+    def __init__(self, message: str):
+        super().__init__(one_line(message))
 
 
 def nearest(word, candidates: Iterable) -> str:

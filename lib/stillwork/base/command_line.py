@@ -47,7 +47,8 @@ def _run(command: "Command", **chosen) -> int:
     told = _function(command.target)(**chosen)
     if isinstance(told, int):
         return told
-    print(told if isinstance(told, str) else "\n".join(map(one_line, told)))
+    lines = told.split("\n") if isinstance(told, str) else told
+    print("\n".join(map(one_line, lines)))
     return 0
 
 

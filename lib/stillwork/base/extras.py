@@ -10,6 +10,7 @@ BY_PACKAGE = {
     "cvxpy": "control",
     "clarabel": "control",
     "sklearn": "regression",
+    "matplotlib": "design",
     "griffe": "site",
     "jinja2": "site",
     "latex2mathml": "site",

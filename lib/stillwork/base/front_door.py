@@ -10,6 +10,7 @@ import threading
 import types
 import typing
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache, partial, wraps
 from pathlib import Path
@@ -47,6 +48,9 @@ _PLAIN: dict[Any, tuple[Callable, str]] = {
     Callable: (require_callable, "a function"),
 }
 
+FAR = 30  # decades from 1 of a number that is likely to be what a calculation cannot use
+MOST_NAMED = 8  # arguments in a message
+
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
 _Model = TypeVar("_Model")
@@ -59,6 +63,9 @@ class _Inside(threading.local):
 
     now = False
     theirs: Exception | None = None  # what a reader's own function raised on the way
+    words: dict[str, Any] | None = (
+        None  # how numpy treats errors outside, which a reader's own function keeps
+    )
 
 
 _inside = _Inside()
@@ -68,9 +75,9 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
     """Check the arguments of a public function by their annotations, and its result for NaN.
 
     Lists, other number types, read-only and strided arrays become what the annotation says; a value that cannot is an
-    `InputError` that names it. So is a number that leaves the range of floating point on the way. A result may be
-    `infinite`, or NaN where something is `missing`, such as the samples after a divergence. What a reader's own
-    function raises, called on the way, comes through as it is.
+    `InputError` that names it. So is a number that leaves the range of floating point on the way, of which numpy does
+    not warn. A result may be `infinite`, or NaN where something is `missing`, such as the samples after a divergence.
+    What a reader's own function raises, called on the way, comes through as it is.
     """
     if function is None:
         return partial(checked, infinite=infinite, missing=missing)
@@ -87,27 +94,29 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
 
         values = (*map(asked, names, values), *values[len(names) :])
         named = {name: asked(name, value) for name, value in named.items()}
-        _inside.now = True
+        _inside.now, _inside.words = True, np.geterr()
         try:
-            result = function(*values, **named)
+            with np.errstate(all="ignore"):
+                result = function(*values, **named)
         except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError, MemoryError) as error:
             if error is _inside.theirs:
                 raise
-            raise _beyond(function, error) from None
+            raise _beyond(function, error, names, values, named) from None
         except InputError:
             raise
         except (ValueError, IndexError) as error:
             if error is _inside.theirs:
                 raise
             if "infs or NaNs" in str(error):  # scipy's word for numbers that overflowed on the way
-                raise _beyond(function, error) from None
+                raise _beyond(function, error, names, values, named) from None
             raise InputError(
-                f"the arguments of {_named(function)} do not fit together ({error}); look at their sizes"
+                f"the arguments of {_named(function)} do not fit together ({error}); look at their sizes: "
+                f"{_sizes(names, values, named)}"
             ) from error
         finally:
             _inside.now, _inside.theirs = False, None
         if not missing and _spoiled(result, infinite):
-            raise _beyond(function, "it is not finite")
+            raise _beyond(function, "it is not finite", names, values, named)
         return result
 
     return door
@@ -167,13 +176,22 @@ def own_arrays(instance) -> None:
             object.__setattr__(instance, name, np.array(value))
 
 
+def made(model: type[_Model], **values) -> _Model:
+    """A frozen model of our own making: every field is what its annotation says and nobody else's, so none is asked or copied."""
+    instance = object.__new__(model)
+    for name in model.__dataclass_fields__:  # type: ignore[attr-defined]
+        object.__setattr__(instance, name, values[name])
+    return instance
+
+
 def outside(function: Callable, check: Callable = lambda value: value) -> Callable:
     """A reader's own function, as the toolbox calls it: what it calls of ours is asked, its errors are its own."""
 
     def call(*values, **named):
         inside, _inside.now = _inside.now, False
         try:
-            result = function(*values, **named)
+            with np.errstate(**_inside.words if inside else {}):
+                result = function(*values, **named)
         except Exception as error:
             if inside:
                 _inside.theirs = error
@@ -189,10 +207,62 @@ def _named(function: Callable) -> str:
     return re.sub(r".*<locals>\.|\.__(post_)?init__$", "", function.__qualname__)
 
 
-def _beyond(function: Callable, why) -> InputError:
+def _beyond(function: Callable, why, names: list[str], values: tuple, named: dict) -> InputError:
+    """A refusal that names the arguments farthest from 1, where some are far; else all, for any may be the cause."""
+    found = _numbers_in(names, values, named)
+    far = {name: size for name, array in found.items() if (size := _farthest(array)) is not None}
+    extreme = sorted(far, key=lambda name: -abs(math.log10(far[name])))[:3]
+    said = [f"{name} ({far[name]:.3g})" for name in extreme if abs(math.log10(far[name])) > FAR] or list(
+        found
+    )
     return InputError(
         f"{_named(function)} has no result for these numbers ({str(why).strip() or 'out of range'}); "
-        "they are too large, too small or too close to singular"
+        f"they are too large, too small or too close to singular: look at {_listed(said) or 'its arguments'}"
+    )
+
+
+def _sizes(names: list[str], values: tuple, named: dict) -> str:
+    found = _numbers_in(names, values, named)
+    return _listed(
+        [f"{name} {' x '.join(map(str, array.shape)) or 'a number'}" for name, array in found.items()]
+    )
+
+
+def _listed(words: list[str]) -> str:
+    return ", ".join(words[:MOST_NAMED]) + ", ..." * (len(words) > MOST_NAMED)
+
+
+def _numbers_in(names: list[str], values: tuple, named: dict) -> dict[str, np.ndarray]:
+    """All numbers among arguments, by name; those of a model by its fields."""
+    found: dict[str, np.ndarray] = {}
+
+    def look(name: str, value, depth: int) -> None:
+        if is_dataclass(value) and not isinstance(value, type) and depth < 3:
+            for each in fields(value):
+                look(
+                    f"{name}.{each.name}" if name != "self" else each.name,
+                    getattr(value, each.name),
+                    depth + 1,
+                )
+        elif isinstance(value, (list, tuple)) and any(map(is_dataclass, value)):
+            for place, each in enumerate(value):
+                look(f"{name}[{place}]", each, depth + 1)
+        elif not isinstance(value, (bool, str)) and value is not None:
+            with suppress(TypeError, ValueError):
+                array = np.asarray(value)
+                if array.dtype.kind in "iufc":
+                    found[name] = array
+
+    for name, value in (*zip(names, values, strict=False), *named.items()):
+        look(name, value, 0)
+    return found
+
+
+def _farthest(array: np.ndarray) -> float | None:
+    """The size in an array that is farthest from 1, by decades; None without one."""
+    sizes = np.abs(array[(array != 0) & np.isfinite(array)])
+    return (
+        float(max(sizes.max(), sizes.min(), key=lambda size: abs(math.log10(size)))) if sizes.size else None
     )
 
 

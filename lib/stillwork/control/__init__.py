@@ -15,7 +15,7 @@ __all__, __getattr__, __dir__ = face(
         "fixed_point": ("Controller", "simulate"),
         "fixed_point_mechanism": ("simulate_mechanism",),
         "kinematics": ("KinematicDesign",),
-        "loop_enclosures": ("enclose_peaks",),
+        "loop_enclosures": ("enclose_margins", "enclose_peaks"),
         "loops": ("closed_loop",),
         "mechanism": ("Mechanism",),
         "pid": ("PidFamily",),

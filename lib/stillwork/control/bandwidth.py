@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property, wraps
 from types import SimpleNamespace
 from typing import Any, Protocol, runtime_checkable
 
@@ -20,7 +20,7 @@ from stillwork.lti.delays import delayed, split_delay
 from stillwork.lti.discretisation import continuous_poles, late_modes, prewarped, tustin, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import Peak, refine_peak, resonance_grid
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, response_between
 
 SIX_DB = 10 ** (6 / 20)  # not 2
 
@@ -192,7 +192,8 @@ class Loop:
         """
         if omega is None:
             return self.within(controller, slice(None))
-        observer = self.compensator.frequency_response(omega)
+        respond = response_between if self.sample_time else StateModel.frequency_response
+        observer = respond(self.compensator, omega)
         return LoopResponse(self.plant_at(omega), observer, self._controlled(controller, omega))
 
     @checked(missing=True)
@@ -648,10 +649,11 @@ def _lowest(
     if first is None:
         assert stopped is not None
         function, number, peak = stopped
+        which = f" of loop {number + 1}" if len(loops) > 1 else ""
         size = "" if np.isinf(peak.magnitude) else f" of {20 * np.log10(peak.magnitude):.1f} dB"
         raise Infeasible(
             f"no bandwidth from {low_hz:g} to {high_hz:g} Hz is stable and below every constraint; at {low_hz:g} Hz "
-            f"{function.replace('_', ' ')} of loop {number + 1} fails at {peak.omega / (2 * np.pi):.4g} Hz"
+            f"{function.replace('_', ' ')}{which} fails at {peak.omega / (2 * np.pi):.4g} Hz"
             f"{f' with a peak{size}' if size else ''}"
         )
     if stopped is None:
@@ -687,6 +689,19 @@ def _still(loop: SearchLoop, constraint: PeakConstraint, place: slice, controlle
     return bool(np.abs(response[0]) > constraint.limit)
 
 
+def _kept(method: Callable) -> Callable:
+    """A method of `_Design` that computes each of its answers once; a `cache` for each design costs more than most."""
+
+    @wraps(method)
+    def ask(self, *asked):
+        key = (method, *asked)
+        if key not in self._known:
+            self._known[key] = method(self, *asked)
+        return self._known[key]
+
+    return ask
+
+
 class _Design:
     """A controller under the constraints, and what its loops have answered: a search asks more than once."""
 
@@ -702,14 +717,18 @@ class _Design:
         self.loops, self.controller, self.constraints, self.refine = loops, controller, constraints, refine
         if any(isinstance(loop, Loop) for loop in loops):
             require_kind("controller", controller, Pid)  # that of several axes has one each
-        self._response = cache(lambda number: loops[number].at(controller))
-        self._poles = cache(lambda number: loops[number].poles(controller))
-        self._magnitude = cache(self._read)
-        self._near_poles = cache(self._around)
-        self._seen = cache(self._look)
-        self.peak = cache(self._highest)
+        self._known: dict[tuple, Any] = {}
 
-    def _around(self, number: int) -> tuple[np.ndarray, Any]:
+    @_kept
+    def _response(self, number: int) -> Any:
+        return self.loops[number].at(self.controller)
+
+    @_kept
+    def _poles(self, number: int) -> np.ndarray:
+        return self.loops[number].poles(self.controller)
+
+    @_kept
+    def _near(self, number: int) -> tuple[np.ndarray, Any]:
         """Frequencies at and around the closed-loop poles, and the response there."""
         loop, poles = self.loops[number], self._poles(number)
         poles = poles[poles.imag >= 0]
@@ -721,12 +740,13 @@ class _Design:
         omega = np.setdiff1d(np.minimum(omega[omega > low], high), loop.omega)
         return omega, loop.at(self.controller, omega) if len(omega) else None
 
-    def _look(self, number: int, name: str) -> tuple[np.ndarray, np.ndarray]:
+    @_kept
+    def _seen(self, number: int, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Magnitudes on the loop's grid, and around the closed-loop poles with `near_poles`."""
         omega, magnitude = self.loops[number].omega, self._magnitude(number, name)
         if not self.near_poles:
             return omega, magnitude
-        more, response = self._near_poles(number)
+        more, response = self._near(number)
         if not len(more):
             return omega, magnitude
         omega = np.concatenate([omega, more])
@@ -735,13 +755,15 @@ class _Design:
         order = order[~np.isnan(magnitude[order])]  # at an undamped pole of the plant itself
         return omega[order], magnitude[order]
 
-    def _highest(self, number: int, name: str) -> Peak:
+    @_kept
+    def peak(self, number: int, name: str) -> Peak:
         loop, (omega, magnitude) = self.loops[number], self._seen(number, name)
         if not self.refine or np.isinf(magnitude.max()):
             return Peak(float(magnitude.max()), float(omega[magnitude.argmax()]))
         return refine_peak(lambda w: getattr(loop.at(self.controller, w), name), omega, magnitude, near=NEAR)
 
-    def _read(self, number: int, name: str) -> np.ndarray:
+    @_kept
+    def _magnitude(self, number: int, name: str) -> np.ndarray:
         magnitude = np.abs(getattr(self._response(number), name))
         if np.isnan(magnitude.max()):
             hertz = self.loops[number].omega[np.isnan(magnitude).argmax()] / (2 * np.pi)

@@ -280,7 +280,7 @@ def runnable(
     )
 
 
-@checked
+@checked(infinite=True)
 def in_units(
     controller: DigitalController, position: float, drive: float, units: tuple[str, str]
 ) -> DigitalController:
@@ -440,7 +440,8 @@ def _sections(
         turned = now.conj()[:, None] * np.column_stack(
             [np.ones(len(step)), -1 / (step.conj()[:, None] - zeros)]
         )
-        moves = np.linalg.lstsq(np.vstack([slopes, turned]), np.append(error, error.conj()), rcond=1e-10)[0]
+        slopes = np.asarray_chkfinite(np.vstack([slopes, turned]))
+        moves = np.linalg.lstsq(slopes, np.append(error, error.conj()), rcond=1e-10)[0]
         gain, zeros = gain * (1 + moves[0].real), zeros + moves[1:]
     _, gain, zeros = best
     zeros, poles = (_conjugate(1 + each) for each in (zeros, poles))

@@ -271,7 +271,7 @@ def least_squares(
     sizes = np.linalg.norm(matrix, axis=0)
     if np.any(sizes == 0):
         raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
-    gains, _, rank, _ = np.linalg.lstsq(matrix / sizes, wanted, rcond=1e-12)
+    gains, _, rank, _ = np.linalg.lstsq(np.asarray_chkfinite(matrix / sizes), wanted, rcond=1e-12)
     if rank < matrix.shape[1]:
         raise InputError("basis: the move cannot tell these gains apart; leave one out")
     return (gains / sizes).tolist()

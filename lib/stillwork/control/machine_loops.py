@@ -213,9 +213,12 @@ class Reached:
     model_loops : tuple of Loop
         The same on the model.
     perturbed : tuple of Loop
-        The same at places of the box around the model: two corners, then where most harm is done; empty without a box.
+        On the model of each other response, then at places of the box around each model: two corners, then where most
+        harm is done; empty without either.
     reason : str
         Why no bandwidth was found; empty when one was.
+    elsewhere : tuple of Loop
+        On the model of each other response.
     """
 
     on_model: Bandwidth | None
@@ -225,6 +228,7 @@ class Reached:
     model_loops: tuple[Loop, ...]
     perturbed: tuple[Loop, ...] = ()
     reason: str = ""
+    elsewhere: tuple[Loop, ...] = ()
 
     @property
     def recommended(self) -> Bandwidth | None:
@@ -266,6 +270,8 @@ class Reached:
             moved, sensor = divmod(stop.loop, len(self.model_loops))
             place = f" of sensor {sensor + 1}" if stop.function in FUNCTIONS else ""
             where = " somewhere in the box" if moved else ""
+            if 1 <= moved <= len(self.elsewhere):
+                where = f" of response {moved + 1}"
             name = SHOWN.get(stop.function, stop.function)
             row["stopped by"] = f"{name}{place} at {stop.peak.omega / (2 * np.pi):.0f} Hz{where}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
@@ -289,6 +295,7 @@ def reach(
     uncertainty: Mapping[str, float] = MappingProxyType({}),
     notches: bool = False,
     lead: float = 3.0,
+    others: Sequence[tuple[Machine, float]] = (),
 ) -> dict[str, Reached]:
     """Largest bandwidth of every use below which, and at which, all constraints hold at every sensor.
 
@@ -321,46 +328,66 @@ def reach(
         Give the controller a notch at each resonance that the observer holds and the rate reaches.
     lead : float
         Of the controller, see `PidFamily`.
+    others : sequence of (Machine, float)
+        The same machine elsewhere, and the delay there in samples: the same controller and observer keep the
+        constraints there, too, and in the box around it. Of one sensor each.
 
     Raises
     ------
     InputError
         For bad settings. A use without any feasible bandwidth is a result, see `Reached.reason`.
     """
-    measured, band = machine.measured, (0.0, 0.0)
-    if measured is not None and machine.fit is not None:
-        ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
-        band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
+    responses = [(machine, delay), *others]
+    bands = [_measured_band(each, loop_hz) for each, _ in responses]
     low, high = search_hz if any(search_hz) else search_range(machine, sample_time)
-    spread = uncertainty_of(machine, uncertainty)
-    places = corners(spread)
+    spreads = [uncertainty_of(each, uncertainty) for each, _ in responses]
+    boxed = not all(spread.is_empty for spread in spreads)
     family = pid_family(machine, lead, retained if notches else 1, sample_time)
     found = {}
     for name, application in chosen.items():
         settings = observer_settings(machine, application, retained, intensities)
         modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
+        elsewhere = loops_elsewhere(modelled[0], others)
+        groups = [modelled, *((loop,) for loop in elsewhere)]
         loops, on_data, turns = modelled, None, None
-        perturbed = perturbed_loops(modelled, places)
-        boxes = [make_box(loop, spread) for loop in modelled] if places else []
+        around = [
+            perturbed_loops(group, corners(spread)) for group, spread in zip(groups, spreads, strict=True)
+        ]
+        perturbed = (*elsewhere, *(loop for each in around for loop in each))
+        boxes = [
+            [] if spread.is_empty else [make_box(loop, spread) for loop in group]
+            for group, spread in zip(groups, spreads, strict=True)
+        ]
         search = partial(_search, family=family, limits=constraints, refine=True)
         on_model, reason = search((*loops, *perturbed), low=low, high=high)
-        if measured is not None:
-            loops = tuple(
-                on_measurement(loop, measured, 1.0, band, mirror)
-                for loop, mirror in zip(loops, machine.mirrored, strict=True)
-            )
+        seen = [
+            on_measurement(loop, each.measured, 1.0, band, mirror)
+            for group, (each, _), band in zip(groups, responses, bands, strict=True)
+            for loop, mirror in zip(group, each.mirrored, strict=True)
+            if each.measured is not None
+        ]
+        if seen:
+            loops = tuple(seen)
             on_data, other = search(loops, low=low, high=high, refine=False)
             reason = reason or other
-        for count in range(ROUNDS if places else 0):
+        for count in range(ROUNDS if boxed else 0):
             if on_model is None:
                 break
             pid = _lower(on_model, on_data).controller
-            harm: list[Perturbation] = []
+            harm: list[list[Perturbation]] = []
             for starts in (1, THOROUGH):
-                harm = harm or harmful_places(modelled, pid, constraints, boxes, starts)
-            if not harm:
+                if not any(harm):
+                    harm = [
+                        harmful_places(group, pid, constraints, box, starts)
+                        for group, box in zip(groups, boxes, strict=True)
+                    ]
+            if not any(harm):
                 break
-            new = perturbed_loops(modelled, harm)
+            new = tuple(
+                loop
+                for group, places in zip(groups, harm, strict=True)
+                for loop in perturbed_loops(group, places)
+            )
             ends = on_model.lowest_hz, _lower(on_model, on_data).design_hz
             before, perturbed = len(modelled) + len(perturbed), (*perturbed, *new)
             on_model, _ = search(new, low=ends[0], high=ends[1])
@@ -375,12 +402,30 @@ def reach(
             crossings = [loop.crossing_hz(on_model.controller) for loop in modelled]
             on_model = replace(on_model, crossing_hz=np.array(crossings))
         elif perturbed:
-            reason += f" (loops from {len(loops) + 1} on: somewhere in the box)"
+            place = "at another response, or somewhere in the box" if elsewhere else "somewhere in the box"
+            reason += f" (loops from {len(modelled) + 1} on: {place})"
         if on_data is not None:
             lower = _lower(on_model, on_data)
             turns = sum(abs(extra_turns(loop, lower.controller)) for loop in loops)
-        found[name] = Reached(on_model, on_data, turns, loops, modelled, perturbed, reason)
+        found[name] = Reached(on_model, on_data, turns, loops, modelled, perturbed, reason, elsewhere)
     return found
+
+
+def _measured_band(machine: Machine, loop_hz: tuple[float, float]) -> tuple[float, float]:
+    """Where a measurement stands for the plant."""
+    if machine.measured is None or machine.fit is None:
+        return 0.0, 0.0
+    ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
+    return whole_band(machine.measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
+
+
+@checked
+def loops_elsewhere(loop: Loop, others: Sequence[tuple[Machine, float]]) -> tuple[Loop, ...]:
+    """The same observer on the first sensor of other machines, each with its own delay in samples."""
+    return tuple(
+        make_loop(each.sensors[0], loop.compensator, sample_time=loop.sample_time, delay=delay)
+        for each, delay in others
+    )
 
 
 @checked

@@ -11,6 +11,7 @@ from stillwork.control.bandwidth import Loop, PeakConstraint, holds, make_loop
 from stillwork.control.machine_loops import (
     SAFE,
     Intensities,
+    loops_elsewhere,
     observed_loops,
     observer_settings,
     pid_family,
@@ -51,12 +52,14 @@ def tuned(
     sample_time: float,
     delay: float,
     constraints: Sequence[PeakConstraint] = SAFE,
+    others: Sequence[tuple[Machine, float]] = (),
 ) -> DesignSettings:
-    """Settings that hold the constraints on the model at a higher bandwidth than those given do at `design_hz`."""
+    """Settings that hold the constraints on all models at a higher bandwidth than those given do at `design_hz`."""
 
     def loops_of(each: DesignSettings) -> list[Loop]:
         chosen = observer_settings(machine, each.application, each.retained, each.intensities)
-        return observed_loops(machine.sensors, each.application, *chosen, sample_time, delay)
+        loops = observed_loops(machine.sensors, each.application, *chosen, sample_time, delay)
+        return [*loops, *loops_elsewhere(loops[0], others)]
 
     def pushed(each: DesignSettings) -> float:
         """The bandwidth up to which these settings hold, from the best so far on; that itself if they hold no more."""
@@ -80,10 +83,13 @@ def tuned(
     require_number("design_hz", design_hz, above=0.0)
     require_number("sample_time", sample_time, above=0.0)
     require_number("delay", delay, at_least=0.0)
-    spread = uncertainty_of(machine, uncertainty)
     # One grid for all settings: what the box holds there is the same for each.
-    plain = [make_loop(sensor, sample_time=sample_time, delay=delay) for sensor in machine.sensors]
-    boxes = [] if spread.is_empty else [make_box(loop, spread, fine=False) for loop in plain]
+    boxes = [
+        make_box(make_loop(sensor, sample_time=sample_time, delay=late), spread, fine=False)
+        for each, late in [(machine, delay), *others]
+        if not (spread := uncertainty_of(each, uncertainty)).is_empty
+        for sensor in each.sensors
+    ]
     _, highest = search_range(machine, sample_time)
     for name, size in STEPS.items():
         for factor in (size, 1 / size):

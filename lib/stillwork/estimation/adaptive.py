@@ -27,12 +27,10 @@ from stillwork.base.front_door import by_value, check_fields, checked, own_array
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
-    TRIANGLE,
     UD,
-    add_information,
-    add_triangle_information,
     covariance_of,
     factor_of,
+    hold_diagonal,
     update_covariance,
     update_form,
     update_ud,
@@ -124,11 +122,6 @@ class Recursion(NamedTuple):
     def copy(self) -> "Recursion":
         """A recursion of its own; the room for work is shared."""
         return self._replace(matrix=self.matrix.copy(), levels=self.levels.copy())
-
-    @property
-    def filled(self) -> "Recursion":
-        """The same with all room for work, as `ferls_form_update` takes it."""
-        return self._replace(inner=np.zeros_like(self.gain), other=np.zeros_like(self.gain))
 
     @property
     def covariance(self) -> Float64[np.ndarray, "n n"]:
@@ -307,17 +300,21 @@ def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner,
 def ferls_form_update(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
 ):
-    """One sample in any form with its limit, by a call; returns the leverage."""
-    n, forget, axis = len(regressor), matrix.dtype.type(forgetting), sample % len(regressor)
+    """One sample in any other form with its limit, by a call; returns the leverage."""
+    one, n, axis = matrix.dtype.type(1), len(regressor), sample % len(regressor)
+    forget = matrix.dtype.type(forgetting)
     denominator = update_form(form, matrix, regressor, forget, gain, inner)
-    step_weights(weights, gain, matrix.dtype.type(1) / denominator, error)
-    reached = False
+    step_weights(weights, gain, one / denominator, error)
     for i in range(n):
         watch_power(levels, i, regressor[i], forget, allowance)
-        if form == TRIANGLE or i == axis:
-            reached |= variance(form, matrix, i) > levels[0, i]
-    if reached:
-        hold_covariance(form, matrix, forgetting, levels, gain, inner, axis)
+    found = variance(form, matrix, axis)
+    if found > levels[0, axis]:
+        # As in `hold_ud`, here: in a function of its own the compiler would make machine code of all forms once more.
+        for i in range(n):
+            other[i] = 0
+        other[axis] = np.sqrt(one / levels[0, axis] - one / found)
+        update_form(form, matrix, other, one, gain, inner)
+        levels[2, axis] += (one - forget) * n
     return denominator
 
 
@@ -343,28 +340,22 @@ def watch_power(levels, i, value, forgetting, allowance):
 @kernel
 def hold_triangle(covariance, forgetting, levels, gain):
     """Bring the diagonal of P back to its limits, as if each regressor above its own had been seen once more."""
-    one = covariance.dtype.type(1)
-    for i in range(levels.shape[1]):
-        found = covariance[i, i]
-        if found > levels[0, i]:
-            add_triangle_information(covariance, i, one / levels[0, i] - one / found, gain)
-            levels[2, i] += one - covariance.dtype.type(forgetting)
+    held = np.empty(levels.shape[1], np.bool_)
+    hold_diagonal(covariance, levels[0], held, gain)
+    for i in range(len(held)):
+        if held[i]:
+            levels[2, i] += covariance.dtype.type(1) - covariance.dtype.type(forgetting)
 
 
 @kernel
-def hold_covariance(form, matrix, forgetting, levels, gain, inner, axis):
-    """The same for any form, of a factor one element. Kernels that keep P itself call `hold_triangle`: they then
-    compile no other form.
-    """
-    if form == TRIANGLE:
-        hold_triangle(matrix, forgetting, levels, gain)
-        return
-    one, n = matrix.dtype.type(1), levels.shape[1]
-    found = variance(form, matrix, axis)
-    if found > levels[0, axis]:
-        add_information(form, matrix, axis, one / levels[0, axis] - one / found, gain, inner)
-        # An element that is looked at each n-th sample stands for n.
-        levels[2, axis] += (one - matrix.dtype.type(forgetting)) * n
+def hold_ud(factor, forgetting, levels, gain, inner, axis):
+    """The same for one element of Bierman's factors: a regressor along its axis, seen without forgetting."""
+    one, n = factor.dtype.type(1), levels.shape[1]
+    unit = np.zeros(n, factor.dtype)
+    unit[axis] = np.sqrt(one / levels[0, axis] - one / variance(UD, factor, axis))
+    update_ud(factor, unit, one, gain, inner)
+    # An element that is looked at each n-th sample stands for n.
+    levels[2, axis] += (one - factor.dtype.type(forgetting)) * n
 
 
 @inlined_kernel
@@ -383,7 +374,7 @@ def ferls_step(
             weights, matrix, forgetting, levels, allowance, gain, inner, regressor, error, sample
         )
         if reached:
-            hold_covariance(form, matrix, forgetting, levels, gain, inner, sample % len(gain))
+            hold_ud(matrix, forgetting, levels, gain, inner, sample % len(gain))
     else:
         leverage = ferls_form_update(
             weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample

@@ -196,18 +196,32 @@ def variance(form, matrix, axis):
 
 @borrowing_kernel
 def add_triangle_information(covariance, axis, information, gain):
-    """`add_information` of the triangle, which stays symmetric."""
+    """Add to one diagonal element of the inverse of P, in place: a regressor along this axis, seen without forgetting.
+
+    P stays symmetric, and positive definite for information above zero.
+    """
     copy_vector(covariance[axis], gain)
     one = covariance.dtype.type(1)
     shrink_along(covariance, gain, information / (one + information * gain[axis]), one)
 
 
 @kernel
-def add_information(form, matrix, axis, information, gain, inner):
-    """Add to one diagonal element of the inverse of P, in place: a regressor along this axis, seen without forgetting.
+def hold_diagonal(covariance, limits, held, gain):
+    """Add to the triangle what brings its diagonal back to these limits, and note whose variance is `held` by it.
 
-    P stays positive definite for information above zero. The triangle has `add_triangle_information`.
+    The one farthest above its limit comes first, each at most once: to bring one down lowers the others, so in the
+    order of the regressors the result would depend on that order.
     """
-    unit = np.zeros(len(matrix), matrix.dtype)
-    unit[axis] = np.sqrt(information)
-    update_form(form, matrix, unit, matrix.dtype.type(1), gain, inner)
+    one = covariance.dtype.type(1)
+    for i in range(len(limits)):
+        held[i] = False
+    for _ in range(len(limits)):
+        farthest, ratio = -1, one
+        for i in range(len(limits)):
+            if not held[i] and covariance[i, i] > ratio * limits[i]:
+                farthest, ratio = i, covariance[i, i] / limits[i]
+        if farthest < 0:
+            return
+        held[farthest] = True
+        information = one / limits[farthest] - one / covariance[farthest, farthest]
+        add_triangle_information(covariance, farthest, information, gain)

@@ -17,7 +17,7 @@ from stillwork.base.checks import (
 )
 from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_form_update, ferls_step
+from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_step
 
 # An error this many times the largest one without adaptation is no transient any more.
 RUNAWAY = 1e6
@@ -237,20 +237,25 @@ class AdaptationStepper:
         regressor = require_array("regressor", regressor, shape=(n,))
         error = require_array("error", error, shape=(actuators,))
         settings, weights, recursion = self.settings, self.weights.copy(), None
-        if isinstance(settings, FeRls):
-            assert self.recursion is not None  # made with these settings
+        if self.recursion is not None:
             recursion = self.recursion.copy()
-            regressor, error = regressor.astype(weights.dtype), error.astype(weights.dtype)
-            leverage = ferls_form_update(weights, *recursion.filled, regressor, error, self.samples)
-            if not leverage >= recursion.forgetting:
-                raise _not_definite(self.samples)
-            if not (leverage < np.inf and _all_finite(recursion.matrix)):
-                raise _runaway(self.samples, settings)
-        else:
-            copies = settings.trace_copies(actuators)
-            step_size, regularisation = settings.step_size, settings.regularisation
-            felms_update(weights, regressor, error, step_size, regularisation, copies)
-        if not _all_finite(weights):
+        one = (each[None].astype(weights.dtype) for each in (regressor, error))
+        # The kernel of a whole record: who steps does not wait for another one to be compiled.
+        stopped, definite = _advance(
+            settings,
+            weights,
+            recursion,
+            *one,
+            False,
+            np.inf,
+            np.empty((0, actuators, n)),
+            2,
+            True,
+            first=self.samples,
+        )
+        if not definite:
+            raise _not_definite(self.samples)
+        if stopped == 0:
             raise _runaway(self.samples, settings)
         self.weights, self.recursion = weights, recursion
         self.samples += 1
@@ -313,15 +318,12 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
     covariance, held = None, None
     for watch in (False, True):
         weights = start.astype(dtype)
-        if isinstance(settings, FeRls):
-            recursion = settings.start(n)
-            stopped, definite = run_ferls(weights, recursion, *recursion[-2:], *inputs, watch)
+        recursion = settings.start(n) if isinstance(settings, FeRls) else None
+        stopped, definite = _advance(settings, weights, recursion, *inputs, watch)
+        if not definite:
+            raise _not_definite(stopped)
+        if recursion is not None:
             covariance, held = recursion.covariance, recursion.held
-            if not definite:
-                raise _not_definite(stopped)
-        else:
-            rates = settings.step_size, settings.regularisation, settings.trace_copies(actuators)
-            stopped = run_felms(weights, *rates, *inputs, watch)
         if stopped < samples:
             raise _runaway(stopped, settings)
         if np.all(np.isfinite(weights)) and (covariance is None or np.all(np.isfinite(covariance))):
@@ -329,6 +331,14 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
     return Adaptation(
         weights.astype(float), covariance, held, every * np.arange(1, len(history) + 1), history
     )
+
+
+def _advance(settings, weights, recursion, *inputs, first: int = 0) -> tuple[int, bool]:
+    """Run an algorithm over some samples, `weights` and `recursion` in place; see `run_ferls`."""
+    if recursion is not None:
+        return run_ferls(weights, recursion, *recursion[-2:], *inputs, first)
+    rates = settings.step_size, settings.regularisation, settings.trace_copies(len(weights))
+    return run_felms(weights, *rates, *inputs), True
 
 
 def _not_definite(sample: int) -> UnstableAdaptation:
@@ -368,7 +378,15 @@ def _all_finite(matrix):
 
 
 @kernel
-def run_ferls(weights, recursion, inner, other, regressors, signals, fits, ceiling, history, every, watch):
+def run_ferls(
+    weights, recursion, inner, other, regressors, signals, fits, ceiling, history, every, watch, first
+):
+    """FeRLS over samples of which the first has the number `first`, in place.
+
+    Returns how many are done, and whether P was positive definite up to there. The `signals` are e, or, where it
+    `fits`, d of e = d + W psi, which ends the run above the `ceiling`. To `watch` is to ask at each sample whether all
+    is finite.
+    """
     matrix, form, forgetting, levels, allowance, gain, _, _ = recursion
     error = np.empty(signals.shape[1], signals.dtype)
     due = every - 1
@@ -378,7 +396,18 @@ def run_ferls(weights, recursion, inner, other, regressors, signals, fits, ceili
         elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k, True
         leverage = ferls_step(
-            weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressors[k], error, k
+            weights,
+            matrix,
+            form,
+            forgetting,
+            levels,
+            allowance,
+            gain,
+            inner,
+            other,
+            regressors[k],
+            error,
+            first + k,
         )
         if not leverage >= forgetting:
             return k, False
@@ -404,6 +433,7 @@ def run_felms(
     every,
     watch,
 ):
+    """FeLMS likewise; returns how many samples are done."""
     error = np.empty(signals.shape[1])
     due = every - 1
     for k in range(len(regressors)):

@@ -17,7 +17,7 @@ from stillwork.base.algebra import (
     solve_forward,
 )
 from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.covariance_forms import add_triangle_information, update_covariance
+from stillwork.estimation.covariance_forms import add_triangle_information, hold_diagonal, update_covariance
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
 ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
@@ -248,10 +248,12 @@ def run_least_squares(
         for i in range(n):
             estimate[i] += gain[i] * share
             estimates[t, i] = estimate[i]
+        reached = False
         for i in range(n):
-            held[i] = covariance[i, i] > limits[i]
-            if covariance[i, i] > limits[i]:
-                add_triangle_information(covariance, i, 1.0 / limits[i] - 1.0 / covariance[i, i], gain)
+            held[i] = False
+            reached |= covariance[i, i] > limits[i]
+        if reached:
+            hold_diagonal(covariance, limits, held, gain)
 
 
 @kernel

@@ -510,7 +510,7 @@ class RecursiveLeastSquares(_WeightedRegressor):
             ahead = np.flatnonzero((squares[first:] > largest).any(axis=1))
             last = first + int(ahead[0]) if len(ahead) else len(squares)
             record = _record(rows[first:last], outputs[first:last])
-            stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False)
+            stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False, 0)
             if stopped < len(record[0]):
                 raise InputError(
                     "initial_covariance, growth_limit and X together make the covariance indefinite; give a smaller "

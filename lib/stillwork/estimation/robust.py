@@ -91,7 +91,7 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     gain[0], covariance[0] = 0.0, model.initial_covariance
     colour, whiten = np.linalg.cholesky(model.process), np.linalg.inv(np.linalg.cholesky(model.sensor))
     _kalman_kernel(states, outputs)(model.a, model.g, model.c, colour, whiten, gain, covariance)
-    return FilterGains(model.a, model.b, gain, model.c, covariance)
+    return FilterGains.of(model, gain, covariance)
 
 
 @checked(missing=True)

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import Converted, InputError, counted, require_array, require_finite_run
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked, made
 from stillwork.base.kernels import kernel
 
 
@@ -95,15 +95,24 @@ class FilterGains:
             for name in ("gain", "covariance"):
                 value = getattr(self, name)
                 if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-                    require_finite_run(
-                        f"the filter's {name}", value, "rescale the model, its noises or the penalty"
-                    )
+                    _require_finite(name, value)
             raise
+
+    @classmethod
+    def of(cls, model: TimeVaryingModel, gain: np.ndarray, covariance: np.ndarray) -> "FilterGains":
+        """What a filter has computed of a model, whose matrices it shares: of a long record to copy them takes longer."""
+        _require_finite("gain", gain)
+        _require_finite("covariance", covariance)
+        return made(cls, forward=model.a, inputs=model.b, gain=gain, outputs=model.c, covariance=covariance)
 
     @property
     def samples(self) -> int:
         """Number of samples."""
         return len(self.forward)
+
+
+def _require_finite(name: str, value: np.ndarray) -> None:
+    require_finite_run(f"the filter's {name}", value, "rescale the model, its noises or the penalty")
 
 
 @checked(missing=True)
@@ -123,32 +132,34 @@ def estimate(
     y = require_array("y", y, shape=(None, gains.outputs.shape[1], samples))
     u = require_array("u", u, shape=(len(y), inputs, samples))
     initial = np.zeros(states) if initial is None else require_array("initial", initial, shape=(states,))
-    out = np.zeros((len(y), samples, states))
+    out = np.empty((len(y), states, samples))
     _estimate(gains.forward, gains.inputs, gains.gain, gains.outputs, u, y, initial, out)
-    require_finite_run("the estimate", out, "check the gains and the size of the record", axis=1)
-    out = np.moveaxis(out, 1, 2)
-    return np.ascontiguousarray(out[0] if single else out)
+    require_finite_run("the estimate", out, "check the gains and the size of the record", axis=2)
+    return out[0] if single else out
 
 
 @kernel
 def _estimate(forward, inputs, gain, outputs, u, y, initial, out):
-    runs, samples, n = out.shape
-    predicted = np.zeros(n)
+    runs, n, samples = out.shape
+    x, predicted = np.empty(n), np.empty(n)
     for run in range(runs):
         for i in range(n):
-            out[run, 0, i] = initial[i]
+            x[i] = out[run, i, 0] = initial[i]
         for k in range(1, samples):
             for i in range(n):
                 total = 0.0
                 for j in range(n):
-                    total += forward[k, i, j] * out[run, k - 1, j]
+                    total += forward[k, i, j] * x[j]
                 for j in range(u.shape[1]):
                     total += inputs[k, i, j] * u[run, j, k - 1]
                 predicted[i] = total
-                out[run, k, i] = total
+            for i in range(n):
+                x[i] = predicted[i]
             for j in range(y.shape[1]):
                 innovation = y[run, j, k]
                 for i in range(n):
                     innovation -= outputs[k, j, i] * predicted[i]
                 for i in range(n):
-                    out[run, k, i] += gain[k, i, j] * innovation
+                    x[i] += gain[k, i, j] * innovation
+            for i in range(n):
+                out[run, i, k] = x[i]

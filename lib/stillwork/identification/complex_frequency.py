@@ -216,12 +216,13 @@ def _sums(omega, response, weight, order):
 def _poles(sums, order, omega):
     up, down, (outputs, inputs) = sums
     matrices = [toeplitz(down[: order + 1, k], up[: order + 1, k]) for k in range(up.shape[1])]
-    own = matrices[0]
+    own = np.asarray_chkfinite(matrices[0])  # LAPACK's least squares print what they think of NaN
     cross = np.array(matrices[1 : 1 + outputs * inputs]).reshape(outputs, inputs, order + 1, -1)
     normal = np.array(matrices[1 + outputs * inputs :]).reshape(inputs, inputs, order + 1, -1)
     normal = normal.transpose(2, 0, 3, 1).reshape((order + 1) * inputs, -1)
     for each in cross.transpose(0, 2, 3, 1).reshape(outputs, order + 1, -1):
         normal = normal - each.T @ np.linalg.lstsq(own, each, rcond=1e-14)[0]
+    normal = np.asarray_chkfinite(normal)
     below = np.linalg.lstsq(normal[:-inputs, :-inputs], -normal[:-inputs, -inputs:], rcond=1e-15)[0]
     companion = np.eye(order * inputs, k=inputs)
     companion[-inputs:] = -below.T

@@ -15,6 +15,8 @@ from stillwork.lti.reduction import truncate
 
 MISSED = 0.5  # relative error below half the first resonance, or at the end of the band, that is told
 END = 0.01  # of the band's highest frequency
+AROUND = (0.4, 10.0)  # times the one resonance that stands out, where more is looked for
+TURNED = "counted against the force, turned"
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 
@@ -128,15 +130,29 @@ def _fitted(
 ) -> Machine:
     band = whole_band(measured, fit_hz)
     fit = identify_modes(_thinned(measured, 12_000, band), band, modes_hz)
+    notes = [*file.notes]
+    if len(fit.model.frequencies) < 2:
+        whole, only = band, float(fit.model.frequencies[-1]) / (2 * np.pi)
+        band, fit = _closer(measured, band, only) or (band, fit)
+        if len(fit.model.frequencies) < 2:
+            everything = not any(fit_hz) or whole_band(measured, (0.0, 0.0)) == whole
+            raise InputError(
+                f"{file.source} has one resonance from {whole[0]:.4g} to {whole[1]:.4g} Hz, at {only:.4g} Hz, and no flexible "
+                f"mode beside it; {'measure further' if everything else 'widen fit_hz'}, or let fit_hz be the band in "
+                "which the response stands out of its noise"
+            )
+        notes.append(
+            f"fitted from {band[0]:.4g} to {band[1]:.4g} Hz: from {whole[0]:.4g} to {whole[1]:.4g} Hz one resonance alone "
+            "stood out; give fit_hz to say where the response can be trusted"
+        )
     model = fit.model
     low = fit.omega[0] / (2 * np.pi)
-    notes = [
-        *file.notes,
+    notes += [
         f"the mass is that from {low:.4g} Hz on, with a standard deviation of {100 * fit.mass_deviation:.2g} %",
     ]
     if fit.turned:
         measured = measured._replace(response=-measured.response)
-        notes.append("counted against the force, turned")
+        notes.append(TURNED)
     if not model.rigid_modes:
         notes.append(
             f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz"
@@ -145,10 +161,6 @@ def _fitted(
         notes.append(
             f"on viscous friction: {model.drag:.4g} 1/s of the mass, {model.drag * _mass(model):.4g} "
             f"{file.units[1]}/({file.units[0]}/s)"
-        )
-    if len(model.frequencies) < 2:
-        raise InputError(
-            f"{file.source} has no flexible mode from {band[0]:g} to {band[1]:g} Hz; widen fit_hz"
         )
     if fit.delay:
         notes.append(
@@ -184,6 +196,22 @@ def _fitted(
     return Machine((model,), _mass(model), file.source, measured, fit, notes=tuple(notes), units=file.units)
 
 
+def _closer(
+    measured: Identified, band: tuple[float, float], only: float
+) -> tuple[tuple[float, float], ModalFit] | None:
+    """A part of a band around the one resonance that was found in it, and the fit there; None where it fails, too.
+
+    Lines are evenly spaced: modes at one end of a long band are few of them, between which noise and what lies far away
+    decide.
+    """
+    low, high = max(band[0], AROUND[0] * only), min(band[1], AROUND[1] * only)
+    try:
+        part = whole_band(measured, (low, high))
+        return part, identify_modes(_thinned(measured, 12_000, part), part)
+    except InputError:
+        return None
+
+
 def _built(file: MachineFile, model: ModalModel) -> Machine:
     suspended = not model.rigid_modes and SUSPENDED * model.frequencies[0] <= model.frequencies[1:2].sum()
     if model.rigid_modes != 1 and not suspended:
@@ -212,7 +240,7 @@ def _built(file: MachineFile, model: ModalModel) -> Machine:
             f"{file.source}: the sensors see rigid bodies of {listing} kg; let each output be a position along "
             "the force (a row of shares that add up to 1)"
         )
-    notes = ("counted against the force, turned",) if turned else ()
+    notes = (TURNED,) if turned else ()
     if suspended:
         notes += (f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz",)
     return Machine(

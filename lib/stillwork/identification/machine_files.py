@@ -157,6 +157,19 @@ def load_machine(
     return MachineFile(kind, file.name, found._replace(response=scaled), notes=notes, units=(position, drive))
 
 
+@checked(missing=True)
+def load_ratio(file: str | Path, response: str = "") -> Identified:
+    """A frequency response of one thing over another of the same unit from a file, as `load_machine` reads it."""
+    file = Path(file)
+    arrays = read_arrays(file)
+    if _frequency_name(arrays) is None:
+        raise InputError(f"{file.name} holds {', '.join(arrays) or 'nothing'}, and no frequency; name it so")
+    try:
+        return _from_response(arrays, response)[0]
+    except InputError as error:
+        raise InputError(f"{file.name}: {error}") from None
+
+
 def _machine_units(response_unit: str, force_unit: str) -> tuple[str, int, str]:
     """Unit of the position, how many derivatives the response lacks, and the unit of what drives it."""
     _, unit = unit_factor(response_unit)

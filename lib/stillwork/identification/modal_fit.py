@@ -429,7 +429,7 @@ class _Accelerance:
         for _ in range(steps):
             normal, slope = jacobian.T @ jacobian, jacobian.T @ residual
             normal[np.diag_indices_from(normal)] *= 1 + caution
-            move = np.linalg.lstsq(normal, -slope, rcond=None)[0]
+            move = np.linalg.lstsq(np.asarray_chkfinite(normal), -slope, rcond=None)[0]
             trial = np.clip(modes + move.reshape(2, -1), low, high)
             _, residual_there, jacobian_there = self.solved(trial)
             gained = cost - residual_there @ residual_there
@@ -615,7 +615,7 @@ class _Accelerance:
         kept = linear[:, [1, *range(FIXED, FIXED + count)]]
         left = self.goal - (0.0 if self.grounded else gains[0] * linear[:, 0])
         sizes = np.linalg.norm(kept, axis=0)
-        own = np.linalg.lstsq(kept / sizes, left, rcond=None)[0] / sizes
+        own = np.linalg.lstsq(np.asarray_chkfinite(kept / sizes), left, rcond=None)[0] / sizes
         residual = left - kept @ own
         sign = float(np.sign(gains[rigid]))
         free = np.zeros(0 if self.grounded else 1)

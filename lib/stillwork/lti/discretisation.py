@@ -1,6 +1,7 @@
 """Discretisation: by zero-order hold exactly, of modes in closed form and of any model, and by Tustin's rule."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -237,7 +238,18 @@ def sampled_modes(
     `omega` is the same for all modes, or holds a row for each. The force may begin `late` by a part of a sample, and
     what moves freely lose its speed at the rate `drag` (1/s).
     """
-    blocks, gains, old = _late(frequencies, damping, sample_time, late, drag)
+    return _at(_late(frequencies, damping, sample_time, late, drag), sample_time, omega, late)
+
+
+@lru_cache(maxsize=64)
+def _kept(frequencies: bytes, damping: bytes, sample_time: float, late: float, drag: float):
+    """`_late` of modes by their bytes: a search asks for the response of the same ones thousands of times."""
+    return _late(np.frombuffer(frequencies), np.frombuffer(damping), sample_time, late, drag)
+
+
+def _at(held, sample_time: float, omega: np.ndarray, late: float) -> np.ndarray:
+    """Response of modes at `omega` from what `_late` made of them."""
+    blocks, gains, old = held
     # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
     lifted = np.exp(1j * omega * sample_time) - 1
     first, second = blocks[:, 0, 0, None] - 1, blocks[:, 1, 1, None] - 1
@@ -256,5 +268,5 @@ def zoh_response(
 ) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
     """Response of the zero-order-hold equivalent, mode by mode in closed form; the force `late` as in `late_modes`."""
     residues = model.output_shapes[:, None, :] * model.input_shapes.T[None]
-    modes = sampled_modes(model.frequencies, model.damping, sample_time, omega, late, model.drag)
-    return residues @ modes + model.feedthrough[:, :, None]
+    held = _kept(model.frequencies.tobytes(), model.damping.tobytes(), sample_time, late, model.drag)
+    return residues @ _at(held, sample_time, omega, late) + model.feedthrough[:, :, None]

@@ -85,7 +85,7 @@ class Enclosure:
         True
         """
         low, high = (20 * np.log10(each) if each > 0 else -inf for each in (self.low, self.high))
-        return Enclosure(_outward(float(low), -1), _outward(float(high), 1), self.proven)
+        return Enclosure(outward(float(low), -1), outward(float(high), 1), self.proven)
 
     def __str__(self) -> str:
         if not self.proven:
@@ -93,7 +93,9 @@ class Enclosure:
         return f"at most {np.ceil(self.high * 1e4) / 1e4:.4f}, proven"
 
 
-def _outward(value: float, sign: int) -> float:
+@checked(infinite=True)
+def outward(value: float, sign: int) -> float:
+    """The float some places below or above a computed one, by the sign."""
     for _ in range(4):  # a logarithm is right to less than two units in the last place
         value = nextafter(value, sign * inf)
     return value
@@ -308,7 +310,8 @@ def add(one: Polynomial, other: Polynomial, factor: int = 1) -> Polynomial:
     return [x + factor * y for x, y in zip(first, second, strict=True)]
 
 
-def _shifted(polynomial: Polynomial) -> Polynomial:
+@checked
+def shifted(polynomial: Polynomial) -> Polynomial:
     """p(x + 1)."""
     falling = polynomial[::-1]
     for end in range(len(falling), 1, -1):
@@ -321,8 +324,8 @@ def _turn(polynomial: Polynomial, degree: int) -> Polynomial:
     full = polynomial + [0] * (degree + 1 - len(polynomial))
     # z = 2 / v - 1 with v = 1 - w
     alternating = [(-1) ** k * each for k, each in enumerate(full)]
-    lowered = [(-1) ** k * each << k for k, each in enumerate(_shifted(alternating))]  # p(t - 1), t = 2 / v
-    return [(-1) ** k * each for k, each in enumerate(_shifted(lowered[::-1]))]
+    lowered = [(-1) ** k * each << k for k, each in enumerate(shifted(alternating))]  # p(t - 1), t = 2 / v
+    return [(-1) ** k * each for k, each in enumerate(shifted(lowered[::-1]))]
 
 
 @checked(infinite=True)
@@ -427,10 +430,10 @@ def _reaches_zero(polynomial: Polynomial, bits: int | None) -> bool | None:
     )
     for octave in range(low, high + 1):
         scaled = _scaled(polynomial, octave, bits)
-        beyond = _shifted(scaled)  # from 2^octave on
+        beyond = shifted(scaled)  # from 2^octave on
         if beyond[0] <= 0:
             return True
-        if _signs(beyond) == 0:
+        if sign_changes(beyond) == 0:
             return False
         if (found := _within(beyond)) is not False:
             return found
@@ -446,7 +449,8 @@ def _scaled(polynomial: Polynomial, octave: int, bits: int | None) -> Polynomial
     return [each >> spare for each in whole] if spare > 0 else whole
 
 
-def _signs(polynomial: Polynomial) -> int:
+@checked
+def sign_changes(polynomial: Polynomial) -> int:
     """How often the coefficients change their sign."""
     signs = [each > 0 for each in polynomial if each]
     return sum(one != other for one, other in pairwise(signs))
@@ -459,7 +463,7 @@ def _within(polynomial: Polynomial) -> bool | None:
         each, depth = left.pop()
         if sum(each) <= 0:
             return True
-        changes = _signs(_shifted(each[::-1]))
+        changes = sign_changes(shifted(each[::-1]))
         if changes == 0:
             continue
         if changes == 1:
@@ -468,7 +472,7 @@ def _within(polynomial: Polynomial) -> bool | None:
             return None
         n = len(each) - 1
         half = [x << (n - k) for k, x in enumerate(each)]
-        right = _shifted(half)
+        right = shifted(half)
         if right[0] <= 0:
             return True
         left += [(right, depth + 1), (half, depth + 1)]
@@ -563,7 +567,7 @@ def enclose_h2_norm(model: StateModel) -> Enclosure:
         factor = 2 if model.sample_time else 1
         square = [factor * sum(Fraction(each[end]) for each in known) for end in (0, 1)]
         low, high = (
-            _outward(float(np.sqrt(float(each))), sign) for each, sign in zip(square, (-1, 1), strict=True)
+            outward(float(np.sqrt(float(each))), sign) for each, sign in zip(square, (-1, 1), strict=True)
         )
         if high <= low * (1 + WIDTH) or not square[1]:
             return Enclosure(max(low, 0.0), high, True)

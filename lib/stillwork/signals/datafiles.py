@@ -167,7 +167,8 @@ def _npz(path: Path) -> dict[str, np.ndarray]:
     if not begins or not zipfile.is_zipfile(path):
         raise _no_archive(path, "it is no archive")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here: of a damaged archive numpy leaves its own open.
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             _require_size(path, file.zip.infolist())
             members = {name: file[name] for name in file.files}
     except InputError:

@@ -11,6 +11,9 @@ from stillwork.signals.datafiles import read_columns
 from stillwork.signals.records import MOTION_UNITS, unit_factor
 
 DENSITIES_SAID = "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), say, with m, u or n before a unit"
+# What a column beside a frequency is called when it is a part of a response, and no density.
+_PARTS = re.compile(r"\b(re|real|im|imag|imaginary|mag|magnitude|amplitude|gain|phase|angle|coherence|coh)\b")
+_SUFFIX = re.compile(r"_([munk]?[mg])(_s2|_s)?_(rthz|sqrthz|2_hz)$")
 _FREQUENCY_WORDS = ("frequency", "frequencies", "freq", "f", "hz")
 
 
@@ -28,6 +31,32 @@ def density_unit(unit: str) -> tuple[str, int] | None:
     if "hz" in plain.lower():
         raise InputError(f"unit is {unit!r}; give a density as {DENSITIES_SAID}")
     return None
+
+
+@checked
+def stated_density(name: str) -> str:
+    """Unit of a density that a name says in brackets or at its end, as ``ground_m_rthz`` does; empty: none."""
+    if found := re.search(r"[(\[](.+)[)\]]\s*$", name):
+        try:
+            return found[1] if density_unit(found[1]) else ""
+        except InputError:
+            return ""
+    if found := _SUFFIX.search(name.strip().lower()):
+        motion = found[1] + {"_s2": "/s^2", "_s": "/s", None: ""}[found[2]]
+        return f"({motion})^2/Hz" if found[3] == "2_hz" else f"{motion}/sqrt(Hz)"
+    return ""
+
+
+@checked
+def spectra_of(columns: dict[str, np.ndarray]) -> dict[str, str]:
+    """Names of the densities beside a frequency, each with the unit that its name says; empty where there are none."""
+    axis = frequency_axis(columns)
+    others = {name: column for name, column in columns.items() if name != axis and column.size > 1}
+    if not axis or any(
+        column.dtype.kind == "c" or _PARTS.search(name.lower()) for name, column in others.items()
+    ):
+        return {}
+    return {name: stated_density(name) for name in others}
 
 
 @checked

@@ -1,0 +1,227 @@
+"""One search for the controller of a machine: `design`, `report` and the notebook print what it finds."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from typing import NamedTuple
+
+import numpy as np
+
+from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.front_door import checked
+from stillwork.control.machine_loops import Intensities, Reached, applications, reach, search_range
+from stillwork.control.machine_tuning import DesignSettings, tuned
+from stillwork.control.uncertainty import NAMES, Uncertainty, uncertainty_of
+from stillwork.identification.machine import Machine, brought_forward
+
+# What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
+INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
+ADDED_DAMPING, SELECTIVITY, RETAINED = 0.02, 2.0, 5
+NOTCHED = "PID with notches"
+UNCERTAINTY = {"frequency": 0.05, "gain": 0.05}  # of a machine of which nothing else is said
+DELAY = 1.0  # samples from a measurement to the force that follows from it
+OVER_FIRST, OVER_LAST = 20.0, 4.0  # a rate that nobody gave, over the first resonance and over the last
+STEPS = (1, 2, 5)  # of rates that nobody gave, times powers of ten
+EACH = 2  # searches a use: with the first settings, and with those that are tuned
+
+
+class Designed(NamedTuple):
+    """What the search found, and for what."""
+
+    machine: Machine  # its measurement early by the delay that it was found to hold
+    others: tuple[Machine, ...]  # other responses of it that the same controller serves
+    rate: float  # Hz
+    delay: float  # samples, what the measurement holds included
+    delays: tuple[float, ...]  # likewise, of the others
+    uncertainty: dict[str, float]
+    spreads: tuple[Uncertainty, ...]  # of the machine, then of the others
+    settings: dict[str, DesignSettings]
+    found: dict[str, Reached]  # by use
+    notes: tuple[str, ...]  # what the search is for, in words
+
+    @property
+    def how(self) -> dict:
+        """The arguments of `reach` that do not change with the use."""
+        others = tuple(zip(self.others, self.delays, strict=True))
+        return {
+            "uncertainty": self.uncertainty,
+            "sample_time": 1 / self.rate,
+            "delay": self.delay,
+            "others": others,
+        }
+
+    @property
+    def ranking(self) -> list[str]:
+        """The uses with a safe loop, the furthest first; of equals the simplest."""
+        safe = [use for use, each in self.found.items() if each.recommended is not None]
+        return sorted(safe, key=lambda use: -round(crossing(self.found[use]), 2))
+
+    @property
+    def ranking_line(self) -> str:
+        """The same in words, with the bandwidths."""
+        said = [f"{use} {crossing(self.found[use]):.1f} Hz" for use in self.ranking]
+        return f"from the furthest: {', '.join(said) or 'none has a safe loop'}"
+
+    def lines(self) -> list[str]:
+        """What was searched and found, a line each."""
+        rows = [
+            f"{use}: {', '.join(f'{key} {value}' for key, value in each.summary.items())}"
+            f"{each.reason and '; ' + each.reason}"
+            for use, each in self.found.items()
+        ]
+        return [*self.notes, *rows, self.ranking_line]
+
+
+@checked
+def default_rate(machine: Machine) -> float:
+    """A rate (Hz) where nobody gave one: 1, 2 or 5 times a power of ten, well above all resonances of the model."""
+    hertz = machine.resonances_hz
+    least = max(OVER_FIRST * float(hertz[0]), OVER_LAST * float(hertz[-1]))
+    power = 10 ** np.floor(np.log10(least))
+    return float(next(step * power for step in (*STEPS, 10) if step * power >= (1 - 1e-9) * least))
+
+
+@checked
+def asked_uncertainty(said: str | Mapping[str, float]) -> dict[str, float]:
+    """Shares by `NAMES`: those of `UNCERTAINTY`, and what is said; ``none``: nothing but what is said."""
+    if not isinstance(said, str):
+        named = dict(said)
+    else:
+        words = [each.strip() for each in said.split(",") if each.strip()]
+        named = {}
+        for word in words:
+            name, _, value = word.partition("=")
+            if word == "none":
+                continue
+            try:
+                named[name.strip()] = float(value)
+            except ValueError:
+                raise InputError(
+                    f"uncertainty holds {word!r}; give NAME=SHARE of {', '.join(NAMES)}, commas between, or none"
+                ) from None
+        if "none" not in words:
+            named = UNCERTAINTY | named
+    for name, value in named.items():
+        require_choice("uncertainty", name, NAMES)
+        below = {} if name == "delay" else {"below": 1.0}
+        require_number(f"uncertainty: {name}", value, at_least=0.0, **below)
+    return {name: value for name, value in named.items() if value}
+
+
+@checked(missing=True)
+def search_designs(
+    machine: Machine,
+    others: Sequence[Machine] = (),
+    *,
+    rate: float = 0.0,
+    delay: float = DELAY,
+    uncertainty: str | Mapping[str, float] = "",
+    loop_hz: tuple[float, float] = (0.0, 0.0),
+    search_hz: tuple[float, float] = (0.0, 0.0),
+    intensities: Intensities = INTENSITIES,
+    retained: int = RETAINED,
+    added_damping: float = ADDED_DAMPING,
+    selectivity: float = SELECTIVITY,
+    told: Callable[[str], None] | None = None,
+) -> Designed:
+    """How far PID, PID with notches, MC, AD, and MC and AD get, each with its settings tuned.
+
+    Parameters
+    ----------
+    machine : Machine
+    others : sequence of Machine
+        The same machine elsewhere, at another position or with another load: the controller, whose observer is made for
+        `machine`, holds the constraints there and in the box around it, too.
+    rate : float
+        Samples a second of the controller, Hz; 0: `default_rate`.
+    delay : float
+        Samples from a measurement to the force that follows from it, whole or not, beside the hold and beside a delay
+        that the measured response itself holds, which is found and added as it is.
+    uncertainty : str or mapping of str to float
+        See `asked_uncertainty`.
+    loop_hz, search_hz : tuple of float
+        See `reach`.
+    intensities, retained, added_damping, selectivity
+        Where the settings of an observer begin.
+    told : callable, optional
+        Hears of each use before it is searched, `EACH` times.
+
+    Returns
+    -------
+    Designed
+
+    Raises
+    ------
+    InputError
+        For settings that fit no machine, or not this one.
+    """
+    shares = asked_uncertainty(uncertainty)
+    chosen = not rate
+    rate = require_number("rate", rate, at_least=0.0) or default_rate(machine)
+    delay = require_number("delay", delay, at_least=0.0)
+    lowest, resonance = search_range(machine, 0.0)[0], float(machine.resonances_hz[0])
+    # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
+    require_number("rate", rate, above=10 * lowest, at_most=resonance / np.sqrt(np.finfo(float).eps))
+    if delay / rate * lowest >= 1:
+        raise InputError(
+            f"delay is {delay:g}, a period of the lowest bandwidth ({lowest:.3g} Hz) or more; give fewer samples"
+        )
+    if others and max(len(each.sensors) for each in (machine, *others)) > 1:
+        raise InputError("others: several responses are served at one sensor; leave the other sensors out")
+    for each in others:
+        if each.units != machine.units:
+            raise InputError(
+                f"others: {each.source} is in {' and '.join(each.units)}, {machine.source} in {' and '.join(machine.units)}"
+            )
+    prompt, late = zip(*(_prompt(each, delay, rate) for each in (machine, *others)), strict=True)
+    spreads = tuple(uncertainty_of(each, shares) for each in prompt)
+    said = " and ".join(
+        f"{name} ± {value:g}{'' if name != 'delay' else ' s'}" for name, value in shares.items()
+    )
+    notes = (
+        f"searched at {rate:g} Hz{' (nobody gave a rate: above 20 times the first resonance and 4 times the last)' * chosen}, "
+        f"the force {late[0]:.4g} samples late and held, all over a box of {said or 'nothing: no uncertainty'}"
+        f"{', beside the intervals of the fit' * bool(said and machine.fit)}",
+    )
+    made = Designed(prompt[0], prompt[1:], rate, late[0], late[1:], shares, spreads, {}, {}, notes)
+    for use, application in ({"PID": None, NOTCHED: None} | applications(added_damping, selectivity)).items():
+        first = DesignSettings(application, retained, intensities, use == NOTCHED)
+        beside = {"loop_hz": loop_hz, "search_hz": search_hz}
+        made.settings[use], made.found[use] = _furthest(
+            made, first, beside, lambda use=use: told and told(use)
+        )
+    return made
+
+
+def _prompt(machine: Machine, delay: float, rate: float) -> tuple[Machine, float]:
+    """A measured machine early by the delay that it holds, and the delay of the loop, in samples, with it."""
+    if machine.fit is None:
+        return machine, delay
+    # What is early is no part of a machine: the measurement is only made to agree with the model.
+    return brought_forward(machine, machine.fit.delay), delay + max(machine.fit.delay, 0.0) * rate
+
+
+@checked(missing=True)
+def reach_one(machine: Machine, settings: DesignSettings, how: Mapping) -> Reached:
+    """`reach` for one use; `how` are its other arguments."""
+    own = {each.name: getattr(settings, each.name) for each in fields(settings) if each.name != "application"}
+    return reach(machine, {"": settings.application}, **own, **how)[""]
+
+
+def _furthest(made: Designed, settings: DesignSettings, beside: dict, told) -> tuple[DesignSettings, Reached]:
+    """The settings, tuned where that leads further, and how far they get."""
+    told()
+    found = reach_one(made.machine, settings, made.how | beside)
+    told()
+    lowest, _ = search_range(made.machine, 1 / made.rate)
+    design_hz = found.recommended.design_hz if found.recommended else lowest
+    trial = tuned(made.machine, settings, design_hz, **made.how)
+    further = found if trial == settings else reach_one(made.machine, trial, made.how | beside)
+    if further.recommended is None or crossing(further) <= crossing(found):
+        return settings, found
+    return trial, further
+
+
+@checked
+def crossing(reached: Reached) -> float:
+    """The lowest first crossing of what is recommended, Hz; 0 where nothing is."""
+    return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0

@@ -1,0 +1,239 @@
+"""The command ``retest``: whether a new response still keeps what `design` promised, on one page."""
+
+import html
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.extras import require_package
+from stillwork.base.toml_files import Table
+from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, make_loop
+from stillwork.control.digital import DigitalController, in_units, load_controller
+from stillwork.control.machine_loops import SHOWN, extra_turns, on_measurement
+from stillwork.control.pid import Notch, Pid
+from stillwork.designing import ALLOWED_DB, own_functions
+from stillwork.html_page import page, picture, table
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine import Machine, brought_forward, build_machine, whole_band
+from stillwork.identification.machine_files import load_machine, load_ratio
+from stillwork.inspecting import inspect_file
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel
+from workbook import figures
+
+
+def retest_file(
+    controller: str,
+    file: str,
+    out: str = "",
+    *,
+    closed_loop: bool = False,
+    fit_hz: tuple[float, float] = (0.0, 0.0),
+    loop_hz: tuple[float, float] = (0.0, 0.0),
+    **reading,
+) -> list[str]:
+    """Close the loop of a written controller around a new response, and say whether the promise holds on it.
+
+    Parameters
+    ----------
+    controller : str
+        The JSON file that `design` wrote.
+    file : str
+        The machine again, measured as for `design` and in the same units; see `load_machine`.
+    out : str
+        Of the page, a new one; empty: the name of `file` with ``.retest.html``.
+    closed_loop : bool
+        `file` holds what was measured with the controller running: the force that reaches the machine over the one that
+        is injected beside the controller's, both sampled as the controller samples. That is the output sensitivity; the
+        machine follows from it and from the controller.
+    fit_hz, loop_hz : tuple of float
+        See `design_file`; of a closed loop `loop_hz` is the band that counts.
+    **reading
+        Other arguments of `load_machine`.
+
+    Returns
+    -------
+    list of str
+        The verdict, and what has changed, a line each.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be used, or the page exists.
+    """
+    require_package("matplotlib")
+    target = Path(out or f"{Path(file).name}.retest.html")
+    if target.exists():
+        raise InputError(f"{target} exists; move it away, or give another --out")
+    written = load_controller(controller)
+    about = Table(dict(written.about), Path(controller).name)
+    made = about.table("provenance")
+    written = _in_the_units_of_the_file(written, made)
+    observer = about.table("compensator")
+    parts = (require_array(f"compensator: {name}", observer[name]) for name in "abcd")
+    designed = _model(about.table("model"))
+    sample_time = written.model.sample_time
+    before = make_loop(
+        designed,
+        _observer(*parts, sample_time),
+        sample_time=sample_time,
+        delay=made["delay_samples_of_the_loop"],
+    )
+    gains = about["gains"]
+    pid = Pid(**gains | {"notches": tuple(Notch(**each) for each in gains["notches"])})
+    if closed_loop:
+        loops, changes = {"measured": _from_sensitivity(before, written, file, loop_hz, reading)}, []
+        stable, turns = True, None  # it ran
+    else:
+        machine = build_machine(
+            load_machine(file, **reading), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False
+        )
+        late = max(machine.fit.delay, 0.0) if machine.fit else 0.0
+        modelled = make_loop(
+            machine.sensors[0],
+            before.compensator,
+            sample_time=sample_time,
+            delay=made["delay_samples_asked"] + late / sample_time,
+        )
+        loops, stable, turns = {"model": modelled}, modelled.is_stable(pid), None
+        if machine.measured is not None:
+            machine = brought_forward(machine, machine.fit.delay)
+            ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
+            band = whole_band(machine.measured, loop_hz if any(loop_hz) else tuple(map(float, ends)))
+            loops["measured"] = on_measurement(modelled, machine.measured, 1.0, band)
+            turns = extra_turns(loops["measured"], pid)
+        changes = _changes(designed, machine, made, late)
+    worst = {where: _worst(loop, written) for where, loop in loops.items()}
+    largest = max(size for each in worst.values() for size, _ in each.values())
+    holds = stable and not turns and largest <= ALLOWED_DB
+    said = "; ".join(
+        f"{where}: {', '.join(f'{SHOWN[name]} {size:.2f} dB at {hertz:.4g} Hz' for name, (size, hertz) in each.items())}"
+        for where, each in worst.items()
+    )
+    verdict = "the promise holds" if holds else "the promise does not hold; design again from this response"
+    lines = [
+        f"{Path(file).name} with {Path(controller).name}: {verdict}",
+        said,
+        *([] if stable else ["the loop is unstable on the model of this response"]),
+        *([f"extra turns around -1 on the measurement: {turns}"] if turns is not None else []),
+        *(" ".join(row) for row in changes if row[-1] == "outside the box"),
+    ]
+    head = ["", "then", "now", "change", ""]
+    body = [f"<p>{html.escape(line)}</p>" for line in lines]
+    body += [f"<h2>What has changed</h2>\n{table(head, changes)}"] if changes else []
+    shown = picture(paint_retest(before, loops, written), "sensitivities and true tracking, then and now")
+    body += [f"<h2>The loop</h2>\n{shown}"]
+    text = page(
+        "report.html",
+        source=html.escape(Path(file).name),
+        body="\n".join(body),
+        held=html.escape(inspect_file(file)),
+    )
+    target.write_text(text, encoding="utf-8")
+    return [*lines, f"written: {target}"]
+
+
+def _in_the_units_of_the_file(controller: DigitalController, made: Table) -> DigitalController:
+    """The controller in the units in which the machine was measured, not those of its drive."""
+    counts, constant = made.get("encoder_counts"), made.get("motor_constant")
+    return in_units(controller, 1 / (counts or 1.0), constant or 1.0, ("position", "force"))
+
+
+def _observer(a, b, c, d, sample_time: float) -> StateModel:
+    n = len(d)
+    if not a.size:  # without states the lists are empty
+        a, b, c = np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0))
+    return StateModel(a, b, c, d, sample_time)
+
+
+def _model(entries: Table) -> ModalModel:
+    """The model that the design was made for, as its file holds it."""
+    frequencies, damping, residues = (
+        require_array(f"model: {name}", entries[name], ndim=1)
+        for name in ("frequencies_rad_s", "damping", "residues")
+    )
+    shapes = np.sqrt(np.abs(residues))
+    return ModalModel(
+        frequencies,
+        damping,
+        shapes[:, None],
+        (shapes * np.sign(residues))[None],
+        np.array([[entries["compliance"]]]),
+        drag=entries["drag_1_s"],
+    )
+
+
+def _from_sensitivity(
+    before: Loop, controller: DigitalController, file: str, loop_hz: tuple[float, float], reading: Mapping
+) -> Loop:
+    """The loop with the plant that a measured output sensitivity S tells of: S = 1 / (1 - K P)."""
+    ratio = load_ratio(file, response=reading.get("response", ""))
+    low, high = whole_band(ratio, loop_hz)
+    inside = (ratio.omega >= 2 * np.pi * low) & (ratio.omega <= 2 * np.pi * high)
+    inside &= ratio.omega < np.pi / before.sample_time
+    seen = Identified(*(each[inside] for each in ratio))
+    if not len(seen.omega):
+        raise InputError(f"{Path(file).name} holds no line below half the controller's rate; measure lower")
+    _, k_y, k_f = controller.model.frequency_response(seen.omega)[0]
+    return replace(
+        before,
+        omega=seen.omega,
+        plant_response=(1 - 1 / seen.response) * (1 - k_f) / k_y,
+        compensator_response=before.compensator.frequency_response(seen.omega),
+    )
+
+
+def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -> list[list[str]]:
+    """Rows of numbers then and now: each resonance and the nearest that was found, the rigid body, the delay."""
+    now, box = machine.sensors[0], made.table("uncertainty")
+    rows = []
+    for k in range(1, len(designed.frequencies)):
+        then = designed.frequencies[k]
+        j = 1 + int(np.abs(np.log(now.frequencies[1:] / then)).argmin())
+        share = np.broadcast_to(box["frequency"], designed.frequencies.shape)[k]
+        change = now.frequencies[j] / then - 1
+        held = "in the box" if abs(change) <= share else "outside the box"
+        hertz = then / (2 * np.pi), now.frequencies[j] / (2 * np.pi)
+        rows.append(["resonance", *(f"{each:.5g} Hz" for each in hertz), f"{100 * change:+.2g} %", held])
+    mass = made["mass"], machine.mass
+    change = mass[1] / mass[0] - 1
+    held = "in the box" if abs(change) <= box["mass"] + box["gain"] else "outside the box"
+    rows.append(
+        ["mass", *(f"{each:.4g} {machine.mass_unit}" for each in mass), f"{100 * change:+.2g} %", held]
+    )
+    samples = made["delay_samples_of_the_loop"] - made["delay_samples_asked"]
+    then = samples / made["rate_hz"]
+    held = "in the box" if abs(late - then) <= box["delay"] + 1e-9 else "outside the box"
+    rows.append(
+        ["delay of the response", *(f"{1e6 * each:.3g} us" for each in (then, late)), f"{1e6 * (late - then):+.2g} us", held]
+    )  # fmt: skip
+    return rows
+
+
+def _worst(loop: Loop, controller: DigitalController) -> dict[str, tuple[float, float]]:
+    """The largest magnitude of each function, dB, and where, Hz."""
+    sizes = np.abs(own_functions(loop, controller))
+    places = sizes.argmax(axis=1)
+    return {
+        name: (float(20 * np.log10(row[place])), float(loop.omega[place] / (2 * np.pi)))
+        for name, row, place in zip(FUNCTIONS, sizes, places, strict=True)
+    }
+
+
+def paint_retest(before: Loop, loops: Mapping[str, Loop], controller: DigitalController):
+    """The three loop functions of the design on its model, and on the new response."""
+    figure, axes = figures.new(1, 3, height=2.8, sharey=True)
+    shown = {"designed": before, **loops}
+    colours = (figures.GREY, figures.BLUE, figures.RED)
+    for (where, loop), colour in zip(shown.items(), colours, strict=False):
+        for axis, name, response in zip(axes, FUNCTIONS, own_functions(loop, controller), strict=True):
+            hertz = loop.omega / (2 * np.pi)
+            axis.semilogx(hertz, 20 * np.log10(np.abs(response)), linewidth=0.8, color=colour, label=where)
+            axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+            axis.set(title=SHOWN[name], xlabel="frequency (Hz)", ylim=(-50, 15))
+    axes[0].set_ylabel("magnitude (dB)")
+    axes[0].legend()
+    return figure

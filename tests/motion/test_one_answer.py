@@ -1,0 +1,98 @@
+"""One file, one answer: the command `design`, the command `report` and the notebook print the same."""
+
+import json
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+
+import workbook
+from stillwork.control.machine_designs import asked_uncertainty, default_rate, search_designs
+from stillwork.designing import design_file
+from stillwork.identification.machine import build_machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.reporting import report_file
+from workbook import paths
+
+RATE, DELAY, UNCERTAINTY = 8e3, 0.5, "frequency=0.03,gain=0.1"
+USES = ("PID", "PID with notches", "MC", "AD", "MC and AD")
+
+
+def write_five_modes(file):
+    """3.3 kg with five modes of both signs, 40 us late, as a mobility in mm/s/N with noise of 0.2 %."""
+    hertz = np.arange(4.0, 800.0, 0.5)
+    s = 2j * np.pi * hertz
+    position = 1 / s**2
+    for resonance, ratio, share in ((92, 0.008, 0.6), (151, 0.006, -0.4), (233, 0.01, 0.35), (340, 0.007, 0.5), (517, 0.009, -0.25)):  # fmt: skip
+        w = 2 * np.pi * resonance
+        position = position + share / (s**2 + 2 * ratio * w * s + w**2)
+    noise = np.random.default_rng(3).standard_normal((2, len(hertz)))
+    mobility = 1e3 * s * position / 3.3 * np.exp(-4e-5 * s) * (1 + 1.4e-3 * (noise[0] + 1j * noise[1]))
+    rows = [f"{f:.6g},{x.real:.9g},{x.imag:.9g}" for f, x in zip(hertz, mobility, strict=True)]
+    file.write_text("\n".join(["frequency (Hz),real (mm/s/N),imaginary (mm/s/N)", *rows]))
+
+
+def by_notebook(file, monkeypatch, capsys, **settings):
+    """What the notebook prints of its search: its own cells, without what it saves."""
+    monkeypatch.setattr(workbook, "Page", MagicMock())
+    notebook = json.loads((paths.root() / "notebooks/motion/29-your-machine.ipynb").read_text("utf-8"))
+    names: dict = {}
+    for cell in notebook["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] != "code" or "page.check" in source or "explore(" in source:
+            continue
+        exec(source, names)
+        if "machine_file:" in source:
+            names |= {"machine_file": str(file), "fit_hz": (0.0, 0.0), "loop_hz": (0.0, 0.0)} | settings
+    return capsys.readouterr().out.splitlines()
+
+
+def answer(lines):
+    """Of each use its row, the ranking, and for what it was searched."""
+    kept = [
+        line
+        for line in lines
+        if line.partition(":")[0] in USES or line.startswith(("from the", "searched at"))
+    ]
+    assert len(kept) == len(USES) + 2
+    return kept
+
+
+@pytest.mark.slow
+def test_design_report_and_notebook_print_the_same(tmp_path, monkeypatch, capsys):
+    """Five modes in mm/s/N. 45 s of CPU: the whole search as each of the three makes it, which no part of it shows."""
+    write_five_modes(tmp_path / "machine.csv")
+    asked = {"rate": RATE, "delay": DELAY, "uncertainty": UNCERTAINTY}
+    file = str(tmp_path / "machine.csv")
+    designed = answer(design_file(file, str(tmp_path / "out"), **asked))
+    assert answer(report_file(file, str(tmp_path / "page.html"), **asked)) == designed
+    capsys.readouterr()
+    named = {"controller_hz": RATE, "delay_samples": DELAY, "uncertainty": UNCERTAINTY}
+    assert answer(by_notebook(file, monkeypatch, capsys, **named)) == designed
+    assert "8000 Hz" in designed[0] and "frequency ± 0.03 and gain ± 0.1" in designed[0]
+    page = (tmp_path / "page.html").read_text()
+    assert designed[-1] in page and designed[0] in page
+    assert "searched at" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_what_nobody_asked_for_has_a_default_that_is_printed():
+    """The searched bandwidths are those of the default rate when it is given."""
+    source = paths.data("motion", "your_machine/matrices.csv")
+    machine = build_machine(load_machine(source), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    rate = default_rate(machine)
+    assert rate >= 20 * machine.resonances_hz[0] and rate >= 4 * machine.resonances_hz[-1]
+    assert f"{rate:.0e}"[0] in "125" and rate / 10 ** np.floor(np.log10(rate)) in (1.0, 2.0, 5.0)
+    heard = []
+    silent = search_designs(machine, told=heard.append)
+    assert silent.rate == rate and f"searched at {rate:g} Hz (nobody gave a rate" in silent.notes[0]
+    assert "frequency ± 0.05 and gain ± 0.05" in silent.notes[0] and "1 samples late" in silent.notes[0]
+    assert heard == [use for use in USES for _ in range(2)]
+    asked = search_designs(machine, rate=rate, delay=1.0, uncertainty={"frequency": 0.05, "gain": 0.05})
+    assert asked.lines()[1:] == silent.lines()[1:] and "nobody" not in asked.lines()[0]
+    assert asked_uncertainty("") == {"frequency": 0.05, "gain": 0.05}
+
+
+def test_the_sensor_of_a_file_of_ones_own_is_not_mirrored():
+    notebook = (paths.root() / "notebooks/motion/29-your-machine.ipynb").read_text("utf-8")
+    assert "mirrored_sensor: bool = False" in notebook
