@@ -687,7 +687,7 @@ def test_a_new_result_overwrites_nothing(toy):
     before = toy.files("notebooks", "data", "tests")
     for name, message in [
         ("09-a", r"09-a\.ipynb"),
-        ("10-a", r"test_a\.py"),
+        ("10-a", r"\ba\.py"),
         ("09-b", r"\b09-a\b"),
     ]:
         with pytest.raises(InputError, match=message):
