@@ -83,16 +83,7 @@ def workbook(tmp_path) -> Path:
     package = root / "lib" / "stillwork"
     (package / "base").mkdir(parents=True)
     (root / "data").mkdir()
-    needed = (
-        "checks",
-        "garbage",
-        "kernel_cache",
-        "kernel_folder",
-        "kernels",
-        "paths",
-        "source_digest",
-        "toml_files",
-    )
+    needed = ("checks", "garbage", "kernel_cache", "kernel_folder", "kernels", "source_digest")
     for name in ("__init__", *needed):
         shutil.copy(Path(stillwork.__file__).parent / "base" / f"{name}.py", package / "base")
     shutil.copy(Path(stillwork.__file__), package)
