@@ -94,10 +94,10 @@ faults: $(READY) ## Inject 2,000 random faults into builds of a toy workbook; AR
 mutants: $(READY) ## Try small faults in the toolbox against its tests; ARGS="--count 200 --seed N --minutes N"
 	@$(BIN)/python benchmarks/mutants.py $(ARGS)
 
-dated: $(READY) ## Property tests on new examples, drawn from the day; ARGS=--hypothesis-seed=20260101 for those of another
+dated: $(READY) ## Property tests on new examples, drawn from the day; DAY=20260101 for those of another
 	@echo "examples of --hypothesis-seed=$(DAY)"
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "hypothesis and not slow" --hypothesis-profile=search \
-		--hypothesis-seed=$(DAY) $(ARGS)
+		--hypothesis-seed=$(DAY) $(ARGS) || { echo "the same examples again: make dated DAY=$(DAY)"; exit 1; }
 
 portable: $(READY) ## Build under other processors' settings and compare; ARGS="ROOM/NOTEBOOK --processor 2004" or "--sample"
 	@$(BIN)/python -m stillwork portable $(ARGS)

@@ -2,9 +2,11 @@
 
 A mutant is the toolbox with one small fault: an operator, a constant or an index changed, two arguments swapped, another
 local returned, a statement left out. It is killed when a test fails that passes without it. Of those that survive it
-prints the place, the old and the new text; each wants a test, or a reason why it changes nothing. It works in a copy,
-`build/mutants`, where `SEED.jsonl` keeps what was tried: a run that was stopped goes on, and those that survived are tried
-again.
+prints the place, the old and the new text; each wants a test, or a reason why it changes nothing, which goes into
+`mutating/equivalent.toml`. The tests that execute its line are tried first, in forks of one process
+(`mutating/forked_tests.py`), kernels without compilation; then, of those that are left, the slow tests, and all tests of
+what the forks cannot say, in processes of their own. It works in a copy, `build/mutants`, where `SEED.jsonl` keeps what
+was tried: a run that was stopped goes on, and those that survived are tried again.
 """
 
 import argparse
@@ -14,11 +16,12 @@ import json
 import os
 import random
 import re
+import resource
 import shutil
+import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -27,11 +30,13 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "lib")]
 
 from stillwork.base.kernel_folder import kernels_digest  # noqa: E402
+from stillwork.base.toml_files import read_toml  # noqa: E402
 from workbook.pinned import pins  # noqa: E402
 from workbook.readings.closure import imports  # noqa: E402
 
 PLACE = ROOT / "build" / "mutants"
-TREE, KERNELS = PLACE / "tree", PLACE / "kernels"
+TREE, KERNELS, RECORDS = PLACE / "tree", PLACE / "kernels", PLACE / "records"
+FORKED = Path(__file__).with_name("mutating")
 PARTS = ("base", "signals", "lti", "identification", "estimation", "control")
 OTHERS = ("stillwork/designing.py", "experiments/isolation/loop.py", "experiments/isolation/together.py")
 # Their mutants would change how the tests run, not what they find.
@@ -40,7 +45,7 @@ TESTS = ("shared", "isolation", "motion", "worstcase", "fixedpoint")
 # They read the library as text.
 READERS = re.compile("test_(dead_code|wording|layers|readme|wheel|types|source_digest|rendering|import)")
 FILES = 6  # of tests, for a mutant
-PATIENCE = 120.0  # s, for one test
+PATIENCE = 120.0  # s of CPU, for one test
 OPPOSITE = {
     ast.Add: ast.Sub,
     ast.Sub: ast.Add,
@@ -64,12 +69,18 @@ class Mutant:
     kind: str
     file: str  # below lib/
     line: int
+    lines: tuple[int, int]  # of the statement, or of its head
     function: str
+    outermost: str  # function that holds it, with its class, or nothing
     in_kernel: bool
     start: int
     end: int
     old: str
     new: str
+
+    def applied(self, text: bytes) -> bytes:
+        """The text of its file with the fault."""
+        return text[: self.start] + self.new.encode() + text[self.end :]
 
     def __str__(self):
         return f"lib/{self.file}:{self.line} {self.kind}: {self.old} -> {self.new}"
@@ -81,10 +92,13 @@ def mutants_of(file: str, text: bytes) -> Iterator[Mutant]:
     for line in text.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
 
-    def walk(node, function, in_kernel, local):
+    def walk(node, function, place, in_kernel, local, lines):
         # What is printed, and what types say, is no arithmetic.
         if isinstance(node, ast.JoinedStr | ast.Import | ast.ImportFrom):
             return
+        if isinstance(node, ast.stmt):
+            inner = getattr(node, "body", None)
+            lines = (node.lineno, max(node.lineno, inner[0].lineno - 1) if inner else node.end_lineno)
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             function = node.name
             if isinstance(node, ast.FunctionDef):
@@ -95,17 +109,22 @@ def mutants_of(file: str, text: bytes) -> Iterator[Mutant]:
             start = starts[node.lineno - 1] + node.col_offset
             end = starts[node.end_lineno - 1] + node.end_col_offset
             old = " ".join(text[start:end].decode().split())
-            yield Mutant(kind, file, node.lineno, function, in_kernel, start, end, old, new)
+            outermost = "" if place.endswith(".") else place
+            yield Mutant(kind, file, node.lineno, lines, function, outermost, in_kernel, start, end, old, new)
         if isinstance(node, ast.Raise):
             return
         for name, value in ast.iter_fields(node):
             if name in ("annotation", "returns", "decorator_list"):
                 continue
+            within = place
+            if name == "body" and (not place or place.endswith(".")):
+                within += f"{node.name}." if isinstance(node, ast.ClassDef) else ""
+                within += node.name if isinstance(node, ast.FunctionDef) else ""
             for each in value if isinstance(value, list) else [value]:
                 if isinstance(each, ast.AST):
-                    yield from walk(each, function, in_kernel, local)
+                    yield from walk(each, function, within, in_kernel, local, lines)
 
-    yield from walk(ast.parse(text), "", False, [])
+    yield from walk(ast.parse(text), "", "", False, [], (0, 0))
 
 
 def changes(node: ast.AST, local: list[str]) -> Iterator[tuple[str, str]]:
@@ -213,27 +232,92 @@ def copy_tree() -> None:
         shutil.copytree(made, KERNELS, dirs_exist_ok=True)
 
 
+def environment() -> dict[str, str]:
+    """What tests of the copy run under."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    kept.pop("NUMBA_CACHE_DIR", None)
+    return {
+        **kept,
+        **pins(),
+        "PYTHONPATH": f"{TREE / 'lib'}:{TREE}:{FORKED}",
+        "STILLWORK_KERNELS": str(KERNELS),
+    }
+
+
+PYTEST = [
+    sys.executable,
+    "-m",
+    "pytest",
+    "-p",
+    "no:nbval",
+    "-p",
+    "no:anyio",
+    "-p",
+    "no:cacheprovider",
+    "--tb=no",
+]
+
+
+def ask_forks(mutants: list[Mutant], answers: Path, limit: float, compiled: bool) -> subprocess.Popen:
+    """A process that adds to `answers` what the tests that are not slow say, in its forks."""
+    faults = PLACE / f"{'compiled' if compiled else 'plain'}.json"
+    described = []
+    for each in mutants:
+        file = TREE / "lib" / each.file
+        told = {"mutant": str(each), "path": str(file), "text": each.applied(file.read_bytes()).decode()}
+        # Without compilation even the nearest are slow.
+        told |= {"near": list(map(str, nearest(each)[: 2 * FILES if compiled else FILES]))}
+        told |= {name: getattr(each, name) for name in ("file", "lines", "function", "outermost")}
+        described.append(told)
+    faults.write_text(json.dumps(described))
+    variables = {"FAULTS_TRIED": str(faults), "FAULTS_ANSWERS": str(answers), "FAULTS_LIMIT": str(limit)}
+    variables |= {"FAULTS_RECORDS": str(RECORDS / ("compiled" if compiled else "plain"))}
+    variables |= {} if compiled else {"NUMBA_DISABLE_JIT": "1"}
+    tests = [str(each) for each in all_tests()]
+    variables["ORDER"] = "|".join(tests)
+    command = [*PYTEST, "-s", "-p", "forked_tests", "-m", "not slow", *tests]
+    return subprocess.Popen(command, cwd=TREE, env={**environment(), **variables})
+
+
+def all_tests() -> list[Path]:
+    """Files of tests that may notice a fault."""
+    every = (f for part in TESTS for f in (TREE / "tests" / part).glob("test_*.py"))
+    return sorted(f for f in every if not READERS.match(f.name))
+
+
+def nearest(mutant: Mutant) -> list[Path]:
+    """Files of tests that lead to the file of a mutant: those that name its function, those with few imports between."""
+    file = TREE / "lib" / mutant.file
+    near = {f: distances(f)[file] for f in all_tests() if file in distances(f)}
+    return sorted(near, key=lambda f: (mutant.function not in names(f), near[f], f.stat().st_size))
+
+
+@cache
+def names(file: Path) -> set[str]:
+    """Names in a file's code; its words would be too many, for functions are called as words are."""
+    nodes = list(ast.walk(ast.parse(file.read_text())))
+    brought = {node.name for node in nodes if isinstance(node, ast.alias)}
+    read = {node.id for node in nodes if isinstance(node, ast.Name)}
+    return brought | read | {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+
+
 def run(tests: list[Path], kernels: Path, limit: float, *options: str) -> tuple[str, str]:
     """What pytest found: passed, failed or late, and its last lines."""
-    variables = {**os.environ, **pins()}
-    variables |= {
-        "PYTHONPATH": f"{TREE / 'lib'}{os.pathsep}{TREE}",
-        "ORDER": "|".join(str(each).partition("::")[0] for each in tests),
-    }
+    variables = {"ORDER": "|".join(str(each).partition("::")[0] for each in tests)}
     variables |= {"STILLWORK_KERNELS": str(kernels)}
-    variables.pop("NUMBA_CACHE_DIR", None)
-    variables.pop("PYTHONDONTWRITEBYTECODE", None)
-    command = [sys.executable, "-m", "pytest", "-p", "no:nbval", "-p", "no:anyio", "-p", "no:cacheprovider"]
     try:
         done = subprocess.run(
-            [*command, "--tb=no", *options, *map(str, tests)],
+            [*PYTEST, *options, *map(str, tests)],
             cwd=TREE,
-            env=variables,
+            env={**environment(), **variables},
             capture_output=True,
             text=True,
-            timeout=limit,
+            timeout=20 * limit,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit))),
         )
     except subprocess.TimeoutExpired:
+        return "late", ""
+    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return "late", ""
     return "passed" if done.returncode in (0, 5) else "failed", done.stdout
 
@@ -244,30 +328,22 @@ def passes(test: str) -> bool:
     return run([TREE / test], KERNELS, PATIENCE)[0] == "passed"
 
 
-def judge(mutant: Mutant, limit: float) -> dict:
+def judge(mutant: Mutant, limit: float, marks: Iterable[str]) -> dict:
     """Apply a mutant in the copy, run the tests that reach it, nearest first, and take it back.
 
     A failure counts when the test passes without the fault; being late, when the same tests are not so without it.
     """
-    file = TREE / "lib" / mutant.file
-    every = [
-        f for room in TESTS for f in (TREE / "tests" / room).glob("test_*.py") if not READERS.match(f.name)
-    ]
-    near = {f: distances(f)[file] for f in every if file in distances(f)}
-    word = re.compile(rf"\b{mutant.function}\b")
-    named = {f for f in near if mutant.function and word.search(f.read_text())}
-    tests = sorted(near, key=lambda f: (f not in named, near[f], f.stat().st_size))[:FILES]
+    file, tests = TREE / "lib" / mutant.file, nearest(mutant)[:FILES]
     text, before = file.read_bytes(), file.stat().st_mtime
     kernels = kernels_without(file, text, mutant) if b"stillwork.base.kernel" in text else KERNELS
     end, by, failing = "survived", "", []
-    for marked in ("not slow", "slow") if tests else ():
+    for marked in marks if tests else ():
         options = ["-x", "-rfE", "-m", marked]
         while end == "survived":
             try:
-                file.write_bytes(text[: mutant.start] + mutant.new.encode() + text[mutant.end :])
-                os.utime(
-                    file, (before + 10, before + 10)
-                )  # for Python's bytecode, which looks at whole seconds
+                file.write_bytes(mutant.applied(text))
+                # For Python's bytecode, which looks at whole seconds.
+                os.utime(file, (before + 10, before + 10))
                 state, said = run(tests, kernels, limit, *options, *failing)
             finally:
                 file.write_bytes(text)
@@ -276,19 +352,14 @@ def judge(mutant: Mutant, limit: float) -> dict:
                 break
             if state == "late":
                 late = run(tests, KERNELS, limit, *options, *failing)[0] == "late"
-                end = "survived" if late and marked == "slow" else "not decided" if late else "killed by time"
+                end = "not decided" if late else "killed by time"
                 break
             found = re.findall(r"^(?:FAILED|ERROR) (\S+?)(?: - .*)?$", said, re.MULTILINE)
             by = found[0] if found else "the process"
             if not found or passes(by):
                 end = "killed"
             failing += ["--deselect", by]
-    return {
-        "mutant": str(mutant),
-        "end": end,
-        "by": by if end == "killed" else "",
-        "tests": [each.relative_to(TREE).as_posix() for each in tests],
-    }
+    return {"mutant": str(mutant), "end": end, "by": by if end == "killed" else "", "tests": len(tests)}
 
 
 def kernels_without(file: Path, text: bytes, mutant: Mutant) -> Path:
@@ -304,32 +375,62 @@ def kernels_without(file: Path, text: bytes, mutant: Mutant) -> Path:
     return kernels
 
 
+def equivalent(mutant: Mutant) -> bool:
+    """Whether it is listed as one that changes nothing."""
+    line = (ROOT / "lib" / mutant.file).read_text().splitlines()[mutant.line - 1].strip()
+    return any(
+        (each["file"], each["line"]) == (mutant.file, line)
+        and f"{mutant.old} -> {mutant.new}" in each["changes"]
+        for each in read_toml(FORKED / "equivalent.toml")["mutant"]
+    )
+
+
 def main() -> None:
     """Try mutants of a seed, those that were tried before left out, and print who survives."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--limit", type=float, default=120.0, help="seconds for the tests of a mutant")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no mutant after so many")
+    parser.add_argument("--limit", type=float, default=60.0, help="seconds of CPU for the tests of a mutant")
+    parser.add_argument("--forks", action="store_true", help="the tests that are not slow alone, in forks")
     options = parser.parse_args()
     copy_tree()
-    kept, begin = PLACE / f"{options.seed}.jsonl", time.monotonic()
-    found = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
-    found = [each for each in found if each["end"].startswith("killed")]
-    tried = {each["mutant"] for each in found}
-    for mutant in draw(options.count, options.seed):
-        if str(mutant) in tried or time.monotonic() - begin > 60 * options.minutes:
-            continue
-        found.append(judge(mutant, options.limit))
+    kept = PLACE / f"{options.seed}.jsonl"
+
+    def known() -> dict[str, dict]:
+        """The last answer of each mutant."""
+        lines = kept.read_text().splitlines() if kept.is_file() else []
+        return {answer["mutant"]: answer for answer in map(json.loads, lines)}
+
+    drawn = draw(options.count, options.seed)
+    same = [each for each in drawn if equivalent(each)]
+    survivors = [each for each in drawn if each not in same and not killed(known().get(str(each)))]
+    in_forks = [each for each in survivors if each.outermost]
+    asked = [[each for each in in_forks if each.in_kernel is not compiled] for compiled in (True, False)]
+    begun = [ask_forks(those, kept, options.limit, those is asked[0]) for those in asked if those]
+    for process in begun:
+        process.wait()
+    said = known()
+    survivors = [each for each in survivors if not killed(said.get(str(each)))]
+    for each in survivors if not options.forks else ():
+        # The forks have tried what is not slow, of a kernel not its machine code.
+        tried = said.get(str(each), {"end": ""})["end"] == "survived" and not each.in_kernel
+        answer = judge(each, 5 * options.limit, ["slow"] if tried else ["not slow", "slow"])
         with kept.open("a") as file:
-            print(json.dumps(found[-1]), file=file)
-        print(f"{len(found):4d}  {found[-1]['end']:14s}  {mutant}", flush=True)
-    survivors = [each for each in found if not each["end"].startswith("killed")]
+            print(json.dumps(answer), file=file)
+        print(f"{answer['end']:14s}  {each}  {answer['by']}", flush=True)
+    said = known()
+    survivors = [each for each in survivors if not killed(said.get(str(each)))]
     print(
-        f"\nseed {options.seed}: {len(found)} mutants, {len(found) - len(survivors)} killed, {len(survivors)} survive"
+        f"\nseed {options.seed}: {len(drawn)} mutants, {len(drawn) - len(same) - len(survivors)} killed, "
+        f"{len(same)} equivalent, {len(survivors)} survive"
     )
     for each in survivors:
-        print(f"  {each['mutant']}   ({len(each['tests'])} files of tests)")
+        print(f"  {each}  ({said.get(str(each), {'tests': 0})['tests']} tests)")
+
+
+def killed(answer: dict | None) -> bool:
+    """Whether a test noticed."""
+    return answer is not None and answer["end"].startswith("killed")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import shutil
 import stat
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -235,6 +236,20 @@ def test_a_test_run_ends_with_all_its_parts_whatever_became_of_them(checkout, fa
     done = make(checkout, OWN, "test")
     assert bool(done.returncode) == bool(parts)
     assert table(done.stdout) == {name: "FAILED" if name in parts else "passed" for name in PARTS}
+
+
+def test_examples_of_a_day_come_again(checkout):
+    """The day that they are drawn from is this one or the one asked for, and a failure ends with what repeats it."""
+    program = checkout / "own one/bin/python"
+    before = time.strftime("%Y%m%d")
+    assert make(checkout, OWN, "dated").returncode == 0
+    (drawn,) = calls(checkout)
+    day = re.search(r"--hypothesis-profile=search --hypothesis-seed=(\d{8})$", drawn.strip())[1]
+    assert before <= day <= time.strftime("%Y%m%d")
+    program.write_text(STUB + "exit 1\n")
+    failed = make(checkout, OWN, "dated", "DAY=20260102", "ARGS=-k simulate")
+    assert failed.returncode != 0 and "make dated DAY=20260102" in failed.stdout.splitlines()[-1]
+    assert calls(checkout)[0].endswith("--hypothesis-seed=20260102 -k simulate")
 
 
 def test_the_files_that_begin_first_are_there():

@@ -3,6 +3,8 @@
 One line of a table for each function, so that a new function gets one, too.
 """
 
+import math
+
 import numpy as np
 import pytest
 
@@ -68,6 +70,78 @@ def fitted(length=1.0, rate=1.0):
     measured = identification.Identified(omega * rate, accelerance / length, np.ones(400))
     model = identification.fit_modes(measured, [95.0 * rate, 238.0 * rate], (20.0 * rate, 299.0 * rate)).model
     return model.frequencies / rate, model.damping, model.output_shapes * model.input_shapes.T * length
+
+
+def steered(length=1.0, force=1.0, rate=1.0, outputs=(0, 1), noises=(0, 1)):
+    """A generalised plant: noise of a force and of a sensor, a position and a force as performance, in other orders."""
+    model = filtered(length, force, rate)
+    b = np.hstack([model.b[:, :1] / force, np.zeros((5, 1))])[:, noises]
+    d = np.zeros((3, 3))
+    d[outputs.index(1), 2], d[2, noises.index(1)] = 0.3 / length * force * np.sqrt(rate), 0.2 / length
+    c = np.vstack([model.c[0], np.zeros(5)])[list(outputs)] * np.sqrt(rate)
+    whole = StateModel(model.a, np.hstack([b, model.b[:, 1:]]), np.vstack([c, model.c[1:]]), d)
+    return lti.GeneralisedPlant(whole, exogenous=2, performance=2)
+
+
+def controlled(length=1.0, force=1.0, rate=1.0):
+    """Response of the H2-optimal controller, in units of force a length."""
+    controller = estimation.h2_riccati(steered(length, force, rate)).controller
+    return controller.frequency_response(np.array([0.3, 2.0, 9.0]) * rate) / length * force
+
+
+def decoupled(length=1.0, force=1.0, actuators=slice(None), sensors=slice(None)):
+    """Matrices for a plate with a rigid-body translation and rotation, and one flexible mode."""
+    shapes = np.array([[0.3, 0.3, 0.3], [0.5, -0.5, 0.1], [0.2, 0.1, -0.4]])
+    plate = lti.ModalModel(
+        np.array([0.0, 0.0, 600.0]),
+        np.array([0.0, 0.0, 0.01]),
+        (shapes * force)[:, actuators],
+        (shapes.T[::-1] / length)[sensors],
+        np.zeros((3, 3)),
+    )
+    return control.decouple(plate, sensed=[0, 1])
+
+
+def fed_forward(length=1.0, force=1.0, rate=1.0):
+    """Gains for the free mass with two modes under a PID."""
+    plant = stage(length, force, rate)
+    controller = control.PidFamily(11.0 * length / force / rate**2)(20.0 * rate).state_space()
+    loop = control.error_loop(control.closed_loop(plant, None, controller))
+    limits = np.array([1e4, 100.0, 2.0, 0.1]) / length * rate ** np.array([4.0, 3.0, 2.0, 1.0])
+    times = np.array([0.02, 0.005, 1e-3]) / rate
+    move = control.point_to_point(*limits, cruise=times[0], settling=times[1], sample_time=times[2])
+    gains = control.fit_feedforward(loop, move).gains
+    return gains * force / length * rate ** np.array([1.0, 2.0, 3.0, 4.0])
+
+
+def spring_acceleration(position, velocity, force, p):
+    return (force - p[1] * velocity - p[2] * position * math.tanh(position / p[3]) ** 2) / p[0]
+
+
+def spring_force(position, velocity, acceleration, p):
+    return p[0] * acceleration + p[1] * velocity + p[2] * position * math.tanh(position / p[3]) ** 2
+
+
+def followed(kind, length=1.0, rate=1.0, form=np.asarray):
+    """Velocity that a Kalman filter finds of a mass on a spring that is soft in its middle, in units of a length and of time."""
+    parameters = np.array([2.0, 3.0 * rate, 500.0 * rate**2, 0.1 / length])
+    plant = estimation.Plant(spring_acceleration, spring_force, parameters)
+    if kind == "unscented":
+        sizes = np.array([0.1 * rate**2, 1e-3]) / length**2
+        settings = estimation.UnscentedKalman(plant, sizes, sizes / 3, initial_variance=1e-3 / length**2)
+    else:
+        settings = estimation.ExtendedKalman(
+            plant,
+            disturbance_step=rate**2 / length,
+            noise_deviation=1e-3 / length,
+            initial_deviation=tuple(np.array([1e-2, rate, 10.0 * rate**2]) / length),
+        )
+    time = np.arange(400)
+    measured = form(np.rint(100 + 80 * np.sin(time / 60)))
+    measured = measured if form is not np.asarray else measured / 500 / length
+    force = 5.0 * np.cos(time / 40) / length * rate**2
+    found = estimation.filter_signal(settings, measured, force, sample_time=1e-3 / rate)
+    return np.array([found.velocity, found.acceleration / rate]) * length / rate
 
 
 def adapted(settings, rows, target):
@@ -138,6 +212,15 @@ LENGTHS = {
     "damping": lambda k: control.damping_gain(stage(force=k), [0.1, 0.1]) * k,
     "level of an H-infinity filter": level_kept,
     "gains of an H-infinity filter": gains_at_a_level,
+    "H2 optimum": lambda k: estimation.h2_riccati(steered(length=k)).norm * k,
+    "H2-optimal controller": lambda k: controlled(length=k),
+    "H2-optimal controller of a force": lambda k: controlled(force=k),
+    "decoupling of sensors": lambda k: decoupled(length=k).sensing / k,
+    "decoupling of actuators": lambda k: decoupled(force=k).actuation * k,
+    "feedforward": lambda k: fed_forward(length=k),
+    "feedforward of a force": lambda k: fed_forward(force=k),
+    "extended filter": lambda k: followed("extended", length=k),
+    "unscented filter": lambda k: followed("unscented", length=k),
     "low pass": lambda k: estimation.filter_signal(estimation.LowPass(350.0), k * noise()[0]).velocity / k,
     "trajectory": lambda k: control.asin_trajectory(amplitude=k).acceleration / k,
     "setpoint": lambda k: (
@@ -157,6 +240,10 @@ TIMES = {
     "bandwidth": lambda k: designed(rate=k),
     "frequencies of a fit": lambda k: fitted(rate=k)[0],
     "damping of a fit": lambda k: fitted(rate=k)[1],
+    "H2 optimum": lambda k: estimation.h2_riccati(steered(rate=k)).norm / k,
+    "H2-optimal controller": lambda k: controlled(rate=k),
+    "feedforward": lambda k: fed_forward(rate=k),
+    "extended filter": lambda k: followed("extended", rate=k),
     "low pass": lambda k: (
         estimation.filter_signal(estimation.LowPass(350.0 * k), noise()[0], sample_time=1e-3 / k).velocity / k
     ),

@@ -1,7 +1,7 @@
 """Tracking: data-based feedforward (A.1), its modification for an observer (A.7), exact simulation."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -258,8 +258,9 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
         return simulate(_driven(moved, Feedforward(**gains)), setpoint.derivatives)[0]
 
     base = error()
-    columns = [error(**{name: 1.0}) - base for name in basis]
-    gains = least_squares(np.array(columns).T, -base)
+    # A gain's part by itself: taken from a whole error it would be lost in that where the units make it small.
+    moved = moved._replace(drive=0 * moved.drive, loop=replace(loop, d=loop.d * [0.0, 1.0]))
+    gains = least_squares(np.array([error(**{name: 1.0}) for name in basis]).T, -base)
     return Feedforward(**dict(zip(basis, gains, strict=True)))
 
 

@@ -78,17 +78,20 @@ def plant_extended_step(
         work[COVARIANCE, 2, 2] = options[2]
         work[OBSERVATION, 0, 1] = 1.0
     velocity, position, disturbance = means[ESTIMATE, 0], means[ESTIMATE, 1], means[ESTIMATE, 2]
-    # Central differences: the error is of order 1e-10 relative, and only the gain feels it.
-    step_q = 1e-6 * max(1.0, abs(position))
-    step_v = 1e-6 * max(1.0, abs(velocity))
-    slope_q = (
-        acceleration(position + step_q, velocity, force, plant)
-        - acceleration(position - step_q, velocity, force, plant)
-    ) / (2.0 * step_q)
-    slope_v = (
-        acceleration(position, velocity + step_v, force, plant)
-        - acceleration(position, velocity - step_v, force, plant)
-    ) / (2.0 * step_v)
+    # Central differences over a millionth of the estimate or of its deviation; without deviation no slope counts.
+    step_q = 1e-6 * max(abs(position), max(0.0, work[COVARIANCE, 1, 1]) ** 0.5)
+    step_v = 1e-6 * max(abs(velocity), max(0.0, work[COVARIANCE, 0, 0]) ** 0.5)
+    slope_q = slope_v = 0.0
+    if step_q > 0.0:
+        slope_q = (
+            acceleration(position + step_q, velocity, force, plant)
+            - acceleration(position - step_q, velocity, force, plant)
+        ) / (2.0 * step_q)
+    if step_v > 0.0:
+        slope_v = (
+            acceleration(position, velocity + step_v, force, plant)
+            - acceleration(position, velocity - step_v, force, plant)
+        ) / (2.0 * step_v)
     jacobian[0, 0] = 1.0 + sample_time * slope_v
     jacobian[0, 1] = sample_time * slope_q
     jacobian[0, 2] = sample_time
