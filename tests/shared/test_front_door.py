@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 from jaxtyping import Float64
 from scipy import interpolate
-from stillwork.workbook.parameters import Parameter
 
 from stillwork.base import front_door
 from stillwork.base.checks import InputError
@@ -33,6 +32,7 @@ from stillwork.lti import ModalModel
 from stillwork.lti.peaks import refine_peak
 from stillwork.signals import load_record
 from stillwork.signals.moving_average import rms
+from workbook.parameters import Parameter
 
 
 @dataclass(frozen=True)
