@@ -13,7 +13,15 @@ import stillwork
 from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, PeakConstraint
 from stillwork.control.c_code import controller_code, require_names
-from stillwork.control.digital import DigitalController, equivalent_biquads, from_biquads, in_units, runnable
+from stillwork.control.digital import (
+    DigitalController,
+    equivalent_biquads,
+    error_driven,
+    from_biquads,
+    in_units,
+    runnable,
+)
+from stillwork.control.feedforward import motion_of
 from stillwork.control.loop_enclosures import proven_peaks
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
 from stillwork.control.machine_tuning import DesignSettings, tuned
@@ -149,7 +157,7 @@ def design_file(
     pid, loops = safe[best].recommended.controller, safe[best].model_loops
     about = {
         "gains": asdict(pid),
-        "units": f"inputs {own_units[0]}, output {own_units[1]}; gain {drive}/{position}, integrator, differentiator and "
+        "units": f"input {own_units[0]}, output {own_units[1]}; gain {drive}/{position}, integrator, differentiator and "
         "low_pass rad/s",
         "provenance": {
             "made_by": f"stillwork {stillwork.__version__} design",
@@ -180,8 +188,12 @@ def design_file(
             f"{source.name}: somewhere in the box a peak of {worst:.2f} dB was found at last; ask for a little more uncertainty"
         )
     helps = improvements(machine, settings[best], how, safe[best])
+    lag = (delay + 0.5) * sample_time  # the hold's half a sample
+    own = [each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers]
+    # Of the error: with the feedforward it is (A.7), and without the error under the reference is S_O.
     written = [
-        each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers
+        error_driven(each, motion_of(sensor, lag, *scales))
+        for each, sensor in zip(own, machine.sensors, strict=True)
     ]
     written = [
         replace(each, about=about | {"biquads": checked_biquads(each, loop, *scales)})
