@@ -47,11 +47,11 @@ LOOP = """
 #include "loop.h"
 void run(long samples, const loop_real *in, loop_real *out)
 {
-    loop_real none[LOOP_INPUTS + LOOP_OUTPUTS] = {0};
-    loop_state s;
-    loop_start(&s, none, none);
+    static const loop_state zero;
+    const loop_real known[LOOP_OUTPUTS] = {0};
+    loop_state s = zero;
     for (long k = 0; k < samples; k++)
-        loop_step(&s, in + k * LOOP_INPUTS, out + k);
+        loop_step(&s, &loop_designed, in + k * LOOP_INPUTS, known, out + k);
 }
 """
 FEED = """

@@ -130,25 +130,34 @@ def write_matrices(file: Path, machine: TrueMachine) -> None:
 
 
 def linear_map(folder: Path, name: str = "controller"):
-    """A, B, C, D of the compiled C from (r, y) to the force, each column by one step from one state or input."""
+    """A, B, C, D of the compiled C from (r, y) to the force, each column by one step from one state or input.
+
+    A struct of zeros has states of zero, which come first in it, and what rounding has left of them after them.
+    """
     real = ctypes.c_double
     header = (folder / f"{name}.h").read_text()
     inputs = int(re.search(r"_INPUTS (\d+)", header)[1])
-    states = int(re.search(r"_real state\[(\d+)\]", header)[1])
+    states = int(re.search(r"_STATES (\d+)", header)[1])
     library = folder / f"{name}.so"
     source = str(folder / f"{name}.c")
     subprocess.run(["gcc", "-std=c99", "-O2", "-shared", "-fPIC", source, "-o", str(library)], check=True)
-    step = getattr(ctypes.CDLL(str(library)), f"{name}_step")
+    loaded = ctypes.CDLL(str(library))
+    step, tuning = (
+        getattr(loaded, f"{name}_step"),
+        ctypes.byref(ctypes.c_char.in_dll(loaded, f"{name}_designed")),
+    )
     room = 2 * states + 64  # states, what rounding has left of them, and what else the struct may hold
     columns = np.zeros((states + 1, states + inputs))
     for k in range(states + inputs):
-        state, given, force = (real * room)(), (real * inputs)(), (real * 1)()
+        state, given, known, force = (real * room)(), (real * inputs)(), (real * 1)(), (real * 1)()
         if k < states:
             state[k] = 1.0
         else:
             given[k - states] = 1.0
-        step(state, given, force)
+        step(state, tuning, given, known, force)
         columns[:states, k], columns[states, k] = np.add(state[:states], state[states : 2 * states]), force[0]
+    if inputs == 1:  # the error
+        columns = np.hstack([columns, -columns[:, -1:]])
     return np.split(columns[:states], [states], axis=1) + np.split(columns[states:], [states], axis=1)
 
 

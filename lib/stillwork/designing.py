@@ -14,7 +14,15 @@ from stillwork.base.checks import InputError, counted, require_number
 from stillwork.base.extras import require_package
 from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, PeakConstraint
 from stillwork.control.c_code import controller_code, require_names
-from stillwork.control.digital import DigitalController, equivalent_biquads, from_biquads, in_units, runnable
+from stillwork.control.digital import (
+    DigitalController,
+    equivalent_biquads,
+    error_driven,
+    from_biquads,
+    in_units,
+    runnable,
+)
+from stillwork.control.feedforward import motion_of
 from stillwork.control.loop_enclosures import proven_numbers
 from stillwork.control.machine_designs import (
     DELAY,
@@ -165,7 +173,7 @@ def design_file(
     pid, loops = reached.recommended.controller, reached.model_loops
     about = {
         "gains": asdict(pid),
-        "units": f"inputs {own_units[0]}, output {own_units[1]}; gain {drive}/{position}, integrator, differentiator and "
+        "units": f"input {own_units[0]}, output {own_units[1]}; gain {drive}/{position}, integrator, differentiator and "
         "low_pass rad/s",
         "provenance": {
             "made_by": f"stillwork {stillwork.__version__} design",
@@ -201,8 +209,12 @@ def design_file(
         raise InputError(
             f"{source.name}: somewhere in the box a peak of {worst:.2f} dB was found at last; ask for a little more uncertainty"
         )
+    lag = (delay + 0.5) * sample_time  # the hold's half a sample
+    owned = [each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers]
+    # Of the error: with the feedforward it is (A.7), and without the error under the reference is S_O.
     written = [
-        each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers
+        error_driven(each, motion_of(sensor, lag, *scales))
+        for each, sensor in zip(owned, machine.sensors, strict=True)
     ]
     written = [
         replace(each, about=about | retest_data(loop) | {"biquads": checked_biquads(each, loop, *scales)})

@@ -71,7 +71,7 @@ def retest_file(
     written = load_controller(controller)
     about = Table(dict(written.about), Path(controller).name)
     made = about.table("provenance")
-    written = _in_the_units_of_the_file(written, made)
+    written = _in_the_units_of_the_file(_of_two_inputs(written), made)
     observer = about.table("compensator")
     parts = (require_array(f"compensator: {name}", observer[name]) for name in "abcd")
     designed = _model(about.table("model"))
@@ -134,6 +134,14 @@ def retest_file(
     )
     target.write_text(text, encoding="utf-8")
     return [*lines, f"written: {target}"]
+
+
+def _of_two_inputs(controller: DigitalController) -> DigitalController:
+    """A controller of the error as one of r and y, as the loop's functions take it."""
+    m = controller.model
+    b, d = (np.hstack([each[:, :1], -each[:, :1], each[:, 1:]]) for each in (m.b, m.d))
+    names = tuple(f"{name}{controller.inputs[0][1:]}" for name in "ry")
+    return replace(controller, model=replace(m, b=b, d=d), inputs=names, motion=None)
 
 
 def _in_the_units_of_the_file(controller: DigitalController, made: Table) -> DigitalController:

@@ -48,7 +48,7 @@ def test_it_writes_all_of_it(written):
     """7 s of CPU, in the fixture that the tests below share: one whole design, as the command makes it."""
     folder, said = written
     assert {file.name for file in folder.iterdir()} == {
-        "controller.c", "controller.h", "controller.json", "report.html"
+        "controller.c", "controller.h", "controller_motion.c", "controller_motion.h", "controller.json", "report.html"
     }  # fmt: skip
     held = json.loads((folder / "controller.json").read_text())
     assert held["provenance"]["mass"] == pytest.approx(40.0) and held["high"] == [40.0]
@@ -71,18 +71,15 @@ def test_it_writes_all_of_it(written):
 
 @pytest.mark.slow
 def test_the_biquads_are_the_whole_controller(written):
-    """By SciPy alone: as sections of r - y and of r they move as the matrices do, and hold the machine by themselves."""
+    """By SciPy alone: as sections of r - y they move as the matrices do, and hold the machine by themselves."""
     held = json.loads((written[0] / "controller.json").read_text())
     space, sections = held["state_space"], held["biquads"]
     a, b, c, d = (np.array(space[name]) for name in "abcd")
-    a, b, d = a + b[:, 2:] @ c, b[:, :2] + b[:, 2:] @ d[:, :2], d[:, :2]  # it is told its own force
+    a, b, d = a + b[:, 1:] @ c, b[:, :1] + b[:, 1:] @ d[:, :1], d[:, :1]  # it is told its own force
     z = np.exp(1j * np.geomspace(1e-3, 3.1, 200))
-    k_r, k_y = np.array([(c @ np.linalg.solve(each * np.eye(len(a)) - a, b) + d)[0] for each in z]).T
+    k = np.array([(c @ np.linalg.solve(each * np.eye(len(a)) - a, b) + d)[0, 0] for each in z])
     feedback = signal.sosfreqz(sections["feedback"], np.angle(z))[1]
-    assert feedback == pytest.approx(-k_y, rel=1e-8)
-    added = signal.sosfreqz(sections["reference"], np.angle(z))[1] if sections["reference"] else 0.0
-    assert np.abs(feedback + added - k_r).max() < 1e-8 * np.abs(k_r).max()
-    assert held["provenance"]["use"] == "PID" or sections["reference"]
+    assert feedback == pytest.approx(k, rel=1e-8) and sections["reference"] is None
     top, bottom = signal.sos2tf(sections["feedback"])
     late = modal_model(MASS, STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005).state_space()
     a, b, c, d, _ = signal.cont2discrete((late.a, late.b, late.c, late.d), 1 / RATE)
@@ -114,11 +111,10 @@ def test_the_written_controller_keeps_six_decibels_by_python_control(written, fa
     omega = 2 * np.pi * np.concatenate([np.geomspace(0.5, 4e3, 3000), np.linspace(205, 245, 4000)])
     z = np.exp(1j * omega / RATE)
     p = held(z) / z
-    k_r, k_y = control.ss(controller.linear.to_control())(z)[0]
-    assert 20 * np.log10(np.abs(1 / (1 - k_y * p)).max()) < 6.01
-    assert 20 * np.log10(np.abs(1 - k_r * p / (1 - k_y * p)).max()) < 6.01
+    k = control.ss(controller.linear.to_control())(z)
+    assert 20 * np.log10(np.abs(1 / (1 + k * p)).max()) < 6.01  # S, and r to e
     late = held * control.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]], 1 / RATE)
-    loop = control.feedback(late * control.ss(controller.linear.to_control())[0, 1], 1, sign=1)
+    loop = control.feedback(late * control.ss(controller.linear.to_control()), 1)
     assert np.all(np.abs(loop.poles()) < 1)
 
 
@@ -289,12 +285,13 @@ CLOSED = """
 void run(long samples, const double *reference, double *position, double *force)
 {
     controller_state s;
-    double in[2] = {0, 0}, out[1] = {0}, late = 0, x[2] = {0, 0}, v[2] = {0, 0};
-    controller_start(&s, in, out);
+    const double known[1] = {0};
+    double in[1] = {0}, out[1] = {0}, late = 0, x[2] = {0, 0}, v[2] = {0, 0};
+    controller_start(&s, &controller_designed, in, known, out);
     for (long k = 0; k < samples; k++) {
-        in[0] = reference[k];
-        in[1] = position[k] = x[1];
-        controller_step(&s, in, out);
+        position[k] = x[1];
+        in[0] = reference[k] - position[k];
+        controller_step(&s, &controller_designed, in, known, out);
         force[k] = out[0];
         for (int i = 0; i < 10; i++) {
             double spring = 1.5e7 * (x[1] - x[0]) + 2 * 0.005 * 7.5 * 1414.2 * (v[1] - v[0]);
@@ -343,9 +340,10 @@ def test_a_late_measurement_is_designed_for_and_each_sensor_gets_its_controller(
     assert held["provenance"]["delay_samples_of_the_loop"] == pytest.approx(1.5, abs=0.01)
     turn = 2j * np.pi * hertz / RATE
     plant = -measured / (2 * np.pi * hertz) ** 2 * -np.expm1(-turn) / turn
-    k_r, k_y = load_controller(out / "axis_1.json").linear.frequency_response(2 * np.pi * hertz)[0]
-    assert 20 * np.log10(np.abs(1 / (1 - k_y * plant)).max()) < 6.01
-    assert 20 * np.log10(np.abs(1 - k_r * plant / (1 - k_y * plant)).max()) < 6.01
+    controller = load_controller(out / "axis_1.json")
+    k = controller.linear.frequency_response(2 * np.pi * hertz)[0, 0]
+    assert 20 * np.log10(np.abs(1 / (1 + k * plant)).max()) < 6.01  # S, and r to e
+    assert controller.motion.lag == pytest.approx(2e-4, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -389,11 +387,14 @@ def test_a_machine_that_turns_is_designed_in_the_drives_own_units(written, tmp_p
     )  # fmt: skip
     assert "40 kg m^2" in said[0]
     turned, plain = (load_controller(each / "controller.json") for each in (tmp_path / "out", written[0]))
-    assert turned.inputs == ("r (count)", "y (count)") and turned.outputs == ("f (A)",)
+    assert turned.inputs == ("e (count)",) and turned.outputs == ("f (A)",)
+    gains, series = turned.motion.feedforward, plain.motion.feedforward
+    assert gains.acceleration * counts * constant == pytest.approx(40.0, rel=1e-9)
+    assert series.acceleration == pytest.approx(40.0) and series.snap != 0
     rng = np.random.default_rng(0)
-    moves = 1e-6 * rng.standard_normal((2, 400))
+    moves = 1e-6 * rng.standard_normal((1, 400))
     assert constant * turned.run(counts * moves) == pytest.approx(plain.run(moves), rel=1e-6, abs=1e-9)
-    large = np.vstack([np.full(50, 1e-2), np.zeros(50)])
+    large = np.full((1, 50), 1e-2)
     assert constant * turned.run(counts * large) == pytest.approx(plain.run(large), rel=1e-6, abs=1e-6)
     held = [json.loads((each / "controller.json").read_text()) for each in (tmp_path / "out", written[0])]
     sections = [each["biquads"]["feedback"] for each in held]

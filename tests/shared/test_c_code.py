@@ -9,7 +9,14 @@ from shared.compiled import compiled, pointer, run_controller
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.c_code import adaptation_code, controller_code
-from stillwork.control.digital import DigitalController, anti_windup, observed_controller
+from stillwork.control.digital import (
+    HELD,
+    INVALID,
+    SATURATED,
+    DigitalController,
+    anti_windup,
+    observed_controller,
+)
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
 from stillwork.control.pid import Notch, Pid
 from stillwork.estimation.adaptive import FeLms, FeRls
@@ -207,6 +214,78 @@ def test_a_limited_integrator_lets_go_at_once():
     free = named(model, 1, anti_windup=anti_windup(model, 0.02), **options).run(inputs)[0]
     assert free[9_999] == wound[9_999] == 0.5
     assert free[10_400] < 0 < wound[10_400]
+
+
+# ------------------------------------------------------------------------- what is missing, out of range, or known
+
+
+def drawn(rng):
+    """A controller of up to 7 states, 3 inputs and 2 outputs, which may know them, with limits and a delay."""
+    n, inputs, outputs = rng.integers([0, 1, 1], [8, 4, 3])
+    back = outputs * rng.integers(2)
+    a = rng.standard_normal((n, n))
+    a *= 0.95 / max(np.abs(np.linalg.eigvals(a)).max(), 1e-3) if n else 1.0
+    b, c = rng.standard_normal((n, inputs + back)), rng.standard_normal((outputs, n))
+    d = np.hstack([rng.standard_normal((outputs, inputs)), np.zeros((outputs, back))])
+    b[:, inputs:] *= 0.1
+    winding = 0.05 * rng.standard_normal((n, outputs))
+    if n and np.abs(np.linalg.eigvals(a - winding @ c)).max() >= 1:
+        winding = np.zeros((n, outputs))
+    options = {"delay": int(rng.integers(4)), "patience": int(rng.integers(5)), "low": -2.0, "high": 3.0}
+    return named(StateModel(a, b, c, d, SAMPLE_TIME), int(inputs), anti_windup=winding, **options)
+
+
+def test_of_random_controllers_missing_samples_limits_and_what_is_known_are_those_of_python(tmp_path):
+    """Outputs and flags, sample by sample; the runs that are lost are shorter and longer than the patience."""
+    rng = np.random.default_rng(11)
+    seen = 0
+    for number in range(6):
+        controller = drawn(rng)
+        inputs, known = (
+            noise(len(controller.inputs), number, 600),
+            noise(len(controller.outputs), 50 + number, 600),
+        )
+        for begin in rng.integers(1, 590, 12):
+            rows = inputs if rng.integers(3) else known
+            rows[rng.integers(len(rows)), begin : begin + rng.integers(1, 8)] = np.nan
+        first = [0.5] * len(controller.outputs)
+        wanted = controller.trace(inputs, first, known)
+        flags = np.zeros(600, np.int32)
+        found = run_controller(
+            controller_code(controller, "loop"), tmp_path / str(number), inputs, len(first), np.float64, first, known, flags
+        )  # fmt: skip
+        assert np.abs(found - wanted.outputs).max() < 1e-9
+        assert np.array_equal(flags, wanted.flags)
+        seen |= int(np.bitwise_or.reduce(flags))
+    assert seen == SATURATED | HELD | INVALID
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_no_input_spoils_the_states(tmp_path, precision):
+    """Infinities are missing; what is finite but runs out of range is left out, and the controller goes on."""
+    dtype = np.float64 if precision == "double" else np.float32
+    controller = named(*CONTROLLERS["observer in the loop"], patience=3)
+    inputs = 1e-6 * noise(2, 9, 400)
+    inputs[0, 100:104], inputs[1, 200], inputs[0, 300:310] = np.inf, np.finfo(dtype).max, -np.finfo(dtype).max
+    flags = np.zeros(400, np.int32)
+    found = run_controller(
+        controller_code(controller, "loop", precision), tmp_path, inputs, 1, dtype, flags=flags
+    )
+    assert np.all(np.isfinite(found)) and np.abs(found[0, 320:]).max() < 1
+    assert np.flatnonzero(flags & HELD).tolist() == [100, 101, 102, 103]
+    assert np.flatnonzero(flags & INVALID).tolist() == [103, 200, *range(300, 310)]
+
+
+def test_states_that_lead_nowhere_are_left_out():
+    model = pid()
+    n = len(model.a)
+    a = np.block(
+        [[model.a, np.zeros((n, 2))], [np.ones((1, n)), np.array([[0.5, 0.0]])], [np.zeros((1, n + 1)), 0.9]]
+    )
+    more = StateModel(
+        a, np.vstack([model.b, [[1.0], [0.0]]]), np.hstack([model.c, [[0.0, 1.0]]]), model.d, SAMPLE_TIME
+    )  # one that is not seen, and one that is not driven
+    assert controller_code(named(more, 1), "loop") == controller_code(named(model, 1), "loop")
 
 
 # --------------------------------------------------------------------------------------------------------- adaptation

@@ -13,11 +13,14 @@ from stillwork.control.digital import (
     anti_windup,
     as_libraries,
     biquads,
+    error_driven,
     from_biquads,
     load_controller,
     observed_controller,
 )
+from stillwork.control.feedforward import Feedforward, Motion
 from stillwork.control.pid import Notch, Pid
+from stillwork.control.setpoint import MoveLimits
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
@@ -93,6 +96,38 @@ def test_a_file_gives_the_controller_back(tmp_path):
     assert again.as_dict() == LIMITED.as_dict()
     assert np.array_equal(again.run(INPUTS), LIMITED.run(INPUTS))
     assert again.low[0] == -np.inf and again.about == {"gains": {"gain": 1e4}}
+
+
+def test_a_motion_comes_back_from_its_files(tmp_path):
+    """From JSON and from TOML, whose lag is by default that of the delay and the hold; it says what it does not know."""
+    motion = Motion(Feedforward(acceleration=12.5, coulomb=1.0), 2.5e-4, MoveLimits(0.2, 3.0, 300.0))
+    controller = replace(LIMITED, low=[-3e4], delay=2, motion=motion)
+    (tmp_path / "a.json").write_text(json.dumps(controller.as_dict(), allow_nan=False))
+    assert load_controller(tmp_path / "a.json").motion == motion
+    table = """[controller]
+rate_hz = 10000
+biquads = [[2.0, -1.0, 0.0, 1.0, 0.0, 0.0]]
+delay_samples = 2
+[controller.motion.feedforward]
+acceleration = 12.5
+coulomb = 1.0
+[controller.motion.limits]
+velocity = 0.2
+acceleration = 3.0
+jerk = 300.0
+"""
+    (tmp_path / "a.toml").write_text(table)
+    assert load_controller(tmp_path / "a.toml").motion == motion
+    (tmp_path / "a.toml").write_text(table.replace("coulomb", "columb"))
+    with pytest.raises(InputError, match="did you mean 'coulomb'"):
+        load_controller(tmp_path / "a.toml")
+    with pytest.raises(InputError, match=r"^motion\b.*2 inputs"):
+        DigitalController(
+            StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ones((1, 2)), 1e-3),
+            ("r", "y"), ("f",), motion=motion,
+        )  # fmt: skip
+    with pytest.raises(InputError, match=r"^controller\b"):
+        error_driven(LIMITED)
 
 
 def test_a_gain_comes_back_from_its_file(tmp_path):

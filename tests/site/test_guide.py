@@ -34,6 +34,18 @@ SNIPPETS = [block for language, block in BLOCKS if language == "python"]
 COPIES = dict(line.split()[:0:-1] for line in LINES if line.startswith("cp "))
 
 
+# What the loop of the guide calls, and what it is called by.
+MACHINE = """double read_position(void);
+double read_velocity(void);
+void drive_on(void);
+void drive_off(void);
+void write_force(double force);
+void close_the_loop(void);
+void move_to(double target);
+void each_sample(void);
+"""
+
+
 @pytest.fixture
 def checkout(tmp_path, monkeypatch):
     """The root as the reader's folder, with copies made elsewhere."""
@@ -100,20 +112,30 @@ def test_a_design_writes_the_files_that_the_guide_names(line, checkout, tmp_path
     words = [*shlex.split(line)[3:], "--uncertainty", "none"]
     words[words.index("--out") + 1] = str(tmp_path / "code")
     assert main(words) == 0
-    told = set(re.findall(r"`((?:controller|report)\.\w+)`", GUIDE))
+    told = set(re.findall(r"`((?:controller|controller_motion|report)\.\w+)`", GUIDE))
     assert told == {each.name for each in (tmp_path / "code").iterdir()}
     [snippet] = [block for language, block in BLOCKS if language == "c"]
-    header = (tmp_path / "code" / "controller.h").read_text(encoding="utf-8")
-    assert all(f"{name}(" in header for name in re.findall(r"(controller_\w+)\(", snippet))
+    files = {
+        file.name: file.read_text() for file in (tmp_path / "code").iterdir() if file.suffix in (".c", ".h")
+    }
+    assert all(f"{name}(" in "".join(files.values()) for name in re.findall(r"(controller_\w+)\(", GUIDE))
+    body = re.sub(r"double (read_\w+)\(void\);", r"double \1(void) { return 0; }", MACHINE)
+    body = re.sub(r"void (drive_\w+|write_force)\((.*)\);", r"void \1(\2) { }", body).replace(
+        "double force", "double f"
+    )
+    compiled(
+        {**files, "loop.c": MACHINE + snippet},
+        tmp_path / "built",
+        body.replace("(double f) {", "(double f) { (void)f;"),
+    )
     controller = load_controller(tmp_path / "code" / "controller.json")
     measured = load_machine(words[1], "m/s^2", "N").accelerance
     inside = (measured.omega > 2 * np.pi * 300) & (measured.omega < 2 * np.pi * 2000)
     omega, accelerance = measured.omega[inside], measured.response[inside]  # counted against the force
     turn = 1j * omega / 20_000
     plant = accelerance / omega**2 * -np.expm1(-turn) / turn * np.exp(-turn)
-    k_r, k_y = controller.linear.frequency_response(omega)[0]
-    for size in (1 / (1 - k_y * plant), 1 - k_r * plant / (1 - k_y * plant)):
-        assert 1.5 < np.abs(size).max() < 10 ** (6.01 / 20)
+    size = 1 / (1 + controller.linear.frequency_response(omega)[0, 0] * plant)
+    assert 1.5 < np.abs(size).max() < 10 ** (6.01 / 20)
     [again] = [shlex.split(each)[3:] for each in RETESTS]
     again[1], again[-1] = str(tmp_path / "code" / "controller.json"), str(tmp_path / again[-1])
     assert main(again) == 0
@@ -124,7 +146,9 @@ def test_the_table_of_a_controller_is_exported(tmp_path):
     [table] = [block for language, block in BLOCKS if language == "toml"]
     (tmp_path / "my.toml").write_text(table, encoding="utf-8")
     assert main(["export", str(tmp_path / "my.toml"), "--out", str(tmp_path / "my_code")]) == 0
-    assert "f[0] > 10.0" in (tmp_path / "my_code" / "controller.c").read_text(encoding="utf-8")
+    written = (tmp_path / "my_code" / "controller.c").read_text(encoding="utf-8")
+    assert re.search(r"\{-10\.0\},\s+\{10\.0\},", written)
+    assert load_controller(tmp_path / "my.toml").motion.limits.jerk == 100.0
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """C99 of a controller or an adaptation, from templates: what a processor runs is what was computed here."""
 
 import re
+from dataclasses import asdict
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -9,7 +10,9 @@ import numpy as np
 
 from stillwork.base.checks import InputError, counted, require_choice, require_count, shown
 from stillwork.base.front_door import checked
-from stillwork.control.digital import DigitalController
+from stillwork.control.digital import DigitalController, without_dead_states
+from stillwork.control.feedforward import Motion
+from stillwork.control.setpoint import HALVINGS
 from stillwork.estimation.adaptive import FeLms, FeRls
 
 TEMPLATES = Path(__file__).parent / "c99"
@@ -19,10 +22,12 @@ HOLDS = 0.5  # a state whose own coefficient is larger changes by little: it is 
 
 @checked
 def controller_code(controller: DigitalController, name: str, precision: str = "double") -> dict[str, str]:
-    """C99 of a controller that allocates nothing: text by the name of its file, ``name.h`` and ``name.c``.
+    """C99 of a controller that allocates nothing: text by the name of its file.
 
-    A state is x + (A - I)x + ..., with what rounding leaves kept beside it: in single precision a slow pole keeps its
-    place, and an integrator takes in steps too small for it alone. Products with zero are left out.
+    ``name.h`` and ``name.c`` are the controller itself, ``name_motion.h`` and ``name_motion.c`` of one with a `motion`
+    its setpoint and feedforward. A state is x + (A - I)x + ..., with what rounding leaves kept beside it: in single
+    precision a slow pole keeps its place, and an integrator takes in steps too small for it alone. Products with zero,
+    and states that lead nowhere, are left out.
 
     Parameters
     ----------
@@ -49,36 +54,44 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     --------
     >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
     >>> files = control.controller_code(control.DigitalController(pid, ("e (m)",), ("f (N)",)), "pid")
-    >>> sorted(files), "void pid_step(" in files["pid.c"]
+    >>> sorted(files), "pid_step(" in files["pid.c"]
     (['pid.c', 'pid.h'], True)
     """
     write = _Numbers(name, precision)
+    controller = without_dead_states(controller)
     m, n = controller.model, len(controller.inputs)
     states, outputs = len(m.a), len(controller.outputs)
     sums = np.diag(m.a) > HOLDS
-    change = m.a - np.diag(sums.astype(float))
-    winding = controller.anti_windup
-    winds = controller.limited and bool(winding.any())
-    low, high = controller.low, controller.high
-    names = {"x": states, "in": n, "f": controller.fed_back}
-    across = [f"{each}[{k}]" for each, count in names.items() for k in range(count)]
-    rows = np.hstack([change, m.b])
+    winds = bool(controller.anti_windup.any())
+    rows = np.hstack([m.a - np.diag(sums.astype(float)), m.b])
+    names = {"x": states, "e": n, "f": controller.fed_back}
     if winds:
-        across += [f"w[{k}]" for k in range(outputs)]
-        rows = np.hstack([rows, winding])
-    given = [f"in[{k}]" for k in range(n)]
-    ends = [
-        [write(each) if np.isfinite(each) else "" for each in pair] for pair in zip(low, high, strict=True)
+        rows, names = np.hstack([rows, controller.anti_windup]), names | {"w": outputs}
+    across = [f"{each}[{k}]" for each, count in names.items() for k in range(count)]
+    limits = [
+        [write(each) if np.isfinite(each) else ("-INFINITY" if each < 0 else "INFINITY") for each in ends]
+        for ends in (controller.low, controller.high)
     ]
-    commands, clipped = [], []
-    for k, (row, (least, most)) in enumerate(zip(np.hstack([m.c, m.d[:, :n]]), ends, strict=True)):
-        commands.append(f"f[{k}] = {write.terms(row, across[: states + n])};")
-        limits = [f"if (f[{k}] < {least})\n        f[{k}] = {least};"] if least else []
-        limits += [f"if (f[{k}] > {most})\n        f[{k}] = {most};"] if most else []
-        commands += [f"w[{k}] = -f[{k}];"] if winds else []
-        commands += limits
-        commands += [f"w[{k}] += f[{k}];"] if winds else []
-        clipped += [f"f[{k}] = out[{k}];", *limits]
+    ones = [write(1)] * n
+    designed = [f"{{{', '.join(each)}}}," for each in (ones, *limits)] + [f"{controller.patience},"]
+    commands = _lines(
+        f"v[{k}] = {write.terms(row, across[: states + n])};"
+        for k, row in enumerate(np.hstack([m.c, m.d[:, :n]]))
+    )
+    changes = _lines(f"change[{k}] = {write.terms(row, across)};" for k, row in enumerate(rows))
+    into = [f"{each}[{k}]" for each, count in (("e", n), ("f", outputs)) for k in range(count)]
+    start = _lines(
+        (f"s->state[{k}] = {write.terms(row, into)};" for k, row in enumerate(controller.start)), 8
+    )
+    late, text = controller.delay, commands + changes
+    marks = {
+        "x": states,
+        "d": late,
+        "n": not late,
+        "m": controller.motion,
+        **{mark: f" {mark}[" in text for mark in "efw"},
+        **{mark: f" {mark.lower()}[" in start for mark in "EF"},
+    }
     values = {
         "title": f"{name}: {counted(states, 'state')}, {1 / m.sample_time:g} samples a second, {precision} precision.",
         "signals": "\n   ".join(
@@ -87,60 +100,36 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
         ),
         "inputs": n,
         "outputs": outputs,
-        "states": max(states, 1),
+        "states": states,
+        "delay": late,
         "sample_time": repr(m.sample_time),
-        "late": f", {counted(controller.delay, 'sample')} late" if controller.delay else "",
-        "ring": f"\n    {name}_real ring[{controller.delay}][{outputs}]; /* on its way out */\n    int place;"
-        if controller.delay
-        else "",
-        "helpers": _HELPER if sums.any() else "",
-        "excess": f"\n    real w[{outputs}];" if winds else "",
-        "clipped": _lines(clipped),
-        "commands": _lines(commands),
-        "changes": _lines(f"d[{k}] = {write.terms(row, across)};" for k, row in enumerate(rows)),
-        "moves": _lines(
-            f"add(&s->state[{k}], &s->rest[{k}], d[{k}]);" if sums[k] else f"s->state[{k}] = d[{k}];"
-            for k in range(states)
-        ),
-        "start": _lines(
-            f"s->state[{k}] = {write.terms(row, given + [f'f[{j}]' for j in range(outputs)])};"
-            for k, row in enumerate(controller.start)
-        ),
-        "fill": Template(_FILL).substitute(delay=controller.delay, outputs=outputs)
-        if controller.delay
-        else "",
-        "give": Template(_LATE if controller.delay else _NOW).substitute(
-            delay=controller.delay, outputs=outputs
-        ),
+        "late": f", {counted(late, 'sample')} late" if late else "",
+        "designed": _lines(designed),
+        "keeps": ", ".join(write(each) for each in sums),
+        "zero": write(0),
+        "start": start,
+        "commands": commands,
+        "changes": changes.rstrip(),
+        "position": _unit(controller.inputs[0]),
+        "force": _unit(controller.outputs[0]),
     }
-    if not states:
-        values["changes"] = _lines(["(void)x;", "(void)d;"])
-        values["start"] = _lines(["(void)f;", "s->state[0] = 0;"])
-    return write.files("controller.h", "controller.c", values)
+    if controller.motion is None:
+        return write.files("controller", name, values, marks)
+    values["designed"] += _lines(_designed_motion(write, controller.motion))
+    values["halvings"] = HALVINGS
+    moving = write.files("motion", f"{name}_motion", values, marks)
+    return write.files("controller", name, values, marks) | moving
 
 
-_HELPER = """
-static void add(real *sum, real *rest, real change)
-{
-    const real step = change + *rest, next = *sum + step;
-    *rest = step - (next - *sum);
-    *sum = next;
-}
-"""
-_NOW = """    for (int i = 0; i < $outputs; i++)
-        out[i] = f[i];
-"""
-_FILL = """    s->place = 0;
-    for (i = 0; i < $delay; i++)
-        for (int j = 0; j < $outputs; j++)
-            s->ring[i][j] = f[j];
-"""
-_LATE = """    for (int i = 0; i < $outputs; i++) {
-        out[i] = s->ring[s->place][i];
-        s->ring[s->place][i] = f[i];
-    }
-    s->place = (s->place + 1) % $delay;
-"""
+def _designed_motion(write: "_Numbers", motion: Motion) -> list[str]:
+    """Gains, lag and limits as the struct of what may be tuned holds them."""
+    gains, limits = asdict(motion.feedforward), motion.limits and asdict(motion.limits)
+    whole = _Numbers(write.name, "double")
+    rates = ("velocity", "acceleration", "jerk", "snap")
+    reached = [0.0 if not limits or limits[name] == np.inf else limits[name] for name in rates]
+    return [f"{write(gains[name])}," for name in (*rates, "coulomb")] + [
+        f"{whole(each)}," for each in (motion.lag, *reached)
+    ]
 
 
 @checked
@@ -187,7 +176,9 @@ def adaptation_code(
         "regressors": require_count("regressors", regressors),
     }
     values = sizes | {
-        "title": f"{name}: {actuators} x {regressors} weights by {type(settings).__name__}, {precision} precision."
+        "zero": write(0),
+        "one": write(1),
+        "title": f"{name}: {actuators} x {regressors} weights by {type(settings).__name__}, {precision} precision.",
     }
     if isinstance(settings, FeLms):
         values["fields"] = (
@@ -195,7 +186,7 @@ def adaptation_code(
         )
         values |= {each: write(getattr(settings, each)) for each in ("step_size", "regularisation")}
         values["copies"] = write(settings.trace_copies(actuators))
-        return write.files("adaptation.h", "felms.c", values)
+        return write.files(("adaptation", "felms"), name, values)
     if settings.form not in ("safe", "UD"):
         raise InputError(f"settings.form is {settings.form!r}; C is written for 'safe' or 'UD'")
     dtype = PRECISIONS[precision].__name__
@@ -219,7 +210,7 @@ def adaptation_code(
         )
         + "    int axis; /* whose limit is looked at next */",
     }
-    return write.files("adaptation.h", "ferls.c", values)
+    return write.files(("adaptation", "ferls"), name, values)
 
 
 @checked
@@ -250,27 +241,43 @@ class _Numbers:
     def terms(self, row, names: list[str]) -> str:
         """The sum of products that are not zero."""
         parts = [
-            each if value == 1 else f"{self(value)} * {each}"
+            each if value == 1 else f"({self(value)} * {each})"
             for value, each in zip(row, names, strict=True)
             if value
         ]
         return "\n        + ".join(" + ".join(parts[k : k + 3]) for k in range(0, len(parts), 3)) or "0"
 
-    def files(self, header: str, source: str, values: dict) -> dict[str, str]:
-        """Both files."""
+    def files(
+        self, templates: tuple[str, str] | str, stem: str, values: dict, marks: dict | None = None
+    ) -> dict[str, str]:
+        """Header and source, of templates of these names; lines that begin with a mark and | are for where it is."""
         values |= {
             "name": self.name,
             "guard": self.name.upper(),
             "real": "double" if self.type is np.float64 else "float",
         }
+        header, source = (templates, templates) if isinstance(templates, str) else templates
         return {
-            f"{self.name}.{kind}": Template((TEMPLATES / file).read_text(encoding="utf-8")).substitute(values)
+            f"{stem}.{kind}": Template(_marked(TEMPLATES / f"{file}.{kind}", marks or {})).substitute(values)
             for kind, file in (("h", header), ("c", source))
         }
 
 
-def _lines(statements) -> str:
-    return "".join(f"    {each}\n" for each in statements)
+def _marked(template: Path, marks: dict) -> str:
+    lines = template.read_text(encoding="utf-8").splitlines(keepends=True)
+    return "".join(
+        line[2:] if line[1:2] == "|" else line for line in lines if line[1:2] != "|" or marks[line[0]]
+    )
+
+
+def _lines(statements, indent: int = 4) -> str:
+    return "".join(f"{' ' * indent}{each}\n" for each in statements)
+
+
+def _unit(name: str) -> str:
+    """The unit of a signal, as of ``e (m)``, for a comment."""
+    found = re.search(r"\((.+)\)", name)
+    return _comment(found[1]) if found else "unit"
 
 
 def _comment(text: str) -> str:

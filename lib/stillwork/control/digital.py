@@ -1,7 +1,7 @@
 """A controller as a processor runs it: sampled, limited without winding up, started without a bump."""
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ from stillwork.base.checks import (
     InputError,
     counted,
     require_array,
+    require_choice,
     require_count,
     require_number,
     shown,
@@ -22,7 +23,9 @@ from stillwork.base.checks import (
 from stillwork.base.extras import require_package
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.toml_files import Table, read_toml
+from stillwork.control.feedforward import Feedforward, Motion
 from stillwork.control.pid import Pid, series
+from stillwork.control.setpoint import MoveLimits
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.state_space import StateModel, interconnect
 
@@ -31,8 +34,22 @@ AT_ONE = 1e-9  # a pole closer to 1 than this is an integrator: it would forget 
 # Of its file; what else stands there goes along with it.
 KEPT = (
     *("format", "sample_time_s", "inputs", "outputs", "state_space", "low", "high", "anti_windup"),
-    *("delay_samples", "start"),
+    *("delay_samples", "patience_samples", "start", "motion", "interface"),
 )
+# Flags of a sample, as the C returns them.
+SATURATED, HELD, INVALID = 1, 2, 4
+PATIENCE = 10  # samples for which a missing input is held
+INTERFACE = {
+    "law": "v = C x + D e + u; f = v between low and high; next x = A x + B_e e + B_f (f - u) + anti_windup (f - v)",
+    "state_space": "b and d: columns of the inputs e, then of f - u where there are more columns",
+    "e": "inputs; of a motion controller the setpoint less the measurement, in the unit of its name",
+    "u": "what is fed forward, in the unit of the output; the inputs are deviations from the motion that it makes",
+    "start": "x that takes over without a bump: start times (e, f - u)",
+    "delay_samples": "by which f leaves late",
+    "patience_samples": "for which a missing input is held; then f and x stay until it is back",
+    "motion": "u = velocity v + acceleration a + jerk j + snap s + coulomb sign(v) of the setpoint, lag_s before its position",
+    "call_order": "once start; then each sample: measure, setpoint, e and u, step, output",
+}
 ALIKE = 1e-9  # to which sections must respond like the controller that they stand for
 SAME = 1e-6  # to which biquads must agree with their model, or they are left out
 
@@ -40,7 +57,8 @@ SAME = 1e-6  # to which biquads must agree with their model, or they are left ou
 @by_value
 @dataclass(frozen=True)
 class DigitalController:
-    r"""A sampled controller, :math:`v = Cx + De`, :math:`f = \mathrm{sat}(v)`, :math:`x^+ = Ax + B_ee + B_ff + L(f - v)`.
+    r"""A sampled controller, :math:`v = Cx + De + u`, :math:`f = \mathrm{sat}(v)`,
+    :math:`x^+ = Ax + B_ee + B_f(f - u) + L(f - v)`, with a known force u that is fed forward.
 
     Attributes
     ----------
@@ -55,6 +73,10 @@ class DigitalController:
         L; see `anti_windup`. Zero by default.
     delay : int
         Samples by which f leaves late; a model that is fed back has to delay it by itself.
+    patience : int
+        Samples in a row for which an input that is missing (NaN) is held; after them the output and the states stay.
+    motion : Motion, optional
+        Feedforward and setpoint of a controller of one error and one output, see `error_driven`.
     about : dict
         What goes with it into its file: gains, provenance.
 
@@ -83,6 +105,8 @@ class DigitalController:
     anti_windup: Converted = 0.0
     delay: int = 0
     about: dict = field(default_factory=dict)
+    patience: int = PATIENCE
+    motion: Motion | None = None
 
     @checked
     def __post_init__(self):
@@ -101,6 +125,7 @@ class DigitalController:
                 "model: its output follows from the limited output of the same sample; delay that"
             )
         require_count("delay", self.delay, at_least=0)
+        require_count("patience", self.patience, at_least=0)
         for name, shape in (("low", (outputs,)), ("high", (outputs,)), ("anti_windup", (states, outputs))):
             value = require_array(name, getattr(self, name), infinite=name != "anti_windup")
             if value.ndim and value.shape != shape:
@@ -112,6 +137,26 @@ class DigitalController:
             raise InputError(
                 "anti_windup: the controller is unstable while its output is limited; give one that "
                 "stabilises A - LC"
+            )
+        if self.motion is not None:
+            self._require_motion(self.motion)
+
+    def _require_motion(self, motion: Motion) -> None:
+        if (len(self.inputs), len(self.outputs)) != (1, 1):
+            raise InputError(
+                f"motion is for a controller of one error and one output; this has {counted(len(self.inputs), 'input')} "
+                f"and {counted(len(self.outputs), 'output')}"
+            )
+        if motion.limits is None:
+            return
+        limits, allowed = motion.limits, min(self.high[0], -self.low[0])
+        snap = limits.snap if limits.snap < np.inf else 0.0
+        peaks = np.array([limits.velocity, limits.acceleration, limits.jerk, snap])
+        asked = motion.most_force(peaks)
+        if asked > allowed:
+            raise InputError(
+                f"limits: the feedforward asks for up to {asked:.4g} in sum, the output is limited to {allowed:.4g}; "
+                "lower the limits of acceleration, velocity, jerk or snap"
             )
 
     @property
@@ -161,16 +206,18 @@ class DigitalController:
 
     @checked
     def run(
-        self, inputs: ArrayLike, first: ArrayLike | None = None
+        self, inputs: ArrayLike, first: ArrayLike | None = None, known: ArrayLike | None = None
     ) -> Float64[np.ndarray, "outputs samples"]:
         """Outputs as the processor gives them, sample by sample.
 
         Parameters
         ----------
         inputs : ndarray, shape (inputs, samples)
-            e, in the units of their names.
+            e, in the units of their names; NaN: missing.
         first : array_like, shape (outputs,), optional
             What acts when it takes over; without, it starts from a state of zero.
+        known : array_like, shape (outputs, samples), optional
+            u, which is fed forward; the inputs are then deviations from the motion that it makes.
 
         Returns
         -------
@@ -189,23 +236,75 @@ class DigitalController:
         >>> started.round(9)  # N: it takes over without a bump
         array([[5., 5., 5.]])
         """
-        m, n = self.model, len(self.inputs)
-        inputs = require_array("inputs", inputs, shape=(n, None))
-        held = np.zeros(len(self.outputs))
-        x = np.zeros(len(m.a))
+        return self.trace(inputs, first, known).outputs
+
+    @checked
+    def trace(
+        self, inputs: ArrayLike, first: ArrayLike | None = None, known: ArrayLike | None = None
+    ) -> "Trace":
+        """As `run`, with the flags of each sample.
+
+        Parameters
+        ----------
+        inputs : ndarray, shape (inputs, samples)
+        first : array_like, shape (outputs,), optional
+        known : array_like, shape (outputs, samples), optional
+
+        Returns
+        -------
+        Trace
+            Outputs, and sums of `SATURATED`, `HELD` and `INVALID`.
+
+        Raises
+        ------
+        InputError
+            As `run`.
+
+        Examples
+        --------
+        >>> twice = lti.StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[2.0]]), 1e-3)
+        >>> limited = control.DigitalController(twice, ("e (m)",), ("f (N)",), high=5.0)
+        >>> limited.trace([[1.0, np.nan, 3.0]]).flags  # nothing, held, saturated
+        array([0, 2, 1])
+        """
+        m, n, outputs = self.model, len(self.inputs), len(self.outputs)
+        inputs = require_array("inputs", inputs, shape=(n, None), missing=True)
+        samples = inputs.shape[1]
+        if known is None:
+            known = np.zeros((outputs, samples))
+        known = require_array("known", known, shape=(outputs, samples), missing=True)
+        e, u, last, x = np.zeros(n), np.zeros(outputs), np.zeros(outputs), np.zeros(len(m.a))
         if first is not None:
-            held = np.clip(require_array("first", first, shape=held.shape), self.low, self.high)
-            x = self.start @ np.concatenate([inputs[:, 0], held])
-        ring = [held] * self.delay
-        outputs = np.empty((len(held), inputs.shape[1]))
-        back = self._back
-        for k, e in enumerate(inputs.T):
-            command = m.c @ x + m.d[:, :n] @ e
-            limited = np.clip(command, self.low, self.high)
-            ring.append(limited)
-            outputs[:, k] = ring.pop(0)
-            x = m.a @ x + m.b[:, :n] @ e + back @ limited + self.anti_windup @ (limited - command)
-        return outputs
+            last = np.clip(require_array("first", first, shape=last.shape), self.low, self.high)
+            e, u = inputs[:, 0], known[:, 0]
+            if not np.isfinite([*e, *u]).all():
+                raise InputError("inputs: the first sample is missing; take over with one that is there")
+            x = self.start @ np.concatenate([e, last - u])
+        ring = [last] * self.delay
+        found, flags = np.empty((outputs, samples)), np.zeros(samples, dtype=int)
+        back, missing = self._back, 0
+        for k in range(samples):
+            given, fed = inputs[:, k], known[:, k]
+            if np.isfinite(given).all() and np.isfinite(fed).all():
+                missing = 0
+            else:
+                missing += 1
+                flags[k] |= HELD
+            e, u = np.where(np.isfinite(given), given, e), np.where(np.isfinite(fed), fed, u)
+            with np.errstate(over="ignore", invalid="ignore"):
+                command = m.c @ x + m.d[:, :n] @ e + u
+                limited = np.clip(command, self.low, self.high)
+                wound = self.anti_windup @ (limited - command)
+                following = m.a @ x + m.b[:, :n] @ e + back @ (limited - u) + wound
+            if missing > self.patience or not np.isfinite([*following, *command]).all():
+                flags[k] |= INVALID
+            else:
+                x = following
+                flags[k] |= SATURATED * bool(np.any(limited != command))
+                ring.append(limited)
+                last = ring.pop(0)
+            found[:, k] = last
+        return Trace(found, flags)
 
     def as_dict(self) -> dict[str, Any]:
         """What its file holds; an infinite limit is null.
@@ -235,8 +334,101 @@ class DigitalController:
             **limits,
             "anti_windup": self.anti_windup.tolist(),
             "delay_samples": self.delay,
+            "patience_samples": self.patience,
             "start": self.start.tolist(),
+            "motion": self.motion and _motion_entries(self.motion),
+            "interface": INTERFACE,
         }
+
+
+class Trace(NamedTuple):
+    """What a controller gave, sample by sample."""
+
+    outputs: np.ndarray  # (outputs, samples)
+    flags: np.ndarray  # (samples,), sums of SATURATED, HELD and INVALID
+
+
+def _motion_entries(motion: Motion) -> dict[str, Any]:
+    limits = motion.limits and {
+        name: None if value == np.inf else value for name, value in asdict(motion.limits).items()
+    }
+    return {"feedforward": asdict(motion.feedforward), "lag_s": motion.lag, "limits": limits}
+
+
+def _read_motion(table: Table, lag: float) -> Motion:
+    """From the entries of a file; `lag` is that of the controller's own delay."""
+
+    def read(kind: type, name: str):
+        entries = table.table(name)
+        for each in entries:
+            require_choice(f"{entries.where}: {each}", each, [field.name for field in fields(kind)])
+        return entries
+
+    gains = read(Feedforward, "feedforward") if "feedforward" in table else {}
+    limits = None
+    if table.get("limits") is not None:
+        given = read(MoveLimits, "limits")
+        needed = {name: given[name] for name in ("velocity", "acceleration", "jerk")}
+        snap = given.get("snap")
+        limits = MoveLimits(**needed, snap=np.inf if snap is None else snap)
+    return Motion(Feedforward(**gains), table.get("lag_s", lag), limits)
+
+
+@checked(infinite=True)
+def error_driven(controller: DigitalController, motion: Motion | None = None) -> DigitalController:
+    """A controller of r and y as one of the error e = r - y, which needs no other feedforward with an observer.
+
+    A machine that follows r under the force u that is fed forward has y = r and f = u. A copy of the controller that
+    runs on those, (A.7) and its Fig. A.2, subtracts from what the loop adds; linear as both are, their difference is
+    one controller of r - y and f - u. It knows nothing of how large r is: single precision holds an error.
+
+    Parameters
+    ----------
+    controller : DigitalController
+        Of the inputs r and y, one output, and perhaps that output fed back.
+    motion : Motion, optional
+        In its units.
+
+    Returns
+    -------
+    DigitalController
+        Of the input e, without the states from which nothing leads to the output.
+
+    Raises
+    ------
+    InputError
+        When it has other inputs or more outputs, or `motion` asks for more than its limits.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), appendix A.
+
+    Examples
+    --------
+    >>> twice = lti.StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[2.0, -2.0]]), 1e-3)
+    >>> of_error = control.error_driven(control.DigitalController(twice, ("r (m)", "y (m)"), ("f (N)",)))
+    >>> of_error.inputs, of_error.run([[1.0, 0.5]], known=[[0.0, 3.0]])
+    (('e (m)',), array([[2., 4.]]))
+    """
+    m = controller.model
+    names = [name.partition(" ")[0] for name in controller.inputs]
+    if names != ["r", "y"] or len(controller.outputs) != 1:
+        raise InputError(f"controller has the inputs {', '.join(names)}; give one of r and y, and one output")
+    model = replace(m, b=np.hstack([-m.b[:, 1:2], m.b[:, 2:]]), d=np.hstack([-m.d[:, 1:2], m.d[:, 2:]]))
+    return without_dead_states(
+        replace(controller, model=model, inputs=(f"e{controller.inputs[1][1:]}",), motion=motion)
+    )
+
+
+@checked(infinite=True)
+def without_dead_states(controller: DigitalController) -> DigitalController:
+    """Leave out the states that no coefficient leads to from an input, or from which none leads to the output."""
+    m, winds = controller.model, controller.anti_windup
+    kept = _alive(m.a, np.hstack([m.b, winds]), m.c)
+    if kept.all():
+        return controller
+    model = replace(m, a=m.a[np.ix_(kept, kept)], b=m.b[kept], c=m.c[:, kept])
+    return replace(controller, model=model, anti_windup=winds[kept])
 
 
 @checked
@@ -381,14 +573,16 @@ class EquivalentBiquads(NamedTuple):
 
 @checked(infinite=True)
 def equivalent_biquads(controller: DigitalController) -> EquivalentBiquads | None:
-    """Second-order sections of the whole linear map of a controller from (r, y) to f, an observer's part included.
+    """Second-order sections of the whole linear map of a controller from (r, y), or r - y, to f, an observer's included.
 
     None where a pole lies outside the unit circle, the integrator of the reference's part does not cancel, or the
     sections do not respond as the controller does, to `ALIKE` at each frequency.
     """
     m = controller.linear
+    if m.d.shape == (1, 1):
+        m = replace(m, b=np.hstack([m.b, -m.b]), d=np.hstack([m.d, -m.d]))
     if m.d.shape != (1, 2):
-        raise InputError("controller must have the inputs r and y and one output")
+        raise InputError("controller must have the inputs r and y, or their difference, and one output")
     feedback = StateModel(m.a, -m.b[:, 1:], m.c, -m.d[:, 1:], m.sample_time)
     together = m.b.sum(axis=1, keepdims=True), m.d.sum(axis=1, keepdims=True)
     reference = StateModel(m.a, together[0], m.c, together[1], m.sample_time)
@@ -458,13 +652,18 @@ def _sections(
     return (sections, worst) if worst <= ALIKE else None
 
 
-def _minimal(model: StateModel) -> StateModel:
-    """Without the states that no coefficient leads to from the input, or from which none leads to the output."""
-    links = (model.a != 0) | np.eye(len(model.a), dtype=bool)
-    reached, seen = np.any(model.b, axis=1), np.any(model.c, axis=0)
+def _alive(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Mask of the states that some coefficient leads to from the input, and from which one leads to the output."""
+    links = (a != 0) | np.eye(len(a), dtype=bool)
+    reached, seen = np.any(b, axis=1), np.any(c, axis=0)
     for _ in range(len(links)):
         reached, seen = links @ reached, seen @ links
-    kept = reached & seen
+    return reached & seen
+
+
+def _minimal(model: StateModel) -> StateModel:
+    """Without the states that no coefficient leads to from the input, or from which none leads to the output."""
+    kept = _alive(model.a, model.b, model.c)
     return replace(model, a=model.a[np.ix_(kept, kept)], b=model.b[kept], c=model.c[:, kept])
 
 
@@ -518,7 +717,9 @@ def load_controller(file: str | Path) -> DigitalController:
     """Read a controller from the JSON file that `design` writes, or from the table [controller] of a TOML file.
 
     The table holds ``rate_hz`` and either ``biquads`` or ``a``, ``b``, ``c`` and ``d``; if wanted ``inputs``,
-    ``outputs``, ``low``, ``high``, ``delay_samples`` and ``tracking_time_s``, the time of anti-wind-up.
+    ``outputs``, ``low``, ``high``, ``delay_samples``, ``patience_samples`` and ``tracking_time_s``, the time of
+    anti-wind-up. Of one input and one output a table [controller.motion] may hold ``lag_s`` and two tables,
+    ``feedforward`` with the fields of `Feedforward` and ``limits`` with those of `MoveLimits`.
 
     Parameters
     ----------
@@ -564,8 +765,11 @@ def load_controller(file: str | Path) -> DigitalController:
         "high": [np.inf if x is None else x for x in _list(table, "high")],
         "anti_windup": require_array("anti_windup", table["anti_windup"]) if len(model.a) else 0.0,
         "delay": table["delay_samples"],
+        "patience": table.get("patience_samples", PATIENCE),
         "about": {name: value for name, value in table.items() if name not in KEPT},
     }
+    if table.get("motion") is not None:
+        read["motion"] = _read_motion(table.table("motion"), 0.0)
     return DigitalController(model, tuple(_list(table, "inputs")), tuple(_list(table, "outputs")), **read)
 
 
@@ -580,7 +784,12 @@ def _from_table(table: Table) -> DigitalController:
     read |= {name: table[name] for name in ("low", "high") if name in table}
     if "tracking_time_s" in table:
         read["anti_windup"] = anti_windup(model, table["tracking_time_s"])
-    return DigitalController(model, delay=table.get("delay_samples", 0), **read)
+    delay = table.get("delay_samples", 0)
+    read["patience"] = table.get("patience_samples", PATIENCE)
+    if "motion" in table:
+        lag = (require_number("delay_samples", delay) + 0.5) * sample_time
+        read["motion"] = _read_motion(table.table("motion"), lag)
+    return DigitalController(model, delay=delay, **read)
 
 
 def _model(table: Table, sample_time: float) -> StateModel:

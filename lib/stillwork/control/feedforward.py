@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, counted, require_choice
+from stillwork.base.checks import InputError, counted, require_choice, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control.loops import INPUTS, OUTPUTS, require_deviations, require_stable
-from stillwork.control.setpoint import Setpoint
+from stillwork.control.setpoint import Move, MoveLimits, Setpoint
 from stillwork.lti.discretisation import zoh
+from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel, block_matrix, interconnect
 
@@ -21,15 +22,30 @@ BASIS = ("velocity", "acceleration", "jerk", "snap")
 @by_value
 @dataclass(frozen=True)
 class Feedforward:
-    r"""Gains of :math:`C_{ff} = \Theta_{vel}s + \Theta_{acc}s^2 + \Theta_{jerk}s^3 + \Theta_{snap}s^4`."""
+    r"""Gains of :math:`C_{ff} = \Theta_{vel}s + \Theta_{acc}s^2 + \Theta_{jerk}s^3 + \Theta_{snap}s^4`, and dry friction.
+
+    Parameters
+    ----------
+    velocity, acceleration, jerk, snap : float
+        Viscous friction, mass, and what the compliance of flexible modes asks for.
+    coulomb : float
+        Friction that has the sign of the velocity alone.
+
+    Examples
+    --------
+    >>> control.Feedforward(acceleration=10.0, coulomb=1.0).gains
+    array([ 0., 10.,  0.,  0.])
+    """
 
     velocity: float = 0.0  # N s/m
     acceleration: float = 0.0  # kg
     jerk: float = 0.0  # kg s
     snap: float = 0.0  # kg s^2
+    coulomb: float = 0.0  # N, with the sign of the velocity
 
     def __post_init__(self):
         check_fields(self)
+        require_number("coulomb", self.coulomb, at_least=0.0)
 
     @property
     def gains(self) -> Float64[np.ndarray, "4"]:
@@ -64,7 +80,139 @@ class Feedforward:
         >>> float(gains.force(move).max().round(3))  # N: 10 kg at 2 m/s^2
         20.0
         """
-        return self.gains @ setpoint.derivatives[1:]
+        return self.gains @ setpoint.derivatives[1:] + self.coulomb * np.sign(setpoint.derivatives[1])
+
+
+@by_value
+@dataclass(frozen=True)
+class Motion:
+    """What makes a controller of the error a motion controller: its feedforward, and how its setpoint may move.
+
+    Attributes
+    ----------
+    feedforward : Feedforward
+        In the units of the controller's input and output.
+    lag : float
+        s, by which the position follows the feedforward: delay of the loop and half a sample of the hold.
+    limits : MoveLimits, optional
+        Of the setpoint; without, it cannot move until they are set in the C.
+
+    Raises
+    ------
+    InputError
+        When the lag is negative.
+
+    Examples
+    --------
+    >>> control.Motion(control.Feedforward(acceleration=10.0), lag=1.5e-4).limits is None
+    True
+    """
+
+    feedforward: Feedforward = Feedforward()
+    lag: float = 0.0
+    limits: MoveLimits | None = None
+
+    def __post_init__(self):
+        check_fields(self)
+        require_number("lag", self.lag, at_least=0.0)
+
+    @checked
+    def most_force(self, peaks: Float64[np.ndarray, "4"]) -> float:
+        """Bound on the feedforward, in sum, of a move.
+
+        Parameters
+        ----------
+        peaks : ndarray, shape (4,)
+            Its largest velocity, acceleration, jerk and snap.
+
+        Returns
+        -------
+        float
+
+        Examples
+        --------
+        >>> control.Motion(control.Feedforward(acceleration=10.0, coulomb=1.0)).most_force(np.array([0.1, 2.0, 0.0, 0.0]))
+        21.0
+        """
+        return float(np.abs(self.feedforward.gains) @ peaks) + self.feedforward.coulomb
+
+    @checked
+    def run(self, move: Move, samples: int, sample_time: float) -> Float64[np.ndarray, "2 samples"]:
+        """Position that the measurement should have, and the force fed forward, at each sample.
+
+        Parameters
+        ----------
+        move : Move
+            See `plan_move`.
+        samples : int
+        sample_time : float
+            s.
+
+        Returns
+        -------
+        ndarray, shape (2, samples)
+            Position, later by the lag, and force.
+
+        Examples
+        --------
+        >>> move = control.plan_move(0.01, control.MoveLimits(0.1, 2.0, 100.0))
+        >>> motion = control.Motion(control.Feedforward(acceleration=10.0), lag=1.5e-3)
+        >>> motion.run(move, 5000, 1e-3)[:, -1]  # m, N
+        array([0.01, 0.  ])
+        """
+        time = np.arange(samples) * sample_time
+        ahead = move.at(time)
+        force = self.feedforward.gains @ ahead[1:] + self.feedforward.coulomb * np.sign(ahead[1])
+        return np.array([move.at(time - self.lag)[0], force])
+
+
+@checked
+def motion_of(model: ModalModel, lag: float, position: float = 1.0, drive: float = 1.0) -> Motion:
+    """What a plant asks for, in units of which its own position and force hold so many; on a suspension nothing."""
+    if model.rigid_modes != 1:
+        return Motion(lag=lag)
+    gains = inverse_gains(model).gains * drive / position
+    return Motion(Feedforward(*gains), lag)
+
+
+@checked
+def inverse_gains(model: ModalModel) -> Feedforward:
+    """Gains of (A.1) that agree with the inverse of a plant, from its series about zero frequency up to s^4.
+
+    Of one rigid body (mass and viscous friction), one actuator and one sensor; its flexible modes give the snap.
+
+    Parameters
+    ----------
+    model : ModalModel
+
+    Returns
+    -------
+    Feedforward
+
+    Raises
+    ------
+    InputError
+        When the model has another number of inputs, outputs or rigid modes than one.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.0], [[0.5], [0.5]], [[0.5, -0.5]], [[0.0]])
+    >>> gains = control.inverse_gains(stage)
+    >>> gains.acceleration, round(gains.snap, 9)  # kg, kg s^2: 4 kg, and 0.25 / 600^2 of compliance against it
+    (4.0, 1.1111e-05)
+    """
+    if model.feedthrough.shape != (1, 1) or model.rigid_modes != 1 or model.measures != "position":
+        raise InputError("model must have one input, one output that is a position, and one rigid-body mode")
+    parts = model.output_shapes[0] * model.input_shapes[:, 0]
+    w, z = model.frequencies[1:], model.damping[1:]
+    mass = 1 / parts[0]
+    # P = 1/(mass s (s + drag)) + c0 + c1 s + ..., so 1/P = N / (1 + N (c0 + c1 s)) with N = mass s (s + drag).
+    c0 = float(model.feedthrough[0, 0] + np.sum(parts[1:] / w**2))
+    c1 = float(-np.sum(2 * z * parts[1:] / w**3))
+    rigid = np.polynomial.Polynomial([0.0, mass * model.drag, mass])
+    beside = rigid * np.polynomial.Polynomial([c0, c1])
+    series = rigid * (1 - beside + beside**2 - beside**3)
+    return Feedforward(*series.coef[1:5])
 
 
 @checked

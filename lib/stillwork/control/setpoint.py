@@ -1,4 +1,4 @@
-"""Fourth-order setpoints: snap is piecewise constant, everything else its exact integral."""
+"""Setpoints of third and fourth order: jerk or snap is piecewise constant, everything else its exact integral."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_number, require_samples
 from stillwork.base.front_door import by_value, check_fields, checked
+
+HALVINGS = 60  # of the largest velocity that a short move reaches: to the last digit of any that matters
 
 
 @by_value
@@ -144,15 +146,214 @@ def point_to_point(
 @checked
 def segment_times(snap: float, jerk: float, acceleration: float, velocity: float) -> tuple[float, ...]:
     """Lengths of the snap, jerk-plateau and acceleration-plateau segments (s)."""
-    limits = {"snap": snap, "jerk": jerk, "acceleration": acceleration, "velocity": velocity}
-    for name, limit in limits.items():
-        require_number(name, limit, above=0.0)
-    t_snap = min(jerk / snap, np.sqrt(acceleration / snap), np.cbrt(velocity / (2 * snap)))
-    top = snap * t_snap
-    # Acceleration limit: top (t_snap + t_jerk); velocity limit: that times (2 t_snap + t_jerk).
-    by_acceleration = acceleration / top - t_snap
-    by_velocity = (-3 * t_snap + np.sqrt(t_snap**2 + 4 * velocity / top)) / 2
-    t_jerk = max(min(by_acceleration, by_velocity), 0.0)
-    peak = top * (t_snap + t_jerk)
-    t_acceleration = max(velocity / peak - 2 * t_snap - t_jerk, 0.0)
+    limits = MoveLimits(velocity, acceleration, jerk, snap)
+    t_snap, t_jerk, t_acceleration, _ = _segments(limits, velocity)
     return tuple(0.0 if t < 1e-9 * t_snap else float(t) for t in (t_snap, t_jerk, t_acceleration))
+
+
+@by_value
+@dataclass(frozen=True)
+class MoveLimits:
+    """What a setpoint may reach.
+
+    Parameters
+    ----------
+    velocity, acceleration, jerk : float
+        In one unit of length or angle.
+    snap : float
+        Infinite by default: moves of third order.
+
+    Raises
+    ------
+    InputError
+        When one is not positive.
+
+    Examples
+    --------
+    >>> control.MoveLimits(velocity=0.2, acceleration=5.0, jerk=500.0).snap
+    inf
+    """
+
+    velocity: float
+    acceleration: float
+    jerk: float
+    snap: float = np.inf
+
+    def __post_init__(self):
+        check_fields(self, infinite=("snap",))
+        for name in ("velocity", "acceleration", "jerk", "snap"):
+            if getattr(self, name) != np.inf:
+                require_number(name, getattr(self, name), above=0.0)
+
+
+def _segments(limits: MoveLimits, top: float) -> tuple[float, float, float, float]:
+    """Lengths of the segments from rest to the velocity `top`, and the jerk that they reach."""
+    jerk, acceleration, t_snap = limits.jerk, limits.acceleration, 0.0
+    if limits.snap < np.inf:
+        by_others = min(np.sqrt(acceleration / limits.snap), np.cbrt(top / (2 * limits.snap)))
+        t_snap = min(jerk / limits.snap, by_others)
+        jerk = limits.snap * t_snap
+    # Acceleration limit: jerk (t_snap + t_jerk); velocity limit: that times (2 t_snap + t_jerk).
+    by_acceleration = acceleration / jerk - t_snap
+    by_velocity = (np.sqrt(t_snap * t_snap + 4 * top / jerk) - 3 * t_snap) / 2
+    t_jerk = max(min(by_acceleration, by_velocity), 0.0)
+    peak = jerk * (t_snap + t_jerk)
+    t_acceleration = max(top / peak - 2 * t_snap - t_jerk, 0.0)
+    return float(t_snap), float(t_jerk), float(t_acceleration), float(jerk)
+
+
+@by_value
+@dataclass(frozen=True)
+class Move:
+    """From rest to rest, in closed form; the second half mirrors the first, so that it ends where it should.
+
+    Attributes
+    ----------
+    start, distance : float
+        Where it begins, and how far it goes, either way.
+    knots : ndarray, shape (8, 6)
+        Of the way up to the largest velocity: time, position, velocity, acceleration, jerk and snap where each segment
+        begins, the last one at constant velocity; of a move forwards from 0.
+    duration : float
+        s.
+    begun : float
+        s into the move at which its time is 0: half of it where it begins in motion, see `plan_stop`.
+    """
+
+    start: float
+    distance: float
+    knots: Float64[np.ndarray, "8 6"]
+    duration: float
+    begun: float = 0.0
+
+    def __post_init__(self):
+        check_fields(self)
+
+    @property
+    def peaks(self) -> Float64[np.ndarray, "4"]:
+        """Largest magnitudes of velocity, acceleration, jerk and snap."""
+        return np.abs(self.knots[:, 2:]).max(axis=0)
+
+    @checked
+    def at(self, time: ArrayLike) -> Float64[np.ndarray, "5 times"]:
+        """Position and its first four derivatives; at rest before and after.
+
+        Parameters
+        ----------
+        time : array_like, shape (times,)
+            s.
+
+        Returns
+        -------
+        ndarray, shape (5, times)
+            Position, velocity, acceleration, jerk and snap.
+
+        Examples
+        --------
+        >>> control.plan_move(0.01, control.MoveLimits(0.1, 2.0, 100.0)).at([-1.0, 9.0])[:2]
+        array([[0.  , 0.01],
+               [0.  , 0.  ]])
+        """
+        t = self.begun + require_array("time", time, ndim=1)
+        moving, back = (t >= 0) & (t < self.duration), t > self.duration / 2
+        u = np.where(back, self.duration - t, t)
+        places = np.clip(np.searchsorted(self.knots[:, 0], u, side="right") - 1, 0, 7)
+        begin, p, v, a, j, s = self.knots[places].T
+        u = u - begin
+        position = p + u * (v + u * (a / 2 + u * (j / 6 + u * s / 24)))
+        mirror = np.where(back, -1.0, 1.0)
+        rows = [
+            np.where(back, abs(self.distance) - position, position),
+            v + u * (a + u * (j / 2 + u * s / 6)),
+            mirror * (a + u * (j + u * s / 2)),
+            j + u * s,
+            mirror * s,
+        ]
+        sign = np.copysign(1.0, self.distance)
+        found = np.where(moving, sign * np.array(rows), 0.0)
+        found[0] = self.start + np.where(moving, found[0], np.where(t < 0, 0.0, self.distance))
+        return found
+
+
+@checked
+def plan_move(distance: float, limits: MoveLimits, start: float = 0.0) -> Move:
+    """Shortest symmetric move over `distance` within the limits.
+
+    Parameters
+    ----------
+    distance : float
+        In the unit of the limits, either way.
+    limits : MoveLimits
+    start : float
+        Where it begins.
+
+    Returns
+    -------
+    Move
+
+    Raises
+    ------
+    InputError
+        When a number is not finite.
+
+    References
+    ----------
+    Lambrechts, Boerlage and Steinbuch, Trajectory planning and feedforward design for electromechanical motion systems,
+    Control Engineering Practice (2005).
+
+    Examples
+    --------
+    >>> limits = control.MoveLimits(velocity=0.2, acceleration=5.0, jerk=500.0)
+    >>> move = control.plan_move(0.032, limits)  # m
+    >>> move.at([0.0, move.duration / 2, move.duration])[:2].round(6)  # m, m/s
+    array([[0.   , 0.016, 0.032],
+           [0.   , 0.2  , 0.   ]])
+    """
+    low, high = 0.0, limits.velocity
+    if high * _rise_time(limits, high) > abs(distance):
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            if middle * _rise_time(limits, middle) > abs(distance):
+                high = middle
+            else:
+                low = middle
+    else:
+        low = high
+    if not low or not distance:
+        return Move(start, distance, np.zeros((8, 6)), 0.0)
+    return Move(start, distance, _knots(limits, low), _rise_time(limits, low) + abs(distance) / low)
+
+
+@checked
+def plan_stop(position: float, velocity: float, limits: MoveLimits) -> Move:
+    """The second half of a move that has its largest velocity here: from motion to rest, its time 0 in the middle."""
+    if not velocity:
+        return Move(position, 0.0, np.zeros((8, 6)), 0.0)
+    rise = _rise_time(limits, abs(velocity))
+    distance = velocity * rise
+    return Move(position - distance / 2, distance, _knots(limits, abs(velocity)), 2 * rise, rise)
+
+
+def _rise_time(limits: MoveLimits, top: float) -> float:
+    t_snap, t_jerk, t_acceleration, _ = _segments(limits, top)
+    return 4 * t_snap + 2 * t_jerk + t_acceleration
+
+
+def _knots(limits: MoveLimits, top: float) -> np.ndarray:
+    t_snap, t_jerk, t_acceleration, jerk = _segments(limits, top)
+    snap = limits.snap if limits.snap < np.inf else 0.0
+    lengths = (t_snap, t_jerk, t_snap, t_acceleration, t_snap, t_jerk, t_snap)
+    jerks, snaps = (0.0, 1, 1, 0, 0, -1, -1, 0), (1.0, 0, -1, 0, -1, 0, 1, 0)
+    knots = np.zeros((8, 6))
+    for k in range(8):
+        knots[k, 4:] = jerk * jerks[k], snap * snaps[k]
+        if k < 7:
+            u, (begin, p, v, a, j, s) = lengths[k], knots[k]
+            knots[k + 1, :4] = (
+                begin + u,
+                p + u * (v + u * (a / 2 + u * (j / 6 + u * s / 24))),
+                v + u * (a + u * (j / 2 + u * s / 6)),
+                a + u * (j + u * s / 2),
+            )
+    knots[7, 3] = 0.0
+    return knots

@@ -6,7 +6,9 @@
 #ifndef ${guard}_H
 #define ${guard}_H
 
-#include <math.h>
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 #define ${guard}_ACTUATORS $actuators
 #define ${guard}_REGRESSORS $regressors
@@ -22,20 +24,14 @@ $fields
 void ${name}_start(${name}_state *s);
 
 /* u = W psi with the regressors as they are measured. */
-static inline void ${name}_feed(const ${name}_state *s, const ${name}_real regressor[$regressors],
-                                ${name}_real out[$actuators])
-{
-    int a, i;
-
-    for (a = 0; a < $actuators; a++) {
-        out[a] = 0;
-        for (i = 0; i < $regressors; i++)
-            out[a] += s->weights[a][i] * regressor[i];
-    }
-}
+void ${name}_feed(const ${name}_state *s, const ${name}_real regressor[$regressors], ${name}_real out[$actuators]);
 
 /* One sample of adaptation. Returns 0 where it could not be used: the state is then that of before, safe to hold. */
 int ${name}_update(${name}_state *s, const ${name}_real regressor[$regressors],
                    const ${name}_real error[$actuators]);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

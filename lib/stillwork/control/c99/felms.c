@@ -1,5 +1,7 @@
 #include "$name.h"
 
+#include <math.h>
+
 #ifdef __FAST_MATH__
 #error "the compensated sums need IEEE arithmetic: compile without -ffast-math"
 #endif
@@ -11,31 +13,59 @@ typedef ${name}_real real;
 
 void ${name}_start(${name}_state *s)
 {
-    int a, i;
+    int a;
+    int i;
 
-    for (a = 0; a < A; a++)
-        for (i = 0; i < N; i++)
-            s->weights[a][i] = s->rest[a][i] = 0;
+    for (a = 0; a < A; a++) {
+        for (i = 0; i < N; i++) {
+            s->weights[a][i] = $zero;
+            s->rest[a][i] = $zero;
+        }
+    }
+}
+
+void ${name}_feed(const ${name}_state *s, const real regressor[N], real out[A])
+{
+    int a;
+    int i;
+
+    for (a = 0; a < A; a++) {
+        out[a] = $zero;
+        for (i = 0; i < N; i++) {
+            out[a] += s->weights[a][i] * regressor[i];
+        }
+    }
 }
 
 int ${name}_update(${name}_state *s, const real regressor[N], const real error[A])
 {
-    real power = 0, rate;
-    int a, i;
+    real power = $zero;
+    real rate;
+    int a;
+    int i;
+    int usable = 1;
 
-    for (i = 0; i < N; i++)
+    for (i = 0; i < N; i++) {
         power += regressor[i] * regressor[i];
-    rate = $step_size / ($regularisation + $copies * power);
-    for (a = 0; a < A; a++)
-        for (i = 0; i < N; i++) /* what it would become is finite, or the weights stay */
-            if (!isfinite(s->weights[a][i] - rate * error[a] * regressor[i]))
-                return 0;
-    for (a = 0; a < A; a++)
-        for (i = 0; i < N; i++) {
-            const real step = s->rest[a][i] - rate * error[a] * regressor[i];
-            const real next = s->weights[a][i] + step;
-            s->rest[a][i] = step - (next - s->weights[a][i]);
-            s->weights[a][i] = next;
+    }
+    rate = $step_size / ($regularisation + ($copies * power));
+    for (a = 0; a < A; a++) {
+        for (i = 0; i < N; i++) { /* what it would become is finite, or the weights stay */
+            if (isfinite(s->weights[a][i] - (rate * error[a] * regressor[i])) == 0) {
+                usable = 0;
+            }
         }
-    return 1;
+    }
+    if (usable != 0) {
+        for (a = 0; a < A; a++) {
+            for (i = 0; i < N; i++) {
+                const real step = s->rest[a][i] - (rate * error[a] * regressor[i]);
+                const real next = s->weights[a][i] + step;
+
+                s->rest[a][i] = step - (next - s->weights[a][i]);
+                s->weights[a][i] = next;
+            }
+        }
+    }
+    return usable;
 }
