@@ -1,6 +1,6 @@
 // The loop: its functions on the model and on the measurement, the six constraints, and the box around the model.
-import { complexArray, geomspace, sortedUnique, resonanceGrid, toDb } from "./complex.js";
-import { boxIsEmpty, corners, modelGrid, plantResponse, residues, splitDelay, addMode } from "./model.js";
+import { complexArray, multiplyInto, resonanceGrid, sortedUnique, toDb } from "./complex.js";
+import { corners, modelGrid, plantResponse, residues, splitDelay, addMode } from "./model.js";
 import { makeObserver, observerResponse } from "./observer.js";
 import { controllerSections, delayResponse, holdResponse, integrators, sectionsResponse, timing, tustinAxis } from "./response.js";
 
@@ -85,23 +85,22 @@ function onMeasurement(loop, machine, seen, position) {
       const all = plantResponse(model, seen, sampleTime, delay);
       const bare = plantResponse(model, seen, 0, 0);
       aliases = complexArray(seen.length);
-      const factor = continuousHold(model, seen, sampleTime, delay);
       for (let k = 0; k < seen.length; k++) {
         // bare times the hold is what the sampled model shows before aliasing
-        const re = bare.re[k] * factor.re[k] - bare.im[k] * factor.im[k];
-        const im = bare.re[k] * factor.im[k] + bare.im[k] * factor.re[k];
+        const re = bare.re[k] * hold.re[k] - bare.im[k] * hold.im[k];
+        const im = bare.re[k] * hold.im[k] + bare.im[k] * hold.re[k];
         aliases.re[k] = all.re[k] - re;
         aliases.im[k] = all.im[k] - im;
       }
     }
-    multiply(position, hold);
+    multiplyInto(position, hold);
     if (aliases) {
       for (let k = 0; k < seen.length; k++) {
         position.re[k] += aliases.re[k];
         position.im[k] += aliases.im[k];
       }
     }
-  } else multiply(position, delayResponse(seen, delay));
+  } else multiplyInto(position, delayResponse(seen, delay));
   if (model && loop.model) {
     const count = loop.model.omega.findIndex((w) => w >= seen[0]);
     below = loop.model.omega.slice(0, Math.max(count, 0));
@@ -120,16 +119,6 @@ function onMeasurement(loop, machine, seen, position) {
   ];
 }
 
-const continuousHold = (model, omega, sampleTime, delay) => holdResponse(omega, sampleTime, delay);
-
-function multiply(a, b) {
-  for (let k = 0; k < a.re.length; k++) {
-    const re = a.re[k] * b.re[k] - a.im[k] * b.im[k];
-    a.im[k] = a.re[k] * b.im[k] + a.im[k] * b.re[k];
-    a.re[k] = re;
-  }
-}
-
 // Without a model the box holds the gain and the delay alone.
 function gainCorners(machine) {
   const box = machine.uncertainty;
@@ -144,7 +133,7 @@ function cornerView(loop, place) {
     return { ...base, plant };
   }
   const plant = { re: Float64Array.from(base.plant.re), im: Float64Array.from(base.plant.im) };
-  multiply(plant, delayResponse(base.omega, place.delay));
+  multiplyInto(plant, delayResponse(base.omega, place.delay));
   for (let k = 0; k < base.omega.length; k++) {
     plant.re[k] *= place.gain;
     plant.im[k] *= place.gain;
@@ -162,71 +151,69 @@ export function addPlace(loop, place) {
 
 export const controllerOn = (sections, seen) => sectionsResponse(sections, seen.axis);
 
-// Sizes of the functions on a view: arrays by name; `whole`: the open loops and the others as complex numbers, too.
+// Sizes of the functions on a view: arrays by name; `whole`: the open loops and the others, too. Without an observer the
+// three functions are one.
 export function loopFunctions(seen, controller, whole = false) {
   const n = seen.omega.length, P = seen.plant, C = controller, O = seen.observer;
+  const first = new Float64Array(n);
   const found = {
-    input_sensitivity: new Float64Array(n),
-    output_sensitivity: new Float64Array(n),
-    true_tracking: new Float64Array(n),
+    input_sensitivity: first,
+    output_sensitivity: O ? new Float64Array(n) : first,
+    true_tracking: O ? new Float64Array(n) : first,
   };
-  let turns = 0, before = 0, start = 0;
   if (whole) {
-    for (const name of ["loop", "output_loop"]) found[name] = complexArray(n);
-    for (const name of ["closed", "process"]) found[name] = new Float64Array(n);
+    found.loop = complexArray(n);
+    found.output_loop = O ? complexArray(n) : found.loop;
+    found.closed = new Float64Array(n);
+    found.process = new Float64Array(n);
   }
+  const start = {};
+  let crossed = 0, br = 0, bi = 0; // of the negative real axis, upwards less downwards
   for (let k = 0; k < n; k++) {
     const p = P.re[k], q = P.im[k], c = C.re[k], d = C.im[k];
-    let tr = 1, ti = 0, sr = c, si = d; // turn = 1 - C o_yu - o_uu, slope = C (1 - o_yy) - o_uy
-    let ar = 1, ai = 0; // 1 - o_uu - o_uy P
+    const pcr = p * c - q * d, pci = p * d + q * c;
+    let tr = 1, ti = 0, dr = 1 + pcr, di = pci;
     if (O) {
-      const yur = O.yu.re[k], yui = O.yu.im[k], yyr = O.yy.re[k], yyi = O.yy.im[k];
+      // turn = 1 - C o_yu - o_uu, slope = C (1 - o_yy) - o_uy, above = 1 - o_uu - o_uy P
+      const yur = O.yu.re[k], yui = O.yu.im[k], yyr = O.yy.re[k], yyi = O.yy.im[k], uyr = O.uy.re[k], uyi = O.uy.im[k];
       tr = 1 - (c * yur - d * yui) - O.uu.re[k];
       ti = -(c * yui + d * yur) - O.uu.im[k];
-      sr = c - (c * yyr - d * yyi) - O.uy.re[k];
-      si = d - (c * yyi + d * yyr) - O.uy.im[k];
-      ar = 1 - O.uu.re[k] - (O.uy.re[k] * p - O.uy.im[k] * q);
-      ai = -O.uu.im[k] - (O.uy.re[k] * q + O.uy.im[k] * p);
-    }
-    const dr = tr + p * sr - q * si, di = ti + p * si + q * sr; // turn + P slope
-    const size = Math.sqrt(dr * dr + di * di);
-    const turn = Math.sqrt(tr * tr + ti * ti);
-    found.input_sensitivity[k] = Math.sqrt(ar * ar + ai * ai) / size;
-    found.output_sensitivity[k] = turn / size;
-    const er = dr - (p * c - q * d), ei = di - (p * d + q * c);
-    found.true_tracking[k] = Math.sqrt(er * er + ei * ei) / size;
-    const angle = Math.atan2(di, dr);
-    if (k === 0) start = angle;
-    else turns += angle - before - TURN * Math.round((angle - before) / TURN);
-    before = angle;
-    if (whole) {
-      const pc = Math.sqrt((p * p + q * q) * (c * c + d * d));
-      found.closed[k] = pc / size;
-      found.process[k] = (Math.sqrt(p * p + q * q) * turn) / size;
-      // loop = D / (1 - o_uu - o_uy P) - 1, output loop = D / turn - 1
-      const asize = ar * ar + ai * ai, tsize = tr * tr + ti * ti;
-      if (O) {
-        found.loop.re[k] = (dr * ar + di * ai) / asize - 1;
-        found.loop.im[k] = (di * ar - dr * ai) / asize;
-        // by what it adds: P slope / turn
-        const vr = p * sr - q * si, vi = p * si + q * sr;
-        found.output_loop.re[k] = (vr * tr + vi * ti) / tsize;
-        found.output_loop.im[k] = (vi * tr - vr * ti) / tsize;
-        // (1 - o_yy) P - o_yu, times C, over 1 - o_uu - o_uy P
-        const yr = p - (O.yy.re[k] * p - O.yy.im[k] * q) - O.yu.re[k];
-        const yi = q - (O.yy.re[k] * q + O.yy.im[k] * p) - O.yu.im[k];
+      const sr = c - (c * yyr - d * yyi) - uyr, si = d - (c * yyi + d * yyr) - uyi;
+      const ar = 1 - O.uu.re[k] - (uyr * p - uyi * q), ai = -O.uu.im[k] - (uyr * q + uyi * p);
+      const vr = p * sr - q * si, vi = p * si + q * sr;
+      dr = tr + vr;
+      di = ti + vi;
+      const size = dr * dr + di * di, er = dr - pcr, ei = di - pci;
+      found.input_sensitivity[k] = Math.sqrt((ar * ar + ai * ai) / size);
+      found.output_sensitivity[k] = Math.sqrt((tr * tr + ti * ti) / size);
+      found.true_tracking[k] = Math.sqrt((er * er + ei * ei) / size);
+      if (whole) {
+        const above = ar * ar + ai * ai, turn = tr * tr + ti * ti;
+        found.output_loop.re[k] = (vr * tr + vi * ti) / turn;
+        found.output_loop.im[k] = (vi * tr - vr * ti) / turn;
+        const yr = p - (yyr * p - yyi * q) - yur, yi = q - (yyr * q + yyi * p) - yui;
         const nr = yr * c - yi * d, ni = yr * d + yi * c;
-        found.loop.re[k] = (nr * ar + ni * ai) / asize;
-        found.loop.im[k] = (ni * ar - nr * ai) / asize;
-      } else {
-        found.loop.re[k] = p * c - q * d;
-        found.loop.im[k] = p * d + q * c;
-        found.output_loop.re[k] = found.loop.re[k];
-        found.output_loop.im[k] = found.loop.im[k];
+        found.loop.re[k] = (nr * ar + ni * ai) / above;
+        found.loop.im[k] = (ni * ar - nr * ai) / above;
+      }
+    } else {
+      first[k] = 1 / Math.sqrt(dr * dr + di * di);
+      if (whole) {
+        found.loop.re[k] = pcr;
+        found.loop.im[k] = pci;
       }
     }
+    if (whole) {
+      const size = Math.sqrt(dr * dr + di * di);
+      found.closed[k] = Math.sqrt(pcr * pcr + pci * pci) / size;
+      found.process[k] = Math.sqrt((p * p + q * q) * (tr * tr + ti * ti)) / size;
+    }
+    if (k === 0) start.angle = Math.atan2(di, dr);
+    else if (bi >= 0 !== di >= 0 && (bi >= 0 ? br * di - bi * dr > 0 : br * di - bi * dr < 0)) crossed += bi >= 0 ? 1 : -1;
+    br = dr;
+    bi = di;
   }
-  found.phase = { start, turns };
+  found.phase = { start: start.angle, turns: Math.atan2(bi, br) - start.angle + TURN * crossed };
   return found;
 }
 
@@ -262,9 +249,10 @@ function largest(values, omega) {
 
 // First frequency at which the open loop falls through 0 dB, Hz; NaN when it does not.
 export function crossingHz(omega, loop) {
-  let before = Math.hypot(loop.re[0], loop.im[0]);
+  const sizeAt = (k) => Math.sqrt(loop.re[k] * loop.re[k] + loop.im[k] * loop.im[k]);
+  let before = sizeAt(0);
   for (let k = 1; k < omega.length; k++) {
-    const size = Math.hypot(loop.re[k], loop.im[k]);
+    const size = sizeAt(k);
     if (before >= 1 && size < 1) {
       const share = Math.log(before) / Math.log(before / size);
       return (omega[k - 1] * (omega[k] / omega[k - 1]) ** share) / TURN;
@@ -278,22 +266,23 @@ export function crossingHz(omega, loop) {
 export function margins(loop) {
   let phase = Infinity, up = Infinity, down = Infinity, modulus = Infinity;
   const { re, im } = loop;
+  let a = 0;
   for (let k = 0; k < re.length; k++) {
-    modulus = Math.min(modulus, Math.hypot(1 + re[k], im[k]));
-    if (!k) continue;
-    const a = Math.hypot(re[k - 1], im[k - 1]), b = Math.hypot(re[k], im[k]);
-    if (a >= 1 !== b >= 1) {
+    modulus = Math.min(modulus, (1 + re[k]) ** 2 + im[k] ** 2);
+    const b = Math.sqrt(re[k] * re[k] + im[k] * im[k]);
+    if (k && a >= 1 !== b >= 1) {
       const share = Math.log(a) / Math.log(a / b);
       const x = re[k - 1] + share * (re[k] - re[k - 1]), y = im[k - 1] + share * (im[k] - im[k - 1]);
       phase = Math.min(phase, Math.abs((Math.atan2(-y, -x) * 180) / Math.PI));
     }
-    if (im[k - 1] >= 0 !== im[k] >= 0) {
+    a = b;
+    if (k && im[k - 1] >= 0 !== im[k] >= 0) {
       const share = im[k - 1] / (im[k - 1] - im[k]), x = re[k - 1] + share * (re[k] - re[k - 1]);
       if (x < 0 && x > -1) up = Math.min(up, -toDb(-x));
       else if (x <= -1) down = Math.min(down, toDb(-x));
     }
   }
-  return { phase, up, down, modulus };
+  return { phase, up, down, modulus: Math.sqrt(modulus) };
 }
 
 // Everything that is shown of a design: the functions, what they reach, and whether it holds.
@@ -325,14 +314,15 @@ export function judge(loop, design, { whole = true, places = true } = {}) {
   result.box = null;
   if (places && loop.corners.length) {
     const band = {};
-    for (const name of FUNCTIONS) band[name] = Float64Array.from(base[name]);
+    const names = loop.observer ? FUNCTIONS : FUNCTIONS.slice(0, 1);
+    for (const name of FUNCTIONS) band[name] = names.includes(name) ? Float64Array.from(base[name]) : band[names[0]];
     result.box = { exact: false, band, unstable: 0 };
     const c = controllerOn(sections, loop.corners[0]);
     for (const corner of loop.corners) {
       const found = loopFunctions(corner, c);
       // A box whose middle is stable and whose sensitivity is bounded is stable: its corners are counted all the same.
       result.box.unstable = Math.max(result.box.unstable, unstablePoles(found.phase, open));
-      for (const name of FUNCTIONS) {
+      for (const name of names) {
         const most = band[name], own = found[name];
         for (let k = 0; k < most.length; k++) if (own[k] > most[k]) most[k] = own[k];
       }
@@ -362,43 +352,39 @@ function extraTurns(loop, sections, measured) {
 
 const STEPS = Array.from({ length: 25 }, (_, k) => -1 + k / 12);
 
-// What the plant may be at each frequency of a grid: each mode at places of its frequency and damping.
+// What the plant may be at each frequency of a grid: each mode at places of its frequency and damping, by rows; and how
+// far the whole plant can be from its middle.
 export function makeBox(loop, omega) {
-  const model = loop.machine.model, spread = model.uncertainty, time = loop.sampleTime;
+  const model = loop.machine.model, spread = model.uncertainty, time = loop.sampleTime, rows = omega.length;
   const [whole, late] = splitDelay(time ? loop.delay / time : 0);
-  const gains = residues(model), parts = [];
+  const gains = residues(model);
   const turn = time ? delayResponse(omega, whole * time) : delayResponse(omega, loop.delay);
-  model.omega.forEach((w, k) => {
+  const parts = model.omega.map((w, k) => {
     const z = model.damping[k], share = spread.frequency[k];
-    const own = spread.damping[k] > 1e-3 ? [0, -spread.damping[k], spread.damping[k]] : [0];
+    const factors = spread.damping[k] > 1e-3 ? [1, 1 - spread.damping[k], 1 + spread.damping[k]] : [1];
     const tried = share ? placesOf(omega, w, z, share, time) : [Float64Array.from(omega, () => w)];
-    const columns = [];
-    for (const more of own) {
-      const ratio = Math.min(z * (1 + more), 0.999);
+    const columns = factors.length * tried.length;
+    const part = { columns, nominal: tried.length > 1 ? 2 : 0, re: new Float64Array(rows * columns), im: new Float64Array(rows * columns), tried, factors };
+    factors.forEach((factor, i) => {
+      const ratio = Math.min(z * factor, 0.999);
       tried.forEach((frequencies, j) => {
-        const response = complexArray(omega.length);
-        if (!share || j < 3) addMode(response, gains[k], frequencies[0], ratio, omega, time, late, model.drag);
-        else {
-          const one = complexArray(1), at = new Float64Array(1);
-          for (let f = 0; f < omega.length; f++) {
-            one.re[0] = one.im[0] = 0;
-            at[0] = omega[f];
-            addMode(one, gains[k], frequencies[f], ratio, at, time, late, model.drag);
-            response.re[f] = one.re[0];
-            response.im[f] = one.im[0];
-          }
+        const column = i * tried.length + j, one = complexArray(rows);
+        if (j < 3) addMode(one, gains[k], frequencies[0], ratio, omega, time, late, model.drag);
+        else movingMode(one, gains[k], frequencies, ratio, omega, time, late);
+        multiplyInto(one, turn);
+        for (let f = 0; f < rows; f++) {
+          part.re[f * columns + column] = one.re[f];
+          part.im[f * columns + column] = one.im[f];
         }
-        multiply(response, turn);
-        columns.push({ ...response, frequencies, damping: 1 + more });
       });
-    }
-    parts.push(columns);
+    });
+    return part;
   });
-  const fixed = complexArray(omega.length, model.feedthrough);
-  multiply(fixed, turn);
-  if (time) multiply(fixed, delayResponse(omega, time));
+  const fixed = complexArray(rows, model.feedthrough);
+  multiplyInto(fixed, turn);
+  if (time) multiplyInto(fixed, delayResponse(omega, time));
   const delays = spread.delay && time ? [0, -1, -0.5, 0.5, 1].map((x) => Math.max(x * spread.delay, -loop.delay)) : [0];
-  return {
+  const box = {
     omega,
     axis: tustinAxis(omega, time),
     parts,
@@ -410,7 +396,39 @@ export function makeBox(loop, omega) {
     late: delays.map((seconds) => delayResponse(omega, seconds)),
     observer: loop.observer ? observerResponse(loop.observer, omega) : null,
     frequencies: model.omega,
+    middle: { re: Float64Array.from(fixed.re), im: Float64Array.from(fixed.im) },
+    radius: new Float64Array(rows),
   };
+  for (let row = 0; row < rows; row++) {
+    let radius = 0;
+    parts.forEach(({ columns, nominal, re, im }, k) => {
+      const at = row * columns, x = re[at + nominal], y = im[at + nominal];
+      let far = 0, size = 0;
+      for (let j = at; j < at + columns; j++) {
+        far = Math.max(far, (re[j] - x) ** 2 + (im[j] - y) ** 2);
+        size = Math.max(size, re[j] ** 2 + im[j] ** 2);
+      }
+      radius += Math.sqrt(far) + Math.max(box.high[k] - 1, 1 - box.low[k]) * Math.sqrt(size);
+      box.middle.re[row] += x;
+      box.middle.im[row] += y;
+    });
+    let turned = 0;
+    for (const each of box.late) turned = Math.max(turned, Math.hypot(each.re[row] - 1, each.im[row]));
+    box.radius[row] = radius + (box.gain + turned * (1 + box.gain)) * (Math.hypot(box.middle.re[row], box.middle.im[row]) + radius);
+  }
+  return box;
+}
+
+// A mode whose frequency is another at each line.
+function movingMode(sum, gain, frequencies, ratio, omega, time, late) {
+  const one = complexArray(1), at = new Float64Array(1);
+  for (let f = 0; f < omega.length; f++) {
+    one.re[0] = one.im[0] = 0;
+    at[0] = omega[f];
+    addMode(one, gain, frequencies[f], ratio, at, time, late);
+    sum.re[f] = one.re[0];
+    sum.im[f] = one.im[0];
+  }
 }
 
 // Frequencies of a mode that are tried at each frequency: lowest, highest, found, and beside the line.
@@ -459,15 +477,17 @@ function along(ar, ai, br, bi, cr, ci, dr, di, low, high) {
   return best;
 }
 
-// The search of the box: call `step(milliseconds)` until it returns true; `found` then holds by function the largest
-// size, where, and the place. Three starts at each frequency and a scattered one, two sweeps over the numbers each.
-export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, boxGrid(loop))), starts = 4 } = {}) {
+// The search of the box: call `step(milliseconds)` until it returns true; `results()` then holds by function the
+// largest size above `least`, where, and the place. Three starts at each frequency and a scattered one, two sweeps over
+// the numbers each; a frequency is passed over where even the triangle inequality keeps it below what was found.
+export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, boxGrid(loop))), starts = 4, least = 0 } = {}) {
   const C = sectionsResponse(sections, box.axis), O = box.observer, modes = box.parts.length;
-  const found = Object.fromEntries(FUNCTIONS.map((name) => [name, { square: 0, row: -1 }]));
+  const names = O ? FUNCTIONS : FUNCTIONS.slice(0, 1);
+  const found = Object.fromEntries(FUNCTIONS.map((name) => [name, { square: least * least, row: -1 }]));
   const taken = new Int32Array(modes), factors = new Float64Array(modes);
   let row = 0;
   const searchRow = () => {
-    const c = C.re[row], d = C.im[row];
+    const c = C.re[row], d = C.im[row], mr = box.middle.re[row], mi = box.middle.im[row];
     let tr = 1, ti = 0, sr = c, si = d, ur = 1, ui = 0, vr = 0, vi = 0;
     if (O) {
       const yur = O.yu.re[row], yui = O.yu.im[row], yyr = O.yy.re[row], yyi = O.yy.im[row];
@@ -480,28 +500,16 @@ export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, bo
       sr = c - (c * yyr - d * yyi) + vr;
       si = d - (c * yyi + d * yyr) + vi;
     }
-    const above = { input_sensitivity: [ur, ui, vr, vi], output_sensitivity: [tr, ti, 0, 0], true_tracking: [tr, ti, sr - c, si - d] };
-    // How far the plant can be from its middle at most.
-    let mr = box.fixed.re[row], mi = box.fixed.im[row], radius = 0;
-    for (let k = 0; k < modes; k++) {
-      const columns = box.parts[k], own = columns[columns.length > 3 ? 2 : 0], x = own.re[row], y = own.im[row];
-      mr += x;
-      mi += y;
-      let far = 0, size = 0;
-      for (const each of columns) {
-        far = Math.max(far, Math.hypot(each.re[row] - x, each.im[row] - y));
-        size = Math.max(size, Math.hypot(each.re[row], each.im[row]));
-      }
-      radius += far + Math.max(box.high[k] - 1, 1 - box.low[k]) * size;
-    }
-    let turned = 0;
-    for (const each of box.late) turned = Math.max(turned, Math.hypot(each.re[row] - 1, each.im[row]));
-    radius += (box.gain + turned * (1 + box.gain)) * (Math.hypot(mr, mi) + radius);
-    const below = Math.hypot(tr + sr * mr - si * mi, ti + sr * mi + si * mr) - Math.hypot(sr, si) * radius;
-    for (const name of FUNCTIONS) {
-      const best = found[name], [ar, ai, br, bi] = above[name];
+    const slope = Math.sqrt(sr * sr + si * si);
+    const below = Math.sqrt((tr + sr * mr - si * mi) ** 2 + (ti + sr * mi + si * mr) ** 2) - slope * box.radius[row];
+    for (const name of names) {
+      const best = found[name];
+      let ar = tr, ai = ti, br = 0, bi = 0;
+      if (name === "input_sensitivity") [ar, ai, br, bi] = [ur, ui, vr, vi];
+      else if (name === "true_tracking") [br, bi] = [sr - c, si - d];
       if (below > 0) {
-        const top = Math.hypot(ar + br * mr - bi * mi, ai + br * mi + bi * mr) + Math.hypot(br, bi) * radius;
+        const middle = Math.sqrt((ar + br * mr - bi * mi) ** 2 + (ai + br * mi + bi * mr) ** 2);
+        const top = middle + Math.sqrt(br * br + bi * bi) * box.radius[row];
         if (top * top <= best.square * below * below) continue;
       }
       const value = (p, q) => {
@@ -511,26 +519,29 @@ export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, bo
       for (let start = 0; start < starts; start++) {
         let gain = 1, when = 0, wr = box.fixed.re[row], wi = box.fixed.im[row];
         for (let k = 0; k < modes; k++) {
-          const count = box.parts[k].length;
-          taken[k] = start < 3 ? (start < count ? start : 0) : ((row + 1) * 7919 * (k + 1) + start * 104729) % count;
+          const { columns, re, im } = box.parts[k];
+          taken[k] = start < 3 ? (start < columns ? start : 0) : ((row + 1) * 7919 * (k + 1) + start * 104729) % columns;
           factors[k] = 1;
-          wr += box.parts[k][taken[k]].re[row];
-          wi += box.parts[k][taken[k]].im[row];
+          wr += re[row * columns + taken[k]];
+          wi += im[row * columns + taken[k]];
         }
         for (let sweep = 0; sweep < 2; sweep++) {
           for (let k = 0; k < modes; k++) {
-            const columns = box.parts[k];
-            const or = wr - factors[k] * columns[taken[k]].re[row], oi = wi - factors[k] * columns[taken[k]].im[row];
+            const { columns, re, im } = box.parts[k], at = row * columns, factor = factors[k];
+            const or = wr - factor * re[at + taken[k]], oi = wi - factor * im[at + taken[k]];
             const lr = gain * box.late[when].re[row], li = gain * box.late[when].im[row];
-            if (columns.length > 1) {
+            if (columns > 1) {
               let most = -1;
-              for (let j = 0; j < columns.length; j++) {
-                const x = or + factors[k] * columns[j].re[row], y = oi + factors[k] * columns[j].im[row];
+              for (let j = 0; j < columns; j++) {
+                const x = or + factor * re[at + j], y = oi + factor * im[at + j];
                 const size = value(lr * x - li * y, lr * y + li * x);
-                if (size > most) [most, taken[k]] = [size, j];
+                if (size > most) {
+                  most = size;
+                  taken[k] = j;
+                }
               }
             }
-            const xr = columns[taken[k]].re[row], xi = columns[taken[k]].im[row];
+            const xr = re[at + taken[k]], xi = im[at + taken[k]];
             if (box.high[k] > box.low[k]) {
               const er = lr * or - li * oi, ei = lr * oi + li * or, fr = lr * xr - li * xi, fi = lr * xi + li * xr;
               factors[k] = along(
@@ -546,7 +557,10 @@ export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, bo
           for (let j = 0; j < box.late.length; j++) {
             const lr = gain * box.late[j].re[row], li = gain * box.late[j].im[row];
             const size = value(lr * wr - li * wi, lr * wi + li * wr);
-            if (size > most) [most, when] = [size, j];
+            if (size > most) {
+              most = size;
+              when = j;
+            }
           }
           if (box.gain) {
             const lr = box.late[when].re[row], li = box.late[when].im[row], pr = lr * wr - li * wi, pi = lr * wi + li * wr;
@@ -558,10 +572,8 @@ export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, bo
         }
         const lr = gain * box.late[when].re[row], li = gain * box.late[when].im[row];
         const size = value(lr * wr - li * wi, lr * wi + li * wr);
-        if (size > best.square) {
-          found[name] = { square: size, row, taken: [...taken], factors: [...factors], gain, when };
-          best.square = size;
-        }
+        if (size > best.square) found[name] = { square: size, row, taken: [...taken], factors: [...factors], gain, when };
+        if (size > best.square) best.square = size;
       }
     }
   };
@@ -574,23 +586,22 @@ export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, bo
     }
     return true;
   };
+  const resultOf = (best) => {
+    if (best.row < 0) return { size: least, hz: 0, place: null };
+    const which = (k) => {
+      const { tried } = box.parts[k];
+      return [tried[best.taken[k] % tried.length], Math.floor(best.taken[k] / tried.length)];
+    };
+    const place = {
+      frequencies: box.frequencies.map((w, k) => (w > 0 ? which(k)[0][best.row] / w : 1)),
+      residues: best.factors,
+      damping: box.frequencies.map((_, k) => box.parts[k].factors[which(k)[1]]),
+      gain: best.gain,
+      delay: box.delays[best.when],
+    };
+    return { size: Math.sqrt(best.square), hz: box.omega[best.row] / TURN, place };
+  };
   const results = () =>
-    Object.fromEntries(
-      FUNCTIONS.map((name) => {
-        const best = found[name];
-        if (best.row < 0) return [name, { size: 0, hz: 0, place: null }];
-        const column = (k) => box.parts[k][best.taken[k]];
-        const place = {
-          frequencies: box.frequencies.map((w, k) => (w > 0 ? column(k).frequencies[best.row] / w : 1)),
-          residues: best.factors,
-          damping: box.frequencies.map((_, k) => column(k).damping),
-          gain: best.gain,
-          delay: box.delays[best.when],
-        };
-        return [name, { size: Math.sqrt(best.square), hz: box.omega[best.row] / TURN, place }];
-      }),
-    );
+    Object.fromEntries(FUNCTIONS.map((name) => [name, resultOf(found[names.includes(name) ? name : names[0]])]));
   return { step, results, progress: () => row / box.omega.length };
 }
-
-export { boxIsEmpty, geomspace };

@@ -1,5 +1,5 @@
 // A machine's modal model: held modes in closed form, its response in either time, and its places in the box.
-import { complexArray, resonanceGrid, sortedUnique } from "./complex.js";
+import { complexArray, resonanceGrid } from "./complex.js";
 
 // Whole samples of a delay and the part beside them.
 export function splitDelay(samples) {
@@ -122,14 +122,6 @@ export function modelGrid(model, low, high, points = 500, around = 24) {
   return resonanceGrid(poles, low, high, points, around);
 }
 
-export const nominalPlace = (model) => ({
-  frequencies: model.omega.map(() => 1),
-  residues: model.omega.map(() => 1),
-  damping: model.omega.map(() => 1),
-  gain: 1,
-  delay: 0,
-});
-
 export const boxIsEmpty = (box) =>
   !box || !(box.gain || box.mass || box.delay || [...box.frequency, ...box.residue, ...box.damping].some((x) => x));
 
@@ -158,5 +150,3 @@ export function corners(model) {
   }
   return places;
 }
-
-export { sortedUnique };
