@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|release|refresh|inspect|report|design|export|contest|verify|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|release|refresh|inspect|report|design|desk|export|contest|verify|new|doctor``."""
 
 import argparse
 import os
@@ -158,6 +158,13 @@ _OF_A_MACHINE = (
     _option("--response", default="", metavar="NAME", help="of several complex ones"),
     _number("sample-rate", "HZ", "of records that do not say it", float),
 )
+_UNCERTAINTY = _option(
+    "--uncertainty",
+    default="",
+    metavar="NAME=SHARE,...",
+    help="frequency, residue, damping, gain, mass, delay (s); none; default frequency=0.05,gain=0.05",
+)
+_DAMPING_RATIO = _option("--damping-ratio", type=float, default=0.005, help="of matrices without damping")
 
 COMMANDS = {
     "figures": Command(
@@ -267,13 +274,23 @@ COMMANDS = {
             *_OF_A_MACHINE,
             _band("loop-hz", "where the measurement can be trusted"),
             _flag("mirrored-sensor", "serve a mirrored sensor, too"),
-            _option(
-                "--uncertainty",
-                default="",
-                metavar="NAME=SHARE,...",
-                help="frequency, residue, damping, gain, mass, delay (s); none; default frequency=0.05,gain=0.05",
-            ),
-            _option("--damping-ratio", type=float, default=0.005, help="of matrices without damping"),
+            _UNCERTAINTY,
+            _DAMPING_RATIO,
+        ),
+        needs_checkout=False,
+    ),
+    "desk": Command(
+        "write one page on which a loop is shaped by hand on a measurement, in any browser",
+        "stillwork.desk:desk_file",
+        (
+            _option("file", nargs="?", default="", metavar="FILE", help="as for design; without, an example"),
+            _option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
+            _number("rate", "HZ", "of the controller, to begin with", float, default=0.0),
+            _number("delay", "SAMPLES", "from measurement to force, to begin with", float, default=1.0),
+            *_OF_A_MACHINE,
+            _band("loop-hz", "where the measurement can be trusted"),
+            _UNCERTAINTY,
+            _DAMPING_RATIO,
         ),
         needs_checkout=False,
     ),

@@ -61,7 +61,11 @@ def desk_file(
     if rate:
         machine["start"] = {"rate_hz": rate, "delay_us": 1e6 * delay / rate}
     target.write_text(offline_page([machine]), encoding="utf-8")
-    return [f"{machine['name']}: {machine['mass']:.4g} {machine['mass_unit']}", *machine["notes"], f"written: {target}"]
+    return [
+        f"{machine['name']}: {machine['mass']:.4g} {machine['mass_unit']}",
+        *machine["notes"],
+        f"written: {target}",
+    ]
 
 
 def read_machine(
@@ -194,7 +198,9 @@ def script() -> str:
     while len(ordered) < len(sources):
         ready = [name for name in sources if name not in ordered and set(imported[name]) <= set(ordered)]
         if not ready:
-            raise InputError(f"desk_static: {', '.join(set(sources) - set(ordered))} import each other; undo that")
+            raise InputError(
+                f"desk_static: {', '.join(set(sources) - set(ordered))} import each other; undo that"
+            )
         ordered += ready
     parts = [_scoped(name, sources[name]) for name in ordered]
     return '"use strict";\nconst deskModules = {};\n' + "\n".join(parts)
@@ -202,6 +208,8 @@ def script() -> str:
 
 def _scoped(name: str, text: str) -> str:
     exported = re.findall(r"^export (?:async )?(?:function\*?|const|let) (\w+)", text, re.MULTILINE)
-    text = re.sub(r'^import (\{[^}]*\}) from "\./([\w.]+)";', r'const \1 = deskModules["\2"];', text, flags=re.MULTILINE)
+    text = re.sub(
+        r'^import (\{[^}]*\}) from "\./([\w.]+)";', r'const \1 = deskModules["\2"];', text, flags=re.MULTILINE
+    )
     text = re.sub(r"^export ", "", text, flags=re.MULTILINE)
     return f'deskModules["{name}"] = (() => {{\n{text}\nreturn {{ {", ".join(exported)} }};\n}})();'

@@ -158,7 +158,7 @@ function drawOn(context, plot, { series = [], bands = [], rules = [], circles = 
     context.arc(toX(cx), toY(cy), Math.abs(toX(cx + radius) - toX(cx)), 0, 2 * Math.PI);
     context.stroke();
   }
-  for (const { x: xs, y: ys, colour, width: thick = 1.6, dash = [] } of series) {
+  for (const { x: xs, y: ys, colour, width: thick = 1.6, dash = [], wrap = Infinity } of series) {
     context.strokeStyle = colour;
     context.lineWidth = thick;
     context.setLineDash(dash);
@@ -173,7 +173,7 @@ function drawOn(context, plot, { series = [], bands = [], rules = [], circles = 
         pen = false;
         continue;
       }
-      if (pen) context.lineTo(px, py);
+      if (pen && Math.abs(ys[k] - ys[k - 1]) < wrap) context.lineTo(px, py);
       else context.moveTo(px, py);
       pen = true;
     }
@@ -225,7 +225,7 @@ function drawHover(context, plot, series, colours) {
   if (!main) return;
   let best = -1, least = Infinity;
   for (let k = 0; k < main.x.length; k++) {
-    const dx = plot.toX(main.x[k]) - plot.hover.x, far = plot.y.equal || plot.canvas.dataset.both ? dx * dx + (plot.toY(main.y[k]) - plot.hover.y) ** 2 : dx * dx;
+    const dx = plot.toX(main.x[k]) - plot.hover.x, far = plot.canvas.dataset.both ? dx * dx + (plot.toY(main.y[k]) - plot.hover.y) ** 2 : dx * dx;
     if (far < least) [least, best] = [far, k];
   }
   if (best < 0) return;

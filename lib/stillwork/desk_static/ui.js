@@ -126,16 +126,12 @@ export function startDesk(root, machines) {
 
   const decibels = (values) => Float64Array.from(values, toDb);
   const sizes = (a) => Float64Array.from(a.re, (x, k) => 10 * Math.log10(x * x + a.im[k] * a.im[k]));
-  function phases(a) {
-    const out = new Float64Array(a.re.length);
-    for (let k = 0; k < out.length; k++) {
-      let angle = (Math.atan2(a.im[k], a.re[k]) * 180) / Math.PI;
-      if (angle > 90) angle -= 360; // a loop of mass and PID begins at -270
-      out[k] = k && Math.abs(angle - out[k - 1]) > 300 ? NaN : angle;
-      if (Number.isNaN(out[k])) out[k] = angle;
-    }
-    return out;
-  }
+  // From -270 to 90 degrees: a loop of a mass and a PID begins at -270.
+  const phases = (a) =>
+    Float64Array.from(a.re, (x, k) => {
+      const angle = (Math.atan2(a.im[k], x) * 180) / Math.PI;
+      return angle > 90 ? angle - 360 : angle;
+    });
   const hertz = (omega) => (omega.hertz ??= Float64Array.from(omega, (w) => w / (2 * Math.PI)));
 
   function paint() {
@@ -153,9 +149,8 @@ export function startDesk(root, machines) {
     }
     if (before) series.push(grey(sizes(before.loop)));
     draw("magnitude", [x, { low: -60, high: 60, label: "magnitude (dB)" }], { series, bands: loopBand(loop, main), rules: [{ y: 0, colour: colours.soft }] });
-    const turned = [{ x: f, y: phases(main.loop), colour: colours.blue }];
-    if (before) turned.push(grey(phases(before.loop)));
-    turned.forEach((each) => delete each.name);
+    const turned = [{ x: f, y: phases(main.loop), colour: colours.blue, wrap: 300 }];
+    if (before) turned.push({ ...grey(phases(before.loop)), name: undefined, wrap: 300 });
     draw("phase", [x, { low: -280, high: 100, degrees: true, label: "phase (°)" }], { series: turned, rules: [{ y: -180, colour: colours.soft, dash: [4, 3] }] });
     // The functions.
     const lines = loop.observer
@@ -175,7 +170,7 @@ export function startDesk(root, machines) {
     const curves = [{ x: around.re, y: around.im, colour: colours.blue, name: loop.observer ? "at the output" : "open loop" }];
     if (loop.observer) curves.push({ x: main.loop.re, y: main.loop.im, colour: colours.vermillion, dash: [5, 3], name: "at the input" });
     if (before) curves.push({ x: before.output_loop.re, y: before.output_loop.im, colour: colours.ghost, width: 1.3, dash: [5, 3], name: "before" });
-    draw("nyquist", [{ low: -3, high: 1.2, label: "real part" }, { low: -2, high: 2, label: "imaginary part" }], {
+    draw("nyquist", [{ low: -2.5, high: 1, label: "real part" }, { low: -2, high: 2, label: "imaginary part" }], {
       series: curves,
       rules: [{ y: 0, colour: colours.line }, { x: 0, colour: colours.line }],
       circles: [{ x: -1, y: 0, radius, colour: colours.ink, dash: [2, 3] }, { x: -1, y: 0, radius: 0.015, colour: colours.ink }],
