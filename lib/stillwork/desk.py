@@ -1,10 +1,7 @@
 """The command ``desk``: one page on which a loop is shaped by hand on a measurement, in any browser, without a network."""
 
-import html
 import json
-import re
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +10,12 @@ import numpy as np
 from stillwork.base.checks import InputError, require_number
 from stillwork.control.uncertainty import NAMES, uncertainty_of
 from stillwork.designing import UNCERTAINTY, asked_uncertainty
-from stillwork.html_page import page
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, brought_forward, build_machine, whole_band
 from stillwork.identification.machine_files import load_machine
 from stillwork.lti.modal import ModalModel
+from stillwork.site.desk import offline_page
 
-STATIC = Path(__file__).parent / "desk_static"
 MOST_LINES = 2000  # of a measurement that a page holds
 NEAR = 12.0  # half widths either side of a resonance, where every line is kept
 DIGITS = 7  # of a measured number
@@ -45,6 +41,7 @@ def desk_file(
 ) -> list[str]:
     """Write the page for the machine in `file`, or for an example; returns what was found, a line each.
 
+    Where `out` ends in ``.json`` it is the machine alone, which any such page opens.
     `rate` (Hz; 0: chosen by the resonances) and `delay` (samples) are where the design begins; `fit_hz`, `loop_hz`,
     `uncertainty` and what is left of `reading` mean what they mean in `designing.design_file`.
     """
@@ -60,7 +57,11 @@ def desk_file(
         machine = entry(Machine((EXAMPLE,), 10.0, "an example of 10 kg"), asked)
     if rate:
         machine["start"] = {"rate_hz": rate, "delay_us": 1e6 * delay / rate}
-    target.write_text(offline_page([machine]), encoding="utf-8")
+    if target.suffix == ".json":
+        text = json.dumps(machine, allow_nan=False) + "\n"
+    else:
+        text = offline_page([machine])
+    target.write_text(text, encoding="utf-8")
     return [
         f"{machine['name']}: {machine['mass']:.4g} {machine['mass_unit']}",
         *machine["notes"],
@@ -160,56 +161,3 @@ def _lines(measured: Identified, band_hz, resonances_hz, widths_hz) -> dict[str,
     response = measured.response[inside]
     columns = {"hz": hertz[inside], "re": response.real, "im": response.imag}
     return {name: [float(f"{x:.{DIGITS}g}") for x in values] for name, values in columns.items()}
-
-
-def offline_page(machines: Sequence[Mapping[str, Any]]) -> str:
-    """The page as one file that needs no other: style, modules and machines inlined."""
-    return page(
-        "desk_static/desk.html",
-        title=html.escape(f"{machines[0]['name']}: desk"),
-        style=f"<style>\n{style()}</style>",
-        script=f"<script>\n{machines_script(machines)}\n</script>\n<script>\n{script()}</script>",
-        body=body(),
-    )
-
-
-def body() -> str:
-    """What the page shows before its script has run."""
-    return (STATIC / "body.html").read_text(encoding="utf-8")
-
-
-def style() -> str:
-    """The page's style."""
-    return (STATIC / "desk.css").read_text(encoding="utf-8")
-
-
-def machines_script(machines: Sequence[Mapping[str, Any]]) -> str:
-    """The machines as a script holds them: no text of a file can end it."""
-    text = json.dumps(list(machines), allow_nan=False, separators=(",", ":"))
-    return f"window.deskMachines = {text};".replace("<", "\\u003c")
-
-
-@cache
-def script() -> str:
-    """The modules in one script, each in a function of its own, those that others import first."""
-    sources = {file.name: file.read_text(encoding="utf-8") for file in sorted(STATIC.glob("*.js"))}
-    imported = {name: re.findall(r'from "\./([\w.]+)"', text) for name, text in sources.items()}
-    ordered: list[str] = []
-    while len(ordered) < len(sources):
-        ready = [name for name in sources if name not in ordered and set(imported[name]) <= set(ordered)]
-        if not ready:
-            raise InputError(
-                f"desk_static: {', '.join(set(sources) - set(ordered))} import each other; undo that"
-            )
-        ordered += ready
-    parts = [_scoped(name, sources[name]) for name in ordered]
-    return '"use strict";\nconst deskModules = {};\n' + "\n".join(parts)
-
-
-def _scoped(name: str, text: str) -> str:
-    exported = re.findall(r"^export (?:async )?(?:function\*?|const|let) (\w+)", text, re.MULTILINE)
-    text = re.sub(
-        r'^import (\{[^}]*\}) from "\./([\w.]+)";', r'const \1 = deskModules["\2"];', text, flags=re.MULTILINE
-    )
-    text = re.sub(r"^export ", "", text, flags=re.MULTILINE)
-    return f'deskModules["{name}"] = (() => {{\n{text}\nreturn {{ {", ".join(exported)} }};\n}})();'

@@ -135,6 +135,17 @@ export function machineOfTable(text, name, units = {}) {
   };
 }
 
+// A machine that `python -m stillwork desk FILE --out machine.json` wrote; null for other files.
+export function machineOfJson(text) {
+  let found;
+  try {
+    found = JSON.parse(text);
+  } catch {
+    throw new Error("it is no JSON");
+  }
+  return found && typeof found.name === "string" && found.units && found.mass > 0 && (found.model || found.measured) ? found : null;
+}
+
 const FORMAT = "stillwork controller 1";
 
 // Blocks out of the controller.json of a design; `machine` is what they are to be used with.

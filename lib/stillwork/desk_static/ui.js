@@ -1,7 +1,7 @@
 // The page: blocks to add, drag and type, and everything that follows from them, live.
 import { toDb } from "./complex.js";
 import { biquadCode, controllerToml, designText } from "./export.js";
-import { DRIVE_UNITS, RESPONSE_UNITS, designOfController, machineOfTable } from "./files.js";
+import { DRIVE_UNITS, RESPONSE_UNITS, designOfController, machineOfJson, machineOfTable } from "./files.js";
 import { FUNCTIONS, SHOWN, addPlace, boxSearch, judge, makeLoop } from "./loop.js";
 import { makeSearch } from "./optimise.js";
 import { makePlot, palette, shortNumber, svgOf } from "./plots.js";
@@ -604,18 +604,28 @@ export function startDesk(root, machines) {
     settle(history.now);
   }
   function takeTable(text, name, units = {}) {
-    const found = machineOfTable(text, name, units), at = machines.findIndex((each) => each.name === name);
+    const found = machineOfTable(text, name, units);
     shownUnits = found.notes.some((note) => note.includes("does not say its units")) || Object.keys(units).length ? "yes" : "";
     dropped = { text, name, units, machine: name };
+    keepMachine(found);
+    say(`${name}: ${found.measured.hz.length} lines`);
+  }
+  function keepMachine(found) {
+    const at = machines.findIndex((each) => each.name === found.name);
     if (at >= 0) machines[at] = found;
     else machines.push(found);
     useMachine(found);
-    say(`${name}: ${found.measured.hz.length} lines`);
+    say(`${found.name} is on the desk`);
   }
   async function takeFile(file) {
     try {
       const text = await file.text();
       if (/\.json$/i.test(file.name)) {
+        const whole = machineOfJson(text);
+        if (whole) {
+          keepMachine(whole);
+          return;
+        }
         const { design, notes } = designOfController(text, machine);
         if (!machine.model) design.blocks = design.blocks.filter((block) => block.kind !== "observer");
         settle(design);

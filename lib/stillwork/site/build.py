@@ -13,7 +13,7 @@ from markupsafe import Markup
 import stillwork
 from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.site import picture, reference, search
+from stillwork.site import desk, picture, reference, search
 from stillwork.site.benchmarks import benchmarks
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
@@ -60,7 +60,9 @@ def site_files() -> dict[str, bytes]:
     guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
     standings = {entry: each for room in paths.rooms() for entry, each in standings_of(room).items()}
     rooms = [_room(name, paper, claims, pages, standings) for name, paper in papers().items()]
+    machines = desk.shipped_machines()
     render = _renderer(
+        desk=bool(machines),
         rooms=[room for room in rooms if room["pages"] or room["counts"]],
         # Of a folder its front stands in the navigation and leads to the others.
         guides={
@@ -129,6 +131,11 @@ def site_files() -> dict[str, bytes]:
             file=file.relative_to(paths.root()).as_posix(),
             source=_source(file.read_text(encoding="utf-8")),
         )
+    if machines:
+        files["desk.html"] = render("desk.html", "", body=Markup(desk.body()))
+        files["static/desk.css"] = desk.style().encode()
+        files["static/desk.js"] = desk.script().encode()
+        files["static/desk-machines.js"] = desk.machines_script(machines).encode()
     files["search.html"] = render("search.html", "")
     files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims))
     return files
