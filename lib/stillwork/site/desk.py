@@ -58,7 +58,9 @@ def script() -> str:
     while len(ordered) < len(sources):
         ready = [name for name in sources if name not in ordered and set(imported[name]) <= set(ordered)]
         if not ready:
-            raise InputError(f"desk_static: {', '.join(set(sources) - set(ordered))} import each other; undo that")
+            raise InputError(
+                f"desk_static: {', '.join(set(sources) - set(ordered))} import each other; undo that"
+            )
         ordered += ready
     parts = [_scoped(name, sources[name]) for name in ordered]
     return '"use strict";\nconst deskModules = {};\n' + "\n".join(parts)
