@@ -26,7 +26,7 @@ from stillwork.identification.machine import Machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.lti.discretisation import prewarped
 from stillwork.lti.state_space import constant
-from stillwork.site.desk import STATIC, offline_page, script
+from stillwork.site.desk import STATIC, offline_page, script, shipped_machines
 
 DESIGNS = 200
 CLOSE = 1e-9

@@ -166,13 +166,17 @@ function drawOn(context, plot, { series = [], bands = [], rules = [], circles = 
     const logX = x.log, a = logX ? Math.log(x.low) : x.low, b = (right - left) / ((logX ? Math.log(x.high) : x.high) - a);
     const c = (bottom - top) / (y.high - y.low);
     context.beginPath();
-    for (let k = 0, pen = false; k < xs.length; k++) {
+    for (let k = 0, pen = false, lastX = 0, lastY = 0; k < xs.length; k++) {
       const px = left + b * ((logX ? Math.log(xs[k]) : xs[k]) - a);
       const py = y.log ? toY(ys[k]) : bottom - c * (ys[k] - y.low);
       if (!(py > -1e5 && py < 1e5 && px > -1e5 && px < 1e5)) {
         pen = false;
         continue;
       }
+      // Points that no eye tells apart cost as much as others.
+      if (pen && Math.abs(px - lastX) + Math.abs(py - lastY) < 0.6 && k < xs.length - 1) continue;
+      lastX = px;
+      lastY = py;
       if (pen && Math.abs(ys[k] - ys[k - 1]) < wrap) context.lineTo(px, py);
       else context.moveTo(px, py);
       pen = true;

@@ -10,6 +10,7 @@ import { simulate, thirdOrderMove } from "./simulate.js";
 import { firstDesign, fromAddress, makeHistory, newBlock, toAddress } from "./state.js";
 
 const IDLE = 250; // ms without a change before the whole box is searched
+const TIME_FRAMES = 100; // ms between two simulations during a drag
 const MOST_PLACES = 12; // of the box that are kept beside its corners
 const MOST_SAMPLES = 20000; // of a step or a scan
 const MOVE = { distance: 0.01, velocity: 0.1, acceleration: 2, jerk: 200, feedforward: true };
@@ -48,7 +49,7 @@ export function startDesk(root, machines) {
   const usable = (design) =>
     design.blocks.every((block) => BLOCKS[block.kind] && Object.keys(BLOCKS[block.kind].numbers).every((name) => Number.isFinite(block[name])));
   let history = makeHistory(kept && kept.machine === machine.name && usable(kept.design) ? kept.design : firstDesign(machine));
-  let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "";
+  let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timePainted = 0;
   let colours = palette(root);
   const plots = Object.fromEntries(ALTOGETHER.map((name) => [name, makePlot(by(name), { title: by(name).closest("figure").querySelector("figcaption").firstChild.textContent.trim(), equal: name === "nyquist" })]));
 
@@ -181,8 +182,12 @@ export function startDesk(root, machines) {
     for (const value of process) if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
     if (before) own0.push({ ...grey(decibels(before.process)), name: undefined });
     draw("process", [x, { low: Math.max(low, high - 100), high: high + 6, label: `${machine.units.position}/${machine.units.drive} (dB)` }], { series: own0 });
-    paintTime("step", loop);
-    paintTime("scan", loop);
+    // A simulation takes as long as all else: while a hand drags it follows some frames later.
+    if (history.now === history.settled || performance.now() - timePainted > TIME_FRAMES) {
+      paintTime("step", loop);
+      paintTime("scan", loop);
+      timePainted = performance.now();
+    }
   }
 
   // Open loops at the corners of the box: the band that the magnitude moves in.
@@ -212,15 +217,15 @@ export function startDesk(root, machines) {
 
   const moveOf = (design) => ({ ...MOVE, ...(design.move ?? {}) });
 
-  function timeSeries(kind, loop, design, sections) {
+  function timeSeries(kind, loop, design, sections, bandwidth = result.bandwidth) {
     const { sampleTime } = loop;
-    const length = kind === "step" ? 10 / Math.max(result.bandwidth, 1e-3) : 0;
+    const length = kind === "step" ? 10 / Math.max(bandwidth, 1e-3) : 0;
     if (kind === "step") {
       const count = Math.min(Math.ceil(length / sampleTime), MOST_SAMPLES), reference = new Float64Array(count).fill(1);
       const { position } = simulate(loop, sections, reference);
       return { time: position.map((_, k) => k * sampleTime * 1e3), values: position };
     }
-    const move = moveOf(design), { position: path, acceleration, duration } = thirdOrderMove(move, sampleTime, 3 / Math.max(result.bandwidth, 1e-3));
+    const move = moveOf(design), { position: path, acceleration, duration } = thirdOrderMove(move, sampleTime, 3 / Math.max(bandwidth, 1e-3));
     if (path.length > MOST_SAMPLES) throw new Error(`the scan takes ${path.length} samples, more than ${MOST_SAMPLES}: shorten it`);
     const { position, force } = simulate(loop, sections, path, {
       acceleration,
@@ -242,7 +247,7 @@ export function startDesk(root, machines) {
     let now, then = null;
     try {
       now = timeSeries(name, loop, result.design, result.sections);
-      if (ghost?.stable) then = timeSeries(name, loopOf(ghost.design), ghost.design, ghost.sections);
+      if (ghost?.stable) then = (ghost[name] ??= timeSeries(name, loopOf(ghost.design), ghost.design, ghost.sections, ghost.bandwidth));
     } catch (error) {
       return empty(error.message);
     }
