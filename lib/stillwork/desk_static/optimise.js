@@ -56,10 +56,16 @@ export function makeSearch(machine, design, { seconds = 6 } = {}) {
   const observing = numbers.some(({ index }) => !isFilter(design.blocks[index]));
   let loop = makeLoop(machine, design, { points: 140, around: 10 });
   const places = [];
+  const observerOf = (trial) => JSON.stringify(trial.blocks.filter((block) => !isFilter(block)));
+  let built = observerOf(design);
+  // An observer is made anew only where its own numbers moved.
   const rebuild = (trial) => {
-    const made = makeLoop(machine, trial, { points: 140, around: 10 });
-    places.forEach((place) => addPlace(made, place));
-    return made;
+    const wanted = observerOf(trial);
+    if (wanted === built) return loop;
+    built = wanted;
+    loop = makeLoop(machine, trial, { points: 140, around: 10 });
+    places.forEach((place) => addPlace(loop, place));
+    return loop;
   };
   let evaluations = 0, limit = LIMIT_DB;
   const score = (logarithms) => {
@@ -84,7 +90,8 @@ export function makeSearch(machine, design, { seconds = 6 } = {}) {
     if (loop.model) addPlace(loop, place);
   };
   const began = performance.now(), budget = 1000 * seconds;
-  const rounds = machine.model ? 4 : 1;
+  const filters = numbers.some(({ index }) => isFilter(design.blocks[index]));
+  const rounds = machine.model && filters ? 4 : 1;
   const worker = (function* () {
     const parts = numbers.map(({ index, name }) => ({
       // How a number follows when the whole controller is moved by a factor in frequency.
@@ -111,7 +118,10 @@ export function makeSearch(machine, design, { seconds = 6 } = {}) {
       let size = round ? 0.12 : 0.3;
       while (performance.now() < share && size > 4e-3) {
         const before = best.score;
-        yield* nelderMead(best.at, size, take, () => performance.now() > share);
+        // The filters alone at first: with them an observer need not be made anew.
+        const chosen = numbers.map((_, k) => k).filter((k) => round === rounds - 1 || isFilter(design.blocks[numbers[k].index]));
+        const all = best.at, whole = (part) => all.map((x, k) => (chosen.includes(k) ? part[chosen.indexOf(k)] : x));
+        yield* nelderMead(chosen.map((k) => all[k]), size, (part) => take(whole(part)), () => performance.now() > share);
         if (best.score < before + 0.01) size /= 3;
       }
       yield* slide();
@@ -127,7 +137,7 @@ export function makeSearch(machine, design, { seconds = 6 } = {}) {
           harm++;
         }
       }
-      if (!harm && round) break;
+      if (!harm && round && !observing) break;
       best.score = score(best.at);
       yield;
     }

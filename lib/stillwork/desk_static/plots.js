@@ -211,6 +211,11 @@ const clampY = (value, plot) => Math.min(Math.max(value, -100), plot.height + 10
 function drawLegend(context, named, right, top, colours) {
   context.textAlign = "right";
   context.textBaseline = "middle";
+  if (named.length) {
+    const wide = Math.max(...named.map(({ name }) => context.measureText(name).width)) + 42;
+    context.fillStyle = colours.paper;
+    context.fillRect(right - wide - 2, top + 2, wide, 16 * named.length + 4);
+  }
   named.forEach(({ name, colour, dash = [] }, k) => {
     const y = top + 12 + 16 * k;
     context.fillStyle = colours.ink;

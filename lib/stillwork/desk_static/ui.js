@@ -165,7 +165,7 @@ export function startDesk(root, machines) {
       const at = hertz(loop.corners[0].omega), base = result.model ?? result.measured, name = "output_sensitivity";
       bands.push({ x: at, low: decibels(base[name]), high: decibels(result.box.band[name]), colour: colours.band });
     }
-    draw("functions", [x, { low: -50, high: 15, label: "magnitude (dB)" }], { series: functions, bands, rules: [{ y: 6, colour: colours.ink, dash: [2, 3] }] });
+    draw("functions", [x, { low: -50, high: 25, label: "magnitude (dB)" }], { series: functions, bands, rules: [{ y: 6, colour: colours.ink, dash: [2, 3] }] });
     // Nyquist: the circle around -1 that 6 dB of sensitivity leave out.
     const radius = 10 ** (-6 / 20), around = main.output_loop;
     const curves = [{ x: around.re, y: around.im, colour: colours.blue, name: loop.observer ? "at the output" : "open loop" }];
