@@ -10,7 +10,7 @@ import { simulate, thirdOrderMove } from "./simulate.js";
 import { firstDesign, fromAddress, makeHistory, newBlock, toAddress } from "./state.js";
 
 const IDLE = 250; // ms without a change before the whole box is searched
-const TIME_FRAMES = 100; // ms between two simulations during a drag
+const TIME_FRAMES = 100; // ms between two simulations during a drag, at least
 const MOST_PLACES = 12; // of the box that are kept beside its corners
 const MOST_SAMPLES = 20000; // of a step or a scan
 const MOVE = { distance: 0.01, velocity: 0.1, acceleration: 2, jerk: 200, feedforward: true };
@@ -49,7 +49,7 @@ export function startDesk(root, machines) {
   const usable = (design) =>
     design.blocks.every((block) => BLOCKS[block.kind] && Object.keys(BLOCKS[block.kind].numbers).every((name) => Number.isFinite(block[name])));
   let history = makeHistory(kept && kept.machine === machine.name && usable(kept.design) ? kept.design : firstDesign(machine));
-  let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timePainted = 0;
+  let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timeAgain = 0;
   let colours = palette(root);
   const plots = Object.fromEntries(ALTOGETHER.map((name) => [name, makePlot(by(name), { title: by(name).closest("figure").querySelector("figcaption").firstChild.textContent.trim(), equal: name === "nyquist" })]));
 
@@ -183,10 +183,11 @@ export function startDesk(root, machines) {
     if (before) own0.push({ ...grey(decibels(before.process)), name: undefined });
     draw("process", [x, { low: Math.max(low, high - 100), high: high + 6, label: `${machine.units.position}/${machine.units.drive} (dB)` }], { series: own0 });
     // A simulation takes as long as all else: while a hand drags it follows some frames later.
-    if (history.now === history.settled || performance.now() - timePainted > TIME_FRAMES) {
+    if (history.now === history.settled || performance.now() > timeAgain) {
+      const began = performance.now();
       paintTime("step", loop);
       paintTime("scan", loop);
-      timePainted = performance.now();
+      timeAgain = performance.now() + Math.max(TIME_FRAMES, 8 * (performance.now() - began));
     }
   }
 
