@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork inspect|report|design|retest|export|contest``, and the commands of ``python -m workbook``."""
+"""Command line: ``python -m stillwork inspect|report|design|retest|desk|export|contest``, and the commands of ``python -m workbook``."""
 
 import sys
 
@@ -97,6 +97,17 @@ COMMANDS = {
             ),
             *_OF_A_MACHINE,
             _band("loop-hz", "where the measurement can be trusted"),
+        ),
+    ),
+    "desk": Command(
+        "write one page on which a loop is shaped by hand on a measurement, in any browser",
+        "stillwork.desk:desk_file",
+        (
+            option("file", nargs="?", default="", metavar="FILE", help="as for design; without, an example"),
+            option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
+            number("rate", "HZ", "of the controller, to begin with", float, default=0.0),
+            *_OF_A_MACHINE,
+            *_OF_A_LOOP,
         ),
     ),
     "export": Command(

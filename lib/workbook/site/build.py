@@ -5,6 +5,7 @@ import json
 import re
 from collections import Counter
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import jinja2
@@ -47,6 +48,19 @@ def build_site() -> int:
     return int(bool(broken))
 
 
+def _own_pages() -> dict[str, dict]:
+    """Pages that ``[tool.workbook] pages`` of pyproject.toml adds: by file, ``module:function`` of the checkout's folder.
+
+    A function gives `title`, `description`, `body` and `files`, scripts and styles by name; nothing where it has no page.
+    """
+    made = {}
+    for name, target in paths.own_settings().get("pages", {}).items():
+        module, _, function = target.partition(":")
+        if page := getattr(import_module(module), function)(paths.root()):
+            made[name] = page
+    return made
+
+
 def site_files() -> dict[str, bytes]:
     """The site's files by path, with the explorers' states that are kept."""
     claims = ledger()
@@ -57,7 +71,9 @@ def site_files() -> dict[str, bytes]:
     guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
     standings = {entry: each for room in paths.rooms() for entry, each in standings_of(room).items()}
     rooms = [_room(name, paper, claims, pages, standings) for name, paper in papers().items()]
+    own = _own_pages()
     render = _renderer(
+        own_pages=own,
         rooms=[room for room in rooms if room["pages"] or room["counts"]],
         # Of a folder its front stands in the navigation and leads to the others.
         guides={
@@ -127,6 +143,9 @@ def site_files() -> dict[str, bytes]:
             file=file.relative_to(paths.root()).as_posix(),
             source=_source(file.read_text(encoding="utf-8")),
         )
+    for name, page in own.items():
+        files[name] = render("own.html", "", page=page)
+        files |= {f"static/{each}": text.encode() for each, text in page["files"].items()}
     files["search.html"] = render("search.html", "")
     files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims))
     return files

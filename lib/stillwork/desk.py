@@ -1,0 +1,163 @@
+"""The command ``desk``: one page on which a loop is shaped by hand on a measurement, in any browser, without a network."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stillwork.base.checks import InputError, require_number
+from stillwork.control.machine_designs import UNCERTAINTY, asked_uncertainty
+from stillwork.control.uncertainty import NAMES, uncertainty_of
+from stillwork.desk_page import offline_page
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine import Machine, brought_forward, build_machine, whole_band
+from stillwork.identification.machine_files import load_machine
+from stillwork.lti.modal import ModalModel
+
+MOST_LINES = 2000  # of a measurement that a page holds
+NEAR = 12.0  # half widths either side of a resonance, where every line is kept
+DIGITS = 7  # of a measured number
+EXAMPLE = ModalModel(
+    np.array([0.0, 565.0, 1320.0]),
+    np.array([0.0, 0.01, 0.01]),
+    np.array([[1.0], [0.7], [0.8]]) / np.sqrt(10.0),
+    np.array([[1.0, -0.5, 0.6]]) / np.sqrt(10.0),
+    np.array([[0.0]]),
+)  # 10 kg with resonances at 90 and 210 Hz
+
+
+def desk_file(
+    file: str = "",
+    out: str = "",
+    *,
+    rate: float = 0.0,
+    delay: float = 1.0,
+    fit_hz: tuple[float, float] = (0.0, 0.0),
+    loop_hz: tuple[float, float] = (0.0, 0.0),
+    uncertainty: str | Mapping[str, float] = "",
+    **reading,
+) -> list[str]:
+    """Write the page for the machine in `file`, or for an example; returns what was found, a line each.
+
+    Where `out` ends in ``.json`` it is the machine alone, which any such page opens.
+    `rate` (Hz; 0: chosen by the resonances) and `delay` (samples) are where the design begins; `fit_hz`, `loop_hz`,
+    `uncertainty` and what is left of `reading` mean what they mean in `designing.design_file`.
+    """
+    target = Path(out or f"{Path(file).name or 'desk'}.html")
+    if target.exists():
+        raise InputError(f"{target} exists; move it away, or give another --out")
+    require_number("rate", rate, at_least=0.0)
+    require_number("delay", delay, at_least=0.0)
+    asked = asked_uncertainty(uncertainty)
+    if file:
+        machine = read_machine(file, fit_hz=fit_hz, loop_hz=loop_hz, uncertainty=asked, **reading)
+    else:
+        machine = entry(Machine((EXAMPLE,), 10.0, "an example of 10 kg"), asked)
+    if rate:
+        machine["start"] = {"rate_hz": rate, "delay_us": 1e6 * delay / rate}
+    if target.suffix == ".json":
+        text = json.dumps(machine, allow_nan=False) + "\n"
+    else:
+        text = offline_page([machine])
+    target.write_text(text, encoding="utf-8")
+    return [
+        f"{machine['name']}: {machine['mass']:.4g} {machine['mass_unit']}",
+        *machine["notes"],
+        f"written: {target}",
+    ]
+
+
+def read_machine(
+    file: str | Path,
+    *,
+    fit_hz: tuple[float, float] = (0.0, 0.0),
+    loop_hz: tuple[float, float] = (0.0, 0.0),
+    uncertainty: Mapping[str, float] = UNCERTAINTY,
+    **reading,
+) -> dict[str, Any]:
+    """What the page holds of the machine in a file, see `entry`; a measurement that nothing can be fitted to goes alone."""
+    taken = load_machine(file, **reading)
+    try:
+        machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
+    except InputError as error:
+        if taken.accelerance is None:
+            raise
+        return _measured_alone(taken, str(error), loop_hz, uncertainty)
+    return entry(machine, uncertainty, loop_hz)
+
+
+def entry(
+    machine: Machine, uncertainty: Mapping[str, float], loop_hz: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, Any]:
+    """A machine as the page's modules take it: model, box, and the measurement with the found delay taken out."""
+    model, fit = machine.sensors[0], machine.fit
+    spread = uncertainty_of(machine, uncertainty)
+    found = {
+        "name": machine.source,
+        "units": dict(zip(("position", "drive"), machine.units, strict=True)),
+        "mass": machine.mass,
+        "mass_unit": machine.mass_unit,
+        "notes": list(machine.notes),
+        "delay_s": max(fit.delay, 0.0) if fit else 0.0,
+        "model": {
+            "omega": model.frequencies.tolist(),
+            "damping": model.damping.tolist(),
+            "input": model.input_shapes[:, 0].tolist(),
+            "output": model.output_shapes[0].tolist(),
+            "feedthrough": float(model.feedthrough[0, 0]),
+            "drag": model.drag,
+            "uncertainty": {name: np.asarray(getattr(spread, name)).tolist() for name in NAMES},
+        },
+        "measured": None,
+        "band_hz": None,
+    }
+    if machine.measured is not None and fit is not None:
+        measured = brought_forward(machine, fit.delay).measured
+        ends = fit.omega[[0, -1]] / (2 * np.pi)
+        band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
+        widths = model.damping * model.frequencies / (2 * np.pi)
+        found["measured"] = _lines(measured, band, model.frequencies / (2 * np.pi), widths)
+        found["band_hz"] = list(band)
+    return found
+
+
+def _measured_alone(taken, reason, loop_hz, uncertainty) -> dict[str, Any]:
+    measured = taken.accelerance
+    band = whole_band(measured, loop_hz)
+    few = max(4, len(measured.omega) // 50)
+    low = float(np.median(measured.response[:few].real))
+    if low < 0:
+        measured = measured._replace(response=-measured.response)
+    position, drive = taken.units
+    known = {("m", "N"): "kg", ("rad", "N m"): "kg m^2"}
+    return {
+        "name": taken.source,
+        "units": {"position": position, "drive": drive},
+        "mass": 1 / (abs(low) or 1.0),
+        "mass_unit": known.get(taken.units, f"{drive}/({position}/s^2)"),
+        "notes": [*taken.notes, f"no model was fitted: {reason}"],
+        "delay_s": 0.0,
+        "model": None,
+        "measured": _lines(measured, band, np.zeros(0), np.zeros(0)),
+        "band_hz": list(band),
+        "uncertainty": {name: uncertainty.get(name, 0.0) for name in ("gain", "delay")},
+    }
+
+
+def _lines(measured: Identified, band_hz, resonances_hz, widths_hz) -> dict[str, list[float]]:
+    """The measured lines of a band, thinned where nothing happens: those near a resonance stay, the others in logarithms."""
+    hertz = measured.omega / (2 * np.pi)
+    inside = np.flatnonzero((hertz >= band_hz[0]) & (hertz <= band_hz[1]))
+    if len(inside) > MOST_LINES:
+        near = np.zeros(len(hertz), bool)
+        for centre, width in zip(resonances_hz, widths_hz, strict=True):
+            near |= np.abs(hertz - centre) <= NEAR * width
+        near = inside[near[inside]]
+        near = near[:: 1 + 2 * len(near) // MOST_LINES]
+        wanted = np.geomspace(*hertz[inside[[0, -1]]], MOST_LINES - len(near))
+        inside = np.union1d(near, inside[np.searchsorted(hertz[inside], wanted).clip(0, len(inside) - 1)])
+    response = measured.response[inside]
+    columns = {"hz": hertz[inside], "re": response.real, "im": response.imag}
+    return {name: [float(f"{x:.{DIGITS}g}") for x in values] for name, values in columns.items()}

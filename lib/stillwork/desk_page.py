@@ -1,0 +1,87 @@
+"""The page on which a loop is shaped by hand: its style, its modules in one script, and machines, for one file or the site."""
+
+import html
+import json
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from stillwork.base.checks import InputError
+
+STATIC = Path(__file__).parent / "desk_static"
+# Machines of the site's desk, as `python -m stillwork desk FILE --out desk.json` wrote them.
+SHIPPED = ("motion/impact_frf_25k6", "motion/your_machine")
+
+
+def offline_page(machines: Sequence[Mapping[str, Any]]) -> str:
+    """The page as one file that needs no other."""
+    return Template((STATIC / "desk.html").read_text(encoding="utf-8")).substitute(
+        title=html.escape(f"{machines[0]['name']}: desk"),
+        style=f"<style>\n{style()}</style>",
+        body=body(),
+        script=f"<script>\n{machines_script(machines)}\n</script>\n<script>\n{script()}</script>",
+    )
+
+
+def shipped_machines(root: Path) -> list[dict[str, Any]]:
+    """Those of `SHIPPED` that a checkout holds."""
+    files = [root / "data" / name / "desk.json" for name in SHIPPED]
+    return [json.loads(file.read_text(encoding="utf-8")) for file in files if file.is_file()]
+
+
+def site_page(root: Path) -> dict[str, Any]:
+    """The page as a part of the site of a checkout, with its shipped machines; empty where it holds none."""
+    machines = shipped_machines(root)
+    if not machines:
+        return {}
+    return {
+        "title": "Desk",
+        "description": "Shape a loop by hand on a measured frequency response, in the browser; nothing leaves the page.",
+        "body": body(),
+        "files": {"desk.css": style(), "desk-machines.js": machines_script(machines), "desk.js": script()},
+    }
+
+
+def body() -> str:
+    """What the page shows before its script has run."""
+    return (STATIC / "body.html").read_text(encoding="utf-8")
+
+
+def style() -> str:
+    """The page's style."""
+    return (STATIC / "desk.css").read_text(encoding="utf-8")
+
+
+def machines_script(machines: Sequence[Mapping[str, Any]]) -> str:
+    """The machines as a script holds them: no text of a file can end it."""
+    text = json.dumps(list(machines), allow_nan=False, separators=(",", ":"))
+    return f"window.deskMachines = {text};".replace("<", "\\u003c")
+
+
+@cache
+def script() -> str:
+    """The modules in one script, each in a function of its own, those that others import first."""
+    sources = {file.name: file.read_text(encoding="utf-8") for file in sorted(STATIC.glob("*.js"))}
+    imported = {name: re.findall(r'from "\./([\w.]+)"', text) for name, text in sources.items()}
+    ordered: list[str] = []
+    while len(ordered) < len(sources):
+        ready = [name for name in sources if name not in ordered and set(imported[name]) <= set(ordered)]
+        if not ready:
+            raise InputError(
+                f"desk_static: {', '.join(set(sources) - set(ordered))} import each other; undo that"
+            )
+        ordered += ready
+    parts = [_scoped(name, sources[name]) for name in ordered]
+    return '"use strict";\nconst deskModules = {};\n' + "\n".join(parts)
+
+
+def _scoped(name: str, text: str) -> str:
+    exported = re.findall(r"^export (?:function\*?|const) (\w+)", text, re.MULTILINE)
+    text = re.sub(
+        r'^import (\{[^}]*\}) from "\./([\w.]+)";', r'const \1 = deskModules["\2"];', text, flags=re.MULTILINE
+    )
+    text = re.sub(r"^export ", "", text, flags=re.MULTILINE)
+    return f'deskModules["{name}"] = (() => {{\n{text}\nreturn {{ {", ".join(exported)} }};\n}})();\n'

@@ -1,0 +1,161 @@
+// What leaves the desk: controller.toml for `stillwork export`, C99 of the biquads, the design as text.
+import { toDb } from "./complex.js";
+import { FUNCTIONS, SHOWN } from "./loop.js";
+import { makeObserver, product, zeros } from "./observer.js";
+import { BLOCKS, activeBlocks, biquads, integrators, timing } from "./response.js";
+
+const number = (x) => (Number.isInteger(x) ? x.toFixed(1) : String(x));
+const list = (values) => `[${values.map(number).join(", ")}]`;
+const table = (m) =>
+  m.rows ? `[\n${Array.from({ length: m.rows }, (_, r) => `  ${list([...m.at.slice(r * m.cols, (r + 1) * m.cols)])},`).join("\n")}\n]` : "[]";
+
+// Time in which the integrator follows a limited force: the root of integral and differential time where there is a PID.
+export function trackingTime(design) {
+  const pid = activeBlocks(design).find((block) => block.kind === "pid");
+  const integrator = activeBlocks(design).find((block) => block.kind === "integrator");
+  if (pid) return 1 / (2 * Math.PI * Math.sqrt(pid.integrator_hz * pid.differentiator_hz));
+  return integrator ? 1 / (2 * Math.PI * integrator.zero_hz) : 0;
+}
+
+// One biquad's states turn as its poles do: of its coefficients near z = 1 a few digits would be all that is left.
+function realised([b0, b1, b2, , a1, a2]) {
+  const n1 = b1 - a1 * b0, n0 = b2 - a2 * b0, square = (a1 * a1) / 4 - a2;
+  if (square < 0) {
+    const turn = Math.sqrt(-square), middle = -a1 / 2;
+    return { a: [middle, turn, -turn, middle], b: [0, 1], c: [(n0 + n1 * middle) / turn, n1], d: b0 };
+  }
+  const outer = -a1 / 2 - (Math.sign(a1) || 1) * Math.sqrt(square), inner = outer ? a2 / outer : 0;
+  return { a: [outer, 1, 0, inner], b: [0, 1], c: [n0 + n1 * outer, n1], d: b0 };
+}
+
+function place(into, part, row, col) {
+  for (let i = 0; i < part.rows; i++) for (let j = 0; j < part.cols; j++) into.at[(row + i) * into.cols + col + j] += part.at[i * part.cols + j];
+}
+const matrix = (rows, cols, at) => ({ rows, cols, at: Float64Array.from(at) });
+
+// The whole controller with its observer: from (r, y, f), the limited force included, to the command.
+export function observedController(machine, design) {
+  const { sampleTime, delay, observer: block } = timing(design);
+  const own = makeObserver(machine.model, machine.mass, block, sampleTime, delay + Math.max(machine.delay_s || 0, 0));
+  const line = own.whole, n = own.a.rows, filters = own.filters.length, sections = biquads(design).map(realised);
+  const size = line + n + 2 * filters + 2 * sections.length, first = line, bands = line + n, pid = bands + 2 * filters;
+  const a = zeros(size, size), b = zeros(size, 3), c = zeros(1, size), d = zeros(1, 3);
+  // What delays the force, the newest at its beginning.
+  if (line) b.at[2] = 1;
+  for (let k = 1; k < line; k++) a.at[k * size + k - 1] = 1;
+  place(a, own.a, first, first);
+  for (let i = 0; i < n; i++) {
+    if (line) a.at[(first + i) * size + line - 1] += own.b.at[2 * i];
+    else b.at[(first + i) * 3 + 2] += own.b.at[2 * i];
+    b.at[(first + i) * 3 + 1] += own.b.at[2 * i + 1];
+  }
+  own.filters.forEach(({ held: [p11, p12, p21, p22, g1, g2], gain }, k) => {
+    const row = bands + 2 * k, read = matrix(1, n, own.c.at.slice((k + 1) * n, (k + 2) * n));
+    place(a, matrix(2, 2, [p11, p12, p21, p22]), row, row);
+    place(a, product(matrix(2, 1, [g1, g2]), read), row, first);
+    b.at[row * 3 + 1] += g1 * own.d[k + 1];
+    b.at[(row + 1) * 3 + 1] += g2 * own.d[k + 1];
+    c.at[row + 1] += gain;
+  });
+  // e = r - y + y_flex goes through the sections one after the other.
+  let reads = zeros(1, size), direct = zeros(1, 3);
+  place(reads, matrix(1, n, own.c.at.slice(0, n)), 0, first);
+  direct.at.set([1, own.d[0] - 1, 0]);
+  sections.forEach((section, k) => {
+    const row = pid + 2 * k, into = matrix(2, 1, section.b);
+    place(a, matrix(2, 2, section.a), row, row);
+    place(a, product(into, reads), row, 0);
+    place(b, product(into, direct), row, 0);
+    reads = { ...reads, at: reads.at.map((x) => x * section.d) };
+    direct = { ...direct, at: direct.at.map((x) => x * section.d) };
+    place(reads, matrix(1, 2, section.c), 0, row);
+  });
+  place(c, reads, 0, 0);
+  place(d, direct, 0, 0);
+  return { a, b, c, d };
+}
+
+export function controllerToml(machine, design) {
+  const { sampleTime, observer } = timing(design);
+  if (!sampleTime) throw new Error("a controller runs sampled: add a sampling block");
+  const { position, drive } = machine.units;
+  const lines = [`# ${machine.name}, shaped at the desk; python -m stillwork export controller.toml --out DIR`, "[controller]"];
+  lines.push(`rate_hz = ${number(1 / sampleTime)}`);
+  if (observer && (observer.compensate || observer.damping > 0)) {
+    const whole = observedController(machine, design);
+    lines.push(`inputs = ["r (${position})", "y (${position})"] # a third, the limited output, is fed back`);
+    lines.push(`outputs = ["f (${drive})"]`);
+    for (const name of "abcd") lines.push(`${name} = ${table(whole[name])}`);
+  } else {
+    lines.push(`inputs = ["e (${position})"]`, `outputs = ["f (${drive})"]`);
+    lines.push(`biquads = [\n${biquads(design).map((row) => `  ${list(row)},`).join("\n")}\n]`);
+  }
+  const count = integrators(design);
+  if (design.limit > 0 && count <= 1) {
+    lines.push(`low = ${number(-design.limit)}`, `high = ${number(design.limit)}`);
+    if (count) lines.push(`tracking_time_s = ${number(trackingTime(design))}`);
+  } else if (design.limit > 0) lines.push("# no limit: it has integrators in a row, which would wind up");
+  return `${lines.join("\n")}\n`;
+}
+
+export function biquadCode(machine, design, name = "controller") {
+  const { sampleTime, observer } = timing(design);
+  if (!sampleTime) throw new Error("a controller runs sampled: add a sampling block");
+  if (observer && (observer.compensate || observer.damping > 0)) {
+    throw new Error("biquads alone would leave the observer out: save controller.toml, and run `python -m stillwork export`");
+  }
+  const rows = biquads(design), limit = design.limit > 0 ? design.limit : 0, { position, drive } = machine.units;
+  const values = rows.map((row) => `    {${[...row.slice(0, 3), ...row.slice(4)].map(number).join(", ")}},`).join("\n");
+  const clamp = limit
+    ? `    if (value > ${name.toUpperCase()}_LIMIT) {\n        value = ${name.toUpperCase()}_LIMIT;\n    } else if (value < -${name.toUpperCase()}_LIMIT) {\n        value = -${name.toUpperCase()}_LIMIT;\n    }\n`
+    : "";
+  return `/* ${machine.name.replace(/\*\//g, "")}, shaped at the desk: error (${position}) to force (${drive}), every ${number(sampleTime)} s.
+   A limited output winds its integrator up; the code that python -m stillwork export writes does not. */
+#include <stddef.h>
+
+#define ${name.toUpperCase()}_SECTIONS ${rows.length}
+${limit ? `#define ${name.toUpperCase()}_LIMIT ${number(limit)}\n` : ""}
+typedef struct {
+    double memory[${name.toUpperCase()}_SECTIONS][2]; /* zero at the start */
+} ${name}_state;
+
+static const double ${name}_biquads[${name.toUpperCase()}_SECTIONS][5] = {/* b0, b1, b2, a1, a2 */
+${values}
+};
+
+double ${name}_step(${name}_state *state, double error);
+
+double ${name}_step(${name}_state *state, double error)
+{
+    double value = error;
+    size_t k;
+    for (k = 0; k < ${name.toUpperCase()}_SECTIONS; k++) {
+        const double *section = ${name}_biquads[k];
+        double *memory = state->memory[k];
+        const double out = section[0] * value + memory[0];
+        memory[0] = section[1] * value - section[3] * out + memory[1];
+        memory[1] = section[2] * value - section[4] * out;
+        value = out;
+    }
+${clamp}    return value;
+}
+`;
+}
+
+// The design in words and numbers.
+export function designText(machine, design, result) {
+  const lines = [machine.name, `mass ${machine.mass.toPrecision(4)} ${machine.mass_unit}`];
+  for (const block of activeBlocks(design)) {
+    const { title, numbers } = BLOCKS[block.kind];
+    const values = Object.entries(numbers).map(([name, { label, unit }]) => `${label} ${Number(block[name]).toPrecision(5)}${unit && unit !== "force" ? ` ${unit}` : ""}`);
+    if (block.kind === "observer") values.unshift(block.compensate ? "MC" : "no MC");
+    lines.push(`${title}: ${values.join(", ")}`);
+  }
+  lines.push(`bandwidth ${result.bandwidth.toFixed(2)} Hz, ${result.stable ? "stable" : "unstable"}`);
+  for (const name of FUNCTIONS) {
+    const own = result.nominal[name], box = result.box?.[name];
+    const there = box ? `, in the box ${toDb(box.size).toFixed(2)} dB at ${box.hz.toFixed(1)} Hz` : "";
+    lines.push(`${SHOWN[name]}: ${toDb(own.size).toFixed(2)} dB at ${own.hz.toFixed(1)} Hz${there}`);
+  }
+  return `${lines.join("\n")}\n`;
+}

@@ -1,0 +1,238 @@
+"""The desk in Chromium: mouse, keyboard, a dropped file, the way out to C, and that all of it has a name."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+from browser.test_pages import CONTRAST, MISFITS
+from stillwork.__main__ import main
+from stillwork.desk_page import offline_page, shipped_machines
+from workbook import paths
+
+PATIENCE = 120  # s, of a busy machine
+
+UNNAMED = """
+const named = (element) => element.getAttribute("aria-label") || element.textContent.trim() || element.labels?.length || element.title;
+const wanted = [...document.querySelectorAll("button, input, select, canvas, [role]")];
+const ids = [...document.querySelectorAll("[id]")].map((each) => each.id);
+return [
+  ...wanted.filter((element) => !element.hidden && !named(element) && element.getAttribute("role") !== "status").map((each) => each.outerHTML.slice(0, 90)),
+  ...ids.filter((id, at) => ids.indexOf(id) !== at),
+  ...[...document.querySelectorAll("[role=slider]")].filter((each) => !(Number(each.getAttribute("aria-valuenow")) >= Number(each.getAttribute("aria-valuemin")) && Number(each.getAttribute("aria-valuenow")) <= Number(each.getAttribute("aria-valuemax")))).map((each) => each.outerHTML.slice(0, 90)),
+];
+"""
+
+DROP = """
+const data = new DataTransfer();
+data.items.add(new File([arguments[1]], arguments[0]));
+for (const kind of ["dragenter", "dragover", "drop"]) {
+  document.getElementById("desk").dispatchEvent(new DragEvent(kind, {bubbles: true, cancelable: true, dataTransfer: data}));
+}
+"""
+
+
+class Desk:
+    """What a user does on the page, and what is there."""
+
+    def __init__(self, browser):
+        self.browser, self.driver = browser, browser.driver
+
+    def wait(self, condition):
+        return WebDriverWait(self.driver, PATIENCE, poll_frequency=0.1).until(lambda _: condition())
+
+    def by(self, name):
+        return self.driver.find_element(By.ID, f"desk-{name}")
+
+    def value(self, name):
+        return float(self.by(name).get_property("value"))
+
+    def handle(self, label):
+        return self.driver.find_element(By.CSS_SELECTOR, f"[role=slider][aria-label^='{label} ']")
+
+    @property
+    def bandwidth(self):
+        return float(self.driver.find_element(By.CSS_SELECTOR, "#desk-figures dd").text.split()[0])
+
+    @property
+    def lights(self):
+        return [each.text for each in self.driver.find_elements(By.CSS_SELECTOR, "#desk-lights td")]
+
+    def type(self, name, value):
+        field = self.by(name)
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(f"{value}\t")
+
+    def add(self, kind):
+        Select(self.by("kind")).select_by_value(kind)
+        self.by("add").click()
+
+
+@pytest.fixture
+def desk(browser, tmp_path):
+    page = tmp_path / "desk.html"
+    page.write_text(offline_page(shipped_machines(paths.root())), encoding="utf-8")
+    browser.resize(1440)
+    browser.driver.get("about:blank")
+    browser.requests(), browser.messages()
+    browser.open(page.as_uri())
+    folder = tmp_path / "downloads"
+    folder.mkdir()
+    browser.driver.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(folder)}
+    )
+    found = Desk(browser)
+    found.folder, found.page = folder, page
+    found.wait(lambda: browser.run("return document.getElementById('desk').dataset.ready") == "yes")
+    yield found
+    outside = [
+        each
+        for each in browser.requests()
+        if not each.startswith(("file:", "data:", "blob:", "chrome:", "about:"))
+    ]
+    assert not outside and not browser.messages()
+
+
+def downloaded(desk, name):
+    desk.wait(lambda: (desk.folder / name).is_file())
+    return desk.folder / name
+
+
+def test_a_handle_is_dragged_and_the_drag_undone(desk):
+    before, bandwidth = desk.value("0-low_pass_hz"), desk.bandwidth
+    ActionChains(desk.driver).drag_and_drop_by_offset(desk.handle("low-pass"), 90, 0).perform()
+    desk.wait(lambda: desk.value("0-low_pass_hz") > 1.5 * before)
+    desk.wait(lambda: desk.bandwidth != bandwidth)
+    desk.by("undo").click()
+    desk.wait(lambda: desk.value("0-low_pass_hz") == before and desk.bandwidth == bandwidth)
+    desk.by("redo").click()
+    desk.wait(lambda: desk.value("0-low_pass_hz") > 1.5 * before)
+
+
+def test_the_keyboard_alone_shapes_a_loop(desk):
+    before = desk.value("0-differentiator_hz")
+    desk.handle("PID").send_keys(Keys.ARROW_RIGHT)
+    desk.wait(lambda: desk.value("0-differentiator_hz") == pytest.approx(1.01 * before, rel=1e-4))
+    gain, bandwidth = desk.value("0-gain"), desk.bandwidth
+    desk.by("0-gain").send_keys(Keys.ARROW_UP)
+    desk.wait(
+        lambda: desk.value("0-gain") == pytest.approx(1.02 * gain, rel=1e-4) and desk.bandwidth > bandwidth
+    )
+    desk.type("0-gain", 4 * gain)
+    desk.wait(lambda: desk.bandwidth > 1.5 * bandwidth)
+    desk.type("0-gain", "much")
+    assert "give a number" in desk.by("message").text
+    desk.wait(lambda: desk.value("0-gain") == pytest.approx(4 * gain, rel=1e-4))
+    ActionChains(desk.driver).key_down(Keys.CONTROL).send_keys("z").key_up(Keys.CONTROL).perform()
+    desk.wait(lambda: desk.value("0-gain") == pytest.approx(1.02 * gain, rel=1e-4))
+
+
+def test_the_address_holds_the_design(desk):
+    desk.type("0-low_pass_hz", 321)
+    desk.add("notch")
+    desk.type("1-frequency_hz", 851)
+    address = desk.driver.current_url
+    assert "#d=" in address
+    desk.driver.get("about:blank")
+    desk.browser.open(address)
+    assert desk.value("0-low_pass_hz") == 321 and desk.value("1-frequency_hz") == 851
+
+
+def test_a_dropped_response_is_shaped_and_leaves_as_c(desk):
+    """A mass of 8 kg with a resonance, dropped as CSV; the C of what is shaped compiles, and so does the biquads'."""
+    hertz = np.geomspace(2, 800, 300)
+    s = 2j * np.pi * hertz
+    response = 1 / 8 + 0.1 * s**2 / (s**2 + 20 * s + (2 * np.pi * 300) ** 2)
+    rows = "\n".join(f"{f},{h.real},{h.imag}" for f, h in zip(hertz, response, strict=True))
+    desk.browser.run(DROP, "stage.csv", f"frequency (Hz),real (m/s^2/N),imaginary (m/s^2/N)\n{rows}\n")
+    desk.wait(lambda: "8 kg" in desk.by("notes").text)
+    assert Select(desk.by("machine")).first_selected_option.text == "stage.csv"
+    desk.type("limit", 40)
+    desk.by("toml").click()
+    toml = downloaded(desk, "controller.toml")
+    assert "low = -40" in toml.read_text(encoding="utf-8")
+    desk.by("c").click()
+    code = downloaded(desk, "controller.c")
+    assert main(["export", str(toml), "--out", str(desk.folder / "code")]) == 0
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    assert compiler, "a C compiler is not installed: apt-get install gcc"
+    for source in (code, desk.folder / "code" / "controller.c"):
+        command = [
+            compiler,
+            "-std=c99",
+            "-Wall",
+            "-Wextra",
+            "-pedantic",
+            "-Werror",
+            "-c",
+            str(source),
+            "-o",
+            f"{source}.o",
+        ]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    desk.browser.run(DROP, "notes.csv", "time,force\n0,1\n1,2\n")
+    desk.wait(lambda: "stillwork desk FILE" in desk.by("message").text)
+
+
+def test_an_observer_leaves_as_c_and_a_picture_as_svg(desk):
+    desk.add("observer")
+    desk.wait(lambda: desk.lights[0] != desk.lights[2])
+    desk.by("toml").click()
+    toml = downloaded(desk, "controller.toml")
+    assert main(["export", str(toml), "--out", str(desk.folder / "code")]) == 0
+    desk.by("c").click()
+    desk.wait(lambda: "leave the observer out" in desk.by("message").text)
+    desk.driver.find_element(By.CSS_SELECTOR, "[aria-label='Nyquist, with the 6 dB circle as SVG']").click()
+    picture = downloaded(desk, "nyquist.svg").read_text(encoding="utf-8")
+    assert picture.startswith("<svg") and "real part" in picture and "NaN" not in picture
+    desk.driver.find_element(By.CSS_SELECTOR, "[aria-label='Open loop, phase as PNG']").click()
+    assert downloaded(desk, "phase.png").read_bytes()[1:4] == b"PNG"
+
+
+def test_the_best_of_a_structure_holds_all_six_constraints(desk):
+    Select(desk.by("machine")).select_by_visible_text("frequency_response.csv")
+    before = desk.bandwidth
+    desk.by("best").click()
+    desk.wait(lambda: "all six constraints hold" in desk.by("message").text)
+    assert desk.bandwidth > 1.3 * before
+    desk.wait(lambda: "anywhere in the box" in desk.by("in-box").text)
+    assert len(desk.lights) == 6 and all(
+        re.fullmatch(r"✓ \d\.\d\d dB at .* Hz", each) for each in desk.lights
+    )
+
+
+def test_a_design_of_the_command_line_is_opened(desk, tmp_path):
+    [machine, *_] = shipped_machines(paths.root())
+    gains = {
+        "gain": 50000.0,
+        "integrator": 60.0,
+        "differentiator": 200.0,
+        "low_pass": 2000.0,
+        "low_pass_damping": 0.7,
+    }
+    file = {"format": "stillwork controller 1", "gains": gains, "sample_time_s": 5e-5, "high": [50.0]}
+    file["provenance"] = {"settings": {"application": None}, "delay_samples_of_the_loop": 1.0}
+    (tmp_path / "controller.json").write_text(json.dumps(file), encoding="utf-8")
+    desk.by("file").send_keys(str(tmp_path / "controller.json"))
+    desk.wait(lambda: desk.value("0-gain") == 50000)
+    assert desk.value("limit") == 50 and machine["name"] in desk.by("machine").text
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+def test_everything_has_a_name_fits_and_can_be_read(desk, width):
+    desk.add("observer")
+    desk.browser.resize(width)
+    assert not desk.browser.run(UNNAMED)
+    assert not desk.browser.run(MISFITS)
+    assert not desk.browser.run(CONTRAST)
+    desk.browser.dark(True)
+    assert not desk.browser.run(CONTRAST)
+    desk.browser.dark(False)

@@ -1,0 +1,482 @@
+"""The desk's modules, run by node, against this library's own loops and against SciPy; its page and its files."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from stillwork import control, lti
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop
+from stillwork.control.digital import load_controller, runnable
+from stillwork.control.machine_loops import observing_compensator, on_measurement
+from stillwork.control.pid import Notch, Pid
+from stillwork.control.uncertainty import Uncertainty, make_box
+from stillwork.desk import desk_file, entry, read_machine
+from stillwork.desk_page import STATIC, offline_page, script, shipped_machines
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine import Machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.lti.discretisation import prewarped
+from stillwork.lti.state_space import constant
+from workbook import paths
+
+DESIGNS = 200
+CLOSE = 1e-9
+TURN = 2 * np.pi
+INTENSITIES = {"disturbance": 8e-4, "sensor": 1.41e-9, "drift": 1.92e-4}
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory):
+    """``node(calls)``: results of calls (module, name, *arguments) of the desk's modules."""
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed, which runs the desk's modules: apt-get install nodejs")
+    folder = tmp_path_factory.mktemp("modules")
+    for file in STATIC.glob("*.js"):
+        shutil.copy(file, folder)
+    (folder / "package.json").write_text('{"type": "module"}')
+
+    def run(calls):
+        asked = [{"module": each[0], "name": each[1], "arguments": each[2:]} for each in calls]
+        command = ["node", str(paths.root() / "tests" / "desk" / "run.mjs"), str(folder)]
+        text = json.dumps(asked, default=lambda value: value.tolist())
+        done = subprocess.run(command, input=text, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    return run
+
+
+def values(results):
+    assert not [each for each in results if "error" in each]
+    return [each["value"] for each in results]
+
+
+def number(pair):
+    return np.array(pair["re"]) + 1j * np.array(pair["im"])
+
+
+def drawn(seed: int):
+    """A machine, a loop of it with an observer or without, its PID, and the same as the desk has them."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 7))
+    hertz = np.sort(rng.uniform(50, 1500, count))
+    mass = float(np.exp(rng.uniform(-2, 4)))
+    shapes = rng.uniform(0.3, 1.5, (2, count)) * rng.choice([-1, 1], (2, count))
+    model = lti.ModalModel(
+        np.append(0.0, TURN * hertz),
+        np.append(0.0, rng.uniform(0.002, 0.03, count)),
+        np.append(1.0, shapes[0])[:, None] / np.sqrt(mass),
+        np.append(1.0, shapes[1])[None, :] / np.sqrt(mass),
+        np.array([[1e-9 * float(rng.choice([0, 1])) / mass]]),
+        drag=float(rng.choice([0.0, rng.uniform(0.1, 30)])),
+    )
+    rate, delay = float(rng.uniform(5, 40) * hertz[-1]), float(rng.uniform(0, 2.5))
+    bandwidth = float(hertz[0] * np.exp(rng.uniform(-3, 0.3)))
+    notched = rng.choice(hertz, rng.integers(0, count + 1), replace=False)
+    notches = tuple(Notch(float(prewarped(TURN * f, 1 / rate)), 0.01, 0.2) for f in notched)
+    w = TURN * bandwidth
+    pid = Pid(mass * w**2 / 3, w / 9, w / 3, 3 * w, 0.7, notches)
+    blocks = [pid_block(pid)]
+    blocks += [
+        {"kind": "notch", "frequency_hz": f, "skew": 1.0, "depth": 0.01, "width": 0.2} for f in notched
+    ]
+    blocks += [{"kind": "sampling", "rate_hz": rate}, {"kind": "delay", "delay_us": 1e6 * delay / rate}]
+    compensator = None
+    if seed % 2:
+        compensate, damping = [(True, 0.0), (False, 0.05), (True, 0.05)][seed // 2 % 3]
+        retained = int(rng.integers(2, count + 2))
+        chosen = Application(compensate=compensate, damping=damping, selectivity=2.0 if damping else None)
+        noise = NoiseIntensities((INTENSITIES["disturbance"] * mass) ** 2, INTENSITIES["sensor"] ** 2)
+        drift = INTENSITIES["drift"] * mass**2 if compensate else None
+        compensator = observing_compensator(model, chosen, retained, noise, drift, 1 / rate, delay)
+        own = {"compensate": compensate, "damping": damping, "selectivity": 2.0, "retained": retained}
+        blocks.append({"kind": "observer"} | own | INTENSITIES)
+    loop = make_loop(model, compensator, low_hz=bandwidth / 30, sample_time=1 / rate, delay=delay)
+    return Machine((model,), mass, "drawn"), loop, pid, {"blocks": blocks, "limit": None}
+
+
+def pid_block(pid):
+    rates = {
+        "integrator_hz": pid.integrator,
+        "differentiator_hz": pid.differentiator,
+        "low_pass_hz": pid.low_pass,
+    }
+    hertz = {name: rate / TURN for name, rate in rates.items()}
+    return {"kind": "pid", "gain": pid.gain, "damping": pid.low_pass_damping} | hertz
+
+
+@pytest.mark.slow
+def test_every_function_of_a_loop_is_that_of_the_library(node):
+    """PID, notches, hold, fractional delay, MC and AD of 200 random machines, and how many poles are unstable."""
+    designs = [drawn(seed) for seed in range(DESIGNS)]
+    grids = [np.geomspace(loop.omega[0], 0.49 * TURN / loop.sample_time, 60) for _, loop, _, _ in designs]
+    calls = [
+        ("here", "responses", entry(machine, {}), design, grid)
+        for (machine, _, _, design), grid in zip(designs, grids, strict=True)
+    ]
+    unstable = []
+    for (_, loop, pid, _), grid, found in zip(designs, grids, values(node(calls)), strict=True):
+        wanted, functions = loop.at(pid, grid), found["functions"]
+        np.testing.assert_allclose(number(found["plant"]), wanted.plant, rtol=CLOSE)
+        np.testing.assert_allclose(number(found["controller"]), wanted.controller, rtol=CLOSE)
+        np.testing.assert_allclose(number(functions["loop"]), wanted.loop, rtol=CLOSE)
+        np.testing.assert_allclose(number(functions["output_loop"]), wanted.output_loop, rtol=CLOSE)
+        for name in FUNCTIONS:
+            np.testing.assert_allclose(functions[name], np.abs(getattr(wanted, name)), rtol=CLOSE)
+        process = np.abs(wanted.plant * wanted.output_sensitivity)
+        np.testing.assert_allclose(functions["process"], process, rtol=CLOSE)
+        closed = np.abs(1 - wanted.true_tracking)
+        np.testing.assert_allclose(functions["closed"], closed, rtol=1e-7, atol=1e-9)
+        unstable.append(int(np.sum(loop.poles(pid).real > 0)))
+        assert found["unstable"] == unstable[-1]
+        if not unstable[-1]:
+            np.testing.assert_allclose(found["bandwidth"], loop.crossing_hz(pid), rtol=1e-3)
+    assert 20 < np.count_nonzero(unstable) < DESIGNS - 20  # both kinds were seen
+
+
+def chain(rng):
+    """Random blocks of every kind, and SciPy's zeros and poles of each in continuous time: (numerator, denominator)."""
+    f = lambda: float(np.exp(rng.uniform(0, 6)))  # noqa: E731
+    gain, damping, depth, width = (float(x) for x in rng.uniform(0.1, 1.5, 4))
+    a, b, c, d, e, g, h, i, j, n, skew = (*(f() for _ in range(10)), float(rng.uniform(0.5, 2)))
+    w = lambda hertz: TURN * hertz  # noqa: E731
+    known = [
+        ({"kind": "gain", "value": gain}, [gain], [1]),
+        (
+            {
+                "kind": "pid",
+                "gain": gain,
+                "integrator_hz": a,
+                "differentiator_hz": b,
+                "low_pass_hz": c,
+                "damping": damping,
+            },
+            gain * w(c) ** 2 * np.polymul([1, w(a)], [1 / w(b), 1]),
+            np.polymul([1, 0], [1, 2 * damping * w(c), w(c) ** 2]),
+        ),
+        ({"kind": "lead", "zero_hz": d, "pole_hz": e}, [1 / w(d), 1], [1 / w(e), 1]),
+        ({"kind": "lag", "zero_hz": g, "pole_hz": h}, [1, w(g)], [1, w(h)]),
+        ({"kind": "integrator", "zero_hz": i}, [1, w(i)], [1, 0]),
+        ({"kind": "low_pass_1", "corner_hz": j}, [w(j)], [1, w(j)]),
+        (
+            {"kind": "low_pass_2", "corner_hz": a, "damping": damping},
+            [w(a) ** 2],
+            [1, 2 * damping * w(a), w(a) ** 2],
+        ),
+        (
+            {"kind": "notch", "frequency_hz": n, "skew": skew, "depth": depth, "width": width},
+            None,
+            (n, skew, depth, width),
+        ),
+    ]
+    chosen = rng.choice(len(known), rng.integers(1, 5), replace=False)
+    return [known[k] for k in chosen]
+
+
+def notch(about, sample_time):
+    """Zeros and poles at the frequencies that were typed, where Tustin's rule takes them."""
+    hertz, skew, depth, width = about
+    zero, pole = (
+        2 / sample_time * np.tan(TURN * f * sample_time / 2) if sample_time else TURN * f
+        for f in (hertz, skew * hertz)
+    )
+    return [1 / zero**2, 2 * depth / zero, 1], [1 / pole**2, 2 * width / pole, 1]
+
+
+@pytest.mark.slow
+def test_every_block_responds_as_scipy_says(node):
+    """Continuous and by Tustin's rule; the biquads respond as their blocks do."""
+    rng = np.random.default_rng(31)
+    calls, wanted = [], []
+    for number_of in range(DESIGNS):
+        blocks, sample_time = chain(rng), 0.0 if number_of % 2 else 1 / 4000
+        omega = TURN * np.geomspace(0.3, 1900, 50)
+        response = np.ones(len(omega), complex)
+        for _, numerator, denominator in blocks:
+            top, below = notch(denominator, sample_time) if numerator is None else (numerator, denominator)
+            if sample_time:
+                zpk = signal.bilinear_zpk(*signal.tf2zpk(top, below), 1 / sample_time)
+                response *= signal.freqz_zpk(*zpk, omega * sample_time)[1]
+            else:
+                response *= signal.freqs(top, below, omega)[1]
+        design = {"blocks": [each[0] for each in blocks]}
+        if sample_time:
+            design["blocks"].append({"kind": "sampling", "rate_hz": 1 / sample_time})
+        calls.append(("here", "chain", design, omega))
+        wanted.append((response, omega, sample_time))
+    for found, (response, omega, sample_time) in zip(values(node(calls)), wanted, strict=True):
+        np.testing.assert_allclose(number(found["response"]), response, rtol=CLOSE)
+        if sample_time:
+            own = signal.sosfreqz(found["biquads"], omega * sample_time)[1]
+            np.testing.assert_allclose(own, response, rtol=1e-7)  # near z = 1 coefficients have lost digits
+            np.testing.assert_allclose(number(found["sampled"]), own, rtol=CLOSE)
+
+
+@pytest.mark.slow
+def test_the_box_is_searched_as_the_library_searches_it(node):
+    calls, wanted = [], []
+    for seed in range(16):
+        machine, loop, _, design = drawn(seed)
+        # Slow enough that its box holds: beside -1 the last digits decide where a search of many starts ends.
+        pid = control.PidFamily(machine.mass)(machine.resonances_hz[0] / 40)
+        design["blocks"] = [
+            pid_block(pid),
+            *(each for each in design["blocks"] if each["kind"] not in ("pid", "notch")),
+        ]
+        model = machine.sensors[0]
+        spread = Uncertainty(
+            frequency=0.05, residue=0.1, damping=0.1 * (seed % 2), gain=0.05, mass=0.02, delay=2e-6
+        )
+        spread = spread._of_modes(model)
+        box = make_box(loop, spread, fine=False)
+        worst = [box.worst(loop, pid, [PeakConstraint(name)], every=True)[0] for name in FUNCTIONS]
+        if max(size for size, _ in worst) > 4 or len(calls) == 5:
+            continue
+        own = entry(machine, {})
+        own["model"]["uncertainty"] = {
+            name: np.asarray(getattr(spread, name)).tolist() for name in own["model"]["uncertainty"]
+        }
+        calls.append(("here", "box", own, design, box.omega))
+        wanted.append(worst)
+    assert len(calls) > 2
+    for found, worst in zip(values(node(calls)), wanted, strict=True):
+        for name, (size, _) in zip(FUNCTIONS, worst, strict=True):
+            np.testing.assert_allclose(found[name]["size"], size, rtol=CLOSE)
+
+
+@pytest.mark.slow
+def test_the_measurement_stands_for_the_plant(node):
+    """In its band the measured response with hold, delay and the model's aliases, below it the model."""
+    machine, loop, pid, design = drawn(4)
+    model = machine.sensors[0]
+    first = model.frequencies[1] / TURN
+    hertz = np.linspace(first / 5, 0.4 / loop.sample_time, 900)
+    accelerance = -((TURN * hertz) ** 2) * model.frequency_response(TURN * hertz)[0, 0] * (1 + 0.01j)
+    measured = Identified(TURN * hertz, accelerance, np.ones(len(hertz)))
+    band = (float(hertz[10]), float(hertz[-1]))
+    wanted = on_measurement(loop, measured, 1.0, band)
+    own = entry(machine, {}) | {
+        "measured": {"hz": hertz, "re": accelerance.real, "im": accelerance.imag},
+        "band_hz": band,
+    }
+    [found] = values(node([("here", "measured", own, design)]))
+    inside = np.array(found["omega"]) >= TURN * band[0] * (1 - 1e-12)
+    plant = number(found["plant"])[inside]
+    np.testing.assert_allclose(plant, wanted.plant_response[-len(plant) :], rtol=CLOSE)
+    below = np.array(found["omega"])[~inside]
+    np.testing.assert_allclose(number(found["plant"])[~inside], loop.plant_at(below), rtol=CLOSE)
+    functions = wanted.at(pid, None)
+    for name in FUNCTIONS:
+        size = np.abs(getattr(functions, name))[-len(plant) :]
+        np.testing.assert_allclose(np.array(found["functions"][name])[inside], size, rtol=1e-8)
+    assert found["turns"] == control.machine_loops.extra_turns(wanted, pid)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3, 5, 8, 9])
+def test_what_leaves_the_desk_runs_as_the_library_runs_it(node, tmp_path, seed):
+    """The step of the desk, and of its controller.toml in the loop with the library's plant, is that of the library."""
+    machine, loop, pid, design = drawn(seed)
+    if loop.compensator.a.shape[0] == 0:
+        compensator = constant(np.zeros((2, 2)), loop.sample_time)
+    else:
+        compensator = loop.compensator
+    ours = runnable(pid, compensator, np.inf, {})
+    samples = 80
+    own = entry(machine, {})
+    step, text = values(node([("here", "step", own, design, samples), ("here", "toml", own, design)]))
+    (tmp_path / "controller.toml").write_text(text, encoding="utf-8")
+    exported = load_controller(tmp_path / "controller.toml")
+    scale = np.abs(run_loop(loop, ours, samples)).max()
+    for position in (step["position"], run_loop(loop, exported, samples)):
+        np.testing.assert_allclose(position, run_loop(loop, ours, samples), atol=1e-7 * scale)
+
+
+def run_loop(loop, controller, samples):
+    """Positions of the sampled plant under a step of the reference, its controller sample by sample."""
+    plant, model = loop.sampled_plant, controller.model
+    x, z = np.zeros(len(plant.a)), np.zeros(len(model.a))
+    errors = len(controller.inputs) == 1
+    positions = []
+    for _ in range(samples):
+        y = (plant.c @ x).item()
+        given = np.array([1.0 - y]) if errors else np.array([1.0, y])
+        force = model.c @ z + model.d[:, : len(given)] @ given
+        into = np.concatenate([given, force]) if controller.fed_back else given
+        z = model.a @ z + model.b @ into
+        x = plant.a @ x + plant.b[:, 0] * force.item()
+        positions.append(y)
+    return np.array(positions)
+
+
+@pytest.mark.slow
+def test_the_best_of_a_structure_keeps_six_decibels_in_the_whole_box(node):
+    machine, loop, _, design = drawn(2)
+    own = entry(machine, {"frequency": 0.05, "gain": 0.05})
+    rate = 1 / loop.sample_time
+    first = machine.resonances_hz[0] / 30
+    design["blocks"] = [pid_block(control.PidFamily(machine.mass)(first)), *design["blocks"][-2:]]
+    [found] = values(node([("here", "best", own, design, 4)]))
+    block = found["design"]["blocks"][0]
+    assert found["holds"] and block["integrator_hz"] * 15.1 > found["bandwidth"] > 1.3 * first
+    rates = {name: TURN * block[f"{name}_hz"] for name in ("integrator", "differentiator", "low_pass")}
+    best = Pid(block["gain"], **rates, low_pass_damping=block["damping"])
+    assert loop.sample_time == 1 / rate and loop.is_stable(best)
+    spread = Uncertainty(frequency=0.05, gain=0.05)._of_modes(machine.sensors[0])
+    sizes = [
+        size
+        for size, _ in make_box(loop, spread).worst(
+            loop, best, [PeakConstraint(each) for each in FUNCTIONS], every=True
+        )
+    ]
+    assert 5.5 < 20 * np.log10(max(sizes)) < 6.05
+
+
+FILES = {
+    "pairs.csv": "frequency (Hz),real (m/s^2/N),imaginary (m/s^2/N)\n{}",
+    "polar.csv": "# comment\nfrequency (Hz);magnitude (dB re 1 mm/s/N);phase (deg)\n{}",
+    "omega.csv": "omega\tmagnitude (rad/(N m))\tphase (rad)\n{}",
+}
+
+
+@pytest.mark.slow
+def test_a_table_is_read_as_the_library_reads_it(node, tmp_path):
+    hertz = np.linspace(5, 300, 60)
+    rng = np.random.default_rng(5)
+    size, angle = rng.uniform(0.5, 2, 60), rng.uniform(-0.4, 0.4, 60)
+    columns = {
+        "pairs.csv": (",", [hertz, size * np.cos(angle), size * np.sin(angle)]),
+        "polar.csv": (";", [hertz, 20 * np.log10(size), np.degrees(angle)]),
+        "omega.csv": ("\t", [TURN * hertz, size, angle]),
+    }
+    calls = []
+    for name, (mark, table) in columns.items():
+        rows = "\n".join(mark.join(repr(float(x)) for x in row) for row in zip(*table, strict=True))
+        (tmp_path / name).write_text(FILES[name].format(rows), encoding="utf-8")
+    names = [*columns, paths.root() / "data" / "motion" / "your_machine" / "frequency_response.csv"]
+    calls = [
+        ("files.js", "machineOfTable", (tmp_path / name).read_text(encoding="utf-8"), "x") for name in names
+    ]
+    for name, found in zip(names, values(node(calls)), strict=True):
+        wanted = load_machine(tmp_path / name)
+        np.testing.assert_allclose(
+            TURN * np.array(found["measured"]["hz"]), wanted.accelerance.omega, rtol=1e-12
+        )
+        ours = number(found["measured"])
+        sign = np.sign(np.median(ours.real / wanted.accelerance.response.real))
+        np.testing.assert_allclose(sign * ours, wanted.accelerance.response, rtol=CLOSE)
+        assert (found["units"]["position"], found["units"]["drive"]) == wanted.units
+    for text, told in (
+        ("time (s),force 1 (N)\n0,1\n", "stillwork desk FILE"),
+        ("1,2,3\n2,3,4\n", "names"),
+        ("frequency,real\n1,2\n", "magnitude"),
+    ):
+        [found] = node([("files.js", "machineOfTable", text, "x")])
+        assert told in found["error"]
+
+
+@pytest.mark.slow
+def test_the_blocks_of_a_design_come_back(node):
+    machine, loop, pid, design = drawn(5)
+    provenance = {
+        "resonances_hz": machine.resonances_hz,
+        "delay_samples_of_the_loop": loop.delay,
+        "settings": {
+            "application": {"compensate": True, "damping": 0.05, "selectivity": 2.0},
+            "retained": design["blocks"][-1]["retained"],
+            "intensities": INTENSITIES,
+        },
+    }
+    gains = {
+        name: getattr(pid, name)
+        for name in ("gain", "integrator", "differentiator", "low_pass", "low_pass_damping")
+    }
+    gains["notches"] = [
+        {"omega": each.omega, "depth": each.depth, "width": each.width} for each in pid.notches
+    ]
+    file = runnable(pid, loop.compensator, 50.0, {"gains": gains, "provenance": provenance}).as_dict()
+    text = json.dumps(file, default=lambda value: value.tolist())
+    [found] = values(node([("files.js", "designOfController", text, entry(machine, {}))]))
+    assert found["design"]["limit"] == 50 and not found["notes"]
+    grid = np.geomspace(loop.omega[0], 0.49 * TURN / loop.sample_time, 40)
+    [again] = values(node([("here", "responses", entry(machine, {}), found["design"], grid)]))
+    np.testing.assert_allclose(number(again["functions"]["loop"]), loop.at(pid, grid).loop, rtol=1e-8)
+    [refused] = node([("files.js", "designOfController", '{"format": "another"}', None)])
+    assert "controller.json" in refused["error"]
+
+
+def test_the_page_is_one_file_that_asks_for_nothing(tmp_path):
+    target = tmp_path / "desk.html"
+    assert "an example of 10 kg" in desk_file(out=str(target))[0]
+    text = target.read_text(encoding="utf-8")
+    assert len(text.encode()) < 300_000 and "$" + "body" not in text
+    assert not re.findall(r"""(?:src|href)=["'](?!data:)""", text.partition("<script>")[0])
+    assert "default-src 'none'" in text and not re.search(
+        r"fetch\(|XMLHttpRequest|WebSocket|sendBeacon", text
+    )
+    with pytest.raises(InputError, match="exists"):
+        desk_file(out=str(target))
+
+
+def test_a_name_cannot_end_the_script():
+    machine = entry(
+        Machine(
+            (lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, 0.3]], [[0.0]]),),
+            11.0,
+            "</script><b>",
+        ),
+        {},
+    )
+    text = offline_page([machine])
+    assert "</script><b>" not in text and text.count("</script>") == 2
+
+
+@pytest.mark.slow
+def test_a_response_that_nothing_fits_comes_without_a_model(tmp_path):
+    hertz = np.linspace(10, 100, 200)
+    rows = "\n".join(f"{f},0.1,0" for f in hertz)
+    (tmp_path / "mass.csv").write_text(f"frequency (Hz),real (m/s^2/N),imaginary (m/s^2/N)\n{rows}\n")
+    found = read_machine(tmp_path / "mass.csv")
+    assert found["model"] is None and found["mass"] == pytest.approx(10)
+    assert (
+        found["uncertainty"] == {"gain": 0.05, "delay": 0.0} and "no model was fitted" in found["notes"][-1]
+    )
+
+
+@pytest.mark.slow
+def test_lines_are_thinned_between_resonances_alone():
+    found = read_machine(
+        paths.root() / "data" / "motion" / "impact_frf_25k6" / "impact_hammer_5_hits.npz",
+        response_unit="m/s^2",
+        force_unit="N",
+        fit_hz=(100.0, 2000.0),
+        loop_hz=(300.0, 2000.0),
+    )
+    hertz = np.array(found["measured"]["hz"])
+    assert 1500 < len(hertz) <= 2000 and np.all(np.diff(hertz) > 0)
+    assert hertz[0] == pytest.approx(300, abs=0.3) and hertz[-1] == pytest.approx(2000, abs=0.3)
+    for resonance in np.array(found["model"]["omega"][1:]) / TURN:
+        assert np.median(np.diff(hertz[np.abs(hertz - resonance) < 1])) < 0.3  # Hz; lines are 0.25 apart
+    [shipped] = [each for each in shipped_machines(paths.root()) if each["name"] == found["name"]]
+    for name in ("omega", "damping", "input", "output"):
+        np.testing.assert_allclose(shipped["model"][name], found["model"][name], rtol=1e-3)
+    np.testing.assert_allclose(shipped["measured"]["re"], found["measured"]["re"], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_modules_make_one_script(tmp_path):
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed, which reads the desk's script: apt-get install nodejs")
+    file = Path(tmp_path / "desk.js")
+    file.write_text(script(), encoding="utf-8")
+    assert subprocess.run(["node", "--check", str(file)], capture_output=True).returncode == 0
+    assert not re.findall(r"^(?:import|export)\b", script(), re.MULTILINE)
