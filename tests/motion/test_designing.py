@@ -241,7 +241,7 @@ def test_a_controller_without_its_observer_is_not_retested(tmp_path):
     (tmp_path / "my.toml").write_text(
         "[controller]\nrate_hz = 1e4\nbiquads = [[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]\n"
     )
-    with pytest.raises(InputError, match=r"^my\.toml: 'provenance'"):
+    with pytest.raises(InputError, match=r"^my\.toml\b.*provenance"):
         retest_file(str(tmp_path / "my.toml"), changed(tmp_path, 1.0), str(tmp_path / "page.html"))
 
 
@@ -275,7 +275,7 @@ def test_several_responses_are_all_served(written, tmp_path):
 
 def test_responses_that_move_against_each_other_are_refused(tmp_path):
     np.savez(tmp_path / "other.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, -1.0]])
-    with pytest.raises(InputError, match=r"^other\.npz moves against now\.npz"):
+    with pytest.raises(InputError, match=r"^other\.npz\b.*now\.npz\b"):
         design_file([changed(tmp_path, 1.0), str(tmp_path / "other.npz")], str(tmp_path / "out"), RATE)
 
 

@@ -373,6 +373,6 @@ def test_a_band_with_one_resonance_is_told_what_it_lacks(tmp_path):
         tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/N)": 1 / (s**2 + 0.3 * s + (2 * np.pi) ** 2)}
     )
     file = load_machine(tmp_path / "a.npz")
-    for band, told in (((0.0, 0.0), "measure further"), ((0.05, 6.0), "widen fit_hz")):
-        with pytest.raises(InputError, match=rf"a\.npz has one resonance .*at 1 Hz.*{told}"):
+    for band in ((0.0, 0.0), (0.05, 6.0)):
+        with pytest.raises(InputError, match=r"a\.npz\b.*\b1 Hz\b.*\bfit_hz\b"):
             build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
