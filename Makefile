@@ -91,7 +91,7 @@ bench: $(READY) ## Measure speed beside named peers
 faults: $(READY) ## Inject 2,000 random faults into builds of a toy workbook; ARGS="--faults N --seed N --jobs N"
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/faults.py $(ARGS)
 
-mutants: $(READY) ## Try small faults in the toolbox against its tests; ARGS="--count 200 --seed N --minutes N"
+mutants: $(READY) ## Try small faults in the toolbox against its tests; ARGS="--count 200 --seed N --limit SECONDS --forks"
 	@$(BIN)/python benchmarks/mutants.py $(ARGS)
 
 dated: $(READY) ## Property tests on new examples, drawn from the day; DAY=20260101 for those of another
