@@ -21,6 +21,7 @@ from stillwork.control.digital import (
     from_biquads,
     in_units,
     runnable,
+    tied_to_error,
 )
 from stillwork.control.feedforward import motion_of
 from stillwork.control.loop_enclosures import proven_numbers
@@ -199,7 +200,11 @@ def design_file(
             ],
         },
     }
-    controllers = [runnable(pid, loop.compensator, limit / scales[1], about, taken.units) for loop in loops]
+    controllers = [
+        # Of the error: with the feedforward it is (A.7), and without the error under the reference is S_O.
+        tied_to_error(runnable(pid, loop.compensator, limit / scales[1], about, taken.units))
+        for loop in loops
+    ]
     peaks = recheck(reached, controllers)
     worst = max(size for each in peaks.values() for size in each.values())
     if worst > ALLOWED_DB:
@@ -211,7 +216,6 @@ def design_file(
         )
     lag = (delay + 0.5) / rate  # the hold's half a sample
     owned = [each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers]
-    # Of the error: with the feedforward it is (A.7), and without the error under the reference is S_O.
     written = [
         error_driven(each, motion_of(sensor, lag, *scales))
         for each, sensor in zip(owned, machine.sensors, strict=True)

@@ -11,7 +11,7 @@ from stillwork.base.checks import InputError, require_array
 from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table
 from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, make_loop
-from stillwork.control.digital import DigitalController, in_units, load_controller
+from stillwork.control.digital import DigitalController, in_units, load_controller, of_reference
 from stillwork.control.machine_loops import SHOWN, extra_turns, on_measurement
 from stillwork.control.pid import Notch, Pid
 from stillwork.designing import ALLOWED_DB, own_functions
@@ -71,7 +71,7 @@ def retest_file(
     written = load_controller(controller)
     about = Table(dict(written.about), Path(controller).name)
     made = about.table("provenance")
-    written = _in_the_units_of_the_file(_of_two_inputs(written), made)
+    written = _in_the_units_of_the_file(of_reference(written), made)
     observer = about.table("compensator")
     parts = (require_array(f"compensator: {name}", observer[name]) for name in "abcd")
     designed = _model(about.table("model"))
@@ -134,14 +134,6 @@ def retest_file(
     )
     target.write_text(text, encoding="utf-8")
     return [*lines, f"written: {target}"]
-
-
-def _of_two_inputs(controller: DigitalController) -> DigitalController:
-    """A controller of the error as one of r and y, as the loop's functions take it."""
-    m = controller.model
-    b, d = (np.hstack([each[:, :1], -each[:, :1], each[:, 1:]]) for each in (m.b, m.d))
-    names = tuple(f"{name}{controller.inputs[0][1:]}" for name in "ry")
-    return replace(controller, model=replace(m, b=b, d=d), inputs=names, motion=None)
 
 
 def _in_the_units_of_the_file(controller: DigitalController, made: Table) -> DigitalController:

@@ -11,6 +11,7 @@ import pytest
 from scipy import signal
 
 from stillwork import control, lti
+from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop
@@ -18,6 +19,7 @@ from stillwork.control.digital import load_controller, runnable
 from stillwork.control.machine_loops import observing_compensator, on_measurement
 from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import Uncertainty, make_box
+from stillwork.designing import design_file
 from stillwork.desk import desk_file, entry, read_machine
 from stillwork.desk_page import STATIC, offline_page, script, shipped_machines
 from stillwork.estimation.observer import NoiseIntensities
@@ -385,31 +387,31 @@ def test_a_table_is_read_as_the_library_reads_it(node, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_blocks_of_a_design_come_back(node):
-    machine, loop, pid, design = drawn(5)
-    provenance = {
-        "resonances_hz": machine.resonances_hz,
-        "delay_samples_of_the_loop": loop.delay,
-        "settings": {
-            "application": {"compensate": True, "damping": 0.05, "selectivity": 2.0},
-            "retained": design["blocks"][-1]["retained"],
-            "intensities": INTENSITIES,
-        },
-    }
-    gains = {
-        name: getattr(pid, name)
-        for name in ("gain", "integrator", "differentiator", "low_pass", "low_pass_damping")
-    }
-    gains["notches"] = [
-        {"omega": each.omega, "depth": each.depth, "width": each.width} for each in pid.notches
-    ]
-    file = runnable(pid, loop.compensator, 50.0, {"gains": gains, "provenance": provenance}).as_dict()
-    text = json.dumps(file, default=lambda value: value.tolist())
-    [found] = values(node([("files.js", "designOfController", text, entry(machine, {}))]))
-    assert found["design"]["limit"] == 50 and not found["notes"]
-    grid = np.geomspace(loop.omega[0], 0.49 * TURN / loop.sample_time, 40)
-    [again] = values(node([("here", "responses", entry(machine, {}), found["design"], grid)]))
-    np.testing.assert_allclose(number(again["functions"]["loop"]), loop.at(pid, grid).loop, rtol=1e-8)
+def test_the_blocks_of_a_design_come_back(node, tmp_path):
+    """Of the file that `design` writes: the desk's loop is the one that the numbers in the file close."""
+    file, out = tmp_path / "pair.npz", tmp_path / "out"
+    stiffness = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    np.savez(file, M=np.diag([30.0, 10.0]), K=stiffness, input=[1.0, 0.0], output=[[0.0, 1.0]])
+    design_file(str(file), str(out), 1e4, limit=40.0, uncertainty="none")
+    machine, written = read_machine(file), out / "controller.json"
+    text = written.read_text(encoding="utf-8")
+    [found] = values(node([("files.js", "designOfController", text, machine)]))
+    assert found["design"]["limit"] == 40 and not found["notes"]
+    assert "observer" in [each["kind"] for each in found["design"]["blocks"]]
+    grid = TURN * np.geomspace(1.0, 4900.0, 60)
+    again, exported = values(
+        node(
+            [
+                ("here", "responses", machine, found["design"], grid),
+                ("here", "toml", machine, found["design"]),
+            ]
+        )
+    )
+    controller = load_controller(written).linear.frequency_response(grid)[0, 0]
+    sensitivity = 1 / np.abs(1 + controller * number(again["plant"]))
+    np.testing.assert_allclose(again["functions"]["output_sensitivity"], sensitivity, rtol=1e-7)
+    (tmp_path / "controller.toml").write_text(exported, encoding="utf-8")
+    assert main(["export", str(tmp_path / "controller.toml"), "--out", str(tmp_path / "code")]) == 0
     [refused] = node([("files.js", "designOfController", '{"format": "another"}', None)])
     assert "controller.json" in refused["error"]
 

@@ -11,6 +11,7 @@ from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import FUNCTIONS, holds, make_loop
 from stillwork.control.c_code import controller_code
 from stillwork.control.digital import runnable
+from stillwork.control.machine_designs import INTENSITIES
 from stillwork.control.machine_loops import SAFE, applications, observed_loops, observer_settings, reach
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.pid import PidFamily
@@ -22,7 +23,6 @@ from stillwork.control.uncertainty import (
     uncertainty_of,
     worst_place,
 )
-from stillwork.designing import INTENSITIES
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine

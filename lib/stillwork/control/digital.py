@@ -421,6 +421,22 @@ def error_driven(controller: DigitalController, motion: Motion | None = None) ->
 
 
 @checked(infinite=True)
+def tied_to_error(controller: DigitalController) -> DigitalController:
+    """A controller of r and y in which r counts as y does, as in its `error_driven` form, with all of its states."""
+    b, d = (np.hstack([-each[:, 1:2], each[:, 1:]]) for each in (controller.model.b, controller.model.d))
+    return replace(controller, model=replace(controller.model, b=b, d=d))
+
+
+@checked(infinite=True)
+def of_reference(controller: DigitalController) -> DigitalController:
+    """A controller of the error as one of r and y, which count alike, as the functions of a loop take it."""
+    m = controller.model
+    b, d = (np.hstack([each[:, :1], -each[:, :1], each[:, 1:]]) for each in (m.b, m.d))
+    names = tuple(f"{name}{controller.inputs[0][1:]}" for name in "ry")
+    return replace(controller, model=replace(m, b=b, d=d), inputs=names, motion=None)
+
+
+@checked(infinite=True)
 def without_dead_states(controller: DigitalController) -> DigitalController:
     """Leave out the states that no coefficient leads to from an input, or from which none leads to the output."""
     m, winds = controller.model, controller.anti_windup

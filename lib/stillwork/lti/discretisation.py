@@ -208,7 +208,7 @@ def prewarped(omega: Float64[np.ndarray, "..."], sample_time: float) -> Float64[
     Beyond half of the sample rate, where a sampled response repeats itself, they repeat themselves, too.
     """
     require_number("sample_time", sample_time, above=0.0)
-    return 2 / sample_time * np.tan(omega * sample_time / 2)
+    return np.asarray(2 / sample_time * np.tan(omega * sample_time / 2))  # of a single one, too
 
 
 @checked
