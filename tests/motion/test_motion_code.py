@@ -3,6 +3,7 @@
 import ctypes
 import re
 import shutil
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,7 +26,7 @@ from stillwork.control.digital import (
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
 from stillwork.control.feedforward import Feedforward, Motion, inverse_gains, modified_feedforward
 from stillwork.control.pid import PidFamily
-from stillwork.control.setpoint import MoveLimits, plan_move, plan_stop
+from stillwork.control.setpoint import MoveLimits, plan_move
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import tustin
@@ -255,9 +256,15 @@ def test_a_plan_keeps_its_limits_and_is_the_integral_of_its_snap():
             grown = np.concatenate([[0.0], np.cumsum((above[1:] + above[:-1]) / 2) * step])
             allowed = 2 * step * np.abs(np.diff(above)).sum() + 1e-9 * np.abs(below).max()
             assert np.abs(below - below[0] - grown).max() <= allowed
-    stop = plan_stop(0.1, -0.15, LIMITS)
-    assert stop.at([0.0])[:2, 0] == pytest.approx([0.1, -0.15])
-    assert stop.at([10.0])[1:, 0] == pytest.approx(np.zeros(4), abs=0) and stop.at([10.0])[0, 0] < 0.1
+
+
+def braking(velocity, time):
+    """Way from a velocity to rest within `LIMITS`: the end of a move that has reached it."""
+    move = plan_move(velocity * 10.0, replace(LIMITS, velocity=velocity))
+    rise = move.knots[-1, 0]
+    assert move.at([move.duration - rise])[1:4, 0] == pytest.approx([velocity, 0.0, 0.0], abs=1e-9)
+    begun, *way = move.at(move.duration - rise + np.concatenate([[0.0], time]))[0]
+    return np.array(way) - begun
 
 
 def test_limits_count_against_the_force_in_sum(tmp_path):
@@ -286,8 +293,7 @@ def test_it_takes_over_at_a_tenth_of_a_metre_a_second_without_a_bump(tmp_path, o
     begun = plant.position
     assert library.enable(0.7 + begun, 0.1, 12.5 * 2.0 * 0.1) == 0
     positions, forces, flags = follow(library, plant, 3000, offset=0.7)
-    stop = plan_stop(0.7 + begun, 0.1, LIMITS)
-    wanted = stop.at(np.arange(3000) * SAMPLE_TIME)[0]
+    wanted = 0.7 + begun + braking(0.1, np.arange(3000) * SAMPLE_TIME)
     assert np.abs(positions - wanted).max() < 1e-6
     assert abs(forces[0] - 2.5) < 0.01 and np.abs(np.diff(forces)).max() < 2
     assert np.abs(forces).max() < 1.2 * 12.5 * 3.0 and flags[0] == MOVING and flags[-1] == 0

@@ -9,7 +9,8 @@ import pytest
 
 from workbook import paths
 
-# A face, a command, a study of `data/<room>/readings.toml` and a notebook's text name a function without calling it.
+# A face, a command, a page of the site, a study of `data/<room>/readings.toml` and a notebook's text name a function
+# without calling it.
 NAMED = re.compile(r"(?:experiments|contest|notebooks)[\w.]*:(\w+)|(?:stillwork|workbook)[\w.]*:(\w+)")
 WRITTEN = re.compile(r"`[\w.]*?(\w+)`")
 # pytest and Jupyter call these by their names.
@@ -84,7 +85,7 @@ def test_every_top_level_name_is_used():
                 others |= used(ast.parse(re.sub(r"^(\s*)[%!].*", r"\1pass", text, flags=re.MULTILINE)))
             else:
                 others |= set(WRITTEN.findall(text))
-    for file in (root / "data").rglob("*.toml"):
+    for file in (root / "pyproject.toml", *(root / "data").rglob("*.toml")):
         for names in NAMED.findall(file.read_text(encoding="utf-8")):
             others |= set(names)
     assert dead(modules, others) == []

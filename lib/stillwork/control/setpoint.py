@@ -216,15 +216,12 @@ class Move:
         begins, the last one at constant velocity; of a move forwards from 0.
     duration : float
         s.
-    begun : float
-        s into the move at which its time is 0: half of it where it begins in motion, see `plan_stop`.
     """
 
     start: float
     distance: float
     knots: Float64[np.ndarray, "8 6"]
     duration: float
-    begun: float = 0.0
 
     def __post_init__(self):
         check_fields(self)
@@ -254,7 +251,7 @@ class Move:
         array([[0.  , 0.01],
                [0.  , 0.  ]])
         """
-        t = self.begun + require_array("time", time, ndim=1)
+        t = require_array("time", time, ndim=1)
         moving, back = (t >= 0) & (t < self.duration), t > self.duration / 2
         u = np.where(back, self.duration - t, t)
         places = np.clip(np.searchsorted(self.knots[:, 0], u, side="right") - 1, 0, 7)
@@ -322,16 +319,6 @@ def plan_move(distance: float, limits: MoveLimits, start: float = 0.0) -> Move:
     if not low or not distance:
         return Move(start, distance, np.zeros((8, 6)), 0.0)
     return Move(start, distance, _knots(limits, low), _rise_time(limits, low) + abs(distance) / low)
-
-
-@checked
-def plan_stop(position: float, velocity: float, limits: MoveLimits) -> Move:
-    """The second half of a move that has its largest velocity here: from motion to rest, its time 0 in the middle."""
-    if not velocity:
-        return Move(position, 0.0, np.zeros((8, 6)), 0.0)
-    rise = _rise_time(limits, abs(velocity))
-    distance = velocity * rise
-    return Move(position - distance / 2, distance, _knots(limits, abs(velocity)), 2 * rise, rise)
 
 
 def _rise_time(limits: MoveLimits, top: float) -> float:
