@@ -86,12 +86,12 @@ browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get
 	$(BIN)/python -m pytest tests/browser $(ARGS)
 
 bench: $(READY) ## Measure speed beside named peers
-	@for file in $(filter-out benchmarks/faults.py benchmarks/machines.py benchmarks/bandwidths.py benchmarks/enclosures.py benchmarks/mutants.py,$(wildcard benchmarks/*.py)); do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
+	@for file in $$(grep -l 'make bench' benchmarks/*.py); do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
 
 faults: $(READY) ## Inject 2,000 random faults into builds of a toy workbook; ARGS="--faults N --seed N --jobs N"
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/faults.py $(ARGS)
 
-mutants: $(READY) ## Try small faults in the toolbox against its tests; ARGS="--count 200 --seed N --minutes N"
+mutants: $(READY) ## Try small faults in the toolbox against its tests; ARGS="--count 200 --seed N --limit SECONDS --forks"
 	@$(BIN)/python benchmarks/mutants.py $(ARGS)
 
 dated: $(READY) ## Property tests on new examples, drawn from the day; DAY=20260101 for those of another

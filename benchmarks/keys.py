@@ -31,6 +31,7 @@ sys.path.insert(0, str(ROOT / "lib"))
 from stillwork.base.source_digest import code, code_digest  # noqa: E402
 from workbook.readings import closure  # noqa: E402
 
+SHELVES = ("lib", "contest", "notebooks", "data")  # where a key finds its modules
 SCHEMES = ("bytes", "code", "definitions", "names")
 Fragment = tuple[str, frozenset[str]]  # digest of a piece of code, and the names that stand in it
 
@@ -56,7 +57,7 @@ class Tree:
         sys.path[:0] = [str(folder / "lib"), str(folder)]
 
     def show(self, commit: str) -> None:
-        lines = git("ls-tree", "-r", commit, "lib", "contest", "notebooks", "data").decode().splitlines()
+        lines = git("ls-tree", "-r", commit, *SHELVES).decode().splitlines()
         files = {line.partition("\t")[2]: line.split()[2] for line in lines}
         files = {
             name: sha for name, sha in files.items() if name.endswith((".py", ".ipynb", "readings.toml"))
@@ -98,7 +99,7 @@ class Tree:
                 begin.write_text(text)
                 found[name] = self._key(text, closure.modules(begin.stem))
                 begin.unlink()
-            elif name.endswith("readings.toml"):
+            elif name.startswith("data/") and name.endswith("readings.toml"):  # no template of one
                 for study, given in tomllib.loads(blob(self.files[name]).decode()).get("studies", {}).items():
                     module, _, function = given["function"].partition(":")
                     text = f"from {module} import {function}\n{function}"
@@ -213,9 +214,7 @@ def main() -> int:
         tree = Tree(Path(folder).resolve())
 
         def keys_of(commit: str) -> dict[str, dict[str, str]]:
-            parts = tuple(
-                git("rev-parse", *(f"{commit}:{each}" for each in ("lib", "notebooks", "data"))).split()
-            )
+            parts = git("ls-tree", commit, *SHELVES)
             if parts not in known:
                 tree.show(commit)
                 known[parts] = tree.keys()

@@ -209,7 +209,7 @@ def design_file(
         raise InputError(
             f"{source.name}: somewhere in the box a peak of {worst:.2f} dB was found at last; ask for a little more uncertainty"
         )
-    lag = (delay + 0.5) * sample_time  # the hold's half a sample
+    lag = (delay + 0.5) / rate  # the hold's half a sample
     owned = [each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers]
     # Of the error: with the feedforward it is (A.7), and without the error under the reference is S_O.
     written = [
@@ -234,8 +234,7 @@ def design_file(
     if made.others:
         facts.append(("other responses", ", ".join(each.source for each in made.others)))
     held = box_table(machine, spread, margins)
-    every = *loops, *reached.perturbed
-    proven = proven_numbers(every, pid, [each.model for each in controllers])
+    proven = proven_numbers([*loops, *reached.perturbed], pid, [each.model for each in controllers])
     text = report(made, best, controllers, peaks, proven, helps, held, facts, sorted(code))
     (Path(folder) / "report.html").write_text(text, encoding="utf-8")
     return [
@@ -247,7 +246,7 @@ def design_file(
             for note in (f"{each.source}: {each.mass:.4g} {each.mass_unit}", *each.notes)
         ),
         *made.lines(),
-        f"the written controller over {counted(len(every), 'loop')}: {'; '.join(map(' '.join, proven))}",
+        f"the written controller over {counted(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, proven))}",
         f"taken: {best}, stopped by {reached.summary['stopped by']}",
         f"the promise holds for {'; '.join(map(' '.join, held))}",
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",

@@ -121,7 +121,7 @@ COMMANDS = {
         (option("folder", metavar="DIR"),),
     ),
     "new": Command(
-        "begin a result: notebook, ledger entry and test",
+        "begin a result: notebook, its module, ledger entry and test",
         "workbook.commands:new",
         (
             option("room", metavar="ROOM"),

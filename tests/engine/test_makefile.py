@@ -252,6 +252,14 @@ def test_examples_of_a_day_come_again(checkout):
     assert calls(checkout)[0].endswith("--hypothesis-seed=20260102 -k simulate")
 
 
+def test_bench_runs_what_measures_speed_beside_peers_alone(checkout):
+    """The other files of the folder want a wheel, a seed or hours, and say themselves how they are called."""
+    shutil.copytree(ROOT / "benchmarks", checkout / "benchmarks")
+    assert make(checkout, OWN, "bench", "ARGS=--write").returncode == 0
+    run = ("export", "fixedpoint", "isolation", "motion", "worstcase")
+    assert calls(checkout) == [f"benchmarks/{name}.py --write" for name in run]
+
+
 def test_the_files_that_begin_first_are_there():
     assert [file for file in PLACES if not file.is_file()] == []
 

@@ -1,4 +1,4 @@
-"""What a wheel holds: the toolbox and what it reads, and nothing of the experiments or of Jupyter's settings."""
+"""What a wheel holds: toolbox and engine and what they read, and nothing of the experiments or of Jupyter's settings."""
 
 import subprocess
 import sys

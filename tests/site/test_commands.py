@@ -550,11 +550,11 @@ def test_a_word_too_many_is_not_taken_for_an_option(capsys):
     [
         (
             ["figures", "--out", "x"],
-            "unknown '--out'; it is an option of report, design, retest, export, contest",
+            "unknown '--out'; it is an option of report, design, retest, desk, export, contest",
         ),
         (
             ["figures", "--out=x"],
-            "unknown '--out=x'; it is an option of report, design, retest, export, contest",
+            "unknown '--out=x'; it is an option of report, design, retest, desk, export, contest",
         ),
         (["doctor", "--sedes", "3"], "unknown '--sedes'"),  # near the contest's --seeds alone
         (["contest", "--sedes", "3"], "unknown '--sedes'; did you mean '--seeds'?"),

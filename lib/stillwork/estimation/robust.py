@@ -27,10 +27,10 @@ from stillwork.base.algebra import (
     plus_row,
     take_in_turn,
 )
-from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
+from stillwork.base.front_door import by_value, check_fields, checked, made
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
-from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel, require_per_sample
+from stillwork.estimation.time_varying import RESCALE, FilterGains, TimeVaryingModel, require_per_sample
 
 
 @by_value
@@ -91,7 +91,12 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     gain[0], covariance[0] = 0.0, model.initial_covariance
     colour, whiten = np.linalg.cholesky(model.process), np.linalg.inv(np.linalg.cholesky(model.sensor))
     _kalman_kernel(states, outputs)(model.a, model.g, model.c, colour, whiten, gain, covariance)
-    return FilterGains.of(model, gain, covariance)
+    require_finite_run("the filter's gain", gain, RESCALE)
+    require_finite_run("the filter's covariance", covariance, RESCALE)
+    # It shares the model's matrices: of a long record to copy them takes longer.
+    return made(
+        FilterGains, forward=model.a, inputs=model.b, gain=gain, outputs=model.c, covariance=covariance
+    )
 
 
 @checked(missing=True)

@@ -12,8 +12,10 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import Converted, InputError, counted, require_array, require_finite_run
-from stillwork.base.front_door import by_value, check_fields, checked, made
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
+
+RESCALE = "rescale the model, its noises or the penalty"  # where a filter's matrices leave the finite numbers
 
 
 @checked
@@ -95,24 +97,13 @@ class FilterGains:
             for name in ("gain", "covariance"):
                 value = getattr(self, name)
                 if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-                    _require_finite(name, value)
+                    require_finite_run(f"the filter's {name}", value, RESCALE)
             raise
-
-    @classmethod
-    def of(cls, model: TimeVaryingModel, gain: np.ndarray, covariance: np.ndarray) -> "FilterGains":
-        """What a filter has computed of a model, whose matrices it shares: of a long record to copy them takes longer."""
-        _require_finite("gain", gain)
-        _require_finite("covariance", covariance)
-        return made(cls, forward=model.a, inputs=model.b, gain=gain, outputs=model.c, covariance=covariance)
 
     @property
     def samples(self) -> int:
         """Number of samples."""
         return len(self.forward)
-
-
-def _require_finite(name: str, value: np.ndarray) -> None:
-    require_finite_run(f"the filter's {name}", value, "rescale the model, its noises or the penalty")
 
 
 @checked(missing=True)

@@ -10,7 +10,7 @@ from fractions import Fraction
 from math import atan, atan2, inf, nextafter, pi, sqrt
 from typing import NamedTuple
 
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.lti.enclosures import Enclosure, Polynomial, add, multiply, outward, shifted, sign_changes
 
 BITS = 160, 600, 2400  # to which a root is refined, in turn
@@ -30,6 +30,7 @@ class NotDecided(Exception):
     """Roots that cannot be told apart, or a quotient whose denominator may vanish."""
 
 
+@by_value
 @dataclass(frozen=True)
 class _Root:
     """A root at 2^octave (1 + (place + u) / 2^depth), where `local`(u) changes its sign once between 0 and 1."""

@@ -19,7 +19,7 @@ from workbook.report import (
 )
 from workbook.site import metadata
 from workbook.site.metadata import about, project
-from workbook.site.pages import Figure, NotebookPage, read_page
+from workbook.site.pages import NotebookPage, read_page
 from workbook.site.papers import cited, papers
 from workbook.tasks import tasks
 
@@ -67,26 +67,19 @@ def _readme(pages: list[NotebookPage], _claims: list[Claim]) -> str:
 
 
 def _gallery(pages: list[NotebookPage]) -> str:
-    """A row of pictures a room, one a notebook, each leading to its notebook."""
-    lines = []
-    for room, paper in papers().items():
-        shown = [(page, figure) for page in pages if page.room == room and (figure := _face(page))]
-        if shown:
-            lines += [f"**{paper['title']}** (`{room}`)", ""]
-            for page, figure in shown:
-                title = escape(page.title)
-                lines.append(
-                    f'<a href="notebooks/{page.name}.ipynb"><img src="{figure.path}.png" width="200" '
-                    f'alt="{title}" title="{title}"></a>'
-                )
-            lines.append("")
-    return "\n".join(lines).rstrip()
-
-
-def _face(page: NotebookPage) -> Figure | None:
-    """The picture that stands for a notebook: its first numbered figure, else its first."""
-    saved = [figure for figure in page.figures if figure.csv]
-    return next(iter([figure for figure in saved if figure.name.startswith("fig-")] + saved), None)
+    """One row: the picture that stands for each topic, leading to its notebook."""
+    shown = {(page.name, figure.name): (page, figure) for page in pages for figure in page.figures}
+    cells = []
+    for paper in papers().values():
+        notebook, _, name = paper.get("hero", "").rpartition("/")
+        if (notebook, name) in shown:
+            page, figure = shown[notebook, name]
+            title = escape(f"{paper['title']}: {page.title}")
+            cells.append(
+                f'<a href="notebooks/{page.name}.ipynb"><img src="{figure.path}.png" width="200" '
+                f'alt="{title}" title="{title}"></a>'
+            )
+    return "\n".join(cells)
 
 
 def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
