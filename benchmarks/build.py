@@ -31,7 +31,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "lib"))
+sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 
 from stillwork.base.checks import InputError  # noqa: E402
 from stillwork.base.kernel_folder import FOLDER_VARIABLE  # noqa: E402
@@ -138,7 +138,8 @@ def from_nothing(root: Path = ROOT, targets: Sequence[str] = ()) -> tuple[float,
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as kernels:
         plain = {name: value for name, value in os.environ.items() if not name.startswith("STILLWORK")}
-        under = _compiling(plain, kernels) | {BUILT: folder, "PYTHONPATH": str(root / "lib")}
+        places = f"{root / 'lib'}{os.pathsep}{root}"
+        under = _compiling(plain, kernels) | {BUILT: folder, "PYTHONPATH": places}
         code = run_whole([sys.executable, "-m", "stillwork", "figures", *targets], env=under, cwd=root)
     if code:
         raise SystemExit(code if code > 128 else f"the build failed with {code}: its time says nothing")

@@ -83,7 +83,7 @@ total = time.thread_time() - start
 import numba, stillwork
 kernels = {
     id(value): value
-    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "workbook", "experiments"))
+    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "workbook", "experiments", "notebooks"))
     for value in vars(module).values() if hasattr(value, "stats") and hasattr(value, "py_func")
 }
 missed = sum(sum(k.stats.cache_misses.values()) for k in kernels.values())

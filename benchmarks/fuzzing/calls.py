@@ -114,6 +114,10 @@ def catalogue() -> dict:
     )
     sampled = lti.zoh(state, 0.01)
     digital = c.DigitalController(sampled, ("e (m)",), ("f (N)",), [-1.0], [1.0], np.zeros((2, 1)), 1)
+    doubled = lti.StateModel(
+        np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[2.0, -2.0]]), 0.01
+    )
+    limits = c.MoveLimits(0.2, 5.0, 500.0, 1e5)
     observer = e.kalman_observer(model, e.NoiseIntensities(1.0, 1e-12))
     sampled_observer = c.discrete_kalman_observer(model, e.NoiseIntensities(1.0, 1e-12), 1e-4)
     plant = e.Plant(_acceleration, _force, np.array([2.0]))
@@ -322,6 +326,7 @@ def catalogue() -> dict:
         "DiscreteObserver": (c.DiscreteObserver, fields(sampled_observer)),
         "DiscreteObserver.estimator": (sampled_observer.estimator, {"rows": np.eye(6), "form": "predictor", "delay": 1}),
         "DiscreteObserver.read": (sampled_observer.read, {"flexible": np.eye(2), "quantity": "velocity"}),
+        "error_driven": (c.error_driven, {"controller": c.DigitalController(doubled, ("r (m)", "y (m)"), ("f (N)",)), "motion": c.Motion(c.Feedforward(1.0), 0.01, limits)}),
         "Feedforward": (c.Feedforward, fields(c.Feedforward(1.0, 1.0, 1.0, 1.0))),
         "Feedforward.force": (c.Feedforward(1.0).force, {"setpoint": setpoint}),
         "FlowTransformation": (c.FlowTransformation, fields(c.FlowTransformation())),
@@ -366,6 +371,7 @@ def catalogue() -> dict:
         "feedforward_error": (ideal_feedforward.feedforward_error, {"ideal": ideal_feedforward.ideal_force(ideal_feedforward.invert(model), setpoint), "feedforward": c.Feedforward(1.0)}),
         "fit_feedforward": (c.fit_feedforward, {"loop": c.error_loop(loop), "setpoint": setpoint, "basis": ("acceleration",)}),
         "ideal_force": (ideal_feedforward.ideal_force, {"inverse": ideal_feedforward.invert(model), "setpoint": setpoint}),
+        "inverse_gains": (c.inverse_gains, {"model": model}),
         "invert": (ideal_feedforward.invert, {"plant": model}),
         "iterate": (c.iterate, {"transformation": c.FlowTransformation(), "desired": 1.0, "steps": 5, "response_gain": 1.0, "response_offset": 0.1, "start": 0.5}),
         "iterate, robust": (c.iterate, {"transformation": c.RobustTransformation(), "desired": 1.0, "steps": 5}),
@@ -380,6 +386,8 @@ def catalogue() -> dict:
         "maximise_bandwidth": (c.maximise_bandwidth, {"loops": [search], "family": pid, "constraints": [c.PeakConstraint("input_sensitivity")], "low_hz": 5.0, "high_hz": 100.0, "scan": 10, "tolerance_hz": 0.5}),
         "Uncertainty": (c.Uncertainty, {"frequency": 0.05, "residue": 0.1, "damping": 0.2, "gain": 0.05, "mass": 0.02, "delay": 1e-5}),
         "worst_place": (c.worst_place, {"loop": search, "controller": pid(20.0), "function": "true_tracking", "uncertainty": c.Uncertainty(frequency=0.05, gain=0.1)}),
+        "Motion": (c.Motion, {"feedforward": c.Feedforward(1.0), "lag": 0.01, "limits": limits}),
+        "MoveLimits": (c.MoveLimits, fields(limits)),
         "modified_feedforward": (c.modified_feedforward, {"compensator": c.compensator(observer, c.Application(True)), "controller": pid(10.0).state_space()}),
         "point_to_point": (c.point_to_point, {"snap": 1e4, "jerk": 100.0, "acceleration": 2.0, "velocity": 0.1, "cruise": 0.02, "settling": 0.005, "sample_time": 1e-3}),
         "random_gain": (c.random_gain, {"deviation": 1.0}),
@@ -394,6 +402,7 @@ def catalogue() -> dict:
         "stable_range": (c.stable_range, {"loop": near}),
         "stiffness_gain": (c.stiffness_gain, {"model": model, "factor": np.array([1.5, 1.2])}),
         "strongest_oscillation": (c.strongest_oscillation, {"values": signal, "sample_time": 0.1}),
+        "plan_move": (c.plan_move, {"distance": 0.1, "limits": limits, "start": 0.0}),
         "tracking_error": (c.tracking_error, {"loop": c.error_loop(loop), "setpoint": setpoint, "feedforward": c.Feedforward(1.0)}),
         "trapezoid_trajectory": (c.trapezoid_trajectory, {"amplitude": 1.0, "rounding": 0.5, "frequency_hz": 2.0, "duration": 0.1, "sample_time": 1e-3}),
     }  # fmt: skip

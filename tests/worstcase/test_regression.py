@@ -278,6 +278,25 @@ def test_a_stream_is_its_batch(estimator, outputs):
     assert stream.fit(X[:50], y[:50]).coef_ == pytest.approx(clone(estimator).fit(X[:50], y[:50]).coef_)
 
 
+@pytest.mark.parametrize("form", ["safe", "Joseph", "UD"])
+@pytest.mark.parametrize("given", [7.0, None])
+def test_a_stream_holds_down_the_variances_that_its_batch_does(form, given):
+    # some forms look at one variance a sample, in turn: the turn goes on from one part to the next
+    X, y = record(9, samples=200)
+    X[50:, 1] = 0.0
+    estimator = RecursiveLeastSquares(
+        forgetting=0.9, initial_covariance=given, growth_limit=20.0, form=form, fit_intercept=False
+    )
+    with pytest.warns(GrowthLimitWarning):
+        whole = clone(estimator).fit(X, y)
+    for pieces in (np.arange(1, 200), [3, 18, 150]):
+        stream = clone(estimator)
+        for part, target in zip(np.split(X, pieces), np.split(y, pieces), strict=True):
+            stream.partial_fit(part, target)
+        assert np.allclose(stream.covariance_, whole.covariance_, rtol=1e-9, atol=0)
+        assert np.allclose(stream.held_, whole.held_, rtol=1e-9, atol=0)
+
+
 def clone(estimator):
     return type(estimator)(**estimator.get_params())
 

@@ -483,12 +483,12 @@ class RecursiveLeastSquares(_WeightedRegressor):
         return self._state[1].held[: self.n_features_in_]
 
     def _start(self, columns, outputs):
-        # the estimate, P, and the largest square of each column so far; infinite where P was given
+        # the estimate, P, the largest square of each column so far, infinite where P was given, and how many samples
         coef, recursion = self._initial(self.initial_coef, columns, outputs), self._settings().start(columns)
         if self.initial_covariance is not None:
-            return coef, recursion, np.full(columns, np.inf)
+            return coef, recursion, np.full(columns, np.inf), 0
         recursion.levels[0] = np.inf
-        return coef, recursion, np.zeros(columns)
+        return coef, recursion, np.zeros(columns), 0
 
     def _settings(self) -> FeRls:
         forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
@@ -510,14 +510,14 @@ class RecursiveLeastSquares(_WeightedRegressor):
             ahead = np.flatnonzero((squares[first:] > largest).any(axis=1))
             last = first + int(ahead[0]) if len(ahead) else len(squares)
             record = _record(rows[first:last], outputs[first:last])
-            stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False, 0)
+            stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False, state[3] + first)
             if stopped < len(record[0]):
                 raise InputError(
                     "initial_covariance, growth_limit and X together make the covariance indefinite; give a smaller "
                     "initial_covariance, a finite growth_limit, features of similar size, or form 'UD'"
                 )
             first = last
-        return (coef, recursion, largest), coef
+        return (coef, recursion, largest, state[3] + len(rows)), coef
 
     def _believe_start(self, coef, recursion, largest, squares):
         # P with the start believed as `LeastSquares` does; `coef` moves in place
