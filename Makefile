@@ -115,6 +115,13 @@ clean: ## Remove what can be made again (not .venv)
 	rm -rf build .pytest_cache .ruff_cache .hypothesis
 	find lib contest notebooks tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
+# The folders that an editable install adds, from there on: Python reads them in the locale's encoding, and LC_ALL=C has
+# no umlaut.
+RELATIVE := import glob, os; \
+	[file] = glob.glob(".venv/lib/python3.*/site-packages/_stillwork.pth") or [os.devnull]; \
+	folders = open(file, encoding="utf-8").read().splitlines(); \
+	print(*(os.path.relpath(each, os.path.dirname(file)) for each in folders), sep=chr(10), file=open(file, "w"))
+
 # The last line marks the environment as whole: one that was interrupted is made anew.
 .venv/complete: environment.txt pyproject.toml
 	@$(call path,$(PYTHON)) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || \
@@ -123,4 +130,5 @@ clean: ## Remove what can be made again (not .venv)
 	@$(call path,$(PYTHON)) -m venv --clear .venv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.txt
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@$(call path,$(PYTHON)) -c '$(RELATIVE)'
 	@touch .venv/complete

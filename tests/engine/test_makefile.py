@@ -283,3 +283,15 @@ def test_pytest_takes_the_options_for_the_notebooks(checkout):
     )
     assert done.returncode == 0, done.stderr
     assert "01-noise-free.ipynb::Cell 0" in done.stdout
+
+
+def test_an_environment_works_in_a_place_that_its_locale_cannot_spell(checkout):
+    """Python reads the list of an editable install's folders in the encoding of the locale, and stops at an umlaut."""
+    listed = checkout / ".venv/lib/python3.11/site-packages/_stillwork.pth"
+    listed.parent.mkdir(parents=True)
+    listed.write_text(f"{checkout}\n{checkout / 'lib'}\n", encoding="utf-8")
+    shown = run(checkout, ["make", f"PYTHON={sys.executable}", "-n", ".venv/complete"]).stdout
+    [command] = [line for line in shown.splitlines() if "_stillwork.pth" in line]
+    assert run(checkout, ["sh", "-c", command], LC_ALL="C").returncode == 0
+    folders = listed.read_text(encoding="ascii").splitlines()
+    assert [(listed.parent / each).resolve() for each in folders] == [checkout, checkout / "lib"]
