@@ -20,7 +20,7 @@ from stillwork.control.machine_loops import observing_compensator, on_measuremen
 from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import Uncertainty, make_box
 from stillwork.designing import design_file
-from stillwork.desk import desk_file, entry, read_machine
+from stillwork.desk import EXAMPLE, desk_file, entry, read_machine
 from stillwork.desk_page import STATIC, offline_page, script, shipped_machines
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.frequency_response import Identified
@@ -430,14 +430,7 @@ def test_the_page_is_one_file_that_asks_for_nothing(tmp_path):
 
 
 def test_a_name_cannot_end_the_script():
-    machine = entry(
-        Machine(
-            (lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, 0.3]], [[0.0]]),),
-            11.0,
-            "</script><b>",
-        ),
-        {},
-    )
+    machine = entry(Machine((EXAMPLE,), 10.0, "</script><b>"), {})
     text = offline_page([machine])
     assert "</script><b>" not in text and text.count("</script>") == 2
 
