@@ -3,6 +3,8 @@
 import numpy as np
 from scipy import signal
 
+from naive.adaptation import limited
+
 
 def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, growth, noise, noise_power):
     """Weights, covariance and error of every sample; the filters run over the whole past each time."""
@@ -46,11 +48,7 @@ def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, gr
         elif cure == "trace bound":
             p = p * min(1, growth * start.sum() / np.trace(p))
         elif cure == "limit":
-            for i in range(n):
-                if p[i, i] > growth * start[i]:
-                    axis = np.eye(n)[i]
-                    amount = 1 / (growth * start[i]) - 1 / p[i, i]
-                    p = np.linalg.inv(np.linalg.inv(p) + amount * np.outer(axis, axis))
+            p = limited(p, growth * start)
         errors.append(e)
         history.append((weights, p))
     return history, np.array(errors)
