@@ -38,7 +38,9 @@ RESULTS = {
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # No calls: what hands the parts of a recursion to its kernels, a sample at a time; `run` and the steppers ask before.
+# What a search found, which nobody else makes.
 PARTS = {
+    "Designed.lines",
     *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
     *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
     *("require_covariance", "require_squares", "require_finite_squares"),  # checks themselves

@@ -97,7 +97,8 @@ def stranger(tmp_path_factory):
     (file,) = folder.glob("*.whl")
     zipfile.ZipFile(file).extractall(packages)
     # The folder alone: an editable checkout that it names by a .pth file of its own is not looked at.
-    (packages / "lent.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    (packages / "lent").symlink_to(sysconfig.get_path("purelib"))
+    (packages / "lent.pth").write_text("lent\n")
     outside = {
         name: text for name, text in os.environ.items() if not name.startswith(("PYTHON", "STILLWORK"))
     }

@@ -18,7 +18,7 @@ from stillwork.control.digital import load_controller
 from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.online import UnstableAdaptation
 from stillwork.identification.machine_files import load_machine
-from stillwork.signals.records import load_record
+from stillwork.signals.records import load_record, load_unscaled
 from workbook import paths
 
 GUIDE = (paths.root() / "docs/your-rig.md").read_text(encoding="utf-8")
@@ -233,7 +233,7 @@ def test_every_template_in_the_table_exists_and_loads():
         if "your_machine" in name:
             load_machine(file)
         elif file.suffix == ".csv":
-            load_record(file, "1")
+            load_unscaled(file)
         else:
             assert main(["inspect", str(file)]) == 0
 

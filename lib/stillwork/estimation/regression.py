@@ -703,7 +703,8 @@ def _as_input_error(name, check, *values, **how) -> np.ndarray:
     if isinstance(values[-1], np.ma.MaskedArray):
         raise InputError(f"{name} is a masked array; give {name}.filled(np.nan), a sample with NaN is lost")
     try:
-        return check(*values, **how)
+        with np.errstate(all="ignore"):
+            return check(*values, **how)
     except TypeError as error:
         raise _InputTypeError(f"{name}: {' '.join(str(error).split())}") from None
     except (ValueError, OverflowError) as error:

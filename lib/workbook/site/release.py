@@ -178,7 +178,10 @@ def _lend(python: Path, environment: dict[str, str]) -> None:
     """Let a fresh environment see the packages of this one, behind its own, without the library of the checkout."""
     ask = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
     done = subprocess.run(ask, check=True, env=environment, stdout=subprocess.PIPE, text=True)
-    (Path(done.stdout.strip()) / "lent.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    packages = Path(done.stdout.strip())
+    # By a link: Python reads the file in the locale's encoding, which may not know the letters of the path.
+    (packages / "lent").symlink_to(sysconfig.get_path("purelib"))
+    (packages / "lent.pth").write_text("lent\n")
 
 
 def left_to_do(version: str) -> list[str]:
