@@ -61,7 +61,7 @@ MAY_BE_INFINITE = {
     "coupling_onset",
     "stable_range",
     "maximise_bandwidth",
-    "DigitalController",
+    *("DigitalController", "error_driven"),
     "ControlledRun",
     "control.simulate",
     "simulate_mechanism",
