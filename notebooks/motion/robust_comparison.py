@@ -500,7 +500,7 @@ def paint_order(studies: Mapping[str, Mapping[str, np.ndarray]]):
         axis.set_title(law)
     axes[0].set_yticks(range(len(RANKED)), RANKED)
     axes[0].invert_yaxis()
-    figures.label(axes, "error of the flexible states over their size")
+    figure.supxlabel("error of the flexible states over their size", fontsize=9)
     return figure
 
 
