@@ -933,8 +933,8 @@ NOMINAL = 0.999 * SIX_DB  # asked of the nominal stage, for peaks between the gr
 # N, rms of the control force under noise, for the front; the published design has 0.0048
 FORCES = (0.005, 0.01)
 # m/N, left between 100 and 200 ms after a step of the disturbing force: a lasting 10 mN, the deviation of w, is then
-# worth 1 nm, as much as the noise leaves to any controller, or a tenth of it
-LEFTS = (1e-7, 1e-8)
+# worth 0.1 nm, a tenth of what noise leaves to any controller
+LEFT_LIMIT = 1e-8
 KEPT = 1e-3  # logarithm by which a search may end above its limit
 
 
@@ -1012,16 +1012,16 @@ def searched_designs() -> Iterator[tuple[str, Stored]]:
         for force in FORCES:
             quieter = _search(joint[size][0].design, "joint", pool, force)
             yield f"joint, for {size:.0%}, {1e3 * force:g} mN", _stored([quieter], size, force)
-        yield from settling_designs(size, rounded(joint[size][0].design), pool)
+        yield (
+            f"joint, for {size:.0%}, {1e9 * LEFT_LIMIT:g} nm/N",
+            forgetting(size, joint[size][0].design, pool),
+        )
 
 
-def settling_designs(size: float, joint: JointDesign, pool: list[Served]) -> Iterator[tuple[str, Stored]]:
-    """Joint searches that must forget a disturbing force: from the joint design, with its integrator as found and as published."""
-    begin = [joint, replace(joint, integrator=1.0)]
-    for left in LEFTS:
-        found = _from_all(begin, "joint", pool, left)
-        yield f"joint, for {size:.0%}, {1e9 * left:g} nm/N", _stored(found, size, left=left)
-        begin.append(rounded(found[0].design))
+def forgetting(size: float, joint: JointDesign, pool: list[Served]) -> Stored:
+    """The joint search that must forget a lasting force, from the joint design with its integrator as found and as published."""
+    begin = [rounded(joint), replace(rounded(joint), integrator=1.0)]
+    return _stored(_from_all(begin, "joint", pool, LEFT_LIMIT), size, left=LEFT_LIMIT)
 
 
 def _with(design: JointDesign, other: JointDesign, names: tuple[str, ...]) -> JointDesign:

@@ -14,7 +14,7 @@ from notebooks.motion.joint_design import (
     ASKED,
     DELAY,
     LEFT,
-    LEFTS,
+    LEFT_LIMIT,
     PEAKS,
     SAMPLE_TIME,
     SIZES,
@@ -206,7 +206,7 @@ def test_numbers_at_a_bound_are_named():
 def test_designs_that_must_forget_a_step_do():
     for stored in STORED.values():
         if stored.left:
-            assert stored.left in LEFTS
+            assert stored.left == LEFT_LIMIT
             assert judge(stored.design, [stage()]).left[0] <= stored.left * 1.01
 
 
