@@ -313,7 +313,7 @@ def front_values(kalman_hz: float, front_hz: np.ndarray) -> Values:
     return {"motion.conclusion-5-3.below-kalman": float(np.mean(front_hz < kalman_hz))}
 
 
-def front_study(*, bandwidth_measure: str, bandwidth_plant: str, lean: bool) -> Values:
+def front_study(*, bandwidth_measure: str, bandwidth_plant: str, seed: int, lean: bool) -> Values:
     """Conclusion 5.3 by one measure of bandwidth on one plant; it has no leaner form."""
     problem, generalised, kalman, weight = _compared()
     points = front(generalised, weight, EMPHASES, *regularisation(problem, 0.01))
