@@ -1189,8 +1189,8 @@ def paint_three(designs: Mapping[str, Stored], nominal: Mapping[str, Judged], pu
             axis.plot(*two, "^", color=colour, markersize=5, label=f"two steps, for {size:.0%}")
         axis.plot(*at(published), "x", color=figures.BLACK, label="as published, late")
         axis.set_xscale("log")
-    axes[0].set_ylabel("error that noise makes (nm)")
-    axes[1].set_ylabel("error of the scan without noise (nm)")
+    axes[0].set_ylabel("error from noise (nm)")
+    axes[1].set_ylabel("error without noise (nm)")
     figures.label(axes, "left 100 to 200 ms after a step (nm/N)")
     figures.legend_below(axes[0], 4)
     return figure
