@@ -4,7 +4,7 @@ import numpy as np
 from scipy import linalg
 
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.lti.generalised_plant import GeneralisedPlant, with_feedthrough
 from stillwork.lti.norms import h2_norm
 from stillwork.lti.state_space import StateModel

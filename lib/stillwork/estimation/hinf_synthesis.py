@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.generalised_plant import GeneralisedPlant, with_feedthrough
 from stillwork.lti.norms import from_bilinear, hinf_norm, to_bilinear
 from stillwork.lti.state_space import StateModel

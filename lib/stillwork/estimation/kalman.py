@@ -16,8 +16,8 @@ from stillwork.base.algebra import (
     set_product,
 )
 from stillwork.base.checks import InputError, require_array, require_finite_run
-from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.riccati import KalmanGain, continuous_gain, covariance_root, discrete_gain
 from stillwork.lti.state_space import StateModel
 

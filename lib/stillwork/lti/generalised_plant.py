@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel, interconnect
 
 
