@@ -486,7 +486,7 @@ def spreads(
 
 
 def paint_order(studies: Mapping[str, Mapping[str, np.ndarray]]):
-    """Errors of the tuned filters, a panel a law of the errors: dots the medians of the pairs, bars their range."""
+    """Errors of the flexible states over their size, a panel a law: dots the medians of the pairs, bars their range."""
     figure, axes = figures.new(1, len(studies), height=2.8, sharex=True, sharey=True)
     for axis, (law, study) in zip(axes, studies.items(), strict=True):
         for place, name in enumerate(RANKED):
@@ -500,7 +500,7 @@ def paint_order(studies: Mapping[str, Mapping[str, np.ndarray]]):
         axis.set_title(law)
     axes[0].set_yticks(range(len(RANKED)), RANKED)
     axes[0].invert_yaxis()
-    figure.supxlabel("error of the flexible states over their size", fontsize=9)
+    figures.label(axes, "error over size")
     return figure
 
 
