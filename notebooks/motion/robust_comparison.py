@@ -516,7 +516,7 @@ def paint_table(
         spreads(axis, list(percent), list(percent.values()), colour, law, offset)
         for place, each in enumerate(medians[law].values()):
             axis.plot(np.quantile(each, [0.025, 0.975]), [place + offset] * 2, color=colour, linewidth=4)
-    figures.mark_published(axis, list(PRINTED.values()), np.arange(len(PRINTED)))
+    figures.mark_published(axis, list(PRINTED.values()), np.arange(len(PRINTED)), "published, plant 5 % off")
     axis.axvline(100, color=figures.BLACK, linewidth=0.8)
     axis.set_xlabel("rms of the true error in the scanning phase (% of the case without observer)")
     axis.invert_yaxis()
