@@ -109,6 +109,7 @@ class Multiverse:
     function : str
         ``package.module:function``. It takes each axis' option by name, ``seed`` and ``lean``, and returns for each
         of `entries` a number, or a number and its interval ``(value, (low, high))``; NaN where there is none.
+        Or a notebook, ``topic/name``, whose parameters the axes are; its own ``seed`` stays.
     entries : tuple of str
         Ids that it returns.
     axes : tuple of Axis
@@ -219,8 +220,11 @@ def _multiverse(room: str, study: str, given, axes: dict[str, Axis], ledger: tup
     name = f"studies.{study}"
     _require_fields(name, given, _STUDY_FIELDS, ("function", "entries"))
     module, colon, function = given["function"].partition(":")
-    if not colon or not function.isidentifier() or not all(p.isidentifier() for p in module.split(".")):
-        raise InputError(f"{name}: function is {given['function']!r}; give 'package.module:function'")
+    whole = colon and function.isidentifier() and all(p.isidentifier() for p in module.split("."))
+    if not whole and not given["function"].startswith(f"{room}/"):
+        raise InputError(
+            f"{name}: function is {given['function']!r}; give 'package.module:function' or a notebook, '{room}/...'"
+        )
     entries = _matching(f"{name}: entries", given["entries"], ledger)
     touching = {key: set(_matching(key, axis.touches, ledger)) for key, axis in axes.items()}
     mine = [axis for key, axis in axes.items() if touching[key] & set(entries)]

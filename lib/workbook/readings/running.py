@@ -20,6 +20,7 @@ from stillwork.base.checks import InputError
 from workbook.progress import Progress
 from workbook.readings.axes import POINTS, Multiverse, Option
 from workbook.readings.closure import study_digest
+from workbook.readings.notebook_study import run_notebook
 from workbook.readings.results import Outcomes, Value, collect, rounded
 
 DIED = "its process died"
@@ -146,10 +147,7 @@ def compute(run: Call) -> dict[str, Value] | str:
     """
     if study_digest(run.function, run.room) != run.code:
         raise InputError(f"{run.function}: the worker's checkout differs; bring it to the same state")
-    module, _, name = run.function.partition(":")
-    function = getattr(importlib.import_module(module), name, None)
-    if function is None:
-        raise InputError(f"{module} has no function {name!r}; correct readings.toml")
+    function = _function_of(run)
     try:
         inspect.signature(function).bind(**run.options, seed=run.seed, lean=run.lean)
     except TypeError as error:
@@ -163,6 +161,17 @@ def compute(run: Call) -> dict[str, Value] | str:
             word = "is not among its entries" if entry in given else "is missing from what it returns"
             raise InputError(f"{run.function}: {entry} {word}; correct it or readings.toml")
     return {entry: _kept(given[entry]) for entry in run.entries}
+
+
+def _function_of(run: Call) -> Callable[..., dict[str, Value]]:
+    """The study itself: a function, or a notebook that is run with other parameters."""
+    if "/" in run.function:
+        return lambda *, seed, lean, **options: run_notebook(run.function, run.entries, options)
+    module, _, name = run.function.partition(":")
+    function = getattr(importlib.import_module(module), name, None)
+    if function is None:
+        raise InputError(f"{module} has no function {name!r}; correct readings.toml")
+    return function
 
 
 def _kept(value: Value | np.bool_) -> Value:
