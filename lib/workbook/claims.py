@@ -100,6 +100,8 @@ class Entry:
     expected : float or None
         For a check, what theory gives and the work does not state. Without it and without a published value a
         check is the residual of an identity: nothing should be left.
+    open : str
+        ``none: ...`` with the reason, where the paper leaves nothing open for it; else a study tries what is open.
     """
 
     id: str
@@ -116,6 +118,7 @@ class Entry:
     better: str | None = None
     counterfactual: bool = False
     expected: float | None = None
+    open: str = ""
 
     def __post_init__(self):
         require_choice(f"{self.id}: kind", self.kind, KINDS)
@@ -140,6 +143,10 @@ class Entry:
         if self.kind == "reported" and not self.reason:
             raise InputError(f"{self.id}: say in reason why it is not judged")
         self._require_threshold()
+        if self.open and not self.open.startswith("none: "):
+            raise InputError(
+                f"{self.id}: open is {shown(self.open)}; give 'none: ' and the reason, or a study"
+            )
         if self.expected is not None:
             require_number(f"{self.id}: expected", self.expected)
             if self.kind != "check" or self.tolerance is None or self.published is not None:
