@@ -13,7 +13,10 @@ from workbook.readings.running import Journal, run_readings
 
 TOY = "motion/01-toy"
 CELLS = [
-    ("from stillwork.base.rounding import below\nfrom workbook import Page\npage = Page('motion/01-toy')", ()),
+    (
+        "from stillwork.base.rounding import below\nfrom workbook import Page\npage = Page('motion/01-toy')",
+        (),
+    ),
     ("a: int = 0  # first\nb: int = 0  # second", ("parameters",)),
     ("print('not shown')\npage.check('motion.table-1.sum', a + 2 * b + a * b, (a, a + 9))", ()),
     ("page.check('motion.table-1.product', a * b)\npage.check('motion.order', float(a <= b))", ()),
@@ -77,7 +80,10 @@ def test_its_digest_is_that_of_its_cells_and_of_what_they_import(workbook, tmp_p
     first = digest_of()
     assert digest_of(CELLS, "# Other words") == first
     assert digest_of([*CELLS[:2], (CELLS[2][0] + "\n1 + 1", ())]) != first
-    assert digest_of([(CELLS[0][0].replace("rounding import below", "checks import shown"), ()), *CELLS[1:]]) != first
+    assert (
+        digest_of([(CELLS[0][0].replace("rounding import below", "checks import shown"), ()), *CELLS[1:]])
+        != first
+    )
 
 
 def test_an_axis_file_that_names_no_notebook_of_the_room_is_refused(workbook):
