@@ -277,7 +277,8 @@ def test_how_a_statement_stands_is_told_by_its_combinations_else_by_its_verdict(
         (1, "under 1 of 4 combinations", "depends"),
     ):
         agrees = np.arange(4)[:, None] < agreeing
-        standing = Robustness(entry, (), np.ones((4, 1)), agrees, np.zeros((4, 1), bool), None, ())
+        settings = tuple((k,) for k in range(4))
+        standing = Robustness(entry, (), settings, np.ones((4, 1)), agrees, np.zeros((4, 1), bool))
         assert status(claim, standing) == words
         assert class_of(standing) == name
 

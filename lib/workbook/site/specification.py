@@ -85,10 +85,8 @@ def curve_of(study: Outcomes, standing: Robustness) -> Curve:
 
     touching = {axis.name for axis in standing.axes}
     axes, options, y = [], [], TOP + HEIGHT + 18.0
-    for column, axis in enumerate(study.multiverse.axes):
-        if axis.name not in touching:
-            continue
-        places = np.array([study.design[point][column] for point in points])
+    for column, axis in enumerate(axis for axis in study.multiverse.axes if axis.name in touching):
+        places = np.array([standing.settings[point][column] for point in points])
         axes.append((y, f"{axis.name}, {axis.texts[axis.default_index]} taken"))
         y += ROW
         for place, text in enumerate(axis.texts):
