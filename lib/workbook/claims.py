@@ -97,6 +97,8 @@ class Entry:
         ``larger`` or ``smaller`` where a value on that side of the published one is better.
     counterfactual : bool
         Whether it tells of something that the work did not do, e.g. its filter corrected.
+    headline : bool
+        Whether the page of its notebook begins with it.
     expected : float or None
         For a check, what theory gives and the work does not state. Without it and without a published value a
         check is the residual of an identity: nothing should be left.
@@ -116,6 +118,7 @@ class Entry:
     better: str | None = None
     counterfactual: bool = False
     expected: float | None = None
+    headline: bool = False
 
     def __post_init__(self):
         require_choice(f"{self.id}: kind", self.kind, KINDS)
@@ -340,8 +343,9 @@ def _entry(name: str, fields: dict) -> Entry:
         for key in given:
             if key not in allowed:
                 raise InputError(f"{name}: unknown field {key!r}{nearest(key, allowed)}")
-    if not isinstance(fields.get("counterfactual", False), bool):
-        raise InputError(f"{name}: counterfactual is {fields['counterfactual']!r}; give true or false")
+    for flag in ("counterfactual", "headline"):
+        if not isinstance(fields.get(flag, False), bool):
+            raise InputError(f"{name}: {flag} is {fields[flag]!r}; give true or false")
     try:
         return Entry(id=name, **{**fields, **{key: Tolerance(**rule) for key, rule in rules.items()}})
     except (TypeError, InputError) as error:

@@ -215,6 +215,12 @@ def _paint(topic: str, studies: list[Outcomes], standings: dict[str, Robustness]
     print(f"pictures: {folder.relative_to(paths.root())}")
 
 
+def judged(topic: str) -> dict[str, Robustness]:
+    """Robustness of the entries of a topic by its committed results, by id; nothing is said of the code's age."""
+    axes, multiverses = load_axes(topic)
+    return _judged(topic, read_results(multiverses), axes)
+
+
 def _judged(topic: str, studies: list[Outcomes], axes: dict[str, Axis]) -> dict[str, Robustness]:
     claims = {claim.entry.id: claim for claim in ledger(topic=topic)}
     return judge(studies, load_entries(topic), axes, claims, load_together(topic))
