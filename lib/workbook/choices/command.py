@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from stillwork.base.checks import InputError, require_choice
 from workbook import paths
-from workbook.choices.axes import Multiverse, load_axes
+from workbook.choices.axes import Axis, Multiverse, load_axes, load_together
 from workbook.choices.checking import (
     age,
     drawn,
@@ -24,8 +24,8 @@ from workbook.choices.checking import (
 )
 from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness, judge
 from workbook.choices.results import Outcomes, read_results, results_text
-from workbook.choices.running import Journal, calls_of, run_combinations
-from workbook.claims import load_entries
+from workbook.choices.running import Journal, calls_of, design, run_combinations
+from workbook.claims import ledger, load_entries
 from workbook.lock import held, interrupts, recover
 from workbook.publish import replace_file
 from workbook.report import screen, table
@@ -121,7 +121,7 @@ def _compute_topic(topic: str, executor, at_once: int, end: float, stopped, chan
     for each in others:
         forget(each)
     done = read_results(multiverses)  # what is judged is what was written
-    standings = judge(done, load_entries(topic), axes)
+    standings = _judged(topic, done, axes)
     print(standings_text(topic, done, standings, screen()))
     _paint(topic, done, standings)
     return True
@@ -133,6 +133,8 @@ def _unmoved(topic: str, multiverses: list[Multiverse], run, journal: Journal) -
     committed = {each.multiverse.study: each for each in read_results(multiverses)}
     kept, older = [], []
     for each in committed.values():
+        if each.design != design(each.multiverse):
+            continue
         if not has_moved(each.multiverse):
             (older if is_older(each) else kept).append(each)
         elif not is_older(
@@ -184,6 +186,11 @@ def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Rob
     for name, standing in standings.items():
         for axis in standing.undeclared:
             lines.append(f"{name} moves with {axis}, which does not say that it touches it")
+    for name, standing in standings.items():
+        if standing.differs:
+            lines.append(
+                f"{name} at the default: {standing.differs}, with another verdict; that of the ledger counts"
+            )
     for study in studies:
         for reason, count in Counter(study.failures.values()).most_common():
             lines.append(f"{study.multiverse.study}: {count} combinations failed: {reason}")
@@ -208,6 +215,17 @@ def _paint(topic: str, studies: list[Outcomes], standings: dict[str, Robustness]
     print(f"pictures: {folder.relative_to(paths.root())}")
 
 
+def judged(topic: str) -> dict[str, Robustness]:
+    """Robustness of the entries of a topic by its committed results, by id; nothing is said of the code's age."""
+    axes, multiverses = load_axes(topic)
+    return _judged(topic, read_results(multiverses), axes)
+
+
+def _judged(topic: str, studies: list[Outcomes], axes: dict[str, Axis]) -> dict[str, Robustness]:
+    claims = {claim.entry.id: claim for claim in ledger(topic=topic)}
+    return judge(studies, load_entries(topic), axes, claims, load_together(topic))
+
+
 def robustness_of(topic: str) -> dict[str, Robustness]:
     """How the entries of a topic stand by its committed results, by id; without those whose axes changed since."""
     axes, multiverses = load_axes(topic)
@@ -216,6 +234,6 @@ def robustness_of(topic: str) -> dict[str, Robustness]:
     run = paths.data(topic, "choices.csv").exists()
     if run and (changed := [each.study for each in multiverses if each.study not in known]):
         print(f"{topic}: the axes of {', '.join(changed)} changed: run `make choices`", file=sys.stderr)
-    standings = judge(studies, load_entries(topic), axes)
+    standings = _judged(topic, studies, axes)
     ages = {entry: age(each) for each in studies for entry in each.multiverse.entries}
     return {name: replace(standing, age=ages[name]) for name, standing in standings.items()}

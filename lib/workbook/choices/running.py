@@ -32,7 +32,8 @@ def design(multiverse: Multiverse) -> list[tuple[int, ...]]:
     """Points to compute, each an option's place on every axis; the default comes first, none comes twice.
 
     All combinations where there are at most 64; else as many as the study asks for, from a scrambled Sobol
-    sequence with a fixed seed, so that any first part of the list fills the space, too.
+    sequence with a fixed seed, so that any first part of the list fills the space, too. Then what this leaves out of an
+    entry whose own axes have at most 64 combinations, so that all of these are there.
     """
     sizes = [len(axis.options) for axis in multiverse.axes]
     first = [multiverse.default_point]
@@ -43,7 +44,23 @@ def design(multiverse: Multiverse) -> list[tuple[int, ...]]:
         for point in np.floor(drawn * sizes).astype(int).tolist():
             found.setdefault(tuple(point))
             if len(found) == multiverse.points:
-                return list(found)
+                return _completed(multiverse, list(found))
+
+
+def _completed(multiverse: Multiverse, points: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    """With the points that lack of the settings of an entry's own axes, where these are few; other axes at their default."""
+    for columns in sorted({multiverse.columns(entry) for entry in multiverse.entries}):
+        sizes = [len(multiverse.axes[k].options) for k in columns]
+        if math.prod(sizes) > POINTS:
+            continue
+        there = {tuple(point[k] for k in columns) for point in points}
+        for setting in itertools.product(*map(range, sizes)):
+            if setting not in there:
+                point = list(multiverse.default_point)
+                for k, place in zip(columns, setting, strict=True):
+                    point[k] = place
+                points.append(tuple(point))
+    return points
 
 
 def _blocks(dimensions: int):

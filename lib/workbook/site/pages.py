@@ -79,6 +79,7 @@ class PageCell:
     outputs: tuple[str, ...] = ()
     figures: tuple[Figure, ...] = ()
     claims: tuple[Claim, ...] = ()
+    table: bool = False  # prints the table of all claims, which a page shows as one of its own
 
     @property
     def html(self) -> Markup:
@@ -210,14 +211,17 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             judged |= set(ids)
             figures = [_saved_figure(name, each, heading, folder) for each in here]
             outputs = []
-            for output in cell.get("outputs", []):
+            table = source.strip() == "page.claims"
+            for output in () if table else cell.get("outputs", []):
                 text, png = _shown(output)
                 if png and not FILE_NAMES.match(text):
                     figures.append(Figure(name, f"{cell['id']}-static", heading, png, None))
                 elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in VERDICTS_ALONE:
                     outputs.append(left)
             judgements = tuple(by_id[each] for each in ids)
-            cells.append(PageCell(name, anchor, True, source, tuple(outputs), tuple(figures), judgements))
+            cells.append(
+                PageCell(name, anchor, True, source, tuple(outputs), tuple(figures), judgements, table)
+            )
     return cells
 
 
