@@ -83,7 +83,7 @@ CHOICES = {
     "damping 0.1 %": {"damping_ratio": 0.001},
 }
 
-# What the text leaves open. R is printed, so another R is a sensitivity and no reading; the coarse grids
+# What the text leaves open. R is printed, so another R is a sensitivity and no open choice; the coarse grids
 # are errors, and Table 3.4 refutes the damping of 0.1 %.
 LEGITIMATE = ("as published", "6 dB taken as 2")
 
@@ -105,7 +105,7 @@ class OpenChoices:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Crossings over the seven masses and the readings of 6 dB, widened by half a printed hertz."""
+        """Crossings over the seven masses and both meanings of 6 dB, widened by half a printed hertz."""
         crossings = np.concatenate([self.found[name].crossing_hz for name in LEGITIMATE])
         return float(crossings.min() - 0.5), float(crossings.max() + 0.5)
 

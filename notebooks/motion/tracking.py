@@ -99,7 +99,7 @@ def ranked(errors: dict[str, float]) -> bool:
     return all(values == sorted(values, reverse=True) for values in orders)
 
 
-@lru_cache(maxsize=64)  # readings that differ in the scan share them
+@lru_cache(maxsize=64)  # combinations that differ in the scan share them
 def tracking_loop(case: str, redesign: str, stage_damping: float):
     observer, controlled = CASES[case]
     plant = stage(stage_damping)
