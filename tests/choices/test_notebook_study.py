@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from choices.toy_work import A, B
+from choices.toy_work import A, B, axis
 from stillwork.base.checks import InputError
 from workbook.choices.closure import study_digest
 from workbook.choices.notebook_study import run_notebook
@@ -69,6 +69,15 @@ def test_all_combinations_of_a_notebook_are_computed(workbook, tmp_path):
     sums = [a + 2 * b + a * b for a, b in found.design]
     assert found.values["motion.table-1.sum"].ravel().tolist() == sums
     assert not found.failures
+
+
+def test_seeds_are_a_parameter_where_an_axis_lists_them(workbook, tmp_path):
+    seeds = axis("seed-of-toy", [4, 5], 4, kind="seed")
+    _, multiverses = workbook(A + seeds + STUDY)
+    source = "page.check('motion.table-1.sum', a + seed)\npage.check('motion.order', 1.0)"
+    write(tmp_path, [*CELLS[:1], ("a: int = 0\nseed: int = 4", ("parameters",)), (source, ())])
+    (found,) = run_combinations(multiverses, lambda: ThreadPoolExecutor(1), Journal(tmp_path / "journal.jsonl"))
+    assert found.values["motion.table-1.sum"].tolist() == [[a + 4, a + 5] for (a,) in found.design]
 
 
 def test_its_digest_is_that_of_its_cells_and_of_what_they_import(workbook, tmp_path):

@@ -109,7 +109,7 @@ class Multiverse:
     function : str
         ``package.module:function``. It takes each axis' option by name, ``seed`` and ``lean``, and returns for each
         of `entries` a number, or a number and its interval ``(value, (low, high))``; NaN where there is none.
-        Or a notebook, ``topic/name``, whose parameters the axes are; its own ``seed`` stays.
+        Or a notebook, ``topic/name``, whose parameters the axes are; its ``seed`` stays where no axis lists seeds.
     entries : tuple of str
         Ids that it returns.
     axes : tuple of Axis

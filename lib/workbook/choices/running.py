@@ -139,11 +139,12 @@ class Call:
 def calls_of(multiverse: Multiverse) -> dict[tuple[int, int], Call]:
     """All runs of a study, by point and place of the seed."""
     code = study_digest(multiverse.function, multiverse.topic)
+    own_seed = multiverse.seeded and "/" in multiverse.function  # a parameter of the notebook
     return {
         (k, s): Call(
             multiverse.function,
             multiverse.topic,
-            multiverse.options(point),
+            multiverse.options(point) | ({"seed": seed} if own_seed else {}),
             seed,
             bool(multiverse.lean),
             multiverse.entries,
@@ -165,12 +166,13 @@ def compute(run: Call) -> dict[str, Value] | str:
     if study_digest(run.function, run.topic) != run.code:
         raise InputError(f"{run.function}: the worker's checkout differs; bring it to the same state")
     function = _function_of(run)
+    arguments = run.options | {"seed": run.seed, "lean": run.lean}
     try:
-        inspect.signature(function).bind(**run.options, seed=run.seed, lean=run.lean)
+        inspect.signature(function).bind(**arguments)
     except TypeError as error:
         raise InputError(f"{run.function} cannot take the axes that touch its entries: {error}") from None
     try:
-        given = dict(function(**run.options, seed=run.seed, lean=run.lean))
+        given = dict(function(**arguments))
     except Exception as error:  # a combination that cannot be computed is a result, too
         return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
     for entry in (*run.entries, *given):
@@ -183,7 +185,7 @@ def compute(run: Call) -> dict[str, Value] | str:
 def _function_of(run: Call) -> Callable[..., dict[str, Value]]:
     """The study itself: a function, or a notebook that is run with other parameters."""
     if "/" in run.function:
-        return lambda *, seed, lean, **options: run_notebook(run.function, run.entries, options)
+        return lambda **_: run_notebook(run.function, run.entries, run.options)
     module, _, name = run.function.partition(":")
     function = getattr(importlib.import_module(module), name, None)
     if function is None:
