@@ -72,21 +72,9 @@ UNTRIED: dict[str, set[str]] = {
         "motion.section-4-2-5.transient",
     },
     "motion/17-mimo-decoupling": {
-        "motion.section-4-3.compensation-compliance",
-        "motion.section-4-3.compensation-peaks",
         "motion.section-4-3.kept-gain",
-        "motion.section-4-3.minimal-interaction-couples-less",
-        "motion.section-4-3.minimal-interaction-damps-little",
         "motion.section-4-3.moving-actuators",
         "motion.section-4-3.moving-sensors-peaks",
-    },
-    "motion/18-decoupled-damping": {
-        "motion.section-4-3.common-couples-modes",
-        "motion.section-4-3.common-damps-less",
-        "motion.section-4-3.common-shifts",
-        "motion.section-4-3.dynamic-beats-minimal",
-        "motion.section-4-3.dynamic-beats-over",
-        "motion.section-4-3.over-actuation-peak",
     },
     "motion/19-observer-contest": {
         "motion.conclusion-5-4.kalman-not-beaten",
@@ -115,13 +103,6 @@ UNTRIED: dict[str, set[str]] = {
         "motion.table-5-2.nominal.mc-ad",
         "motion.table-5-2.nominal.mc-ad-redesigned",
         "motion.table-5-2.nominal.mc-redesigned",
-    },
-    "motion/23-scheduled-or-online": {
-        "motion.example-5-6-1.aggressive.largest",
-        "motion.example-5-6-1.aggressive.two-norm",
-        "motion.example-5-6-1.errors-grow",
-        "motion.example-5-6-1.normal.largest",
-        "motion.example-5-6-1.normal.two-norm",
     },
     "motion/24-over-actuated-rig": {
         "motion.fig-6-3.positions-apart",
