@@ -107,27 +107,6 @@ UNTRIED: dict[str, set[str]] = {
     "motion/24-over-actuated-rig": {
         "motion.fig-6-3.positions-apart",
     },
-    "motion/25-rig-over-geometries": {
-        "motion.section-6-1.four-excite-little",
-        "motion.section-6-1.three-excite-first-mode",
-        "motion.section-6-4-1.ad-lowers-peaks",
-        "motion.section-6-4-1.ad-stopped-by-sensitivity",
-        "motion.section-6-4-1.both-couple-like-mc",
-        "motion.section-6-4-1.both-lower-than-mc",
-        "motion.section-6-4-1.mc-lowers-coupling",
-        "motion.section-6-4-1.mc-lowers-peaks",
-        "motion.section-6-4-1.mc-stopped-by-true-error",
-        "motion.section-6-4-2.mc-lowers-more-than-ad",
-        "motion.section-6-5.ad-leaves-coupling",
-        "motion.section-7-2.factor-three",
-        "motion.table-6-2.ad-above-mc",
-        "motion.table-6-2.both-above-ad",
-        "motion.table-6-2.full-ordering",
-        "motion.table-6-2.mc-above-original",
-        "motion.table-6-3.both-lowest",
-        "motion.table-6-4.ad-below-mc",
-        "motion.table-6-4.both-lowest",
-    },
 }
 
 
