@@ -646,7 +646,7 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
 @pytest.mark.parametrize(
     ("topic", "name", "message"),
     [
-        ("isolaton", "09-a", r"\broom\b.*'isolation'"),
+        ("isolaton", "09-a", r"\btopic\b.*'isolation'"),
         ("isolation", "payload", r"^name\b"),
         ("isolation", "../09-a", r"^name\b"),
         ("crane", "01-a", "--create"),

@@ -245,7 +245,13 @@ def test_the_search_index_leads_to_places_that_are_there(files):
     found = json.loads(text.removeprefix("globalThis.searchIndex = ").removesuffix(";\n"))
     kinds = Counter(kind for _, kind, _, _ in found)
     assert kinds["ledger"] == len(ledger())
-    assert set(kinds) == {"ledger", "reference", "guide", *(notebook.topic for notebook in select())}
+    assert set(kinds) == {
+        "ledger",
+        "reference",
+        "guide",
+        "course",
+        *(notebook.topic for notebook in select()),
+    }
     places: dict[str, set] = {}
     for title, _, address, _ in found:
         page, _, place = address.partition("#")
@@ -290,7 +296,7 @@ def test_what_is_not_found_is_said_as_a_negation():
     assert sentence(said, Claim(entry, 2.1), None) == "FeRLS settles in 2 s."
     assert sentence(said, Claim(entry, 4.0), None) == "It settles in 4 s, not in 2 s."
     general = {"says": "The filter settles in 2 s"}
-    assert sentence(general, Claim(entry, 4.0), None) == "We did not find that the filter settles in 2 s."
+    assert sentence(general, Claim(entry, 4.0), None) == "We did not find this: the filter settles in 2 s."
     assert sentence(general, Claim(entry), None) == "Not computed yet: the filter settles in 2 s."
     for agreeing, negated in ((3, False), (1, True)):
         agrees = np.arange(4)[:, None] < agreeing
@@ -317,9 +323,9 @@ def test_a_page_begins_with_what_was_published_and_found(files):
 
 QUESTIONS = {
     "how do I install": "guide/install.html",
-    "identify modes from FRF": "guide/your-rig.html|guide/install.html",
-    "C code": "guide/",
-    "design controller": "guide/",
+    "identify modes from FRF": "guide/(your-rig|install).html",
+    "C code": "guide/(your-rig|install).html",
+    "design controller": "guide/(your-rig|install).html",
     "bandwith": "notebooks/motion/09-bandwidth-table.html",
 }
 
