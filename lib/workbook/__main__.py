@@ -65,6 +65,7 @@ COMMANDS = {
             ),
             flag("changed", "only studies with a value that moved, in a sample, and those never run"),
             text("study", "NAME", "only this study of the topic, all of it"),
+            flag("short", "compare its short form with the whole one at every option"),
         ),
         before=IN_A_WORKBOOK,
     ),

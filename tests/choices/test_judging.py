@@ -187,6 +187,16 @@ def test_the_default_combination_has_the_verdict_of_the_ledger(outcomes):
     assert (before.agree, after.agree) == (3, 4)
     assert after.values[0, 0] == 3.2 and after.differs == "0 in its study, 3.2 in the ledger"
     assert before.differs == ""
+    # Of three copies of the default one has the ledger's verdict, and it counts.
+    second = axis("b", [0, 1], 0, touches='["motion.table-1", "motion.order"]')
+    found = outcomes(A + second + study())
+    entries, (axes, _) = load_entries("motion"), load_axes("motion")
+    always = judge([found], entries, axes, {"motion.always": Claim(entries["motion.always"], 5.0)})[
+        "motion.always"
+    ]
+    assert (always.tried, always.agree, always.values[0, 0]) == (3, 2, 5.0)
+    found = outcomes()
+    entries, (axes, _) = load_entries("motion"), load_axes("motion")
     # With that value the default is nearer to all (0.07 and 1) than (2, 0) or (0, 1), not than (1, 1).
     assert after.joint.combination == {"a": 1, "b": 1}
     claims["motion.table-1.product"] = Claim(entries["motion.table-1.product"], 2.0)

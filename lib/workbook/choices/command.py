@@ -20,11 +20,12 @@ from workbook.choices.checking import (
     moves,
     note,
     parts_a_day,
+    short_form_differs,
     today,
 )
 from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness, judge
 from workbook.choices.results import Outcomes, read_results, results_text
-from workbook.choices.running import Journal, calls_of, design, run_combinations
+from workbook.choices.running import Journal, calls_of, compute, design, run_combinations
 from workbook.claims import ledger, load_entries
 from workbook.lock import held, interrupts, recover
 from workbook.publish import replace_file
@@ -47,6 +48,7 @@ def compute_choices(
     budget_min: float | None = None,
     changed: bool = False,
     study: str | None = None,
+    short: bool = False,
 ) -> int:
     """Run the combinations of a topic, or of all; returns the exit code (1: not whole yet, 128 + signal: interrupted).
 
@@ -63,11 +65,22 @@ def compute_choices(
         Only studies with a value that moved, in a sample of today's; those whose axes changed, or that never ran.
     study : str, optional
         Only this study of the topic, and all of it, whatever was computed before.
+    short : bool
+        Of that study compare the short form with the whole one at every option instead; 1 where a verdict differs.
     """
+    if short and study is None:
+        raise InputError("short compares the forms of one study; name it: choices TOPIC --study NAME --short")
     if study is not None:
         if topic is None:
             raise InputError("study needs its topic; name it before: choices TOPIC --study NAME")
         require_choice("study", study, [each.study for each in load_axes(paths.require_topic(topic))[1]])
+    if short:
+        (multiverse,) = [each for each in load_axes(topic)[1] if each.study == study]
+        if not multiverse.lean:
+            raise InputError(f"study {study} has no short form; leave out --short")
+        lines = short_form_differs(multiverse, load_entries(topic), compute)
+        print("\n".join(lines or [f"{study}: the same verdicts by the short form at every option"]))
+        return int(bool(lines))
     topics = paths.topics() if topic is None else [paths.require_topic(topic)]
     end = time.monotonic() + 60 * budget_min if budget_min is not None else math.inf
     whole = True

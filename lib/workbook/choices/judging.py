@@ -105,6 +105,7 @@ class Robustness:
     whole: Joint | None = None
     age: str = ""
     differs: str = ""
+    lean: str = ""  # of a study by a short form what that leaves out
 
     @property
     def options(self) -> tuple[Axis, ...]:
@@ -182,6 +183,7 @@ class Robustness:
             "whole": self._joint(self.whole),
             "age": self.age,
             "differs": self.differs,
+            "short form": self.lean,
         }
 
     def _joint(self, joint: Joint | None) -> dict | None:
@@ -288,6 +290,7 @@ class _Part:
         self.agrees = agreement(study, entry) if judged else np.zeros(self.values.shape, bool)
         self.differs = ""
         self.default = None  # value and agreement at the default combination, of the ledger
+        self.own = None  # and the point and seed that have them
         if claim is not None and claim.ours is not None:
             self._take_over(claim, judged)
 
@@ -299,7 +302,8 @@ class _Part:
             return
         if judged and bool(self.agrees[point, 0]) != agrees:
             self.differs = f"{self.values[point, 0]:.4g} in its study, {claim.ours:.4g} in the ledger"
-        self.values[point, 0], self.agrees[point, 0] = claim.ours, agrees
+        self.own = (point, 0)
+        self.values[self.own], self.agrees[self.own] = claim.ours, agrees
 
     def at(self, point: int) -> tuple[float, bool]:
         """Mean over the seeds, and whether most of them agree; at the default what the ledger has."""
@@ -341,7 +345,8 @@ def _robustness(part: _Part, axes: dict[str, Axis]) -> Robustness:
             there = [cell for cell in cells if not part.failed[cell]]
             if there:  # copies of one setting have one value; the first point is the default
                 values[row, seed], failed[row, seed] = part.values[there[0]], False
-                agrees[row, seed] = 2 * sum(part.agrees[cell] for cell in there) >= len(there)
+                most = 2 * sum(part.agrees[cell] for cell in there) >= len(there)
+                agrees[row, seed] = part.default[1] if there[0] == part.own else most
     is_fraction = entry.kind != "reported" and entry.is_fraction
     quantity = np.where(failed, np.nan, agrees.astype(float)) if is_fraction else values
     sizes = {multiverse.axes[k].name: len(multiverse.axes[k].options) for k in columns}
@@ -355,6 +360,7 @@ def _robustness(part: _Part, axes: dict[str, Axis]) -> Robustness:
         _under_own_names(variance_shares(quantity, list(copies), sizes, seeded), axes, touched),
         _undeclared(part),
         differs=part.differs,
+        lean=multiverse.lean,
     )
 
 

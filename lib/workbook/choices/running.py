@@ -138,6 +138,11 @@ class Call:
 
 def calls_of(multiverse: Multiverse) -> dict[tuple[int, int], Call]:
     """All runs of a study, by point and place of the seed."""
+    return calls_at(multiverse, design(multiverse))
+
+
+def calls_at(multiverse: Multiverse, points: list[tuple[int, ...]]) -> dict[tuple[int, int], Call]:
+    """The runs of a study at these points, by point and place of the seed."""
     code = study_digest(multiverse.function, multiverse.topic)
     own_seed = multiverse.seeded and "/" in multiverse.function  # a parameter of the notebook
     return {
@@ -150,7 +155,7 @@ def calls_of(multiverse: Multiverse) -> dict[tuple[int, int], Call]:
             multiverse.entries,
             code,
         )
-        for k, point in enumerate(design(multiverse))
+        for k, point in enumerate(points)
         for s, seed in enumerate(multiverse.seeds)
     }
 

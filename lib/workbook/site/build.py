@@ -261,7 +261,8 @@ def _renderer(**shared):
 
     def render(template: str, root: str, **values) -> bytes:
         page = _templates().get_template(template)
-        return page.render(root=root, site=site, **shared, **values).encode()
+        text = page.render(root=root, site=site, **shared, **values)
+        return text.replace("<pre>", '<pre tabindex="0">').encode()  # what scrolls is reached by keys, too
 
     return render
 

@@ -86,6 +86,13 @@ class PageCell:
         """For a site's page; who derives a README or a manifest from a page does not wait for it."""
         return _highlighted(self.source) if self.code else Markup(_prose(self.notebook, self.source))
 
+    @property
+    def head_and_rest(self) -> tuple[Markup, Markup]:
+        """The title with the line of its source, and what follows."""
+        found = re.match(r".*?</h1>(\s*<p><em>.*?</em>\s*</p>)?", self.html, re.DOTALL)
+        head = found[0] if found else ""
+        return Markup(head), Markup(self.html[len(head) :])
+
 
 @dataclass(frozen=True)
 class NotebookPage:

@@ -177,7 +177,7 @@ def sentence(said: Mapping[str, str], claim: Claim, standing: Robustness | None)
         values = {"ours": our_quantity(claim), "published": published_quantity(claim)}
         words = re.sub(r"\{(ours|published)\}", lambda found: values[found[1]], said["otherwise"])
     else:
-        words = f"We did not find that {_begun_small(said['says'])}"
+        words = f"We did not find this: {_begun_small(said['says'])}"
     return f"{words[:1].upper()}{words[1:]}."
 
 
