@@ -76,7 +76,9 @@ def test_seeds_are_a_parameter_where_an_axis_lists_them(workbook, tmp_path):
     _, multiverses = workbook(A + seeds + STUDY)
     source = "page.check('motion.table-1.sum', a + seed)\npage.check('motion.order', 1.0)"
     write(tmp_path, [*CELLS[:1], ("a: int = 0\nseed: int = 4", ("parameters",)), (source, ())])
-    (found,) = run_combinations(multiverses, lambda: ThreadPoolExecutor(1), Journal(tmp_path / "journal.jsonl"))
+    (found,) = run_combinations(
+        multiverses, lambda: ThreadPoolExecutor(1), Journal(tmp_path / "journal.jsonl")
+    )
     assert found.values["motion.table-1.sum"].tolist() == [[a + 4, a + 5] for (a,) in found.design]
 
 
