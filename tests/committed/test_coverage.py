@@ -62,6 +62,7 @@ UNTRIED: dict[str, set[str]] = {
         "isolation.stability.observed",
     },
     "motion/16-twenty-nine-scans": {
+        "motion.conclusion-2-2.every-place",
         "motion.fig-4-9.axis",
         "motion.section-4-2-5.both-best",
         "motion.section-4-2-5.compensation",
@@ -76,12 +77,15 @@ UNTRIED: dict[str, set[str]] = {
         "motion.section-4-3.moving-actuators",
         "motion.section-4-3.moving-sensors-peaks",
     },
+    "motion/18-decoupled-damping": {"motion.conclusion-3-4.stiffness-bandwidth"},
     "motion/19-observer-contest": {
         "motion.conclusion-5-4.kalman-not-beaten",
         "motion.conclusion-5-5.penalised-gains-with-noise",
         "motion.conclusion-5-5.regularised-gains-with-noise",
     },
     "motion/20-optimal-observer": {
+        "motion.conclusion-5-2.trades",
+        "motion.conclusion-5-1.optimum-does-not-track",
         "motion.fig-5-5.rises",
         "motion.section-5-1-2.infeasible-at-one",
         "motion.section-5-1-2.kalman-above-front",
@@ -90,6 +94,7 @@ UNTRIED: dict[str, set[str]] = {
         "motion.table-5-1.optimal",
     },
     "motion/21-robust-comparison": {
+        "motion.table-5-2.nearest-median-ad",
         "motion.fig-5-10.drawn",
         "motion.section-5-3-2.lambda-near-limit",
         "motion.section-5-4-3.mc-errors",
@@ -118,8 +123,12 @@ def uncovered(topic: str) -> set[str]:
 
 @pytest.mark.parametrize("topic", paths.topics())
 def test_every_judged_entry_has_a_study_or_says_that_nothing_is_open(topic):
-    listed = {entry for entries in UNTRIED.values() for entry in entries if entry.startswith(f"{topic}.")}
-    assert uncovered(topic) == listed
+    listed = set().union(*UNTRIED.values())
+    assert uncovered(topic) - listed == set(), (
+        "give it a study in choices.toml, or open = 'none: ...' in the ledger"
+    )
+    known = {name for name in listed if name in load_entries(topic)}
+    assert known - uncovered(topic) == set(), "no longer lacking: take it off the list"
 
 
 @pytest.mark.parametrize("topic", paths.topics())
