@@ -239,7 +239,6 @@ def _templates() -> jinja2.Environment:
     environment.filters["ours"] = our_quantity
     environment.filters["off_by"] = _off_by
     environment.filters["slug"] = lambda name: name.replace(",", "").replace(" ", "-")
-    environment.filters["short_title"] = _short_title
     environment.filters["column"] = column
     environment.filters["tally"] = tally
     environment.filters["status"] = status
@@ -293,11 +292,6 @@ def _title(text: str) -> str:
     if found := re.match(r"# (.+)", text):
         return found[1]
     raise InputError(f"a guide begins with {text[:40]!r}; begin it with '# ' and its title")
-
-
-def _short_title(guide: str) -> str:
-    """A guide's word in the navigation, which is one line: ``Your rig`` of ``your-rig``, ``Course`` of ``course/index``."""
-    return guide.removesuffix("/index").replace("-", " ").capitalize()
 
 
 def _doc(text: str) -> Markup:
