@@ -91,12 +91,17 @@ def site_files() -> dict[str, bytes]:
     curved = {curve.standing.entry.id for topic in topics for curve in topic["curves"]}
     files = static_files()
     by_name = {page.name: page for page in pages}
-    moving = [paper["moving"] for paper in papers().values() if "states" in states.get(paper["moving"], {})]
+    moving = [
+        page.name
+        for paper in papers().values()
+        if (page := by_name.get(paper["moving"])) and "states" in states.get(page.name, {})
+        if any(figure.csv is None for figure in page.figures)
+    ]
     files["index.html"] = render(
         "index.html",
         "",
         citation=_citation(),
-        moving=by_name.get(moving[0]) if moving else None,
+        moving=by_name[moving[0]] if moving else None,
         states=states[moving[0]] if moving else {},
     )
     files["ledger.html"] = render(
