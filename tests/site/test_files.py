@@ -304,7 +304,8 @@ def test_what_is_not_found_is_said_as_a_negation():
 
 
 def test_a_page_begins_with_what_was_published_and_found(files):
-    text = files["notebooks/motion/09-bandwidth-table.html"].decode()
+    page = files["notebooks/motion/09-bandwidth-table.html"]
+    text = page.decode()
     begin = " ".join(
         re.sub(r"<[^>]*>", " ", text.partition('class="summary"')[2].partition("</section>")[0]).split()
     )
@@ -312,7 +313,7 @@ def test_a_page_begins_with_what_was_published_and_found(files):
     pid, found = claims["motion.bandwidth.pid"], robustness_of("motion")["motion.bandwidth.pid"]
     assert f"Published {pid.entry.published:.4g} Hz. We find {pid.ours:.4g} Hz (" in begin
     assert f"agrees under {found.agree} of {found.tried} combinations of open choices." in begin
-    rows = elements(text).of("tr")
+    rows = elements(page).of("tr")
     assert sum("data-verdict" in row for row in rows) == sum(
         c.notebook == "motion/09-bandwidth-table" for c in claims.values()
     )

@@ -91,12 +91,17 @@ def site_files() -> dict[str, bytes]:
     curved = {curve.standing.entry.id for topic in topics for curve in topic["curves"]}
     files = static_files()
     by_name = {page.name: page for page in pages}
-    moving = [paper["moving"] for paper in papers().values() if "states" in states.get(paper["moving"], {})]
+    moving = [
+        page.name
+        for paper in papers().values()
+        if (page := by_name.get(paper["moving"])) and "states" in states.get(page.name, {})
+        if any(figure.csv is None for figure in page.figures)
+    ]
     files["index.html"] = render(
         "index.html",
         "",
         citation=_citation(),
-        moving=by_name.get(moving[0]) if moving else None,
+        moving=by_name[moving[0]] if moving else None,
         states=states[moving[0]] if moving else {},
     )
     files["ledger.html"] = render(
@@ -239,7 +244,6 @@ def _templates() -> jinja2.Environment:
     environment.filters["ours"] = our_quantity
     environment.filters["off_by"] = _off_by
     environment.filters["slug"] = lambda name: name.replace(",", "").replace(" ", "-")
-    environment.filters["short_title"] = _short_title
     environment.filters["column"] = column
     environment.filters["tally"] = tally
     environment.filters["status"] = status
@@ -293,11 +297,6 @@ def _title(text: str) -> str:
     if found := re.match(r"# (.+)", text):
         return found[1]
     raise InputError(f"a guide begins with {text[:40]!r}; begin it with '# ' and its title")
-
-
-def _short_title(guide: str) -> str:
-    """A guide's word in the navigation, which is one line: ``Your rig`` of ``your-rig``, ``Course`` of ``course/index``."""
-    return guide.removesuffix("/index").replace("-", " ").capitalize()
 
 
 def _doc(text: str) -> Markup:

@@ -219,11 +219,15 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             figures = [_saved_figure(name, each, heading, folder) for each in here]
             outputs = []
             table = source.strip() == "page.claims"
-            for output in () if table else cell.get("outputs", []):
+            for output in cell.get("outputs", []):
                 text, png = _shown(output)
                 if png and not FILE_NAMES.match(text):
                     figures.append(Figure(name, f"{cell['id']}-static", heading, png, None))
-                elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in VERDICTS_ALONE:
+                elif (
+                    (left := FILE_NAMES.sub("", text).strip("\n"))
+                    and left not in VERDICTS_ALONE
+                    and not table
+                ):
                     outputs.append(left)
             judgements = tuple(by_id[each] for each in ids)
             cells.append(
