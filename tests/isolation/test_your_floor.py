@@ -326,11 +326,11 @@ def test_the_level_at_which_feedforward_pays_is_interpolated():
     gains = np.geomspace(0.1, 100, 7)
     flat = np.ones(7)
     curves = {"passive": flat, "FeRLS": 2 / gains}
-    assert "from 2 times" in crossing(gains, curves)
-    assert "Even 0.1 times" in crossing(gains, {"passive": flat, "FeRLS": 0.5 * flat})
-    assert "Not even 1e+02 times" in crossing(gains, {"passive": flat, "FeRLS": 2 * flat})
+    assert "In z" in crossing(gains, curves) and "from 2 times" in crossing(gains, curves)
+    assert "even on a floor 0.1 times" in crossing(gains, {"passive": flat, "FeRLS": 0.5 * flat})
+    assert "more motion than the passive rig even on a floor 1e+02 times" in crossing(gains, {"passive": flat, "FeRLS": 2 * flat})
     some = np.where(np.arange(len(gains)) == 1, 0.5, 2.0)
-    assert f"Only {gains[1]:.2g} times" in crossing(gains, {"passive": flat, "FeRLS": some * flat})
+    assert f"only on a floor {gains[1]:.2g} times" in crossing(gains, {"passive": flat, "FeRLS": some * flat})
     twice = np.where(np.arange(len(gains)) == 1, 2.0, 0.5)  # it pays again from there on
     told = crossing(gains, {"passive": flat, "FeRLS": twice * flat})
     assert f"from {np.sqrt(gains[1] * gains[2]):.2g} times" in told
