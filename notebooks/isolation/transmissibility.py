@@ -92,14 +92,6 @@ def records(
     }
 
 
-def passive(
-    *, strut_damping: float, floor_upper_end: float, record_length: float, seed: int, lean: bool = False
-) -> dict[str, tuple[float, tuple[float, float]]]:
-    """How many passive records miss 0 dB at low frequencies, as in notebook 04; no leaner form."""
-    misses = passive_misses(strut_damping, floor_upper_end, record_length, seed)
-    return {"isolation.fig-7.passive-low-frequency": share_over(misses)}
-
-
 def mains_peak_db(frequencies_hz: np.ndarray, response: np.ndarray) -> Float64[np.ndarray, "3"]:
     """How far 100 Hz stands above its surroundings on the diagonal of an estimated transmissibility, dB."""
     level = 20 * np.log10(diagonal_size(response))

@@ -202,7 +202,8 @@ SAME = 0.1  # a change of the motion by less is called none: chosen
 OTHER = 2.0  # so many times louder or quieter, a floor is called another one: chosen
 CREST = 20.0  # peak over rms from which on it may be a spike: footsteps on the slab reach 15 (chosen)
 STUCK_S = 0.25  # s of one value, of a sensor that sticks (chosen)
-SLOW_HZ, SLOW_LEVEL = (0.5, 1.0), 0.01  # m/s^2/sqrt(Hz) there: adaptations broke from there on (tried)
+SLOW_HZ, HEARD_HZ = (0.5, 1.0), (6.0, 100.0)  # what may break the adaptation, and what it learns from
+SLOW_RATIO = 5.0  # of the densities there: at 10 every adaptation tried broke, at 7 none (chosen)
 LESS_DAMPING = (5.0,)  # N s/m: 1 % of critical in z
 _GRID = np.unique(np.concatenate([np.geomspace(0.02, 2400, 600), np.arange(1.0, 300.0, 0.5)]))
 
@@ -416,13 +417,16 @@ def warnings(floor: RecordedFloor) -> Iterator[str]:
                 "on: it sticks; leave the channel out, or cut that part out."
             )
     spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, RESOLUTION_HZ)
-    slow = (spectrum.frequencies_hz >= SLOW_HZ[0]) & (spectrum.frequencies_hz <= SLOW_HZ[1])
-    level = np.sqrt(spectrum.density[:, slow].mean(axis=1).max())
-    if level > SLOW_LEVEL:
+    f, density = spectrum.frequencies_hz, spectrum.density
+    slow = density[:, (f >= SLOW_HZ[0]) & (f <= SLOW_HZ[1])].mean(axis=1)
+    heard = np.median(density[:, (f >= HEARD_HZ[0]) & (f <= HEARD_HZ[1])], axis=1)
+    ratio = np.sqrt((slow / heard).max())
+    if ratio > SLOW_RATIO:
         yield (
-            f"At {SLOW_HZ[0]:g} to {SLOW_HZ[1]:g} Hz the floor moves by {level:.2g} m/s²/√Hz, more than {SLOW_LEVEL:g}, "
-            "from which on the adaptation may break although its mean converges: take a high-pass of 2 Hz over the "
-            "record, or a smaller start."
+            f"At {SLOW_HZ[0]:g} to {SLOW_HZ[1]:g} Hz the floor's acceleration per √Hz is {ratio:.2g} times that at "
+            f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, and from about 8 times on the "
+            "adaptation breaks although its mean converges. Take a high-pass of 2 Hz over the record; a smaller start "
+            "does not help."
         )
 
 
