@@ -274,7 +274,7 @@ def speed_up(study: Study, quantity: str = "tau") -> tuple[float, tuple[float, f
 def faster_each(study: Study, quantity: str = "tau") -> tuple[float, tuple[float, float]]:
     """Share of runs in which FeRLS is the faster one for each of w4 to w9, with its interval."""
     obeyed = np.all(study[f"FeLMS {quantity}"] > study[f"FeRLS {quantity}"], axis=1, where=_rows())
-    return float(obeyed.mean()), proportion_interval(obeyed.sum(), study.runs)
+    return float(obeyed.mean()), proportion_interval(int(obeyed.sum()), study.runs)
 
 
 def _rows() -> np.ndarray:

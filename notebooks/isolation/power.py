@@ -292,7 +292,7 @@ def paint_one_rig(found: Mapping[str, Mapping[str, tuple[float, float]]], printe
         known = [(k, printed[first + name]) for k, name in enumerate(names) if first + name in printed]
         figures.mark_published(panel, *zip(*known, strict=True))
         panel.set_xticks(range(len(names)), labels)
-        panel.set(title=title, ylabel=unit)
+        panel.set(title=title, ylabel=unit, xlim=(-0.6, len(names) - 0.4))
         for k, name in enumerate(names):
             if first + name not in found:
                 look = {"xycoords": ("data", "axes fraction"), "rotation": 90, "ha": "center", "va": "center"}
@@ -384,7 +384,7 @@ def judged(study, mains_hz, counted: bool = False) -> dict[str, float | tuple[fl
         "low-end-lost": study["low end"] > 1,
         "no-limit-above-300-hz": study["above band"] > study["in band"],
     }.items():
-        interval = proportion_interval(obeyed.sum(), obeyed.size)
+        interval = proportion_interval(int(obeyed.sum()), obeyed.size)
         found[f"isolation.fig-8.{entry}"] = float(obeyed.mean()), interval
     bands, above = limit_ratio_db(
         frequencies, study["density FeRLS"], study["density output noise"], mains_hz

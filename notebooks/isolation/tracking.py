@@ -319,6 +319,6 @@ def judged(into: Switched, back: Switched) -> dict[str, tuple[float, tuple[float
         "benefit-shrinks": shrinks,
     }
     return {
-        f"isolation.tracking.{entry}": (float(each.mean()), proportion_interval(each.sum(), len(each)))
+        f"isolation.tracking.{entry}": (float(each.mean()), proportion_interval(int(each.sum()), len(each)))
         for entry, each in obeyed.items()
     }

@@ -118,7 +118,7 @@ def passive_misses(
 def share_over(misses: np.ndarray) -> tuple[float, tuple[float, float]]:
     """Share of records that miss 0 dB by over 1 dB, with its interval."""
     over = misses > 1
-    return float(over.mean()), proportion_interval(over.sum(), len(over))
+    return float(over.mean()), proportion_interval(int(over.sum()), len(over))
 
 
 def rigid_body(strut_damping: float, actuator_pole: float) -> Twin:
