@@ -492,4 +492,4 @@ def test_the_tilts_need_a_louder_floor_than_the_vertical(twin):
     assert [each[:5] for each in text] == ["In z ", "In θx", "In θy"]
     assert min(levels[1:]) > 3 * levels[0]
     one = replace(floor, acceleration=floor.acceleration[:1])
-    assert len(list(your_floor.crossings(twin, one, [1.0, 10.0]))) == 1
+    assert len(list(your_floor.crossings(twin, one, np.array([1.0, 10.0])))) == 1
