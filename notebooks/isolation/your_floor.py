@@ -239,7 +239,7 @@ class Isolated:
         return (whole - quiet).var(axis=1) / np.where(self.moving, whole.var(axis=1), np.nan)
 
 
-def hear(twin: Twin, channels: int) -> tuple[Twin, Float64[np.ndarray, "sensors channels"]]:
+def select_floor_sensors(twin: Twin, channels: int) -> tuple[Twin, Float64[np.ndarray, "sensors channels"]]:
     """Twin whose feedforward hears `channels` floor sensors, and what each of the rig's own reads of them.
 
     Where the floor was measured with fewer sensors than the rig has, those that are missing read the mean of the
@@ -268,7 +268,7 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
     """
     require_number("start", start, above=0.0)
     axes = central_axes(twin.rig)
-    twin, spread = hear(twin, floor.channels)
+    twin, spread = select_floor_sensors(twin, floor.channels)
     training_s = round(TRAINING_SHARE * floor.duration / KEEP_EVERY_S) * KEEP_EVERY_S
 
     def run(from_s: float = SETTLE_S, **options) -> Run:
@@ -323,7 +323,7 @@ def tilting_spectrum(floor: RecordedFloor) -> SpectralFloor | None:
     return SpectralFloor(spectrum.frequencies_hz[1:], density, floor.source, floor.channels)
 
 
-def optimum_left(
+def optimal_residual_ratio(
     twin: Twin, floor: SpectralFloor, gains: ArrayLike, direction: str = "z"
 ) -> dict[str, Float64[np.ndarray, " gains"]]:
     """Rms motion in a direction at 1-300 Hz over the floor's, for a louder or quieter floor and the optimum weights.
@@ -334,7 +334,7 @@ def optimum_left(
     row = DIRECTIONS.index(require_choice("direction", direction, DIRECTIONS))
     f = np.geomspace(*BAND_HZ, 1500)[:-1]
     axes = central_axes(twin.rig)
-    twin, spread = hear(twin, floor.channels)
+    twin, spread = select_floor_sensors(twin, floor.channels)
     lever = np.sum((axes.floor[row] @ spread) ** 2)
     left: dict[str, list[float]] = {name: [] for name in _cases(None)}
     for gain in require_array("gains", gains, ndim=1):
@@ -371,7 +371,7 @@ def try_damping(twin: Twin, floor: RecordedFloor, seed: int, start: float, isola
             changed = replace(twin, rig=rig, plant=plant_of_rig(rig))
             isolated = isolate(changed, floor, seed, start)
         weights = isolated.adaptation.final_weights
-        heard, _ = hear(changed.varied(gain=0.0), floor.channels)
+        heard, _ = select_floor_sensors(changed.varied(gain=0.0), floor.channels)
         platform = central_axes(rig).platform
         run = simulate(heard, floor, signals_from_s=SETTLE_S, weights=weights, seed=seed + 1)
         without = replace(isolated, platform={"FeRLS": platform @ run.platform})
@@ -494,11 +494,11 @@ def crossing(gains: np.ndarray, left: dict[str, np.ndarray], direction: str = "z
 
 def crossings(twin: Twin, floor: RecordedFloor, gains: np.ndarray) -> Iterator[str]:
     """`crossing` in z, and in the tilts of a floor whose sensors see different motions."""
-    yield crossing(gains, optimum_left(twin, translating_spectrum(floor), gains))
+    yield crossing(gains, optimal_residual_ratio(twin, translating_spectrum(floor), gains))
     tilting = tilting_spectrum(floor)
     if tilting is not None:
         for direction in DIRECTIONS[1:]:
-            yield crossing(gains, optimum_left(twin, tilting, gains, direction), direction)
+            yield crossing(gains, optimal_residual_ratio(twin, tilting, gains, direction), direction)
 
 
 def _compared(who: str, ratio: float, other: str) -> str:
@@ -608,7 +608,7 @@ def paint_gain(gains: np.ndarray, left: dict[str, np.ndarray]):
 def explore_floor(twin: Twin, floor: SpectralFloor):
     """Explorer: one-third-octave velocity in z of a louder floor and of the platform, with other sensors."""
     f = np.geomspace(0.8, 299, 400)
-    twin, _ = hear(twin, floor.channels)
+    twin, _ = select_floor_sensors(twin, floor.channels)
 
     def paint(gain: float, output_noise: float):
         changed = twin.varied(platform_noise=output_noise * 1e-4)

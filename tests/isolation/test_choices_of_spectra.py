@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from choices.defaults import require_accepted
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.one_rig import equal_struts
 from experiments.isolation.performance import central_axes, expected_density
 from experiments.isolation.responses import responses
 from experiments.isolation.twin import load_twin
 from notebooks.isolation.power import correlated
-from readings.defaults import require_accepted
-from workbook.readings.command import standings_of
+from workbook.choices.command import robustness_of
 
 
 def test_the_rig_at_its_defaults_is_the_shipped_one():
@@ -52,7 +52,7 @@ def test_a_study_gives_at_its_defaults_what_the_notebook_gave(study):
 
 
 def test_what_the_notebooks_say_of_other_choices_was_found():
-    found = standings_of("isolation")
+    found = robustness_of("isolation")
     agree = {name.removeprefix("isolation."): each.share for name, each in found.items()}
     for name in ("fig-8.removed.range", "tracking.colored-to-flat"):
         assert agree[name] <= 0.05, name
