@@ -114,6 +114,16 @@ def respond(
     ]
 
 
+def noise_over_shift(twin: Twin, switch: Switch, forgetting: float, seed: int) -> float:
+    """Noise of the FeRLS weights along the shift of the optimum, over the shift: rms over eight runs before the switch."""
+    both = {"FeRLS": settled(switch, STEP_SIZE, forgetting)["FeRLS"]}
+    runs = respond(twin, switch, both, 1.0, range(seed, seed + TOGETHER))
+    late = [
+        run["FeRLS"].left()[(run["FeRLS"].time_s > -LEAD_S / 2) & (run["FeRLS"].time_s <= 0)] for run in runs
+    ]
+    return float(np.sqrt(np.mean((np.array(late) - 1) ** 2)))
+
+
 def expected_response(twin: Twin, switch: Switch, name: str, step_size: float, memory_s: float) -> Response:
     """Mean course after a switch from the oracle, without noise and without simulation, for 20 minutes."""
     time = np.concatenate([np.arange(0.1, 60, 0.1), np.arange(60, 1200, 1.0)])
