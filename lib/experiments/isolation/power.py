@@ -116,7 +116,7 @@ def _removed(twin: Twin, records: dict[str, CaseRecord]) -> dict[str, np.ndarray
     measured["output noise"] = records["feedback"].output_noise(RESOLUTION_HZ)
     bridged = {name: without_lines(each, twin.instruments.mains_hz) for name, each in measured.items()}
     f = measured["feedback"].frequencies_hz
-    found = {}
+    found: dict[str, np.ndarray] = {}
     if "FeLMS" in bridged:
         found["removed FeLMS"] = reduction_percent(f, bridged["feedback"].density, bridged["FeLMS"].density)
     return (
