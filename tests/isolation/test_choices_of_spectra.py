@@ -51,6 +51,7 @@ def test_a_study_gives_at_its_defaults_what_the_notebook_gave(study):
     require_accepted("isolation", study)
 
 
+@pytest.mark.slow
 def test_what_the_notebooks_say_of_other_choices_was_found():
     found = robustness_of("isolation")
     assert found["isolation.tracking.colored-to-flat"].share <= 0.05
