@@ -503,7 +503,7 @@ def paint_map(names: list[str], errors: np.ndarray):
         label = f"within {MARGIN - 1:.0%} of the best (whole 95 % interval)"
         axes.plot(*dots, "o", markersize=4, color=figures.BLACK, label=label)
         axes.set_title(title)
-        axes.set_xticks(columns, METHODS.values(), rotation=90)
+        axes.set_xticks(columns, METHODS.values(), rotation=90, fontsize=7)
     panels[0].set_yticks(rows, names)
     panels[0].set_ylim(len(names) - 0.5, -0.5)
     figures.label(panels, y="what is wrong: noise on input, output")
@@ -523,10 +523,11 @@ def paint_turning(noises, errors: np.ndarray):
     }  # fmt: skip
     for number, (axes, title) in enumerate(zip(panels, EXCITATIONS, strict=True)):
         for name, colour in colours.items():
-            axes.loglog(noises, means[:, number, methods.index(name)], color=colour, label=METHODS[name])
+            style = {"color": colour, "label": METHODS[name], "linestyle": "--" if name == "gcv" else "-"}
+            axes.loglog(noises, means[:, number, methods.index(name)], **style)
         axes.axhline(1, color=figures.GREY, linestyle=":", label="estimate zero")
         axes.set(title=title, ylim=(0.02, 20))
-    figures.label(panels, "output noise over the signal", "error over that of the estimate zero")
+    figures.label(panels, "output noise", "error over that of zero")
     figures.legend_below(panels[0], 3)
     return figure
 
