@@ -355,7 +355,7 @@ def prediction_trial(
     apart = points - exact[:, None]
     covariance = (weight * apart) @ apart.T
     filters = {
-        "unscented": UnscentedKalman(model.plant, process=(1e-20, 1e-20)),
+        "unscented": UnscentedKalman(model.plant, process=np.full(2, 1e-20)),
         "extended": ExtendedKalman(model.plant, disturbance_step=0.0),
     }
     found = {}

@@ -447,7 +447,8 @@ def test_each_coordinate_may_have_its_own_controller_noise_and_encoder():
         run = simulate(single(mass, 1.0), alone, paths[number], noise[number], **own)
         assert np.abs(found[number].position - run.position).max() < 1e-9
         assert np.abs(run.position - paths[number].position).max() > 1e-6
-    loop = linear_loop(both, chosen, 1e-3)
+    still = [0.0, 0.0]
+    loop = linear_loop(both, chosen, 1e-3, still, still)
     radii = []
     for number, (mass, guess) in enumerate(((3.0, 2.5), (0.5, 0.6))):
         alone = replace(chosen[number], model=single(guess, 0.5))

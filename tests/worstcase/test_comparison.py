@@ -202,7 +202,7 @@ def test_the_judgement_of_a_cell():
 
 def test_pictures_show_every_cell():
     names = ["noise 0.5, 0.5", "gain 0.8"]
-    errors = compare({name: SETTINGS[name] for name in names}, 3, 3, 3, 60, FORGETTING)["errors"]
+    errors = compare({name: SETTINGS[name] for name in names}, 4, 3, 3, 60, FORGETTING)["errors"]
     drawn = figures.plotted(comparison.paint_map(names, errors))
     cells = [row for row in drawn if row[-1]]
     assert len(cells) == len(names) * len(EXCITATIONS) * len(METHODS)

@@ -69,8 +69,8 @@ def non_unique_trial(rng: np.random.Generator) -> dict[str, float]:
     the smallest; ``solver``, that of `min_max_solve` over it, less 1; ``elsewhere``, smallest of 100 other estimates
     over it, less 1.
     """
-    rows = int(rng.integers(2, 20))
-    unknowns = int(rng.integers(1, rows))
+    rows = int(rng.integers(3, 20))
+    unknowns = int(rng.integers(2, rows))
     matrix = rng.standard_normal((rows, unknowns))
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
     k = int(rng.integers(unknowns))
