@@ -315,11 +315,11 @@ def paint_model_error(stiffness: list[float], believed: float, errors: dict[str,
 
 
 def break_even(stiffness: list[float], ratio: np.ndarray) -> float:
-    """Where, beyond the plant that the filters were tuned on, a ratio first falls to 1, by a line between plants; NaN if nowhere."""
+    """Where a ratio first falls to 1 beyond the plant that the filters were tuned on, by a line between plants; else the last."""
     for (k, high), (after, low) in pairwise(zip(stiffness, ratio, strict=True)):
         if k >= TUNED_AT and high > 1 >= low:
             return float(k + (after - k) * (high - 1) / (high - low))
-    return np.nan
+    return float(stiffness[-1])
 
 
 TUNED_AT = 125.0  # N/m, Table I

@@ -135,7 +135,7 @@ def test_statements_of_filters_that_were_tuned_alike():
 
 def test_break_even_is_where_a_line_between_plants_meets_one():
     assert break_even([75.0, 125.0, 175.0, 250.0], np.array([0.5, 1.4, 0.9, 0.5])) == pytest.approx(165.0)
-    assert np.isnan(break_even([75.0, 125.0, 175.0], np.array([0.9, 1.4, 1.2])))
+    assert break_even([75.0, 125.0, 175.0], np.array([0.9, 1.4, 1.2])) == 175.0
 
 
 def test_on_a_linear_model_both_predictions_are_exact_and_sigma_points_follow_a_curve():
