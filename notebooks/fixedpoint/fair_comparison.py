@@ -308,7 +308,7 @@ def paint_model_error(stiffness: list[float], believed: float, errors: dict[str,
             label = name if number == 0 else f"_{name}, search {number + 1}"
             axes.plot(np.array(stiffness) / believed, line, "o-", ms=3, color=COLOURS[name], label=label)
     axes.axvline(1, color=figures.BLACK, linestyle=":", linewidth=1, label="the model is right")
-    axes.set(xlabel="true stiffness over the model's (1)", ylabel="RMS error of q' (mm/s)", yscale="log")
+    axes.set(xlabel="true stiffness over the model's", ylabel="RMS error of q' (mm/s)", yscale="log")
     log_axis(axes.yaxis)
     axes.legend(ncols=2)
     return figure

@@ -201,11 +201,10 @@ def simulate_mechanism(
 @checked
 def require_alike(controllers: list[Controller], count: int) -> None:
     """Refuse controllers of `count` coordinates that differ in more than transformation and kinematics."""
-    first = controllers[0] if controllers else None
     alike = len(controllers) == count and all(
-        each.signal_filter == first.signal_filter
-        and each.model == first.model
-        and each.kinematics.integrals == first.kinematics.integrals
+        each.signal_filter == controllers[0].signal_filter
+        and each.model == controllers[0].model
+        and each.kinematics.integrals == controllers[0].kinematics.integrals
         for each in controllers
     )
     if not alike:
