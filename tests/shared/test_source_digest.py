@@ -72,6 +72,7 @@ def put_comment(line: tuple[str, bool]) -> str:
     return f"{text.rstrip()}  # again\n" if ends else text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", DRAWN, ids=lambda file: file.relative_to(LIBRARY).as_posix())
 def test_a_changed_token_that_acts_changes_it(file):
     """Each name, number and operator in turn, as far as Python still reads the source then."""
@@ -102,13 +103,23 @@ def test_a_changed_token_that_acts_changes_it(file):
 
 
 def annotations_of_plain_functions(tree: ast.AST) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Where annotations stand that nobody reads: of undecorated functions outside of classes, of local variables."""
-    inner = {id(child) for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for child in node.body}
+    """Where annotations stand that nobody reads: of functions that no reading decorator sees, of local variables."""
+    plain = {
+        "property",
+        "cached_property",
+        "cache",
+        "lru_cache",
+        "staticmethod",
+        "classmethod",
+        "contextmanager",
+    }
+    plain |= {"kernel", "inlined_kernel", "borrowing_kernel", "pasted_kernel"}
     found = []
     for node in ast.walk(tree):
         if not isinstance(node, ast.FunctionDef):
             continue
-        if not node.decorator_list and id(node) not in inner:
+        names = {ast.unparse(each).partition("(")[0].rpartition(".")[2] for each in node.decorator_list}
+        if names <= plain:
             arguments = [each for each in ast.walk(node.args) if isinstance(each, ast.arg)]
             found += [each.annotation for each in arguments] + [node.returns]
         found += [local.annotation for local in locals_of(node)]
@@ -136,7 +147,10 @@ def locals_of(function: ast.FunctionDef) -> list[ast.AnnAssign]:
         ("def f():\n x: int = 1", "def f():\n x: float = 1", True),
         ("def f():\n x: int\n print(x)", "def f():\n print(x)", False),  # of this module, no longer local
         ("@d\ndef f(x): return x", "@d\ndef f(x: int): return x", False),
-        ("class A:\n def f(x): pass", "class A:\n def f(x: int): pass", False),
+        ("class A:\n def f(x): pass", "class A:\n def f(x: int): pass", True),
+        ("class A:\n @property\n def f(x): pass", "class A:\n @property\n def f(x) -> int: pass", True),
+        ("@cache(4)\ndef f(x): pass", "@cache(4)\ndef f(x: int): pass", True),
+        ("@checked\ndef f(x): pass", "@checked\ndef f(x: int): pass", False),
         ("class A:\n x: int", "class A:\n x: float", False),
         ("class A:\n def f(x):\n  def g(y): pass", "class A:\n def f(x):\n  def g(y: int): pass", True),
         ("def f():\n class A:\n  x: int", "def f():\n class A:\n  x: float", False),
@@ -162,6 +176,7 @@ def test_annotations_are_a_part_of_it_where_somebody_reads_them(before, after, s
     assert (code_digest(before.encode()) == code_digest(after.encode())) == same
 
 
+@pytest.mark.slow
 def test_whoever_reads_words_or_annotations_at_run_time_reads_what_the_digest_sees():
     """Of the library's modules only the check of arguments does, by decorators and of classes."""
     reads = re.compile(
@@ -182,6 +197,7 @@ def test_an_annotation_that_acts_is_part_of_it(annotation):
     assert code_digest(one) != code_digest(other)
 
 
+@pytest.mark.slow
 def test_threads_that_ask_at_once_get_what_each_gets_alone():
     """In Python 3.11 parsing in several threads at once fails now and then."""
     sources = [file.read_bytes() for file in DRAWN] * 4

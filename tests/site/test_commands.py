@@ -472,6 +472,7 @@ def test_a_file_of_the_workbook_s_own_gets_one_answer(file, said):
     assert inspect_file(str(paths.root() / file)) == said.format(**counts)
 
 
+@pytest.mark.slow
 def test_a_table_copied_elsewhere_names_no_notebook_and_a_harmed_one_its_line(tmp_path):
     file = tmp_path / "a.csv"
     file.write_text("panel,series,x,y,z\np,s,1,2,\n")
@@ -567,6 +568,7 @@ def test_an_unknown_option_is_one_of_another_command_or_near_one_of_its_own(word
     assert capsys.readouterr().err.rpartition("error: ")[2] == f"{hint}\n"
 
 
+@pytest.mark.slow
 def test_an_error_of_the_system_is_told_without_its_number(tmp_path, capsys):
     assert main(["report", str(SLAB), "--out", str(tmp_path / "none/a.html")]) == 2
     assert capsys.readouterr().err.startswith(f"stillwork: {tmp_path}/none/a.html: ")
@@ -641,7 +643,7 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
 @pytest.mark.parametrize(
     ("topic", "name", "message"),
     [
-        ("isolaton", "09-a", r"\broom\b.*'isolation'"),
+        ("isolaton", "09-a", r"\btopic\b.*'isolation'"),
         ("isolation", "payload", r"^name\b"),
         ("isolation", "../09-a", r"^name\b"),
         ("crane", "01-a", "--create"),
@@ -655,7 +657,7 @@ def test_a_new_result_needs_a_topic_and_a_name(toy, topic, name, message):
 def test_a_new_topic_has_a_ledger_and_a_paper_and_is_the_last(toy):
     before = paths.topics()
     written = new_result("crane", "01-sway", create=True)
-    assert written[3:] == ["data/crane/published.toml", "data/crane/paper.toml"]
+    assert written[3:] == [f"data/crane/{name}.toml" for name in ("published", "paper", "choices")]
     assert paths.topics() == ("crane", *before)  # by name: none of them says its order
     toy.write("data/motion/paper.toml", "order = 1")
     assert paths.topics() == ("motion", "crane", "isolation")
