@@ -546,6 +546,11 @@ def test_a_word_too_many_is_not_taken_for_an_option(capsys):
     assert capsys.readouterr().err.endswith("error: unknown 'extra'\n")
 
 
+def test_a_command_by_its_old_name_prints_the_new_one(capsys):
+    assert main(["readings", "motion", "--jobs", "1"]) == 2
+    assert capsys.readouterr().err.endswith("python -m stillwork choices motion --jobs 1\n")
+
+
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
