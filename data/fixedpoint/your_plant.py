@@ -1,6 +1,6 @@
-"""A table on a cam, as a template for a plant of your own.
+"""A table whose mass grows with its position, as a template for a plant of your own.
 
-A carriage of mass m0 drives a load through a cam, so that the mass it feels grows with its position q:
+A carriage of mass m0 drives a load through a lever, so that the mass it feels grows with its position q:
 (m0 + m1 q^2) q'' + m1 q q'^2 + k q + c q' + f tanh(q' / v) = u. The controller believes in a constant mass and
 knows nothing of the dry friction. All in SI units: m, m/s, m/s^2, N.
 

@@ -1,27 +1,44 @@
 """The fair comparison: every filter tuned with the same budget on the same training noise."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.fixedpoint.metrics import QUANTITIES, judge
+from experiments.fixedpoint.axes import COLOURS, log_axis
+from experiments.fixedpoint.metrics import QUANTITIES, compare, judge
 from experiments.fixedpoint.noise import Noise
-from experiments.fixedpoint.published import EXTENDED, INTEGRATION, KALMAN, LOW_PASS, POLYNOMIAL, WINDOW
+from experiments.fixedpoint.oscillator import VanDerPol, load_oscillator
+from experiments.fixedpoint.published import (
+    EXTENDED,
+    INTEGRATION,
+    KALMAN,
+    LOW_PASS,
+    POLYNOMIAL,
+    WINDOW,
+    published_controllers,
+)
+from experiments.fixedpoint.statements import fraction
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.kinematics import KinematicDesign
-from stillwork.control.trajectory import Trajectory
+from stillwork.control.trajectory import Trajectory, asin_trajectory
 from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
+    FilterState,
     LowPass,
     MovingWindow,
     SavitzkyGolay,
     UnscentedKalman,
 )
+from stillwork.estimation.gaussian import COVARIANCE, ESTIMATE, MEANS, PAST
 from stillwork.estimation.plant import Plant
+from workbook import figures
+from workbook.studies import Study
 
 # Two knobs that every loop has: Lambda in 1/s, and the strength of (8), minus its local gain.
 SHARED = {"exponent": (6.0, 160.0), "strength": (0.02, 1.4)}
@@ -210,3 +227,145 @@ def _at_edge(family: Family, knobs: np.ndarray) -> tuple[str, ...]:
         for name, value in found.items()
         if any(np.isclose(value, end[name], rtol=1e-9, atol=0) for end in ends)
     )
+
+
+# --- Sections II.C and IV: tuned alike ----------------------------------------------------------------------------
+
+# What notebook 07 takes by default, too.
+BUDGET, TRAINING_RUNS, TRAINING_S, RECORDS, TEST_SEED = 256, 2, 7.0, 40, 20221207
+NOISES = {"gaussian": Noise("gaussian", 1e-4), "encoder": Noise("encoder", 2e-4)}
+SIMPLE = (WINDOW, LOW_PASS)  # the paper's
+
+
+def plant_of(stiffness: float) -> Plant:
+    """The plant of Table I with another stiffness, N/m."""
+    return replace(load_oscillator()["exact"], stiffness=stiffness).plant
+
+
+@cache
+def tuned_controller(name: str, stiffness: float, noise: str, seed: int, acceleration: str) -> Controller:
+    """A filter tuned for q' on a plant of that stiffness."""
+    family = families()[name]
+    if name == KALMAN and acceleration == "model":
+        family = replace(
+            family, build=lambda *how, **own: replace(_kalman(*how, **own), model_acceleration=True)
+        )
+    how = {"budget": BUDGET, "runs": TRAINING_RUNS, "seed": seed}
+    model = load_oscillator()["approximate"].plant
+    training = asin_trajectory(duration=TRAINING_S)
+    [found] = tune(family, plant_of(stiffness), model, training, NOISES[noise], **how)
+    return found.controller
+
+
+def tuned_alike(
+    *,
+    true_stiffness: float,
+    tuned_on: str,
+    tuning_noise: str,
+    kalman_acceleration: str,
+    seed: int,
+    lean: bool,
+) -> dict[str, float | tuple[float, tuple[float, float]]]:
+    """Notebook 07's statements on another plant and by another search, of which `seed` is the training seed."""
+    plant, model = plant_of(true_stiffness), load_oscillator()["approximate"]
+    at = load_oscillator()["exact"].stiffness if tuned_on == "Table I" else true_stiffness
+    search = at, tuning_noise, seed, kalman_acceleration
+    tuned = {name: tuned_controller(name, *search) for name in (*SIMPLE, KALMAN)}
+    printed = published_controllers(model.plant)[KALMAN]
+    as_printed = replace(printed.signal_filter, model_acceleration=kalman_acceleration == "model")
+    exchanged = {
+        "printed": replace(printed, signal_filter=as_printed),
+        "searched": replace(printed, signal_filter=tuned[KALMAN].signal_filter),
+    }
+    found = compare(
+        plant, tuned | exchanged, asin_trajectory(), NOISES[tuning_noise], runs=RECORDS, seed=TEST_SEED
+    )
+    return statements_of(found, found["printed"], found["searched"])
+
+
+def statements_of(
+    tuned: dict[str, Study], printed: Study, searched: Study
+) -> dict[str, float | tuple[float, tuple[float, float]]]:
+    """What the paper says of the Kalman filter, by the ledger's names, of filters that were tuned alike.
+
+    `printed` and `searched`: the loop with the paper's settings, and with the Q and R of the search instead.
+    """
+    kalman, simple = tuned[KALMAN]["velocity"], [tuned[name]["velocity"] for name in SIMPLE]
+    means = [each.mean() for each in simple]
+    ratio = min(means) / kalman.mean() if np.isfinite([*means, kalman.mean()]).all() else np.nan
+    return {
+        "fixedpoint.abstract.simpler-can-replace": ratio,
+        "fixedpoint.section-4.kalman-does-not-work": fraction(kalman > np.maximum(*simple)),
+        "fixedpoint.section-2c.best-settings": fraction(printed["velocity"] <= searched["velocity"]),
+    }
+
+
+def paint_model_error(stiffness: list[float], believed: float, errors: dict[str, np.ndarray]):
+    """RMS error of q' over the true stiffness: a line a training seed; `errors` (seeds, plants) in m/s by filter."""
+    figure, axes = figures.new(height=3.4)
+    for name, lines in errors.items():
+        for number, line in enumerate(1e3 * np.where(np.isfinite(lines), lines, np.nan)):
+            label = name if number == 0 else f"_{name}, search {number + 1}"
+            axes.plot(np.array(stiffness) / believed, line, "o-", ms=3, color=COLOURS[name], label=label)
+    axes.axvline(1, color=figures.BLACK, linestyle=":", linewidth=1, label="the model is right")
+    axes.set(xlabel="true stiffness over the model's", ylabel="RMS error of q' (mm/s)", yscale="log")
+    log_axis(axes.yaxis)
+    axes.legend(ncols=2)
+    return figure
+
+
+def break_even(stiffness: list[float], ratio: np.ndarray) -> float:
+    """Where a ratio first falls to 1 beyond the plant that the filters were tuned on, by a line between plants; else the last."""
+    for (k, high), (after, low) in pairwise(zip(stiffness, ratio, strict=True)):
+        if k >= TUNED_AT and high > 1 >= low:
+            return float(k + (after - k) * (high - 1) / (high - low))
+    return float(stiffness[-1])
+
+
+TUNED_AT = 125.0  # N/m, Table I
+
+
+# --- Section II.C: sigma points and Jacobians -----------------------------------------------------------------------
+
+
+def prediction_trial(
+    rng: np.random.Generator, model: VanDerPol, deviations: tuple[float, float]
+) -> dict[str, float]:
+    """One prediction of both Kalman filters from a Gaussian state [velocity, position] with these deviations.
+
+    Distance of the predicted mean and covariance from the exact ones (Gauss and Hermite's rule), in units of the
+    state's spread: ``unscented_mean``, ``unscented_covariance`` by sigma points, ``extended_...`` by the Jacobian. The
+    mean is drawn within 1.5 m/s and 1 m, the force within 300 N.
+    """
+    mean, force, step = rng.uniform(-1, 1, 2) * (1.5, 1.0), rng.uniform(-300, 300), 1e-3
+    spread = np.array(deviations)
+
+    def move(state):
+        v, q = state
+        pull = model.stiffness * q - model.excitation * (model.separator**2 - q**2) * v
+        pull = pull + model.damping * v + model.drag * np.abs(v) * v
+        v = v + step * (force - pull) / model.mass
+        return np.array([v, q + step * v])
+
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+    grid = np.array(np.meshgrid(nodes, nodes)).reshape(2, -1)
+    weight = np.outer(weights, weights).ravel() / weights.sum() ** 2
+    points = move(mean[:, None] + spread[:, None] * grid)
+    exact = points @ weight
+    apart = points - exact[:, None]
+    covariance = (weight * apart) @ apart.T
+    filters = {
+        "unscented": UnscentedKalman(model.plant, process=np.full(2, 1e-20)),
+        "extended": ExtendedKalman(model.plant, disturbance_step=0.0),
+    }
+    found = {}
+    for name, kalman in filters.items():
+        work = kalman.packed().work
+        work[COVARIANCE, 0, 0], work[COVARIANCE, 1, 1] = spread**2
+        work[MEANS, ESTIMATE, :2], work[MEANS, PAST, :2] = mean, 1.0  # it has measured before
+        state = FilterState(np.array([mean[1], mean[0], 0.0]), work)
+        after = kalman.step(state, np.nan, force, sample_time=step)
+        own = after.estimate[1::-1] - exact, after.covariance[:2, :2] - covariance
+        found[f"{name}_mean"] = float(np.linalg.norm(own[0] / spread))
+        found[f"{name}_covariance"] = float(np.linalg.norm(own[1] / np.outer(spread, spread)))
+    return found

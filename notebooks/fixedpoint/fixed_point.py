@@ -38,10 +38,10 @@ def paint_contraction(transformations: dict[str, Transformation], response_gain:
         sizes = np.geomspace(1e-2, 1e3, 60)
         ratio = [errors(transformation, size, 2)[1] / size for size in sizes]
         multiplier.semilogx(sizes, ratio, color=colour, label=name)
-    decay.set(xlabel="iteration (1)", ylabel="|response - desired| (m/s²)", ylim=(1e-4, 60))
+    decay.set(xlabel="iteration", ylabel="|response - desired| (m/s²)", ylim=(1e-4, 60))
     decay.set_title("static iteration")
     figure.legend(handles=decay.lines, loc="outside upper center", ncols=2)
-    multiplier.set(xlabel="|response - desired| (m/s²)", ylabel="ratio of two errors (1)", ylim=(0, 1.05))
+    multiplier.set(xlabel="|response - desired| (m/s²)", ylabel="ratio of two errors", ylim=(0, 1.05))
     multiplier.set_title("multiplier: below 1 contracts")
     multiplier.legend()
     return figure
@@ -62,7 +62,7 @@ def paint_filter_responses(filters: dict[str, LinearFilter], sample_time: float)
     for column, title in enumerate(("estimate of q", "of q', over jω", "of q'', over (jω)²")):
         panels[0, column].set(title=title, ylim=(1e-3, 10))
         panels[1, column].set(xlabel="frequency (Hz)", ylim=(-400, 90))
-    panels[0, 0].set_ylabel("gain (1)")
+    panels[0, 0].set_ylabel("gain")
     panels[1, 0].set_ylabel("phase (degrees)")
     legend_above(panels[0, 0], 3)
     return figure
@@ -82,7 +82,7 @@ def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, floa
     axes.axvline(-banach, color=figures.GREY, linestyle=":")
     axes.text(-banach * 0.97, len(ranges) - 0.45, "Banach's edge", ha="right", va="center", fontsize=7)
     axes.set_yticks(range(len(ranges)), list(ranges))
-    axes.set(xscale="log", xlabel="strength of the transformation, minus its local gain (1)", xlim=(6e-3, 4))
+    axes.set(xscale="log", xlabel="strength of the transformation, minus its local gain", xlim=(6e-3, 4))
     axes.set_ylim(len(ranges) - 0.3, -0.6)
     axes.legend([axes.lines[-2]], ["gain in use"], loc="upper right")
     return figure
@@ -102,13 +102,15 @@ def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransforma
     for hertz, point in zip(marks, points, strict=True):
         place, name = (point.real, point.imag), f"{hertz:g} Hz"
         axes.plot(*place, "o", color=figures.BLUE, markersize=4, label=name)
-        axes.annotate(name, place, xytext=(5, 3), textcoords="offset points", fontsize=8)
+        side = {"xytext": (-5, 4), "ha": "right"} if hertz == 40.0 else {"xytext": (5, 3)}
+        axes.annotate(name, place, textcoords="offset points", fontsize=8, **side)
     for size in (3, 10, 30, 100):
         place = 1 / (transformation.local_gain * describing_function(size / transformation.width)), 0
         axes.plot(*place, "s", color=figures.RED, markersize=4, label=f"error {size} m/s²")
-        axes.annotate(f"{size} m/s²", place, xytext=(0, -12), ha="center", **SMALL)
-    axes.set(xlabel="real part of the response (1)", xlim=(-75, 10))
-    axes.set(ylabel="imaginary part (1)", ylim=(-45, 45))
+        side = {"xytext": (4, 5), "ha": "left"} if size in (10, 100) else {"xytext": (0, -12), "ha": "center"}
+        axes.annotate(f"{size} m/s²", place, **side, **SMALL)
+    axes.set(xlabel="real part of the response", xlim=(-75, 10))
+    axes.set(ylabel="imaginary part", ylim=(-45, 45))
     axes.legend(handles=axes.lines[:2], loc="upper right")
     return figure
 
@@ -139,7 +141,7 @@ def paint_noise_gain(deviations, remaining, weakest: float, marks: dict[str, flo
         axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
         axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
     axes.set(xlabel="standard deviation of response - desired (m/s²)")
-    axes.set(ylabel="strength, minus the local gain (1)")
+    axes.set(ylabel="strength, minus the local gain")
     return figure
 
 

@@ -235,6 +235,21 @@ def open_trajectories(
     ]
 
 
+def for_each(name: str, values: list[float], units: tuple[str, ...]) -> list[float]:
+    """One number for each coordinate, from as many or from one for all."""
+    if len(values) not in (1, len(units)):
+        raise InputError(
+            f"{name} holds {pluralise(len(values), 'number')}; give one, or one for each of {len(units)} coordinates"
+        )
+    return [values[number % len(values)] for number in range(len(units))]
+
+
+def noises(kind: str, sizes: list[float], units: tuple[str, ...]) -> list[Noise]:
+    """Noise of each coordinate, in its unit."""
+    sizes = for_each("noise_sizes", sizes, units)
+    return [Noise() if kind == "none" else Noise(kind, size) for size in sizes]
+
+
 def controllers(
     model: Plant | Mechanism, flow: FlowTransformation, robust: RobustTransformation, exponents: list[float]
 ) -> dict[str, Controller]:
@@ -326,45 +341,70 @@ def warnings_of(found: Contraction, chosen: Mapping[str, Controller]) -> list[st
 
 
 def stable_ranges(
-    models: Models, chosen: Mapping[str, Controller], trajectories: list[Trajectory]
+    models: Models,
+    chosen: Mapping[str, Controller],
+    trajectories: list[Trajectory],
+    factors: list[float] | None = None,
 ) -> dict[str, StableRange]:
-    """Local gains for which the whole linear loop, filter and delay included, is stable where the motion starts."""
+    """Local gains for which the whole linear loop, filter and delay included, is stable where the motion starts.
+
+    `factors` are those of Lambda, one for each coordinate.
+    """
     start = np.array([[each.position[0], each.velocity[0]] for each in trajectories]).T
     sample_time = trajectories[0].sample_time
     return {
-        name: stable_range(linear_loop(models.exact, controller, sample_time, *start))
+        name: stable_range(
+            linear_loop(models.exact, joint_controllers(controller, factors), sample_time, *start)
+        )
         for name, controller in chosen.items()
     }
+
+
+def joint_controllers(controller: Controller, factors: list[float] | None) -> Controller | list[Controller]:
+    """A controller for each coordinate, whose Lambda is multiplied by its factor; without factors the one for all."""
+    if factors is None or len(factors) == 1:
+        factor = factors[0] if factors else 1.0
+        return replace(controller, kinematics=KinematicDesign(factor * controller.kinematics.exponent))
+    return [joint_controllers(controller, [factor]) for factor in factors]
 
 
 def drive(
     models: Models,
     chosen: Mapping[str, Controller],
     trajectories: list[Trajectory],
-    noise: Noise,
+    noise: list[Noise],
     seed: int,
     *,
     lost_every: float = 0.0,
     lost_for: float = 0.0,
     lost: str = "predict",
-    force_limit: float = 0.0,
+    force_limits: list[float] | None = None,
+    factors: list[float] | None = None,
 ) -> dict[str, list[ControlledRun]]:
     """One run of every controller in the same noise, for each coordinate.
 
     Contraction is judged by `warnings_of`, not here. `lost_every`, `lost_for` (s): see `noise.drop_samples`; `lost`: what stands
-    for a lost sample, see `control.simulate`; `force_limit` (N or N m): of every actuator, 0 for none.
+    for a lost sample, see `control.simulate`; `force_limits` (N or N m): of each actuator, 0 for none; `factors`: of Lambda
+    in each coordinate.
     """
     rng, count = np.random.default_rng(seed), len(trajectories)
-    added = noise.sample(rng, count * len(trajectories[0].position)).reshape(count, -1)
+    added = np.array([each.sample(rng, len(trajectories[0].position)) for each in noise])
     added = drop_samples(added, trajectories[0].sample_time, lost_every, lost_for)
-    options = {"resolution": noise.resolution, "grid": noise.sample_grid(rng), "lost": lost}
+    encoders = {
+        "resolution": [each.resolution for each in noise],
+        "grid": [each.sample_grid(rng) for each in noise],
+    }
+    limits = np.array([limit or np.inf for limit in force_limits or [0.0] * count])
 
     def run(controller) -> list[ControlledRun]:
+        controller = joint_controllers(controller, factors)
         if isinstance(models.exact, Mechanism):
-            limits = {"force_limits": [force_limit] * count if force_limit else None}
-            return simulate_mechanism(models.exact, controller, trajectories, added, **limits, **options)
-        limit = force_limit or None
-        return [simulate(models.exact, controller, trajectories[0], added[0], force_limit=limit, **options)]
+            largest = np.where(np.isfinite(limits), limits, 1e300)
+            options = {"force_limits": largest if np.isfinite(limits).any() else None, "lost": lost}
+            return simulate_mechanism(models.exact, controller, trajectories, added, **encoders, **options)
+        limit = float(limits[0]) if np.isfinite(limits[0]) else None
+        options = {name: value[0] for name, value in encoders.items()} | {"force_limit": limit, "lost": lost}
+        return [simulate(models.exact, controller, trajectories[0], added[0], **options)]
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ContractionWarning)
@@ -441,7 +481,7 @@ def plant_explorer(
     models: Models,
     chosen: Mapping[str, Controller],
     trajectories: list[Trajectory],
-    noise_kind: str,
+    noise: list[Noise],
     settle: float,
     seed: int,
 ) -> Callable:
@@ -454,8 +494,8 @@ def plant_explorer(
         for each in trajectories
     ]
 
-    def paint(gain: float, stiffness: float, noise_size: float):
-        """Every local gain times `gain`, every Lambda times `stiffness`."""
+    def paint(gain: float, stiffness: float, noise_factor: float):
+        """Every local gain times `gain`, every Lambda times `stiffness`, every noise times `noise_factor`."""
         moved = {}
         for name, controller in chosen.items():
             old = controller.transformation
@@ -463,8 +503,8 @@ def plant_explorer(
             stronger = replace(old, **{knob: gain * getattr(old, knob)})
             stiffer = KinematicDesign(stiffness * controller.kinematics.exponent)
             moved[name] = replace(controller, transformation=stronger, kinematics=stiffer)
-        noise = Noise() if noise_kind == "none" else Noise(noise_kind, noise_size)
-        runs = drive(models, moved, trajectories, noise, seed)
+        louder = [replace(each, amplitude=noise_factor * each.amplitude) for each in noise]
+        runs = drive(models, moved, trajectories, louder, seed)
         count = len(models.units)
         figure, panels = figures.new(count, 1, height=1.6 + 1.6 * count, squeeze=False)
         for number, (axes, unit) in enumerate(zip(panels[:, 0], models.units, strict=True)):

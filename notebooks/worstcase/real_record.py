@@ -7,6 +7,13 @@ from experiments.worstcase.pairs import MeasuredPair, Spectra, load_pair
 from workbook import figures
 
 
+def exchange(pair: MeasuredPair, spectra: Spectra, quiet_hz: tuple[float, float]) -> MeasuredPair:
+    """The pair with input and output exchanged, and the noise of the other sensor in the quiet band."""
+    still = (spectra.frequency >= quiet_hz[0]) & (spectra.frequency <= quiet_hz[1])
+    noise = np.sqrt(spectra.output[still].mean() * (pair.band_hz[1] - pair.band_hz[0]))
+    return MeasuredPair(pair.output, pair.input, pair.sample_rate, pair.band_hz, float(noise))
+
+
 def paint_spectra(pair: MeasuredPair, spectra: Spectra, quiet_hz: tuple[float, float]):
     """Densities of both channels with the sensor noise read from the quiet band, and their coherence."""
     figure, (upper, lower) = figures.new(2, 1, height=4.4, sharex=True)

@@ -4,10 +4,17 @@ from functools import lru_cache
 
 import numpy as np
 
-from experiments.worstcase.simulations import FIG_2_PARAMETERS, path, settled, settled_from, tracking_trial
+from experiments.worstcase.simulations import (
+    FIG_2_PARAMETERS,
+    forgetting_trial,
+    path,
+    settled,
+    settled_from,
+    tracking_trial,
+)
 from stillwork.identification.regressors import exponential_bound, exponential_weights
 from workbook import figures
-from workbook.studies import Study, mean_interval, run_study, spread_interval
+from workbook.studies import Study, mean_interval, proportion_interval, run_study, spread_interval
 
 # === Tracking pictures =====================================================================================
 METHODS = (
@@ -79,6 +86,15 @@ def win_map(
         return np.mean(settled(study["min_max"], forgetting) / settled(study["rls"], forgetting))
 
     return np.array([[ratio(bound, noise) for noise in noises] for bound in bounds])
+
+
+def break_even_noise(noises: np.ndarray, bounds: np.ndarray, ratios: np.ndarray, bound: float) -> float:
+    """Noise from which min-max is better than RLS, of `win_map` at a bound, by lines between logarithms."""
+    logs = np.log(ratios)
+    row = np.array([np.interp(np.log(bound), np.log(bounds), column) for column in logs.T])
+    last = np.flatnonzero(row > 0)[-1]
+    share = row[last] / (row[last] - row[last + 1])
+    return float(noises[last] * (noises[last + 1] / noises[last]) ** share)
 
 
 def paint_win_map(
@@ -190,3 +206,39 @@ def _below(study: Study, late: int, average: str) -> tuple[np.ndarray, np.ndarra
         for name in ("min_max", "rls")
     ]
     return curves[0] < curves[1], np.median(curves[0], axis=0) < np.median(curves[1], axis=0)
+
+
+# --- Abstract: weighting in tracking ------------------------------------------------------------------------------
+
+
+def weighting_statements(
+    truth: tuple[float, ...],
+    samples: int,
+    trials: int,
+    seed: int,
+    forgetting: float,
+    row_error: float,
+    noise: float,
+) -> dict[str, float | tuple[float, tuple[float, float]]]:
+    """What trials with a jump and with constant parameters say of forgetting, by the ledger's names."""
+    settings = {"forgetting": forgetting, "row_error": row_error, "noise": noise, "progress": False}
+    jump, still = (
+        run_study(forgetting_trial, trials, seed, truth=path(kind, truth, samples), **settings)
+        for kind in ("jump", "constant")
+    )
+    helps = jump["min_max"] < jump["min_max_kept"]
+    found = {
+        "helps": (helps.mean(), proportion_interval(helps.sum(), trials)),
+        "jump": np.mean(jump["min_max"] / jump["min_max_kept"]),
+        "jump-least-squares": np.mean(jump["least"] / jump["least_kept"]),
+        "constant-least-squares": np.mean(still["least_kept"] / still["min_max"]),
+    }
+    return {f"worstcase.weighting.{name}": value for name, value in found.items()}
+
+
+def weighting(
+    *, fig_2_noise: float, weighting_size: float, weighting_forgetting: float, seed: int, lean: bool
+) -> dict[str, float | tuple[float, tuple[float, float]]]:
+    """`weighting_statements` for parameters of another size, over those of Fig. 2, and another forgetting."""
+    truth = tuple(weighting_size * each for each in FIG_2_PARAMETERS)
+    return weighting_statements(truth, 375, TRIALS, seed, weighting_forgetting, 0.25, fig_2_noise)

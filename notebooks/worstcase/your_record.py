@@ -100,6 +100,59 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
     )
 
 
+def warnings_of(pair: Pair, fitted: Fitted, taps: int) -> list[str]:
+    """A sentence for each thing in the record, or in what was found, that makes the table misleading."""
+    said = []
+    if fitted.chosen in (fitted.factors[0], fitted.factors[-1]):
+        said.append(
+            f"the chosen bound, {fitted.chosen:.2g} times the typical one, is an end of the range that was tried: a bound "
+            "beyond it may do better"
+        )
+    if fitted.bounds["min-max, typical bound"] >= 0.5 * fitted.threshold:
+        said.append(
+            "the typical bound is more than half of the threshold from which the estimate is zero: the input's noise leaves "
+            "little to learn from; use a longer memory, fewer taps, a narrower band or a better sensor"
+        )
+    lag = delay_of(pair)
+    if not 0 <= lag < taps:
+        said.append(
+            f"the output follows the input by {lag} samples, outside the {taps} taps: give more taps, or shift or exchange "
+            "the channels"
+        )
+    for name, values in zip(pair.names, (pair.input, pair.output), strict=True):
+        spikes = spikes_in(values)
+        if spikes:
+            said.append(
+                f"{name} has {pluralise(spikes, 'sample')} beyond {SPIKE:g} times its typical size: least squares, min-max and "
+                "total least squares follow them; remove them, or use Huber's estimate"
+            )
+    likeness = np.corrcoef(pair.input, pair.output)[0, 1]
+    if abs(likeness) > 1 - 1e-6:
+        said.append("input and output are one channel up to a factor: a model between them says nothing")
+    return said
+
+
+SPIKE = 12.0  # times the median of |x| over 0.6745, the deviation of Gaussian noise; a sine reaches 1.0, a hammer's blow more
+
+
+def spikes_in(values: np.ndarray) -> int:
+    """Samples far beyond what the bulk of a signal reaches."""
+    sizes = np.abs(values - np.median(values))
+    return int(np.sum(sizes > SPIKE * np.median(sizes) / 0.6745))
+
+
+def delay_of(pair: Pair) -> int:
+    """Lag of the output behind the input with the largest correlation of the whitened channels, samples."""
+    count = 2 ** int(np.ceil(np.log2(2 * len(pair.input))))
+    lines = np.conj(np.fft.rfft(pair.input, count)) * np.fft.rfft(pair.output, count)
+    frequency = np.fft.rfftfreq(count, 1 / pair.sample_rate)
+    inside = (frequency >= pair.band_hz[0]) & (frequency <= pair.band_hz[1]) & (np.abs(lines) > 0)
+    sizes = np.where(inside, np.abs(lines), 1.0)
+    answer = np.abs(np.fft.irfft(np.where(inside, lines / sizes, 0.0), count))
+    lag = int(answer.argmax())
+    return lag if lag < count // 2 else lag - count
+
+
 def parts(samples: int) -> tuple[slice, slice, slice]:
     """The stretches of a record to fit, to choose the bound, and to judge."""
     first, second = round(PARTS[0] * samples), round((PARTS[0] + PARTS[1]) * samples)

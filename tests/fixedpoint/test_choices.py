@@ -37,6 +37,9 @@ def test_at_the_defaults_the_controllers_are_the_published_ones():
 def test_each_choice_reaches_the_loop():
     who = choices.controllers("measured", "(10)", 12)
     assert who[WINDOW].signal_filter.length == 11
+    by_model = choices.controllers("estimate", "(11)", 13, "model")
+    assert all(by_model[name].signal_filter.model_acceleration for name in (KALMAN, LITERAL))
+    assert not any(who[name].signal_filter.model_acceleration for name in (KALMAN, LITERAL))
     for name in (KALMAN, LITERAL):
         assert who[name].signal_filter.error_from_measurement
         assert who[name].signal_filter.literal == (name == LITERAL)

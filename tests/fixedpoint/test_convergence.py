@@ -62,13 +62,14 @@ def test_linear_filter_is_the_kernel(signal_filter, rng):
         assert np.abs(got - want).max() < 1e-9 * np.abs(want).max()
 
 
-@pytest.mark.parametrize("kind", ["UKF", "literal", "EKF"])
+@pytest.mark.parametrize("kind", ["UKF", "literal", "model", "EKF"])
 def test_linear_kalman_is_the_settled_kernel(kind, models, rng):
     """On a linear plant nothing but the gain's transient separates the two."""
     linear = replace(models["approximate"], excitation=0.0, drag=0.0).plant
     signal_filter = {
         "UKF": UnscentedKalman(linear),
         "literal": UnscentedKalman(linear, literal=True),
+        "model": UnscentedKalman(linear, model_acceleration=True),
         "EKF": ExtendedKalman(linear),
     }[kind]
     z, u = 1e-3 * rng.standard_normal(4000), rng.standard_normal(4000)

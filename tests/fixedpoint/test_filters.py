@@ -1,6 +1,7 @@
 """Every filter against its naive twin, scipy or filterpy, on the same data."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -154,6 +155,11 @@ def test_unscented_is_filterpy_s(lost, approximate, record):
     expected = np.array(expected)
     assert np.abs(found.velocity - expected[:, 0]).max() < 1e-9
     assert np.abs(found.position - expected[:, 1]).max() < 1e-9
+    believed = filter_signal(replace(kalman, model_acceleration=True), measured, force)
+    pushed = np.append(0.0, force[:-1])
+    wanted = [naive.oscillator(p, q, v, u) for (v, q), u in zip(expected, pushed, strict=True)]
+    assert believed.acceleration == pytest.approx(wanted, abs=1e-6)
+    assert np.array_equal(believed.velocity, found.velocity)
 
 
 @pytest.mark.parametrize("lost", [(), LOST])

@@ -416,3 +416,48 @@ def test_divergence_and_its_cause_are_those_of_all_coordinates(arm, short):
         )
     assert runs[0].diverged_at == runs[1].diverged_at is not None
     assert "bound" in runs[0].cause
+
+
+def test_each_coordinate_may_have_its_own_controller_noise_and_encoder():
+    """Two masses that do not touch: each moves as it does alone."""
+
+    def inertia(position, parameters, out):
+        out[0, 0], out[1, 1], out[0, 1], out[1, 0] = parameters[0], parameters[1], 0.0, 0.0
+
+    def bias(position, velocity, parameters, out):
+        out[0], out[1] = parameters[2] * velocity[0], parameters[2] * velocity[1]
+
+    both, believed = (
+        Mechanism(inertia, bias, 2, [3.0, 0.5, 1.0]),
+        Mechanism(inertia, bias, 2, [2.5, 0.6, 0.5]),
+    )
+    paths = [asin_trajectory(a, 0.9, 0.5, 2.0) for a in (0.1, 0.3)]
+    settings = [(FlowTransformation(-2.0, 30.0), 12.0), (FlowTransformation(-1.0, 20.0), 8.0)]
+    chosen = [Controller(LowPass(), t, KinematicDesign(x), believed) for t, x in settings]
+    noise = 1e-5 * np.random.default_rng(2).standard_normal((2, len(paths[0].position)))
+    encoders = {"resolution": [1e-5, 3e-5], "grid": [0.0, 1e-5]}
+    found = simulate_mechanism(both, chosen, paths, noise, **encoders)
+
+    def single(mass, drag):
+        return Plant(
+            lambda q, v, f, p: (f - p[1] * v) / p[0], lambda q, v, a, p: p[0] * a + p[1] * v, [mass, drag]
+        )
+
+    for number, (mass, guess) in enumerate(((3.0, 2.5), (0.5, 0.6))):
+        own = {name: values[number] for name, values in encoders.items()}
+        alone = replace(chosen[number], model=single(guess, 0.5))
+        run = simulate(single(mass, 1.0), alone, paths[number], noise[number], **own)
+        assert np.abs(found[number].position - run.position).max() < 1e-9
+        assert np.abs(run.position - paths[number].position).max() > 1e-6
+    still = [0.0, 0.0]
+    loop = linear_loop(both, chosen, 1e-3, still, still)
+    radii = []
+    for number, (mass, guess) in enumerate(((3.0, 2.5), (0.5, 0.6))):
+        alone = replace(chosen[number], model=single(guess, 0.5))
+        radii.append(linear_loop(single(mass, 1.0), alone, 1e-3).radius(alone.transformation.local_gain))
+    assert loop.radius(chosen[0].transformation.local_gain) == pytest.approx(max(radii), abs=1e-9)
+    for wrong in (chosen[:1], [chosen[0], replace(chosen[1], signal_filter=LowPass(300.0))]):
+        with pytest.raises(InputError, match=r"^controller\b"):
+            simulate_mechanism(both, wrong, paths, noise)
+    with pytest.raises(InputError, match=r"^resolution\b"):
+        simulate_mechanism(both, chosen, paths, noise, resolution=[1e-5] * 3)

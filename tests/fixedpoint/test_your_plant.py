@@ -52,7 +52,7 @@ def test_gain_of_the_cam_is_the_believed_mass_over_the_true_one(cam):
 def test_the_published_oscillator_runs_as_in_the_other_notebooks():
     models = load_models(str(paths.data("fixedpoint", "oscillator.toml")))
     trajectory = asin_trajectory(duration=3.0)
-    ours = drive(models, controllers(models.approximate, *SETTINGS), [trajectory], Noise(), 0)
+    ours = drive(models, controllers(models.approximate, *SETTINGS), [trajectory], [Noise()], 0)
     exact, approximate = (one.plant for one in load_oscillator().values())
     published = published_controllers(approximate)
     assert len(ours) == 3
@@ -78,7 +78,7 @@ def test_a_gain_beyond_the_contraction_range_is_warned_of_and_runs_away(cam):
         models.approximate, FlowTransformation(), RobustTransformation(slope=1e-7), SETTINGS[2]
     )
     assert len(warnings_of(contraction_along(models, trajectories), divergent)) == 2
-    runs = drive(models, divergent, trajectories, Noise(), 0)  # no warning: `warnings_of` said it
+    runs = drive(models, divergent, trajectories, [Noise()], 0)  # no warning: `warnings_of` said it
     assert runs["Kalman filter"][0].diverged_at is not None and runs["moving window"][0].diverged_at is None
 
 
@@ -234,12 +234,20 @@ def test_the_arm_from_its_file_to_the_loop():
         for name, each in stable_ranges(models, chosen, motion).items()
     )
     runs = drive(
-        models, chosen, motion, Noise("gaussian", 1e-5), 1, lost_every=1.0, lost_for=0.01, force_limit=40.0
+        models,
+        chosen,
+        motion,
+        [Noise("gaussian", 1e-5), Noise("gaussian", 2e-5)],
+        1,
+        lost_every=1.0,
+        lost_for=0.01,
+        force_limits=[40.0, 12.0],
+        factors=[1.0, 0.8],
     )
     for each in runs.values():
         assert len(each) == 2
         assert all(run.diverged_at is None and judge(run)["position"] < 5e-3 for run in each)
-        assert max(np.abs(run.force).max() for run in each) <= 40.0
+        assert all(np.abs(run.force).max() <= limit for run, limit in zip(each, (40.0, 12.0), strict=True))
     assert np.isnan(runs["Kalman filter"][0].measured[990:1000]).all()
     figure = paint_runs(runs, models.units, 2.0)
     assert [axes.get_ylabel() for axes in figure.axes] == [
@@ -249,8 +257,8 @@ def test_the_arm_from_its_file_to_the_loop():
         "error of q2 (mrad)",
     ]
     assert len(paint_contraction(found, chosen).axes[0].lines) == 8
-    draw = plant_explorer(models, chosen, motion, "none", 2.0, 1)
-    [said, *_] = [text.get_text() for text in draw(1.0, 1.0, 1e-5).axes[1].get_legend().get_texts()]
+    draw = plant_explorer(models, chosen, motion, [Noise(), Noise()], 2.0, 1)
+    [said, *_] = [text.get_text() for text in draw(1.0, 1.0, 1.0).axes[1].get_legend().get_texts()]
     assert said.endswith("mrad rms")
 
 
@@ -261,7 +269,11 @@ def test_on_the_arm_the_window_wants_a_wider_sigmoid_and_a_smaller_gain():
     ends = []
     for flow in (FlowTransformation(), FlowTransformation(-0.24, 3.0), FlowTransformation(-8.0, 100.0)):
         runs = drive(
-            models, controllers(models.approximate, flow, *SETTINGS[1:]), motion, Noise("gaussian", 1e-5), 1
+            models,
+            controllers(models.approximate, flow, *SETTINGS[1:]),
+            motion,
+            [Noise("gaussian", 1e-5)] * 2,
+            1,
         )
         ends.append(runs["moving window"][0].diverged_at)
     assert ends[0] < 1 and ends[1] < 1 and ends[2] is None
@@ -292,7 +304,7 @@ def test_one_angle_is_said_in_rad(tmp_path):
     )
     models = load_models(str(tmp_path / "a.py"))
     runs = drive(
-        models, controllers(models.approximate, *SETTINGS), [sine_trajectory(duration=3.0)], Noise(), 0
+        models, controllers(models.approximate, *SETTINGS), [sine_trajectory(duration=3.0)], [Noise()], 0
     )
     assert [axes.get_ylabel() for axes in paint_runs(runs, models.units, 2.0).axes] == [
         "q (rad)",
@@ -371,12 +383,12 @@ def test_an_outline_executes_nothing(tmp_path):
 
 def test_pictures_and_explorer(cam):
     models, trajectories, chosen = cam
-    runs = drive(models, chosen, trajectories, Noise("gaussian", 1e-5), 1)
-    draw = plant_explorer(models, chosen, trajectories, "gaussian", 2.0, 1)
+    runs = drive(models, chosen, trajectories, [Noise("gaussian", 1e-5)], 1)
+    draw = plant_explorer(models, chosen, trajectories, [Noise("gaussian", 1e-5)], 2.0, 1)
     figures = [
         paint_contraction(contraction_along(models, trajectories), chosen),
         paint_runs(runs, models.units, 2.0),
-        draw(30.0, 1.0, 1e-5),
+        draw(30.0, 1.0, 1.0),
     ]
     labels = [text.get_text() for text in figures[2].axes[0].get_legend().get_texts()]
     assert "Kalman filter: diverges" in labels[2] and "outside the contraction range" in labels[2]

@@ -10,16 +10,21 @@ from notebooks.worstcase.comparison import (
     METHODS,
     SETTINGS,
     Setting,
-    among_best,
+    best_intervals,
     compare,
     comparison_trial,
+    cross_validated_penalty,
+    equal_to_best,
     estimates,
+    evidence_penalty,
     hinfinity_estimate,
     hinfinity_model,
+    huber_estimate,
     instrumental_variables,
     over_best,
     recommend,
     sample_record,
+    turning_points,
 )
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import smallest_level
@@ -118,13 +123,13 @@ def filtered(matrix, outputs, deviation, level):
 
 def test_hinfinity_keeps_its_level_and_nothing_keeps_less(monkeypatch):
     matrix = record(rows=9).matrix
-    model = hinfinity_model(matrix, 0.7, FORGETTING)
+    model = hinfinity_model(matrix, 0.49, 1.0, FORGETTING)
     smallest = smallest_level(model, np.eye(3), 1e-3)
-    monkeypatch.setattr(comparison, "MARGIN", 1.3)
+    monkeypatch.setattr(comparison, "HINFINITY_MARGIN", 1.3)
     target = np.random.default_rng(3).standard_normal(9)
     level = 1.3 * smallest_level(model, np.eye(3), 1e-2)
     twin = filtered(matrix, target, 0.7, level)
-    assert hinfinity_estimate(matrix, target, 0.7, FORGETTING) == pytest.approx(twin, abs=1e-9)
+    assert hinfinity_estimate(matrix, target, 0.49, 1.0, FORGETTING) == pytest.approx(twin, abs=1e-9)
     assert smallest / 1.001 < gain_of(matrix, level) < level
     with pytest.raises(AssertionError):  # below the smallest level the information loses its sign
         filtered(matrix, target, 0.7, 0.99 * smallest)
@@ -183,7 +188,13 @@ def test_the_judgement_of_a_cell():
     """Two runs a method, errors by hand: geometric means 2, 4 and 2; the third scatters too much to be behind."""
     errors = np.array([[[2.0, 4.0, 0.1], [2.0, 4.0, 44.1]]])
     assert over_best(errors)[0] == pytest.approx([1, 2, 1.05], abs=1e-4)
-    assert among_best(errors).tolist() == [[True, False, True]]
+    # a method that is a tenth worse in every run is worse, one that scatters about the best by less than a per cent is equal
+    rng = np.random.default_rng(1)
+    runs = np.exp(rng.normal(0, 0.5, (40, 1)) + np.array([0.0, 0.1, 0.0]) + rng.normal(0, 0.005, (40, 3)))
+    assert equal_to_best(runs).tolist() == [True, False, True]
+    assert comparison.worse_than_best(runs).tolist() == [False, True, False]
+    low, high = best_intervals(runs)
+    assert low[1] < np.exp(0.1) < high[1]
     # two excitations: the second method is nowhere best, and nowhere far behind
     rows = np.array([[[[1.0, 1.1, 3.0]] * 2, [[3.0, 1.1, 1.0]] * 2]])
     assert recommend(rows).tolist() == [1]
@@ -192,10 +203,76 @@ def test_the_judgement_of_a_cell():
 @pytest.mark.slow
 def test_pictures_show_every_cell():
     names = ["noise 0.5, 0.5", "gain 0.8"]
-    errors = compare({name: SETTINGS[name] for name in names}, 3, 3, 3, 60, FORGETTING)["errors"]
+    errors = compare({name: SETTINGS[name] for name in names}, 4, 3, 3, 60, FORGETTING)["errors"]
     drawn = figures.plotted(comparison.paint_map(names, errors))
     cells = [row for row in drawn if row[-1]]
     assert len(cells) == len(names) * len(EXCITATIONS) * len(METHODS)
     ratios = figures.plotted(comparison.paint_ratios(names, errors))
     assert {row[1] for row in ratios} >= {METHODS[name] for name, _ in comparison.AGAINST}
+    figures.plotted(comparison.paint_turning((1.0, 3.0), errors))
     comparison.explore_comparison(0.1, 0.1, 1.0, 0.0, 2)
+
+
+def test_penalties_are_those_of_the_plain_criteria():
+    """Leave-one-out and the likelihood of the data written out, on the grid that the functions search."""
+    rng = np.random.default_rng(4)
+    matrix, noise = rng.standard_normal((12, 3)), rng.standard_normal(12)
+    target = matrix @ [0.3, -0.2, 0.1] + noise
+    penalties = np.linalg.norm(matrix, 2) ** 2 * np.geomspace(1e-10, 1e6, 321)
+
+    def cross_validated(penalty):
+        hat = matrix @ np.linalg.inv(matrix.T @ matrix + penalty * np.eye(3)) @ matrix.T
+        return np.sum((target - hat @ target) ** 2) / (12 - np.trace(hat)) ** 2
+
+    def unlikely(
+        penalty,
+    ):  # minus twice the log of the best Gaussian density, of variance s (I + A A' / penalty)
+        shape = np.eye(12) + matrix @ matrix.T / penalty
+        return 12 * np.log(target @ np.linalg.solve(shape, target)) + np.linalg.slogdet(shape)[1]
+
+    for found, criterion in ((cross_validated_penalty, cross_validated), (evidence_penalty, unlikely)):
+        best = min(criterion(penalty) for penalty in penalties)
+        assert criterion(found(matrix, target, 12)) == pytest.approx(best, rel=1e-9)
+
+
+def test_huber_is_scikit_learn_s_at_its_scale():
+    from sklearn.linear_model import HuberRegressor
+
+    rng = np.random.default_rng(5)
+    matrix = rng.standard_normal((400, 2))
+    noise = rng.standard_normal(400) * np.where(rng.random(400) < 0.1, 30.0, 1.0)
+    target = matrix @ [2.0, -1.0] + noise
+    peer = HuberRegressor(alpha=0.0, fit_intercept=False, tol=1e-9).fit(matrix, target).coef_
+    least = np.linalg.lstsq(matrix, target)[0]
+    found = huber_estimate(matrix, target, np.ones(400))
+    # their scales differ: his is estimated with the parameters, ours is the median's
+    assert np.linalg.norm(found - peer) < 0.1 * np.linalg.norm(least - [2.0, -1.0])
+
+
+def test_structured_records_are_what_they_say():
+    decay = record(comparison.STRUCTURED["free decay"], rows=60)
+    assert (decay.matrix + decay.perturbation) @ decay.truth + decay.noise == pytest.approx(decay.target)
+    assert decay.matrix[1:, 1] == pytest.approx(decay.matrix[:-1, 0])
+    assert decay.instruments[1:, 0] == pytest.approx(decay.matrix[:-1, 1])
+    near = record(comparison.STRUCTURED["near-collinear"], rows=400)
+    clean = near.matrix + near.perturbation
+    assert np.ptp(clean[:, 1] - clean[:, 0]) < 0.02 * np.ptp(clean[:, 0])
+    assert near.perturbation.std() == pytest.approx(0.01, rel=0.1)
+    second = record(comparison.STRUCTURED["second sensor"], rows=4000)
+    clean = second.matrix + second.perturbation
+    others = second.instruments - clean
+    assert others.std() == pytest.approx(0.5, rel=0.05)
+    assert abs(np.corrcoef(others[:, 0], second.perturbation[:, 0])[0, 1]) < 0.05
+    outliers = record(comparison.STRUCTURED["outliers"], rows=4000).noise
+    assert np.mean(np.abs(outliers) > 1.0) == pytest.approx(0.05 * 0.92, abs=0.012)
+
+
+def test_turning_points_lie_where_the_errors_cross():
+    """Min-max below least squares from a noise of 2 on, above 1 from 8 on, by straight lines between logarithms."""
+    noises, methods = (1.0, 4.0, 16.0), list(METHODS)
+    errors = np.ones((3, 1, 2, len(methods)))
+    errors[:, 0, :, methods.index("min_max")] = np.array([0.25, 0.5, 2.0])[:, None]
+    errors[:, 0, :, methods.index("least")] = np.array([0.125, 1.0, 8.0])[:, None]
+    found = turning_points(errors, noises)
+    assert found["worstcase.comparison.pays-from"] == pytest.approx(2.0)
+    assert found["worstcase.comparison.pays-to"] == pytest.approx(8.0)

@@ -5,20 +5,23 @@ import pytest
 from scipy import optimize
 
 from experiments.worstcase import measured, total_least_squares
-from experiments.worstcase.pairs import load_pair
+from experiments.worstcase.pairs import load_pair, open_pair
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
     criterion_trial,
     fir_trial,
+    forgetting_trial,
     gain_trial,
     least_squares_limit,
     path,
     settled,
+    tracking_record,
     tracking_trial,
 )
 from experiments.worstcase.theory import (
     convergence_trial,
     counter_example,
+    non_unique_trial,
     recursion_trial,
     scalar_trial,
     solution_trial,
@@ -32,10 +35,11 @@ from notebooks.worstcase import real_record as measured_pictures
 from notebooks.worstcase import time_updates as update_pictures
 from notebooks.worstcase import tracking as tracking_pictures
 from stillwork.base.checks import InputError
-from stillwork.estimation import min_max_solve
+from stillwork.estimation import LeastSquares, min_max_solve
+from stillwork.estimation.recursive import run_silently
 from stillwork.identification import fir_regressors
 from stillwork.identification.regressors import exponential_bound
-from workbook import figures
+from workbook import figures, paths
 from workbook.studies import run_study
 
 FIG_1 = {"parameters": (1.0, 0.5), "period": 20, "samples": 60, "input_noise": 0.1, "output_noise": 1.0}
@@ -138,6 +142,43 @@ def test_trials_of_the_theory_agree_with_naive_solutions():
     )
     assert scalar_trial(np.random.default_rng(0))["bounded"] == 1
     assert convergence_trial(np.random.default_rng(0), 3, 400)["converged"] == 1
+
+
+def test_in_the_degenerate_case_a_whole_segment_is_optimal():
+    found = run_study(non_unique_trial, 30, 1, progress=False)
+    assert found["spread"].max() < 1e-12
+    assert np.abs(found["solver"]).max() < 1e-7
+    assert (found["elsewhere"] > 0).all()  # nothing off the segment costs as little
+
+
+def test_forgetting_helps_after_a_jump_and_hurts_where_nothing_changes():
+    truth = {kind: 5 * path(kind, FIG_2_PARAMETERS, 200) for kind in ("jump", "constant")}
+    settings = {"forgetting": 0.95, "row_error": 0.25, "noise": 0.05, "progress": False}
+    jump, still = (run_study(forgetting_trial, 8, 1, truth=truth[kind], **settings) for kind in truth)
+    assert (jump["least"] < jump["least_kept"]).all() and (still["least"] > still["least_kept"]).all()
+    assert (jump["min_max"] < jump["min_max_kept"]).all()
+    regressors, outputs = tracking_record(np.random.default_rng(3), truth["jump"], 0.25, 0.05)
+    batch = np.linalg.lstsq(regressors.T, outputs)[0]
+    assert run_silently(LeastSquares(1 - 1e-12, 1e4), regressors, outputs).estimates[:, -1] == pytest.approx(
+        batch, abs=1e-4
+    )
+
+
+def test_break_even_noise_lies_where_the_map_crosses_one():
+    noises, bounds = np.array([0.01, 0.1, 1.0]), np.array([0.5, 2.0])
+    ratios = np.array([[2.0, 2.0, 0.5], [2.0, 2.0, 0.5]])
+    assert tracking_pictures.break_even_noise(noises, bounds, ratios, 1.0) == pytest.approx(10**-0.5)
+
+
+def test_an_exchanged_pair_has_the_other_sensor_s_noise():
+    pair, spectra = load_pair((100.0, 1500.0), (300.0, 600.0))
+    other = measured_pictures.exchange(pair, spectra, (300.0, 600.0))
+    assert np.array_equal(other.input, pair.output) and np.array_equal(other.output, pair.input)
+    again = open_pair(
+        paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"),
+        band_hz=(100.0, 1500.0), quiet_hz=(300.0, 600.0),
+    )[0]  # fmt: skip
+    assert other.noise == pytest.approx(again.noise[1], rel=1e-12)
 
 
 def test_counter_example_is_steep_by_plain_differences():

@@ -1,5 +1,7 @@
 """A record from its file to the judged models: known noise is found, estimates are those of the plain problem."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -7,7 +9,15 @@ from scipy.optimize import minimize
 from experiments.worstcase.measured import window_residuals
 from experiments.worstcase.pairs import MeasuredPair, load_pair, open_pair, residual
 from notebooks.worstcase import your_record as draw
-from notebooks.worstcase.your_record import fit_pair, parts, weighted_corner, window_lengths
+from notebooks.worstcase.your_record import (
+    delay_of,
+    fit_pair,
+    parts,
+    spikes_in,
+    warnings_of,
+    weighted_corner,
+    window_lengths,
+)
 from stillwork.base.checks import InputError
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
@@ -191,3 +201,24 @@ def test_too_many_channels_and_too_short_records(tmp_path, template):
         fit_pair(short, 8, 640)
     with pytest.raises(InputError, match=r"\b32 taps"):
         window_lengths(32, 400)
+
+
+def test_what_makes_a_table_misleading_is_named(template):
+    pair, _, fitted = template
+    assert warnings_of(pair, fitted, 24) == []
+    late = replace(pair, output=np.roll(pair.output, 40))
+    assert delay_of(pair) < 24 and delay_of(late) == delay_of(pair) + 40
+    assert delay_of(replace(pair, input=pair.output, output=pair.input)) == -delay_of(pair)
+    spoiled = pair.output.copy()
+    spoiled[[500, 900]] = 40 * pair.output.std()
+    assert spikes_in(spoiled) == 2 and spikes_in(np.sin(np.arange(999.0))) == 0
+    edge = replace(fitted, choosing=np.arange(len(fitted.factors), dtype=float))
+    near = replace(fitted, threshold=1.5 * fitted.bounds["min-max, typical bound"])
+    for wrong, found, word in (
+        (late, fitted, "outside the 24 taps"),
+        (replace(pair, output=spoiled), fitted, "2 samples beyond"),
+        (replace(pair, output=2 * pair.input), fitted, "one channel"),
+        (pair, edge, "end of the range"),
+        (pair, near, "half of the threshold"),
+    ):
+        assert sum(word in sentence for sentence in warnings_of(wrong, found, 24)) == 1, word

@@ -31,7 +31,7 @@ def paint_noise_correlations(found: dict[str, Correlations]):
         axes.plot(lags, (lags == 0) * float(name == "quotient"), "x", **style)
         for (label, seen), (colour, shift) in zip(found.items(), looks, strict=False):
             axes.plot(lags + shift, getattr(seen, name), ".", color=colour, ms=7, label=label)
-        axes.set(xlabel="lag (samples)", ylabel="correlation (1)", title=title)
+        axes.set(xlabel="lag (samples)", ylabel="correlation", title=title)
     legend_above(panels[0], 3)
     return figure
 
@@ -99,7 +99,7 @@ def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
         for scale in scales
     ]
     believed, true = (np.array([np.diag(getattr(s, n)) for s in settled]) for n in ("believed", "true"))
-    figure = paint_beliefs(scales, believed, true, "factor on the assumed R (1)", (assumed_scale,))
+    figure = paint_beliefs(scales, believed, true, "factor on the assumed R", (assumed_scale,))
     for axes in figure.axes:
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)

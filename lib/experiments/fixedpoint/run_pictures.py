@@ -123,7 +123,7 @@ def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], l
     for (row, column), value in np.ndenumerate(grid):
         style = {"ha": "center", "va": "center", "fontsize": 7, "color": "w" if value > 0.5 else "k"}
         axes.text(column, row, f"{value:.2g}", **style)
-    figure.colorbar(image, ax=axes, label="fraction of runs that obey (1)")
+    figure.colorbar(image, ax=axes, label="fraction of runs that obey")
     return figure
 
 

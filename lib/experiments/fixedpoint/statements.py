@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
-from workbook.studies import Study, proportion_interval
+from workbook.studies import Study, mean_interval, proportion_interval
 
 SMOOTHEST = "low pass smoothest"
 HECTIC = "Kalman filter most hectic"
@@ -47,6 +47,12 @@ def in_both_forms(
 def fraction(obeyed: Bool[np.ndarray, " runs"]) -> tuple[float, tuple[float, float]]:
     """Fraction of runs that obey, and Wilson's 95 % interval of it."""
     return float(obeyed.mean()), proportion_interval(int(obeyed.sum()), len(obeyed))
+
+
+def relative_change(before: np.ndarray, after: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """Mean change from one study to another, run by run, over the mean before, and its 95 % interval."""
+    change = (after - before) / before.mean()
+    return float(change.mean()), mean_interval(change)
 
 
 def pooled(studies: dict[str, dict[str, Study]], kalman: str) -> dict[str, Bool[np.ndarray, " runs"]]:

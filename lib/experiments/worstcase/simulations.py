@@ -11,7 +11,7 @@ from stillwork.base.checks import InputError, pluralise, require_array, require_
 from stillwork.estimation.min_max import min_max_solve
 from stillwork.estimation.recursive import run_silently, worst_case_residuals
 from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
-from stillwork.identification.regressors import exponential_weights, fir_regressors
+from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
 
 FIG_2_PARAMETERS = (-0.0134, -0.0316, 0.0265, -0.0114, 0.0132)
 NOISE_LAWS = ("uniform", "cut Gaussian")
@@ -165,6 +165,56 @@ def path(kind: str, parameters: tuple[float, ...], samples: int) -> np.ndarray:
     return values
 
 
+def tracking_record(
+    rng: np.random.Generator,
+    truth: np.ndarray,
+    row_error: float,
+    noise: float,
+    amplitude: float = 1.0,
+    delay_line: bool = False,
+    error_law: str = "ball",
+) -> tuple[np.ndarray, np.ndarray]:
+    """Regressors as measured (unknowns, samples) and outputs of a trial of Fig. 2; arguments as of `tracking_trial`."""
+    require_choice("error_law", error_law, ROW_ERRORS)
+    unknowns, samples = truth.shape
+    if delay_line:
+        regressors = fir_regressors(rng.standard_normal(samples + unknowns - 1), unknowns)[:, unknowns - 1 :]
+    else:
+        regressors = rng.standard_normal((unknowns, samples))
+    regressors *= amplitude
+    directions = rng.standard_normal((unknowns, samples))
+    radius = row_error * rng.random(samples) ** (1 / unknowns)
+    if error_law != "ball":
+        radius[:] = row_error
+    if error_law == "one direction":
+        directions[:] = directions[:, :1]
+    errors = directions * (radius / np.linalg.norm(directions, axis=0))
+    outputs = np.sum((regressors + errors) * truth, axis=0) + noise * rng.standard_normal(samples)
+    return regressors, outputs
+
+
+def forgetting_trial(
+    rng: np.random.Generator, truth: np.ndarray, forgetting: float, row_error: float, noise: float
+) -> dict[str, float]:
+    """RMS error norm over the second half of a trial of Fig. 2, with forgetting and without.
+
+    ``min_max``, ``least``: with `forgetting`; ``min_max_kept``, ``least_kept``: all rows count alike.
+    """
+    rows, outputs = tracking_record(rng, truth, row_error, noise)
+    estimators = {
+        "min_max": MinMax(exponential_bound(row_error, forgetting), forgetting),
+        "min_max_kept": GrowingMinMax(row_error),
+        "least": LeastSquares(forgetting, 1e4),
+        "least_kept": LeastSquares(1 - 1e-12, 1e4),
+    }
+    late = slice(truth.shape[1] // 2, None)
+    tracks = {name: run_silently(each, rows, outputs).estimates for name, each in estimators.items()}
+    return {
+        name: float(np.sqrt(np.mean(np.sum((each - truth)[:, late] ** 2, axis=0))))
+        for name, each in tracks.items()
+    }
+
+
 def tracking_trial(
     rng: np.random.Generator,
     truth: np.ndarray,
@@ -187,21 +237,8 @@ def tracking_trial(
     unweighted regressors, ``weighted_norm`` of the weighted ones at the end; ``vanished``: share of the time with a
     zero estimate.
     """
-    require_choice("error_law", error_law, ROW_ERRORS)
-    unknowns, samples = truth.shape
-    if delay_line:
-        regressors = fir_regressors(rng.standard_normal(samples + unknowns - 1), unknowns)[:, unknowns - 1 :]
-    else:
-        regressors = rng.standard_normal((unknowns, samples))
-    regressors *= amplitude
-    directions = rng.standard_normal((unknowns, samples))
-    radius = row_error * rng.random(samples) ** (1 / unknowns)
-    if error_law != "ball":
-        radius[:] = row_error
-    if error_law == "one direction":
-        directions[:] = directions[:, :1]
-    errors = directions * (radius / np.linalg.norm(directions, axis=0))
-    outputs = np.sum((regressors + errors) * truth, axis=0) + noise * rng.standard_normal(samples)
+    unknowns = len(truth)
+    regressors, outputs = tracking_record(rng, truth, row_error, noise, amplitude, delay_line, error_law)
     min_max = run_silently(MinMax(bound, forgetting, update), regressors, outputs)
     tracks = {
         "min_max": min_max.estimates,
@@ -211,7 +248,8 @@ def tracking_trial(
     }
     found = {name: np.linalg.norm(truth - values, axis=0) for name, values in tracks.items()}
     found["norm"] = np.linalg.norm(regressors, 2)
-    found["weighted_norm"] = np.linalg.norm(regressors * exponential_weights(samples, forgetting), 2)
+    weights = exponential_weights(truth.shape[1], forgetting)
+    found["weighted_norm"] = np.linalg.norm(regressors * weights, 2)
     found["vanished"] = np.isinf(min_max.alphas[unknowns:]).mean()
     return found
 

@@ -62,6 +62,33 @@ def solution_trial(rng: np.random.Generator, perturbations: int) -> dict[str, fl
     }
 
 
+def non_unique_trial(rng: np.random.Generator) -> dict[str, float]:
+    """Section 2's degenerate case: b along one singular direction of A, and the bound that singular value.
+
+    Costs |A x - b| + eta |x| of the estimates between zero and least squares: ``spread``, largest less smallest over
+    the smallest; ``solver``, that of `min_max_solve` over it, less 1; ``elsewhere``, smallest of 100 other estimates
+    over it, less 1.
+    """
+    rows = int(rng.integers(3, 20))
+    unknowns = int(rng.integers(2, rows))
+    matrix = rng.standard_normal((rows, unknowns))
+    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
+    k = int(rng.integers(unknowns))
+    target, least, bound = sizes[k] * left[:, k], right[k], sizes[k]
+
+    def cost(x):
+        return np.linalg.norm(matrix @ x - target) + bound * np.linalg.norm(x)
+
+    between = np.array([cost(share * least) for share in np.linspace(0, 1, 21)])
+    elsewhere = min(cost(rng.random() * least + 0.1 * rng.standard_normal(unknowns)) for _ in range(100))
+    solved = cost(solve_silently(matrix, target, bound).estimate)
+    return {
+        "spread": np.ptp(between) / between.min(),
+        "solver": solved / between.min() - 1,
+        "elsewhere": elsewhere / between.min() - 1,
+    }
+
+
 def weighting_trial(rng: np.random.Generator, row_error: float, forgetting: float, samples: int) -> dict:
     """Section 5: norm of the weighted perturbation, rows within `row_error`, over the sum and over its limit."""
     unknowns = int(rng.integers(1, 7))

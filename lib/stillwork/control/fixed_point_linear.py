@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.fixed_point import INTEGRATIONS, Controller
+from stillwork.control.fixed_point_mechanism import require_alike
 from stillwork.control.mechanism import Mechanism
 from stillwork.estimation.coordinate_filters import (
     Filter,
@@ -119,9 +120,15 @@ def _linear_unscented(signal_filter, slopes, sample_time) -> LinearFilter:
     A = np.vstack([np.column_stack([forward, -K[:, 0] / sample_time]), np.zeros(3)])
     B = np.vstack([np.column_stack([K[:, 0] / sample_time + K[:, 1], push]), [1.0, 0.0]])
     now = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1 / sample_time, 0.0, 0.0]])
-    C = now @ A
-    C[2, 0] -= 1 / sample_time  # acceleration: difference of the velocity estimate
-    return LinearFilter(A, B, C, now @ B)
+    by_position, by_velocity, by_force = slopes
+    if signal_filter.model_acceleration:
+        now[2] = by_velocity, by_position, 0.0
+    C, D = now @ A, now @ B
+    if signal_filter.model_acceleration:
+        D[2, 1] += by_force
+    else:
+        C[2, 0] -= 1 / sample_time  # acceleration: difference of the velocity estimate
+    return LinearFilter(A, B, C, D)
 
 
 def _linear_extended(signal_filter, slopes, sample_time) -> LinearFilter:
@@ -240,7 +247,7 @@ def _motion(by_position, by_velocity, by_force, sample_time, integration):
 @checked
 def linear_loop(
     plant: Plant | Mechanism,
-    controller: Controller,
+    controller: Controller | list[Controller],
     sample_time: float,
     position: ArrayLike = 0.0,
     velocity: ArrayLike = 0.0,
@@ -248,10 +255,14 @@ def linear_loop(
 ) -> LinearLoop:
     """The loop of `simulate` or `simulate_mechanism` near an operating point (m and m/s).
 
-    `integration` is theirs: ``exact``, the plant under a force that is held for a sample, or ``semi-implicit``.
+    `integration` is theirs: ``exact``, the plant under a force that is held for a sample, or ``semi-implicit``. Of
+    controllers that differ the loop's local gain is that of the first coordinate; those of the others keep their ratio to it.
     """
     require_choice("integration", integration, INTEGRATIONS[:2])
     count = getattr(plant, "coordinates", 1)
+    controllers = list(controller) if isinstance(controller, list) else [controller] * count
+    require_alike(controllers, count)
+    controller = controllers[0]
     place, speed = (
         require_array(name, np.atleast_1d(values), shape=(count,))
         for name, values in (("position", position), ("velocity", velocity))
@@ -262,7 +273,9 @@ def linear_loop(
     device = linear_filter(controller.signal_filter, sample_time, *at)
     by_position, by_velocity, by_force = _slope_matrices(plant, place, speed)
     model_position, model_velocity, model_force = _slope_matrices(controller.model, place, speed)
-    gains, integrals = controller.kinematics.gains, controller.kinematics.integrals
+    gains = np.array([each.kinematics.gains for each in controllers]).T
+    integrals = controller.kinematics.integrals
+    ratios = [each.transformation.local_gain / controller.transformation.local_gain for each in controllers]
     motion, push = _motion(by_position, by_velocity, by_force, sample_time, integration)
     first = 4 + integrals  # position, velocity, deformed, force, integrals, filter
     states = first + len(device.A)
@@ -274,7 +287,7 @@ def linear_loop(
         chain = [-seen]
         for j in range(integrals):
             chain.append(x[4 + j] + sample_time * chain[j])
-        desired = gains[:-1] @ np.array(chain)[::-1] - gains[-1] * estimate[1]
+        desired = (gains[:-1] * np.array(chain)[::-1]).sum(axis=0) - gains[-1] * estimate[1]
         deformed = x[2] + change
         force = np.linalg.solve(model_force, deformed - model_position @ seen - model_velocity @ estimate[1])
         moved = (motion @ x[:2].ravel() + push @ force).reshape(2, count)
@@ -285,6 +298,6 @@ def linear_loop(
     size = states * count
     columns = [step(unit.reshape(states, count), np.zeros(count)) for unit in np.eye(size)]
     A = np.column_stack([column for column, _ in columns])
-    B = np.column_stack([step(np.zeros((states, count)), unit)[0] for unit in np.eye(count)])
+    B = np.column_stack([step(np.zeros((states, count)), unit)[0] for unit in np.diag(ratios)])
     C = np.column_stack([output for _, output in columns])
     return LinearLoop(A, B, C, float(sample_time))

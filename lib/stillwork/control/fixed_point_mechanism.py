@@ -41,12 +41,12 @@ from stillwork.estimation.filtering import model_of
 @checked(missing=True)
 def simulate_mechanism(
     plant: Mechanism,
-    controller: Controller,
+    controller: Controller | list[Controller],
     trajectories: list[Trajectory],
     noise: ArrayLike | None = None,
     *,
-    resolution: float = 0.0,
-    grid: float = 0.0,
+    resolution: ArrayLike = 0.0,
+    grid: ArrayLike = 0.0,
     integration: str = "exact",
     start: ArrayLike | None = None,
     bound: float = 10.0,
@@ -63,14 +63,15 @@ def simulate_mechanism(
     ----------
     plant : Mechanism
         The exact model.
-    controller : Controller
-        The same for every coordinate; its `model` is a Mechanism.
+    controller : Controller or list of Controller
+        One for all coordinates, or one for each, which differ in transformation and kinematics alone; its `model` is a
+        Mechanism.
     trajectories : list of Trajectory
         One for each coordinate, of one length and sample time.
     noise : array_like, shape (coordinates, samples), optional
         Added to the positions when they are measured; NaN where a sample is lost.
-    resolution, grid : float
-        Of the encoders, as in `control.simulate`.
+    resolution, grid : array_like, shape () or (coordinates,)
+        Of the encoders, as in `control.simulate`; one for all, or one for each.
     integration : str
         As in `control.simulate`.
     start : array_like, shape (2, coordinates), optional
@@ -116,7 +117,11 @@ def simulate_mechanism(
     >>> bool(np.abs(along.position_error).max() < 2e-3 and np.abs(up.position_error).max() < 2e-2)  # m
     True
     """
-    model, count = controller.model, plant.coordinates
+    count = plant.coordinates
+    controllers = list(controller) if isinstance(controller, list) else [controller] * count
+    require_alike(controllers, count)
+    controller = controllers[0]
+    model = controller.model
     samples = len(trajectories[0].position) if trajectories else 0
     if not isinstance(model, Mechanism):
         raise InputError(
@@ -131,7 +136,6 @@ def simulate_mechanism(
         )
     sample_time = require_sample_time(controller.signal_filter, trajectories[0].sample_time)
     noise = require_noise(noise, (count, samples))
-    require_number("grid", grid)
     require_number("bound", bound, above=1)
     require_choice("integration", integration, INTEGRATIONS)
     nominal = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])
@@ -142,14 +146,36 @@ def simulate_mechanism(
         forces = require_array("force_limits", force_limits, shape=(count,))
         if np.any(forces <= 0):
             raise InputError(f"force_limits is {forces}; give numbers above 0")
-    warn_outside_contraction(controller.transformation, response_gains(plant, model, start[0])[-1])
+    for each in controllers:
+        warn_outside_contraction(each.transformation, response_gains(plant, model, start[0])[-1])
+    encoders = []
+    for name, values in (("resolution", resolution), ("grid", grid)):
+        values = require_array(name, values)
+        if values.shape not in ((), (count,)):
+            raise InputError(
+                f"{name} has shape {values.shape}; give one number, or one for each of {count} coordinates"
+            )
+        encoders.append(np.resize(values, count))
+    for value in encoders[0]:
+        require_number("resolution", value, at_least=0)
+    packed = [
+        packed_parts(each, *encoder, lost)
+        for each, encoder in zip(controllers, zip(*encoders, strict=True), strict=True)
+    ]
+    parts = (
+        packed[0][0],
+        np.array([each[1] for each in packed]),
+        np.array([each[2] for each in packed]),
+        *encoders,
+        packed[0][3][2],
+    )
     record = np.full((count, len(COLUMNS), samples), np.nan)
     device = controller.signal_filter.packed()
     done, status = _closed_mechanism(
         device,
         np.tile(device.work, (count, 1, 1, 1)),
         *model_of(controller.signal_filter),
-        packed_parts(controller, resolution, grid, lost),
+        parts,
         *plant.compiled,
         *model.compiled,
         sample_time,
@@ -170,6 +196,22 @@ def simulate_mechanism(
         ControlledRun(trajectory, *rows, **ended)
         for trajectory, rows in zip(trajectories, record, strict=True)
     ]
+
+
+@checked
+def require_alike(controllers: list[Controller], count: int) -> None:
+    """Refuse controllers of `count` coordinates that differ in more than transformation and kinematics."""
+    alike = len(controllers) == count and all(
+        each.signal_filter == controllers[0].signal_filter
+        and each.model == controllers[0].model
+        and each.kinematics.integrals == controllers[0].kinematics.integrals
+        for each in controllers
+    )
+    if not alike:
+        raise InputError(
+            f"controller holds {len(controllers)}; give one, or one for each of {count} coordinates, with the same filter, model "
+            "and number of integrals"
+        )
 
 
 @borrowing_kernel
@@ -201,12 +243,14 @@ def _closed_mechanism(
     """Fill `record` (coordinates x COLUMNS x samples); returns the samples done and how it ended."""
     count, samples = noise.shape
     kind, options, process, sensor, _ = device
-    measurement, position, velocity = parts[3], motion[0], motion[1]
+    from_measurement, transformations, gains, resolutions, grids, loss = parts
+    position, velocity = motion[0], motion[1]
     force, acceleration, deformed, seen, speed, held = work[0], work[1], work[2], work[3], work[4], work[5]
     rows, work, length = work[6 : 6 + HELD_ROWS], work[6 + HELD_ROWS :], sample_time
     for i in range(samples):
         for j in range(count):
             now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
+            measurement = resolutions[j], grids[j], loss
             measured = measure_position(
                 measurement, position[j], noise[j, i], sample_time, estimate[j, 1], memory[j, MEASURED]
             )
@@ -216,7 +260,15 @@ def _closed_mechanism(
             ):
                 return i, NOT_DEFINITE
             command_step(
-                parts, sample_time, now, measured, i == 0, held[j] > 0.0, chain[j], estimate[j], memory[j]
+                (from_measurement, transformations[j], gains[j], measurement),
+                sample_time,
+                now,
+                measured,
+                i == 0,
+                held[j] > 0.0,
+                chain[j],
+                estimate[j],
+                memory[j],
             )
             seen[j], deformed[j], speed[j] = memory[j, SEEN], memory[j, DEFORMED], estimate[j, 1]
         inverse_dynamics(model_inertia, model_bias, model, seen, speed, deformed, work, force)

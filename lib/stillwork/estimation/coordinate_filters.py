@@ -250,6 +250,8 @@ class UnscentedKalman(_KalmanFilter):
         Correct with points around the previous estimate, as (14) is printed.
     points : SigmaPoints
         Scaling, Table II.
+    model_acceleration : bool
+        Give the acceleration of the model at the estimate, not the difference of the velocity estimate.
 
     Raises
     ------
@@ -278,6 +280,7 @@ class UnscentedKalman(_KalmanFilter):
     initial_variance: float = 1e-3
     literal: bool = False
     points: SigmaPoints = field(default_factory=SigmaPoints)
+    model_acceleration: bool = False
     error_from_measurement = False
 
     def __post_init__(self):
@@ -302,6 +305,7 @@ class UnscentedKalman(_KalmanFilter):
         array([1.e-02, 1.e-06])
         """
         options = [*self.points.weights(2), float(self.literal), self.initial_variance]
+        options.append(float(self.model_acceleration))
         return _packed(UNSCENTED, options, (BLOCKS, 5, 2), self.process, self.noise)
 
 

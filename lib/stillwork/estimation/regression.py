@@ -503,12 +503,14 @@ class RecursiveLeastSquares(_WeightedRegressor):
             recursion = recursion._replace(forgetting=self._settings().forgetting)
         squares = np.square(rows) / np.where(weights > 0, weights, 1.0)[:, None]
         while first < len(squares):
-            if (squares[first] > largest).any():
+            larger = (squares[first:] > largest).any(axis=1)
+            if larger[0]:
                 recursion = self._believe_start(coef, recursion, largest, squares[first])
                 largest = np.fmax(largest, squares[first])
+                larger = (squares[first:] > largest).any(axis=1)
             # up to the next sample with a feature that is larger than ever before
-            ahead = np.flatnonzero((squares[first:] > largest).any(axis=1))
-            last = first + int(ahead[0]) if len(ahead) else len(squares)
+            ahead = int(larger.argmax())
+            last = first + ahead if larger[ahead] else len(squares)
             record = _record(rows[first:last], outputs[first:last])
             stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False, state[3] + first)
             if stopped < len(record[0]):
@@ -660,6 +662,9 @@ def _mixed_solution(matrix, target, bounds) -> tuple[np.ndarray, bool]:
     min over x of |A x - b| + |diag(bounds) x|: what the known columns explain is taken out of the others first.
     """
     known = bounds == 0
+    if not known.any() and np.ptp(bounds) == 0:
+        solution = solve_silently(matrix, target, bounds[0])
+        return solution.estimate, solution.case == "zero" and solution.threshold > 0
     units = np.linalg.norm(matrix[:, known], axis=0)
     units[units == 0] = 1.0
     left, sizes, _ = np.linalg.svd(matrix[:, known] / units, full_matrices=False)

@@ -125,8 +125,8 @@ def plant_unscented_step(
 ):
     """One sample for a second-order plant: x = [velocity, position], z = [difference quotient, position].
 
-    options: four weights, 1 for the literal (14), initial variance. work[MEANS, PAST]: the last measurement,
-    and 1 once there was one, 2 while it is missing. NaN is a missing measurement: the filter predicts. The one after
+    options: four weights, 1 for the literal (14), initial variance, 1 for the model's acceleration.
+    work[MEANS, PAST]: the last measurement, and 1 once there was one, 2 while it is missing. NaN is a missing measurement: the filter predicts. The one after
     has no difference quotient, so that the position alone corrects.
     """
     points, observed, means = work[POINTS], work[OBSERVED], work[MEANS]
@@ -170,5 +170,8 @@ def plant_unscented_step(
             return False
     estimate[0] = means[ESTIMATE, 1]
     estimate[1] = means[ESTIMATE, 0]
-    estimate[2] = (means[ESTIMATE, 0] - last_velocity) / sample_time
+    if options[6] != 0.0:
+        estimate[2] = acceleration(estimate[0], estimate[1], force, plant)
+    else:
+        estimate[2] = (means[ESTIMATE, 0] - last_velocity) / sample_time
     return True
