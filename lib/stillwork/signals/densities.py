@@ -63,7 +63,8 @@ def spectra_of(columns: dict[str, np.ndarray]) -> dict[str, str]:
 def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra.
 
-    `unit` is that of the spectra whose names state none in brackets; a name that states another is refused.
+    `unit` is that of the spectra whose names state none, in brackets (``x (m/s^2/sqrt(Hz))``) or at their end
+    (``x_m_s2_rthz``, `stated_density`); a name that states another is refused.
     """
     columns = read_columns(path)
     axis = frequency_axis(columns)
