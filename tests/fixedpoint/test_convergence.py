@@ -181,11 +181,12 @@ def test_no_stable_gain_and_no_cycle(exact, approximate):
     assert limit_cycles(linear_loop(exact, slow, SAMPLE_TIME), slow.transformation) == []
 
 
-def test_strongest_oscillation_finds_a_sine(rng):
+@pytest.mark.parametrize("frequency_hz", [41.37, 41.2, 41.0, 40.9, 41.6])  # lines are a third of a Hz apart
+def test_strongest_oscillation_finds_a_sine_wherever_it_lies_between_lines(frequency_hz, rng):
     time = np.arange(3000) * SAMPLE_TIME
-    values = 0.3 + 0.02 * np.sin(2 * np.pi * 41.37 * time + 0.4) + 1e-4 * rng.standard_normal(3000)
+    values = 0.3 + 0.02 * np.sin(2 * np.pi * frequency_hz * time + 0.4) + 1e-4 * rng.standard_normal(3000)
     found = strongest_oscillation(values, SAMPLE_TIME)
-    assert found.frequency_hz == pytest.approx(41.37, abs=1e-2)
+    assert found.frequency_hz == pytest.approx(frequency_hz, abs=1e-2)
     assert found.amplitude == pytest.approx(0.02, rel=1e-2)
 
 

@@ -114,6 +114,8 @@ def test_a_finite_number_passes_unchanged(value):
         "three",
         None,
         [1.0, 2.0],
+        np.array([1.0]),
+        np.ma.array(1.0, mask=True),
         True,
         np.True_,
         1j,

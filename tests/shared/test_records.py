@@ -19,6 +19,7 @@ from stillwork.signals.records import (
     load_record,
     resample,
     sample_rate_of,
+    sampling_rate,
     to_acceleration,
     unit_factor,
 )
@@ -43,6 +44,12 @@ def write_csv(path, columns, names, separator=",", decimal=".", head="", tail=""
 @pytest.fixture
 def good_csv(tmp_path):
     return write_csv(tmp_path / "floor.csv", [TIME, *SIGNALS], ["time (s)", "left", "right"])
+
+
+def test_a_rate_is_one_number_of_that_name_and_no_other_number():
+    assert sampling_rate("x", {"fs": np.array([200.0]), "offset": np.array([3.0])}) == 200.0
+    with pytest.raises(InputError, match="sample_rate"):
+        sampling_rate("x", {"fs": np.array([200.0, 100.0])})  # a record of that name
 
 
 def test_csv_has_names_rate_and_unit(good_csv):
