@@ -10,6 +10,7 @@ from experiments.motion.machines import published_noise, stage, stage_mass
 from naive.precise_margins import differing, sample_case
 from naive.sampled_loops import judged_peak, sample_loop
 from stillwork.base.checks import InputError
+from stillwork.base.front_door import checked
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.digital import runnable
@@ -79,6 +80,14 @@ def test_closed_forms():
     assert enclose_phase_margin([1], [2, 1]).high == pytest.approx(np.pi)
     turned = enclose_phase_margin([1], [0, 1])  # an integrator: 90 degrees
     assert turned.low < np.pi / 2 < turned.high < np.pi / 2 + 1e-12
+
+
+def test_a_margin_far_below_rounding_is_enclosed_as_narrowly():
+    """(1 + e) 2 (s + 1)^2 / (s^2 (s^2 + 4 s + 1)) is -1 - e at s = j: to first order its phase margin is e / 4."""
+    one = 10**50
+    gain = 2 * (one + 1)
+    found = checked(lambda: enclose_phase_margin([gain, 2 * gain, gain], [0, 0, one, 4 * one, one]))()
+    assert found.low <= 2.5e-51 <= found.high <= found.low * (1 + 1e-9)
 
 
 def test_what_cannot_be_decided_is_not_proven():

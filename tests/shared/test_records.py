@@ -52,6 +52,13 @@ def test_a_rate_is_one_number_of_that_name_and_no_other_number():
         sampling_rate("x", {"fs": np.array([200.0, 100.0])})  # a record of that name
 
 
+def test_a_line_of_names_alone_is_no_record(tmp_path):
+    file = tmp_path / "names.csv"
+    file.write_text("time,left\n")
+    with pytest.raises(InputError, match=r"^names\.csv\b.*\bnames\b"):
+        load_record(file, "m")
+
+
 def test_csv_has_names_rate_and_unit(good_csv):
     record = load_record(good_csv, "mm/s^2")
     assert record.names == ("left", "right") and record.unit == "m/s^2" and record.source == "floor.csv"
