@@ -244,6 +244,13 @@ def test_an_inaccurate_solution_is_refused_with_its_residual(monkeypatch):
         h2_lmi(toy(), 0.7, 0.4)
 
 
+def test_a_state_that_stays_and_that_no_noise_moves_is_refused_where_its_equation_is_solved():
+    d = np.array([[0.0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    b, c = np.array([[1.0, 0, 1], [0, 0, 1]]), np.array([[1.0, 0], [0, 0], [1, 1]])
+    with pytest.raises(InputError, match=r"\bRiccati\b"):
+        h2_riccati(GeneralisedPlant(StateModel(np.diag([-1.0, 0.0]), b, c, d), 2, 2))
+
+
 def test_feedthrough_and_wrong_shapes_are_named():
     model = StateModel(-np.eye(1), np.ones((1, 2)), np.ones((2, 1)), np.array([[1.0, 0.0], [0.0, 0.0]]))
     with pytest.raises(InputError, match="feedthrough"):

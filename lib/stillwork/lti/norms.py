@@ -1,6 +1,9 @@
 """H2 and H-infinity norms of continuous models."""
 
+import warnings
+
 import numpy as np
+from jaxtyping import Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError
@@ -161,6 +164,19 @@ def _crossings(model: StateModel, level: float) -> np.ndarray:
 
 
 @checked
+def solve_lyapunov(
+    a: Float64[np.ndarray, "states states"],
+    q: Float64[np.ndarray, "states states"],
+    *,
+    discrete: bool = False,
+) -> Float64[np.ndarray, "states states"]:
+    """X of A X + X A' = Q, or of A X A' - X + Q = 0; the caller doubts it, so that scipy need not warn of it."""
+    solve = linalg.solve_discrete_lyapunov if discrete else linalg.solve_continuous_lyapunov
+    with warnings.catch_warnings(action="ignore"):
+        return solve(a, q)
+
+
+@checked
 def h2_norm(model: StateModel) -> float:
     """H2 norm of a stable, strictly proper continuous model: from a balanced Lyapunov equation, checked.
 
@@ -195,12 +211,12 @@ def h2_norm(model: StateModel) -> float:
     units, rate, a, b, c = _balanced(model)
     b = b / np.sqrt(rate)
     driven = b @ b.T
-    gramian = linalg.solve_continuous_lyapunov(a, -driven)
+    gramian = solve_lyapunov(a, -driven)
     # That of a model that passes nothing may round below zero.
     power = max(np.trace(c @ gramian @ c.T), 0.0)
     kept = MOST_DOUBT * power + NOTHING * np.linalg.norm(c) ** 2 * np.linalg.norm(gramian)
     # The equation is solved for an A that is a rounding away from ours, E: to first order the power moves by 2 tr(Y E X).
-    dual = linalg.solve_continuous_lyapunov(a.T, -c.T @ c)
+    dual = solve_lyapunov(a.T, -c.T @ c)
     doubt = 2 * np.finfo(float).eps * np.linalg.norm(a, 2) * np.linalg.norm(gramian @ dual)
     if not doubt <= kept:
         raise InputError(
