@@ -179,6 +179,13 @@ def test_no_stable_gain_and_no_cycle(exact, approximate):
     region = stable_range(linear_loop(exact, slow, SAMPLE_TIME))
     assert np.isnan(region.limits).all() and -0.1 not in region
     assert limit_cycles(linear_loop(exact, slow, SAMPLE_TIME), slow.transformation) == []
+    edge = fixed_point_convergence.Crossing(-2.0, 1.0)
+    for half in (
+        fixed_point_convergence.StableRange(edge, None),
+        fixed_point_convergence.StableRange(None, edge),
+    ):
+        assert np.isnan(half.limits).all()
+        assert limit_cycles(linear_loop(exact, slow, SAMPLE_TIME), slow.transformation, half) == []
 
 
 @pytest.mark.parametrize("frequency_hz", [41.37, 41.2, 41.0, 40.9, 41.6])  # lines are a third of a Hz apart

@@ -96,7 +96,9 @@ def test_an_unstable_loop_has_proven_margins_of_nothing_and_where_no_peak_is_pro
     assert not loop.is_stable(fast)
     found = enclose_margins(loop, fast)
     assert all(each.proven for each in found.values())
-    assert found["gain_reduction"].high == 1.0 and found["gain_margin"].high == found["phase_margin"].high == 0.0
+    assert (
+        found["gain_reduction"].high == 1.0 and found["gain_margin"].high == found["phase_margin"].high == 0.0
+    )
     monkeypatch.setattr(loop_enclosures, "enclose_quotients", lambda *_: Enclosure(0.0, np.inf, False))
     assert not any(each.proven for each in enclose_margins(loop, fast).values())
 

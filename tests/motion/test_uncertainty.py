@@ -18,6 +18,7 @@ from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
     Perturbation,
     Uncertainty,
+    largest_along,
     perturbed_loop,
     perturbed_loops,
     uncertainty_of,
@@ -78,6 +79,21 @@ def test_no_draw_of_a_whole_box_is_worse(function):
         moved = place(1 + 0.05 * x[:3], 1 + 0.1 * x[3:6], 1 + 0.3 * x[6:9], 1 + 0.1 * x[9], 1e-5 * x[10])
         moved.residues[0] = 1 / (1 + 0.03 * x[11])
         assert perturbed_loop(loop, moved).peak(pid, function).magnitude < 1.002 * size
+
+
+def test_along_a_line_the_largest_ratio_is_that_of_many_points():
+    rng = np.random.default_rng(11)
+    inside = 0
+    for _ in range(300):
+        a, b, c, d = rng.standard_normal(4) + 1j * rng.standard_normal(4)
+        low, high = np.sort(rng.uniform(-2, 2, 2))
+        points = np.linspace(low, high, 401)
+        found = largest_along(a, b, c, d, low, high)
+        assert low <= found <= high
+        best = np.abs((a + points * b) / (c + points * d)).max()
+        assert abs((a + found * b) / (c + found * d)) >= best * (1 - 1e-12)
+        inside += low < found < high
+    assert inside > 50
 
 
 @pytest.mark.parametrize("name", ["frequency", "residue", "damping", "gain", "mass", "delay"])

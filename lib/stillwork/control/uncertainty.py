@@ -460,7 +460,7 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
                     own = parts[row, k, taken[k]]
                     if high[k] > low[k]:
                         base = turn * others
-                        factors[k] = _along(
+                        factors[k] = largest_along(
                             a + b * base, b * turn * own, c + d * base, d * turn * own, low[k], high[k]
                         )
                     whole = others + factors[k] * own
@@ -473,7 +473,7 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
                         most, when = size, j
                 if most_gain > least_gain:
                     p = late[row, when] * whole
-                    gain = _along(a, b * p, c, d * p, least_gain, most_gain)
+                    gain = largest_along(a, b * p, c, d * p, least_gain, most_gain)
             p = gain * late[row, when] * whole
             over, under = a + b * p, c + d * p
             size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
@@ -487,7 +487,7 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
 
 
 @kernel
-def _along(a, b, c, d, low, high):
+def largest_along(a, b, c, d, low, high):
     """Where |a + xb| / |c + xd| is largest from low to high: at an end, or where its slope, a quadratic, is zero."""
     a0, a1, a2 = a.real**2 + a.imag**2, a.real * b.real + a.imag * b.imag, b.real**2 + b.imag**2
     c0, c1, c2 = c.real**2 + c.imag**2, c.real * d.real + c.imag * d.imag, d.real**2 + d.imag**2
