@@ -10,7 +10,7 @@ from experiments.motion.machines import published_noise, stage, stage_mass
 from naive.precise_margins import differing, sample_case
 from naive.sampled_loops import judged_peak, sample_loop
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.control import loop_enclosures
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop, maximise_bandwidth

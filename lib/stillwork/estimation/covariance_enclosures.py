@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.validation import by_value, checked
 from stillwork.lti.norms import solve_lyapunov
 
 TRIES = 14  # radii, each ten times the one before

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, counted, require_array
-from stillwork.base.front_door import by_value, check_fields, checked, outside
+from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.kernels import callback
+from stillwork.base.validation import by_value, check_fields, checked, user_callback
 
 # Nearest first: what a reader's units make of a number that is about 1 in SI is not known.
 SIZES = [10.0**decade for decade in sorted(range(-30, 31, 3), key=abs)]
@@ -69,7 +69,7 @@ class Plant:
                 f"q' = {velocity:g} it gives {force:g} N, which accelerates by {got:g}; mend one of the two"
             )
         raise InputError(
-            f"acceleration or force fails on {counted(len(self.parameters), 'parameter')} ({failure}); "
+            f"acceleration or force fails on {pluralise(len(self.parameters), 'parameter')} ({failure}); "
             "give functions of (position, velocity, force or acceleration, parameters) that return a number"
         ) from None
 
@@ -104,7 +104,7 @@ def force_slope(plant: Plant, position: float, velocity: float, force: float) ->
 
 
 def _slope(plant: Plant, axis: int, *point: float) -> float:
-    acceleration = outside(plant.acceleration)
+    acceleration = user_callback(plant.acceleration)
 
     def along(value):
         return acceleration(*point[:axis], value, *point[axis + 1 :], plant.parameters)
