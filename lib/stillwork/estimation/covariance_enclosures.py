@@ -95,7 +95,7 @@ def enclose_covariance(
     closed = a - (a @ gain if discrete else gain) @ c
     closed = closed * scale / scale[:, None]
     try:
-        shape = solve_lyapunov(closed, np.eye(n) if discrete else -np.eye(n), discrete=discrete)
+        shape = solve_lyapunov(closed, np.eye(n), discrete=discrete)
     except (np.linalg.LinAlgError, ValueError):
         shape = np.full((n, n), np.nan)
     failed = CovarianceEnclosure(np.zeros(n), np.full(n, inf), False)
