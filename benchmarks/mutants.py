@@ -72,6 +72,7 @@ class Mutant:
     kind: str
     file: str  # below lib/
     line: int
+    column: int
     lines: tuple[int, int]  # of the statement, or of its head
     function: str
     outermost: str  # function that holds it, with its class, or nothing
@@ -86,7 +87,7 @@ class Mutant:
         return text[: self.start] + self.new.encode() + text[self.end :]
 
     def __str__(self):
-        return f"lib/{self.file}:{self.line} {self.kind}: {self.old} -> {self.new}"
+        return f"lib/{self.file}:{self.line}:{self.column} {self.kind}: {self.old} -> {self.new}"
 
 
 def mutants_of(file: str, text: bytes) -> Iterator[Mutant]:
@@ -113,7 +114,8 @@ def mutants_of(file: str, text: bytes) -> Iterator[Mutant]:
             end = starts[node.end_lineno - 1] + node.end_col_offset
             old = " ".join(text[start:end].decode().split())
             outermost = "" if place.endswith(".") else place
-            yield Mutant(kind, file, node.lineno, lines, function, outermost, in_kernel, start, end, old, new)
+            where = (file, node.lineno, node.col_offset + 1)
+            yield Mutant(kind, *where, lines, function, outermost, in_kernel, start, end, old, new)
         if isinstance(node, ast.Raise):
             return
         for name, value in ast.iter_fields(node):
