@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from stillwork.base.checks import InputError
+from stillwork.inspecting import inspect_file
 from stillwork.signals import datafiles
 from stillwork.signals.densities import read_densities
 from stillwork.signals.records import (
@@ -499,6 +500,14 @@ def test_a_unit_is_asked_for_where_the_header_has_none_and_channels_of_one_quant
     np.savetxt(file, table, header="time,left (m/s),right (mV)", comments="", delimiter=",")
     with pytest.raises(InputError, match=r"\bchannels\b"):
         load_record(file)
+
+
+def test_complex_numbers_are_no_frequencies(tmp_path):
+    file = tmp_path / "a.npz"
+    np.savez(file, **{"frequency": np.arange(9) + 1j, "x (m^2/Hz)": np.ones(9)})
+    with pytest.raises(InputError, match=r"^a\.npz\b.*\bfrequency\b"):
+        read_densities(file, "", [], 2)
+    assert inspect_file(str(file)).startswith("a.npz: 2 columns or arrays")
 
 
 def test_a_unit_in_the_header_of_spectra_is_obeyed(tmp_path):

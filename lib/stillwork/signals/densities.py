@@ -128,6 +128,6 @@ def frequency_axis(columns: dict[str, np.ndarray]) -> str:
     """Name of the column of frequencies; empty where there is none."""
     for name, column in columns.items():
         words = re.split(r"[\s_(\[.]", name.strip().lower())
-        if words[0] in _FREQUENCY_WORDS and column.size > 1:
+        if words[0] in _FREQUENCY_WORDS and column.size > 1 and column.dtype.kind != "c":
             return name
     return ""
