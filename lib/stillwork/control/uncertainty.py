@@ -297,9 +297,7 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
 
 def _grid(plant, uncertainty, sample_time, low, high) -> np.ndarray:
     """Dense at each mode and at both ends of its interval, as it is seen, and in between."""
-    flexible = plant.frequencies > 0
-    w, z = plant.frequencies[flexible], plant.damping[flexible]
-    share = uncertainty.frequency[flexible]
+    w, z, share = plant.frequencies, plant.damping, uncertainty.frequency
     ends = np.concatenate([w * (1 - share), w, w * (1 + share)])
     between = (w * (1 + share * np.linspace(-1.02, 1.02, 121)[:, None])).ravel()
     if sample_time:

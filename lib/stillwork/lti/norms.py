@@ -89,11 +89,7 @@ def hinf_norm(model: StateModel) -> Peak:
             crossings = 1 / crossings[crossings > 0][::-1]
         if len(crossings) < 2:
             break
-        middle = (
-            np.sqrt(crossings[:-1] * crossings[1:])
-            if crossings[0] > 0
-            else (crossings[:-1] + crossings[1:]) / 2
-        )
+        middle = np.sqrt(crossings[:-1] * crossings[1:])  # none is 0: the level is above the gain there
         values = gains(middle)
         if values.max() <= raised:
             break
