@@ -12,7 +12,14 @@ from stillwork.control.bandwidth import FUNCTIONS, is_feasible, make_loop
 from stillwork.control.c_code import controller_code
 from stillwork.control.digital import runnable
 from stillwork.control.machine_designs import INTENSITIES
-from stillwork.control.machine_loops import SAFE, applications, observed_loops, observer_settings, reach
+from stillwork.control.machine_loops import (
+    SAFE,
+    applications,
+    observed_loops,
+    observer_settings,
+    pid_family,
+    reach,
+)
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
@@ -184,6 +191,18 @@ def test_settings_are_not_tuned_for_nonsense():
     }.items():  # fmt: skip
         with pytest.raises(InputError, match=name):
             tuned(machine, settings, **good | {name: value})
+
+
+def test_tuned_settings_hold_the_limits_at_a_higher_bandwidth_on_the_whole_box():
+    """Of a PID without observer its lead alone can be tuned; on a grid of places, at the corners and inside."""
+    machine, settings = Machine((CHAIN,), 40.0, "chain"), DesignSettings(None, 5, INTENSITIES)
+    how = {"uncertainty": {"frequency": 0.05}, "sample_time": 1e-4, "delay": 1}
+    found = tuned(machine, settings, 20.0, **how)
+    assert found != settings
+    loop, pid = make_loop(CHAIN, sample_time=1e-4, delay=1), pid_family(machine, found.lead, 1, 1e-4)(20.6)
+    for each in itertools.product([0.95, 0.98, 1.0, 1.05], repeat=2):
+        moved = perturbed_loop(loop, place([1.0, *each]))
+        assert all(moved.peak(pid, limit.function).magnitude < limit.limit for limit in SAFE)
 
 
 @pytest.mark.slow
