@@ -45,8 +45,8 @@ TESTS = ("shared", "isolation", "motion", "worstcase", "fixedpoint")
 # They read the library as text.
 READERS = re.compile("test_(dead_code|wording|layers|readme|wheel|types|source_digest|rendering|import)")
 SYMMETRIC = re.compile(
-    r"\b(max|min|maximum|minimum|hypot|allclose|array_equal)$"
-)  # whose arguments may change places
+    r"\b(max|min|maximum|minimum|hypot|add|multiply|allclose|array_equal)$"
+)  # whose two arguments may change places
 FILES = 6  # of tests, for a mutant
 PATIENCE = 120.0  # s of CPU, for one test
 OPPOSITE = {
