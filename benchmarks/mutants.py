@@ -156,9 +156,9 @@ def changes(node: ast.AST, local: list[str]) -> Iterator[tuple[str, str]]:
             yield "constant", str(2 * value if value else 1.0)
         case ast.Subscript(slice=ast.Name(id=name), ctx=ast.Load()):
             yield "index", f"{ast.unparse(node.value)}[{name} + 1]"
-        case ast.Call(args=[first, second, *rest]) if ast.unparse(first) != ast.unparse(
-            second
-        ) and not SYMMETRIC.search(ast.unparse(node.func)):
+        case ast.Call(args=[first, second, *rest]) if ast.unparse(first) != ast.unparse(second) and (
+            rest or not SYMMETRIC.search(ast.unparse(node.func))
+        ):
             if not any(isinstance(each, ast.Starred) for each in (first, second)):
                 yield "arguments", with_(args=[second, first, *rest])
         case ast.Return(value=ast.Name(id=name)):

@@ -129,6 +129,12 @@ def test_what_is_no_finite_number_is_refused(value):
         require_number("x", value)
 
 
+def test_a_masked_number_is_none_and_numpy_does_not_warn_of_it(recwarn):
+    with pytest.raises(InputError, match=r"^x\b.*\bnot a number\b"):
+        require_number("x", np.ma.array(1.0, mask=True))
+    assert not recwarn
+
+
 @given(numbers, numbers)
 def test_bounds_hold_as_named(value, bound):
     for option, good in (
