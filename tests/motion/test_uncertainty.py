@@ -88,6 +88,19 @@ def test_no_draw_of_a_whole_box_is_worse(function):
         assert perturbed_loop(loop, moved).peak(pid, function).magnitude < 1.002 * size
 
 
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_the_worst_residues_are_the_worst_of_a_grid(function):
+    """Of a function whose numerator holds the plant and of those where only the denominator does."""
+    loop, pid = make_loop(CHAIN, **SAMPLED), PidFamily(40.0)(12.0)
+    size, worst = worst_place(loop, pid, function, Uncertainty(residue=0.5))
+    grid = itertools.product([0.5, 0.8, 1.2, 1.5], repeat=2)
+    most = max(
+        perturbed_loop(loop, place(residues=[1.0, *each])).peak(pid, function).magnitude for each in grid
+    )
+    assert perturbed_loop(loop, worst).peak(pid, function).magnitude >= 0.999 * most
+    assert size >= 0.998 * most
+
+
 def test_along_a_line_the_largest_ratio_is_that_of_many_points():
     rng = np.random.default_rng(11)
     inside = 0
