@@ -333,7 +333,7 @@ def _unit(omega, frequencies, ratio, sample_time, late, drag) -> np.ndarray:
         loss = np.where(frequencies > 0, 2 * ratio * frequencies, drag)
         return 1 / (frequencies**2 - omega**2 + 1j * loss * omega)
     spread = np.broadcast_to(omega, frequencies.shape)
-    if np.ptp(frequencies[:, 0]) == 0 and len(frequencies) == 1:
+    if len(frequencies) == 1:  # one place, the same at every line
         return sampled_modes(frequencies[:, 0], np.array([ratio]), sample_time, omega, late, drag)
     flat = frequencies.ravel()
     found = sampled_modes(flat, np.full(flat.shape, ratio), sample_time, spread.reshape(-1, 1), late, drag)

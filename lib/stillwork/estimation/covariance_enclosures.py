@@ -129,12 +129,10 @@ def _fractions(matrix: np.ndarray) -> np.ndarray:
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Gauss and Jordan, of as many rows as there are outputs."""
+    """Gauss and Jordan, of a definite matrix of as many rows as there are outputs: no pivot is zero."""
     n = len(matrix)
     whole = np.hstack([matrix, _fractions(np.eye(n))])
     for k in range(n):
-        pivot = next(r for r in range(k, n) if whole[r, k])
-        whole[[k, pivot]] = whole[[pivot, k]]
         whole[k] = whole[k] / whole[k, k]
         for r in range(n):
             if r != k:
