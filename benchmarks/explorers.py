@@ -1,4 +1,4 @@
-"""Redraw times of every explorer: at the published setting, and with each control at its ends and in its middle.
+"""Redraw times of every explorer: at the start, and with each control at its ends and in its middle.
 
 Processor time, which other programs disturb less than the clock. `ARGS="TOPIC/NOTEBOOK"` chooses one.
 """
@@ -48,12 +48,12 @@ def _names(source: str, kind: type) -> set[str]:
 
 
 def settings(controls: dict) -> list[dict]:
-    """The published setting, then one control moved at a time."""
-    published = {name: control.published for name, control in controls.items()}
-    moved = [published]
+    """The start, then one control moved at a time."""
+    start = {name: control.start for name, control in controls.items()}
+    moved = [start]
     for name, control in controls.items():
         for value in _places(control):
-            moved.append({**published, name: value})
+            moved.append({**start, name: value})
     return moved
 
 
@@ -82,7 +82,7 @@ def main() -> None:
     caught = []
     explorers.explore = lambda draw, **controls: caught.append((draw, controls))
     slow = []
-    print(f"{'explorer':34} {'published':>10} {'slowest':>10}   ms; slowest at")
+    print(f"{'explorer':34} {'start':>10} {'slowest':>10}   ms; slowest at")
     for notebook in select(sys.argv[1] if len(sys.argv) > 1 else None):
         cells = [
             "".join(cell["source"])
@@ -100,14 +100,14 @@ def main() -> None:
         redraw = explorers.Redraw(draw)
         times = [(redraw_ms(redraw, one), one) for one in settings(controls)]
         longest, worst = max((span, repr(one), one) for span, one in times if span is not None)[::2]
-        published = times[0][1]
+        start = times[0][1]
         where = ", ".join(
             f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}"
             for k, v in worst.items()
-            if v != published[k]
+            if v != start[k]
         )
         print(
-            f"{notebook.name:34} {times[0][0]:10.0f} {longest:10.0f}   {where or 'the published setting'}",
+            f"{notebook.name:34} {times[0][0]:10.0f} {longest:10.0f}   {where or 'the start'}",
             flush=True,
         )
         if longest > LIMIT_MS:

@@ -4,12 +4,12 @@ import sys
 
 from stillwork.base.command_line import Command, Option, flag, named, number, option, run, text
 from workbook.__main__ import COMMANDS as OF_THE_WORKBOOK
-from workbook.__main__ import PROCESSES, SCHEDULER
+from workbook.__main__ import PROCESSES, RENAMED, SCHEDULER
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
-    return run("stillwork", OF_THE_WORKBOOK | COMMANDS, arguments)
+    return run("stillwork", OF_THE_WORKBOOK | COMMANDS, arguments, RENAMED)
 
 
 def _file(help: str) -> Option:

@@ -9,7 +9,7 @@ from stillwork.base.command_line import Command, flag, number, option, run, text
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
-    return run("workbook", COMMANDS, arguments)
+    return run("workbook", COMMANDS, arguments, RENAMED)
 
 
 def _minutes(text: str) -> float:
@@ -19,6 +19,7 @@ def _minutes(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r} is not a time; give minutes, more than 0") from None
 
 
+RENAMED = {"readings": "choices"}  # by their old names, for this version
 IN_A_WORKBOOK = ("workbook.paths:root",)  # who has none misses no package
 SETTLED = (*IN_A_WORKBOOK, "workbook.lock:recover")  # an accept that was killed is finished first
 _TARGETS = option("targets", nargs="*", metavar="TOPIC[/NOTEBOOK]", help="by default everything")
@@ -64,6 +65,7 @@ COMMANDS = {
             ),
             flag("changed", "only studies with a value that moved, in a sample, and those never run"),
             text("study", "NAME", "only this study of the topic, all of it"),
+            flag("short", "compare its short form with the whole one at every option"),
         ),
         before=IN_A_WORKBOOK,
     ),

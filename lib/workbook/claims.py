@@ -97,9 +97,13 @@ class Entry:
         ``larger`` or ``smaller`` where a value on that side of the published one is better.
     counterfactual : bool
         Whether it tells of something that the work did not do, e.g. its filter corrected.
+    headline : bool
+        Whether the page of its notebook begins with it.
     expected : float or None
         For a check, what theory gives and the work does not state. Without it and without a published value a
         check is the residual of an identity: nothing should be left.
+    open : str
+        ``none: ...`` with the reason, where the paper leaves nothing open for it; else a study tries what is open.
     """
 
     id: str
@@ -116,11 +120,13 @@ class Entry:
     better: str | None = None
     counterfactual: bool = False
     expected: float | None = None
+    open: str = ""
+    headline: bool = False
 
     def __post_init__(self):
         require_choice(f"{self.id}: kind", self.kind, KINDS)
         require_choice(f"{self.id}: basis", self.basis, BASES)
-        for name in ("place", "quantity", "unit", "reason"):
+        for name in ("place", "quantity", "unit", "reason", "open"):
             if not isinstance(getattr(self, name), str):
                 raise InputError(f"{self.id}: {name} is {short_repr(getattr(self, name))}; give text")
             if name in ("place", "quantity") and not getattr(self, name):
@@ -140,6 +146,10 @@ class Entry:
         if self.kind == "reported" and not self.reason:
             raise InputError(f"{self.id}: say in reason why it is not judged")
         self._require_threshold()
+        if self.open and not self.open.startswith("none: "):
+            raise InputError(
+                f"{self.id}: open is {short_repr(self.open)}; give 'none: ' and the reason, or a study"
+            )
         if self.expected is not None:
             require_number(f"{self.id}: expected", self.expected)
             if self.kind != "check" or self.tolerance is None or self.published is not None:
@@ -340,8 +350,9 @@ def _entry(name: str, fields: dict) -> Entry:
         for key in given:
             if key not in allowed:
                 raise InputError(f"{name}: unknown field {key!r}{nearest(key, allowed)}")
-    if not isinstance(fields.get("counterfactual", False), bool):
-        raise InputError(f"{name}: counterfactual is {fields['counterfactual']!r}; give true or false")
+    for flag in ("counterfactual", "headline"):
+        if not isinstance(fields.get(flag, False), bool):
+            raise InputError(f"{name}: {flag} is {fields[flag]!r}; give true or false")
     try:
         return Entry(id=name, **{**fields, **{key: Tolerance(**rule) for key, rule in rules.items()}})
     except (TypeError, InputError) as error:

@@ -2,10 +2,27 @@
 
 import io
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 
-from stillwork.base.checks import InputError, nearest, require_number
+from stillwork.base.checks import InputError, nearest, require_choice, require_number
 from workbook.paths import in_batch
+
+BASES = ("printed", "assumed", "our result", "default")
+
+
+def label(name: str, unit: str = "") -> str:
+    """A control's words: its parameter's name, the unit in brackets and not in the name, too."""
+    *words, last = name.split("_")
+    text = " ".join(words if words and last == unit.lower() else [*words, last])
+    return f"{text} ({unit})" if unit else text
+
+
+def _require_basis(basis: str, place: str) -> None:
+    require_choice("basis", basis, BASES)
+    if (basis == "printed") != bool(place):
+        raise InputError(
+            "place is for what is printed, and needed there; give basis='printed', place='Table 1'"
+        )
 
 
 @dataclass(frozen=True)
@@ -15,33 +32,45 @@ class Slider:
     Attributes
     ----------
     low, high : float
-        Range. Where these, `published` and `step` are ``int``, so is what the parameter gets.
-    published : float
-        The work's own setting: the start, the mark and what Reset returns to.
+        Range. Where these, `start` and `step` are ``int``, so is what the parameter gets.
+    start : float
+        Where it stands first, its mark, and what Reset returns to.
     unit : str
         Shown behind the name.
     step : float, optional
         By default 1/50 of the range, for a whole number at least 1; in decades for a logarithmic slider.
     log : bool
         Move in decades.
+    basis : str
+        What the start is: ``printed`` in the paper, ``assumed``, ``our result``, or a ``default`` of ours.
+    place : str
+        Where it is printed.
+    published : float, optional
+        The start by its old name, for this version.
     """
 
     low: float
     high: float
-    published: float
+    start: float | None = None
     unit: str = ""
     step: float | None = None
     log: bool = False
+    basis: str = "default"
+    place: str = ""
+    published: InitVar[float | None] = None
 
-    def __post_init__(self):
-        require_number("published", self.published, at_least=self.low, at_most=self.high)
+    def __post_init__(self, published: float | None):
+        if published is not None:
+            object.__setattr__(self, "start", published)
+        require_number("start", self.start, at_least=self.low, at_most=self.high)
+        _require_basis(self.basis, self.place)
         if self.log:
             require_number("low", self.low, above=0)
 
     @property
     def whole(self) -> bool:
         """Whether the parameter is a whole number."""
-        return all(isinstance(value, int) for value in (self.low, self.high, self.published, self.step or 1))
+        return all(isinstance(value, int) for value in (self.low, self.high, self.start, self.step or 1))
 
     def read(self, value: float) -> float:
         """What the parameter gets when the control stands at `value`."""
@@ -50,40 +79,51 @@ class Slider:
     def widget(self, name: str):
         import ipywidgets as widgets
 
-        text = f"{name.replace('_', ' ')}{f' ({self.unit})' if self.unit else ''}"
         # While the kernel draws, the front end keeps the last place alone: a drag is never behind by more than one.
-        shared = {"description": text, "continuous_update": True}
+        shared = {"description": label(name, self.unit), "continuous_update": True}
         shared["style"] = {"description_width": "initial"}
         shared["layout"] = widgets.Layout(width="32em")
         if self.log:
             from math import log10
 
             return widgets.FloatLogSlider(
-                value=self.published,
+                value=self.start,
                 min=log10(self.low),
                 max=log10(self.high),
-                step=self.step or 0.02,
+                step=_through(log10(self.start / self.low), self.step or 0.02),
                 **shared,
             )
         step = self.step or (self.high - self.low) / 50
         kind = widgets.FloatSlider
         if self.whole:
             kind, step = widgets.IntSlider, max(1, round(step))
-        return kind(value=self.published, min=self.low, max=self.high, step=step, **shared)
+        else:
+            step = _through(self.start - self.low, step)
+        return kind(value=self.start, min=self.low, max=self.high, step=step, **shared)
+
+
+def _through(way: float, step: float) -> float:
+    """A step near `step` that leads from the lower end to the start: a slider jumps to its nearest step when it is touched."""
+    steps = round(way / step)
+    return way / steps if steps else step
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One of a few named settings; `published` is the work's own."""
+    """One of a few named settings; `start`, `basis` and `place` as of a `Slider`."""
 
     options: tuple[str, ...]
-    published: str
+    start: str = ""
+    basis: str = "default"
+    place: str = ""
+    published: InitVar[str | None] = None
 
-    def __post_init__(self):
-        if self.published not in self.options:
-            raise InputError(
-                f"published is {self.published!r}, not an option{nearest(self.published, self.options)}"
-            )
+    def __post_init__(self, published: str | None):
+        if published is not None:
+            object.__setattr__(self, "start", published)
+        if self.start not in self.options:
+            raise InputError(f"start is {self.start!r}, not an option{nearest(self.start, self.options)}")
+        _require_basis(self.basis, self.place)
 
     def read(self, value: str) -> str:
         """What the parameter gets: the name as it is."""
@@ -94,11 +134,17 @@ class Choice:
 
         return widgets.Dropdown(
             options=self.options,
-            value=self.published,
-            description=name.replace("_", " "),
+            value=self.start,
+            description=label(name),
             style={"description_width": "initial"},
             layout=widgets.Layout(width="32em"),
         )
+
+
+def basis_text(control: Slider | Choice, start: str) -> str:
+    """What stands beside a control: its start, and what that is."""
+    known = f"{control.basis}, {control.place}" if control.place else control.basis
+    return f"start: {start}" if control.basis == "default" else f"start: {start} ({known})"
 
 
 @dataclass(frozen=True)
@@ -112,7 +158,7 @@ class StaticPicture:
         return self.png
 
     def __repr__(self) -> str:
-        return f"explorer at the published setting: {self.settings}"
+        return f"explorer at its start: {self.settings}"
 
 
 class Redraw:
@@ -197,7 +243,7 @@ def show_behind(figure, lines: list[list]) -> None:
 
 
 def explore(draw: Callable, **controls: Slider | Choice):
-    """Redraw ``draw(**settings)`` while a control moves, before the published lines in grey; Reset returns to these.
+    """Redraw ``draw(**settings)`` while a control moves, before the lines of the start in grey; Reset returns to it.
 
     Parameters
     ----------
@@ -209,14 +255,14 @@ def explore(draw: Callable, **controls: Slider | Choice):
     Returns
     -------
     ipywidgets.VBox or StaticPicture
-        The picture at the published setting where a build, not a person, runs the notebook.
+        The picture at the start where a build, not a person, runs the notebook.
     """
-    published = {name: control.published for name, control in controls.items()}
+    start = {name: control.start for name, control in controls.items()}
     ghost: list[list] = []
 
     def drawn(**settings):
         figure = draw(**settings)
-        if settings == published:
+        if settings == start:
             ghost[:] = lines_of(figure)
         else:
             show_behind(figure, ghost)
@@ -224,34 +270,35 @@ def explore(draw: Callable, **controls: Slider | Choice):
 
     picture_of = Redraw(drawn)
     if in_batch():
-        return StaticPicture(picture_of(**published), ", ".join(f"{k} = {v}" for k, v in published.items()))
+        return StaticPicture(picture_of(**start), ", ".join(f"{k} = {v}" for k, v in start.items()))
 
     import ipywidgets as widgets
 
     rows = {name: control.widget(name) for name, control in controls.items()}
     picture = widgets.Image(format="png", layout=widgets.Layout(max_width="100%"))
     message = widgets.HTML()
-    reset = widgets.Button(description="Published setting", icon="undo")
+    reset = widgets.Button(description="Back to the start", icon="undo")
 
     def redraw(_change=None):
         settings = {name: controls[name].read(row.value) for name, row in rows.items()}
         try:
             picture.value = picture_of(**settings)
-            at_home = settings == published
-            message.value = "at the published setting" if at_home else "moved from the published setting"
+            at_home = settings == start
+            message.value = "at the start" if at_home else "moved; in grey the start"
         except InputError as error:  # an impossible setting is an answer, not a crash
             message.value = f"no picture: {_escaped(str(error))}"
 
     def go_home(_button):
         for name, row in rows.items():
-            row.value = published[name]
+            row.value = start[name]
 
     for row in rows.values():
         row.observe(redraw, names="value")
     reset.on_click(go_home)
     redraw()
     marked = [
-        widgets.HBox([row, widgets.Label(f"published: {published[name]}")]) for name, row in rows.items()
+        widgets.HBox([row, widgets.Label(basis_text(controls[name], str(start[name])))])
+        for name, row in rows.items()
     ]
     return widgets.VBox([*marked, widgets.HBox([reset, message]), picture])
 

@@ -1,7 +1,9 @@
 """A notebook's page: where its figures go and where its numbers are held against the ledger."""
 
+import contextlib
 import json
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -38,6 +40,18 @@ class Page:
             raise InputError(
                 f"notebook is {short_repr(self.notebook)}; give 'topic/name', e.g. 'topic/02-result'"
             )
+        if not paths.in_batch() and _in_jupyter():
+            self.show_summary()
+
+    def show_summary(self) -> None:
+        """Show what was published and what we find, for up to five claims, by the accepted results; Jupyter does it first."""
+        from IPython.display import display
+
+        from workbook.headlines import summary_of
+
+        with contextlib.suppress(InputError, OSError):  # of what is not written yet there is nothing to show
+            if (summary := summary_of(self.notebook)).lines:
+                display(summary)
 
     def save(self, name: str, figure, rounding: Mapping[str, str] | None = None) -> SavedFigure:
         """Write ``<name>.png`` and the plotted numbers ``<name>.csv``; returns a picture for the notebook.
@@ -101,3 +115,9 @@ class Page:
         self.claims.add(made)
         self.claims.write(paths.output(self.notebook) / "claims.json")
         return made.verdict
+
+
+def _in_jupyter() -> bool:
+    """Whether a kernel of Jupyter runs this; a build's kernels are told apart by `paths.in_batch`."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    return hasattr(shell, "kernel")

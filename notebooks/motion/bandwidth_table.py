@@ -7,8 +7,15 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.choices import limit
-from experiments.motion.designs import DAMPING, DESIGNS, Design, first_crossing, stage_bandwidth
+from experiments.motion.choices import COMPENSATIONS, SIX, limit
+from experiments.motion.designs import (
+    DAMPING,
+    DESIGNS,
+    NOISE_MODEL,
+    Design,
+    first_crossing,
+    stage_bandwidth,
+)
 from experiments.motion.intervals import Values
 from experiments.motion.machines import published_deviations
 from stillwork.base.checks import InputError, require_array
@@ -76,7 +83,7 @@ CHOICES = {
     "damping 0.1 %": {"damping_ratio": 0.001},
 }
 
-# What the text leaves open. R is printed, so another R is a sensitivity and no reading; the coarse grids
+# What the text leaves open. R is printed, so another R is a sensitivity and no open choice; the coarse grids
 # are errors, and Table 3.4 refutes the damping of 0.1 %.
 LEGITIMATE = ("as published", "6 dB taken as 2")
 
@@ -98,7 +105,7 @@ class OpenChoices:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Crossings over the seven masses and the readings of 6 dB, widened by half a printed hertz."""
+        """Crossings over the seven masses and both meanings of 6 dB, widened by half a printed hertz."""
         crossings = np.concatenate([self.found[name].crossing_hz for name in LEGITIMATE])
         return float(crossings.min() - 0.5), float(crossings.max() + 0.5)
 
@@ -152,21 +159,48 @@ OPEN_LOOPS = {  # which of them Definition 1.2.1 means
 }
 
 
-def bandwidths(
-    *, open_loop: str, mass: int, six: str, compensation: str, stage_damping: float, seed: int, lean: bool
-) -> Values:
-    """Bandwidths of chapter 3 at one mass, each with the half hertz that its print rounds off; it has no leaner form.
+LOOPS = (*OPEN_LOOPS, "f_bw")
+WAYS = [(six, compensation) for six in SIX for compensation in COMPENSATIONS]  # the defaults first
 
-    `open_loop` is one of `OPEN_LOOPS` or ``f_bw``, `six` of `SIX`, `compensation` of `COMPENSATIONS`, and
-    `stage_damping` a ratio.
+
+def agreeing(published_hz: Sequence[float], cut_off: bool = False) -> np.ndarray:
+    """Whether published values agree with ours, (loops, masses, ways, values): whole hertz rounded or cut off.
+
+    `published_hz` are those of `BANDWIDTHS` in order, and the second one of MC with two constraints.
     """
+    names = [*BANDWIDTHS.values(), "MC, two constraints"]
+    found = [
+        [[[bandwidth(name, loop, mass, *way) for name in names] for way in WAYS] for mass in range(1, 8)]
+        for loop in LOOPS
+    ]
+    off = np.array(found) - np.asarray(published_hz)
+    return (off >= 0) & (off < 1) if cut_off else np.abs(off) <= 0.5
+
+
+def bandwidths(
+    *,
+    open_loop: str,
+    mass: int,
+    six: str,
+    compensation: str,
+    stage_damping: float,
+    printed_hertz: str,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """Bandwidths of chapter 3 at one mass, each with what its print may leave off; it has no leaner form.
+
+    `open_loop` is one of `LOOPS`, `six` of `SIX`, `compensation` of `COMPENSATIONS`, `stage_damping` a ratio, and
+    `printed_hertz` ``rounded`` (half a hertz to either side) or ``cut off`` (up to one hertz more than printed).
+    """
+    below, above = (0.5, 0.5) if printed_hertz == "rounded" else (1.0, 0.0)
     found = {
         claim: bandwidth(name, open_loop, mass, six, compensation, stage_damping)
         for claim, name in BANDWIDTHS.items()
     }
     values = list(found.values())
     found["mc-two-constraints-again"] = found["mc-two-constraints"]
-    return {f"motion.bandwidth.{claim}": (hz, (hz - 0.5, hz + 0.5)) for claim, hz in found.items()} | {
+    return {f"motion.bandwidth.{claim}": (hz, (hz - below, hz + above)) for claim, hz in found.items()} | {
         "motion.bandwidth.ordering": float(values == sorted(values)),
         "motion.bandwidth.doubled-by-ad": float(found["ad"] > 2 * found["pid"]),
         "motion.bandwidth.doubled-by-both": float(found["mc-and-ad"] > 2 * found["pid"]),
@@ -182,6 +216,8 @@ def bandwidth(
     stage_damping: float = 0.005,
 ) -> float:
     """What is called the bandwidth of a design (Hz): a crossing at one mass (1 to 7), or the parameter f_bw."""
+    if DESIGNS[name].noise_model != NOISE_MODEL:  # it has none, or one that is printed
+        compensation = "noise model"
     loops, found = limit(name, six, compensation, stage_damping)
     if open_loop == "f_bw":
         return found.design_hz

@@ -1,18 +1,20 @@
 """The optimal observer: its problem, Fig. 5.2 of the observer thesis, what it trades for what, and both in pictures."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import optimize
 
 from experiments.motion.designs import DAMPING
 from experiments.motion.ideal_feedforward import invert
+from experiments.motion.intervals import Values
 from experiments.motion.machines import published_noise, stage, stage_mass
 from experiments.motion.magnitudes import add_magnitude
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.control.applications import filtered_estimates
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedback import band_pass, damping_gain
@@ -256,3 +258,79 @@ def paint_emphasis(emphasis: float):
     problem, generalised, kalman, weight = _compared()
     found = h2_riccati(emphasised(generalised, weight, emphasis), *regularisation(problem, 0.01))
     return paint_responses(problem, {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.controller}, weight)
+
+
+# === Control bandwidth ============================================================================================
+# What conclusions 5.1 to 5.3 speak of.
+
+MEASURES = ("open loop", "r to e_true")
+_OMEGA = 2 * np.pi * np.geomspace(0.1, 2000.0, 8000)
+
+
+def control_bandwidth_hz(loop: StateModel, measure: str = "open loop") -> float:
+    """Control bandwidth (Hz) of a closed loop from `INPUTS` to `OUTPUTS`; 0 where it is unstable.
+
+    Of the ``open loop`` P C_eq, which is 1/S - 1 with S from v to e_true, the first 0 dB crossing (Definition 1.2.1); or
+    of the sensitivity ``r to e_true``, that of Figs. 5.3 and 5.8, the frequency up to which it stays below -3 dB.
+    """
+    require_choice("measure", measure, MEASURES)
+    if not loop.is_stable:
+        return 0.0
+    response = loop.frequency_response(_OMEGA)[0]
+    if measure == "open loop":
+        gain = np.abs(1 / response[INPUTS.index("v")] - 1)
+    else:
+        gain = np.sqrt(0.5) / np.abs(response[INPUTS.index("r")])
+    falls = np.flatnonzero((gain[1:] < 1) & (gain[:-1] >= 1))
+    if not len(falls):
+        return 0.0  # it does not track at all
+    ends = slice(falls[0], falls[0] + 2)
+    return float(np.exp(np.interp(0.0, -np.log(gain[ends]), np.log(_OMEGA[ends]))) / (2 * np.pi))
+
+
+EMPHASES = (1e-5, 1e-3, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 10.0)  # along the front
+SIZES = (0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4, 3e-5)  # of the regularisation
+
+
+def front_bandwidths(
+    points: Sequence[FrontPoint],
+    problem: ObserverProblem,
+    plant: ModalModel,
+    kalman: StateModel,
+    measure: str,
+) -> tuple[float, Float64[np.ndarray, " points"]]:
+    """Control bandwidth of the Kalman loop and of every point of a front, on `plant` (Hz)."""
+    controller = problem.controller.state_space()
+    found = [
+        control_bandwidth_hz(closed_loop(plant, problem.compensator(observer), controller), measure)
+        for observer in (kalman, *(point.synthesis.controller for point in points))
+    ]
+    return found[0], np.array(found[1:])
+
+
+def front_values(kalman_hz: float, front_hz: np.ndarray) -> Values:
+    """Conclusion 5.3 as the ledger has it."""
+    return {"motion.conclusion-5-3.below-kalman": float(np.mean(front_hz < kalman_hz))}
+
+
+def front_study(*, bandwidth_measure: str, bandwidth_plant: str, seed: int, lean: bool) -> Values:
+    """Conclusion 5.3 by one measure of bandwidth on one plant; it has no leaner form."""
+    problem, generalised, kalman, weight = _compared()
+    points = front(generalised, weight, EMPHASES, *regularisation(problem, 0.01))
+    plant = problem.plant if bandwidth_plant == "observer's model" else stage().at([0], [4])
+    return front_values(*front_bandwidths(points, problem, plant, kalman, bandwidth_measure))
+
+
+def paint_bandwidths(
+    points: Sequence[FrontPoint], bandwidths: Mapping[tuple[str, str], tuple[float, np.ndarray]]
+):
+    """Control bandwidth along the front by each measure on the observer's model, with the Kalman loop as a line."""
+    figure, axis = figures.new(1, 1, height=2.8)
+    emphases = [point.emphasis for point in points]
+    for measure, colour in zip(MEASURES, (figures.BLUE, figures.RED), strict=True):
+        kalman_hz, front_hz = bandwidths[measure, "observer's model"]
+        axis.loglog(emphases, front_hz, "o-", color=colour, label=f"front, {measure}")
+        axis.axhline(kalman_hz, color=colour, ls="--", linewidth=0.9, label=f"Kalman, {measure}")
+    axis.set(xlabel="emphasis on the weighted error", ylabel="control bandwidth (Hz)")
+    axis.legend()
+    return figure

@@ -91,17 +91,17 @@ def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], to: int):
 
 
 def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, sample_time: float):
-    """True errors (m and rad) over one period with the scaled trajectory in black: Figs 6.10 and 6.11."""
+    """True errors (m and rad) over one period with the scaled trajectory dashed: Figs 6.10 and 6.11."""
     figure, axes = figures.new(3, 1, height=5.2, sharex=True)
     every = 10  # samples between those drawn: the errors are slow
     time = np.arange(reference.shape[1])[::every] * sample_time
     for k, axis in enumerate(axes):
         largest = max(np.abs(error[k]).max() for error in errors.values()) * 1e6
         scale = largest / np.abs(reference[k]).max()
-        style = {"color": figures.BLACK, "linewidth": 0.8}
+        style = {"color": figures.GREY, "linewidth": 1.0, "linestyle": "--"}
         axis.plot(time, scale * reference[k, ::every], label="trajectory, scaled", **style)
-        for order, (case, error) in enumerate(errors.items()):
-            width = 1.9 - 0.45 * order  # lines that coincide stay visible
+        # Lines that coincide stay visible: thinner and thinner.
+        for width, (case, error) in zip((4.0, 2.6, 1.6, 0.4), errors.items(), strict=False):
             axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=width, label=case)
         axis.set_ylabel(f"error in ${MOTIONS[k]}$ ({'µm' if k == 0 else 'µrad'})")
     axes[-1].set_xlabel("time (s)")

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from matplotlib.lines import Line2D
 
 from experiments.motion.explorer_panels import plain
 from experiments.motion.intervals import Values, central
@@ -36,9 +37,13 @@ def paint_over_geometries(
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
         axis.set(title=f"${MOTIONS[k]}$", xlabel="use of the observer")
     axes[0].set_ylabel(quantity)
-    pairs = zip(*axes[0].get_legend_handles_labels(), strict=True)
-    shown = {"published" if label == "published" else "one geometry": handle for handle, label in pairs}
-    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=2)
+    handles, labels = axes[0].get_legend_handles_labels()
+    # Colours are the uses on the axis; the legend's dot has none of them.
+    dot = Line2D(
+        [], [], linestyle="", marker=".", color=figures.GREY, label="one geometry, each use in its colour"
+    )
+    shown = [dot, *(handle for handle, label in zip(handles, labels, strict=True) if label == "published")]
+    figure.legend(handles=shown, loc="outside lower center", ncols=2)
     return figure
 
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from experiments.motion.choices import as_read, limit
-from experiments.motion.designs import DESIGNS, stage_compensator
+from experiments.motion.designs import DESIGNS, design_controller, stage_compensator
 from experiments.motion.intervals import Values, key
 from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import CASES, MEASURED, noisy_scan_trial
@@ -53,7 +53,6 @@ def paint_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
 # --- Section 3.5.2: Table 3.7 ------------------------------------------------------------------------------------
 
 TRACKING = {key(case.replace("none", "original")): case for case in CASES}  # entries of Table 3.7
-PRINTED_HZ = {"PID": 37.0, "MC": 46.0, "AD": 77.0, "MC and AD": 83.0}  # Table 3.5
 RUNS, LEAN_RUNS = 100, 20  # noise realisations; of the notebook and of its lean form
 
 
@@ -100,14 +99,14 @@ def ranked(errors: dict[str, float]) -> bool:
     return all(values == sorted(values, reverse=True) for values in orders)
 
 
-@lru_cache(maxsize=64)  # readings that differ in the scan share them
+@lru_cache(maxsize=64)  # combinations that differ in the scan share them
 def tracking_loop(case: str, redesign: str, stage_damping: float):
     observer, controlled = CASES[case]
     plant = stage(stage_damping)
     design = as_read(DESIGNS[observer], "noise model", stage_damping)
     block = stage_compensator(MEASURED, design, plant=plant)
     if redesign == "printed":
-        controller = PidFamily(stage_mass())(PRINTED_HZ[controlled])
+        controller = design_controller(controlled, redesign)
     else:
         controller = limit(controlled, "6 dB", "noise model", stage_damping)[1].controller
     return closed_loop(plant.at([0], [MEASURED - 1]), block, controller.state_space())

@@ -118,19 +118,21 @@ def residual_trial(
     applications: dict[str, Application | None],
     bandwidth_hz: float,
     error: float,
+    weights: str = "angles first",
+    parts: str = "all three",
 ) -> dict[str, float]:
     """What is left of the resonance by a model wrong by up to `error`: its peak over the rigid body (ratio), by case.
 
     And the largest distance from the rigid body, up or down (dB), by ``<case>, distance``.
     """
-    names = ("stiffness", "inertia", "damper")
+    names = ("stiffness", "inertia", "damper") if parts == "all three" else ("stiffness",)
     wrong = replace(
         plant, **{name: getattr(plant, name) * (1 + rng.uniform(-error, error)) for name in names}
     )
     omega = plant.resonance * np.linspace(0.5, 1.6, 800)
     found = {}
     for name, each in applications.items():
-        seen = seen_by_controller(drive_loop(plant, wrong, each, bandwidth_hz), omega)
+        seen = seen_by_controller(drive_loop(plant, wrong, each, bandwidth_hz, weights), omega)
         ratio = np.abs(seen / rigid_response(plant, omega))
         found[name] = float(ratio.max())
         found[f"{name}, distance"] = float(np.abs(20 * np.log10(ratio)).max())

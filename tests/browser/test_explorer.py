@@ -63,7 +63,7 @@ def page(browser, tmp_path_factory):
 
 @pytest.fixture
 def moving(page):
-    """The page at the published setting, and its controls."""
+    """The page at the start, and its controls."""
     page.resize(1200)
     WebDriverWait(page.driver, 10).until(lambda _: page.run("return document.querySelector('[data-ready]')"))
     page.driver.find_element(By.CSS_SELECTOR, ".controls button").click()
@@ -82,14 +82,14 @@ def near(wanted):
     return [pytest.approx(each, abs=0.005) for each in wanted]
 
 
-def test_the_published_setting_comes_first_without_a_ghost(moving):
+def test_the_start_comes_first_without_a_ghost(moving):
     assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.31]])
     assert moving.run(ENDS, ".ghost path") is None
-    assert told(moving) == "At the published setting."
+    assert told(moving) == "At the start."
     assert not moving.driver.find_elements(By.CSS_SELECTOR, "a.zoom")
 
 
-def test_keys_move_the_line_and_leave_the_published_one_as_a_ghost(moving):
+def test_keys_move_the_line_and_leave_the_start_as_a_ghost(moving):
     control(moving, 0).send_keys(Keys.END)
     assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.61]])
     assert moving.run(ENDS, ".ghost path") == near([[0, 0.2], [1, 0.31]])

@@ -171,7 +171,7 @@ const text = (selector) => document.querySelector(selector)?.textContent;
 const picture = document.querySelector(".widget-image[src^='blob:']")?.src;
 return picture && [text(".widget-readout"), picture, text(".widget-html-content")];
 """
-PUBLISHED, MOVED = "at the published setting", "moved from the published setting"
+PUBLISHED, MOVED = "at the start", "moved; in grey the start"
 
 
 def test_a_slider_moves_number_and_picture_the_button_returns_and_nothing_of_it_is_saved(

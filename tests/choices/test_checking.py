@@ -24,9 +24,11 @@ from workbook.choices.checking import (
     moves,
     note,
     parts_a_day,
+    short_form_differs,
 )
 from workbook.choices.command import robustness_of
 from workbook.choices.results import read_results, results_text
+from workbook.choices.running import compute
 from workbook.claims import load_entries
 
 ROOT = Path(__file__).parents[2]
@@ -229,3 +231,13 @@ def test_what_moved_under_the_same_code_is_computed_not_remembered(workbook, tmp
     assert run(tmp_path, *changed).returncode == 0
     assert file.read_text() == whole
     assert run(tmp_path, *TEST).returncode == 0
+
+
+def test_a_short_form_is_compared_at_every_option(workbook):
+    """It gives the whole form's values but with the last option of a, which the default does not show."""
+    entries = '["motion.table-1.sum", "motion.always"]'
+    _, (multiverse,) = workbook(A + B + study("shortened", entries, 'lean = "a toy"'))
+    lines = short_form_differs(multiverse, load_entries("motion"), compute)
+    assert lines == ["motion.table-1.sum at a 2: 2 whole, 12 short"]
+    _, (alike,) = workbook(A + B + study(more='lean = "a toy"'))
+    assert short_form_differs(alike, load_entries("motion"), compute) == []

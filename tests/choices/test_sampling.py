@@ -15,7 +15,8 @@ def multiverse(sizes, defaults=None, points=64):
         Axis(f"motion.x{k}", "which", tuple(range(size)), default, "open", ("motion.order",), "number")
         for k, (size, default) in enumerate(zip(sizes, defaults or [0] * len(sizes), strict=True))
     )
-    return Multiverse("motion", "toy", "a:b", ("motion.order",), axes, points=points)
+    touched = {"motion.order": frozenset(axis.name for axis in axes)}
+    return Multiverse("motion", "toy", "a:b", ("motion.order",), axes, touched=touched, points=points)
 
 
 sizes = st.lists(st.integers(2, 5), min_size=1, max_size=6)
@@ -51,6 +52,20 @@ FOUND = [(0, 0, 0, 0), (2, 2, 0, 0), (0, 0, 2, 2), (0, 2, 1, 1), (1, 0, 2, 2)]
 def test_a_longer_sample_begins_with_the_shorter():
     given = multiverse([4, 3, 5, 2])
     assert design(replace(given, points=100))[:64] == design(given)
+
+
+def test_where_an_entrys_own_axes_are_few_all_of_their_settings_are_computed():
+    """Of 1024 points 20 are drawn; the entry has 16 settings, of which the sample lacks some."""
+    given = replace(multiverse([4, 4, 4, 4, 4], [1] * 5, 20), entries=("motion.order", "motion.few"))
+    few = frozenset({"x1", "x3"})
+    given = replace(given, touched=given.touched | {"motion.few": few})
+    found = design(given)
+    assert found[:20] == design(replace(given, entries=("motion.order",)))
+    assert len({(point[1], point[3]) for point in found[:20]}) < 16
+    assert {(point[1], point[3]) for point in found} == set(itertools.product(range(4), range(4)))
+    assert all(point[0] == point[2] == point[4] == 1 for point in found[20:]) and len(set(found)) == len(
+        found
+    )
 
 
 @pytest.mark.parametrize("points", [64, 256])

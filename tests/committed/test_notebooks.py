@@ -7,7 +7,9 @@ import re
 import pytest
 
 from workbook import paths
+from workbook.claims import load_entries
 from workbook.notebooks import notebook_text, select
+from workbook.site.explorers import statements
 
 NOTEBOOKS = select()
 FORBIDDEN = ("image/png", "text/html", "papermill", "injected-parameters", "widget-view", str(paths.root()))
@@ -61,3 +63,32 @@ class TestNotebook:
 
     def test_its_file_is_the_one_that_accept_writes(self, notebook):
         assert notebook.source == notebook_text(json.loads(notebook.source)), "run `make accept`"
+
+
+def printed_starts() -> list[tuple[str, str, float, str]]:
+    """Of every explorer's control that calls its start printed: notebook, control, start, and place."""
+    found = []
+    for notebook in select():
+        for node in ast.walk(ast.Module(statements(notebook.source), [])):
+            if (
+                isinstance(node, ast.keyword)
+                and isinstance(call := node.value, ast.Call)
+                and len(call.args) > 2
+            ):
+                given = {
+                    each.arg: each.value.value
+                    for each in call.keywords
+                    if isinstance(each.value, ast.Constant)
+                }
+                if given.get("basis") == "printed":
+                    found.append((notebook.name, node.arg, ast.literal_eval(call.args[2]), given["place"]))
+    return found
+
+
+def test_what_a_slider_calls_printed_is_what_the_ledger_has_from_that_place():
+    wrong = []
+    for notebook, control, start, place in printed_starts():
+        entries = load_entries(notebook.partition("/")[0]).values()
+        if not any(entry.published == start and entry.place.startswith(place) for entry in entries):
+            wrong.append(f"{notebook}: {control} starts at {start:g}, which {place} does not print")
+    assert wrong == []

@@ -1,4 +1,4 @@
-"""Readings of the fixed-point paper: at the defaults what the notebooks give, and each choice does what it says."""
+"""Open choices of the fixed-point paper: at the defaults what the notebooks give, and each choice does what it says."""
 
 import numpy as np
 import pytest

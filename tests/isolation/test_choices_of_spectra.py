@@ -1,4 +1,4 @@
-"""Sections 2, 5.1.2 and 5.2.2 at other readings: the varied rig, and the lean forms against what was accepted."""
+"""Sections 2, 5.1.2 and 5.2.2 at other options: the varied rig, and the lean forms against what was accepted."""
 
 import numpy as np
 import pytest

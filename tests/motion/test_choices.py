@@ -1,4 +1,4 @@
-"""The studies behind the motion topic's readings."""
+"""The studies behind the motion topic's open choices."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Chapters 4 to 6 at other readings."""
+"""Chapters 4 to 6 at other options."""
 
 import numpy as np
 import pytest

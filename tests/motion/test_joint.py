@@ -13,20 +13,27 @@ from experiments.motion.machines import parameters, published_setpoint, stage
 from notebooks.motion.joint_design import (
     ASKED,
     DELAY,
+    LEFT,
+    LEFT_LIMIT,
     PEAKS,
     SAMPLE_TIME,
     SIZES,
     JointDesign,
     as_toml,
+    at_bounds,
     closed_poles,
     compensated,
     crossing_hz,
+    errors_by_gains,
     evaluate,
+    fitted_gains,
     grid,
     judge,
     late,
     late_plant,
     late_response,
+    learn_gains,
+    moves,
     noise_floor,
     paint_joint,
     robust_search,
@@ -38,6 +45,7 @@ from notebooks.motion.joint_design import (
     six,
     stage_response,
     starts,
+    steps_of,
     stored_designs,
 )
 from stillwork.__main__ import main
@@ -144,6 +152,63 @@ def test_noise_is_that_of_the_lyapunov_equation():
     error, force = (float(power[OUTPUTS.index(name)]) for name in ("e_true", "f"))
     assert found.error**2 - found.quiet**2 == pytest.approx(error, rel=0.02)
     assert found.force**2 == pytest.approx(force, rel=0.02)
+
+
+def test_what_a_step_leaves_is_that_of_the_simulated_loop():
+    """State space, sample by sample; its force acts 1.5 samples later and its wraparound is none."""
+    loop = joint_loop(ODD, 5)
+    step = signal.dlsim((loop.a, loop.b[:, [2]], loop.c[:1], loop.d[:1, [2]], SAMPLE_TIME), np.ones(2500))[1][
+        :, 0
+    ]
+    found = steps_of(ODD)
+    np.testing.assert_allclose(
+        found[:2490], np.interp(np.arange(2490) + 1.5, np.arange(2500), step), atol=2e-9
+    )
+    left = np.sqrt(np.mean(step[LEFT] ** 2))
+    assert judge(ODD, [stage()]).left[0] == pytest.approx(left, rel=0.02)
+    assert evaluate(ODD, [stage_response(stage())])[0].left == pytest.approx(left, rel=0.02)
+    slowest = -SAMPLE_TIME / np.log(np.abs(closed_poles(ODD, [stage()])).max())
+    assert judge(ODD, [stage()]).slowest[0] == pytest.approx(slowest)
+
+
+def test_fitted_gains_are_those_of_numpy():
+    errors = np.random.default_rng(2).standard_normal((5, 60)) * np.array([[1.0, 1e3, 1.0, 1e-3, 1e-6]]).T
+    kept = np.array([1e-3, 2.0, 3e2, 4e5])
+    whole = np.linalg.lstsq(errors[1:].T, errors[0], rcond=None)[0]
+    np.testing.assert_allclose(fitted_gains(errors), whole, rtol=1e-6)
+    some = fitted_gains(errors, (1, 3), kept)
+    target = errors[0] - kept[[0, 2]] @ errors[[1, 3]]
+    np.testing.assert_allclose(
+        some[[1, 3]], np.linalg.lstsq(errors[[2, 4]].T, target, rcond=None)[0], rtol=1e-6
+    )
+    np.testing.assert_array_equal(some[[0, 2]], kept[[0, 2]])
+
+
+def test_learning_comes_to_the_gains_that_are_fitted_without_noise():
+    """On a stage whose mass is off; on the nominal one noise alone moves them."""
+    design, plants = STORED["joint, for 2%"].design, [stage(), *sample_plants(0.02, 2, 4)]
+    learnt, fitted = learn_gains(design, plants, 4, 1), errors_by_gains(design, plants)
+    np.testing.assert_allclose(learnt[0], fitted["nominal"])
+    np.testing.assert_allclose(learnt[-1], fitted["mass and snap refitted"], rtol=0.03)
+    assert np.all(fitted["four refitted"] <= 1.01 * fitted["mass and snap refitted"])
+    (move,) = moves(design, plants[:1])
+    assert np.hypot(move.hidden, judge(design, plants[:1]).quiet[0]) == pytest.approx(learnt[-1, 0], rel=0.03)
+
+
+def test_numbers_at_a_bound_are_named():
+    assert at_bounds(PUBLISHED) == []
+    assert at_bounds(replace(PUBLISHED, integrator=0.03, selectivity=(2.0, 0.1, 2.0))) == [
+        "integrator",
+        "selectivity of mode 2",
+    ]
+
+
+@pytest.mark.slow
+def test_designs_that_must_forget_a_step_do():
+    for stored in STORED.values():
+        if stored.left:
+            assert stored.left == LEFT_LIMIT
+            assert judge(stored.design, [stage()]).left[0] <= stored.left * 1.01
 
 
 @pytest.mark.slow
@@ -333,6 +398,7 @@ def test_explorer_says_when_a_loop_is_unstable():
         ),
         (lambda: search(PUBLISHED, "joint", [], limit=0.5), "limit"),
         (lambda: search(PUBLISHED, "joint", [], force=0.0), "force"),
+        (lambda: search(PUBLISHED, "joint", [], left=0.0), "left"),
         (lambda: evaluate(PUBLISHED, [stage_response(stage(), 0.3)], 0.3), r"^delay\b"),
         (lambda: starts(0, 1), "count"),
     ],

@@ -41,6 +41,7 @@ def test_the_limit_rises_with_the_noise_model_beyond_the_printed_optimum():
     "draw",
     [
         lambda: design_explorer.paint_design(60.0, 0.035, 2.0, "yes"),
+        lambda: design_explorer.paint_published("PID with notches", 100.0),
         lambda: chain_pictures.paint_reduction(3, 100.0),
         lambda: chain_pictures.paint_heavy_mass(2, 2.6),
         lambda: printed_matrices.paint_transition_error(470.0, 0.005),

@@ -7,6 +7,7 @@ from experiments.motion.machines import published_noise, stage, stage_mass
 from naive.motion import frequency_norm
 from notebooks.motion.optimal_observer import (
     ObserverProblem,
+    control_bandwidth_hz,
     emphasised,
     front,
     low_pass,
@@ -221,3 +222,22 @@ def test_plants_and_observers_that_the_problem_does_not_take_are_named(problem):
         ObserverProblem(truncate(stage().at([0], [4]), 4, 3), problem.controller, 0.035, 2.0, SCALES)
     with pytest.raises(InputError, match=r"^observer\b"):
         problem.read(kalman_observer(truncate(stage().at([0], [4]), 3, 0), published_noise()))
+
+
+def test_control_bandwidth_is_where_the_open_loop_and_the_sensitivity_cross():
+    """By a root of the responses themselves; an unstable loop and one that never tracks have none."""
+    plant = truncate(stage().at([0], [4]), 4, 0)
+    controller = PidFamily(stage_mass())(40.0).state_space()
+    loop = closed_loop(plant, None, controller)
+    open_loop = control_bandwidth_hz(loop)
+    at = np.array([2 * np.pi * open_loop])
+    gain = np.abs(plant.frequency_response(at)[0, 0] * controller.frequency_response(at)[0, 0])[0]
+    assert gain == pytest.approx(1.0, abs=1e-4)
+    tracking = control_bandwidth_hz(loop, "r to e_true")
+    error = loop.frequency_response(np.array([2 * np.pi * tracking]))[0, INPUTS.index("r"), 0]
+    assert abs(error) == pytest.approx(np.sqrt(0.5), abs=1e-4)
+    assert 0 < tracking < open_loop
+    unstable = closed_loop(plant, None, PidFamily(stage_mass())(400.0).state_space())
+    assert control_bandwidth_hz(unstable) == 0.0
+    with pytest.raises(InputError, match=r"^measure\b"):
+        control_bandwidth_hz(loop, "peak")

@@ -1,7 +1,6 @@
 """Slow, obvious twins of the other filters in the robust comparison, and of its simulation."""
 
 import numpy as np
-from scipy import stats
 
 
 def hinfinity(a, b, g, c, q, r, wanted, level, p, u, y):
@@ -17,26 +16,6 @@ def hinfinity(a, b, g, c, q, r, wanted, level, p, u, y):
         x = x + p @ c[k].T @ np.linalg.inv(r) @ (y[:, k] - c[k] @ x)
         states[:, k] = x
     return states
-
-
-def bank(models, u, y):
-    """Posterior mean over Kalman filters by Bayes' rule, sample by sample, for one run."""
-    beliefs = np.full(len(models), 1 / len(models))
-    x = [np.zeros(m["a"].shape[0]) for m in models]
-    p = [m["p"] for m in models]
-    mean = np.zeros((len(x[0]), y.shape[1]))
-    for k in range(1, y.shape[1]):
-        for i, m in enumerate(models):
-            predicted = m["a"] @ x[i] + m["b"] @ u[:, k - 1]
-            spread = m["a"] @ p[i] @ m["a"].T + m["g"] @ m["q"] @ m["g"].T
-            s = m["c"][k] @ spread @ m["c"][k].T + m["r"]
-            beliefs[i] *= stats.multivariate_normal.pdf(y[:, k], m["c"][k] @ predicted, s)
-            gain = spread @ m["c"][k].T @ np.linalg.inv(s)
-            x[i] = predicted + gain @ (y[:, k] - m["c"][k] @ predicted)
-            p[i] = spread - gain @ s @ gain.T
-        beliefs /= beliefs.sum()
-        mean[:, k] = sum(w * each for w, each in zip(beliefs, x, strict=True))
-    return mean
 
 
 def scan(a, b, shapes, reference, forward, control, noise):

@@ -5,13 +5,13 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from stillwork.base.checks import InputError
 from workbook import figures
-from workbook.explorer import Choice, Redraw, Slider, StaticPicture, explore
+from workbook.explorer import Choice, Redraw, Slider, StaticPicture, explore, label
 
 CONTROLS = {
-    "gain": Slider(0.0, 10.0, published=2.0, unit="V"),
-    "rate": Slider(1.0, 1e4, published=100.0, log=True),
-    "order": Slider(1, 5, published=3, step=1),
-    "floor": Choice(("flat", "colored"), published="flat"),
+    "gain": Slider(0.0, 10.0, 2.0, "V", basis="printed", place="Table 1"),
+    "rate": Slider(1.0, 1e4, start=100.0, log=True),
+    "order": Slider(1, 5, start=3, step=1, basis="assumed"),
+    "floor": Choice(("flat", "colored"), start="flat", basis="our result"),
 }
 
 
@@ -31,13 +31,11 @@ def parts(box):
     return controls, *last.children, picture
 
 
-def test_in_a_build_it_is_a_picture_at_the_published_setting(monkeypatch):
+def test_in_a_build_it_is_a_picture_at_its_start(monkeypatch):
     monkeypatch.setenv("STILLWORK_OUTPUT", "/somewhere")
     shown = explore(draw, **CONTROLS)
     assert isinstance(shown, StaticPicture)
-    assert repr(shown) == (
-        "explorer at the published setting: gain = 2.0, rate = 100.0, order = 3, floor = flat"
-    )
+    assert repr(shown) == ("explorer at its start: gain = 2.0, rate = 100.0, order = 3, floor = flat")
     assert shown._repr_png_() == explore(draw, **CONTROLS).png
     assert shown.png.startswith(b"\x89PNG")
 
@@ -47,22 +45,22 @@ def test_moving_a_control_redraws_and_reset_returns():
     controls, reset, message, picture = parts(explore(draw, **CONTROLS))
     at_home = picture.value
     assert bytes(at_home).startswith(b"\x89PNG")
-    assert message.value == "at the published setting"
+    assert message.value == "at the start"
     for name, value in (("gain", 5.0), ("rate", 1000.0), ("order", 2), ("floor", "colored")):
         before = picture.value
         controls[name].value = value
         assert picture.value != before
-        assert message.value == "moved from the published setting"
+        assert message.value == "moved; in grey the start"
     reset.click()
     assert {name: control.value for name, control in controls.items()} == {
-        name: control.published for name, control in CONTROLS.items()
+        name: control.start for name, control in CONTROLS.items()
     }
     assert picture.value == at_home
-    assert message.value == "at the published setting"
+    assert message.value == "at the start"
 
 
 @pytest.mark.slow
-def test_the_published_lines_stand_behind_and_leave_the_axes_alone():
+def test_the_lines_of_the_start_stand_behind_and_leave_the_axes_alone():
     seen = []
 
     def panels(gain, shown):
@@ -73,7 +71,7 @@ def test_the_published_lines_stand_behind_and_leave_the_axes_alone():
         seen.append(figure)
         return figure
 
-    box = explore(panels, gain=Slider(1.0, 9.0, published=2.0), shown=Slider(0, 1, published=0))
+    box = explore(panels, gain=Slider(1.0, 9.0, start=2.0), shown=Slider(0, 1, start=0))
     gain, shown = (row.children[0] for row in box.children[:2])
     assert gain.continuous_update
     assert [len(axis.lines) for axis in seen[-1].axes] == [2]
@@ -83,19 +81,19 @@ def test_the_published_lines_stand_behind_and_leave_the_axes_alone():
     assert axes.lines[-1].get_xydata().tolist() == [[0, 0], [1, 2], [2, 4]]
     assert axes.lines[-1].get_zorder() < axes.lines[0].get_zorder()
     assert axes.get_ylim() == alone.get_ylim() and axes.get_xlim() == alone.get_xlim()
-    shown.value = 1  # another number of panels: no place for the published ones
+    shown.value = 1  # another number of panels: no place for those of the start
     assert [len(axis.lines) for axis in seen[-1].axes] == [2, 2]
 
 
-def test_each_control_shows_its_name_unit_and_published_value():
+def test_each_control_shows_its_name_unit_start_and_basis():
     box = explore(draw, **CONTROLS)
     controls = parts(box)[0]
     assert controls["gain"].description == "gain (V)"
     assert [row.children[1].value for row in box.children[:4]] == [
-        "published: 2.0",
-        "published: 100.0",
-        "published: 3",
-        "published: flat",
+        "start: 2.0 (printed, Table 1)",
+        "start: 100.0",
+        "start: 3 (assumed)",
+        "start: flat (our result)",
     ]
     assert isinstance(controls["order"], ipywidgets.IntSlider)
     assert isinstance(controls["rate"], ipywidgets.FloatLogSlider)
@@ -103,17 +101,17 @@ def test_each_control_shows_its_name_unit_and_published_value():
 
 
 def test_a_fractional_setting_gets_a_fractional_slider():
-    assert isinstance(Slider(0, 1, published=0.5).widget("x"), ipywidgets.FloatSlider)
-    assert Slider(0, 1, published=0.5).widget("x").step == pytest.approx(0.02)
-    assert Slider(0, 1, published=0.5, step=0.1).widget("x").step == 0.1
+    assert isinstance(Slider(0, 1, start=0.5).widget("x"), ipywidgets.FloatSlider)
+    assert Slider(0, 1, start=0.5).widget("x").step == pytest.approx(0.02)
+    assert Slider(0, 1, start=0.5, step=0.1).widget("x").step == 0.1
 
 
 @pytest.mark.parametrize(
     ("slider", "kind"),
     [
-        (Slider(1, 12, published=6), ipywidgets.IntSlider),
-        (Slider(100, 2000, published=500, log=True), ipywidgets.FloatLogSlider),
-        (Slider(4, 60, published=20, step=2), ipywidgets.IntSlider),
+        (Slider(1, 12, start=6), ipywidgets.IntSlider),
+        (Slider(100, 2000, start=500, log=True), ipywidgets.FloatLogSlider),
+        (Slider(4, 60, start=20, step=2), ipywidgets.IntSlider),
     ],
 )
 def test_whole_numbers_reach_the_drawing_as_whole_numbers(slider, kind):
@@ -127,13 +125,13 @@ def test_whole_numbers_reach_the_drawing_as_whole_numbers(slider, kind):
     control = row.children[0]
     assert isinstance(control, kind)
     control.value = slider.high
-    assert seen == [slider.published, slider.high]
+    assert seen == [slider.start, slider.high]
     assert all(type(count) is int for count in seen)
 
 
 def test_numbers_with_a_point_stay_so():
-    assert Slider(4.0, 40.0, published=24.0, step=1.0).read(25.0) == 25.0
-    assert not Slider(0, 2, published=1, step=0.05).whole
+    assert Slider(4.0, 40.0, start=24.0, step=1.0).read(25.0) == 25.0
+    assert not Slider(0, 2, start=1, step=0.05).whole
 
 
 def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
@@ -149,14 +147,39 @@ def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Slider(0, 1, published=2), r"^published\b"),
-        (lambda: Slider(0, 1, published=0.5, log=True), r"^low\b"),
-        (lambda: Choice(("flat", "colored"), "flt"), r"^published\b.*'flat'"),
+        (lambda: Slider(0, 1, start=2), r"^start\b"),
+        (lambda: Slider(0, 1, start=0.5, log=True), r"^low\b"),
+        (lambda: Choice(("flat", "colored"), "flt"), r"^start\b.*'flat'"),
     ],
 )
-def test_a_published_setting_must_be_on_the_control(make, message):
+def test_a_start_must_be_on_the_control(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    "slider", [Slider(0.2, 4.0, 1.8), Slider(0.01, 1.0, 0.3, log=True), Slider(1e-5, 1e3, 0.03, log=True)]
+)
+def test_the_start_is_one_of_the_slider_s_steps(slider):
+    """As the front end counts them, from the lower end; else a touch would move it."""
+    widget = slider.widget("x")
+    way = np.log10(slider.start) - widget.min if slider.log else slider.start - widget.min
+    assert way / widget.step == pytest.approx(round(way / widget.step), abs=1e-9)
+
+
+def test_a_unit_stands_once():
+    assert label("integrator_cutoff_hz", "Hz") == "integrator cutoff (Hz)"
+    assert label("noise_model", "N^2/s") == "noise model (N^2/s)"
+    assert label("taps") == "taps"
+
+
+@pytest.mark.parametrize(
+    ("basis", "place", "message"),
+    [("guess", "", "basis"), ("printed", "", "place"), ("assumed", "Table 1", "place")],
+)
+def test_only_what_is_printed_has_a_place_and_needs_it(basis, place, message):
+    with pytest.raises(InputError, match=rf"^{message}\b"):
+        Slider(0.0, 1.0, 0.5, basis=basis, place=place)
 
 
 def counted(draw):

@@ -132,7 +132,11 @@ def test_the_engine_names_no_topic():
         elif file.suffix in (".toml", ".html", ".js", ".css", ".env"):
             places[file] = file.read_text(encoding="utf-8")
     assert len(places) > 60
-    assert [file.name for file, text in places.items() if topics.search(text)] == []
+    assert [
+        file.name
+        for file, text in places.items()
+        if topics.search(text.replace("prefers-reduced-motion", ""))
+    ] == []
 
 
 @pytest.mark.slow

@@ -1,10 +1,13 @@
 import json
+from dataclasses import replace
 
 import pytest
 from matplotlib.figure import Figure
 
 from stillwork.base.checks import InputError
 from workbook import figures, paths
+from workbook.claims import Claim, Entry, Tolerance, ledger
+from workbook.headlines import headlines, summary_of
 from workbook.page import Page
 
 LEDGER = """\
@@ -192,3 +195,46 @@ def test_the_root_is_the_checkout_or_what_the_variable_says(workbook, monkeypatc
         paths.root()
     monkeypatch.delenv("STILLWORK_ROOT")
     assert (paths.root() / "lib" / "stillwork").is_dir()
+
+
+def test_the_summary_has_what_was_published_and_found():
+    name = "motion/09-bandwidth-table"
+    summary = summary_of(name)
+    claims = {claim.entry.id: claim for claim in ledger(topic="motion")}
+    assert 0 < len(summary.lines) <= 5
+    first = summary.lines[0]
+    assert first.claim == claims["motion.bandwidth.pid"]  # what the thesis says of itself first
+    low, high = first.claim.interval
+    assert f"Published 37 Hz. We find {first.claim.ours:.4g} Hz ({low:.3g} to {high:.3g})." in repr(summary)
+    assert (
+        f"agrees under {first.robustness.agree} of {first.robustness.tried} combinations"
+        in first.open_choices
+    )
+    assert repr(summary).splitlines()[0].startswith("●")
+    assert "<li>● <strong>achievable bandwidth</strong>" in summary._repr_html_()
+
+
+def test_marked_entries_come_first_and_what_is_not_computed_is_not_hidden():
+    rule = Tolerance("digits", relative=0.1)
+    entries = [Entry(f"motion.table-{k}.a", f"Table {k}", "time", "s", "value", 2.0, rule) for k in range(7)]
+    marked = [replace(entry, headline=entry.id[13] in "36") for entry in entries]
+    assert [line.claim.entry.id[13] for line in headlines([Claim(e, 2.0) for e in marked], {})] == ["3", "6"]
+    drawn = headlines([Claim(entry) for entry in entries], {}, ["motion.table-5.a"], "table-2")
+    assert [line.claim.entry.id[13] for line in drawn] == ["5", "2", "0", "1", "3"]
+    assert drawn[0].text == "Table 5, time: Published 2 s. Not computed yet."
+    assert [line.mark for line in headlines([Claim(entries[0], 4.0), Claim(entries[1], 2.1)], {})] == [
+        "◆",
+        "●",
+    ]
+
+
+def test_jupyter_shows_the_summary_and_a_build_does_not(monkeypatch):
+    shown = []
+    monkeypatch.setattr("IPython.display.display", shown.append)
+    monkeypatch.setattr("workbook.page._in_jupyter", lambda: True)
+    Page("motion/09-bandwidth-table")
+    assert len(shown) == 1 and shown[0].lines
+    Page("motion/99-not-written-yet")
+    monkeypatch.setenv("STILLWORK_OUTPUT", "/somewhere")
+    Page("motion/09-bandwidth-table")
+    assert len(shown) == 1

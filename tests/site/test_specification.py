@@ -24,7 +24,8 @@ def curve(values=VALUES, published=2.0, kind="value"):
     tolerance = None if kind == "reported" else Tolerance("printed", absolute=0.5)
     entry = Entry("motion.size", "Table 1", "size", "m", kind, published, tolerance, reason="a toy")
     agrees = np.abs(values - 2) <= 0.5
-    standing = Robustness(entry, (SCALE, SIGN), values, agrees, np.zeros(values.shape, bool))
+    settings = tuple(point[:2] for point in DESIGN)
+    standing = Robustness(entry, (SCALE, SIGN), settings, values, agrees, np.zeros(values.shape, bool))
     seeds = tuple(range(1, values.shape[1] + 1))
     study = Multiverse("motion", "toy", "a:b", ("motion.size",), (SCALE, SIGN, OTHER), seeds)
     return curve_of(Outcomes(study, DESIGN, {"motion.size": values}), standing)

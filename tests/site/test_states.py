@@ -129,7 +129,7 @@ def test_stops_crowd_where_the_picture_changes():
     assert len(found.values) == 12
     assert found.values == tuple(sorted(found.values))
     assert {0.0, 10.0} <= set(found.values)
-    assert found.values[found.published] == 3.0
+    assert found.values[found.start] == 3.0
     assert sum(6 <= value <= 8 for value in found.values) > sum(0 <= value <= 3 for value in found.values)
     assert np.array(found.values) * 10 == pytest.approx(np.rint(np.array(found.values) * 10))
 
@@ -144,10 +144,10 @@ def test_stops_crowd_where_the_picture_changes():
         (Choice(("a", "b"), "b"), ("a", "b")),
     ],
 )
-def test_a_control_stops_at_what_its_slider_offers_and_at_the_published_setting(control, values):
+def test_a_control_stops_at_what_its_slider_offers_and_at_its_start(control, values):
     found = ladder(control, lambda value: [], 20)
     assert found.values == values
-    assert found.values[found.published] == control.published
+    assert found.values[found.start] == control.start
     assert [type(each) for each in found.values] == [type(each) for each in values] or control.log
 
 
@@ -171,7 +171,7 @@ def test_the_two_that_change_the_picture_most_move_together():
     found = states(Explorer(paint, CONTROLS), 40)
     assert found["joint"] == [1, 2]
     assert [each["name"] for each in found["controls"]] == ["small", "large", "middle", "tiny"]
-    home = [each["published"] for each in found["controls"]]
+    home = [each["start"] for each in found["controls"]]
     counts = [len(each["stops"]) for each in found["controls"]]
     everything = {
         ".".join(map(str, [home[0], a, b, home[3]])) for a in range(counts[1]) for b in range(counts[2])

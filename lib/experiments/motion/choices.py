@@ -1,4 +1,4 @@
-"""The designs of chapter 3 at any reading of what the thesis leaves open (``choices.toml``)."""
+"""The designs of chapter 3 at any combination of what the thesis leaves open (``choices.toml``)."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -22,7 +22,7 @@ TARGET = 0.04  # wanted damping ratio, section 3.3.2
 SIX = {"6 dB": SIX_DB, "2": 2.0}
 
 
-@lru_cache(maxsize=128)  # readings that differ in the loop or the mass share the search
+@lru_cache(maxsize=128)  # combinations that differ in the loop or the mass share the search
 def limit(name: str, six: str, compensation: str, stage_damping: float) -> tuple[list[Loop], Bandwidth]:
     """The seven loops of a design and the largest bandwidth that they allow."""
     design = as_read(DESIGNS[name], compensation, stage_damping)

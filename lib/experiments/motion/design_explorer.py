@@ -4,13 +4,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from experiments.motion.designs import Design, stage_loops
+from experiments.motion.designs import DESIGNS, RETAINED, Design, stage_bandwidth, stage_loops
 from experiments.motion.legends import LABELS
 from experiments.motion.loop_functions import paint_over_masses
-from experiments.motion.machines import stage_mass
+from experiments.motion.machines import stage, stage_mass
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop
-from stillwork.control.pid import PidFamily
+from stillwork.control.pid import Pid, PidFamily
 
 
 @lru_cache(maxsize=8)
@@ -29,9 +29,25 @@ def paint_design(
     """Explorer: S_I and S_O of the seven loops for one controller and one use of the observer."""
     used = damping > 0 or compensate == "yes"
     application = Application(compensate == "yes", damping, selectivity=selectivity) if used else None
-    loops = _loops(Design(application, noise_model))
-    controller = PidFamily(stage_mass())(bandwidth_hz)
     names = ("input_sensitivity", "output_sensitivity")
+    return _paint(Design(application, noise_model), PidFamily(stage_mass())(bandwidth_hz), names)
+
+
+@lru_cache(maxsize=8)
+def _limit_hz(design: str) -> float:
+    return stage_bandwidth(design).design_hz
+
+
+def paint_published(design: str, part: float):
+    """Explorer: the seven loops of a published design at a part (%) of the largest bandwidth that it allows."""
+    notches = tuple(stage().frequencies[1:RETAINED]) if DESIGNS[design].notches else ()
+    controller = PidFamily(stage_mass(), notches)(part / 100 * _limit_hz(design))
+    return _paint(DESIGNS[design], controller, ("input_sensitivity", "output_sensitivity", "true_tracking"))
+
+
+def _paint(design: Design, controller: Pid, names: tuple[str, ...]):
+    """Loop functions of the seven masses, with the highest peak of each."""
+    loops = _loops(design)
     figure = paint_over_masses({LABELS[name]: (loops, controller, name) for name in names})
     peaks = [max(loop.peak(controller, name).magnitude for loop in loops) for name in names]
     stable = all(loop.is_stable(controller) for loop in loops)

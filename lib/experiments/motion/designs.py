@@ -9,7 +9,7 @@ from experiments.motion.machines import published_noise, stage, stage_mass
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
-from stillwork.control.pid import PidFamily
+from stillwork.control.pid import Pid, PidFamily
 from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
@@ -41,6 +41,17 @@ DESIGNS = {
     "AD": Design(Application(damping=DAMPING, selectivity=2.0)),
     "MC and AD, no band-pass": Design(Application(compensate=True, damping=DAMPING), NOISE_MODEL),
     "MC and AD": Design(Application(compensate=True, damping=DAMPING, selectivity=2.0), 1e3),
+}
+
+PRINTED_HZ = {  # Table 3.5 and the text of chapter 3; of "MC, two constraints" the text prints 73, too
+    "PID": 37.0,
+    "PID with notches": 43.0,
+    "MC": 46.0,
+    "MC and AD, no band-pass": 59.0,
+    "AD, no band-pass": 65.0,
+    "MC, two constraints": 72.0,
+    "AD": 77.0,
+    "MC and AD": 83.0,
 }
 
 
@@ -103,6 +114,15 @@ def stage_bandwidth(
         [PeakConstraint(function, limit) for function in design.constraints],
         refine=refine,
     )
+
+
+def design_controller(name: str, redesign: str = "own limit") -> Pid:
+    """Controller of a design at the largest f_bw that it allows, its ``own limit``, or at the ``printed`` bandwidth."""
+    require_choice("redesign", redesign, ("own limit", "printed"))
+    if redesign == "own limit":
+        return stage_bandwidth(name).controller
+    notches = tuple(stage().frequencies[1:RETAINED]) if DESIGNS[name].notches else ()
+    return PidFamily(stage_mass(), notches)(PRINTED_HZ[require_choice("name", name, PRINTED_HZ)])
 
 
 def first_crossing(setting: Design, position: int) -> float:

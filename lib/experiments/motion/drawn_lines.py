@@ -12,6 +12,20 @@ def labelled_lines(axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     }
 
 
+def turning_points(x: np.ndarray, level: np.ndarray, kind: str) -> np.ndarray:
+    """Where a line in dB has its ``peaks`` or ``dips`` of at least 0.1 dB."""
+    from scipy.signal import find_peaks
+
+    return x[find_peaks(level if kind == "peaks" else -level, prominence=0.1)[0]]
+
+
+def depth(axis, label: str, at: float) -> float:
+    """How far a line dips within 3 % of `at`, below its lower value at 10 % to either side (dB)."""
+    x, level = labelled_lines(axis)[label]
+    beside = np.interp([0.9 * at, 1.1 * at], x, level).min()
+    return float(beside - level[np.abs(x / at - 1) < 0.03].min())
+
+
 def highest(axis, low: float = 0.0, high: float = np.inf) -> np.ndarray:
     """Place and height of the largest value of each line of a panel, for x from `low` to `high`: (lines, 2)."""
     parts = [(x, np.where((x >= low) & (x <= high), y, -np.inf)) for x, y in labelled_lines(axis).values()]

@@ -65,10 +65,15 @@ def chain(masses: ArrayLike) -> ModalModel:
     return modal_model(np.diag(masses), stiffness, places, places, damping_matrix=damping)
 
 
-def loaded_modes(place: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mass matrix and mass-normalised shapes of the chain of Example 2.3.2, its extra mass at a place from 1 to 5."""
+def loaded_modes(place: float, sharing: str = "linear") -> tuple[np.ndarray, np.ndarray]:
+    """Mass matrix and mass-normalised shapes of the chain of Example 2.3.2, its extra mass at a place from 1 to 5.
+
+    Between two neighbours it is shared in a ``linear`` way, or a ``smooth`` one (squared cosine).
+    """
     p = parameters("chain")
-    share = np.maximum(1 - np.abs(np.arange(1, 6) - place), 0)  # between neighbours
+    away = np.abs(np.arange(1, 6) - place)
+    require_choice("sharing", sharing, ("linear", "smooth"))
+    share = np.maximum(1 - away, 0) if sharing == "linear" else np.cos(np.pi / 2 * np.minimum(away, 1)) ** 2
     mass = np.diag(p["light_mass"] + (p["heavy_mass"] - p["light_mass"]) * share)
     shapes = linalg.eigh(chain_matrix(np.full(4, p["stiffness"])), mass)[1]
     return mass, shapes * np.sign(shapes[0])

@@ -3,8 +3,9 @@
 import argparse
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from stillwork.base.checks import InputError, nearest, one_line
@@ -15,8 +16,24 @@ from stillwork.base.extras import MissingPackage, missing
 sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]
 
 
-def run(program: str, commands: dict[str, "Command"], arguments: list[str] | None = None) -> int:
-    """Run one of a program's commands; returns the exit code (2 for wrong input, 130 when interrupted)."""
+def run(
+    program: str,
+    commands: dict[str, "Command"],
+    arguments: list[str] | None = None,
+    renamed: Mapping[str, str] = MappingProxyType({}),
+) -> int:
+    """Run one of a program's commands; returns the exit code (2 for wrong input, 130 when interrupted).
+
+    Of a command by a name in `renamed` the new one is printed.
+    """
+    words = sys.argv[1:] if arguments is None else arguments
+    if words and words[0] in renamed:
+        now = " ".join((renamed[words[0]], *words[1:]))
+        print(
+            f"{program}: {words[0]} is called {renamed[words[0]]} now: python -m {program} {now}",
+            file=sys.stderr,
+        )
+        return 2
     parser = _parser(program, commands)
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
@@ -63,7 +80,7 @@ def _meant(word: str, command: "Command", commands: dict[str, "Command"]) -> str
         return ""
     name = word.partition("=")[0]
     others = [each for each, other in commands.items() if name in other.words]
-    return f"; it is an option of {', '.join(others)}" if others else nearest(name, command.words)
+    return f"; it is an option of {', '.join(others)}" if others else nearest(name, command.words, "--", 0.6)
 
 
 def _parser(program: str, commands: dict[str, "Command"]) -> argparse.ArgumentParser:

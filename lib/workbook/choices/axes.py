@@ -109,6 +109,7 @@ class Multiverse:
     function : str
         ``package.module:function``. It takes each axis' option by name, ``seed`` and ``lean``, and returns for each
         of `entries` a number, or a number and its interval ``(value, (low, high))``; NaN where there is none.
+        Or a notebook, ``topic/name``, whose parameters the axes are; its ``seed`` stays where no axis lists seeds.
     entries : tuple of str
         Ids that it returns.
     axes : tuple of Axis
@@ -146,6 +147,10 @@ class Multiverse:
         """Places of the defaults among the options."""
         return tuple(axis.default_index for axis in self.axes)
 
+    def columns(self, entry: str) -> tuple[int, ...]:
+        """Places of the axes that touch an entry."""
+        return tuple(k for k, axis in enumerate(self.axes) if axis.name in self.touched[entry])
+
     def options(self, point: tuple[int, ...]) -> dict[str, Option]:
         """Arguments of the function at a point."""
         return {axis.keyword: axis.options[k] for axis, k in zip(self.axes, point, strict=True)}
@@ -173,17 +178,7 @@ def load_axes(topic: str) -> tuple[dict[str, Axis], list[Multiverse]]:
     InputError
         When a field is unknown or missing, a default is not among the options, or an entry does not exist.
     """
-    paths.require_topic(topic)
-    file = paths.data(topic, "choices.toml")
-    if not file.exists():
-        return {}, []
-    try:
-        tree = tomllib.loads(file.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
-    for name in tree:
-        if name not in (topic, "studies"):
-            raise InputError(f"{file}: table {name!r} is neither {topic!r} nor 'studies'; rename it")
+    tree = _read(topic)
     ledger = tuple(load_entries(topic))
     axes = {name: _axis(f"{topic}.{name}", given, ledger) for name, given in tree.get(topic, {}).items()}
     multiverses = [_multiverse(topic, n, given, axes, ledger) for n, given in tree.get("studies", {}).items()]
@@ -195,6 +190,40 @@ def load_axes(topic: str) -> tuple[dict[str, Axis], list[Multiverse]]:
                     f"{entry} is given by studies {owner[entry]} and {multiverse.study}; keep one"
                 )
     return axes, multiverses
+
+
+def load_together(topic: str) -> dict[str, tuple[str, ...]]:
+    """What was published together beyond a table or figure, by name: ``[together]`` lists entries, or first parts of ids.
+
+    Raises
+    ------
+    InputError
+        When an entry does not exist, or stands in two lists.
+    """
+    ledger, found, owner = tuple(load_entries(topic)), {}, {}
+    for name, starts in _read(topic).get("together", {}).items():
+        if not isinstance(starts, list):
+            raise InputError(f"together.{name} is no list; give [...]")
+        found[name] = _matching(f"together.{name}", starts, ledger)
+        for entry in found[name]:
+            if owner.setdefault(entry, name) != name:
+                raise InputError(f"{entry} stands in together.{owner[entry]} and together.{name}; keep one")
+    return found
+
+
+def _read(topic: str) -> dict:
+    """The tables of ``choices.toml``; none without the file."""
+    file = paths.data(paths.require_topic(topic), "choices.toml")
+    if not file.exists():
+        return {}
+    try:
+        tree = tomllib.loads(file.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{file}: not valid TOML ({error}); correct that line") from None
+    for name in tree:
+        if name not in (topic, "studies", "together"):
+            raise InputError(f"{file}: table {name!r} is none of {topic!r}, 'studies', 'together'; rename it")
+    return tree
 
 
 def _axis(name: str, given, ledger: tuple[str, ...]) -> Axis:
@@ -219,8 +248,11 @@ def _multiverse(topic: str, study: str, given, axes: dict[str, Axis], ledger: tu
     name = f"studies.{study}"
     _require_fields(name, given, _STUDY_FIELDS, ("function", "entries"))
     module, colon, function = given["function"].partition(":")
-    if not colon or not function.isidentifier() or not all(p.isidentifier() for p in module.split(".")):
-        raise InputError(f"{name}: function is {given['function']!r}; give 'package.module:function'")
+    whole = colon and function.isidentifier() and all(p.isidentifier() for p in module.split("."))
+    if not whole and not given["function"].startswith(f"{topic}/"):
+        raise InputError(
+            f"{name}: function is {given['function']!r}; give 'package.module:function' or a notebook, '{topic}/...'"
+        )
     entries = _matching(f"{name}: entries", given["entries"], ledger)
     touching = {key: set(_matching(key, axis.touches, ledger)) for key, axis in axes.items()}
     mine = [axis for key, axis in axes.items() if touching[key] & set(entries)]

@@ -9,14 +9,19 @@ import json
 import math
 import os
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from stillwork.base.checks import InputError, require_count
 from workbook import paths
 from workbook.choices.axes import Multiverse
 from workbook.choices.closure import study_digest
-from workbook.choices.results import Outcomes
+from workbook.choices.judging import agreement
+from workbook.choices.results import Outcomes, collect
+from workbook.choices.running import Call, calls_at
 from workbook.claims import Entry
 from workbook.publish import replace_file
 
@@ -40,13 +45,23 @@ def parts_a_day() -> int:
     return min(require_count(SAMPLE, int(text)), DAYS)
 
 
-def drawn(multiverse: Multiverse, runs: Iterable[At], day: int, parts: int = 1) -> list[At]:
-    """The runs of a study whose turn it is on a day, at least one; with more parts, those of one part among them."""
+def drawn(
+    multiverse: Multiverse, runs: Iterable[At], day: int, parts: int = 1, outcomes: Outcomes | None = None
+) -> list[At]:
+    """The runs of a study whose turn it is on a day, at least one; with more parts, those of one part among them.
+
+    An entry that has no value in any of them, by the committed `outcomes`, adds the next run that has one.
+    """
     order = sorted(runs)
     random.Random(multiverse.study).shuffle(order)
     days = min(DAYS, len(order))
     turns = {(day + part * math.ceil(days / parts)) % days for part in range(parts)}
-    return [at for place, at in enumerate(order) if place % days in turns]
+    chosen = [at for place, at in enumerate(order) if place % days in turns]
+    first = (day + 1) % len(order) if order else 0
+    for values in outcomes.values.values() if outcomes else ():
+        if not any(math.isfinite(values[at]) for at in chosen):
+            chosen += [at for at in (*order[first:], *order[:first]) if math.isfinite(values[at])][:1]
+    return chosen
 
 
 def moves(before: Outcomes, now: Outcomes, tried: list[At], entries: dict[str, Entry]) -> list[str]:
@@ -67,6 +82,44 @@ def moves(before: Outcomes, now: Outcomes, tried: list[At], entries: dict[str, E
                 if not math.isclose(was, comes, rel_tol=0, abs_tol=room) and {was, comes} != {math.nan}:
                     which = "" if name == "values" else f" ({name})"
                     lines.append(f"{entry}{which} at {where}: {was:.7g} before, {comes:.7g} now")
+    return lines
+
+
+def short_form_differs(
+    multiverse: Multiverse, entries: dict[str, Entry], compute: Callable[[Call], dict | str]
+) -> list[str]:
+    """Where a study's short form has another verdict than the whole one, a line each; empty where it may stand for it.
+
+    Both are computed at the default and at every other option of each axis, the others at their default, with all seeds.
+    """
+    default = multiverse.default_point
+    design = [default]
+    for k, axis in enumerate(multiverse.axes):
+        design += [
+            (*default[:k], place, *default[k + 1 :])
+            for place in range(len(axis.options))
+            if place != default[k]
+        ]
+    outcomes = []
+    for form in (replace(multiverse, lean=""), multiverse):
+        runs = calls_at(form, design)
+        outcomes.append(collect(form, design, {at: compute(run) for at, run in runs.items()}))
+    lines = []
+    for entry in multiverse.entries:
+        if entries[entry].kind == "reported":
+            continue
+        whole, short = (agreement(each, entries[entry]).mean(axis=1) for each in outcomes)
+        for k, point in enumerate(design):
+            if (whole[k] >= 0.5) != (short[k] >= 0.5):
+                where = ", ".join(
+                    f"{axis.name} {axis.texts[point[n]]}"
+                    for n, axis in enumerate(multiverse.axes)
+                    if point[n] != default[n]
+                )
+                values = [float(np.nanmean(each.values[entry][k])) for each in outcomes]
+                lines.append(
+                    f"{entry} at {where or 'the default'}: {values[0]:.4g} whole, {values[1]:.4g} short"
+                )
     return lines
 
 

@@ -10,6 +10,7 @@ import stillwork
 from stillwork.base.checks import InputError
 from stillwork.base.source_digest import code_digest
 from workbook import paths
+from workbook.choices.notebook_study import code_cells
 from workbook.publish import digest
 
 LIBRARY = Path(stillwork.__file__).parents[1]
@@ -18,12 +19,18 @@ OWN_RESULTS = ("paper.toml", "published.toml", "choices.toml", "choices.csv")
 
 @cache  # for the life of the process: what it has imported does not change under it either
 def study_digest(function: str, topic: str) -> str:
-    """Digest of the code of ``package.module:function`` and of all it imports, and of the topic's data.
+    """Digest of the code of ``package.module:function``, or of a notebook's cells, of all it imports, and of the topic's data.
 
     The ledger and the combinations are left out: they say what is asked for, not what comes out.
     """
     lines = [function]
-    for name, file in sorted(modules(function.partition(":")[0]).items()):
+    if "/" in function:
+        code = "\n".join(source for source, _ in code_cells(function))
+        lines.append(digest(code.encode()))
+        found = _closure([*_imported(ast.parse(code), "", [LIBRARY, paths.root()])], [LIBRARY, paths.root()])
+    else:
+        found = modules(function.partition(":")[0])
+    for name, file in sorted(found.items()):
         lines.append(f"{name} {code_of(file)}")
     folder = paths.data(topic)
     for file in sorted(folder.rglob("*")):
@@ -46,9 +53,11 @@ def modules(name: str) -> dict[str, Path]:
     beside = [Path(folder) for folder in sys.path if _file(name, [Path(folder)])]
     if not beside:
         raise InputError(f"there is no module {name!r}; name one that can be imported")
-    roots = [LIBRARY, beside[0]]
+    return _closure([name], [LIBRARY, beside[0]])
+
+
+def _closure(waiting: list[str], roots: list[Path]) -> dict[str, Path]:
     found: dict[str, Path] = {}
-    waiting = [name]
     while waiting:
         each = waiting.pop()
         if each in found or not (file := _file(each, roots)):
@@ -71,7 +80,11 @@ def _file(name: str, roots: list[Path]) -> Path | None:
 def imports(name: str, file: Path, roots: list[Path]) -> Iterator[str]:
     """Modules that a module may import, anywhere in its text."""
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(syntax_tree(file)):
+    yield from _imported(syntax_tree(file), package, roots)
+
+
+def _imported(tree: ast.AST, package: str, roots: list[Path]) -> Iterator[str]:
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

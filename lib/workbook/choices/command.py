@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from stillwork.base.checks import InputError, require_choice
 from workbook import paths
-from workbook.choices.axes import Multiverse, load_axes
+from workbook.choices.axes import Axis, Multiverse, load_axes, load_together
 from workbook.choices.checking import (
     age,
     drawn,
@@ -20,12 +20,13 @@ from workbook.choices.checking import (
     moves,
     note,
     parts_a_day,
+    short_form_differs,
     today,
 )
 from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness, judge
 from workbook.choices.results import Outcomes, read_results, results_text
-from workbook.choices.running import Journal, calls_of, run_combinations
-from workbook.claims import load_entries
+from workbook.choices.running import Journal, calls_of, compute, design, run_combinations
+from workbook.claims import ledger, load_entries
 from workbook.lock import held, interrupts, recover
 from workbook.publish import replace_file
 from workbook.report import screen, table
@@ -47,6 +48,7 @@ def compute_choices(
     budget_min: float | None = None,
     changed: bool = False,
     study: str | None = None,
+    short: bool = False,
 ) -> int:
     """Run the combinations of a topic, or of all; returns the exit code (1: not whole yet, 128 + signal: interrupted).
 
@@ -63,11 +65,22 @@ def compute_choices(
         Only studies with a value that moved, in a sample of today's; those whose axes changed, or that never ran.
     study : str, optional
         Only this study of the topic, and all of it, whatever was computed before.
+    short : bool
+        Of that study compare the short form with the whole one at every option instead; 1 where a verdict differs.
     """
+    if short and study is None:
+        raise InputError("short compares the forms of one study; name it: choices TOPIC --study NAME --short")
     if study is not None:
         if topic is None:
             raise InputError("study needs its topic; name it before: choices TOPIC --study NAME")
         require_choice("study", study, [each.study for each in load_axes(paths.require_topic(topic))[1]])
+    if short:
+        (multiverse,) = [each for each in load_axes(topic)[1] if each.study == study]
+        if not multiverse.lean:
+            raise InputError(f"study {study} has no short form; leave out --short")
+        lines = short_form_differs(multiverse, load_entries(topic), compute)
+        print("\n".join(lines or [f"{study}: the same verdicts by the short form at every option"]))
+        return int(bool(lines))
     topics = paths.topics() if topic is None else [paths.require_topic(topic)]
     end = time.monotonic() + 60 * budget_min if budget_min is not None else math.inf
     whole = True
@@ -121,7 +134,7 @@ def _compute_topic(topic: str, executor, at_once: int, end: float, stopped, chan
     for each in others:
         forget(each)
     done = read_results(multiverses)  # what is judged is what was written
-    standings = judge(done, load_entries(topic), axes)
+    standings = _judged(topic, done, axes)
     print(standings_text(topic, done, standings, screen()))
     _paint(topic, done, standings)
     return True
@@ -133,6 +146,8 @@ def _unmoved(topic: str, multiverses: list[Multiverse], run, journal: Journal) -
     committed = {each.multiverse.study: each for each in read_results(multiverses)}
     kept, older = [], []
     for each in committed.values():
+        if each.design != design(each.multiverse):
+            continue
         if not has_moved(each.multiverse):
             (older if is_older(each) else kept).append(each)
         elif not is_older(
@@ -184,6 +199,11 @@ def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Rob
     for name, standing in standings.items():
         for axis in standing.undeclared:
             lines.append(f"{name} moves with {axis}, which does not say that it touches it")
+    for name, standing in standings.items():
+        if standing.differs:
+            lines.append(
+                f"{name} at the default: {standing.differs}, with another verdict; that of the ledger counts"
+            )
     for study in studies:
         for reason, count in Counter(study.failures.values()).most_common():
             lines.append(f"{study.multiverse.study}: {count} combinations failed: {reason}")
@@ -208,6 +228,17 @@ def _paint(topic: str, studies: list[Outcomes], standings: dict[str, Robustness]
     print(f"pictures: {folder.relative_to(paths.root())}")
 
 
+def judged(topic: str) -> dict[str, Robustness]:
+    """Robustness of the entries of a topic by its committed results, by id; nothing is said of the code's age."""
+    axes, multiverses = load_axes(topic)
+    return _judged(topic, read_results(multiverses), axes)
+
+
+def _judged(topic: str, studies: list[Outcomes], axes: dict[str, Axis]) -> dict[str, Robustness]:
+    claims = {claim.entry.id: claim for claim in ledger(topic=topic)}
+    return judge(studies, load_entries(topic), axes, claims, load_together(topic))
+
+
 def robustness_of(topic: str) -> dict[str, Robustness]:
     """How the entries of a topic stand by its committed results, by id; without those whose axes changed since."""
     axes, multiverses = load_axes(topic)
@@ -216,6 +247,6 @@ def robustness_of(topic: str) -> dict[str, Robustness]:
     run = paths.data(topic, "choices.csv").exists()
     if run and (changed := [each.study for each in multiverses if each.study not in known]):
         print(f"{topic}: the axes of {', '.join(changed)} changed: run `make choices`", file=sys.stderr)
-    standings = judge(studies, load_entries(topic), axes)
+    standings = _judged(topic, studies, axes)
     ages = {entry: age(each) for each in studies for entry in each.multiverse.entries}
     return {name: replace(standing, age=ages[name]) for name, standing in standings.items()}

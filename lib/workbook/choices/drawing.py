@@ -18,7 +18,7 @@ ROW = 0.14  # inches of an option or an entry
 def paint_specification_curve(study: Outcomes, standing: Robustness):
     """Values under all combinations, sorted, the published one with its tolerance, and which options were on below.
 
-    Where a study has several seeds, a point's value is their mean and a stroke its range.
+    Copies of one setting are drawn once. Where several seeds touch the entry, a setting's value is their mean and a stroke its range.
 
     Parameters
     ----------
@@ -42,8 +42,8 @@ def paint_specification_curve(study: Outcomes, standing: Robustness):
     points, values, middle = points[order], values[order], middle[order]
     agrees = standing.agrees[points].mean(axis=1) >= 0.5
     touching = {axis.name for axis in standing.axes}
-    columns = [(k, axis) for k, axis in enumerate(study.multiverse.axes) if axis.name in touching]
-    rows = sum(len(axis.options) for _, axis in columns)
+    columns = [axis for axis in study.multiverse.axes if axis.name in touching]
+    rows = sum(len(axis.options) for axis in columns)
     height = ROW * rows + 0.12 * len(columns)
     figure, (above, below) = figures.new(
         2, height=2.9 + height, sharex=True, gridspec_kw={"height_ratios": [2.2, max(height, ROW)]}
@@ -70,7 +70,9 @@ def paint_specification_curve(study: Outcomes, standing: Robustness):
     above.set_ylabel(textwrap.fill(textwrap.shorten(entry.quantity, 70) + unit, 30))
     above.set_title(f"{entry.id}\n{_summary(standing)}")
     above.legend(loc="best")
-    _draw_options(below, study, columns, points, agrees, standing.agree is not None)
+    _draw_options(
+        below, columns, [standing.settings[point] for point in points], agrees, standing.agree is not None
+    )
     below.set_xlabel("combinations, by value")
     return figure
 
@@ -89,12 +91,12 @@ def _draw_published(axes, entry: Entry) -> None:
     axes.axhline(entry.published, color=figures.BLACK, linewidth=1, linestyle="--", label="published")
 
 
-def _draw_options(axes, study: Outcomes, columns, points, agrees, judged: bool) -> None:
+def _draw_options(axes, columns, settings, agrees, judged: bool) -> None:
     """One row an option, a mark where it was on; axes apart from each other."""
-    rank = np.arange(1, len(points) + 1)
+    rank = np.arange(1, len(settings) + 1)
     ticks, labels, row = [], [], 0.0
-    for k, axis in columns:
-        places = np.array([study.design[point][k] for point in points])
+    for k, axis in enumerate(columns):
+        places = np.array([setting[k] for setting in settings])
         for option, text in enumerate(axis.texts):
             on = places == option
             for one, colour in ((agrees, AGREES), (~agrees, DIFFERS)):

@@ -1,9 +1,15 @@
-"""What the combinations say of each entry: how often it agrees, what decides that, and the best joint combination."""
+"""How often an entry agrees over the combinations of open choices, what decides that, and the best joint combination.
+
+Only the axes that touch an entry count: points that differ in other axes alone are copies of one setting. The default
+setting has the value and the verdict of the ledger.
+"""
 
 import itertools
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -46,6 +52,8 @@ class Joint:
         How many of the published values are within 5, 15 and 25 % there, and of how many: ``{"5%": 3, ..., "of": 9}``.
     tried : int
         Combinations among which it is the best.
+    distance : float
+        Mean over its numbers of the relative distance from the published one, each 1 at most; it is the smallest.
     """
 
     group: str
@@ -55,43 +63,63 @@ class Joint:
     ours: dict[str, float]
     near: dict[str, int]
     tried: int
+    distance: float = 0.0
 
 
 @dataclass(frozen=True)
 class Robustness:
-    """How an entry stands over all combinations.
+    """How an entry fares over all combinations of the open choices that touch it.
 
     Attributes
     ----------
     entry : Entry
     axes : tuple of Axis
-        Those that touch it.
-    values, agrees : ndarray, shape (points, seeds)
-        What was found, NaN where there is nothing, and whether it agrees.
-    failed : ndarray of bool, shape (points, seeds)
+        Those that touch it; one of kind ``seed`` among them where the seeds do.
+    settings : tuple of tuple of int
+        Distinct settings of these axes without the seeds: the place of the option on each, in their order.
+    values, agrees : ndarray, shape (settings, seeds)
+        What was found, NaN where there is nothing, and whether it agrees. One column where no seed touches it.
+    failed : ndarray of bool, shape (settings, seeds)
         Combinations that could not be computed; they count neither way.
     shares : Shares or None
         Of its variance: of the value's, or of the agreement's where there is no size.
     undeclared : tuple of str
-        Axes that move it and do not say so; known only where all combinations were computed.
-    joint : Joint or None
+        Axes that move it and are not declared to; known only where all combinations were computed.
+    joint, whole : Joint or None
+        Of what was published together with it, and of all numbers of the paper.
     age : str
-        What is to be said of values that older code has computed; empty for those of the code as it is.
+        What is to be noted of values that older code has computed; empty for those of the code as it is.
+    differs : str
+        Where the study's own verdict at the default is not that of the ledger: both values; else empty.
     """
 
     entry: Entry
     axes: tuple[Axis, ...]
+    settings: tuple[tuple[int, ...], ...]
     values: np.ndarray
     agrees: np.ndarray
     failed: np.ndarray
     shares: Shares | None = None
     undeclared: tuple[str, ...] = ()
     joint: Joint | None = None
+    whole: Joint | None = None
     age: str = ""
+    differs: str = ""
+    lean: str = ""  # of a study by a short form what that leaves out
+
+    @property
+    def options(self) -> tuple[Axis, ...]:
+        """The axes of `settings`: without the seeds."""
+        return tuple(axis for axis in self.axes if axis.kind != "seed")
+
+    @property
+    def size(self) -> int:
+        """How many distinct settings there are; as many as were tried where all were."""
+        return math.prod(len(axis.options) for axis in self.options)
 
     @property
     def tried(self) -> int:
-        """Combinations with every seed, without those that failed."""
+        """Distinct combinations, with every seed that touches it, without those that failed."""
         return int((~self.failed).sum())
 
     @property
@@ -106,13 +134,13 @@ class Robustness:
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Wilson's interval of the share; runs at one point with several seeds are no independent combinations."""
+        """Wilson's interval of the share over distinct settings; several seeds at one are no further settings."""
         if self.share is None:
             return None
         from workbook.studies import proportion_interval  # whose scipy only who asks for it waits for
 
-        points = int((~self.failed).any(axis=1).sum())
-        independent = points if points > 1 else self.tried
+        settings = int((~self.failed).any(axis=1).sum())
+        independent = settings if settings > 1 else self.tried
         return proportion_interval(self.share * independent, independent)
 
     @property
@@ -135,6 +163,8 @@ class Robustness:
         there = self.values[np.isfinite(self.values)]
         return {
             "tried": self.tried,
+            "settings": len(self.settings),
+            "of": self.size,
             "failed": int(self.failed.sum()),
             "agree": self.agree,
             "share": self.share,
@@ -149,13 +179,16 @@ class Robustness:
                 {"axis": axis.name, "options": list(axis.options), "unit": axis.unit, "after": axis.after}
                 for axis in self.axes
             ],
-            "joint": self._joint(),
+            "joint": self._joint(self.joint),
+            "whole": self._joint(self.whole),
             "age": self.age,
+            "differs": self.differs,
+            "short form": self.lean,
         }
 
-    def _joint(self) -> dict | None:
-        joint, name = self.joint, self.entry.id
-        if joint is None:
+    def _joint(self, joint: Joint | None) -> dict | None:
+        name = self.entry.id
+        if joint is None or name not in joint.ours:
             return None
         ours = joint.ours[name]
         return {
@@ -168,10 +201,17 @@ class Robustness:
             "agreeing": len(joint.agreeing),
             "of": len(joint.ours),
             "within": joint.near,
+            "distance": joint.distance,
         }
 
 
-def judge(studies: list[Outcomes], entries: dict[str, Entry], axes: dict[str, Axis]) -> dict[str, Robustness]:
+def judge(
+    studies: list[Outcomes],
+    entries: dict[str, Entry],
+    axes: dict[str, Axis],
+    claims: Mapping[str, Claim] = MappingProxyType({}),
+    together: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
+) -> dict[str, Robustness]:
     """Robustness of every entry that the studies of a topic give, by id.
 
     Parameters
@@ -181,21 +221,28 @@ def judge(studies: list[Outcomes], entries: dict[str, Entry], axes: dict[str, Ax
         The topic's ledger.
     axes : dict of str to Axis
         By name, as declared.
+    claims : mapping of str to Claim
+        What the ledger has found; the default combination takes it over, so that it has one answer.
+    together : mapping of str to tuple of str
+        Entries that were published together, by a name; of others it is what shares the first two parts of the id.
     """
-    standings = {}
-    for study in studies:
-        for name in study.multiverse.entries:
-            standings[name] = _standing(study, entries[name], axes)
+    parts = {
+        name: _Part(study, entries[name], claims.get(name))
+        for study in studies
+        for name in study.multiverse.entries
+    }
+    found = {name: _robustness(part, axes) for name, part in parts.items()}
+    counted = [name for name, one in found.items() if one.entry.is_replication and one.agree is not None]
     groups = defaultdict(list)
-    for name, standing in standings.items():
-        if standing.entry.is_replication and standing.agree is not None:
-            groups[group_of(name)].append(name)
+    named = {entry: group for group, listed in together.items() for entry in listed}
+    for name in counted:
+        groups[named.get(name, group_of(name))].append(name)
     for group, names in groups.items():
-        joint = _best_joint(group, names, studies, standings)
-        if joint is not None:
-            for name in names:
-                standings[name] = replace(standings[name], joint=joint)
-    return standings
+        if joint := _best_joint(group, [parts[name] for name in names]):
+            found |= {name: replace(found[name], joint=joint) for name in names}
+    if len(groups) > 1 and (whole := _best_joint("the whole paper", [parts[name] for name in counted])):
+        found |= {name: replace(found[name], whole=whole) for name in counted}
+    return found
 
 
 def group_of(entry: str) -> str:
@@ -233,33 +280,107 @@ def _over_seeds(entry: Entry, values: np.ndarray) -> tuple[float, float]:
     return spread_interval(there, entry.tolerance.interval) if len(there) > 1 else (math.nan, math.nan)
 
 
-def _standing(study: Outcomes, entry: Entry, axes: dict[str, Axis]) -> Robustness:
+class _Part:
+    """An entry within its study: values and agreement by point and seed, the ledger's at the default."""
+
+    def __init__(self, study: Outcomes, entry: Entry, claim: Claim | None):
+        self.study, self.entry = study, entry
+        self.values, self.failed = study.values[entry.id].copy(), study.failed
+        judged = entry.kind != "reported"
+        self.agrees = agreement(study, entry) if judged else np.zeros(self.values.shape, bool)
+        self.differs = ""
+        self.default = None  # value and agreement at the default combination, of the ledger
+        self.own = None  # and the point and seed that have them
+        if claim is not None and claim.ours is not None:
+            self._take_over(claim, judged)
+
+    def _take_over(self, claim: Claim, judged: bool) -> None:
+        at = self.study.multiverse.default_point
+        agrees = judged and claim.verdict in AGREEMENT
+        self.default = (claim.ours, agrees)
+        if at not in self.study.design or self.failed[point := self.study.design.index(at), 0]:
+            return
+        if judged and bool(self.agrees[point, 0]) != agrees:
+            self.differs = f"{self.values[point, 0]:.4g} in its study, {claim.ours:.4g} in the ledger"
+        self.own = (point, 0)
+        self.values[self.own], self.agrees[self.own] = claim.ours, agrees
+
+    def at(self, point: int) -> tuple[float, bool]:
+        """Mean over the seeds, and whether most of them agree; at the default what the ledger has."""
+        if self.default is not None and self.study.design[point] == self.study.multiverse.default_point:
+            return self.default
+        there = self.values[point][np.isfinite(self.values[point])]
+        return (float(there.mean()) if there.size else math.nan), bool(self.agrees[point].mean() >= 0.5)
+
+    def distance(self, point: int) -> float:
+        """Of ours from the published number: relative, 1 at most; none on the side that the entry calls better."""
+        (ours, agrees), entry = self.at(point), self.entry
+        if not math.isfinite(ours):
+            return 1.0
+        if not entry.published:
+            return float(not agrees)
+        if entry.better == ("larger" if ours > entry.published else "smaller"):
+            return 0.0
+        return min(abs(ours / entry.published - 1), 1.0)
+
+
+def _robustness(part: _Part, axes: dict[str, Axis]) -> Robustness:
+    study, entry = part.study, part.entry
     multiverse = study.multiverse
-    values, failed = study.values[entry.id], study.failed
-    judged = entry.kind != "reported"
-    agrees = agreement(study, entry) if judged else np.zeros(values.shape, bool)
-    quantity = values
-    if judged and entry.is_fraction:
-        quantity = np.where(failed, np.nan, agrees.astype(float))
     touched = multiverse.touched[entry.id]
-    full = len(study.design) == multiverse.size
-    # Where all was computed, an axis that moves the entry unannounced is found out; a sample is too small for that.
-    looked_at = [k for k, axis in enumerate(multiverse.axes) if full or axis.name in touched]
-    sizes = {multiverse.axes[k].name: len(multiverse.axes[k].options) for k in looked_at}
-    design = [tuple(point[k] for k in looked_at) for point in study.design]
-    shares = variance_shares(quantity, design, sizes, multiverse.seeded)
-    undeclared = ()
-    if full and shares is not None:
-        undeclared = tuple(name for name in sizes if name not in touched and shares.total[name] > 1e-6)
+    columns = multiverse.columns(entry.id)
+    seeded = multiverse.seeded and any(axes[name].kind == "seed" for name in touched)
+    copies = defaultdict(list)
+    for point, places in enumerate(study.design):
+        copies[tuple(places[k] for k in columns)].append(point)
+    shape = (len(copies), len(multiverse.seeds) if seeded else 1)
+    values, agrees, failed = np.full(shape, np.nan), np.zeros(shape, bool), np.ones(shape, bool)
+    for row, points in enumerate(copies.values()):
+        for seed in range(shape[1]):
+            cells = [
+                (point, each)
+                for point in points
+                for each in ([seed] if seeded else range(part.values.shape[1]))
+            ]
+            there = [cell for cell in cells if not part.failed[cell]]
+            if there:  # copies of one setting have one value; the first point is the default
+                values[row, seed], failed[row, seed] = part.values[there[0]], False
+                most = 2 * sum(part.agrees[cell] for cell in there) >= len(there)
+                agrees[row, seed] = part.default[1] if there[0] == part.own else most
+    is_fraction = entry.kind != "reported" and entry.is_fraction
+    quantity = np.where(failed, np.nan, agrees.astype(float)) if is_fraction else values
+    sizes = {multiverse.axes[k].name: len(multiverse.axes[k].options) for k in columns}
     return Robustness(
         entry,
         tuple(axes[name] for name in axes if name in touched),
+        tuple(copies),
         values,
         agrees,
         failed,
-        _under_own_names(shares, axes, touched),
-        undeclared,
+        _under_own_names(variance_shares(quantity, list(copies), sizes, seeded), axes, touched),
+        _undeclared(part),
+        differs=part.differs,
+        lean=multiverse.lean,
     )
+
+
+def _undeclared(part: _Part) -> tuple[str, ...]:
+    """Axes that move an entry and are not declared to; where all was computed, for a sample is too small to tell."""
+    study = part.study
+    multiverse, touched = study.multiverse, study.multiverse.touched[part.entry.id]
+    if len(study.design) < multiverse.size:
+        return ()
+    values, is_fraction = (
+        study.values[part.entry.id],
+        part.entry.kind != "reported" and part.entry.is_fraction,
+    )
+    if is_fraction:
+        values = np.where(study.failed, np.nan, agreement(study, part.entry).astype(float))
+    sizes = {axis.name: len(axis.options) for axis in multiverse.axes}
+    shares = variance_shares(values, study.design, sizes, multiverse.seeded)
+    if shares is None:
+        return ()
+    return tuple(name for name in sizes if name not in touched and shares.total[name] > 1e-6)
 
 
 def _under_own_names(shares: Shares | None, axes, touched) -> Shares | None:
@@ -274,50 +395,47 @@ def _under_own_names(shares: Shares | None, axes, touched) -> Shares | None:
     )
 
 
-def _best_joint(group: str, names: list[str], studies: list[Outcomes], standings) -> Joint | None:
-    """Best combination for all entries of a group; where several studies give them, one that all of them tried."""
-    parts = []
-    for study in studies:
-        mine = [name for name in names if name in study.values]
-        if mine:
-            parts.append((study, mine))
-    counts = defaultdict(int)
-    for study, _ in parts:
-        for axis in study.multiverse.axes:
-            counts[axis.name] += 1
+def _best_joint(group: str, parts: list[_Part]) -> Joint | None:
+    """Nearest combination for all entries of a group; where several studies give them, one that all of them tried."""
+    studies: dict[str, list[_Part]] = defaultdict(list)
+    for part in parts:
+        studies[part.study.multiverse.study].append(part)
+    counts = Counter(axis.name for mine in studies.values() for axis in mine[0].study.multiverse.axes)
     shared = sorted(name for name, count in counts.items() if count > 1)
-    whole: dict[tuple, _Pick] = {(): _Pick((0, 0.0, 0), (), 1)}
-    for study, mine in parts:
-        more = _best_by_shared(study, mine, shared, standings)
-        whole = {
-            tuple(sorted((dict(key) | dict(other)).items())): one.with_(two)
-            for (key, one), (other, two) in itertools.product(whole.items(), more.items())
-            if all(dict(key).get(name, option) == option for name, option in other)
-        }
+    whole: dict[tuple, _Pick] = {(): _Pick((0.0, 0), (), 1)}
+    for mine in studies.values():
+        more = _best_by_shared(mine, shared)
+        joined: dict[tuple, _Pick] = {}
+        for (key, one), (other, two) in itertools.product(whole.items(), more.items()):
+            if all(dict(key).get(name, option) == option for name, option in other):
+                joined[tuple(sorted((dict(key) | dict(other)).items()))] = one.with_(two)
+        whole = joined
     if not whole:
         return None
     best = max(whole.values(), key=lambda pick: pick.score)
-    places = [(*part, point) for part, point in zip(parts, best.points, strict=True)]
-    return _joint_at(group, places, standings, sum(pick.count for pick in whole.values()))
+    places = list(zip(studies.values(), best.points, strict=True))
+    return _joint_at(group, places, sum(pick.count for pick in whole.values()), -best.score[0] / len(parts))
 
 
 @dataclass(frozen=True)
 class _Pick:
     """The best of those points, one of each study, that share an option on every shared axis."""
 
-    score: tuple[int, float, int]  # entries that agree, their shares of seeds, minus axes moved
+    score: tuple[float, int]  # minus the sum of distances, minus axes moved
     points: tuple[int, ...]
     count: int  # among so many
 
     def with_(self, other: "_Pick") -> "_Pick":
         """This and the pick of a further study."""
-        score = tuple(a + b for a, b in zip(self.score, other.score, strict=True))
-        return _Pick(score, self.points + other.points, self.count * other.count)
+        distance = round(self.score[0] + other.score[0], 9)
+        return _Pick(
+            (distance, self.score[1] + other.score[1]), self.points + other.points, self.count * other.count
+        )
 
 
-def _best_by_shared(study: Outcomes, names: list[str], shared: list[str], standings) -> dict:
+def _best_by_shared(parts: list[_Part], shared: list[str]) -> dict[tuple, _Pick]:
+    study = parts[0].study
     multiverse = study.multiverse
-    rates = np.stack([standings[name].agrees.mean(axis=1) for name in names])
     columns = [k for k, axis in enumerate(multiverse.axes) if axis.name in shared]
     found: dict[tuple, _Pick] = {}
     for point, places in enumerate(study.design):
@@ -325,32 +443,31 @@ def _best_by_shared(study: Outcomes, names: list[str], shared: list[str], standi
             continue
         key = tuple((multiverse.axes[k].name, multiverse.axes[k].texts[places[k]]) for k in columns)
         moved = sum(a != b for a, b in zip(places, multiverse.default_point, strict=True))
-        score = (int((rates[:, point] >= 0.5).sum()), float(rates[:, point].sum()), -moved)
+        score = (round(-sum(part.distance(point) for part in parts), 9), -moved)
         before = found.get(key, _Pick(score, (point,), 0))
         better = _Pick(score, (point,), 0) if score > before.score else before
         found[key] = replace(better, count=before.count + 1)
     return found
 
 
-def _joint_at(group: str, places, standings, tried: int) -> Joint:
+def _joint_at(group: str, places: list[tuple[list[_Part], int]], tried: int, distance: float) -> Joint:
     combination: dict[str, Option] = {}
     moved: list[str] = []
-    agreeing, ours = [], {}
-    for study, names, point in places:
-        multiverse = study.multiverse
-        combination |= multiverse.combination(study.design[point])
-        for axis, k in zip(multiverse.axes, study.design[point], strict=True):
+    agreeing, ours, entries = [], {}, []
+    for parts, point in places:
+        study = parts[0].study
+        combination |= study.multiverse.combination(study.design[point])
+        for axis, k in zip(study.multiverse.axes, study.design[point], strict=True):
             if k != axis.default_index and axis.name not in moved:
                 moved.append(axis.name)
-        for name in names:
-            there = standings[name].values[point]
-            there = there[np.isfinite(there)]
-            ours[name] = float(there.mean()) if there.size else math.nan
-            if standings[name].agrees[point].mean() >= 0.5:
+        for part in parts:
+            name = part.entry.id
+            ours[name], agrees = part.at(point)
+            entries.append(part.entry)
+            if agrees:
                 agreeing.append(name)
-    entries = [standings[name].entry for name in ours]
     off = [
         abs(ours[each.id] / each.published - 1) for each in entries if each.kind == "value" and each.published
     ]
     near = {f"{size:.0%}": sum(each <= size for each in off) for size in NEAR} | {"of": len(off)}
-    return Joint(group, combination, tuple(moved), tuple(agreeing), ours, near, tried)
+    return Joint(group, combination, tuple(moved), tuple(agreeing), ours, near, tried, distance)

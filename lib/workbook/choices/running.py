@@ -19,6 +19,7 @@ import numpy as np
 from stillwork.base.checks import InputError
 from workbook.choices.axes import POINTS, Multiverse, Option
 from workbook.choices.closure import study_digest
+from workbook.choices.notebook_study import run_notebook
 from workbook.choices.results import Outcomes, Value, collect, rounded
 from workbook.progress import Progress
 
@@ -31,7 +32,8 @@ def design(multiverse: Multiverse) -> list[tuple[int, ...]]:
     """Points to compute, each an option's place on every axis; the default comes first, none comes twice.
 
     All combinations where there are at most 64; else as many as the study asks for, from a scrambled Sobol
-    sequence with a fixed seed, so that any first part of the list fills the space, too.
+    sequence with a fixed seed, so that any first part of the list fills the space, too. Then what this leaves out of an
+    entry whose own axes have at most 64 combinations, so that all of these are there.
     """
     sizes = [len(axis.options) for axis in multiverse.axes]
     first = [multiverse.default_point]
@@ -42,7 +44,23 @@ def design(multiverse: Multiverse) -> list[tuple[int, ...]]:
         for point in np.floor(drawn * sizes).astype(int).tolist():
             found.setdefault(tuple(point))
             if len(found) == multiverse.points:
-                return list(found)
+                return _completed(multiverse, list(found))
+
+
+def _completed(multiverse: Multiverse, points: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    """With the points that lack of the settings of an entry's own axes, where these are few; other axes at their default."""
+    for columns in sorted({multiverse.columns(entry) for entry in multiverse.entries}):
+        sizes = [len(multiverse.axes[k].options) for k in columns]
+        if math.prod(sizes) > POINTS:
+            continue
+        there = {tuple(point[k] for k in columns) for point in points}
+        for setting in itertools.product(*map(range, sizes)):
+            if setting not in there:
+                point = list(multiverse.default_point)
+                for k, place in zip(columns, setting, strict=True):
+                    point[k] = place
+                points.append(tuple(point))
+    return points
 
 
 def _blocks(dimensions: int):
@@ -120,18 +138,24 @@ class Call:
 
 def calls_of(multiverse: Multiverse) -> dict[tuple[int, int], Call]:
     """All runs of a study, by point and place of the seed."""
+    return calls_at(multiverse, design(multiverse))
+
+
+def calls_at(multiverse: Multiverse, points: list[tuple[int, ...]]) -> dict[tuple[int, int], Call]:
+    """The runs of a study at these points, by point and place of the seed."""
     code = study_digest(multiverse.function, multiverse.topic)
+    own_seed = multiverse.seeded and "/" in multiverse.function  # a parameter of the notebook
     return {
         (k, s): Call(
             multiverse.function,
             multiverse.topic,
-            multiverse.options(point),
+            multiverse.options(point) | ({"seed": seed} if own_seed else {}),
             seed,
             bool(multiverse.lean),
             multiverse.entries,
             code,
         )
-        for k, point in enumerate(design(multiverse))
+        for k, point in enumerate(points)
         for s, seed in enumerate(multiverse.seeds)
     }
 
@@ -146,16 +170,14 @@ def compute(run: Call) -> dict[str, Value] | str:
     """
     if study_digest(run.function, run.topic) != run.code:
         raise InputError(f"{run.function}: the worker's checkout differs; bring it to the same state")
-    module, _, name = run.function.partition(":")
-    function = getattr(importlib.import_module(module), name, None)
-    if function is None:
-        raise InputError(f"{module} has no function {name!r}; correct choices.toml")
+    function = _function_of(run)
+    arguments = run.options | {"seed": run.seed, "lean": run.lean}
     try:
-        inspect.signature(function).bind(**run.options, seed=run.seed, lean=run.lean)
+        inspect.signature(function).bind(**arguments)
     except TypeError as error:
         raise InputError(f"{run.function} cannot take the axes that touch its entries: {error}") from None
     try:
-        given = dict(function(**run.options, seed=run.seed, lean=run.lean))
+        given = dict(function(**arguments))
     except Exception as error:  # a combination that cannot be computed is a result, too
         return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
     for entry in (*run.entries, *given):
@@ -163,6 +185,17 @@ def compute(run: Call) -> dict[str, Value] | str:
             word = "is not among its entries" if entry in given else "is missing from what it returns"
             raise InputError(f"{run.function}: {entry} {word}; correct it or choices.toml")
     return {entry: _kept(given[entry]) for entry in run.entries}
+
+
+def _function_of(run: Call) -> Callable[..., dict[str, Value]]:
+    """The study itself: a function, or a notebook that is run with other parameters."""
+    if "/" in run.function:
+        return lambda **_: run_notebook(run.function, run.entries, run.options)
+    module, _, name = run.function.partition(":")
+    function = getattr(importlib.import_module(module), name, None)
+    if function is None:
+        raise InputError(f"{module} has no function {name!r}; correct choices.toml")
+    return function
 
 
 def _kept(value: Value | np.bool_) -> Value:

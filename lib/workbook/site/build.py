@@ -16,6 +16,7 @@ from workbook import paths, publish
 from workbook.choices.command import robustness_of
 from workbook.choices.judging import Robustness
 from workbook.claims import KINDS, VERDICTS, Claim, ledger
+from workbook.headlines import headlines, said_first
 from workbook.notebooks import notebook_file
 from workbook.provenance import commit, modified
 from workbook.report import APART, REPLICATIONS, column, our_quantity, published_quantity, tally
@@ -26,7 +27,7 @@ from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, project
 from workbook.site.pages import NotebookPage, read_page
 from workbook.site.papers import papers
-from workbook.site.specification import class_of, curves, status
+from workbook.site.specification import class_of, curves, sentence, status
 from workbook.site.states import kept_states, make_states
 from workbook.tasks import tasks
 
@@ -74,6 +75,7 @@ def site_files() -> dict[str, bytes]:
     render = _renderer(
         own_pages=own,
         topics=[topic for topic in topics if topic["pages"] or topic["counts"]],
+        machines=_listed([topic["on"] for topic in topics if topic["on"]]),
         # Of a folder its front stands in the navigation and leads to the others.
         guides={
             name: _title(text) for name, text in guides.items() if "/" not in name or name.endswith("/index")
@@ -85,15 +87,28 @@ def site_files() -> dict[str, bytes]:
         counts=Counter(map(column, claims)),
     )
 
+    curved = {curve.standing.entry.id for topic in topics for curve in topic["curves"]}
     files = static_files()
     by_name = {page.name: page for page in pages}
-    files["index.html"] = render("index.html", "", citation=_citation())
+    moving = [
+        page.name
+        for paper in papers().values()
+        if (page := by_name.get(paper["moving"])) and "states" in states.get(page.name, {})
+        if any(figure.csv is None for figure in page.figures)
+    ]
+    files["index.html"] = render(
+        "index.html",
+        "",
+        citation=_citation(),
+        moving=by_name[moving[0]] if moving else None,
+        states=states[moving[0]] if moving else {},
+    )
     files["ledger.html"] = render(
         "ledger.html",
         "",
         claims=claims,
         by_name=by_name,
-        curved={curve.standing.entry.id for topic in topics for curve in topic["curves"]},
+        curved=curved,
         kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
         classes=sorted({class_of(standings.get(claim.entry.id)) for claim in claims}),
     )
@@ -113,6 +128,10 @@ def site_files() -> dict[str, bytes]:
             "notebook.html",
             "../../",
             page=page,
+            heads=headlines(
+                list(page.claims), standings, said_first(page.topic), next((f.name for f in page.figures), "")
+            ),
+            curved=curved,
             neighbours=_neighbours(page, pages),
             states=states.get(page.name, {}),
             binder=binder(f"notebooks/{page.name}.ipynb"),
@@ -193,10 +212,14 @@ def _topic(
     }
 
 
-def _said(statements: list[dict], claims: list[Claim]) -> list[tuple[str, Claim]]:
-    """What a work says, each with the claim that judges it."""
+def _said(statements: list[dict], claims: list[Claim]) -> list[tuple[dict, Claim]]:
+    """What a paper says, each with the claim that judges it."""
     by_id = {claim.entry.id: claim for claim in claims}
-    return [(each["says"], by_id[each["entry"]]) for each in statements if each["entry"] in by_id]
+    return [(each, by_id[each["entry"]]) for each in statements if each["entry"] in by_id]
+
+
+def _listed(words: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _citation() -> str:
@@ -220,10 +243,10 @@ def _templates() -> jinja2.Environment:
     environment.filters["ours"] = our_quantity
     environment.filters["off_by"] = _off_by
     environment.filters["slug"] = lambda name: name.replace(",", "").replace(" ", "-")
-    environment.filters["short_title"] = _short_title
     environment.filters["column"] = column
     environment.filters["tally"] = tally
     environment.filters["status"] = status
+    environment.filters["sentence"] = sentence
     environment.filters["class_of"] = class_of
     return environment
 
@@ -241,7 +264,8 @@ def _renderer(**shared):
 
     def render(template: str, root: str, **values) -> bytes:
         page = _templates().get_template(template)
-        return page.render(root=root, site=site, **shared, **values).encode()
+        text = page.render(root=root, site=site, **shared, **values)
+        return text.replace("<pre>", '<pre tabindex="0">').encode()  # what scrolls is reached by keys, too
 
     return render
 
@@ -272,11 +296,6 @@ def _title(text: str) -> str:
     if found := re.match(r"# (.+)", text):
         return found[1]
     raise InputError(f"a guide begins with {text[:40]!r}; begin it with '# ' and its title")
-
-
-def _short_title(guide: str) -> str:
-    """A guide's word in the navigation, which is one line: ``Your rig`` of ``your-rig``, ``Course`` of ``course/index``."""
-    return guide.removesuffix("/index").replace("-", " ").capitalize()
 
 
 def _doc(text: str) -> Markup:

@@ -79,11 +79,19 @@ class PageCell:
     outputs: tuple[str, ...] = ()
     figures: tuple[Figure, ...] = ()
     claims: tuple[Claim, ...] = ()
+    table: bool = False  # prints the table of all claims, which a page shows as one of its own
 
     @property
     def html(self) -> Markup:
         """For a site's page; who derives a README or a manifest from a page does not wait for it."""
         return _highlighted(self.source) if self.code else Markup(_prose(self.notebook, self.source))
+
+    @property
+    def head_and_rest(self) -> tuple[Markup, Markup]:
+        """The title with the line of its source, and what follows."""
+        found = re.match(r".*?</h1>(\s*<p><em>.*?</em>\s*</p>)?", self.html, re.DOTALL)
+        head = found[0] if found else ""
+        return Markup(head), Markup(self.html[len(head) :])
 
 
 @dataclass(frozen=True)
@@ -210,14 +218,21 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             judged |= set(ids)
             figures = [_saved_figure(name, each, heading, folder) for each in here]
             outputs = []
+            table = source.strip() == "page.claims"
             for output in cell.get("outputs", []):
                 text, png = _shown(output)
                 if png and not FILE_NAMES.match(text):
                     figures.append(Figure(name, f"{cell['id']}-static", heading, png, None))
-                elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in VERDICTS_ALONE:
+                elif (
+                    (left := FILE_NAMES.sub("", text).strip("\n"))
+                    and left not in VERDICTS_ALONE
+                    and not table
+                ):
                     outputs.append(left)
             judgements = tuple(by_id[each] for each in ids)
-            cells.append(PageCell(name, anchor, True, source, tuple(outputs), tuple(figures), judgements))
+            cells.append(
+                PageCell(name, anchor, True, source, tuple(outputs), tuple(figures), judgements, table)
+            )
     return cells
 
 

@@ -12,6 +12,8 @@ NOTHING = {
     "by": "",
     "claimed": "",
     "hero": "",
+    "on": "",
+    "moving": "",
     "found": [],
     "builder": "",
     "rests": {},
@@ -47,7 +49,13 @@ def _paper(topic: str) -> dict:
             raise InputError(f"{file}: {name} is no {kind.__name__}")
     for name in ("found", "headline"):
         for each in given.get(name, []):
-            if not isinstance(each, dict) or set(each) != {"says", "entry"}:
-                raise InputError(f"{file}: {name} holds {each!r}; give {{ says = '...', entry = '...' }}")
+            if not isinstance(each, dict) or not {"says", "entry"} <= set(each) <= {
+                "says",
+                "entry",
+                "otherwise",
+            }:
+                raise InputError(
+                    f"{file}: {name} holds {each!r}; give {{ says = '...', entry = '...' }}, perhaps otherwise = '...'"
+                )
     title = given.get("title") or topic.capitalize()
     return {**NOTHING, "paper": title, **given, "title": title}

@@ -26,7 +26,7 @@ def index(
         html = "".join(cell.html for cell in page.cells if not cell.code)
         found += _parts(html, f"notebooks/{page.name}.html", page.title, page.topic)
     for name, html in guides.items():
-        found += _parts(html, f"guide/{name}.html", "", "guide")
+        found += _parts(html, f"guide/{name}.html", "", "course" if name.startswith("course/") else "guide")
     for module in modules:
         for item in module.items:
             address = f"reference/{module.name}.html#{item.name}"

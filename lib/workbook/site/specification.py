@@ -1,5 +1,7 @@
 """How an entry stands over all combinations, in words and as a specification curve: an entry's values under all combinations, sorted, and which options were on below each."""
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +10,7 @@ from workbook.choices.axes import load_axes
 from workbook.choices.judging import Robustness
 from workbook.choices.results import Outcomes, read_results
 from workbook.claims import AGREEMENT, Claim
-from workbook.report import our_quantity
+from workbook.report import our_quantity, published_quantity
 
 WIDTH, TOP = 460, 10  # of the values and dots; a page stretches the width to what it has
 HEIGHT, ROW = 120, 15  # of the values; of an option
@@ -85,10 +87,8 @@ def curve_of(study: Outcomes, standing: Robustness) -> Curve:
 
     touching = {axis.name for axis in standing.axes}
     axes, options, y = [], [], TOP + HEIGHT + 18.0
-    for column, axis in enumerate(study.multiverse.axes):
-        if axis.name not in touching:
-            continue
-        places = np.array([study.design[point][column] for point in points])
+    for column, axis in enumerate(axis for axis in study.multiverse.axes if axis.name in touching):
+        places = np.array([standing.settings[point][column] for point in points])
         axes.append((y, f"{axis.name}, {axis.texts[axis.default_index]} taken"))
         y += ROW
         for place, text in enumerate(axis.texts):
@@ -139,19 +139,51 @@ def _paths(x: np.ndarray, y: float | np.ndarray, kinds: np.ndarray, shown: np.nd
 
 
 def status(claim: Claim, standing: Robustness | None) -> str:
-    """The end of a sentence: under how many combinations it is so, or where none were tried or judged, whether here."""
+    """Under how many combinations a claim agrees, or where none were tried or judged, what comes out here."""
     if standing is None or standing.share is None:
         if claim.verdict in AGREEMENT:
-            return "here, too"
+            return "agrees here"
         if claim.ours is None:
             return claim.verdict
         ours = our_quantity(claim)
-        return f"not here ({ours})" if claim.verdict in ("deviates", "fails") else f"here {ours}"
+        return f"not here: {ours}" if claim.verdict in ("deviates", "fails") else f"here {ours}"
     if standing.agree == standing.tried:
-        return f"under every one of {standing.tried} combinations"
+        return f"under all {standing.tried} combinations"
     if standing.agree == 0:
         return f"under none of {standing.tried} combinations"
     return f"under {standing.agree} of {standing.tried} combinations"
+
+
+def sentence(said: Mapping[str, str], claim: Claim, standing: Robustness | None) -> str:
+    """What came out, as a sentence: what the paper says, or its negation where that is not found.
+
+    Parameters
+    ----------
+    said : mapping of str to str
+        ``says``, what the paper says; ``otherwise``, the sentence where it is not found, in which ``{ours}`` and
+        ``{published}`` stand for the values. Without it the negation is general.
+    claim : Claim
+        The entry that judges it.
+    standing : Robustness or None
+        Over the open choices. What most combinations give decides which of the two it is.
+    """
+    tried = standing is not None and standing.share is not None
+    if claim.ours is None and not tried:
+        return f"Not computed yet: {_begun_small(said['says'])}."
+    holds = standing.share >= 0.5 if tried else claim.verdict not in ("deviates", "fails")
+    if holds:
+        words = said["says"]
+    elif "otherwise" in said:
+        values = {"ours": our_quantity(claim), "published": published_quantity(claim)}
+        words = re.sub(r"\{(ours|published)\}", lambda found: values[found[1]], said["otherwise"])
+    else:
+        words = f"We did not find this: {_begun_small(said['says'])}"
+    return f"{words[:1].upper()}{words[1:]}."
+
+
+def _begun_small(words: str) -> str:
+    """Within a sentence; an abbreviation keeps its letters."""
+    return words if words[1:2].isupper() else words[:1].lower() + words[1:]
 
 
 def class_of(standing: Robustness | None) -> str:

@@ -4,7 +4,6 @@ import base64
 import contextlib
 import itertools
 import json
-import math
 import os
 import tempfile
 import time
@@ -14,7 +13,7 @@ from pathlib import Path
 
 from stillwork.base.checks import InputError
 from workbook import paths
-from workbook.explorer import Choice, Slider
+from workbook.explorer import Choice, Slider, basis_text, label
 from workbook.notebooks import read_notebook
 from workbook.publish import digest, read_record, replace_file
 from workbook.site.explorers import Explorer, read_explorer, statements
@@ -23,9 +22,10 @@ from workbook.site.stops import Ladder, distance, ladder, shares
 from workbook.tasks import Task
 from workbook.workers import cores, processes
 
-STATES = (80, 40, 20)  # pictures of an explorer: as many as go into a page
-JOINT = 0.6  # share of these for two controls moved together, where there are more than two
+STATES = (120, 60, 30)  # pictures of an explorer: as many as go into a page
+JOINT = 0.65  # share of these for two controls moved together, where there are more than two
 COARSE, FEWEST = 5, 5  # stops by which controls are weighed, and of one that is moved together with another
+MAIN = 15  # stops of the control that changes the picture most, where it offers as many
 LARGEST = 300_000  # bytes of a page's pictures
 LONGEST_S = 60.0  # of computing for one explorer
 SOURCES = ("explorers.py", "shapes.py", "stops.py", "states.py")
@@ -53,7 +53,7 @@ def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None
     Returns
     -------
     dict
-        ``controls`` (name, unit, stops, published), ``joint`` (the two), ``states`` (for the stops of all controls,
+        ``controls`` (name, unit, stops, start, basis), ``joint`` (the two), ``states`` (for the stops of all controls,
         as ``"0.3.2"``, the place in ``pictures``) and ``pictures``.
 
     Raises
@@ -63,11 +63,11 @@ def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None
     """
     begun = time.process_time()
     controls = explorer.controls
-    published = {name: control.published for name, control in controls.items()}
+    start = {name: control.start for name, control in controls.items()}
     known = {} if known is None else known
 
     def at(**moved):
-        settings = {**published, **moved}
+        settings = {**start, **moved}
         key = tuple(settings.values())
         if key not in known:
             if time.process_time() - begun > LONGEST_S:
@@ -79,12 +79,13 @@ def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None
         return lambda value: at(**{name: value})
 
     pair = list(controls)
+    swings: dict[str, float] = {name: _offered(control) for name, control in controls.items()}
     if len(pair) > 2:
         swings = {name: _swing(ladder(controls[name], along(name), COARSE), along(name)) for name in pair}
         pair = [name for name in controls if name in sorted(swings, key=swings.get)[-2:]]
-    counts = _counts(controls, pair, count)
+    counts = _counts(controls, sorted(pair, key=swings.get), count)
     ladders = {name: ladder(controls[name], along(name), counts[name]) for name in controls}
-    home = {name: each.published for name, each in ladders.items()}
+    home = {name: each.start for name, each in ladders.items()}
     stops = {name: range(len(each.values)) for name, each in ladders.items()}
     wanted = [
         dict(zip(pair, each, strict=True)) for each in itertools.product(*(stops[name] for name in pair))
@@ -116,10 +117,13 @@ def _counts(controls: dict, pair: list[str], count: int) -> dict[str, int]:
     others = len(controls) - len(pair)
     budget = round(JOINT * count) if others else count
     counts = dict.fromkeys(controls, 1 + (count - budget) // max(1, others))
-    first, second = sorted(pair, key=lambda name: _offered(controls[name]))
+    first, second = pair  # the main one last; of a choice all options count
+    if isinstance(controls[second], Choice):
+        first, second = second, first
+    main = min(MAIN, _offered(controls[second]))
     size = _offered(controls[first])
-    counts[first] = size if isinstance(controls[first], Choice) else min(size, math.isqrt(budget))
-    counts[second] = max(FEWEST, budget // counts[first])
+    counts[first] = size if isinstance(controls[first], Choice) else min(size, max(FEWEST, budget // main))
+    counts[second] = max(main, budget // counts[first])
     return counts
 
 
@@ -130,13 +134,14 @@ def _offered(control: Slider | Choice) -> int:
 def _control(name: str, control: Slider | Choice, stops: Ladder) -> dict:
     choice = isinstance(control, Choice)
     unit = "" if choice else control.unit
-    *words, last = name.split("_")
+    words = list(stops.values) if choice else _numbers(stops.values)
     return {
-        "name": " ".join(words if words and last == unit.lower() else [*words, last]),
+        "name": label(name, unit).removesuffix(f" ({unit})"),
         "unit": unit,
         "choice": choice,
-        "stops": list(stops.values) if choice else _numbers(stops.values),
-        "published": stops.published,
+        "stops": words,
+        "start": stops.start,
+        "basis": basis_text(control, f"{words[stops.start]} {unit}".strip()),
     }
 
 

@@ -13,36 +13,36 @@ SAMPLES = 64  # of a curve, by which two pictures are compared
 
 @dataclass(frozen=True)
 class Ladder:
-    """The values that a control may take here, in order, and the place of the published one."""
+    """The values that a control may take here, in order, and the place of the start."""
 
     values: tuple
-    published: int
+    start: int
 
 
 def shares(control: Slider) -> np.ndarray:
-    """Where the values that a slider offers lie between its ends (0 to 1), the published one among them."""
-    low, high, at = control.low, control.high, control.published
+    """Where the values that a slider offers lie between its ends (0 to 1), the start among them."""
+    low, high, at = control.low, control.high, control.start
     span = np.log10(high / low) if control.log else high - low
     step = control.step or (0.02 if control.log else (high - low) / 50)
     if control.whole and not control.log:
         step = max(1, round(step))
-    published = (np.log10(at / low) if control.log else at - low) / span
+    start = (np.log10(at / low) if control.log else at - low) / span
     regular = np.arange(round(span / step) + 1) * step / span
-    others = regular[(regular < 1 + 1e-9) & (abs(regular - published) > 1e-9)]
-    return np.unique(np.append(others, published))
+    others = regular[(regular < 1 + 1e-9) & (abs(regular - start) > 1e-9)]
+    return np.unique(np.append(others, start))
 
 
 def value_at(control: Slider, share: float):
     """What the parameter gets at a share of the slider's way."""
     low, high = control.low, control.high
     value = low * (high / low) ** share if control.log else low + share * (high - low)
-    if np.isclose(value, control.published, rtol=1e-9, atol=1e-9 * (high - low)):
-        return control.published
+    if np.isclose(value, control.start, rtol=1e-9, atol=1e-9 * (high - low)):
+        return control.start
     return control.read(float(f"{value:.3g}" if control.log else f"{value:.10g}"))
 
 
 def ladder(control: Slider | Choice, picture_of: Callable, count: int) -> Ladder:
-    """Stops of a control while the others stay: its ends, the published setting, and between them where it matters.
+    """Stops of a control while the others stay: its ends, its start, and between them where it matters.
 
     Parameters
     ----------
@@ -53,10 +53,10 @@ def ladder(control: Slider | Choice, picture_of: Callable, count: int) -> Ladder
         Stops at most; a choice has all of its options.
     """
     if isinstance(control, Choice):
-        return Ladder(control.options, control.options.index(control.published))
+        return Ladder(control.options, control.options.index(control.start))
     offered = {value_at(control, share): share for share in shares(control)}
     values, places = list(offered), list(offered.values())
-    home = values.index(control.published)
+    home = values.index(control.start)
     chosen = sorted({0, home, len(values) - 1})
     while len(chosen) < min(count, len(values)):
         gaps = [

@@ -1,5 +1,5 @@
 // Explorers that move without a kernel: draws the pictures that were computed when the site was made, over the
-// published one in grey. Without this script a page shows the picture at the published setting.
+// start in grey. Without this script a page shows the picture at the start.
 "use strict";
 
 (() => {
@@ -227,7 +227,7 @@
 
   const begin = async (figure) => {
     const { controls, joint, states, pictures } = await unpack(figure.dataset.states);
-    const home = controls.map((control) => control.published);
+    const home = controls.map((control) => control.start);
     const stops = [...home];
     const area = make("div", { class: "panels", role: "img" });
     const told = make("p", { class: "told", "aria-live": "polite" });
@@ -240,7 +240,7 @@
       const moved = stops.some((stop, number) => stop !== home[number]);
       const setting = controls.map((control, number) => `${control.name} ${unit(control, stops[number])}`).join(", ");
       area.setAttribute("aria-label", `Picture at ${setting}`);
-      told.textContent = now.message ?? (moved ? "Moved; in grey the published setting." : "At the published setting.");
+      told.textContent = now.message ?? (moved ? "Moved; in grey the start." : "At the start.");
       const columns = now.message ? 1 : 1 + Math.max(...now.map((each) => each.place[1]));
       const wide = area.clientWidth >= NARROW ? columns : 1;
       area.dataset.columns = wide;
@@ -257,11 +257,11 @@
       const options = control.stops.map((stop, at) => make("option", { value: at }, stop));
       const range = { type: "range", min: 0, max: control.stops.length - 1, step: 1 };
       const input = control.choice ? make("select", { id }, ...options) : make("input", { id, ...range });
-      const mark = make("span", { class: "home" }, `published: ${control.stops[home[number]]}`);
+      const mark = make("span", { class: "home" }, control.basis);
       const set = (stop) => {
         stops[number] = stop;
         input.value = stop;
-        input.setAttribute("aria-valuetext", unit(control, stop));
+        if (!control.choice) input.setAttribute("aria-valuetext", unit(control, stop));
         value.textContent = control.choice ? "" : control.stops[stop];
       };
       const move = () => {
@@ -275,7 +275,7 @@
       return { set, element: make("div", { class: "control" }, name, input, value, mark) };
     });
 
-    const reset = make("button", { type: "button" }, "Published setting");
+    const reset = make("button", { type: "button" }, "Back to the start");
     reset.addEventListener("click", () => {
       rows.forEach((row, number) => row.set(home[number]));
       show();
@@ -284,7 +284,7 @@
     const list = make("div", { class: "controls" }, ...rows.map((row) => row.element), make("div", { class: "control" }, reset, told));
     if (joint.length < controls.length) {
       const together = joint.map((number) => controls[number].name).join(" and ");
-      list.append(make("p", { class: "note" }, `${together} move together; every other control moves alone, from the published setting.`));
+      list.append(make("p", { class: "note" }, `${together} move together; every other control moves alone, from the start.`));
     }
     figure.querySelector(".zoom").replaceWith(list, area);
     show();
@@ -296,6 +296,27 @@
       }
     }).observe(area);
     figure.dataset.ready = "yes";
+    if ("play" in figure.dataset) play(figure, rows, controls, joint, show);
+  };
+
+  // Moves the main control there and back until a reader takes a control or stops it.
+  const play = (figure, rows, controls, joint, show) => {
+    const pause = figure.querySelector(".pause");
+    if (!pause || matchMedia("(prefers-reduced-motion: reduce)").matches) return;
+    const main = joint.reduce((a, b) => (controls[b].stops.length > controls[a].stops.length ? b : a));
+    let [stop, way] = [controls[main].start, 1];
+    const clock = setInterval(() => {
+      if (stop + way < 0 || stop + way >= controls[main].stops.length) way = -way;
+      rows[main].set((stop += way));
+      show();
+    }, 600);
+    const halt = () => {
+      clearInterval(clock);
+      pause.hidden = true;
+    };
+    pause.hidden = false;
+    pause.addEventListener("click", halt);
+    for (const event of ["pointerdown", "keydown"]) figure.querySelector(".controls").addEventListener(event, halt);
   };
 
   for (const figure of document.querySelectorAll("figure[data-states]")) begin(figure);

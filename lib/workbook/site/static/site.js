@@ -137,22 +137,28 @@ if (gallery) {
   show();
 }
 
-// Search: all words must occur; those in a title count most.
+// The claims of a notebook's page.
+
+for (const filter of document.querySelectorAll("form.claims-filter")) {
+  const rows = [...filter.nextElementSibling.querySelectorAll("tbody tr")];
+  const show = () => {
+    const wanted = wordsIn(filter.elements.q.value);
+    const verdict = filter.elements.verdict.value;
+    for (const row of rows)
+      row.hidden = (verdict && row.dataset.verdict !== verdict) || !wanted.every((word) => row.textContent.toLowerCase().includes(word));
+    filter.querySelector("output").textContent = `${rows.filter((row) => !row.hidden).length} of ${rows.length} claims`;
+  };
+  filter.hidden = false;
+  whenChanged(filter, show);
+}
+
+// Search; `rankedPlaces` of search.js finds and orders.
 
 const search = document.querySelector("form#search");
 
 if (search) {
   const list = document.getElementById("results");
-  const entries = globalThis.searchIndex.map(([title, kind, address, text]) => ({
-    title,
-    kind,
-    address,
-    text,
-    head: title.toLowerCase(),
-    all: `${title} ${kind} ${text}`.toLowerCase(),
-  }));
-
-  const weight = (entry, wanted) => wanted.reduce((sum, word) => sum + (entry.head.includes(word) ? 10 : 1), 0);
+  const ranked = globalThis.rankedPlaces(globalThis.searchIndex);
 
   const excerpt = (text, word) => {
     const first = text.toLowerCase().indexOf(word) - 60;
@@ -161,26 +167,24 @@ if (search) {
   };
 
   const show = () => {
-    const wanted = wordsIn(search.elements.q.value);
-    const found = wanted.length ? entries.filter((entry) => wanted.every((word) => entry.all.includes(word))) : [];
-    found.sort((a, b) => weight(b, wanted) - weight(a, wanted));
+    const { places: found, words } = ranked(search.elements.q.value);
     list.replaceChildren(
-      ...found.slice(0, 50).map((entry) => {
+      ...found.slice(0, 50).map(({ title, kind, address, text }) => {
         const item = document.createElement("li");
         const link = document.createElement("a");
-        link.href = entry.address;
-        link.textContent = entry.title;
-        const kind = document.createElement("span");
-        kind.className = "kind";
-        kind.textContent = ` ${entry.kind}`;
-        const words = document.createElement("p");
-        words.textContent = excerpt(entry.text, wanted[0]);
-        item.append(link, kind, words);
+        link.href = address;
+        link.textContent = title;
+        const label = document.createElement("span");
+        label.className = "kind";
+        label.textContent = ` ${kind}`;
+        const words_ = document.createElement("p");
+        words_.textContent = excerpt(text, words.find((word) => text.toLowerCase().includes(word)) ?? "");
+        item.append(link, label, words_);
         return item;
       }),
     );
     const count = `${found.length} place${found.length === 1 ? "" : "s"}${found.length > 50 ? ", the first 50 shown" : ""}`;
-    document.getElementById("found").textContent = wanted.length ? count : "";
+    document.getElementById("found").textContent = words.length ? count : "";
     toAddress(search);
   };
   whenChanged(search, show);

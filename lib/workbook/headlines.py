@@ -1,0 +1,148 @@
+"""What a notebook's page says first: a few claims, what was published and what we find, from the ledger alone."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+from stillwork.base.toml_files import read_toml
+from workbook import paths
+from workbook.choices.judging import Robustness
+from workbook.claims import AGREEMENT, Claim
+from workbook.report import our_quantity, published_quantity
+
+MOST = 5  # claims at the head of a page
+MARKS = {"agrees": "●", "differs": "◆", "open": "○"}
+
+
+@dataclass(frozen=True)
+class Headline:
+    """One claim in a sentence.
+
+    Attributes
+    ----------
+    claim : Claim
+    robustness : Robustness or None
+        Over the open choices; None where none touch it.
+    """
+
+    claim: Claim
+    robustness: Robustness | None = None
+
+    @property
+    def kind(self) -> str:
+        """``agrees``, ``differs``, or ``open`` where it is not judged or not computed yet."""
+        verdict = self.claim.verdict
+        return (
+            "open"
+            if verdict in ("reported", "not built")
+            else "agrees"
+            if verdict in AGREEMENT
+            else "differs"
+        )
+
+    @property
+    def mark(self) -> str:
+        return MARKS[self.kind]
+
+    @property
+    def found(self) -> str:
+        """What was published and what we find, each with its unit; the interval where there is one."""
+        claim, entry = self.claim, self.claim.entry
+        published = published_quantity(claim)
+        words = [f"Published {published}." if published else "No number published."]
+        if claim.ours is None:
+            return " ".join([*words, "Not computed yet."])
+        interval = ""
+        if claim.interval and claim.interval[0] < claim.interval[1]:
+            scale = 100 if entry.is_fraction else 1
+            interval = " ({:.3g} to {:.3g}{})".format(
+                *(scale * end for end in claim.interval), " %" if entry.is_fraction else ""
+            )
+        return " ".join([*words, f"We find {our_quantity(claim)}{interval}."])
+
+    @property
+    def open_choices(self) -> str:
+        """Under how many combinations of open choices it agrees; empty where none were tried or it is not judged."""
+        one = self.robustness
+        if one is None or one.class_ is None:
+            return ""
+        word = one.class_.capitalize()
+        return f"{word}: agrees under {one.agree} of {one.tried} combinations of open choices."
+
+    @property
+    def text(self) -> str:
+        entry = self.claim.entry
+        return " ".join(filter(None, [f"{entry.place}, {entry.quantity}:", self.found, self.open_choices]))
+
+
+def headlines(
+    claims: list[Claim],
+    robustness: Mapping[str, Robustness],
+    said: Sequence[str] = (),
+    first_figure: str = "",
+) -> list[Headline]:
+    """At most `MOST` claims of one notebook: those that the ledger marks; without such what the paper says of itself
+    first, then those of the page's first figure, then the others, what is judged first.
+
+    Parameters
+    ----------
+    claims : list of Claim
+        Of the notebook, in the ledger's order.
+    robustness : mapping of str to Robustness
+    said : sequence of str
+        Entries that the paper says first, see `said_first`.
+    first_figure : str
+        Name of the page's first figure, as the second part of an id has it.
+    """
+    marked = [claim for claim in claims if claim.entry.headline]
+    replications = [claim for claim in claims if claim.entry.is_replication] or claims
+
+    def rank(claim: Claim) -> tuple[bool, bool, bool]:
+        name = claim.entry.id
+        return name not in said, claim.entry.kind == "reported", name.split(".")[1] != first_figure
+
+    chosen = marked or sorted(replications, key=rank)
+    return [Headline(claim, robustness.get(claim.entry.id)) for claim in chosen[:MOST]]
+
+
+def said_first(topic: str) -> list[str]:
+    """Entries that ``paper.toml`` names as what the paper says of itself."""
+    file = paths.data(topic, "paper.toml")
+    given = read_toml(file) if file.is_file() else {}
+    return [
+        each["entry"] for field in ("headline", "found") for each in given.get(field, []) if "entry" in each
+    ]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The headlines as Jupyter shows them."""
+
+    lines: tuple[Headline, ...]
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{line.mark} {line.text}" for line in self.lines)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<li>{line.mark} <strong>{escape(line.claim.entry.quantity)}</strong> ({escape(line.claim.entry.place)}). "
+            f"{escape(line.found)} {escape(line.open_choices)}</li>"
+            for line in self.lines
+        )
+        return f"<ul style='list-style: none; padding-left: 0'>{rows}</ul>"
+
+
+def summary_of(notebook: str) -> Summary:
+    """The headlines of a notebook (``topic/name``) by its committed results; of one without entries it is empty."""
+    from workbook import notebook_source
+    from workbook.choices.command import judged
+    from workbook.claims import ledger, load_entries
+    from workbook.notebooks import read_notebook
+
+    topic = notebook.partition("/")[0]
+    source = "\n".join(read_notebook(notebook).cells.values())
+    ids = notebook_source.checked(source, list(load_entries(topic)))
+    mine = [claim for claim in ledger(topic=topic) if claim.notebook == notebook or claim.entry.id in ids]
+    found = judged(topic) if mine else {}
+    first = next(iter(notebook_source.saved(source, [claim.entry.id.split(".")[1] for claim in mine])), "")
+    return Summary(tuple(headlines(mine, found, said_first(topic), first)))
