@@ -26,6 +26,7 @@ from workbook.own_files import command, figures_command, in_checkout, model_file
 FORMS = ({"acceleration": 4, "force": 4}, {"inertia": 3, "bias": 4})
 TABLES = ("EXACT", "APPROXIMATE")
 
+FLOOR_SENSORS = 3  # of the shipped rig: more channels than these its notebook does not take
 SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cost seconds to import
 
 
@@ -66,7 +67,8 @@ def _spectra(path: Path) -> Iterator[str]:
     """What takes spectra of a motion."""
     columns = read_columns(path)
     hertz, spectra = columns[frequency_axis(columns)], spectra_of(columns)
-    name, unit = next(iter(spectra.items()))
+    unit = next(iter(spectra.values()))
+    alike = [name for name, other in spectra.items() if other == unit][:FLOOR_SENSORS]
     yield f"spectra over {len(hertz)} frequencies up to {hertz.max():.4g} Hz: {', '.join(spectra)}"
     if not unit:
         yield f"it does not say the unit of its densities; put one of these for UNIT: {DENSITIES_SAID}"
@@ -74,7 +76,7 @@ def _spectra(path: Path) -> Iterator[str]:
     yield command("one page about it", ["report", str(path.resolve()), "--unit", unit])
     settings = {"floor_record": path.resolve(), "floor_unit": unit}
     if len(spectra) > 1:
-        settings["floor_channels"] = json.dumps([name], ensure_ascii=False)
+        settings["floor_channels"] = json.dumps(alike, ensure_ascii=False)
     yield figures_command("isolation/08-your-floor", settings)
 
 
@@ -97,10 +99,11 @@ def _record(path: Path) -> Iterator[str]:
 
     motions = measuring(MOTION_UNITS)
     if motions and record.duration >= SHORTEST_FLOOR_S:
-        name, unit = motions[0]
+        unit = motions[0][1]
+        alike = [name for name, other in motions if other == unit][:FLOOR_SENSORS]
         settings = {"floor_record": path.resolve(), "floor_unit": unit or "UNIT"}
         if len(record.names) > 1:
-            settings["floor_channels"] = json.dumps([name], ensure_ascii=False)
+            settings["floor_channels"] = json.dumps(alike, ensure_ascii=False)
         yield figures_command("isolation/08-your-floor", settings)
     if len(record.names) >= 2:
         settings = {"record_file": path.resolve()}

@@ -10,7 +10,9 @@ from jaxtyping import Float64, Int64
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from experiments.isolation.simulation import Run
+from experiments.isolation.floors import ShapedFloor
+from experiments.isolation.simulation import Run, simulate
+from experiments.isolation.twin import Twin
 from stillwork.base.algebra import inner_product, plus_row, set_product
 from stillwork.base.checks import (
     InputError,
@@ -22,7 +24,7 @@ from stillwork.base.checks import (
 )
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel
 from stillwork.estimation import covariance_forms
-from stillwork.estimation.adaptive import ferls_update, hold_triangle
+from stillwork.estimation.adaptive import FeRls, ferls_update, hold_triangle
 from stillwork.estimation.covariance_forms import (
     TRIANGLE,
     add_triangle_information,
@@ -186,16 +188,13 @@ def steady_start(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray
     return (1 - forgetting) * (inverse + inverse.T) / 2
 
 
-def breakdowns_from_diagonal(
+def runs_from_diagonal(
     regressors: ArrayLike, forgetting: float, forms, time_constants: float
-) -> dict[str, float]:
-    """Time constants to the breakdown of each form in float32, from the steady P of uncorrelated regressors."""
+) -> dict[str, CovarianceRun]:
+    """Each form in float32, from the steady P of uncorrelated regressors."""
     psi = require_array("regressors", regressors, ndim=2)
     start = np.diag((1 - forgetting) / np.mean(psi**2, axis=1))
-    return {
-        form: covariance_run(form, psi, forgetting, start, time_constants, "float32").breakdown
-        for form in forms
-    }
+    return {form: covariance_run(form, psi, forgetting, start, time_constants, "float32") for form in forms}
 
 
 def stability_map(
@@ -503,6 +502,15 @@ def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, 
             squares = 0.0
 
 
+def start_breaks_s(
+    twin: Twin, floor: ShapedFloor, start: float, forgetting: float, seed: int, duration_s: float = 1.0
+) -> float:
+    """When FeRLS with the default limit breaks the loop from zero weights and P(-1) = `start` I, s; NaN where it goes on."""
+    adaptation = FeRls(start, forgetting)
+    run = simulate(twin, floor, duration_s, adaptation=adaptation, seed=seed, to_the_break=True)
+    return np.nan if run.broke_s is None else run.broke_s
+
+
 def peak_error(run: Run, from_s: float) -> float:
     """Largest filtered error from a moment on over its mean in the ten seconds before; infinite if the run broke."""
     if run.broke_s is not None:
@@ -555,7 +563,7 @@ def paint_map(
         certain, mean = condition_bounds(forgettings[0], precision)
         for bound, line, text in ((certain, ":", "errors of one sign "), (mean, "--", "independent errors ")):
             axes.axvline(bound, color=figures.BLACK, lw=0.8, ls=line)
-            axes.annotate(text, (bound, 1e-13), rotation=90, ha="right", va="bottom", fontsize=7)
+            axes.annotate(text, (bound, 2e-12), rotation=90, ha="right", va="bottom", fontsize=7)
         axes.axhline(1.0, color=figures.GREY, lw=0.8)
         axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 10))
         axes.set(xlabel="condition number of the scaled regressors")

@@ -11,6 +11,7 @@ from scipy import linalg
 
 from experiments.isolation.frequency_axes import COARSE_HZ, thinned
 from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
+from experiments.isolation.plant import plant_of_rig
 from experiments.isolation.power import BAND_HZ
 from experiments.isolation.recorded_floors import (
     LOUDEST,
@@ -23,7 +24,7 @@ from experiments.isolation.recorded_floors import (
 from experiments.isolation.simulation import Run, simulate
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.estimation.adaptive import FeRls
 from stillwork.signals.criteria import criterion_met, criterion_velocity, one_third_octave_velocity
 from stillwork.signals.datafiles import read_columns
@@ -199,6 +200,11 @@ RESOLUTION_HZ = 0.25
 WINDOW = 10  # kept values that the picture of the adaptation summarises
 SAME = 0.1  # a change of the motion by less is called none: chosen
 OTHER = 2.0  # so many times louder or quieter, a floor is called another one: chosen
+CREST = 20.0  # peak over rms from which on it may be a spike: footsteps on the slab reach 15 (chosen)
+STUCK_S = 0.25  # s of one value, of a sensor that sticks (chosen)
+SLOW_HZ, HEARD_HZ = (0.5, 1.0), (6.0, 100.0)  # what may break the adaptation, and what it learns from
+SLOW_RATIO = 5.0  # of the densities there: at 10 every adaptation tried broke, at 7 none (chosen)
+LESS_DAMPING = (5.0,)  # N s/m: 1 % of critical in z
 _GRID = np.unique(np.concatenate([np.geomspace(0.02, 2400, 600), np.arange(1.0, 300.0, 0.5)]))
 
 
@@ -304,29 +310,132 @@ def translating_spectrum(floor: RecordedFloor) -> SpectralFloor:
     return SpectralFloor(spectrum.frequencies_hz[1:], spectrum.density[0, 1:], floor.source, 1)
 
 
-def optimal_residual_ratio(
-    twin: Twin, floor: SpectralFloor, gains: ArrayLike
-) -> dict[str, Float64[np.ndarray, " gains"]]:
-    """Rms motion in z at 1-300 Hz over the floor's, for a louder or quieter floor and the optimum weights.
+def tilting_spectrum(floor: RecordedFloor) -> SpectralFloor | None:
+    """Spectrum of what each of a floor's sensors sees for itself; None where all see the same.
 
-    From spectra of one sensor alone, for a plate that only translates; `gains` are amplitudes relative to `floor`.
+    The sensors' own parts are taken as independent: of n of them each keeps 1 - 1/n of its power beside their mean.
     """
+    own = floor.acceleration - floor.acceleration.mean(axis=0)
+    if np.abs(own).max() <= 1e-9 * np.abs(floor.acceleration).max():
+        return None
+    spectrum = estimate_spectrum(own, floor.sample_rate, RESOLUTION_HZ)
+    density = spectrum.density[:, 1:].mean(axis=0) / (1 - 1 / floor.channels)
+    return SpectralFloor(spectrum.frequencies_hz[1:], density, floor.source, floor.channels)
+
+
+def optimal_residual_ratio(
+    twin: Twin, floor: SpectralFloor, gains: ArrayLike, direction: str = "z"
+) -> dict[str, Float64[np.ndarray, " gains"]]:
+    """Rms motion in a direction at 1-300 Hz over the floor's, for a louder or quieter floor and the optimum weights.
+
+    From spectra alone: in z of `translating_spectrum`, of one sensor and a plate that only translates; in θx and θy of
+    `tilting_spectrum`. `gains` are amplitudes relative to `floor`.
+    """
+    row = DIRECTIONS.index(require_choice("direction", direction, DIRECTIONS))
     f = np.geomspace(*BAND_HZ, 1500)[:-1]
-    twin, _ = select_floor_sensors(twin, floor.channels)
+    axes = central_axes(twin.rig)
+    twin, spread = select_floor_sensors(twin, floor.channels)
+    lever = np.sum((axes.floor[row] @ spread) ** 2)
     left: dict[str, list[float]] = {name: [] for name in _cases(None)}
     for gain in require_array("gains", gains, ndim=1):
         scaled = replace(floor, levels=gain**2 * floor.levels)
-        moved = band_power(f, scaled.density(f)[0], f[0], f[-1])
+        moved = lever * band_power(f, scaled.density(f)[0], f[0], f[-1])
         weights = steady_state(twin, scaled, frequencies_hz=_GRID).weights
         for name, options in _cases(weights).items():
-            density = _expected(twin, scaled, f, options)
+            density = _expected(twin, scaled, f, options, row)
             left[name].append(np.sqrt(band_power(f, density, f[0], f[-1]) / moved))
     return {name: np.array(values) for name, values in left.items()}
 
 
-def _expected(twin: Twin, floor: SpectralFloor, f: np.ndarray, case: dict) -> np.ndarray:
-    """Density of the platform's true motion in z."""
-    return sum(expected_density(twin, floor, f, sensed=False, **case).values())[0]
+def _expected(twin: Twin, floor: SpectralFloor, f: np.ndarray, case: dict, row: int = 0) -> np.ndarray:
+    """Density of the platform's true motion in one direction."""
+    return sum(expected_density(twin, floor, f, sensed=False, **case).values())[row]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The feedforward with another skyhook gain or other struts, on the part of the floor that it has not seen."""
+
+    damping: float  # N s/m, of a strut
+    gain: float  # N s/m, of the skyhook
+    left: Float64[np.ndarray, "3"]  # rms acceleration over the floor's in z, θx, θy
+
+
+def try_damping(twin: Twin, floor: RecordedFloor, seed: int, start: float, isolated: Isolated) -> list[Trial]:
+    """Weights learnt with the struts' own damping (`isolated`) and with less, judged with and without the skyhook loop."""
+    found = []
+    for each in (float(np.mean(twin.rig.damping)), *LESS_DAMPING):
+        rig, changed = twin.rig, twin
+        if found:
+            rig = replace(rig, damping=each)
+            changed = replace(twin, rig=rig, plant=plant_of_rig(rig))
+            isolated = isolate(changed, floor, seed, start)
+        weights = isolated.adaptation.final_weights
+        heard, _ = select_floor_sensors(changed.varied(gain=0.0), floor.channels)
+        platform = central_axes(rig).platform
+        run = simulate(heard, floor, signals_from_s=SETTLE_S, weights=weights, seed=seed + 1)
+        without = replace(isolated, platform={"FeRLS": platform @ run.platform})
+        found.append(Trial(each, twin.skyhook.gain, isolated.left("FeRLS")))
+        found.append(Trial(each, 0.0, without.left("FeRLS")))
+    return found
+
+
+def advice(trials: list[Trial]) -> Iterator[str]:
+    """Which skyhook gain and which damping leave least, direction by direction, with what they leave."""
+    own = trials[0]
+    for k in np.flatnonzero(np.isfinite(own.left)):
+        best = min(trials, key=lambda trial: trial.left[k])
+        if best.left[k] > (1 - SAME) * own.left[k]:
+            yield f"{DIRECTIONS[k]}: no skyhook gain or damping tried leaves clearly less than this rig's own ({own.left[k]:.3g})."
+            continue
+        loop = "without the skyhook loop" if best.gain == 0 else "with the skyhook loop"
+        yield (
+            f"{DIRECTIONS[k]}: struts of {best.damping:g} N s/m {loop} leave {best.left[k]:.3g} instead of "
+            f"{own.left[k]:.3g}, with the weights learnt there."
+        )
+        others = [j for j in np.flatnonzero(np.isfinite(own.left)) if best.left[j] > (1 + SAME) * own.left[j]]
+        for j in others:
+            yield f"  The price is {best.left[j]:.3g} instead of {own.left[j]:.3g} in {DIRECTIONS[j]}."
+
+
+def warnings(floor: RecordedFloor) -> Iterator[str]:
+    """What may spoil the adaptation, seen in the record before anything runs, and what to do about it."""
+    size = floor.acceleration.std(axis=1)
+    for k, row in enumerate(floor.acceleration):
+        name = f"Floor sensor {k + 1}"
+        crest = np.abs(row).max() / size[k]
+        if crest > CREST:
+            at = np.abs(row).argmax() / floor.sample_rate
+            yield (
+                f"{name} peaks at {crest:.0f} times its rms, at {at:.3g} s: if nothing hit the floor there, "
+                "it is a spike of the sensor; cut it out of the record."
+            )
+        length, at = _longest_still(row, 1e-6 * size[k])
+        if length > STUCK_S * floor.sample_rate:
+            yield (
+                f"{name} gives one value for {length / floor.sample_rate:.2g} s, from {at / floor.sample_rate:.3g} s "
+                "on: it sticks; leave the channel out, or cut that part out."
+            )
+    spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, RESOLUTION_HZ)
+    f, density = spectrum.frequencies_hz, spectrum.density
+    slow = density[:, (f >= SLOW_HZ[0]) & (f <= SLOW_HZ[1])].mean(axis=1)
+    heard = np.median(density[:, (f >= HEARD_HZ[0]) & (f <= HEARD_HZ[1])], axis=1)
+    ratio = np.sqrt((slow / heard).max())
+    if ratio > SLOW_RATIO:
+        yield (
+            f"At {SLOW_HZ[0]:g} to {SLOW_HZ[1]:g} Hz the floor's acceleration per √Hz is {ratio:.2g} times that at "
+            f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, and from about 8 times on the "
+            "adaptation breaks although its mean converges. Take a high-pass of 2 Hz over the record; a smaller start "
+            "does not help."
+        )
+
+
+def _longest_still(row: np.ndarray, within: float) -> tuple[int, int]:
+    """Samples of the longest stretch in which a signal keeps its value, and where it begins."""
+    moving = np.flatnonzero(np.abs(np.diff(row)) > within)
+    ends = np.concatenate([[-1], moving, [len(row) - 1]])
+    longest = int(np.argmax(np.diff(ends)))
+    return int(np.diff(ends)[longest]), int(ends[longest] + 1)
 
 
 def described(floor: RecordedFloor) -> Iterator[str]:
@@ -367,20 +476,29 @@ def findings(isolated: Isolated) -> Iterator[str]:
         yield "The filtered error was still falling when the training part ended."
 
 
-def crossing(gains: np.ndarray, left: dict[str, np.ndarray]) -> str:
-    """How loud the floor must be for the feedforward to leave less motion than the passive rig, as a sentence."""
+def crossing(gains: np.ndarray, left: dict[str, np.ndarray], direction: str = "z") -> str:
+    """How loud the floor must be for the feedforward to leave less motion in a direction than the passive rig."""
     pays = left["FeRLS"] < left["passive"]
     if pays.all():
-        return f"Even {gains[0]:.2g} times as loud, the feedforward leaves less motion than the passive rig."
+        return f"In {direction} the feedforward leaves less motion than the passive rig even on a floor {gains[0]:.2g} times as loud."
     if not pays.any():
-        return f"Not even {gains[-1]:.2g} times as loud does the feedforward leave less motion than the passive rig."
+        return f"In {direction} the feedforward leaves more motion than the passive rig even on a floor {gains[-1]:.2g} times as loud."
     if not pays[-1]:
         some = _list(f"{gain:.2g}" for gain in gains[pays])
-        return f"Only {some} times as loud does the feedforward leave less motion than the passive rig."
+        return f"In {direction} the feedforward leaves less motion than the passive rig only on a floor {some} times as loud."
     ratio = np.log(left["FeRLS"] / left["passive"])
     at = 1 + int(np.flatnonzero(~pays)[-1])
     gain = np.exp(np.interp(0.0, -ratio[at - 1 : at + 1], np.log(gains[at - 1 : at + 1])))
-    return f"The feedforward leaves less motion than the passive rig from {gain:.2g} times this floor's amplitude on."
+    return f"In {direction} the feedforward leaves less motion than the passive rig from {gain:.2g} times this floor's amplitude on."
+
+
+def crossings(twin: Twin, floor: RecordedFloor, gains: np.ndarray) -> Iterator[str]:
+    """`crossing` in z, and in the tilts of a floor whose sensors see different motions."""
+    yield crossing(gains, optimal_residual_ratio(twin, translating_spectrum(floor), gains))
+    tilting = tilting_spectrum(floor)
+    if tilting is not None:
+        for direction in DIRECTIONS[1:]:
+            yield crossing(gains, optimal_residual_ratio(twin, tilting, gains, direction), direction)
 
 
 def _compared(who: str, ratio: float, other: str) -> str:

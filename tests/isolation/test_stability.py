@@ -9,12 +9,12 @@ from naive import cures as naive
 from notebooks.isolation.numerical_stability import (
     CURES,
     FORMS,
-    breakdowns_from_diagonal,
     condition_bounds,
     covariance_run,
     peak_error,
     recur,
     run_cure,
+    runs_from_diagonal,
     scaled_condition,
     shared_motion,
     smallest_loop,
@@ -133,10 +133,10 @@ def test_silence_winds_every_form_up(form):
 
 def test_one_motion_breaks_the_triangle_in_float32_and_not_the_factors():
     psi = shared_motion(1e9, 2000, 0)
-    found = breakdowns_from_diagonal(psi, FORGETTING, ("triangle", "UD"), 30)
-    assert 1 < found["triangle"] < 30 and np.isinf(found["UD"])
-    apart = breakdowns_from_diagonal(shared_motion(2.0, 2000, 0), FORGETTING, ("triangle", "UD"), 30)
-    assert np.isinf(list(apart.values())).all()
+    found = runs_from_diagonal(psi, FORGETTING, ("triangle", "UD"), 30)
+    assert 1 < found["triangle"].breakdown < 30 and np.isinf(found["UD"].breakdown)
+    apart = runs_from_diagonal(shared_motion(2.0, 2000, 0), FORGETTING, ("triangle", "UD"), 30)
+    assert all(np.isinf(run.breakdown) for run in apart.values())
 
 
 def closed_loop(cure, samples=400):

@@ -1,13 +1,20 @@
 """From a record's file to the platform, the shipped record, and the explorers of the floor notebooks."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from experiments.isolation import performance_pictures
 from experiments.isolation.performance import exact_transmissibility
-from experiments.isolation.recorded_floors import RecordedFloor, ground_floor, record_floor
+from experiments.isolation.recorded_floors import (
+    RecordedFloor,
+    ground_floor,
+    record_floor,
+    synthesise_floor,
+)
 from experiments.isolation.simulation import simulate
 from experiments.isolation.twin import load_twin, twin_from_table
 from notebooks.isolation import floor_and_paths as rig_pictures
@@ -25,6 +32,7 @@ from notebooks.isolation.your_floor import (
 )
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
+from stillwork.estimation.online import UnstableAdaptation
 from stillwork.signals.records import load_record
 from stillwork.signals.spectra import estimate_spectrum
 from workbook import paths
@@ -329,11 +337,13 @@ def test_the_level_at_which_feedforward_pays_is_interpolated():
     gains = np.geomspace(0.1, 100, 7)
     flat = np.ones(7)
     curves = {"passive": flat, "FeRLS": 2 / gains}
-    assert "from 2 times" in crossing(gains, curves)
-    assert "Even 0.1 times" in crossing(gains, {"passive": flat, "FeRLS": 0.5 * flat})
-    assert "Not even 1e+02 times" in crossing(gains, {"passive": flat, "FeRLS": 2 * flat})
+    assert "In z" in crossing(gains, curves) and "from 2 times" in crossing(gains, curves)
+    assert "even on a floor 0.1 times" in crossing(gains, {"passive": flat, "FeRLS": 0.5 * flat})
+    assert "more motion than the passive rig even on a floor 1e+02 times" in crossing(
+        gains, {"passive": flat, "FeRLS": 2 * flat}
+    )
     some = np.where(np.arange(len(gains)) == 1, 0.5, 2.0)
-    assert f"Only {gains[1]:.2g} times" in crossing(gains, {"passive": flat, "FeRLS": some * flat})
+    assert f"only on a floor {gains[1]:.2g} times" in crossing(gains, {"passive": flat, "FeRLS": some * flat})
     twice = np.where(np.arange(len(gains)) == 1, 2.0, 0.5)  # it pays again from there on
     told = crossing(gains, {"passive": flat, "FeRLS": twice * flat})
     assert f"from {np.sqrt(gains[1] * gains[2]):.2g} times" in told
@@ -412,3 +422,78 @@ def test_pictures_show_what_moves(twin):
     assert len(left.lines) == 2 and len(right.lines) == 3  # a median and 1; one line a group of weights
     windows = shaken.progress.reshape(10, -1)
     assert left.lines[0].get_ydata() == pytest.approx(np.median(windows, axis=1))
+
+
+def record_of(rows):
+    return RecordedFloor(np.atleast_2d(rows), 5000.0, "mine.csv")
+
+
+def test_what_may_spoil_the_adaptation_is_reported_before_it_runs():
+    rng = np.random.default_rng(1)
+    quiet = rng.standard_normal((2, 100_000)) * 1e-3
+    assert list(your_floor.warnings(record_of(quiet))) == []
+    spike = quiet.copy()
+    spike[1, 30_000] = 0.1
+    [text] = your_floor.warnings(record_of(spike))
+    assert text.startswith("Floor sensor 2") and "at 6 s" in text and "cut it out" in text
+    stuck = quiet.copy()
+    stuck[0, 50_000:55_000] = stuck[0, 50_000]
+    [text] = your_floor.warnings(record_of(stuck))
+    assert text.startswith("Floor sensor 1") and "1 s, from 10 s" in text and "sticks" in text
+    # A tone of 0.75 Hz, spread over the band of 0.5 Hz: 20 times the density of the rest.
+    level = 20 * 1e-3 / np.sqrt(2500)
+    slow = level * np.sqrt(0.5) * np.sqrt(2) * np.sin(2 * np.pi * 0.75 * np.arange(100_000) / 5000)
+    [text] = your_floor.warnings(record_of(quiet + slow))
+    assert "high-pass of 2 Hz" in text and "a smaller start does not help" in text.replace("  ", " ")
+
+
+@pytest.mark.slow
+def test_slow_motion_that_is_reported_breaks_the_adaptation_and_a_high_pass_cures_it(twin):
+    f = np.geomspace(0.3, 300, 500)
+    for seed in (5, 6):
+        for ratio, breaks in ((12.0, True), (4.0, False)):
+            density = np.where((f >= 0.5) & (f <= 1.0), (ratio * 5e-4) ** 2, 0) + np.where(f > 3, 5e-4**2, 0)
+            floor = synthesise_floor(f, density, 30.0, seed, common=0.3)
+            assert bool(list(your_floor.warnings(floor))) == breaks
+            if not breaks:
+                isolate(twin, floor, seed)
+                continue
+            with pytest.raises(UnstableAdaptation):
+                isolate(twin, floor, seed)
+            passed = signal.sosfilt(
+                signal.butter(4, 2.0, "highpass", fs=5000, output="sos"), floor.acceleration, axis=1
+            )
+            isolate(twin, replace(floor, acceleration=np.ascontiguousarray(passed)), seed)
+
+
+def test_advice_takes_the_least_in_each_direction_and_names_its_price():
+    tilts = np.array([1.0, 1.0, 1.0])
+    trials = [
+        your_floor.Trial(65.0, 225.0, tilts),
+        your_floor.Trial(65.0, 0.0, np.array([0.3, 1.0, 2.0])),
+        your_floor.Trial(5.0, 225.0, np.array([0.9, 1.0, 0.95])),
+    ]
+    text = list(your_floor.advice(trials))
+    assert text[0].startswith("z: struts of 65 N s/m without the skyhook loop leave 0.3 instead of 1")
+    assert text[1] == "  The price is 2 instead of 1 in θy."
+    assert text[2].startswith("θx: no skyhook gain or damping tried") and len(text) == 4
+
+
+@pytest.mark.slow
+def test_without_the_skyhook_a_quiet_floor_leaves_less(twin):
+    floor = ground_floor(30.0, 3, common=0.9)
+    isolated = isolate(twin, floor, 3)
+    with_loop, without, *_ = your_floor.try_damping(twin, floor, 3, 1.0, isolated)
+    assert with_loop.left == pytest.approx(isolated.left("FeRLS"))
+    assert np.all(without.left < with_loop.left / 1.5)
+
+
+@pytest.mark.slow
+def test_the_tilts_need_a_louder_floor_than_the_vertical(twin):
+    floor = ground_floor(60.0, 1, common=0.9)
+    text = list(your_floor.crossings(twin, floor, np.geomspace(0.01, 1000, 7)))
+    levels = [float(re.search(r"from ([\d.]+) times", each)[1]) for each in text]
+    assert [each[:5] for each in text] == ["In z ", "In θx", "In θy"]
+    assert min(levels[1:]) > 3 * levels[0]
+    one = replace(floor, acceleration=floor.acceleration[:1])
+    assert len(list(your_floor.crossings(twin, one, np.array([1.0, 10.0])))) == 1

@@ -78,7 +78,7 @@ def test_the_numbers_of_a_column_are_those_of_the_file(tmp_path):
     assert "a record of 2 channels: 10 Hz, 30 s" in report
     assert "UNIT: m/s^2, m/s, m, N" in report
     found = commands(report)
-    assert found["isolation/08-your-floor"]["floor_channels"] == ["a"]
+    assert found["isolation/08-your-floor"]["floor_channels"] == ["a", "b"]
     assert found["worstcase/07-your-record"]["output_channel"] == "b"
     assert found["fixedpoint/09-your-plant"]["trajectory_channel"] == "a"
 
@@ -244,7 +244,7 @@ def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
         assert len(found) == (3 if name.isprintable() else 0), name
         if found:
             assert found["isolation/08-your-floor"]["floor_record"] == str(file.resolve())
-            assert found["isolation/08-your-floor"]["floor_channels"] == [name]
+            assert found["isolation/08-your-floor"]["floor_channels"] == [name, "z"]
             assert found["worstcase/07-your-record"]["record_file"] == str(file.resolve())
             assert found["worstcase/07-your-record"]["input_channel"] == name
             assert found["fixedpoint/09-your-plant"]["trajectory_channel"] == name
@@ -273,7 +273,10 @@ def test_a_column_that_cannot_be_typed_forges_no_line(tmp_path):
     np.savez(tmp_path / "a.npz", **{"fs": 10.0, name: samples % 7.0, "z": samples % 3.0})
     report = inspect_file(str(tmp_path / "a.npz"))
     assert all(map(str.isprintable, report.split("\n"))) and "a\\nfor isolation" in report
-    assert commands(report)["isolation/08-your-floor"]["floor_channels"] == [name]  # escaped within the list
+    assert commands(report)["isolation/08-your-floor"]["floor_channels"] == [
+        name,
+        "z",
+    ]  # escaped within the list
     assert report.count("no command for worstcase/07-your-record: a\\nfor isolation") == 1
     assert report.count("no command for fixedpoint/09-your-plant: a\\nfor isolation") == 1
 

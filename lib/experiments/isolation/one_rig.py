@@ -147,14 +147,15 @@ def equal_struts(
     pair_angle: float = 15.0,
     rotations: float = 40.0,
     output_noise: float = 1.8e-4,
+    sensor_radius: float = 0.0648,
 ) -> Twin:
-    """The rigid body of six equal struts with another geometry; its floor sensors stay where they are.
+    """The rigid body of six equal struts with another geometry.
 
     `strut_tilt` and `pair_angle` in degrees, from the vertical and half of what is between the struts of a pair;
-    `rotations` in Hz, of all three.
+    `rotations` in Hz, of all three; `sensor_radius` in m, of the floor sensors.
     """
     struts = {"stiffness": 1.0, "damping": strut_damping}
-    sensors = {"sensor_radius": 0.0648, "sensor_angle": 0.0, "floor_level": FLAT_LEVEL}
+    sensors = {"sensor_radius": sensor_radius, "sensor_angle": 0.0, "floor_level": FLAT_LEVEL}
     given = {
         **{f"{name}{k}": value for name, value in struts.items() for k in range(1, 7)},
         **{f"{name}{k}": value for name, value in sensors.items() for k in (1, 2, 3)},

@@ -68,15 +68,18 @@ class CaseRecord:
 
 
 def tune(
-    twin: Twin, floor: ShapedFloor, felms_s: float, ferls_s: float, seeds: Sequence[int]
+    twin: Twin, floor: ShapedFloor, felms_s: float | None, ferls_s: float, seeds: Sequence[int]
 ) -> list[dict[str, Float64[np.ndarray, "actuators regressors"]]]:
     """For each seed the weights that FeLMS and FeRLS reach from zero with the published settings, each in its own time.
 
+    Without `felms_s` FeLMS is left out.
     FeRLS starts from ten times the steady covariance's diagonal, section 5.1.1.
     """
     covariance = 10 * np.diag(steady_state(twin, floor).covariance)
     found: list[dict] = [{} for _ in seeds]
     for name, settings, seconds in (("FeLMS", FeLms(), felms_s), ("FeRLS", FeRls(covariance), ferls_s)):
+        if seconds is None:
+            continue
         options = {"adaptations": {name: settings}, "seeds": seeds, "keep_every_s": seconds}
         runs = simulate_together(twin, floor, seconds, **options)
         for weights, run in zip(found, runs, strict=True):

@@ -86,7 +86,7 @@ def power_trial(
     *,
     twin: Twin,
     floor: ShapedFloor,
-    felms_s: float,
+    felms_s: float | None,
     ferls_s: float,
     record_s: float,
 ) -> list[dict[str, np.ndarray]]:
@@ -97,12 +97,12 @@ def power_trial(
     ``removed with mains``: as FeRLS, lines counted, which all others but the spectra bridge. ``in band``, ``above band``: power with
     FeRLS over that of the output noise at 3-200 and 300-500 Hz, (3,); ``low end``: power with FeRLS over feedback
     only at 1-2 Hz. ``density feedback``, ``... FeLMS``, ``... FeRLS``, ``... output noise``: spectra, (3,
-    frequencies).
+    frequencies). Without `felms_s` FeLMS is left out.
     """
     seeds = sample_seeds(draws)
     tuned = tune(twin, floor, felms_s, ferls_s, seeds)
     records = {}
-    for name in ("feedback", "FeLMS", "FeRLS"):
+    for name in ("feedback", *tuned[0]):
         weights = None if name == "feedback" else [each[name] for each in tuned]
         after = [seed + 1 for seed in seeds]
         records[name] = record_cases(twin, floor, name, record_s, after, weights=weights)
@@ -116,11 +116,19 @@ def _removed(twin: Twin, records: dict[str, CaseRecord]) -> dict[str, np.ndarray
     measured["output noise"] = records["feedback"].output_noise(RESOLUTION_HZ)
     bridged = {name: without_lines(each, twin.instruments.mains_hz) for name, each in measured.items()}
     f = measured["feedback"].frequencies_hz
-    return measures(bridged["feedback"], bridged["FeRLS"], bridged["output noise"]) | {
-        "removed FeLMS": reduction_percent(f, bridged["feedback"].density, bridged["FeLMS"].density),
-        "removed with mains": reduction_percent(f, measured["feedback"].density, measured["FeRLS"].density),
-        **{f"density {name}": spectrum.density for name, spectrum in measured.items()},
-    }
+    found: dict[str, np.ndarray] = {}
+    if "FeLMS" in bridged:
+        found["removed FeLMS"] = reduction_percent(f, bridged["feedback"].density, bridged["FeLMS"].density)
+    return (
+        found
+        | measures(bridged["feedback"], bridged["FeRLS"], bridged["output noise"])
+        | {
+            "removed with mains": reduction_percent(
+                f, measured["feedback"].density, measured["FeRLS"].density
+            ),
+            **{f"density {name}": spectrum.density for name, spectrum in measured.items()},
+        }
+    )
 
 
 def measures(before: Spectrum, after: Spectrum, limit: Spectrum) -> dict[str, np.ndarray]:
