@@ -44,6 +44,9 @@ LEFT_OUT = re.compile(r"__init__|kernel_cache|kernel_folder|kernels|garbage")
 TESTS = ("shared", "isolation", "motion", "worstcase", "fixedpoint")
 # They read the library as text.
 READERS = re.compile("test_(dead_code|wording|layers|readme|wheel|types|source_digest|rendering|import)")
+SYMMETRIC = re.compile(
+    r"\b(max|min|maximum|minimum|hypot|add|multiply|allclose|array_equal)$"
+)  # whose two arguments may change places
 FILES = 6  # of tests, for a mutant
 PATIENCE = 120.0  # s of CPU, for one test
 OPPOSITE = {
@@ -69,6 +72,7 @@ class Mutant:
     kind: str
     file: str  # below lib/
     line: int
+    column: int
     lines: tuple[int, int]  # of the statement, or of its head
     function: str
     outermost: str  # function that holds it, with its class, or nothing
@@ -83,7 +87,7 @@ class Mutant:
         return text[: self.start] + self.new.encode() + text[self.end :]
 
     def __str__(self):
-        return f"lib/{self.file}:{self.line} {self.kind}: {self.old} -> {self.new}"
+        return f"lib/{self.file}:{self.line}:{self.column} {self.kind}: {self.old} -> {self.new}"
 
 
 def mutants_of(file: str, text: bytes) -> Iterator[Mutant]:
@@ -110,7 +114,8 @@ def mutants_of(file: str, text: bytes) -> Iterator[Mutant]:
             end = starts[node.end_lineno - 1] + node.end_col_offset
             old = " ".join(text[start:end].decode().split())
             outermost = "" if place.endswith(".") else place
-            yield Mutant(kind, file, node.lineno, lines, function, outermost, in_kernel, start, end, old, new)
+            where = (file, node.lineno, node.col_offset + 1)
+            yield Mutant(kind, *where, lines, function, outermost, in_kernel, start, end, old, new)
         if isinstance(node, ast.Raise):
             return
         for name, value in ast.iter_fields(node):
@@ -151,7 +156,9 @@ def changes(node: ast.AST, local: list[str]) -> Iterator[tuple[str, str]]:
             yield "constant", str(2 * value if value else 1.0)
         case ast.Subscript(slice=ast.Name(id=name), ctx=ast.Load()):
             yield "index", f"{ast.unparse(node.value)}[{name} + 1]"
-        case ast.Call(args=[first, second, *rest]) if ast.unparse(first) != ast.unparse(second):
+        case ast.Call(args=[first, second, *rest]) if ast.unparse(first) != ast.unparse(second) and (
+            rest or not SYMMETRIC.search(ast.unparse(node.func))
+        ):
             if not any(isinstance(each, ast.Starred) for each in (first, second)):
                 yield "arguments", with_(args=[second, first, *rest])
         case ast.Return(value=ast.Name(id=name)):

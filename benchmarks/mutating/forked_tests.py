@@ -26,6 +26,7 @@ LIMIT = float(os.environ["FAULTS_LIMIT"])  # s of CPU for the tests of a fault, 
 LONGEST = (
     1.5 if os.environ.get("NUMBA_DISABLE_JIT") == "1" else 30.0
 )  # s of CPU of a test, else it is not used
+WAITING = 20  # times the CPU of a test it may take of the clock
 SAID = RECORDS.with_suffix(".said")
 
 RECORDED: dict[Path, dict] = {}
@@ -76,7 +77,8 @@ def record(items: list[pytest.Item], library: Path, kept: Path) -> None:
     def too_long(*_):
         raise TooLong
 
-    signal.signal(signal.SIGPROF, too_long)
+    for each in (signal.SIGPROF, signal.SIGALRM):
+        signal.signal(each, too_long)
     tracer = coverage.Coverage(data_file=None, source=[str(library)], config_file=False, messages=False)
     tracer.start()
     found = {}
@@ -86,8 +88,10 @@ def record(items: list[pytest.Item], library: Path, kept: Path) -> None:
         passed = False
         with contextlib.suppress(TooLong):  # one that comes between two parts of a test
             signal.setitimer(signal.ITIMER_PROF, LONGEST, 1.0)
+            signal.setitimer(signal.ITIMER_REAL, WAITING * LONGEST, 1.0)  # one that waits takes no CPU
             passed = passes(item, following)
         signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.setitimer(signal.ITIMER_REAL, 0)
         found[item.nodeid] = {"seconds": time.process_time() - begin, "passed": passed, "lines": {}}
     tracer.stop()
     data, sources = tracer.get_data(), {}
@@ -163,7 +167,7 @@ def run_until_one_fails(fault: dict | None, chosen: list[tuple[pytest.Item, floa
         say(item.nodeid)
         following = chosen[place + 1][0] if place + 1 < len(chosen) else None
         signal.setitimer(signal.ITIMER_PROF, 10 + 5 * seconds)
-        signal.setitimer(signal.ITIMER_REAL, 20 * (10 + 5 * seconds))  # one that waits takes no CPU
+        signal.setitimer(signal.ITIMER_REAL, WAITING * (10 + 5 * seconds))
         if not passes(item, following):
             say("failed")
             return

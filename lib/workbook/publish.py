@@ -120,10 +120,15 @@ def _shows(target: Path, version: Path) -> bool:
 def replace_folder(target: Path, files: dict[str, bytes]) -> None:
     """Make `target` a plain folder of exactly `files`, for what is copied elsewhere as it stands.
 
-    Between two renames a kill may leave no folder there: `recover` puts the old one back.
+    Between two renames a kill may leave no folder there: the next call, whatever becomes of it, puts the old one back.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     new, old = _beside(target, "new"), _beside(target, "old")
+    if old.exists() and not target.exists():
+        old.rename(target)
+    for left in (new, old):
+        if left.exists():
+            shutil.rmtree(left)
     try:
         for name, content in files.items():
             _write(new / name, content)
@@ -134,18 +139,6 @@ def replace_folder(target: Path, files: dict[str, bytes]) -> None:
         target.rename(old)
     new.rename(target)
     shutil.rmtree(old, ignore_errors=True)
-
-
-def recover(target: Path) -> None:
-    """Finish what a killed `replace_folder` left: the last good content stands, nothing lies beside it."""
-    new, old = _beside(target, "new"), _beside(target, "old")
-    if old.exists():
-        if target.exists():
-            shutil.rmtree(old)
-        else:
-            old.rename(target)
-    if new.exists():
-        shutil.rmtree(new)
 
 
 def replace_file(target: Path, content: bytes) -> None:

@@ -18,7 +18,6 @@ from workbook.publish import (
     Edited,
     finish,
     read_record,
-    recover,
     replace_all,
     replace_file,
     replace_folder,
@@ -97,20 +96,17 @@ def test_a_cut_swap_ends_with_one_whole_version(tmp_path, monkeypatch, cut):
     with pytest.raises(Killed):
         replace_folder(target, NEW)
     monkeypatch.undo()
-    recover(target)
+
+    def full(self, data):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as without_space, pytest.raises(OSError, match="No space"):
+        without_space.setattr(Path, "write_bytes", full)
+        replace_folder(target, NEW)
     assert content(target) == ({**OLD, "c.csv": b"old"} if cut < 2 else NEW)
     assert os.listdir(tmp_path) == ["notebook"]
     replace_folder(target, NEW)
     assert content(target) == NEW
-
-
-def test_recovering_a_whole_folder_changes_nothing(tmp_path):
-    target = tmp_path / "notebook"
-    recover(target)
-    assert os.listdir(tmp_path) == []
-    replace_folder(target, OLD)
-    recover(target)
-    assert content(target) == OLD
 
 
 class Killed(BaseException):

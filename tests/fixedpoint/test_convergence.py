@@ -180,13 +180,21 @@ def test_no_stable_gain_and_no_cycle(exact, approximate):
     region = stable_range(linear_loop(exact, slow, SAMPLE_TIME))
     assert np.isnan(region.limits).all() and -0.1 not in region
     assert limit_cycles(linear_loop(exact, slow, SAMPLE_TIME), slow.transformation) == []
+    edge = fixed_point_convergence.Crossing(-2.0, 1.0)
+    for half in (
+        fixed_point_convergence.StableRange(edge, None),
+        fixed_point_convergence.StableRange(None, edge),
+    ):
+        assert np.isnan(half.limits).all()
+        assert limit_cycles(linear_loop(exact, slow, SAMPLE_TIME), slow.transformation, half) == []
 
 
-def test_strongest_oscillation_finds_a_sine(rng):
+@pytest.mark.parametrize("frequency_hz", [41.37, 41.2, 41.0, 40.9, 41.6])  # lines are a third of a Hz apart
+def test_strongest_oscillation_finds_a_sine_wherever_it_lies_between_lines(frequency_hz, rng):
     time = np.arange(3000) * SAMPLE_TIME
-    values = 0.3 + 0.02 * np.sin(2 * np.pi * 41.37 * time + 0.4) + 1e-4 * rng.standard_normal(3000)
+    values = 0.3 + 0.02 * np.sin(2 * np.pi * frequency_hz * time + 0.4) + 1e-4 * rng.standard_normal(3000)
     found = strongest_oscillation(values, SAMPLE_TIME)
-    assert found.frequency_hz == pytest.approx(41.37, abs=1e-2)
+    assert found.frequency_hz == pytest.approx(frequency_hz, abs=1e-2)
     assert found.amplitude == pytest.approx(0.02, rel=1e-2)
 
 

@@ -359,6 +359,20 @@ def test_a_limited_force_does_not_wind_up(exact, approximate, short):
     assert np.abs(limited.position_error[-500:]).max() < 1.05 * np.abs(free.position_error[-500:]).max()
 
 
+def test_a_limit_that_the_force_just_reaches_changes_nothing(exact, approximate, arm, short):
+    alone = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), approximate)
+    free = simulate(exact, alone, short, start=(0.15, 0.0))
+    again = simulate(exact, alone, short, start=(0.15, 0.0), force_limit=np.abs(free.force).max())
+    np.testing.assert_array_equal(again.position, free.position)
+    several = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), arm.approximate)
+    start = np.array([[0.1, 0.0], [-0.1, 0.0]]).T
+    free = simulate_mechanism(arm.exact, several, [short] * 2, start=start)
+    limits = [np.abs(each.force).max() for each in free]
+    again = simulate_mechanism(arm.exact, several, [short] * 2, start=start, force_limits=limits)
+    for one, other in zip(again, free, strict=True):
+        np.testing.assert_array_equal(one.position, other.position)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

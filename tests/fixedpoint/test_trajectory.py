@@ -61,6 +61,8 @@ def test_trajectory_without_derivatives():
         Trajectory(0.01, q, 1.05 * np.cos(np.arange(100) * 0.01), -q)  # five per cent off
     with pytest.raises(InputError, match=r"^acceleration\b"):
         Trajectory(0.01, q, np.cos(np.arange(100) * 0.01), np.zeros(100))
+    with pytest.raises(InputError, match=r"^velocity\b"):  # and no warning of numpy's
+        Trajectory(0.01, q, np.full(100, 1e307), np.zeros(100))
 
 
 @pytest.mark.parametrize(

@@ -413,6 +413,19 @@ def test_every_form_is_weighted_least_squares(form, dtype, tolerance, limit):
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("forgetting", [0.7, 0.99])
+def test_what_is_held_all_the_time_is_held_for_a_share_of_1(form, dtype, forgetting):
+    """Within a turn of the elements that a form with factors looks at one by one, and never more."""
+    regressors, disturbance, _ = record(3, 1, 900)
+    regressors[1, 100:] = 0
+    settings = FeRls(1.0, forgetting, 1.0, form, dtype)
+    ends = [identify(settings, regressors[:, :k], disturbance[:, :k]).held[1] for k in range(890, 900)]
+    turn = 1 if form == "triangle" else 3
+    assert 1 - 5e-3 < max(ends) <= 1.0 and min(ends) > forgetting ** (turn - 1) * (1 - 5e-3)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("form", FORMS)
 def test_stepper_in_every_form_is_the_run(form, dtype):
     regressors, disturbance, _ = record(samples=60)
     settings = FeRls(1.0, FORGETTING, 1.0, form, dtype)

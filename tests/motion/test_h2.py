@@ -251,6 +251,20 @@ def test_an_inaccurate_solution_is_refused_with_its_residual(monkeypatch):
         h2_lmi(toy(), 0.7, 0.4)
 
 
+def test_a_gain_that_leaves_the_estimate_unstable_is_refused_where_its_equation_is_solved(monkeypatch):
+    """An unstable state, which the zero solution does not hold; and one that stays, and that no noise moves."""
+    d = np.array([[0.0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    b, c = np.array([[1.0, 0, 1], [0, 0, 1]]), np.array([[1.0, 0], [0, 0], [1, 1]])
+    unstable, staying = (
+        GeneralisedPlant(StateModel(np.diag([-1.0, pole]), b, c, d), 2, 2) for pole in (0.5, 0.0)
+    )
+    assert h2_riccati(unstable).norm > 0
+    monkeypatch.setattr(linalg, "solve_continuous_are", lambda a, *_, **__: np.zeros_like(a))
+    for plant in (unstable, staying):
+        with pytest.raises(InputError, match=r"\bRiccati\b"):
+            h2_riccati(plant)
+
+
 def test_feedthrough_and_wrong_shapes_are_named():
     model = StateModel(-np.eye(1), np.ones((1, 2)), np.ones((2, 1)), np.array([[1.0, 0.0], [0.0, 0.0]]))
     with pytest.raises(InputError, match="feedthrough"):

@@ -10,6 +10,8 @@ from experiments.motion.machines import published_noise, stage, stage_mass
 from naive.precise_margins import differing, sample_case
 from naive.sampled_loops import judged_peak, sample_loop
 from stillwork.base.checks import InputError
+from stillwork.base.validation import checked
+from stillwork.control import loop_enclosures
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.digital import runnable
@@ -79,6 +81,26 @@ def test_closed_forms():
     assert enclose_phase_margin([1], [2, 1]).high == pytest.approx(np.pi)
     turned = enclose_phase_margin([1], [0, 1])  # an integrator: 90 degrees
     assert turned.low < np.pi / 2 < turned.high < np.pi / 2 + 1e-12
+
+
+def test_a_margin_far_below_rounding_is_enclosed_as_narrowly():
+    """(1 + e) 2 (s + 1)^2 / (s^2 (s^2 + 4 s + 1)) is -1 - e at s = j: to first order its phase margin is e / 4."""
+    one = 10**50
+    gain = 2 * (one + 1)
+    found = checked(lambda: enclose_phase_margin([gain, 2 * gain, gain], [0, 0, one, 4 * one, one]))()
+    assert found.low <= 2.5e-51 <= found.high <= found.low * (1 + 1e-9)
+
+
+def test_an_unstable_loop_has_proven_margins_of_nothing_and_where_no_peak_is_proven_no_margin_is(monkeypatch):
+    loop, fast = make_loop(stage().at([0], [4])), PidFamily(stage_mass())(2000.0)
+    assert not loop.is_stable(fast)
+    found = enclose_margins(loop, fast)
+    assert all(each.proven for each in found.values())
+    assert (
+        found["gain_reduction"].high == 1.0 and found["gain_margin"].high == found["phase_margin"].high == 0.0
+    )
+    monkeypatch.setattr(loop_enclosures, "enclose_quotients", lambda *_: Enclosure(0.0, np.inf, False))
+    assert not any(each.proven for each in enclose_margins(loop, fast).values())
 
 
 def test_what_cannot_be_decided_is_not_proven():

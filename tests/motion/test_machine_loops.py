@@ -42,6 +42,21 @@ def machine_of(folder, name):
     return build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_row_of_output_is_a_sensor_also_where_there_are_as_many_as_nodes(tmp_path, turned):
+    """Columns are taken where rows do not fit: of as many sensors as nodes nobody could tell."""
+    mass, stiffness, _, _ = chain([3.0, 2.0], [1e6], [0])
+    outputs = np.array([[0.5, 0.5], [0.0, 1.0]]) if not turned else np.array([[0.25], [0.75]])
+    np.savez(tmp_path / "m.npz", M=mass, K=stiffness, input=[1.0, 0.0], output=outputs)
+    file = load_machine(tmp_path / "m.npz", damping_ratio=0.0)
+    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    rows = outputs if not turned else outputs.T
+    omega = np.array([10.0])
+    moved = np.linalg.solve(stiffness - 100.0 * mass, [1.0, 0.0])
+    found = [sensor.frequency_response(omega)[0, 0, 0] for sensor in machine.sensors]
+    np.testing.assert_allclose(found, rows @ moved, rtol=1e-9)
+
+
 def responses(name, omega):
     """Force to every sensor by solving the equations of motion, with the damping of each mode from a generalised
     eigenvalue problem: D = M V diag(2 zeta w) V' M."""

@@ -204,6 +204,7 @@ def test_smoothing_keeps_a_constant(noisy):
         (lambda: _fit(modes=0), r"^modes\b"),
         (lambda: _fit(deviation=np.zeros(200)), r"^deviation\b"),
         (lambda: _fit(rigid=3), r"^rigid_modes\b"),
+        (lambda: _fit(lowest=0.0), r"^omega\b.*\babove 0\b"),
         (lambda: _fit(modes=50), r"^omega\b.*\b530\b"),
         (
             lambda: rig_experiment(GEOMETRY, SETTINGS, 4.0).deviation(np.array([10.0]), 1.0, 0),
@@ -227,9 +228,9 @@ def _run(sensors=4, **options):
     return run_multisine(loop, 4, sensors, (0.0, 0.0), np.random.default_rng(0), **settings)
 
 
-def _fit(modes=1, deviation=None, rigid=1):
-    omega = np.linspace(10, 2000, 200)
-    response = np.moveaxis(zoh_response(_small_plant(), 2e-4, omega), -1, 0)
+def _fit(modes=1, deviation=None, rigid=1, lowest=10.0):
+    omega = np.linspace(lowest, 2000, 200)
+    response = np.moveaxis(zoh_response(_small_plant(), 2e-4, np.maximum(omega, 1.0)), -1, 0)
     return fit_modal_matrix(
         omega, response, np.ones(200) if deviation is None else deviation, modes, 2e-4, rigid
     )

@@ -12,12 +12,20 @@ from stillwork.control.bandwidth import FUNCTIONS, is_feasible, make_loop
 from stillwork.control.c_code import controller_code
 from stillwork.control.digital import runnable
 from stillwork.control.machine_designs import INTENSITIES
-from stillwork.control.machine_loops import SAFE, applications, observed_loops, observer_settings, reach
+from stillwork.control.machine_loops import (
+    SAFE,
+    applications,
+    observed_loops,
+    observer_settings,
+    pid_family,
+    reach,
+)
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
     Perturbation,
     Uncertainty,
+    largest_along,
     perturbed_loop,
     perturbed_loops,
     uncertainty_of,
@@ -78,6 +86,34 @@ def test_no_draw_of_a_whole_box_is_worse(function):
         moved = place(1 + 0.05 * x[:3], 1 + 0.1 * x[3:6], 1 + 0.3 * x[6:9], 1 + 0.1 * x[9], 1e-5 * x[10])
         moved.residues[0] = 1 / (1 + 0.03 * x[11])
         assert perturbed_loop(loop, moved).peak(pid, function).magnitude < 1.002 * size
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_the_worst_residues_are_the_worst_of_a_grid(function):
+    """Of a function whose numerator holds the plant and of those where only the denominator does."""
+    loop, pid = make_loop(CHAIN, **SAMPLED), PidFamily(40.0)(12.0)
+    size, worst = worst_place(loop, pid, function, Uncertainty(residue=0.5))
+    grid = itertools.product([0.5, 0.8, 1.2, 1.5], repeat=2)
+    most = max(
+        perturbed_loop(loop, place(residues=[1.0, *each])).peak(pid, function).magnitude for each in grid
+    )
+    assert perturbed_loop(loop, worst).peak(pid, function).magnitude >= 0.999 * most
+    assert size >= 0.998 * most
+
+
+def test_along_a_line_the_largest_ratio_is_that_of_many_points():
+    rng = np.random.default_rng(11)
+    inside = 0
+    for _ in range(300):
+        a, b, c, d = rng.standard_normal(4) + 1j * rng.standard_normal(4)
+        low, high = np.sort(rng.uniform(-2, 2, 2))
+        points = np.linspace(low, high, 401)
+        found = largest_along(a, b, c, d, low, high)
+        assert low <= found <= high
+        best = np.abs((a + points * b) / (c + points * d)).max()
+        assert abs((a + found * b) / (c + found * d)) >= best * (1 - 1e-12)
+        inside += low < found < high
+    assert inside > 50
 
 
 @pytest.mark.slow
@@ -168,6 +204,18 @@ def test_settings_are_not_tuned_for_nonsense():
     }.items():  # fmt: skip
         with pytest.raises(InputError, match=name):
             tuned(machine, settings, **good | {name: value})
+
+
+def test_tuned_settings_hold_the_limits_at_a_higher_bandwidth_on_the_whole_box():
+    """Of a PID without observer its lead alone can be tuned; on a grid of places, at the corners and inside."""
+    machine, settings = Machine((CHAIN,), 40.0, "chain"), DesignSettings(None, 5, INTENSITIES)
+    how = {"uncertainty": {"frequency": 0.05}, "sample_time": 1e-4, "delay": 1}
+    found = tuned(machine, settings, 20.0, **how)
+    assert found != settings
+    loop, pid = make_loop(CHAIN, sample_time=1e-4, delay=1), pid_family(machine, found.lead, 1, 1e-4)(20.6)
+    for each in itertools.product([0.95, 0.98, 1.0, 1.05], repeat=2):
+        moved = perturbed_loop(loop, place([1.0, *each]))
+        assert all(moved.peak(pid, limit.function).magnitude < limit.limit for limit in SAFE)
 
 
 @pytest.mark.slow

@@ -121,6 +121,7 @@ def test_factorisations_solve(rng):
     algebra.cholesky_solve(root, right, right)  # in place
     np.testing.assert_array_equal(right, solution)
     assert not algebra.cholesky_root(p - 2 * np.linalg.norm(p) * np.eye(5), root, 5)
+    assert not algebra.cholesky_root(np.ones((2, 2)), root, 2)  # semidefinite: it has a root, but no inverse
 
 
 def test_squared_size_of_a_complex_number(rng):

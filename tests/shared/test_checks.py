@@ -114,6 +114,8 @@ def test_a_finite_number_passes_unchanged(value):
         "three",
         None,
         [1.0, 2.0],
+        np.array([1.0]),
+        np.ma.array(1.0, mask=True),
         True,
         np.True_,
         1j,
@@ -125,6 +127,12 @@ def test_a_finite_number_passes_unchanged(value):
 def test_what_is_no_finite_number_is_refused(value):
     with pytest.raises(InputError, match=r"^x\b"):
         require_number("x", value)
+
+
+def test_a_masked_number_is_none_and_numpy_does_not_warn_of_it(recwarn):
+    with pytest.raises(InputError, match=r"^x\b.*\bnot a number\b"):
+        require_number("x", np.ma.array(1.0, mask=True))
+    assert not recwarn
 
 
 @given(numbers, numbers)

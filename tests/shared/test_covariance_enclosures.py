@@ -64,6 +64,9 @@ def test_what_does_not_solve_the_equation_is_not_proven(discrete):
         assert not enclose_covariance(a, [[1.0]], [[1.0]], 1e-18, 1.0, [[wrong]], discrete).proven
 
 
-def test_a_covariance_of_another_size_is_refused():
-    with pytest.raises(InputError, match="covariance"):
-        enclose_covariance(-np.eye(2), np.eye(2), np.eye(2), 1.0, 1.0, np.eye(3))
+@pytest.mark.parametrize("name", ["covariance", "process", "sensor"])
+@pytest.mark.parametrize("shape", [(3, 3), (2, 2, 2), (2,)])
+def test_matrices_of_other_sizes_are_refused(name, shape):
+    matrices = {"process": 1.0, "sensor": 1.0, "covariance": np.eye(2), name: np.ones(shape)}
+    with pytest.raises(InputError, match=rf"^{name}\b"):
+        enclose_covariance(-np.eye(2), np.eye(2), np.eye(2), **matrices)

@@ -41,6 +41,12 @@ LIMITED = DigitalController(
 )
 
 
+@pytest.mark.parametrize("sections", [np.zeros((0, 6)), [[1.0, 0, 0, 2.0, 0, 0]]])
+def test_what_are_no_normalised_biquads_is_refused(sections):
+    with pytest.raises(InputError, match=r"^sections\b"):
+        from_biquads(sections, SAMPLE_TIME)
+
+
 @pytest.mark.parametrize(
     "sections",
     [

@@ -4,6 +4,8 @@ from importlib import import_module
 
 import pytest
 
+from stillwork.base.extras import missing
+
 PACKAGES = [
     *(f"stillwork.{name}" for name in ("signals", "lti", "identification", "estimation", "control")),
     "workbook",
@@ -64,3 +66,10 @@ assert toy.note == 1
 """
     done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_what_no_extra_brings_is_missing_under_its_own_name():
+    for name in ("stillwork.none", "workbook.none", None):
+        error = ModuleNotFoundError("none", name=name)
+        assert missing(error) is error
+    assert "pip install 'stillwork[" in str(missing(ModuleNotFoundError("none", name="matplotlib")))

@@ -25,6 +25,7 @@ from stillwork.lti.discretisation import (
     zoh_response,
 )
 from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.lti.norms import solve_lyapunov
 from stillwork.lti.peaks import refine_peak
 from stillwork.lti.state_space import constant, response_between
 
@@ -95,14 +96,25 @@ def test_a_grid_is_dense_where_a_pole_is_narrow():
     assert len(near) > 8 and np.diff(near).max() < 0.05
 
 
-@pytest.mark.parametrize("samples", [0, 1, 3])
+@pytest.mark.parametrize("samples", [0, 1, 3, None])
 def test_between_the_points_of_a_grid_the_response_is_the_same(samples):
-    """Of a model whose eigenvectors are too skew, as a line of delays makes them, and of one where they are not."""
-    model = delayed(zoh_modes(random_modal(5), 1e-4), samples)
+    """Of a model whose eigenvectors are too skew, as a line of delays makes them, of one where they are not, of a gain."""
+    model = constant([[2.0, 3.0]]) if samples is None else delayed(zoh_modes(random_modal(5), 1e-4), samples)
     omega = np.linspace(20.0, 6e3, 41)
     expected = model.frequency_response(omega)
     found = response_between(model, omega)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+
+
+def test_lyapunov_equations_are_solved_and_scipy_says_nothing_of_those_that_are_singular():
+    rng = np.random.default_rng(3)
+    a, q = 0.3 * rng.standard_normal((4, 4)), rng.standard_normal((4, 4))
+    x = solve_lyapunov(a, q)
+    np.testing.assert_allclose(a @ x + x @ a.T + q, 0.0, atol=1e-12)
+    x = solve_lyapunov(a, q, discrete=True)
+    np.testing.assert_allclose(a @ x @ a.T - x + q, 0.0, atol=1e-12)
+    with warnings.catch_warnings(action="error"):
+        solve_lyapunov(np.ones((2, 2)), np.eye(2))
 
 
 def test_discrete_response_is_that_of_python_control():

@@ -16,7 +16,7 @@ def area(width, height, free):
     \"\"\"Not 2 + 2.\"\"\"
     if not width < height and free:
         raise ValueError(f"{width + 1} is wide")
-    total = hypot(width, 2.0)
+    total = power(max(width, height), 2.0)
     total += height * free[width]
     return total
 """
@@ -25,7 +25,7 @@ WANTED = {
     "not": ["(width < height)"],
     "comparison": ["(width <= height)"],
     "constant": ["4.0"],
-    "arguments": ["(hypot(2.0, width))"],
+    "arguments": ["(power(2.0, max(width, height)))"],
     "operator": ["(height / free[width])"],
     "index": ["free[width + 1]"],
     "statement": ["pass", "pass"],

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from stillwork.base.checks import InputError
+from stillwork.inspecting import inspect_file
 from stillwork.signals import datafiles
 from stillwork.signals.densities import read_densities
 from stillwork.signals.records import (
@@ -19,6 +20,7 @@ from stillwork.signals.records import (
     load_record,
     resample,
     sample_rate_of,
+    sampling_rate,
     to_acceleration,
     unit_factor,
 )
@@ -43,6 +45,19 @@ def write_csv(path, columns, names, separator=",", decimal=".", head="", tail=""
 @pytest.fixture
 def good_csv(tmp_path):
     return write_csv(tmp_path / "floor.csv", [TIME, *SIGNALS], ["time (s)", "left", "right"])
+
+
+def test_a_rate_is_one_number_of_that_name_and_no_other_number():
+    assert sampling_rate("x", {"fs": np.array([200.0]), "offset": np.array([3.0])}) == 200.0
+    with pytest.raises(InputError, match="sample_rate"):
+        sampling_rate("x", {"fs": np.array([200.0, 100.0])})  # a record of that name
+
+
+def test_a_line_of_names_alone_is_no_record(tmp_path):
+    file = tmp_path / "names.csv"
+    file.write_text("time,left\n")
+    with pytest.raises(InputError, match=r"^names\.csv\b.*\bnames\b"):
+        load_record(file, "m")
 
 
 def test_csv_has_names_rate_and_unit(good_csv):
@@ -485,6 +500,14 @@ def test_a_unit_is_asked_for_where_the_header_has_none_and_channels_of_one_quant
     np.savetxt(file, table, header="time,left (m/s),right (mV)", comments="", delimiter=",")
     with pytest.raises(InputError, match=r"\bchannels\b"):
         load_record(file)
+
+
+def test_complex_numbers_are_no_frequencies(tmp_path):
+    file = tmp_path / "a.npz"
+    np.savez(file, **{"frequency": np.arange(9) + 1j, "x (m^2/Hz)": np.ones(9)})
+    with pytest.raises(InputError, match=r"^a\.npz\b.*\bfrequency\b"):
+        read_densities(file, "", [], 2)
+    assert inspect_file(str(file)).startswith("a.npz: 2 columns or arrays")
 
 
 def test_a_unit_in_the_header_of_spectra_is_obeyed(tmp_path):

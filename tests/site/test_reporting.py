@@ -70,6 +70,7 @@ BROKEN = {
     "no unit": ("a.csv", lambda: csv(**record(b=RINGS[np.arange(600) % 512])), "unit of b .*; give --unit UNIT"),
     "densities below zero": ("a.csv", lambda: csv(**densities(sign=-1.0)), "missing, infinite or negative"),
     "densities of what": ("a.csv", lambda: csv(**densities("x")), "unit of its densities .*; give --unit UNIT"),
+    "repeated frequencies": ("a.csv", lambda: csv(**response(np.sort(np.append(HERTZ[1:], HERTZ[5])))), "does not rise from line to line"),
     "falling frequencies": ("a.csv", lambda: csv(**response(HERTZ[::-1])), "does not rise from line to line"),
     "a response without units": ("a.csv", lambda: csv(f=HERTZ, real=RESPONSE.real, imag=RESPONSE.imag), "--response-unit UNIT"),
     "a response in volts": ("a.csv", lambda: csv(**response(unit="V/N")), "unit of the response"),

@@ -203,6 +203,13 @@ def test_a_variance_that_was_held_down_is_reported():
     assert found.held_ == pytest.approx([0, 1, 0], abs=1e-3)
 
 
+def test_samples_before_anything_moves_teach_nothing():
+    X, y = record(23)
+    still = np.vstack([np.zeros((4, X.shape[1])), X])
+    found = LeastMeanSquares(fit_intercept=False).fit(still, np.append(np.zeros(4), y))
+    np.testing.assert_array_equal(found.coef_, LeastMeanSquares(fit_intercept=False).fit(X, y).coef_)
+
+
 def test_least_mean_squares_take_the_published_step():
     X, y = record(3, outputs=2)
     start = np.ones((2, 3))

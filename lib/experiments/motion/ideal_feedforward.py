@@ -70,7 +70,7 @@ def invert(plant: ModalModel) -> Inverse:
     rest = wanted - (parts / (s[:, None] - zeros)).sum(axis=1)
     powers = (s[:, None] / scale) ** np.arange(3) / np.abs(wanted)[:, None]
     stacked, goal = (np.concatenate([each.real, each.imag]) for each in (powers, rest / np.abs(wanted)))
-    found, *_ = np.linalg.lstsq(stacked, goal, rcond=None)
+    found, *_ = np.linalg.lstsq(np.asarray_chkfinite(stacked), np.asarray_chkfinite(goal), rcond=None)
     error = np.abs(stacked @ found - goal).max()
     if error > WORST_ERROR:
         raise InputError(

@@ -20,7 +20,7 @@ from stillwork.estimation.coordinate_filters import (
     UnscentedKalman,
     require_sample_time,
 )
-from stillwork.estimation.plant import Plant, partial_derivatives
+from stillwork.estimation.plant import Plant, partial_derivatives, slope
 from stillwork.estimation.riccati import covariance_root, discrete_gain
 from stillwork.estimation.windows import end_point_weights
 
@@ -164,16 +164,18 @@ def _slopes(plant: Plant, position: float, velocity: float):
 def _slope_matrices(plant: Plant | Mechanism, position: np.ndarray, velocity: np.ndarray):
     """The same, a matrix each: rows are accelerations."""
     if isinstance(plant, Plant):
-        return [np.array([[slope]]) for slope in _slopes(plant, float(position[0]), float(velocity[0]))]
+        return [np.array([[each]]) for each in _slopes(plant, float(position[0]), float(velocity[0]))]
     point = [position, velocity, plant.force(position, velocity, np.zeros_like(position))]
-    matrices = []
-    for axis in range(3):
-        columns = []
-        for direction in 1e-6 * np.eye(len(position)):
-            high, low = ([*point[:axis], point[axis] + s * direction, *point[axis + 1 :]] for s in (1, -1))
-            columns.append((plant.acceleration(*high) - plant.acceleration(*low)) / 2e-6)
-        matrices.append(np.array(columns).T)
-    return matrices
+
+    def moved(axis, column):
+        def acceleration(value):
+            each = [part.copy() for part in point]
+            each[axis][column] = value
+            return plant.acceleration(*each)
+
+        return slope(acceleration, float(point[axis][column]))
+
+    return [np.array([moved(axis, k) for k in range(len(position))]).T for axis in range(3)]
 
 
 @by_value

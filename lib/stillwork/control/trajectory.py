@@ -20,6 +20,7 @@ class Trajectory:
     velocity: Converted = ()  # m/s, shape (samples,)
     acceleration: Converted = ()  # m/s^2, shape (samples,)
 
+    @checked
     def __post_init__(self):
         check_fields(self)
         require_number("sample_time", self.sample_time, above=0)

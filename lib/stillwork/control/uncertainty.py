@@ -297,9 +297,7 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
 
 def _grid(plant, uncertainty, sample_time, low, high) -> np.ndarray:
     """Dense at each mode and at both ends of its interval, as it is seen, and in between."""
-    flexible = plant.frequencies > 0
-    w, z = plant.frequencies[flexible], plant.damping[flexible]
-    share = uncertainty.frequency[flexible]
+    w, z, share = plant.frequencies, plant.damping, uncertainty.frequency
     ends = np.concatenate([w * (1 - share), w, w * (1 + share)])
     between = (w * (1 + share * np.linspace(-1.02, 1.02, 121)[:, None])).ravel()
     if sample_time:
@@ -335,7 +333,7 @@ def _unit(omega, frequencies, ratio, sample_time, late, drag) -> np.ndarray:
         loss = np.where(frequencies > 0, 2 * ratio * frequencies, drag)
         return 1 / (frequencies**2 - omega**2 + 1j * loss * omega)
     spread = np.broadcast_to(omega, frequencies.shape)
-    if np.ptp(frequencies[:, 0]) == 0 and len(frequencies) == 1:
+    if len(frequencies) == 1:  # one place, the same at every line
         return sampled_modes(frequencies[:, 0], np.array([ratio]), sample_time, omega, late, drag)
     flat = frequencies.ravel()
     found = sampled_modes(flat, np.full(flat.shape, ratio), sample_time, spread.reshape(-1, 1), late, drag)
@@ -460,7 +458,7 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
                     own = parts[row, k, taken[k]]
                     if high[k] > low[k]:
                         base = turn * others
-                        factors[k] = _along(
+                        factors[k] = largest_along(
                             a + b * base, b * turn * own, c + d * base, d * turn * own, low[k], high[k]
                         )
                     whole = others + factors[k] * own
@@ -473,7 +471,7 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
                         most, when = size, j
                 if most_gain > least_gain:
                     p = late[row, when] * whole
-                    gain = _along(a, b * p, c, d * p, least_gain, most_gain)
+                    gain = largest_along(a, b * p, c, d * p, least_gain, most_gain)
             p = gain * late[row, when] * whole
             over, under = a + b * p, c + d * p
             size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
@@ -487,7 +485,7 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
 
 
 @kernel
-def _along(a, b, c, d, low, high):
+def largest_along(a, b, c, d, low, high):
     """Where |a + xb| / |c + xd| is largest from low to high: at an end, or where its slope, a quadratic, is zero."""
     a0, a1, a2 = a.real**2 + a.imag**2, a.real * b.real + a.imag * b.imag, b.real**2 + b.imag**2
     c0, c1, c2 = c.real**2 + c.imag**2, c.real * d.real + c.imag * d.imag, d.real**2 + d.imag**2

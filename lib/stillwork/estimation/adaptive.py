@@ -314,7 +314,7 @@ def ferls_form_update(
             other[i] = 0
         other[axis] = np.sqrt(one / levels[0, axis] - one / found)
         update_form(form, matrix, other, one, gain, inner)
-        levels[2, axis] += (one - forget) * n
+        levels[2, axis] = stretched(levels[2, axis], forget, n)
     return denominator
 
 
@@ -359,8 +359,13 @@ def hold_ud(factor, forgetting, levels, gain, inner, axis):
     unit = np.zeros(n, factor.dtype)
     unit[axis] = np.sqrt(one / levels[0, axis] - one / variance(UD, factor, axis))
     update_ud(factor, unit, one, gain, inner)
-    # An element that is looked at each n-th sample stands for n.
-    levels[2, axis] += (one - factor.dtype.type(forgetting)) * n
+    levels[2, axis] = stretched(levels[2, axis], factor.dtype.type(forgetting), n)
+
+
+@inlined_kernel
+def stretched(share, forgetting, n):
+    """Share of time at the limit, with one sample that stands for n: an element is looked at each n-th time."""
+    return min(1.0, share + 1.0 - forgetting**n)
 
 
 @inlined_kernel

@@ -8,10 +8,10 @@ from math import inf, lcm
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
-from scipy import linalg
 
 from stillwork.base.checks import require_array
 from stillwork.base.validation import by_value, checked
+from stillwork.lti.norms import solve_lyapunov
 
 TRIES = 14  # radii, each ten times the one before
 
@@ -79,10 +79,10 @@ def enclose_covariance(
     g = require_array("noise_input", noise_input, ndim=2)
     n = len(a)
     q, r = (
-        matrix * np.eye(size) if matrix.ndim == 0 else matrix
-        for matrix, size in (
-            (require_array("process", process), g.shape[1]),
-            (require_array("sensor", sensor), len(c)),
+        float(value) * np.eye(size) if np.ndim(value) == 0 else require_array(name, value, shape=(size, size))
+        for name, value, size in (
+            ("process", require_array("process", process), g.shape[1]),
+            ("sensor", require_array("sensor", sensor), len(c)),
         )
     )
     p = require_array("covariance", covariance, shape=(n, n))
@@ -94,9 +94,8 @@ def enclose_covariance(
     gain = np.linalg.solve(innovation.T, c @ p.T).T
     closed = a - (a @ gain if discrete else gain) @ c
     closed = closed * scale / scale[:, None]
-    solve = linalg.solve_discrete_lyapunov if discrete else linalg.solve_continuous_lyapunov
     try:
-        shape = solve(closed, np.eye(n) if discrete else -np.eye(n))
+        shape = solve_lyapunov(closed, np.eye(n), discrete=discrete)
     except (np.linalg.LinAlgError, ValueError):
         shape = np.full((n, n), np.nan)
     failed = CovarianceEnclosure(np.zeros(n), np.full(n, inf), False)
@@ -130,12 +129,10 @@ def _fractions(matrix: np.ndarray) -> np.ndarray:
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Gauss and Jordan, of as many rows as there are outputs."""
+    """Gauss and Jordan, of a definite matrix of as many rows as there are outputs: no pivot is zero."""
     n = len(matrix)
     whole = np.hstack([matrix, _fractions(np.eye(n))])
     for k in range(n):
-        pivot = next(r for r in range(k, n) if whole[r, k])
-        whole[[k, pivot]] = whole[[pivot, k]]
         whole[k] = whole[k] / whole[k, k]
         for r in range(n):
             if r != k:

@@ -91,14 +91,22 @@ def _weighted_product(points, mean, others, other_mean, result, count, rows, col
 
 
 @pasted_kernel
+def _weighted_square(points, mean, noise, missing, result, count, size, first, other):
+    """As `_weighted_product` of points with themselves, plus their noise; symmetric, and half the work."""
+    for i in range(size):
+        for j in range(i + 1):
+            total = first * (points[0, i] - mean[i]) * (points[0, j] - mean[j])
+            for k in range(1, count):
+                total += other * (points[k, i] - mean[i]) * (points[k, j] - mean[j])
+            result[i, j] = result[j, i] = total + noise[missing + i, missing + j]
+
+
+@pasted_kernel
 def predict_unscented(work, weights, process, size):
     """(13): mean and covariance of the moved points, about the predicted mean, plus Q."""
     points, covariance, mean, count = work[POINTS], work[COVARIANCE], work[MEANS, ESTIMATE], 2 * size + 1
     _weighted_mean(points, mean, count, size, weights[1], weights[3])
-    _weighted_product(points, mean, points, mean, covariance, count, size, size, weights[2], weights[3])
-    for i in range(size):
-        for j in range(size):
-            covariance[i, j] += process[i, j]
+    _weighted_square(points, mean, process, 0, covariance, count, size, weights[2], weights[3])
 
 
 @pasted_kernel
@@ -108,14 +116,9 @@ def correct_unscented(work, weights, noise, size, outputs):
     mean, expected = work[MEANS, ESTIMATE], work[MEANS, EXPECTED]
     first, other = weights[2], weights[3]
     _weighted_mean(observed, expected, count, outputs, weights[1], other)
-    _weighted_product(
-        observed, expected, observed, expected, innovation, count, outputs, outputs, first, other
-    )
-    _weighted_product(points, mean, observed, expected, work[CROSS], count, size, outputs, first, other)
     missing = len(noise) - outputs  # the first ones, where a measurement lacks them
-    for i in range(outputs):
-        for j in range(outputs):
-            innovation[i, j] += noise[missing + i, missing + j]
+    _weighted_square(observed, expected, noise, missing, innovation, count, outputs, first, other)
+    _weighted_product(points, mean, observed, expected, work[CROSS], count, size, outputs, first, other)
     return correct_gaussian(work, size, outputs)
 
 

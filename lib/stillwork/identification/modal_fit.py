@@ -367,7 +367,7 @@ def _identified(problem, diagram, guesses, band_hz):
         )
     problem.bring_forward(modes)
     problem.rub_again(modes)
-    return problem, problem.refined(modes, 60) if problem.delay or problem.drag else modes
+    return problem, problem.refined(modes, 60) if problem.drag else modes
 
 
 class _Accelerance:

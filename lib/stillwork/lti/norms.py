@@ -1,6 +1,9 @@
 """H2 and H-infinity norms of models in continuous and discrete time."""
 
+import warnings
+
 import numpy as np
+from jaxtyping import Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError
@@ -86,11 +89,7 @@ def hinf_norm(model: StateModel) -> Peak:
             crossings = 1 / crossings[crossings > 0][::-1]
         if len(crossings) < 2:
             break
-        middle = (
-            np.sqrt(crossings[:-1] * crossings[1:])
-            if crossings[0] > 0
-            else (crossings[:-1] + crossings[1:]) / 2
-        )
+        middle = np.sqrt(crossings[:-1] * crossings[1:])  # none is 0: the level is above the gain there
         values = gains(middle)
         if values.max() <= raised:
             break
@@ -191,6 +190,18 @@ def _crossings(model: StateModel, level: float) -> np.ndarray:
 
 
 @checked
+def solve_lyapunov(
+    a: Float64[np.ndarray, "states states"],
+    q: Float64[np.ndarray, "states states"],
+    *,
+    discrete: bool = False,
+) -> Float64[np.ndarray, "states states"]:
+    """X of A X + X A' + Q = 0, or of A X A' - X + Q = 0; the caller bounds its error, so that scipy need not warn."""
+    with warnings.catch_warnings(action="ignore"):
+        return linalg.solve_discrete_lyapunov(a, q) if discrete else linalg.solve_continuous_lyapunov(a, -q)
+
+
+@checked
 def h2_norm(model: StateModel) -> float:
     """H2 norm of a stable model, in continuous time a strictly proper one: from a balanced Lyapunov equation, checked.
 
@@ -230,8 +241,7 @@ def h2_norm(model: StateModel) -> float:
         return direct
     units, rate, a, b, c = _balanced(model, in_slow_time=not discrete)
     b = b / np.sqrt(rate)
-    solve = linalg.solve_discrete_lyapunov if discrete else _continuous_gramian
-    gramian, dual = solve(a, b @ b.T), solve(a.T, c.T @ c)
+    gramian, dual = (solve_lyapunov(*each, discrete=discrete) for each in ((a, b @ b.T), (a.T, c.T @ c)))
     # That of a model that passes nothing may round below zero.
     power = max(np.trace(c @ gramian @ c.T), 0.0)
     kept = MOST_DOUBT * power + NOTHING * np.linalg.norm(c) ** 2 * np.linalg.norm(gramian)
@@ -245,8 +255,3 @@ def h2_norm(model: StateModel) -> float:
             "model is too close to instability, or needs other units"
         )
     return _finite(np.hypot(np.sqrt(power) * units[0] * units[1], direct))
-
-
-def _continuous_gramian(a: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """X of A X + X A' + drive = 0."""
-    return linalg.solve_continuous_lyapunov(a, -drive)

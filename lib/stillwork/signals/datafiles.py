@@ -92,7 +92,9 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
         raise InputError(
             f"{path.name} has a line of {max(map(len, head))} characters; it is no table of numbers"
         )
-    if named and len(head) > 1:
+    if named and len(head) == 1:
+        raise InputError(f"{path.name} holds a line of names and no rows; give rows of numbers below it")
+    if named:
         names = len(_fields(head[0], separator))
         widths = [len(_without_empty_end(_fields(line.split("#")[0], separator))) for line in head[1:]]
         if min(widths) > names:  # pandas would warn, and drop the columns without a name

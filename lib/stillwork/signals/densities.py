@@ -63,7 +63,8 @@ def spectra_of(columns: dict[str, np.ndarray]) -> dict[str, str]:
 def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra.
 
-    `unit` is that of the spectra whose names state none in brackets; a name that states another is refused.
+    `unit` is that of the spectra whose names state none, in brackets (``x (m/s^2/sqrt(Hz))``) or at their end
+    (``x_m_s2_rthz``, `stated_density`); a name that states another is refused.
     """
     columns = read_columns(path)
     axis = frequency_axis(columns)
@@ -127,6 +128,6 @@ def frequency_axis(columns: dict[str, np.ndarray]) -> str:
     """Name of the column of frequencies; empty where there is none."""
     for name, column in columns.items():
         words = re.split(r"[\s_(\[.]", name.strip().lower())
-        if words[0] in _FREQUENCY_WORDS and column.size > 1:
+        if words[0] in _FREQUENCY_WORDS and column.size > 1 and column.dtype.kind != "c":
             return name
     return ""

@@ -39,7 +39,6 @@ def build_site() -> int:
     target = paths.root() / "build" / "site"
     make_states(tasks())
     files = site_files()
-    publish.recover(target)
     publish.replace_folder(target, files)
     broken = broken_links(target)
     for line in broken:
