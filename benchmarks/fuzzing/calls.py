@@ -121,7 +121,13 @@ def catalogue() -> dict:
     doubled = lti.StateModel(
         np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[2.0, -2.0]]), 0.01
     )
-    single = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    single = lti.ModalModel(
+        np.array([0.0, 600.0]),
+        np.array([0.0, 0.01]),
+        np.full((2, 1), 0.3),
+        np.array([[0.3, -0.3]]),
+        np.zeros((1, 1)),
+    )
     limits = c.MoveLimits(0.2, 5.0, 500.0, 1e5)
     observer = e.kalman_observer(model, e.NoiseIntensities(1.0, 1e-12))
     sampled_observer = c.discrete_kalman_observer(model, e.NoiseIntensities(1.0, 1e-12), 1e-4)
