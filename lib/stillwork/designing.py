@@ -35,6 +35,7 @@ from stillwork.control.machine_designs import (
 )
 from stillwork.control.machine_loops import SHOWN, Reached, search_range
 from stillwork.control.machine_tuning import DesignSettings
+from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box
 from stillwork.exporting import require_free, write_folder
 from stillwork.html_page import page, picture, table
@@ -59,6 +60,7 @@ def design_file(
     *,
     delay: float = DELAY,
     limit: float = np.inf,
+    limits: Sequence[float] = (),
     name: str = "controller",
     precision: str = "double",
     fit_hz: tuple[float, float] = (0.0, 0.0),
@@ -84,6 +86,9 @@ def design_file(
         See `search_designs`.
     limit : float
         Largest output of the controller: force in N, torque in N m, or current in A.
+    limits : sequence of float
+        Largest velocity, acceleration, jerk and perhaps snap of the setpoint, in the unit of the controller's position;
+        empty: set in the C. Refused where the feedforward would in sum ask for more than `limit`.
     name, precision : str
         See `controller_code`. Of several sensors each gets a controller, with its number behind the name.
     fit_hz : tuple of float
@@ -122,6 +127,7 @@ def design_file(
     require_names(name, precision)
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
+    moves = _move_limits(limits)
     require_number("rate", rate, above=0.0)
     asked = require_number("delay", delay, at_least=0.0)
     shares = asked_uncertainty(uncertainty)
@@ -145,10 +151,12 @@ def design_file(
     machines = [
         build_machine(each, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor) for each in every
     ]
+    for sensor in machines[0].sensors:
+        motion_of(sensor, 0.0, *scales, moves).require_within(limit)
     against = [each for each in machines if (TURNED in each.notes) != (TURNED in machines[0].notes)]
     if against:
         raise InputError(
-            f"{against[0].source} moves against {source.name} under the same force; mend the sign of one of them"
+            f"{against[0].source} moves against {source.name} under the same force; correct the sign of one of them"
         )
     with Progress(EACH * USES + CHANGES, task="design", unit="search", tell=True, aside=True) as progress:
         made = search_designs(
@@ -217,7 +225,7 @@ def design_file(
     lag = (delay + 0.5) / rate  # the hold's half a sample
     owned = [each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers]
     written = [
-        error_driven(each, motion_of(sensor, lag, *scales))
+        error_driven(each, motion_of(sensor, lag, *scales, moves))
         for each, sensor in zip(owned, machine.sensors, strict=True)
     ]
     written = [
@@ -256,6 +264,16 @@ def design_file(
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
         f"{folder}: {', '.join(sorted([*code, 'report.html']))}",
     ]
+
+
+def _move_limits(limits: Sequence[float]) -> MoveLimits | None:
+    if not len(limits):
+        return None
+    if len(limits) not in (3, 4):
+        raise InputError(
+            f"limits holds {counted(len(limits), 'number')}; give velocity, acceleration, jerk and perhaps snap"
+        )
+    return MoveLimits(*map(float, limits))
 
 
 def _sha256(file: Path) -> str:

@@ -36,10 +36,12 @@ PAIR = modal_model(MASS, STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """Folder of the design of a non-collocated machine with a limit of 40 N, and what the command said."""
+    """Folder of the design of a non-collocated machine with limits of 40 N and of the setpoint, and what the command said."""
     folder = tmp_path_factory.mktemp("design")
     np.savez(folder / "<pair>.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
-    said = design_file(str(folder / "<pair>.npz"), str(folder / "out"), RATE, limit=40.0)
+    said = design_file(
+        str(folder / "<pair>.npz"), str(folder / "out"), RATE, limit=40.0, limits=[0.02, 0.5, 20.0]
+    )
     return folder / "out", said
 
 
@@ -52,6 +54,8 @@ def test_it_writes_all_of_it(written):
     }  # fmt: skip
     held = json.loads((folder / "controller.json").read_text())
     assert held["provenance"]["mass"] == pytest.approx(40.0) and held["high"] == [40.0]
+    limits = held["motion"]["limits"]
+    assert limits == {"velocity": 0.02, "acceleration": 0.5, "jerk": 20.0, "snap": None}
     assert (
         len(held["provenance"]["sha256"]) == 64
         and held["gains"]["gain"] > 0
@@ -67,6 +71,15 @@ def test_it_writes_all_of_it(written):
         "frequency": [0.0, 0.05], "residue": [0.0, 0.0], "damping": [0.0, 0.0], "gain": 0.05, "mass": 0.0, "delay": 0.0
     }  # fmt: skip
     assert "resonances" in said[-3] and "± 5 %" in said[-3]
+
+
+def test_limits_of_the_setpoint_are_checked_in_sum_before_the_search(tmp_path):
+    """40 kg at 2 m/s^2 ask for more than 40 N."""
+    file, out = changed(tmp_path, 1.0), str(tmp_path / "out")
+    with pytest.raises(InputError, match=r"^limits\b.* 80 in sum, the output is limited to 40"):
+        design_file(file, out, RATE, limit=40.0, limits=[0.02, 2.0, 100.0])
+    with pytest.raises(InputError, match=r"^limits holds 2 numbers"):
+        design_file(file, out, RATE, limits=[0.02, 2.0])
 
 
 @pytest.mark.slow
