@@ -37,7 +37,11 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel, constant, interconnect
 
-SAFE = tuple(PeakConstraint(name) for name in FUNCTIONS)  # also the true error stays below 6 dB
+SAFE = tuple(
+    PeakConstraint(name) for name in FUNCTIONS
+)  # of the thesis, whose setpoint goes around the observer
+HELD = FUNCTIONS[:2]  # by a controller that runs on the error, whose r to e is the output sensitivity
+OF_ERROR = tuple(PeakConstraint(name) for name in HELD)
 SHOWN = {"input_sensitivity": "S_I", "output_sensitivity": "S_O", "true_tracking": "r to e_true"}
 ABOVE_SUSPENSION = 2.0  # of a machine on springs to the ground: lowest bandwidth sought, over its suspension
 HIGHEST_NOTCH = 0.8  # of half the rate
@@ -246,18 +250,12 @@ class Reached:
         if self.recommended is None:
             return {}
         pid, found = self.recommended.controller, {}
-        for name in FUNCTIONS:
+        for name in HELD:
             model = max(loop.peak(pid, name).magnitude for loop in self.model_loops)
             seen = max(float(np.abs(getattr(loop.at(pid), name)).max()) for loop in self.loops)
             measured = self.loops is not self.model_loops
             found[name] = float(20 * np.log10(model)), float(20 * np.log10(seen)) if measured else None
         return found
-
-    @checked(infinite=True)
-    def highest_db(self, function: str) -> str:
-        """The higher of both, rounded."""
-        sizes = self.peaks_db()[function] if self.recommended else ()
-        return f"{max(size for size in sizes if size is not None):.1f}" if sizes else ""
 
     @property
     def summary(self) -> dict[str, str]:
@@ -289,7 +287,7 @@ def reach(
     intensities: Intensities,
     loop_hz: tuple[float, float] = (0.0, 0.0),
     search_hz: tuple[float, float] = (0.0, 0.0),
-    constraints: Sequence[PeakConstraint] = SAFE,
+    constraints: Sequence[PeakConstraint] = OF_ERROR,
     sample_time: float = 0.0,
     delay: float = 0.0,
     uncertainty: Mapping[str, float] = MappingProxyType({}),
@@ -316,7 +314,7 @@ def reach(
         Range of the design parameter; (0, 0) for 1/40 of the first resonance to all of it, from twice a suspension
         and to a tenth of the rate.
     constraints : sequence of PeakConstraint
-        By default both sensitivities and r to e_true, each at most 6 dB.
+        By default those of a controller that runs on the error: both sensitivities, each at most 6 dB.
     sample_time : float
         Sample time, s; 0: continuous time.
     delay : float
@@ -346,6 +344,7 @@ def reach(
     found = {}
     for name, application in chosen.items():
         settings = observer_settings(machine, application, retained, intensities)
+        limits = constraints if application else as_one(constraints)
         modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
         elsewhere = loops_elsewhere(modelled[0], others)
         groups = [modelled, *((loop,) for loop in elsewhere)]
@@ -358,7 +357,7 @@ def reach(
             [] if spread.is_empty else [make_box(loop, spread) for loop in group]
             for group, spread in zip(groups, spreads, strict=True)
         ]
-        search = partial(_search, family=family, limits=constraints, refine=True)
+        search = partial(_search, family=family, limits=limits, refine=True)
         on_model, reason = search((*loops, *perturbed), low=low, high=high)
         seen = [
             on_measurement(loop, each.measured, 1.0, band, mirror)
@@ -378,7 +377,7 @@ def reach(
             for starts in (1, THOROUGH):
                 if not any(harm):
                     harm = [
-                        harmful_places(group, pid, constraints, box, starts)
+                        harmful_places(group, pid, limits, box, starts)
                         for group, box in zip(groups, boxes, strict=True)
                     ]
             if not any(harm):
@@ -409,6 +408,12 @@ def reach(
             turns = sum(abs(extra_turns(loop, lower.controller)) for loop in loops)
         found[name] = Reached(on_model, on_data, turns, loops, modelled, perturbed, reason, elsewhere)
     return found
+
+
+@checked
+def as_one(constraints: Sequence[PeakConstraint]) -> list[PeakConstraint]:
+    """The tightest: without an observer all functions of a loop are one."""
+    return [min(constraints, key=lambda each: each.limit)]
 
 
 def _measured_band(machine: Machine, loop_hz: tuple[float, float]) -> tuple[float, float]:
