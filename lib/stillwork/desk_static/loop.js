@@ -1,4 +1,4 @@
-// The loop: its functions on the model and on the measurement, the six constraints, and the box around the model.
+// The loop: its functions on the model and on the measurement, the constraints, and the box around the model.
 import { complexArray, multiplyInto, resonanceGrid, sortedUnique, toDb } from "./complex.js";
 import { corners, modelGrid, plantResponse, residues, splitDelay, addMode } from "./model.js";
 import { makeObserver, observerResponse } from "./observer.js";
@@ -6,8 +6,9 @@ import { controllerSections, delayResponse, holdResponse, integrators, sectionsR
 
 export const SIX_DB = 10 ** (6 / 20);
 export const ALLOWED_DB = 6.01;
-export const FUNCTIONS = ["input_sensitivity", "output_sensitivity", "true_tracking"];
-export const SHOWN = { input_sensitivity: "S_I", output_sensitivity: "S_O", true_tracking: "r to e" };
+// The controller runs on the error, as that of `design`: S_O is also r to e.
+export const FUNCTIONS = ["input_sensitivity", "output_sensitivity"];
+export const SHOWN = { input_sensitivity: "S_I", output_sensitivity: "S_O, r to e" };
 const TURN = 2 * Math.PI;
 
 // --- what a controller meets: a plant and an observer on a grid ---
@@ -151,15 +152,14 @@ export function addPlace(loop, place) {
 
 export const controllerOn = (sections, seen) => sectionsResponse(sections, seen.axis);
 
-// Sizes of the functions on a view: arrays by name; `whole`: the open loops and the others, too. Without an observer the
-// three functions are one.
+// Sizes of the functions on a view: arrays by name; `whole`: the open loops and the others, too. Without an observer both
+// sensitivities are one.
 export function loopFunctions(seen, controller, whole = false) {
   const n = seen.omega.length, P = seen.plant, C = controller, O = seen.observer;
   const first = new Float64Array(n);
   const found = {
     input_sensitivity: first,
     output_sensitivity: O ? new Float64Array(n) : first,
-    true_tracking: O ? new Float64Array(n) : first,
   };
   if (whole) {
     found.loop = complexArray(n);
@@ -172,7 +172,7 @@ export function loopFunctions(seen, controller, whole = false) {
   for (let k = 0; k < n; k++) {
     const p = P.re[k], q = P.im[k], c = C.re[k], d = C.im[k];
     const pcr = p * c - q * d, pci = p * d + q * c;
-    let tr = 1, ti = 0, dr = 1 + pcr, di = pci;
+    let tr = 1, ti = 0, vr = pcr, vi = pci, dr = 1 + pcr, di = pci;
     if (O) {
       // turn = 1 - C o_yu - o_uu, slope = C (1 - o_yy) - o_uy, above = 1 - o_uu - o_uy P
       const yur = O.yu.re[k], yui = O.yu.im[k], yyr = O.yy.re[k], yyi = O.yy.im[k], uyr = O.uy.re[k], uyi = O.uy.im[k];
@@ -180,13 +180,13 @@ export function loopFunctions(seen, controller, whole = false) {
       ti = -(c * yui + d * yur) - O.uu.im[k];
       const sr = c - (c * yyr - d * yyi) - uyr, si = d - (c * yyi + d * yyr) - uyi;
       const ar = 1 - O.uu.re[k] - (uyr * p - uyi * q), ai = -O.uu.im[k] - (uyr * q + uyi * p);
-      const vr = p * sr - q * si, vi = p * si + q * sr;
+      vr = p * sr - q * si;
+      vi = p * si + q * sr;
       dr = tr + vr;
       di = ti + vi;
-      const size = dr * dr + di * di, er = dr - pcr, ei = di - pci;
+      const size = dr * dr + di * di;
       found.input_sensitivity[k] = Math.sqrt((ar * ar + ai * ai) / size);
       found.output_sensitivity[k] = Math.sqrt((tr * tr + ti * ti) / size);
-      found.true_tracking[k] = Math.sqrt((er * er + ei * ei) / size);
       if (whole) {
         const above = ar * ar + ai * ai, turn = tr * tr + ti * ti;
         found.output_loop.re[k] = (vr * tr + vi * ti) / turn;
@@ -205,7 +205,7 @@ export function loopFunctions(seen, controller, whole = false) {
     }
     if (whole) {
       const size = Math.sqrt(dr * dr + di * di);
-      found.closed[k] = Math.sqrt(pcr * pcr + pci * pci) / size;
+      found.closed[k] = Math.sqrt(vr * vr + vi * vi) / size;
       found.process[k] = Math.sqrt((p * p + q * q) * (tr * tr + ti * ti)) / size;
     }
     if (k === 0) start.angle = Math.atan2(di, dr);
@@ -506,7 +506,6 @@ export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, bo
       const best = found[name];
       let ar = tr, ai = ti, br = 0, bi = 0;
       if (name === "input_sensitivity") [ar, ai, br, bi] = [ur, ui, vr, vi];
-      else if (name === "true_tracking") [br, bi] = [sr - c, si - d];
       if (below > 0) {
         const middle = Math.sqrt((ar + br * mr - bi * mi) ** 2 + (ai + br * mi + bi * mr) ** 2);
         const top = middle + Math.sqrt(br * br + bi * bi) * box.radius[row];

@@ -155,7 +155,7 @@ export function startDesk(root, machines) {
     draw("phase", [x, { low: -280, high: 100, degrees: true, label: "phase (°)" }], { series: turned, rules: [{ y: -180, colour: colours.soft, dash: [4, 3] }] });
     // The functions.
     const lines = loop.observer
-      ? [["input_sensitivity", "S_I", colours.vermillion, []], ["output_sensitivity", "S_O", colours.blue, []], ["true_tracking", "r to e", colours.purple, [7, 3]]]
+      ? [["input_sensitivity", "S_I", colours.vermillion, []], ["output_sensitivity", "S_O, r to e", colours.blue, []]]
       : [["output_sensitivity", "S", colours.vermillion, []]];
     const functions = lines.map(([name, title, colour, dash]) => ({ x: f, y: decibels(main[name]), colour, dash, name: title }));
     functions.push({ x: f, y: decibels(main.closed), colour: colours.green, name: "r to y", dash: [2, 2] });
@@ -226,7 +226,7 @@ export function startDesk(root, machines) {
       const { position } = simulate(loop, sections, reference);
       return { time: position.map((_, k) => k * sampleTime * 1e3), values: position };
     }
-    const move = moveOf(design), { position: path, acceleration, duration } = thirdOrderMove(move, sampleTime, 3 / Math.max(bandwidth, 1e-3));
+    const move = moveOf(design), { position: path, acceleration, duration } = thirdOrderMove(move, sampleTime, 3 / Math.max(bandwidth, 1e-3), loop.delay + sampleTime / 2);
     if (path.length > MOST_SAMPLES) throw new Error(`the scan takes ${path.length} samples, more than ${MOST_SAMPLES}: shorten it`);
     const { position, force } = simulate(loop, sections, path, {
       acceleration,
@@ -693,7 +693,7 @@ export function startDesk(root, machines) {
       settle(design);
       refresh();
       const to = result.bandwidth;
-      say(holds ? `${from > 0 ? `${from.toFixed(1)} to ` : ""}${to.toFixed(1)} Hz in ${seconds.toFixed(1)} s; all six constraints hold` : "nothing was found that holds all six constraints: another structure may");
+      say(holds ? `${from > 0 ? `${from.toFixed(1)} to ` : ""}${to.toFixed(1)} Hz in ${seconds.toFixed(1)} s; all constraints hold` : "nothing was found that holds all constraints: another structure may");
     };
     setTimeout(slice);
   }
