@@ -79,7 +79,7 @@ def _spectra(path: Path) -> Iterator[str]:
 
 
 def _record(path: Path) -> Iterator[str]:
-    """What the rooms that take signals over time make of a file."""
+    """What the topics that take signals over time make of a file."""
     try:
         record = load_unscaled(path)
     except InputError as error:
@@ -118,7 +118,7 @@ def _record(path: Path) -> Iterator[str]:
 
 
 def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
-    """What the room motion makes of a file; nothing where no name in it points to a machine."""
+    """What the topic motion makes of a file; nothing where no name in it points to a machine."""
     from stillwork.identification.machine import build_machine
     from stillwork.identification.machine_files import (
         complex_responses,
@@ -159,6 +159,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             words += [f"--{name.replace('_', '-')}", settings[name]]
     yield command("a controller in C", ["design", *words, "--rate", "HZ", "--out", "my_controller"])
     yield command("one page about it", ["report", *words])
+    yield command("a loop shaped by hand", ["desk", *words])
     yield figures_command("motion/29-your-machine", settings)
 
 
@@ -201,7 +202,7 @@ def outline(file: Path) -> list[str]:
     except FileNotFoundError:
         raise InputError(f"{file}: no such file; give the path of a Python file") from None
     except (SyntaxError, UnicodeDecodeError, ValueError) as error:
-        raise InputError(f"{file.name} is not Python ({error}); mend it") from None
+        raise InputError(f"{file.name} is not Python ({error}); correct it") from None
     functions = {node.name: len(node.args.args) for node in tree.body if isinstance(node, ast.FunctionDef)}
     names = {
         target.id

@@ -169,6 +169,7 @@ def test_a_dropped_response_is_shaped_and_leaves_as_c(desk):
             "-std=c99",
             "-Wall",
             "-Wextra",
+            "-Wconversion",
             "-pedantic",
             "-Werror",
             "-c",
@@ -209,7 +210,6 @@ def test_the_best_of_a_structure_holds_all_constraints(desk):
     )
 
 
-def test_a_design_of_the_command_line_is_opened(desk, tmp_path):
 def test_the_guide_leads_to_six_decibels(desk):
     """Each number of "To 6 dB by hand" and of "Then the best" in docs/desk.md, on the machine that it names."""
     guide = (paths.root() / "docs" / "desk.md").read_text(encoding="utf-8")
@@ -240,6 +240,7 @@ def test_the_guide_leads_to_six_decibels(desk):
     assert desk.bandwidth == pytest.approx(number(r"about (\d+) Hz here"), rel=0.05)
 
 
+def test_a_design_of_the_command_line_is_opened(desk, tmp_path):
     [machine, *_] = shipped_machines(paths.root())
     gains = {
         "gain": 50000.0,
