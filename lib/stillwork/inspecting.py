@@ -56,6 +56,9 @@ def _data(path: Path) -> Iterator[str]:
         return
     machine = list(_machine(path, arrays))
     yield from machine
+    if any(values.dtype.kind == "c" for values in arrays.values()) and not frequency_axis(arrays):
+        yield "complex values without frequencies: put them, with a column frequency (Hz) as long, into a file of their own"
+        return
     # One hit's force and response may be an input-output record, too; several hits side by side are none.
     signals = [array for name, array in arrays.items() if array.size > 1 and not is_time(name)]
     if not machine or [np.squeeze(array).ndim for array in signals] == [1, 1]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.front_door import checked
-from stillwork.control.machine_loops import Intensities, Reached, applications, reach, search_range
+from stillwork.control.machine_loops import Intensities, Reached, applications, in_hertz, reach, search_range
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.uncertainty import NAMES, Uncertainty, uncertainty_of
 from stillwork.identification.machine import Machine, brought_forward
@@ -53,12 +53,12 @@ class Designed(NamedTuple):
     def ranking(self) -> list[str]:
         """The uses with a safe loop, the furthest first; of equals the simplest."""
         safe = [use for use, each in self.found.items() if each.recommended is not None]
-        return sorted(safe, key=lambda use: -round(crossing(self.found[use]), 2))
+        return sorted(safe, key=lambda use: -float(f"{crossing(self.found[use]):.4g}"))
 
     @property
     def ranking_line(self) -> str:
         """The same in words, with the bandwidths."""
-        said = [f"{use} {crossing(self.found[use]):.1f} Hz" for use in self.ranking]
+        said = [f"{use} {in_hertz(crossing(self.found[use]))} Hz" for use in self.ranking]
         return f"from the furthest: {', '.join(said) or 'none has a safe loop'}"
 
     def lines(self) -> list[str]:

@@ -271,7 +271,7 @@ class Reached:
             if 1 <= moved <= len(self.elsewhere):
                 where = f" of response {moved + 1}"
             name = SHOWN.get(stop.function, stop.function)
-            row["stopped by"] = f"{name}{place} at {stop.peak.omega / (2 * np.pi):.0f} Hz{where}"
+            row["stopped by"] = f"{name}{place} at {in_hertz(stop.peak.omega / (2 * np.pi), 0)} Hz{where}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
         if self.extra_turns is not None:
             row["extra turns"] = str(self.extra_turns)
@@ -345,7 +345,11 @@ def reach(
     for name, application in chosen.items():
         settings = observer_settings(machine, application, retained, intensities)
         limits = constraints if application else as_one(constraints)
-        modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
+        try:
+            modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
+        except InputError as error:
+            found[name] = Reached(None, None, None, (), (), reason=f"no observer: {error}")
+            continue
         elsewhere = loops_elsewhere(modelled[0], others)
         groups = [modelled, *((loop,) for loop in elsewhere)]
         loops, on_data, turns = modelled, None, None
@@ -463,8 +467,14 @@ def _lower(first: Bandwidth | None, second: Bandwidth | None) -> Bandwidth:
     return min((each for each in (first, second) if each), key=lambda each: each.design_hz)
 
 
+@checked
+def in_hertz(hertz: float, digits: int = 1) -> str:
+    """Rounded for a line of text; of a slow machine to three digits."""
+    return f"{hertz:.{digits}f}" if hertz >= 1 else f"{hertz:.3g}"
+
+
 def _span(bandwidth: Bandwidth | None) -> str:
     if bandwidth is None:
         return "none"
-    low, high = (f"{pick(bandwidth.crossing_hz):.1f}" for pick in (np.min, np.max))
+    low, high = (in_hertz(pick(bandwidth.crossing_hz)) for pick in (np.min, np.max))
     return low if low == high else f"{low} to {high}"
