@@ -198,3 +198,30 @@ def test_sample_times_that_differ_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"^compensator\b"):
         make_loop(plant, delay=1)
     assert {limit.function for limit in SAFE} == set(FUNCTIONS)
+
+
+@pytest.mark.slow
+def test_a_slow_machine_reaches_in_its_own_time_what_a_fast_one_does(tmp_path):
+    """Resonances at 225 Hz and at 0.225 Hz: below 0.1 Hz a loop has a grid, too."""
+    stiffness, found = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]]), []
+    for slower in (1.0, 1e3):
+        file = tmp_path / f"{slower:g}.npz"
+        np.savez(
+            file, M=np.diag([30.0, 10.0]), K=stiffness / slower**2, input=[1.0, 0.0], output=[[0.0, 1.0]]
+        )
+        machine = build_machine(load_machine(file), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+        best = reach(machine, {"PID": None}, retained=2, intensities=INTENSITIES)["PID"].recommended
+        found.append(slower * best.design_hz)
+    assert found[1] == pytest.approx(found[0], rel=2e-3)
+
+
+def test_a_use_without_an_observer_has_a_reason(tmp_path, monkeypatch):
+    machine = machine_of(tmp_path, "collocated")
+
+    def none(plants, application, *others):
+        raise InputError("the Riccati equation has no solution")
+
+    monkeypatch.setattr("stillwork.control.machine_loops.observed_loops", none)
+    found = reach(machine, applications(0.02, 2.0), retained=5, intensities=INTENSITIES)["MC"]
+    assert found.recommended is None and found.reason.startswith("no observer: the Riccati")
+    assert found.summary == {"on the model (Hz)": "none"}
