@@ -40,16 +40,16 @@ part = @echo "$(1)"; begin=$$(date +%s); if $(2); then end=passed; else end=FAIL
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help figures readings contest test quick course lab site browser bench faults mutants dated portable accept release doctor clean
+.PHONY: help figures choices contest test quick course lab site browser bench faults mutants dated portable accept release doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
 
-figures: $(READY) ## Build what is stale; ARGS="ROOM/NOTEBOOK -p NAME=VALUE --jobs N --why"
+figures: $(READY) ## Build what is stale; ARGS="TOPIC/NOTEBOOK -p NAME=VALUE --jobs N --why"
 	@$(BIN)/python -m stillwork figures $(ARGS)
 
-readings: $(READY) ## Try every choice that the works leave open; ARGS="ROOM --jobs N --budget MINUTES"
-	@$(BIN)/python -m stillwork readings $(ARGS)
+choices: $(READY) ## Try every choice that the works leave open; ARGS="TOPIC --jobs N --budget MINUTES"
+	@$(BIN)/python -m stillwork choices $(ARGS)
 
 contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py --seeds N --public NUMBER --jobs N"
 	@$(BIN)/python -m stillwork contest $(ARGS)
@@ -99,7 +99,7 @@ dated: $(READY) ## Property tests on new examples, drawn from the day; DAY=20260
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "hypothesis and not slow" --hypothesis-profile=search \
 		--hypothesis-seed=$(DAY) $(ARGS) || { echo "the same examples again: make dated DAY=$(DAY)"; exit 1; }
 
-portable: $(READY) ## Build under other processors' settings and compare; ARGS="ROOM/NOTEBOOK --processor 2004" or "--sample"
+portable: $(READY) ## Build under other processors' settings and compare; ARGS="TOPIC/NOTEBOOK --processor 2004" or "--sample"
 	@$(BIN)/python -m stillwork portable $(ARGS)
 
 accept: $(READY) ## Copy a build into notebooks/ and figures/, and into what follows from them

@@ -1,7 +1,7 @@
 """Where a build's processor time goes: imports, compilation, computing, drawing, saving, and the runner around them.
 
 First every notebook's code runs in a process of its own, under the settings of a build, with a watch on each kind of
-work. Then, unless rooms or notebooks are named, everything is built from nothing into a folder that is thrown away;
+work. Then, unless topics or notebooks are named, everything is built from nothing into a folder that is thrown away;
 what that costs beyond the notebooks' own work is the runner's. Either begins without machine code, and a kernel that
 several notebooks call is compiled in the first of them. Processor time, which other programs disturb less
 than the clock; the clock counts on a machine that has nothing else to do.
@@ -228,7 +228,7 @@ def print_kinds(targets: list[str], kernels: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("targets", nargs="*", metavar="ROOM[/NOTEBOOK]")
+    parser.add_argument("targets", nargs="*", metavar="TOPIC[/NOTEBOOK]")
     parser.add_argument("--pins", action="store_true", help="what each pin of the processor costs")
     parser.add_argument(
         "--rounds", type=int, default=3, metavar="N", help="of --pins; medians of them are shown"

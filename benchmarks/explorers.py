@@ -1,6 +1,6 @@
 """Redraw times of every explorer: at the published setting, and with each control at its ends and in its middle.
 
-Processor time, which other programs disturb less than the clock. `ARGS="ROOM/NOTEBOOK"` chooses one.
+Processor time, which other programs disturb less than the clock. `ARGS="TOPIC/NOTEBOOK"` chooses one.
 """
 
 import ast

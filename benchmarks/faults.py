@@ -62,11 +62,11 @@ Files = dict[str, bytes]
 
 def sources(root: Path, name: str) -> tuple[str, str, str]:
     """Seed, gain and rig of a notebook, as its sources have them now."""
-    room = name.partition("/")[0]
+    topic = name.partition("/")[0]
     cells = json.loads((root / "notebooks" / f"{name}.ipynb").read_text())["cells"]
     seed = re.search(r"seed: int = (\d+)", next(c["source"] for c in cells if c["id"] == "parameters"))[1]
-    gain = re.search(r"([\d.]+) \* level", (root / f"lib/experiments/{room}/model.py").read_text())[1]
-    return seed, gain, (root / f"data/{room}/rig.toml").read_text()
+    gain = re.search(r"([\d.]+) \* level", (root / f"lib/experiments/{topic}/model.py").read_text())[1]
+    return seed, gain, (root / f"data/{topic}/rig.toml").read_text()
 
 
 def expected(state: tuple[str, str, str]) -> Files:
@@ -315,7 +315,7 @@ def killer(number: int) -> Callable:
     return lambda *_: os.kill(os.getpid(), number)
 
 
-def no_room(event: str, *_paths: Path) -> None:
+def no_topic(event: str, *_paths: Path) -> None:
     if event not in ("os.remove", "os.rmdir"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -377,7 +377,7 @@ def publish_fault(bench: Bench, draw: random.Random, way: str) -> str:
 
     place = bench.root / "build" / "bench"
     shutil.rmtree(place, ignore_errors=True)
-    target = place / "room" / "01-x"
+    target = place / "topic" / "01-x"
     old, new = random_files(draw, "old"), random_files(draw, "newer")
     there = draw.random() < 0.8
     if there:
@@ -406,7 +406,7 @@ def publish_fault(bench: Bench, draw: random.Random, way: str) -> str:
     if code >= 0 and code != (stands == "old"):
         raise Broken(f"exit code {code}, but the {stands} version stands")
     tidy(target)
-    beside = os.listdir(place / "room" / ".01-x") if (place / "room" / ".01-x").exists() else []
+    beside = os.listdir(place / "topic" / ".01-x") if (place / "topic" / ".01-x").exists() else []
     if len(beside) > (target.is_symlink()):
         raise Broken(f"left behind: {beside}")
     replace_record(target, new, {"cell a": "2"})
@@ -428,7 +428,7 @@ def disturbed(
         number = draw.choice(SIGNALS[:2])
         return start(step_hook(place, draw.randint(1, steps), killer(number), [0])).wait()
     if way == "fails":
-        return start(step_hook(place, draw.randint(1, steps), no_room, [0])).wait()
+        return start(step_hook(place, draw.randint(1, steps), no_topic, [0])).wait()
     if way == "half":
         return start(limited(int(10 ** draw.uniform(0, 5.5)), True)).wait()
     if not bench.mounted:
@@ -704,7 +704,7 @@ def damage(draw: random.Random, place: Path) -> str:
             "record",
             "extra",
             "folder",
-            "room",
+            "topic",
             "link",
             "dangling",
             "all",
@@ -730,7 +730,7 @@ def damage(draw: random.Random, place: Path) -> str:
         extra.write_text("1,2\n")
     elif way == "folder" and homes:
         shutil.rmtree(draw.choice(homes))
-    elif way == "room" and place.is_dir():
+    elif way == "topic" and place.is_dir():
         shutil.rmtree(draw.choice([p for p in place.iterdir() if p.is_dir()] or [place]))
     elif way in ("link", "dangling"):
         links = sorted(p for p in place.glob("*/*") if p.is_symlink())
@@ -861,7 +861,7 @@ def signalled(bench: Bench, draw: random.Random, whom: str) -> str:
             bench.restore("built")
             before = bench.results()
             edit(bench, draw)
-        act = draw.choice([*(killer(each) for each in SIGNALS), no_room])
+        act = draw.choice([*(killer(each) for each in SIGNALS), no_topic])
         run = start(step_hook(bench.root / "build", draw.randint(1, steps), act, [0]))
         return judged(bench, before, [old, bench.states()], [run], set(SIGNALS))
     run = bench.fork("figures", "--jobs", "2")

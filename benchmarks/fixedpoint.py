@@ -1,4 +1,4 @@
-"""Speed of the fixedpoint room beside named peers, measured in one run: `make bench`.
+"""Speed of the fixedpoint topic beside named peers, measured in one run: `make bench`.
 
 Times are processor time of one thread, medians over repeats that take the contenders in turn, so that a busy
 machine slows all of them alike.

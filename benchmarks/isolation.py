@@ -1,4 +1,4 @@
-"""Speed of the isolation room beside named peers, measured in one run: `make bench`.
+"""Speed of the isolation topic beside named peers, measured in one run: `make bench`.
 
 Times are processor time of the one thread that works, which other programs disturb less than the clock; medians
 over repeats that take the contenders in turn, so that a busy machine slows all of them alike.

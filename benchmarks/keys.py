@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "lib"))
 
 from stillwork.base.source_digest import code, code_digest  # noqa: E402
-from workbook.readings import closure  # noqa: E402
+from workbook.choices import closure  # noqa: E402
 
 SHELVES = ("lib", "contest", "notebooks", "data")  # where a key finds its modules
 SCHEMES = ("bytes", "code", "definitions", "names")
@@ -59,9 +59,7 @@ class Tree:
     def show(self, commit: str) -> None:
         lines = git("ls-tree", "-r", commit, *SHELVES).decode().splitlines()
         files = {line.partition("\t")[2]: line.split()[2] for line in lines}
-        files = {
-            name: sha for name, sha in files.items() if name.endswith((".py", ".ipynb", "readings.toml"))
-        }
+        files = {name: sha for name, sha in files.items() if name.endswith((".py", ".ipynb", "choices.toml"))}
         for name, sha in files.items():
             if self.files.get(name) != sha:
                 file = self.folder / name
@@ -99,7 +97,7 @@ class Tree:
                 begin.write_text(text)
                 found[name] = self._key(text, closure.modules(begin.stem))
                 begin.unlink()
-            elif name.startswith("data/") and name.endswith("readings.toml"):  # no template of one
+            elif name.startswith("data/") and name.endswith("choices.toml"):  # no template of one
                 for study, given in tomllib.loads(blob(self.files[name]).decode()).get("studies", {}).items():
                     module, _, function = given["function"].partition(":")
                     text = f"from {module} import {function}\n{function}"

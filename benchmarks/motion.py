@@ -1,4 +1,4 @@
-"""Speed of the motion room beside python-control, measured in one run: `make bench`.
+"""Speed of the motion topic beside python-control, measured in one run: `make bench`.
 
 Times are processor time of the one thread that works; medians over repeats that take the contenders in turn, so
 that a busy machine slows all of them alike. A target in the last column is missed or met; no test asserts it.

@@ -31,8 +31,8 @@ sys.path[:0] = [str(ROOT / "lib")]
 
 from stillwork.base.kernel_folder import kernels_digest  # noqa: E402
 from stillwork.base.toml_files import read_toml  # noqa: E402
+from workbook.choices.closure import imports  # noqa: E402
 from workbook.pinned import pins  # noqa: E402
-from workbook.readings.closure import imports  # noqa: E402
 
 PLACE = ROOT / "build" / "mutants"
 TREE, KERNELS, RECORDS = PLACE / "tree", PLACE / "kernels", PLACE / "records"

@@ -1,4 +1,4 @@
-"""Speed of the worstcase room beside named peers, measured in one run: `make bench`.
+"""Speed of the worstcase topic beside named peers, measured in one run: `make bench`.
 
 A time is CPU time, the lowest of many short repeats that take the contenders in turn: other work on the machine can
 only add to it.

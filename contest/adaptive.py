@@ -3,12 +3,12 @@
 import numpy as np
 
 from contest.fixed_gain import stationary
+from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise, TuningParameter
 from contest.parametric import predict_modes, propagate
-from contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import add_scaled, condition, copy_vector, measure, minus_row
 from stillwork.base.kernels import kernel
 
-MOST = 1e12  # factor on the process noise
+MAX_FACTOR = 1e12  # factor on the process noise
 MET = 0.9  # innovation over the reach of ellipsoid and bound together, at which they count as meeting
 
 
@@ -34,16 +34,16 @@ def _advance_adaptive(data, memory, inputs, measurements, estimates):
                     x[i] += cross[i] * innovation / variance
                 condition(p, cross, variance)
             # The innovations should have the variance that the filter expects; the noise follows until they do.
-            factor[0] = min(max(factor[0] * np.exp(rate * (min(surprise, 10.0) - 1)), 1.0), MOST)
+            factor[0] = min(max(factor[0] * np.exp(rate * (min(surprise, 10.0) - 1)), 1.0), MAX_FACTOR)
         copy_vector(x, estimates[k])
 
 
-def adaptive(model: ToldModel, noise: ToldNoise, sample_time: float, rate: float) -> MadeObserver:
+def adaptive(model: NominalModel, noise: NominalNoise, sample_time: float, rate: float) -> CompiledObserver:
     """Kalman filter whose process noise follows its innovations: by `rate` a sample for each excess variance."""
     added = model.b @ noise.process @ model.b.T
     data = (model.a, model.b, model.c, np.diag(noise.sensor).copy(), added, np.array([rate]))
     memory = (np.zeros(len(model.a)), stationary(model, noise)[1], np.ones(1))
-    return MadeObserver(_advance_adaptive, data, memory)
+    return CompiledObserver(_advance_adaptive, data, memory)
 
 
 @kernel
@@ -100,24 +100,24 @@ def _cut(x, p, cross, innovation, spread, bound):
 
 
 def set_membership(
-    model: ToldModel, noise: ToldNoise, sample_time: float, sensor: float, process: float
-) -> MadeObserver:
+    model: NominalModel, noise: NominalNoise, sample_time: float, sensor: float, process: float
+) -> CompiledObserver:
     """Ellipsoids that hold every state the bounds allow: so many deviations of the sensor, and of the force."""
     after = stationary(model, noise)[1]
     bounds, added = sensor * np.sqrt(np.diag(noise.sensor)), process**2 * model.b @ noise.process @ model.b.T
     data = (model.a, model.b, model.c, bounds, added, np.sqrt(np.diag(after)))
-    return MadeObserver(_advance_sets, data, (np.zeros(len(model.a)), sensor**2 * after))
+    return CompiledObserver(_advance_sets, data, (np.zeros(len(model.a)), sensor**2 * after))
 
 
 ADAPTIVE = {
-    "adaptive process noise": Rival(
-        adaptive, (Knob("rate a sample", 1e-4, 1.0, 0.01),), "Mehra 1972, covariance matching"
+    "adaptive process noise": Baseline(
+        adaptive, (TuningParameter("rate a sample", 1e-4, 1.0, 0.01),), "Mehra 1972, covariance matching"
     ),
-    "set membership": Rival(
+    "set membership": Baseline(
         set_membership,
         (
-            Knob("bound of the sensor over its deviation", 1.0, 10.0, 3.0),
-            Knob("bound of w over its own", 1.0, 1e4, 10.0),
+            TuningParameter("bound of the sensor over its deviation", 1.0, 10.0, 3.0),
+            TuningParameter("bound of w over its own", 1.0, 1e4, 10.0),
         ),
         "Fogel and Huang 1982; Schweppe 1968",
     ),

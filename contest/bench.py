@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from contest.doubts import Truth
 from contest.plants import ContestPlant
+from contest.uncertainties import Truth
 from stillwork.base.algebra import add_product, add_scaled, copy_vector, minus_row, plus_row
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.control.pid import PidFamily
@@ -19,8 +19,11 @@ from stillwork.lti.discretisation import zoh
 
 SAMPLES = 1200  # of a record
 JUDGED = slice(480, None)  # the machine scans with constant velocity
-CAUTIOUS, BOLD = 1 / 16, 1 / 2.5  # bandwidth over the first flexible frequency: without and with an observer
-RUN_AWAY = 0.1  # error over the stroke, at which a loop is switched off
+BANDWIDTH_RATIO_LOW, BANDWIDTH_RATIO_HIGH = (
+    1 / 16,
+    1 / 2.5,
+)  # bandwidth over the first flexible frequency: without and with an observer
+DIVERGENCE_LIMIT = 0.1  # error over the stroke, at which a loop is switched off
 ADDED = 0.05  # damping ratio that active damping is to add to every flexible mode
 
 
@@ -162,7 +165,7 @@ def loop_scan(machine: Bench) -> Scan:
     t, memory = machine.truth, machine.memory()
     system, measured = machine.system, np.zeros(t.sensor.shape[1])
     states = np.full((len(t.sensor), t.a.shape[1]), np.inf)
-    limit = RUN_AWAY * np.abs(machine.setpoint[:, 0]).max()
+    limit = DIVERGENCE_LIMIT * np.abs(machine.setpoint[:, 0]).max()
     for k in range(len(states)):
         _observe(k, system, t.delay, memory, measured)
         if not np.abs(machine.directions[0][0] @ memory[2] - machine.setpoint[k, 0]) < limit:

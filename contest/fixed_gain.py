@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
-from contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise, TuningParameter
 from experiments.motion.uncertainty import norm_bound, sampled_derivatives
 from stillwork.base.algebra import add_product, copy_vector, plus_row, set_product
 from stillwork.base.kernels import kernel
@@ -30,50 +30,52 @@ def _advance_fixed(data, memory, inputs, measurements, estimates):
         copy_vector(x, estimates[k])
 
 
-def fixed(forward, onward, gain, c) -> MadeObserver:
+def fixed(forward, onward, gain, c) -> CompiledObserver:
     """Observer x = F x + B u + K (y - C (F x + B u)); a sample without a measurement is predicted."""
     arrays = tuple(map(np.ascontiguousarray, (forward, onward, gain, c)))
-    return MadeObserver(_advance_fixed, arrays, (np.zeros(len(forward)),))
+    return CompiledObserver(_advance_fixed, arrays, (np.zeros(len(forward)),))
 
 
-def last(gains: FilterGains) -> MadeObserver:
+def last(gains: FilterGains) -> CompiledObserver:
     """The gain that a recursion has come to."""
     return fixed(gains.forward[-1], gains.inputs[-1], gains.gain[-1], gains.outputs[-1])
 
 
-def stationary(model: ToldModel, noise: ToldNoise) -> tuple[np.ndarray, np.ndarray]:
+def stationary(model: NominalModel, noise: NominalNoise) -> tuple[np.ndarray, np.ndarray]:
     """Kalman gain of the measurement, and the covariance after it."""
     solved = discrete_gain(model.a, model.b, model.c, noise.process, noise.sensor)
     after = solved.covariance - solved.filter_gain @ model.c @ solved.covariance
     return solved.filter_gain, (after + after.T) / 2
 
 
-def recursion(model: ToldModel, noise: ToldNoise) -> TimeVaryingModel:
+def recursion(model: NominalModel, noise: NominalNoise) -> TimeVaryingModel:
     """The model over the horizon of a design, begun where the Kalman filter ends."""
     c = np.tile(model.c, (HORIZON, 1, 1))
     start = stationary(model, noise)[1]
     return TimeVaryingModel(model.a, model.b, model.b, c, noise.process, noise.sensor, start)
 
 
-def zero(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
+def zero(model: NominalModel, noise: NominalNoise, sample_time: float) -> CompiledObserver:
     """The estimate zero: it scores 1 by definition."""
     a, b, gain = (np.zeros_like(each) for each in (model.a, model.b, model.c.T))
     return fixed(a, b, gain, model.c)
 
 
-def open_model(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
+def open_model(model: NominalModel, noise: NominalNoise, sample_time: float) -> CompiledObserver:
     """The model for the flexible states, driven by the force alone; the rigid body has the Kalman gain."""
     gain = stationary(model, noise)[0]
     gain[2 * model.rigid_modes :] = 0
     return fixed(model.a, model.b, gain, model.c)
 
 
-def kalman(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
+def kalman(model: NominalModel, noise: NominalNoise, sample_time: float) -> CompiledObserver:
     """The stationary Kalman filter for the noises as told (the thesis's choice)."""
     return fixed(model.a, model.b, stationary(model, noise)[0], model.c)
 
 
-def fictitious(model: ToldModel, noise: ToldNoise, sample_time: float, force: float) -> MadeObserver:
+def fictitious(
+    model: NominalModel, noise: NominalNoise, sample_time: float, force: float
+) -> CompiledObserver:
     """Kalman filter with an independent force on every flexible mode besides, `force` times the deviation of w."""
     flexible = range(model.rigid_modes, len(model.frequencies))
     own = np.zeros((len(model.a), len(flexible)))
@@ -86,7 +88,7 @@ def fictitious(model: ToldModel, noise: ToldNoise, sample_time: float, force: fl
     return fixed(model.a, model.b, solved.filter_gain, model.c)
 
 
-def derivatives(model: ToldModel, long: TimeVaryingModel, sample_time: float, frequency: float = 1.0):
+def derivatives(model: NominalModel, long: TimeVaryingModel, sample_time: float, frequency: float = 1.0):
     """Derivatives of a recursion's model by the flexible modes' frequency, which counts so much, damping, input and output shape."""
     shapes = np.tile(model.output_shapes, (long.samples, 1, 1))
     by = sampled_derivatives(model.machine, sample_time).along(long, shapes)
@@ -95,8 +97,8 @@ def derivatives(model: ToldModel, long: TimeVaryingModel, sample_time: float, fr
 
 
 def sensitivity(
-    model: ToldModel, noise: ToldNoise, sample_time: float, weight: float, frequency: float = 1.0
-) -> MadeObserver:
+    model: NominalModel, noise: NominalNoise, sample_time: float, weight: float, frequency: float = 1.0
+) -> CompiledObserver:
     """Sensitivity penalisation (5.25) with gamma = `weight` times the variance of the sensor.
 
     The derivative by the frequency counts `frequency` times the others.
@@ -106,28 +108,30 @@ def sensitivity(
     return last(sensitivity_gains(long, derivatives(model, long, sample_time, frequency), gamma))
 
 
-def regularised(model: ToldModel, noise: ToldNoise, sample_time: float, size: float) -> MadeObserver:
+def regularised(
+    model: NominalModel, noise: NominalNoise, sample_time: float, size: float
+) -> CompiledObserver:
     """Regularised least squares (5.21), told of errors up to `size`; lambda by the rule of thumb."""
     long = recursion(model, noise)
     return last(regularised_gains(long, norm_bound(long, derivatives(model, long, sample_time), size)))
 
 
-def hinfinity(model: ToldModel, noise: ToldNoise, sample_time: float, ratio: float) -> MadeObserver:
+def hinfinity(model: NominalModel, noise: NominalNoise, sample_time: float, ratio: float) -> CompiledObserver:
     """H-infinity filter for the flexible states, in deviations of the Kalman filter, at `ratio` times the least level."""
     long = recursion(model, noise)
     wanted = np.diag(1 / np.sqrt(np.diag(long.initial_covariance)))[2 * model.rigid_modes :]
     return last(hinfinity_gains(long, wanted, ratio * smallest_level(long, wanted)))
 
 
-def mixed(model: ToldModel, noise: ToldNoise, sample_time: float, share: float) -> MadeObserver:
+def mixed(model: NominalModel, noise: NominalNoise, sample_time: float, share: float) -> CompiledObserver:
     """The gain `share` of the way from the Kalman filter's to the H-infinity filter's near its smallest level."""
     one, other = stationary(model, noise)[0], hinfinity(model, noise, sample_time, 1.05).data[2]
     return fixed(model.a, model.b, (1 - share) * one + share * other, model.c)
 
 
 def guaranteed_cost(
-    model: ToldModel, noise: ToldNoise, sample_time: float, size: float, multiplier: float
-) -> MadeObserver:
+    model: NominalModel, noise: NominalNoise, sample_time: float, size: float, multiplier: float
+) -> CompiledObserver:
     r"""Set-valued filter of a machine whose error is fed back, with a sum of squares bounded by that of its input.
 
     x+ = A x + B (u + w) + D d, with d at most as large as z = K x + G u: derivatives times `size`, in the states'
@@ -174,8 +178,8 @@ def _advance_window(data, memory, inputs, measurements, estimates):
 
 
 def moving_horizon(
-    model: ToldModel, noise: ToldNoise, sample_time: float, samples: float, factor: float
-) -> MadeObserver:
+    model: NominalModel, noise: NominalNoise, sample_time: float, samples: float, factor: float
+) -> CompiledObserver:
     """Least squares over the last `samples` alone, Q times `factor`; what came before counts nothing (no arrival cost).
 
     A lost sample is taken as predicted; before the first all rested.
@@ -204,41 +208,53 @@ def moving_horizon(
     of_measured, of_forces = map(np.ascontiguousarray, by_sample)
     of_measured = of_measured @ np.linalg.inv(root)
     memory = (np.zeros(n), np.zeros((horizon, outputs)), np.zeros((horizon, inputs)), np.zeros(1, np.int64))
-    return MadeObserver(_advance_window, (model.a, model.b, model.c, of_measured, of_forces), memory)
+    return CompiledObserver(_advance_window, (model.a, model.b, model.c, of_measured, of_forces), memory)
 
 
 FIXED = {
-    "zero": Rival(zero, (), "the estimate zero"),
-    "open model": Rival(open_model, (), "the model without its measurements"),
-    "Kalman": Rival(kalman, (), "Kalman 1960; the thesis, section 5.1"),
-    "fictitious noise": Rival(
-        fictitious, (Knob("force on a mode over w", 1e-1, 1e4, 10.0),), "Jazwinski 1970, section 8.11"
+    "zero": Baseline(zero, (), "the estimate zero"),
+    "open model": Baseline(open_model, (), "the model without its measurements"),
+    "Kalman": Baseline(kalman, (), "Kalman 1960; the thesis, section 5.1"),
+    "fictitious noise": Baseline(
+        fictitious,
+        (TuningParameter("force on a mode over w", 1e-1, 1e4, 10.0),),
+        "Jazwinski 1970, section 8.11",
     ),
-    "regularised least squares": Rival(
-        regularised, (Knob("largest error told", 1e-7, 1.0, 0.05),), "Sayed 2001; the thesis, (5.21)"
+    "regularised least squares": Baseline(
+        regularised,
+        (TuningParameter("largest error told", 1e-7, 1.0, 0.05),),
+        "Sayed 2001; the thesis, (5.21)",
     ),
-    "sensitivity penalised": Rival(
-        sensitivity, (Knob("gamma over R", 1e-6, 1e8, 1.0),), "Zhou 2010; the thesis, (5.25)"
+    "sensitivity penalised": Baseline(
+        sensitivity, (TuningParameter("gamma over R", 1e-6, 1e8, 1.0),), "Zhou 2010; the thesis, (5.25)"
     ),
-    "sensitivity penalised, unlike errors": Rival(
+    "sensitivity penalised, unlike errors": Baseline(
         sensitivity,
-        (Knob("gamma over R", 1e-6, 1e8, 1.0), Knob("weight of frequencies", 0.1, 100.0, 1.0)),
+        (
+            TuningParameter("gamma over R", 1e-6, 1e8, 1.0),
+            TuningParameter("weight of frequencies", 0.1, 100.0, 1.0),
+        ),
         "Zhou 2010, with a weight of its own on the frequencies",
     ),
-    "H-infinity": Rival(
-        hinfinity, (Knob("level over the smallest", 1.01, 1e3, 1.2),), "Hassibi, Sayed and Kailath 1999"
+    "H-infinity": Baseline(
+        hinfinity,
+        (TuningParameter("level over the smallest", 1.01, 1e3, 1.2),),
+        "Hassibi, Sayed and Kailath 1999",
     ),
-    "mixed H2 and H-infinity": Rival(
-        mixed, (Knob("share of H-infinity", 0.01, 1.0, 0.5),), "Simon 2006, section 12.2"
+    "mixed H2 and H-infinity": Baseline(
+        mixed, (TuningParameter("share of H-infinity", 0.01, 1.0, 0.5),), "Simon 2006, section 12.2"
     ),
-    "guaranteed cost": Rival(
+    "guaranteed cost": Baseline(
         guaranteed_cost,
-        (Knob("largest error told", 1e-5, 0.1, 1e-3), Knob("multiplier", 1e-4, 1e2, 1.0)),
+        (
+            TuningParameter("largest error told", 1e-5, 0.1, 1e-3),
+            TuningParameter("multiplier", 1e-4, 1e2, 1.0),
+        ),
         "Savkin and Petersen 1998",
     ),
-    "moving horizon": Rival(
+    "moving horizon": Baseline(
         moving_horizon,
-        (Knob("samples", 20.0, 200.0, 60.0), Knob("factor on Q", 1.0, 1e5, 50.0)),
+        (TuningParameter("samples", 20.0, 200.0, 60.0), TuningParameter("factor on Q", 1.0, 1e5, 50.0)),
         "Kwon and Han 2005, without arrival cost",
     ),
 }

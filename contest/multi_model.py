@@ -6,6 +6,7 @@ the fine bank takes the gains as told, so that its filters stand still from the 
 
 import numpy as np
 
+from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise, TuningParameter
 from contest.parametric import (
     KNOBS,
     WIDEST,
@@ -16,7 +17,6 @@ from contest.parametric import (
     predict_modes,
     sampled_mode,
 )
-from contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import add_product, copy_vector, minus_row, plus_column, plus_row
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.riccati import discrete_gain
@@ -86,7 +86,7 @@ def _advance_bank(data, memory, inputs, measurements, estimates):
         _weigh(scores, weights, z, estimates[k])
 
 
-def _grid(model: ToldModel, spread: float, points: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def _grid(model: NominalModel, spread: float, points: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Two modes, or the only one, and the relative errors of their frequencies in each model."""
     bent = dominant(model, 2)
     axes = [spread * np.linspace(-1, 1, count) for count in points[: len(bent)]]
@@ -94,15 +94,20 @@ def _grid(model: ToldModel, spread: float, points: tuple[int, int]) -> tuple[np.
 
 
 def bank(
-    model: ToldModel, noise: ToldNoise, sample_time: float, spread: float, switching: float, factor: float
-) -> MadeObserver:
+    model: NominalModel,
+    noise: NominalNoise,
+    sample_time: float,
+    spread: float,
+    switching: float,
+    factor: float,
+) -> CompiledObserver:
     """Interacting multiple models: frequencies off by up to `spread`, gains by as much in deviation, Q times `factor`."""
     data, (z, p) = parts(model, noise, sample_time, spread, 0.0, factor, frequencies=False)
     bent, grid = _grid(model, spread, GRID)
     count, omegas = len(grid), np.tile(data[3], (len(grid), 1))
     omegas[:, np.searchsorted(data[2], bent)] *= 1 + grid
     memory = (np.tile(z, (count, 1)), np.tile(p, (count, 1, 1)), np.full(count, 1 / count))
-    return MadeObserver(_advance_bank, (*data, omegas, np.array([switching])), memory)
+    return CompiledObserver(_advance_bank, (*data, omegas, np.array([switching])), memory)
 
 
 @kernel
@@ -128,8 +133,13 @@ def _advance_fine(data, memory, inputs, measurements, estimates):
 
 
 def fine_bank(
-    model: ToldModel, noise: ToldNoise, sample_time: float, spread: float, switching: float, factor: float
-) -> MadeObserver:
+    model: NominalModel,
+    noise: NominalNoise,
+    sample_time: float,
+    spread: float,
+    switching: float,
+    factor: float,
+) -> CompiledObserver:
     """Stationary Kalman filters side by side, Q times `factor`; only their beliefs leak into each other."""
     bent, grid = _grid(model, spread, FINE)
     a, b = (np.tile(x, (len(grid), 1, 1)) for x in (model.a, model.b))
@@ -148,7 +158,7 @@ def fine_bank(
     logs = -np.log(np.einsum("moo->mo", whitening)).sum(axis=1)
     data = (a, b, model.c, np.array(gains), whitening, logs, np.array([switching]))
     memory = (np.zeros((len(grid), len(model.a))), np.full(len(grid), 1 / len(grid)))
-    return MadeObserver(_advance_fine, data, memory)
+    return CompiledObserver(_advance_fine, data, memory)
 
 
 @inlined_kernel
@@ -205,8 +215,8 @@ def _advance_particles(data, memory, inputs, measurements, estimates):
 
 
 def particles(
-    model: ToldModel, noise: ToldNoise, sample_time: float, spread: float, walk: float, factor: float
-) -> MadeObserver:
+    model: NominalModel, noise: NominalNoise, sample_time: float, spread: float, walk: float, factor: float
+) -> CompiledObserver:
     """Rao-Blackwellised particles: three frequencies walk, each particle has the exact filter of states and gains."""
     data, (z, p) = parts(model, noise, sample_time, spread, 0.0, factor, frequencies=False)
     bent = spread * np.random.default_rng(0).standard_normal((PARTICLES, len(data[3])))
@@ -217,16 +227,16 @@ def particles(
         np.zeros(PARTICLES),
         np.array([88172645463325252], dtype=np.uint64),
     )
-    return MadeObserver(_advance_particles, (*data, np.array([walk])), memory)
+    return CompiledObserver(_advance_particles, (*data, np.array([walk])), memory)
 
 
 GRID_KNOBS = (
-    Knob("spread of frequencies", 0.005, 0.2, 0.05),
-    Knob("probability of a switch a sample", 1e-6, 1e-2, 1e-3),
-    Knob("factor on Q", 1.0, 1e5, 50.0),
+    TuningParameter("spread of frequencies", 0.005, 0.2, 0.05),
+    TuningParameter("probability of a switch a sample", 1e-6, 1e-2, 1e-3),
+    TuningParameter("factor on Q", 1.0, 1e5, 50.0),
 )
 MULTI_MODEL = {
-    "interacting models": Rival(bank, GRID_KNOBS, "Blom and Bar-Shalom 1988", heavy=True),
-    "bank of 55 models": Rival(fine_bank, GRID_KNOBS, "Magill 1965; Maybeck 1982", heavy=True),
-    "particles": Rival(particles, KNOBS, "Doucet, de Freitas, Murphy and Russell 2000", heavy=True),
+    "interacting models": Baseline(bank, GRID_KNOBS, "Blom and Bar-Shalom 1988", heavy=True),
+    "bank of 55 models": Baseline(fine_bank, GRID_KNOBS, "Magill 1965; Maybeck 1982", heavy=True),
+    "particles": Baseline(particles, KNOBS, "Doucet, de Freitas, Murphy and Russell 2000", heavy=True),
 }

@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 
 from contest import bench
-from contest.doubts import Doubt, hidden_seed, sample_truth
+from contest.nominal import OwnObserver, nominal_of
 from contest.plants import ContestPlant, sample_plant
 from contest.scores import ENTRANTS
-from contest.told import OwnObserver, told_of
 from contest.tuning import TRAINING, capped_mean, positions
+from contest.uncertainties import Uncertainty, hidden_seed, sample_truth
 from stillwork.base.checks import InputError
 from workbook import paths
 from workbook.studies import mean_interval
@@ -41,13 +41,13 @@ def flexible_errors(
     observers: Mapping[str, OwnObserver],
 ) -> dict[str, np.ndarray]:
     """Error of the flexible states of each observer, a seed each, all on the same scans."""
-    doubt = Doubt(size, size, size, size, noise=noise)
-    told = (*told_of(plant, noise), plant.sample_time)
+    doubt = Uncertainty(size, size, size, size, noise=noise)
+    told = (*nominal_of(plant, noise), plant.sample_time)
     errors = {name: np.empty(seeds) for name in observers}
     for seed in range(seeds):
         rng = np.random.default_rng(hidden_seed(public, "map", size, noise, seed))
         truth = sample_truth(plant, doubt, bench.SAMPLES, rng)
-        record = bench.record(bench.assemble(plant, truth, bench.CAUTIOUS, estimated=False))
+        record = bench.record(bench.assemble(plant, truth, bench.BANDWIDTH_RATIO_LOW, estimated=False))
         for name, observer in observers.items():
             observer.start(*told)
             estimates = observer.run(record.inputs, record.measurements)
@@ -129,7 +129,7 @@ def main() -> None:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(("size", "noise", "seed", *MAPPED))
         for noise in NOISES:
-            told = (*told_of(plant, noise), plant.sample_time)
+            told = (*nominal_of(plant, noise), plant.sample_time)
             candidates: dict[str, list[OwnObserver]] = {name: [] for name in MAPPED}
             for name in MAPPED:
                 for settings in positions(name):

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from contest.fixed_gain import stationary
-from contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise, TuningParameter
 from stillwork.base.algebra import cholesky_root, minus_row, plus_row
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 
 
-def dominant(model: ToldModel, most: int) -> np.ndarray:
+def dominant(model: NominalModel, most: int) -> np.ndarray:
     """The flexible modes with the largest share in the static deflection, at most so many, in order of frequency."""
     rigid = model.rigid_modes
     seen, pushed = np.abs(model.output_shapes[:, rigid:]), np.abs(model.input_shapes[rigid:])
@@ -240,7 +240,7 @@ def parts(model, noise, sample_time, deviation, walk, factor, considered=False, 
     places[1:, 0] = n + np.arange(count - 1) if frequencies else -1
     places[: min(count, 3), 1] = max(n - 1, places.max()) + 1 + np.arange(min(count, 3))
     size = places.max() + 1
-    fair = ToldNoise(factor * noise.process, noise.sensor)
+    fair = NominalNoise(factor * noise.process, noise.sensor)
     added = block_diag(model.b @ fair.process @ model.b.T, walk**2 * np.eye(size - n))
     covariance = block_diag(stationary(model, fair)[1], deviation**2 * np.eye(size - n))
     data = (
@@ -259,26 +259,30 @@ def parts(model, noise, sample_time, deviation, walk, factor, considered=False, 
     return data, (np.zeros(size), covariance)
 
 
-def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float) -> MadeObserver:
+def considering(
+    model: NominalModel, noise: NominalNoise, sample_time: float, deviation: float
+) -> CompiledObserver:
     """Schmidt-Kalman filter: the parameters are never estimated, but the states know how uncertain they are."""
     made = parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
-    return MadeObserver(_advance_extended, *made)
+    return CompiledObserver(_advance_extended, *made)
 
 
-def of_parameters(advance: Callable) -> Callable[..., MadeObserver]:
+def of_parameters(advance: Callable) -> Callable[..., CompiledObserver]:
     """Design of a Kalman filter of states and parameters, extended or unscented as it advances."""
-    return lambda *told_and_knobs: MadeObserver(advance, *parts(*told_and_knobs))
+    return lambda *told_and_knobs: CompiledObserver(advance, *parts(*told_and_knobs))
 
 
 KNOBS = (
-    Knob("deviation of parameters", 0.002, 0.1, 0.03),
-    Knob("walk of parameters a sample", 1e-7, 1e-3, 1e-5),
-    Knob("factor on Q", 1.0, 1e5, 50.0),
+    TuningParameter("deviation of parameters", 0.002, 0.1, 0.03),
+    TuningParameter("walk of parameters a sample", 1e-7, 1e-3, 1e-5),
+    TuningParameter("factor on Q", 1.0, 1e5, 50.0),
 )
 PARAMETRIC = {
-    "Schmidt-Kalman": Rival(considering, (Knob("deviation of parameters", 1e-4, 0.3, 0.03),), "Schmidt 1966"),
-    "extended Kalman": Rival(of_parameters(_advance_extended), KNOBS, "Jazwinski 1970, section 8.3"),
-    "unscented Kalman": Rival(
+    "Schmidt-Kalman": Baseline(
+        considering, (TuningParameter("deviation of parameters", 1e-4, 0.3, 0.03),), "Schmidt 1966"
+    ),
+    "extended Kalman": Baseline(of_parameters(_advance_extended), KNOBS, "Jazwinski 1970, section 8.3"),
+    "unscented Kalman": Baseline(
         of_parameters(_advance_unscented), KNOBS, "Julier and Uhlmann 2004", heavy=True
     ),
 }

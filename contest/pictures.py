@@ -17,9 +17,9 @@ from contest.noise_map import (
     flexible_errors,
     leads,
 )
+from contest.nominal import OwnObserver
 from contest.plants import sample_plant
 from contest.scores import ENTRANTS
-from contest.told import OwnObserver
 from contest.tuning import settings_for
 from workbook import figures
 

@@ -9,15 +9,15 @@ import numpy as np
 
 from contest import bench
 from contest.adaptive import ADAPTIVE
-from contest.doubts import DOUBTS, hidden_seed, sample_truth
 from contest.fixed_gain import FIXED
 from contest.multi_model import MULTI_MODEL
+from contest.nominal import Baseline, OwnObserver, nominal_of
 from contest.parametric import PARAMETRIC
 from contest.plants import ContestPlant, sample_plant
-from contest.referee import Disqualified, ForeignObserver
-from contest.told import OwnObserver, Rival, told_of
+from contest.runner import Disqualified, ExternalObserver
+from contest.uncertainties import UNCERTAINTIES, hidden_seed, sample_truth
 
-ENTRANTS: Mapping[str, Rival] = {**FIXED, **PARAMETRIC, **ADAPTIVE, **MULTI_MODEL}
+ENTRANTS: Mapping[str, Baseline] = {**FIXED, **PARAMETRIC, **ADAPTIVE, **MULTI_MODEL}
 
 
 SCORES = ("rigid", "flexible", "tracking", "peak")
@@ -44,7 +44,7 @@ def contest_trial(
     public: str,
     settings: Mapping[str, Sequence[float]],
     files: Mapping[str, str],
-    doubts: Sequence[str] = tuple(DOUBTS),
+    doubts: Sequence[str] = tuple(UNCERTAINTIES),
     loops: bool = True,
 ) -> tuple[list[Scored], dict[str, str]]:
     """Scores of all observers on one plant at one hidden seed, and who was shown to the door, with the reason.
@@ -77,10 +77,10 @@ class _Prepared(NamedTuple):
 
 
 def _prepare(machine: ContestPlant, doubt: str, stream: int) -> _Prepared:
-    truth = sample_truth(machine, DOUBTS[doubt], bench.SAMPLES, np.random.default_rng(stream))
-    cautious = bench.assemble(machine, truth, bench.CAUTIOUS, estimated=False)
-    bold = bench.assemble(machine, truth, bench.BOLD, estimated=True)
-    told = (*told_of(machine, DOUBTS[doubt].noise), machine.sample_time)
+    truth = sample_truth(machine, UNCERTAINTIES[doubt], bench.SAMPLES, np.random.default_rng(stream))
+    cautious = bench.assemble(machine, truth, bench.BANDWIDTH_RATIO_LOW, estimated=False)
+    bold = bench.assemble(machine, truth, bench.BANDWIDTH_RATIO_HIGH, estimated=True)
+    told = (*nominal_of(machine, UNCERTAINTIES[doubt].noise), machine.sample_time)
     return _Prepared(doubt, cautious, bold, bench.record(cautious), told)
 
 
@@ -113,7 +113,7 @@ def _foreign_scans(file: str, prepared: Sequence[_Prepared], loops: bool) -> lis
     states = len(prepared[0].told[0].a)
     scans = [bench.open_scan(each.record, states) for each in prepared]
     scans += [bench.loop_scan(each.bold) for each in prepared if loops]
-    with ForeignObserver(file) as observer:
+    with ExternalObserver(file) as observer:
         observer.start([each.told for each in prepared] * (2 if loops else 1))
         began = time.perf_counter()
         results = bench.run_scans(scans, observer.step)

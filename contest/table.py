@@ -14,10 +14,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from contest.doubts import DOUBTS
 from contest.plants import PLANTS
 from contest.scores import ENTRANTS, SCORES, Scored, contest_trial
 from contest.tuning import capped_mean, settings_for
+from contest.uncertainties import UNCERTAINTIES
 from stillwork.base.checks import InputError, require_choice, require_count
 from workbook import paths
 from workbook.workers import client_of, cores, processes
@@ -36,7 +36,7 @@ def run_contest(
     *,
     only: Sequence[str] = (),
     plants: Sequence[str] = tuple(PLANTS),
-    doubts: Sequence[str] = tuple(DOUBTS),
+    doubts: Sequence[str] = tuple(UNCERTAINTIES),
     loops: int | None = None,
     heavy: int | None = None,
     executor=None,

@@ -8,7 +8,7 @@ from workbook.site.reference import face_names
 
 
 def modules(root: Path) -> dict[str, ast.Module]:
-    """The modules by dotted name, and each notebook's code as ``notebooks.<room>.<notebook>``."""
+    """The modules by dotted name, and each notebook's code as ``notebooks.<topic>.<notebook>``."""
     found = {}
     files = [(root / "lib", file) for file in sorted((root / "lib").rglob("*.py"))]
     files += [
@@ -27,7 +27,7 @@ def modules(root: Path) -> dict[str, ast.Module]:
 def imports(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
     """Each module with those of the same tree that it imports, at its top or within a function.
 
-    A name that a package hands out (`stillwork.base.faces`) counts as an import of the module that defines it.
+    A name that a package hands out (`stillwork.base.lazy_exports`) counts as an import of the module that defines it.
     """
     faces = {module: face_names(tree) for module, tree in trees.items()}
     found = {}

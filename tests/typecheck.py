@@ -34,7 +34,7 @@ def check(function):
 
 def begin_again():
     """Check every function's calls again, as a test does that begins."""
-    door = sys.modules.get("stillwork.base.front_door")
+    door = sys.modules.get("stillwork.base.validation")
     if _trusted and door:  # one that was first opened meanwhile found no annotations
         door.checks_of.cache_clear()
     for function in _trusted:

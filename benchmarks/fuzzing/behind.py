@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 from jaxtyping import AbstractArray
 
-from stillwork.base import front_door
+from stillwork.base import validation
 from stillwork.base.checks import InputError
 
 PLAIN = {
@@ -73,7 +73,7 @@ class Values:
     def call(self, function: Callable, owner: type | None) -> tuple[Callable, dict]:
         """The function, bound to a model where it is a method, and its arguments by name."""
         plain = inspect.unwrap(function)
-        hints, checks = typing.get_type_hints(plain), front_door.checks_of(plain)
+        hints, checks = typing.get_type_hints(plain), validation.checks_of(plain)
         good = {}
         for name, each in inspect.signature(plain).parameters.items():
             if name != "self" and each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY):
@@ -102,10 +102,10 @@ class Values:
         if inspect.isclass(hint) and issubclass(hint, AbstractArray):
             sizes = [int(axis) if axis.isdigit() else 2 for axis in hint.dim_str.split()]
             return np.ones(sizes, hint.dtypes[0])
-        if hint in front_door.OPEN:
+        if hint in validation.OPEN:
             return np.ones(2)
         if origin in (types.UnionType, typing.Union):
-            return np.ones(2) if front_door.OPEN & set(parts) else self._first(parts)
+            return np.ones(2) if validation.OPEN & set(parts) else self._first(parts)
         if origin is Callable:
             return np.sin
         if origin in (dict, Mapping):
@@ -116,7 +116,7 @@ class Values:
             return [self.made(parts[0])] * 2
         if dataclasses.is_dataclass(hint) or hasattr(hint, "_fields"):
             hints = typing.get_type_hints(hint)
-            checks = front_door.checks_of(hint) if dataclasses.is_dataclass(hint) else {}
+            checks = validation.checks_of(hint) if dataclasses.is_dataclass(hint) else {}
             names = (
                 [each.name for each in dataclasses.fields(hint)]
                 if dataclasses.is_dataclass(hint)

@@ -52,12 +52,12 @@ def case(rng: np.random.Generator) -> tuple:
     }  # fmt: skip
     names = list(readers)
     name = names[rng.integers(len(names))]
-    room, files, read = readers[name]
+    topic, files, read = readers[name]
     file = files[rng.integers(len(files))]
-    content = _spoiled(rng, room, file)
+    content = _spoiled(rng, topic, file)
 
     def call():
-        place = _checkout(room, file)
+        place = _checkout(topic, file)
         place.write_bytes(content)
         original, paths.root = paths.root, lambda: Path.cwd()
         try:
@@ -68,23 +68,23 @@ def case(rng: np.random.Generator) -> tuple:
     return f"{name} of {file}", [content[:0]], False, call
 
 
-def _checkout(room: str, file: str) -> Path:
+def _checkout(topic: str, file: str) -> Path:
     """The place of a file in a workbook of its own, in the present folder, beside the files that it needs."""
-    folder = Path("figures", room, "01-found") if file.endswith(".json") else Path("data", room)
+    folder = Path("figures", topic, "01-found") if file.endswith(".json") else Path("data", topic)
     folder.mkdir(parents=True, exist_ok=True)
     if file.endswith(".json"):
-        Path("data", room).mkdir(parents=True, exist_ok=True)
-        Path("data", room, "published.toml").write_bytes(paths.data(room, "published.toml").read_bytes())
+        Path("data", topic).mkdir(parents=True, exist_ok=True)
+        Path("data", topic, "published.toml").write_bytes(paths.data(topic, "published.toml").read_bytes())
     return folder / file
 
 
-def _spoiled(rng, room: str, file: str) -> bytes:
+def _spoiled(rng, topic: str, file: str) -> bytes:
     if file.endswith(".json"):
-        names = list(load_entries(room))
+        names = list(load_entries(topic))
         tree = {name: {"ours": 1.0, "interval": [0.5, 1.5]} for name in rng.choice(names, 3, replace=False)}
         text = json.dumps(_changed(rng, tree), default=str)
     else:
-        source = paths.data(room, file).read_text(encoding="utf-8")
+        source = paths.data(topic, file).read_text(encoding="utf-8")
         tree = _changed(rng, tomllib.loads(source))
         try:
             text = tomlkit.dumps(tree)

@@ -1,1 +1,1 @@
-"""What the notebooks of this workbook need and nobody else: one package a room. It is not installed."""
+"""What the notebooks of this workbook need and nobody else: one package a topic. It is not installed."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import stillwork
-from stillwork.base.checks import InputError, counted, require_number
+from stillwork.base.checks import InputError, pluralise, require_number
 from stillwork.base.extras import require_package
 from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.c_code import controller_code, require_names
@@ -33,7 +33,7 @@ from stillwork.control.machine_designs import (
     reach_one,
     search_designs,
 )
-from stillwork.control.machine_loops import HELD, OF_ERROR, SHOWN, Reached, search_range
+from stillwork.control.machine_loops import HELD, OF_ERROR, SHOWN, AchievableBandwidth, search_range
 from stillwork.control.machine_tuning import DesignSettings
 from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box
@@ -258,7 +258,7 @@ def design_file(
             for note in (f"{each.source}: {each.mass:.4g} {each.mass_unit}", *each.notes)
         ),
         *made.lines(),
-        f"the written controller over {counted(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, proven))}",
+        f"the written controller over {pluralise(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, proven))}",
         f"taken: {best}, stopped by {reached.summary['stopped by']}",
         f"the promise holds for {'; '.join(map(' '.join, held))}",
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
@@ -271,7 +271,7 @@ def _move_limits(limits: Sequence[float]) -> MoveLimits | None:
         return None
     if len(limits) not in (3, 4):
         raise InputError(
-            f"limits holds {counted(len(limits), 'number')}; give velocity, acceleration, jerk and perhaps snap"
+            f"limits holds {pluralise(len(limits), 'number')}; give velocity, acceleration, jerk and perhaps snap"
         )
     return MoveLimits(*map(float, limits))
 
@@ -295,7 +295,7 @@ def retest_data(loop: Loop) -> dict:
     }
 
 
-def over_the_box(reached: Reached, spreads: Sequence[Uncertainty]) -> dict[str, float]:
+def over_the_box(reached: AchievableBandwidth, spreads: Sequence[Uncertainty]) -> dict[str, float]:
     """Largest magnitude of each loop function all over the boxes, by another search than the design's: more starts."""
     if all(spread.is_empty for spread in spreads):
         return {}
@@ -336,7 +336,7 @@ def improvements(
     machine: Machine,
     settings: DesignSettings,
     how: dict,
-    reached: Reached,
+    reached: AchievableBandwidth,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> list[list[str]]:
     """Changes of the machine that raise the bandwidth of the same settings on the model, and to what, the best first."""
@@ -376,7 +376,9 @@ def improvements(
     return [[words, f"{hertz:.1f}"] for hertz, words in sorted(gains, key=lambda each: -each[0])]
 
 
-def recheck(reached: Reached, controllers: list[DigitalController]) -> dict[str, dict[str, float]]:
+def recheck(
+    reached: AchievableBandwidth, controllers: list[DigitalController]
+) -> dict[str, dict[str, float]]:
     """Largest peaks in dB of the controllers' own numbers, by function and by loops: all that the search looked at."""
     looked = {"on the model (dB)": reached.model_loops}
     if reached.perturbed:
@@ -514,7 +516,7 @@ def paint_stabilisation(fit: ModalFit):
     return figure
 
 
-def paint_loops(reached: Reached, controllers: list[DigitalController]):
+def paint_loops(reached: AchievableBandwidth, controllers: list[DigitalController]):
     """Both sensitivities of every sensor with the controllers' own numbers, and what they may reach."""
     figure, axes = figures.new(1, 2, height=2.8, sharey=True)
     colours = (figures.RED, figures.BLUE, figures.GREEN, figures.ORANGE)

@@ -14,7 +14,7 @@ from stillwork.control.machine_designs import UNCERTAINTY, asked_uncertainty
 from stillwork.control.uncertainty import NAMES, uncertainty_of
 from stillwork.desk_page import offline_page
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import Machine, brought_forward, build_machine, whole_band
+from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine
 from stillwork.lti.modal import ModalModel
 
@@ -162,7 +162,7 @@ def entry(
         "band_hz": None,
     }
     if machine.measured is not None and fit is not None:
-        measured = brought_forward(machine, fit.delay).measured
+        measured = remove_delay(machine, fit.delay).measured
         ends = fit.omega[[0, -1]] / (2 * np.pi)
         band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
         widths = model.damping * model.frequencies / (2 * np.pi)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, counted, one_line, shown
+from stillwork.base.checks import InputError, one_line, pluralise, short_repr
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import DENSITIES_SAID, frequency_axis, spectra_of
 from stillwork.signals.records import (
@@ -35,7 +35,7 @@ def inspect_file(file: str) -> str:
     if not os.path.isfile(path):  # False as well, as for a folder, for a name that no system takes
         if os.path.isdir(path):
             raise InputError(f"{file}: this is a folder; name a file in it")
-        raise InputError(f"{shown(file)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
+        raise InputError(f"{short_repr(file)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
     kinds = {".toml": model_file, ".py": _plant}
     own = own_file(path)
     with np.errstate(all="ignore"):  # what is not finite, a line says
@@ -89,7 +89,7 @@ def _record(path: Path) -> Iterator[str]:
         yield f"not a record as it stands: {error}"
         return
     units = [stated_unit(name) for name in record.names]
-    yield f"a record of {counted(len(record.names), 'channel')}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
+    yield f"a record of {pluralise(len(record.names), 'channel')}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
     if "" in units:
         yield f"it does not say every unit; put one of these for UNIT: {UNITS_SAID}"
 
@@ -145,7 +145,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}, first resonances at {resonances} Hz"
         else:
             hertz = file.accelerance.omega / (2 * np.pi)
-            yield f"{kind} of a machine: {counted(len(hertz), 'line')} from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
+            yield f"{kind} of a machine: {pluralise(len(hertz), 'line')} from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
             response, force = stated_units(arrays)
             settings |= {"response_unit": response or "UNIT", "force_unit": force or "N"}
             if not response:
@@ -179,13 +179,13 @@ def _described(values: np.ndarray) -> str:
     shape = f" ({' x '.join(map(str, values.shape))})" if values.ndim > 1 else ""
     if values.dtype.kind == "c":
         sizes = np.abs(values[np.isfinite(values)])
-        return f"{counted(values.size, 'complex value')}{shape}" + (
+        return f"{pluralise(values.size, 'complex value')}{shape}" + (
             f" of magnitude {sizes.min():.4g} to {sizes.max():.4g}" if sizes.size else ""
         )
     good = values[np.isfinite(values)]
     missing = f", {values.size - good.size} missing or infinite" if good.size < values.size else ""
     if not good.size:
-        return f"{counted(values.size, 'value')}{shape}{missing}"
+        return f"{pluralise(values.size, 'value')}{shape}{missing}"
     if values.size == 1:
         return f"{values.item():.6g}"
     size = np.abs(good).max() or 1.0  # sums of the largest numbers and of their squares would overflow

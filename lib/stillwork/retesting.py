@@ -12,12 +12,12 @@ from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table
 from stillwork.control.bandwidth import SIX_DB, Loop, make_loop
 from stillwork.control.digital import DigitalController, in_units, load_controller, of_reference
-from stillwork.control.machine_loops import HELD, SHOWN, extra_turns, on_measurement
+from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference, on_measurement
 from stillwork.control.pid import Notch, Pid
 from stillwork.designing import ALLOWED_DB, own_functions
 from stillwork.html_page import page, picture, table
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import Machine, brought_forward, build_machine, whole_band
+from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine, load_ratio
 from stillwork.inspecting import inspect_file
 from stillwork.lti.modal import ModalModel
@@ -100,11 +100,11 @@ def retest_file(
         )
         loops, stable, turns = {"model": modelled}, modelled.is_stable(pid), None
         if machine.measured is not None:
-            machine = brought_forward(machine, machine.fit.delay)
+            machine = remove_delay(machine, machine.fit.delay)
             ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
             band = whole_band(machine.measured, loop_hz if any(loop_hz) else tuple(map(float, ends)))
             loops["measured"] = on_measurement(modelled, machine.measured, 1.0, band)
-            turns = extra_turns(loops["measured"], pid)
+            turns = encirclement_difference(loops["measured"], pid)
         changes = _changes(designed, machine, made, late)
     worst = {where: _worst(loop, written) for where, loop in loops.items()}
     largest = max(size for each in worst.values() for size, _ in each.values())

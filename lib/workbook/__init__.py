@@ -1,8 +1,8 @@
 """What makes notebooks a workbook: page, ledger, figures, explorers, studies, and the runner."""
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "explorer": ("Choice", "Slider", "explore"),

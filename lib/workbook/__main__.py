@@ -1,4 +1,4 @@
-"""Command line of the engine: ``python -m workbook figures|readings|claims|portable|accept|site|release|refresh|verify|init|new|doctor``."""
+"""Command line of the engine: ``python -m workbook figures|choices|claims|portable|accept|site|release|refresh|verify|init|new|doctor``."""
 
 import argparse
 import sys
@@ -20,9 +20,9 @@ def _minutes(text: str) -> float:
 
 
 IN_A_WORKBOOK = ("workbook.paths:root",)  # who has none misses no package
-SETTLED = (*IN_A_WORKBOOK, "workbook.lock:settle")  # an accept that was killed is finished first
-_TARGETS = option("targets", nargs="*", metavar="ROOM[/NOTEBOOK]", help="by default everything")
-_ROOM = option("room", nargs="?", metavar="ROOM")
+SETTLED = (*IN_A_WORKBOOK, "workbook.lock:recover")  # an accept that was killed is finished first
+_TARGETS = option("targets", nargs="*", metavar="TOPIC[/NOTEBOOK]", help="by default everything")
+_TOPIC = option("topic", nargs="?", metavar="TOPIC")
 _KERNELS = number("jobs", "N", "kernels at once (default: one a core)")
 PROCESSES = number("jobs", "N", "processes (default: one a core)")
 SCHEDULER = text("scheduler", "ADDRESS", "run on the workers of a Dask cluster")
@@ -48,22 +48,22 @@ COMMANDS = {
         ),
         before=IN_A_WORKBOOK,
     ),
-    "readings": Command(
+    "choices": Command(
         "try every choice that the works leave open",
-        "workbook.readings.command:compute_readings",
+        "workbook.choices.command:compute_choices",
         (
-            _ROOM,
+            _TOPIC,
             PROCESSES,
             SCHEDULER,
             number(
                 "budget",
                 "MINUTES",
-                "begin no reading after so long; run again to go on",
+                "begin no combination after so long; run again to go on",
                 _minutes,
                 dest="budget_min",
             ),
             flag("changed", "only studies with a value that moved, in a sample, and those never run"),
-            text("study", "NAME", "only this study of the room, all of it"),
+            text("study", "NAME", "only this study of the topic, all of it"),
         ),
         before=IN_A_WORKBOOK,
     ),
@@ -71,8 +71,8 @@ COMMANDS = {
         "print the ledger",
         "workbook.commands:claims",
         (
-            _ROOM,
-            text("entry", "ID", "one entry whole, with its readings"),
+            _TOPIC,
+            text("entry", "ID", "one entry whole, with its combinations"),
             flag("json", "as JSON"),
             flag("built", "with what the last build found, accepted or not"),
         ),
@@ -124,9 +124,9 @@ COMMANDS = {
         "begin a result: notebook, its module, ledger entry and test",
         "workbook.commands:new",
         (
-            option("room", metavar="ROOM"),
+            option("topic", metavar="TOPIC"),
             option("name", metavar="NAME", help="a number and words, e.g. 09-payload"),
-            flag("create", "in a room that is not there yet"),
+            flag("create", "in a topic that is not there yet"),
         ),
         before=IN_A_WORKBOOK,
     ),

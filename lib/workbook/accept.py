@@ -16,7 +16,7 @@ from workbook import paths
 from workbook.claims import Claim, claims_text, ledger
 from workbook.compare import Comparison, compare, found_claims, same_outputs
 from workbook.durations import FILE, durations, updated
-from workbook.lock import alone, interrupts, unwound
+from workbook.lock import exclusive_lock, interrupts, unwound
 from workbook.notebooks import cleaned, notebook_text, select
 from workbook.publish import RECORD, Edited, replace_all, replace_file, seconds_taken, trial
 from workbook.tasks import Task, tasks
@@ -40,7 +40,7 @@ def accept(refresh: Callable[[], object]) -> int:
         1 when the build is missing or stale, or the results cannot be written, or were edited meanwhile; 128 + signal
         when a signal came while they were put in their places.
     """
-    with unwound(), alone():
+    with unwound(), exclusive_lock():
         try:
             with committed_copy() as (copy, before):
                 built = _built(copy)
@@ -67,12 +67,12 @@ def accept(refresh: Callable[[], object]) -> int:
     for _, comparison in compared:
         for line in comparison.moved:
             print(f"moved: {line}")
-    _say(claims, built)
+    _print_summary(claims, built)
     print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries: {len(names)} files changed")
     return 128 + caught[0] if caught else 0
 
 
-def _say(claims: list[Claim], built: list[Task]) -> None:
+def _print_summary(claims: list[Claim], built: list[Task]) -> None:
     for claim in claims:
         if claim.ours is None:
             print(f"claimed by no notebook: {claim.entry.id}")

@@ -14,7 +14,7 @@ from workbook.durations import durations
 from workbook.execution import Failure, Job, Outcome, execute, sweep
 from workbook.inputs import ENVIRONMENT, changes, environment_inputs, still, with_ledger
 from workbook.jupyter_kernel import stop
-from workbook.lock import alone, interrupts, settle
+from workbook.lock import exclusive_lock, interrupts, recover
 from workbook.pinned import EMULATOR, environment
 from workbook.progress import Progress
 from workbook.provenance import commit, modified, provenance
@@ -40,7 +40,7 @@ def build_figures(
     Parameters
     ----------
     *targets : str
-        ``room`` or ``room/nn-result``; by default the whole workbook.
+        ``topic`` or ``topic/nn-result``; by default the whole workbook.
     settings : dict of str to str, optional
         Parameters as typed.
     jobs : int, optional
@@ -52,13 +52,13 @@ def build_figures(
     why : bool
         Only say what would be built, and why.
     """
-    settle()
+    recover()
     wanted = tasks(*targets, settings=settings)
     if why:
         for task in wanted:
             print(f"{task.label}: {'; '.join(task.reasons()) or 'up to date'}")
         return 0
-    with alone():
+    with exclusive_lock():
         for task in wanted:
             tidy(task.target)
         stale = [(task, reasons) for task in wanted if (reasons := task.reasons() or ["forced"] * force)]
@@ -67,7 +67,7 @@ def build_figures(
             place = os.path.relpath(built(), paths.root())
             print(f"nothing to do: {fresh} up to date" + f" in {place}/" * (not settings))
             if settings:
-                _tell(wanted)
+                _print_summary(wanted)
             return 0
         sweep()
         # An emulator stands before a kernel's own program: nothing is forked under it.
@@ -78,7 +78,7 @@ def build_figures(
     code = _close(failures, len(stale), fresh, caught)
     if not caught:
         good = [task for task in wanted if task not in [failed for failed, _ in failures]]
-        (_tell if settings else _compare)(good)
+        (_print_summary if settings else _compare)(good)
     return code
 
 
@@ -175,7 +175,7 @@ def _compare(wanted: list[Task]) -> None:
             print(line)
 
 
-def _tell(variants: list[Task]) -> None:
+def _print_summary(variants: list[Task]) -> None:
     """Say where variants are and how they differ from the published settings."""
     from workbook.variants import difference
 

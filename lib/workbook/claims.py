@@ -1,7 +1,7 @@
 """The ledger: every published number, the value replicated here, and the verdict on the pair.
 
-A room's published numbers stand in ``data/<room>/published.toml``, entered by hand; what a notebook found stands in
-``figures/<room>/<notebook>/claims.json``, written by a build. A verdict is computed from the two and never written
+A topic's published numbers stand in ``data/<topic>/published.toml``, entered by hand; what a notebook found stands in
+``figures/<topic>/<notebook>/claims.json``, written by a build. A verdict is computed from the two and never written
 down.
 """
 
@@ -20,7 +20,7 @@ from stillwork.base.checks import (
     require_choice,
     require_kind,
     require_number,
-    shown,
+    short_repr,
 )
 from workbook import paths
 
@@ -70,7 +70,7 @@ class Entry:
     Attributes
     ----------
     id : str
-        Dotted name, room first.
+        Dotted name, topic first.
     place : str
         Where it stands in the work.
     quantity, unit : str
@@ -122,7 +122,7 @@ class Entry:
         require_choice(f"{self.id}: basis", self.basis, BASES)
         for name in ("place", "quantity", "unit", "reason"):
             if not isinstance(getattr(self, name), str):
-                raise InputError(f"{self.id}: {name} is {shown(getattr(self, name))}; give text")
+                raise InputError(f"{self.id}: {name} is {short_repr(getattr(self, name))}; give text")
             if name in ("place", "quantity") and not getattr(self, name):
                 raise InputError(f"{self.id}: {name} is empty; fill it in")
         if self.published is not None:
@@ -188,7 +188,7 @@ class Entry:
         return not self.is_own and not self.counterfactual
 
     @property
-    def room(self) -> str:
+    def topic(self) -> str:
         return self.id.partition(".")[0]
 
 
@@ -290,15 +290,15 @@ class Claim:
         }
 
 
-def load_entries(room: str) -> dict[str, Entry]:
-    """Read the published numbers of a room, by id.
+def load_entries(topic: str) -> dict[str, Entry]:
+    """Read the published numbers of a topic, by id.
 
     Raises
     ------
     InputError
-        When there is no such room, or an entry is incomplete or holds an unknown field; the message names it.
+        When there is no such topic, or an entry is incomplete or holds an unknown field; the message names it.
     """
-    file = paths.data(paths.require_room(room), "published.toml")
+    file = paths.data(paths.require_topic(topic), "published.toml")
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -331,7 +331,7 @@ def _entry(name: str, fields: dict) -> Entry:
     for key, rule in rules.items():
         if not isinstance(rule, dict):
             raise InputError(
-                f"{name}: {key} is {shown(rule)}; give a table such as {{ relative = 0.01, source = '...' }}"
+                f"{name}: {key} is {short_repr(rule)}; give a table such as {{ relative = 0.01, source = '...' }}"
             )
     for given, allowed in (
         (fields, known),
@@ -405,10 +405,10 @@ def make_claim(
         When the ledger has no such entry (the nearest is named), the value is not finite, or a fraction of runs
         leaves 0 to 1.
     """
-    room = require_kind("claim", name, str).partition(".")[0]
-    entries = load_entries(room)
+    topic = require_kind("claim", name, str).partition(".")[0]
+    entries = load_entries(topic)
     if name not in entries:
-        raise InputError(f"the ledger has no entry {shown(name)}{nearest(name, entries)}")
+        raise InputError(f"the ledger has no entry {short_repr(name)}{nearest(name, entries)}")
     within = {"at_least": 0, "at_most": 1} if entries[name].is_fraction else {}
     value = require_number(name, ours, **within)
     if interval is not None:
@@ -425,7 +425,7 @@ def _rounded(value: float) -> float:
     return float(f"{value:.8g}")
 
 
-def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
+def ledger(figures: Path | None = None, topic: str | None = None) -> list[Claim]:
     """The whole ledger: every entry with what the built notebooks found.
 
     A value without the interval that its entry asks for is none: it was found before the entry asked.
@@ -434,8 +434,8 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
     ----------
     figures : Path, optional
         Folder of built figures; by default the workbook's own.
-    room : str, optional
-        Only this room.
+    topic : str, optional
+        Only this topic.
 
     Raises
     ------
@@ -445,10 +445,10 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
     figures = figures or paths.root() / "figures"
     claims = {
         name: Claim(entry)
-        for each in ([room] if room else paths.rooms())
+        for each in ([topic] if topic else paths.topics())
         for name, entry in load_entries(each).items()
     }
-    pattern = f"{room or '[!.]*'}/[!.]*/claims.json"  # a build's half-written folders are hidden
+    pattern = f"{topic or '[!.]*'}/[!.]*/claims.json"  # a build's half-written folders are hidden
     for file in sorted(figures.glob(pattern)):
         notebook = file.parent.relative_to(figures).as_posix()
         for name, (ours, interval) in recorded_claims(file).items():

@@ -22,32 +22,32 @@ def figures(targets: list[str], settings: list[str], **how) -> int:
     return build_figures(*targets, settings=chosen, **how)
 
 
-def claims(room: str | None, entry: str | None, json: bool, built: bool) -> str:
+def claims(topic: str | None, entry: str | None, json: bool, built: bool) -> str:
     """The ledger, or one entry of it, as text."""
     from workbook import report, tasks
     from workbook.claims import ledger
 
-    if room is not None:
-        paths.require_room(room)
-    found = ledger(tasks.built() if built else None, room)
+    if topic is not None:
+        paths.require_topic(topic)
+    found = ledger(tasks.built() if built else None, topic)
     if entry:
         found = [report.find(found, entry)]
     if json:
-        return dumps(_with_readings(found), indent=1, ensure_ascii=False)
+        return dumps(_with_choices(found), indent=1, ensure_ascii=False)
     if entry:
-        return report.entry_text(_with_readings(found)[0], report.screen())
+        return report.entry_text(_with_choices(found)[0], report.screen())
     return report.ledger_text(found, report.screen())
 
 
-def _with_readings(claims: list) -> list[dict]:
-    """The claims as plain values, each with how it stands over its readings (None where it has none)."""
-    from workbook.readings.command import standings_of
+def _with_choices(claims: list) -> list[dict]:
+    """The claims as plain values, each with how it stands over its combinations (None where it has none)."""
+    from workbook.choices.command import robustness_of
 
-    rooms = dict.fromkeys(claim.entry.room for claim in claims)
-    standings = {name: standing for room in rooms for name, standing in standings_of(room).items()}
+    topics = dict.fromkeys(claim.entry.topic for claim in claims)
+    standings = {name: standing for topic in topics for name, standing in robustness_of(topic).items()}
     return [
         claim.as_dict()
-        | {"readings": standings[claim.entry.id].as_dict() if claim.entry.id in standings else None}
+        | {"choices": standings[claim.entry.id].as_dict() if claim.entry.id in standings else None}
         for claim in claims
     ]
 
@@ -79,8 +79,8 @@ def refresh() -> str:
     return ", ".join(refresh()) or "all current"
 
 
-def new(room: str, name: str, create: bool) -> list[str]:
+def new(topic: str, name: str, create: bool) -> list[str]:
     """Write the files of a new result; returns their paths, and what comes next."""
     from workbook.site.scaffold import new_result
 
-    return [*new_result(room, name, create), f'fill them in, then: make figures ARGS="{room}/{name}"']
+    return [*new_result(topic, name, create), f'fill them in, then: make figures ARGS="{topic}/{name}"']

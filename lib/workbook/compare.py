@@ -57,7 +57,7 @@ class Comparison:
     Attributes
     ----------
     notebook : str
-        Room and name.
+        Topic and name.
     pictures : int
         How many pictures were compared.
     worst : float
@@ -366,7 +366,7 @@ def printed(output: dict) -> str:
 def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     """Entries whose claim is another; of these, where it had one before, values and verdicts, each before and now."""
     now, before = (found_claims(folder / "claims.json") for folder in (task.target, task.committed))
-    entries = _entries(task.notebook.room, (task.committed.parents[2] / "data").as_posix())
+    entries = _entries(task.notebook.topic, (task.committed.parents[2] / "data").as_posix())
     claims, moved, verdicts = [], [], []
     for name in sorted(set(now) | set(before)):
         if name not in now or name not in before or name not in entries:
@@ -402,8 +402,8 @@ def same_value(now: Claim, before: Claim) -> bool:
 
 
 @cache
-def _entries(room: str, _data: str) -> dict:
-    return load_entries(room)
+def _entries(topic: str, _data: str) -> dict:
+    return load_entries(topic)
 
 
 def found_claims(file: Path) -> dict:

@@ -23,7 +23,7 @@ from stillwork.base.checks import one_line
 from workbook import paths
 from workbook.inputs import read_inputs
 from workbook.jupyter_kernel import kernel_manager
-from workbook.warm import Warm
+from workbook.warm import ForkServer
 
 PREFIX, LOCK = "stillwork-", "lock"
 
@@ -37,7 +37,7 @@ class Job:
     build : str
         Which build asks; `stop` ends all its kernels.
     notebook, source : str
-        Name ``room/nn-result`` and the file's text.
+        Name ``topic/nn-result`` and the file's text.
     settings : dict
         Parameters that differ from the published settings.
     """
@@ -79,7 +79,9 @@ class Outcome:
         return set(json.loads(self.files.get("claims.json", b"{}")))
 
 
-def execute(job: Job, on_cell: Callable[[], object] = lambda: None, warm: Warm | None = None) -> Outcome:
+def execute(
+    job: Job, on_cell: Callable[[], object] = lambda: None, warm: ForkServer | None = None
+) -> Outcome:
     """Execute a notebook in a kernel of its own; a failure is an outcome, not an exception.
 
     Parameters
@@ -87,7 +89,7 @@ def execute(job: Job, on_cell: Callable[[], object] = lambda: None, warm: Warm |
     job : Job
     on_cell : callable
         Called when a code cell has run.
-    warm : Warm, optional
+    warm : ForkServer, optional
         The process to fork the kernel from; without, one is started.
     """
     begin = time.monotonic()
@@ -133,7 +135,7 @@ def _take_temporary() -> None:
         tempfile.tempdir = next(map(os.path.abspath, usable), None)
 
 
-def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: Warm | None) -> Outcome:
+def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: ForkServer | None) -> Outcome:
     import nbformat
     from nbclient.exceptions import DeadKernelError
     from papermill import execute_notebook

@@ -135,25 +135,25 @@ def present_again(before: dict[str, str]) -> dict[str, str]:
         if not name.startswith(KNOWN_BEFORE) and (now := still(name, before[name])) is not None:
             found[name] = now
     entries: dict[str, str] = {}
-    for room in {name.removeprefix(LEDGER).partition(".")[0] for name in before if name.startswith(LEDGER)}:
-        entries |= ledger_inputs(room)
+    for topic in {name.removeprefix(LEDGER).partition(".")[0] for name in before if name.startswith(LEDGER)}:
+        entries |= ledger_inputs(topic)
     return found | {name: entries[name] for name in before if name in entries}
 
 
 def with_ledger(reads: dict[str, str], claimed: set[str]) -> dict[str, str]:
     """`reads` with the ledger's entries in place of its files: those that the notebook claims.
 
-    All of a room's entries where a module that it imported takes published values from the ledger by itself.
+    All of a topic's entries where a module that it imported takes published values from the ledger by itself.
     """
-    rooms = {found[1] for name in reads if (found := re.fullmatch(r"data/(\w+)/published\.toml", name))}
+    topics = {found[1] for name in reads if (found := re.fullmatch(r"data/(\w+)/published\.toml", name))}
     kept = {
         name: value
         for name, value in reads.items()
-        if name not in {f"data/{r}/published.toml" for r in rooms}
+        if name not in {f"data/{r}/published.toml" for r in topics}
     }
     takes = any(_takes_published_values(name) for name in kept)
-    for room in rooms:
-        for name, value in ledger_inputs(room).items():
+    for topic in topics:
+        for name, value in ledger_inputs(topic).items():
             if takes or name.removeprefix(LEDGER) in claimed or "." not in name:
                 kept[name] = value
     return kept
@@ -182,20 +182,20 @@ def changes(before: dict[str, str], now: dict[str, str]) -> list[str]:
     return reasons
 
 
-def ledger_inputs(room: str) -> dict[str, str]:
-    """A digest of every entry of a room; of the whole file where it is malformed."""
+def ledger_inputs(topic: str) -> dict[str, str]:
+    """A digest of every entry of a topic; of the whole file where it is malformed."""
     try:
-        return dict(_entries(room, paths.data(room, "published.toml").read_bytes()))
+        return dict(_entries(topic, paths.data(topic, "published.toml").read_bytes()))
     except FileNotFoundError:
         return {}
 
 
-@lru_cache(maxsize=32)  # every notebook of a room asks; parsing takes 20 ms
-def _entries(room: str, text: bytes) -> dict[str, str]:
+@lru_cache(maxsize=32)  # every notebook of a topic asks; parsing takes 20 ms
+def _entries(topic: str, text: bytes) -> dict[str, str]:
     try:
         tree = tomllib.loads(text.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):  # the notebooks will say what is wrong with it
-        return {f"{LEDGER}{room}": digest(text)}
+        return {f"{LEDGER}{topic}": digest(text)}
     found = {}
 
     def walk(branch, path):

@@ -10,7 +10,7 @@ import stillwork
 from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
 from workbook import paths
 from workbook.pinned import EMULATOR, environment
-from workbook.warm import PROGRAM, Warm
+from workbook.warm import PROGRAM, ForkServer
 
 _lock = threading.Lock()
 _groups: dict[int, str] = {}  # process group of each running kernel, and its build
@@ -57,7 +57,7 @@ def kernel_environment(folder: Path, output: Path) -> dict[str, str]:
     }
 
 
-def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Warm | None = None):
+def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: ForkServer | None = None):
     """A class of managers for one kernel, as nbclient wants it: it knows no other way in for the settings.
 
     Parameters
@@ -68,7 +68,7 @@ def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Wa
         Where it works, and where it writes results.
     reads : Path
         Where it notes what it reads.
-    warm : Warm, optional
+    warm : ForkServer, optional
         The process to fork it from; without, one is started.
     """
     from jupyter_client.kernelspec import KernelSpec

@@ -49,7 +49,7 @@ LISTERS = ("glob", "os", "pathlib", "pathlib._abc", "pathlib._local", "posixpath
 SEARCHERS = ("importlib", "_frozen_importlib", "pkgutil", "matplotlib.font_manager")
 
 
-class Installed:
+class IgnoredPaths:
     """What is no notebook's input although it is read: `places` and `KINDS` name it, with the reason.
 
     All else counts, wherever it lies. Of what lies in the checkout only that is left out which has its place there:
@@ -142,7 +142,7 @@ def _normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name.strip()).lower()
 
 
-def watch(log: str, left_out: Installed) -> None:
+def watch(log: str, left_out: IgnoredPaths) -> None:
     """Append to `log`, from now on, a line of JSON for each file that is read and each folder that is listed.
 
     The pins of the environment speak for what is left out, and the notebook's code for what it made itself. A log
@@ -267,7 +267,7 @@ def _only_writes(mode: str | None, flags: int) -> bool:
     return "+" not in mode and bool({"a", "x"} & set(mode))
 
 
-def compile_sources(left_out: Installed) -> None:
+def compile_sources(left_out: IgnoredPaths) -> None:
     """Import the workbook's modules from their sources only.
 
     Python takes kept bytecode for a source's when both have one size and one second of change, so an edit right
@@ -288,7 +288,7 @@ def kernel(log: str, *options: str) -> None:
     """Serve a notebook until it says that it is done."""
     folder = os.path.dirname(log)
     try:
-        left_out = Installed(log)
+        left_out = IgnoredPaths(log)
         watch(log, left_out)
         compile_sources(left_out)
         tempfile.tempdir = folder  # what is left in it goes with the kernel

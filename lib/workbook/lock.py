@@ -12,7 +12,7 @@ from workbook.publish import finish, leftovers, unfinished
 
 
 @contextlib.contextmanager
-def alone() -> Iterator[None]:
+def exclusive_lock() -> Iterator[None]:
     """Hold the checkout's lock; two writers would swap the same files.
 
     What an accept had decided when it was killed is done first (`workbook.publish.finish`).
@@ -47,13 +47,13 @@ def held(name: str, refusal: str) -> Iterator[None]:
         yield
 
 
-def settle() -> None:
+def recover() -> None:
     """Do what an accept had decided when it was killed, so that nobody reads half of it."""
     if unfinished(paths.root()):
-        with alone():
+        with exclusive_lock():
             pass
     elif leftovers(paths.root()):
-        with contextlib.suppress(InputError), alone():  # or they are those of an accept at work
+        with contextlib.suppress(InputError), exclusive_lock():  # or they are those of an accept at work
             pass
 
 

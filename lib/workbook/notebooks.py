@@ -27,7 +27,7 @@ class Notebook:
     Attributes
     ----------
     name : str
-        ``room/nn-result``.
+        ``topic/nn-result``.
     source : str
         The file's text.
     cells : dict of str to str
@@ -42,7 +42,7 @@ class Notebook:
     parameters: dict[str, Parameter]
 
     @property
-    def room(self) -> str:
+    def topic(self) -> str:
         return self.name.partition("/")[0]
 
 
@@ -76,45 +76,45 @@ def read_notebook(name: str) -> Notebook:
 
 
 def notebook_file(name: str) -> Path:
-    """Path of the notebook ``room/nn-result``."""
+    """Path of the notebook ``topic/nn-result``."""
     return paths.root() / "notebooks" / f"{name}.ipynb"
 
 
 def select(*targets: str) -> list[Notebook]:
-    """Read the notebooks that `targets` mean: notebooks, rooms, or (without any) all of the workbook.
+    """Read the notebooks that `targets` mean: notebooks, topics, or (without any) all of the workbook.
 
     Raises
     ------
     InputError
-        When there is no such room or notebook; the nearest is named.
+        When there is no such topic or notebook; the nearest is named.
     """
     folder = paths.root() / "notebooks"
     names = [
-        f"{room}/{file.stem}"
-        for room in paths.rooms()
-        for file in sorted((folder / room).glob("[!.]*.ipynb"))
+        f"{topic}/{file.stem}"
+        for topic in paths.topics()
+        for file in sorted((folder / topic).glob("[!.]*.ipynb"))
     ]
     wanted = {
         target: target.removeprefix("notebooks/").removesuffix(".ipynb").rstrip("/") for target in targets
     }
     for target, name in wanted.items():
         if not any(name in (each, each.partition("/")[0]) for each in names):
-            raise InputError(f"there is no notebook or room {target!r}{_meant(name, names)}")
+            raise InputError(f"there is no notebook or topic {target!r}{_meant(name, names)}")
     chosen = {name for name in names if {name, name.partition("/")[0]} & set(wanted.values())}
     return [read_notebook(name) for name in names if name in chosen or not targets]
 
 
 def _meant(name: str, names: list[str]) -> str:
-    """Suggestion of notebooks or a room, as `nearest` writes it."""
+    """Suggestion of notebooks or a topic, as `nearest` writes it."""
     begun = [each for each in names if each.startswith(name)]  # a number without its words
     if len(begun) == 1:
         return f"; did you mean {begun[0]!r}?"
-    room, slash, number = name.partition("/")
-    inside = [each.partition("/")[2] for each in names if each.startswith(f"{room}/")]
+    topic, slash, number = name.partition("/")
+    inside = [each.partition("/")[2] for each in names if each.startswith(f"{topic}/")]
     if slash and inside:
         close = difflib.get_close_matches
         found = close(number, inside, 1, cutoff=0.5) or close(number, inside, NEAREST, cutoff=0)
-        return f"; did you mean {' or '.join(repr(f'{room}/{each}') for each in found)}?"
+        return f"; did you mean {' or '.join(repr(f'{topic}/{each}') for each in found)}?"
     return nearest(name, [*names, *{each.partition("/")[0] for each in names}])
 
 

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from stillwork.base.checks import InputError, require_choice, require_kind, shown
+from stillwork.base.checks import InputError, require_choice, require_kind, short_repr
 from workbook import paths
 from workbook.claims import ClaimsTable, make_claim
 from workbook.figures import SavedFigure, plotted, save
@@ -23,7 +23,7 @@ class Page:
     Attributes
     ----------
     notebook : str
-        Room and name of the notebook, without suffix.
+        Topic and name of the notebook, without suffix.
     claims : ClaimsTable
         What the notebook has claimed so far; show it at the end.
     """
@@ -33,9 +33,11 @@ class Page:
     _rounding: dict[str, dict[str, str]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
-        room, _, name = require_kind("notebook", self.notebook, str).partition("/")
-        if not paths.is_room(room) or not _NAME.fullmatch(name):
-            raise InputError(f"notebook is {shown(self.notebook)}; give 'room/name', e.g. 'room/02-result'")
+        topic, _, name = require_kind("notebook", self.notebook, str).partition("/")
+        if not paths.is_topic(topic) or not _NAME.fullmatch(name):
+            raise InputError(
+                f"notebook is {short_repr(self.notebook)}; give 'topic/name', e.g. 'topic/02-result'"
+            )
 
     def save(self, name: str, figure, rounding: Mapping[str, str] | None = None) -> SavedFigure:
         """Write ``<name>.png`` and the plotted numbers ``<name>.csv``; returns a picture for the notebook.
@@ -59,7 +61,9 @@ class Page:
         from matplotlib.figure import Figure
 
         if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise InputError(f"name is {shown(name)}; give at most 100 letters, digits, - or _, e.g. 'fig-5'")
+            raise InputError(
+                f"name is {short_repr(name)}; give at most 100 letters, digits, - or _, e.g. 'fig-5'"
+            )
         require_kind("figure", figure, Figure)
         if rounding:
             require_kind("rounding", rounding, Mapping)
@@ -82,7 +86,7 @@ class Page:
         return saved
 
     def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:
-        """Hold `ours` against the ledger's entry `claim` (with the room in front); returns the verdict.
+        """Hold `ours` against the ledger's entry `claim` (with the topic in front); returns the verdict.
 
         Parameters
         ----------

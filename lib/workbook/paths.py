@@ -1,4 +1,4 @@
-"""Where things stand: the workbook's root folder, its rooms, and where a notebook writes."""
+"""Where things stand: the workbook's root folder, its topics, and where a notebook writes."""
 
 import math
 import os
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-from stillwork.base.checks import InputError, nearest, require_number, shown
+from stillwork.base.checks import InputError, nearest, require_number, short_repr
 from stillwork.base.kernel_folder import ROOT_VARIABLE
 from stillwork.base.toml_files import read_toml
 
@@ -50,37 +50,39 @@ def rooted(folder: Path) -> Iterator[None]:
             os.environ[ROOT_VARIABLE] = before
 
 
-def rooms() -> tuple[str, ...]:
-    """The rooms, which are the folders of ``data/`` with a ledger, by the `order` in their ``paper.toml``, then by name.
+def topics() -> tuple[str, ...]:
+    """The topics, which are the folders of ``data/`` with a ledger, by the `order` in their ``paper.toml``, then by name.
 
-    It reads what belongs to every room. What a notebook calls asks `require_room`, which reads nothing: else a room
+    It reads what belongs to every topic. What a notebook calls asks `require_topic`, which reads nothing: else a topic
     that is added would make the results of the others stale.
     """
     there = [file.parent.name for file in (root() / "data").glob("*/published.toml")]
-    return tuple(sorted(filter(is_room, there), key=lambda room: (_order(room), room)))
+    return tuple(sorted(filter(is_topic, there), key=lambda topic: (_order(topic), topic)))
 
 
-def _order(room: str) -> float:
-    file = data(room, "paper.toml")
+def _order(topic: str) -> float:
+    file = data(topic, "paper.toml")
     given = read_toml(file) if file.is_file() else {}
     return require_number(f"{file}: order", given["order"]) if "order" in given else math.inf
 
 
-def is_room(name: str) -> bool:
-    """Whether there is such a room."""
+def is_topic(name: str) -> bool:
+    """Whether there is such a topic."""
     return name.isidentifier() and os.path.isfile(data(name, "published.toml"))  # however long the name
 
 
-def require_room(name: str) -> str:
-    """Return `name` when it is a room's, else raise `InputError` with the nearest one."""
-    if not isinstance(name, str) or not is_room(name):
-        raise InputError(f"room is {shown(name)}; use one of {', '.join(rooms())}{nearest(name, rooms())}")
+def require_topic(name: str) -> str:
+    """Return `name` when it is a topic's, else raise `InputError` with the nearest one."""
+    if not isinstance(name, str) or not is_topic(name):
+        raise InputError(
+            f"topic is {short_repr(name)}; use one of {', '.join(topics())}{nearest(name, topics())}"
+        )
     return name
 
 
-def data(room: str, name: str = "") -> Path:
-    """Path of a shipped data file of a room, e.g. ``data("isolation", "rigid_body.toml")``."""
-    return root() / "data" / room / name
+def data(topic: str, name: str = "") -> Path:
+    """Path of a shipped data file of a topic, e.g. ``data("isolation", "rigid_body.toml")``."""
+    return root() / "data" / topic / name
 
 
 def own_settings() -> dict:
@@ -100,6 +102,6 @@ def in_batch() -> bool:
 
 
 def output(notebook: str) -> Path:
-    """Folder that `notebook` (``room/name``) writes to: the runner's, or ``build/interactive``."""
+    """Folder that `notebook` (``topic/name``) writes to: the runner's, or ``build/interactive``."""
     base = os.environ.get(OUTPUT_VARIABLE)
     return (Path(base) if base else root() / "build" / "interactive") / notebook

@@ -8,7 +8,7 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-from stillwork.base.checks import InputError, shown
+from stillwork.base.checks import InputError, short_repr
 from workbook import paths
 
 FILE = Path(__file__).with_name("pinned.env")
@@ -40,7 +40,7 @@ def settings() -> dict[str, str]:
     for word in words:
         if not word.partition("=")[0].isidentifier() or "=" not in word:
             raise InputError(
-                f"{OTHER} holds {shown(word)}; give NAME=VALUE words, of {', '.join(pins())}, {EMULATOR} and others, "
+                f"{OTHER} holds {short_repr(word)}; give NAME=VALUE words, of {', '.join(pins())}, {EMULATOR} and others, "
                 "or name a stand-in: python -m stillwork portable --processor NAME"
             )
     return {**pins(), **dict(word.split("=", 1) for word in words)}

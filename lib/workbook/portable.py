@@ -85,7 +85,7 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
     Parameters
     ----------
     targets : sequence of str
-        Rooms and notebooks; all without any.
+        Topics and notebooks; all without any.
     processor : str
         Of the stand-ins those with this in their name; the emulated one by ``qemu``, with notebooks named.
     sample : bool
@@ -94,7 +94,7 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
     Raises
     ------
     InputError
-        When there is no such stand-in, room or notebook, or no emulator.
+        When there is no such stand-in, topic or notebook, or no emulator.
     """
     known = (*PROCESSORS, EMULATED) if "qemu" in processor else PROCESSORS
     chosen = [
@@ -106,7 +106,7 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
     if EMULATED in chosen:
         if not targets:
             raise InputError(
-                f"{EMULATED.name} runs what is named, some fifteen times slower; give ROOM/NOTEBOOK"
+                f"{EMULATED.name} runs what is named, some fifteen times slower; give TOPIC/NOTEBOOK"
             )
         if not shutil.which(EMULATED.settings[EMULATOR]):
             raise InputError(

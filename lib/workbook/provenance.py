@@ -34,7 +34,7 @@ def provenance(
 ) -> bytes:
     """JSON record of a build, free of times and places; `made_from` is the commit and the modified paths."""
     revision, changed = made_from
-    ledger = f"data/{notebook.room}/published.toml"
+    ledger = f"data/{notebook.topic}/published.toml"
     used = {*inputs, ledger, f"notebooks/{notebook.name}.ipynb", "environment.txt"}
     parameters = {name: settings.get(name, p.value) for name, p in notebook.parameters.items()}
     environment = digest((paths.root() / "environment.txt").read_bytes())

@@ -5,7 +5,7 @@ from contextlib import ExitStack, contextmanager, nullcontext
 
 import numpy as np
 
-from stillwork.base.checks import InputError, shown
+from stillwork.base.checks import InputError, short_repr
 from stillwork.base.garbage import no_collection
 from workbook.house_style import HouseFigure, house_style
 
@@ -65,7 +65,7 @@ def _text_named(figure) -> Iterator[None]:
     except ValueError:
         if (text := _unset(figure)) is not None:
             raise InputError(
-                f"figure has the text {shown(text)}, which cannot be set; mend its formula, or write \\$ for a dollar"
+                f"figure has the text {short_repr(text)}, which cannot be set; mend its formula, or write \\$ for a dollar"
             ) from None
         raise
 

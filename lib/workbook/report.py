@@ -141,7 +141,7 @@ def entry_text(fields: dict, width: int) -> str:
     Parameters
     ----------
     fields : dict
-        As `Claim.as_dict` gives them. What is empty is left out, and a mark that does not apply; of a joint reading an
+        As `Claim.as_dict` gives them. What is empty is left out, and a mark that does not apply; of a joint combination an
         option may be false, too.
     width : int
         Characters in a line.
@@ -211,19 +211,19 @@ def tally(claims: Iterable[Claim]) -> str:
 
 
 def summary() -> str:
-    """Markdown table of the counts, a row a room; `numbers` are those that the work publishes."""
+    """Markdown table of the counts, a row a topic; `numbers` are those that the work publishes."""
     claims = ledger()
     shown = columns(claims)
     lines = [
-        "| room | numbers | " + " | ".join(shown) + " |",
+        "| topic | numbers | " + " | ".join(shown) + " |",
         "|---|" + "---:|" * (len(shown) + 1),
     ]
-    for room in paths.rooms():
-        mine = [claim for claim in claims if claim.entry.room == room]
+    for topic in paths.topics():
+        mine = [claim for claim in claims if claim.entry.topic == topic]
         counts = Counter(map(column, mine))
         if mine:
             numbers = " | ".join(str(counts[name]) for name in shown)
-            lines.append(f"| `{room}` | {sum(c.entry.is_replication for c in mine)} | {numbers} |")
+            lines.append(f"| `{topic}` | {sum(c.entry.is_replication for c in mine)} | {numbers} |")
     return "\n".join(lines)
 
 

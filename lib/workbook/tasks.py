@@ -84,7 +84,7 @@ class Task:
 
 
 def tasks(*targets: str, settings: dict[str, str] | None = None) -> list[Task]:
-    """What rooms and notebooks (all without any) and the text of ``-p`` mean; `InputError` before anything runs."""
+    """What topics and notebooks (all without any) and the text of ``-p`` mean; `InputError` before anything runs."""
     around = environment_inputs()
     return [
         Task(notebook, changed, {**notebook_inputs(notebook, changed), **around})

@@ -6,14 +6,14 @@ from stillwork.base.checks import InputError
 from workbook import paths
 
 
-def measured_times(room: str, table: str) -> dict[str, dict[str, float]]:
+def measured_times(topic: str, table: str) -> dict[str, dict[str, float]]:
     """Times by what was timed; the machine stands in the ``SOURCE.md`` beside the table.
 
     Parameters
     ----------
-    room : str
+    topic : str
     table : str
-        A CSV file below the room's data. Its first column names what was timed, the others hold numbers.
+        A CSV file below the topic's data. Its first column names what was timed, the others hold numbers.
 
     Returns
     -------
@@ -25,9 +25,9 @@ def measured_times(room: str, table: str) -> dict[str, dict[str, float]]:
     InputError
         When the table is missing.
     """
-    file = paths.data(room, table)
+    file = paths.data(topic, table)
     if not file.exists():
-        raise InputError(f"{file} is missing; write it with `python benchmarks/{room}.py --write`")
+        raise InputError(f"{file} is missing; write it with `python benchmarks/{topic}.py --write`")
     with file.open(encoding="utf-8", newline="") as lines:
         headings, *rows = csv.reader(lines)
     return {name: dict(zip(headings[1:], map(float, row), strict=True)) for name, *row in rows}

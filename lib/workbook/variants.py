@@ -33,7 +33,7 @@ def difference(task: Task) -> list[str]:
 
 def _moved(task: Task) -> list[tuple[str, ...]]:
     """Of each claim whose value or verdict is another: what is published, accepted and found."""
-    accepted = {claim.entry.id: claim for claim in ledger(room=task.notebook.room)}
+    accepted = {claim.entry.id: claim for claim in ledger(topic=task.notebook.topic)}
     file = task.target / "claims.json"
     found = recorded_claims(file) if file.is_file() else {}
     rows = []

@@ -19,12 +19,12 @@ PROGRAM = Path(__file__).with_name("kernel_process.py")
 START_S = 60.0  # longer than the slowest import seen
 
 
-class Forked:
+class ForkedKernel:
     """A forked kernel, as `subprocess.Popen` shows a process; its parent is the warmed process, which tells its end."""
 
     stdin = stdout = stderr = None
 
-    def __init__(self, warm: "Warm", pid: int):
+    def __init__(self, warm: "ForkServer", pid: int):
         self._warm = warm
         self.pid = pid
 
@@ -50,7 +50,7 @@ class Forked:
         self.send_signal(signal.SIGKILL)
 
 
-class Warm:
+class ForkServer:
     """The warmed process; `fork` may be called from several threads.
 
     It is a process of its own, begun by this one: a driver or a worker with threads is never forked.
@@ -75,7 +75,7 @@ class Warm:
         self._asked = 0
         self._lost = False
 
-    def fork(self, arguments: list[str], variables: dict[str, str], folder: str) -> Forked:
+    def fork(self, arguments: list[str], variables: dict[str, str], folder: str) -> ForkedKernel:
         """A kernel with these arguments, environment and working directory.
 
         Raises
@@ -97,7 +97,7 @@ class Warm:
             self._read(0.05)
             if self._lost or time.monotonic() > end:
                 raise RuntimeError("the process that kernels are forked from has ended")
-        return Forked(self, self._pids[asked])
+        return ForkedKernel(self, self._pids[asked])
 
     def code(self, pid: int) -> int | None:
         """Exit code of a kernel, negative for a signal; None while it runs."""
@@ -142,12 +142,12 @@ class Warm:
 
 
 @contextlib.contextmanager
-def warmed(wanted: bool) -> Iterator[Warm | None]:
+def warmed(wanted: bool) -> Iterator[ForkServer | None]:
     """Yields a warmed process for kernels, or None where it is not wanted or a fork is not safe."""
     if not wanted or sys.platform != "linux":
         yield None
         return
-    warm = Warm()
+    warm = ForkServer()
     try:
         yield warm
     finally:

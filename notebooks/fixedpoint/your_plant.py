@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float64
 
 from experiments.fixedpoint.axes import COLOURS, fill_range
 from experiments.fixedpoint.metrics import judge
-from experiments.fixedpoint.noise import Noise, lose
+from experiments.fixedpoint.noise import Noise, drop_samples
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW, published_controllers
-from stillwork.base.checks import InputError, counted, nearest, require_choice, require_number
+from stillwork.base.checks import InputError, nearest, pluralise, require_choice, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.fixed_point_convergence import StableRange, stable_range
 from stillwork.control.fixed_point_linear import linear_loop
@@ -246,7 +246,7 @@ def controllers(
     names = (WINDOW, LOW_PASS, KALMAN)
     if len(exponents) != len(names):
         raise InputError(
-            f"exponents holds {counted(len(exponents), 'number')}; give one each for {', '.join(names)}"
+            f"exponents holds {pluralise(len(exponents), 'number')}; give one each for {', '.join(names)}"
         )
     published = published_controllers(model if isinstance(model, Plant) else UNIT_MASS)
     return {
@@ -351,12 +351,12 @@ def drive(
 ) -> dict[str, list[ControlledRun]]:
     """One run of every controller in the same noise, for each coordinate.
 
-    Contraction is judged by `warnings_of`, not here. `lost_every`, `lost_for` (s): see `noise.lose`; `lost`: what stands
+    Contraction is judged by `warnings_of`, not here. `lost_every`, `lost_for` (s): see `noise.drop_samples`; `lost`: what stands
     for a lost sample, see `control.simulate`; `force_limit` (N or N m): of every actuator, 0 for none.
     """
     rng, count = np.random.default_rng(seed), len(trajectories)
     added = noise.sample(rng, count * len(trajectories[0].position)).reshape(count, -1)
-    added = lose(added, trajectories[0].sample_time, lost_every, lost_for)
+    added = drop_samples(added, trajectories[0].sample_time, lost_every, lost_for)
     options = {"resolution": noise.resolution, "grid": noise.sample_grid(rng), "lost": lost}
 
     def run(controller) -> list[ControlledRun]:

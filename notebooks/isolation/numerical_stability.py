@@ -14,7 +14,7 @@ from experiments.isolation.simulation import Run
 from stillwork.base.algebra import inner_product, plus_row, set_product
 from stillwork.base.checks import (
     InputError,
-    counted,
+    pluralise,
     require_array,
     require_choice,
     require_count,
@@ -104,7 +104,7 @@ def covariance_run(
     step = int(1 / (1 - forgetting) / require_count("per_time_constant", per_time_constant))
     if not 0 < step <= len(record):
         raise InputError(
-            f"regressors has {counted(len(record), 'sample')}; give at least {step}, or look more often"
+            f"regressors has {pluralise(len(record), 'sample')}; give at least {step}, or look more often"
         )
 
     matrix = (start if form in FORMS[:2] else factor_of(form, start)).astype(dtype)

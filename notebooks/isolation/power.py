@@ -67,7 +67,7 @@ def fold_of(name: str) -> int | None:
 
 
 def scatter(seen: Collection[str]) -> Callable[[str], float]:
-    """Standard deviation of a number around what a rig gives, in the size that `sized` takes; from the numbers seen."""
+    """Standard deviation of a number around what a rig gives, in the size that `to_log` takes; from the numbers seen."""
     stated, printed = read_toml(paths.data("isolation", "one_rig.toml"))["scatter"], published()
     apart = [
         printed[name] - printed[name.replace("ferls", "felms")]
@@ -86,27 +86,27 @@ def scatter(seen: Collection[str]) -> Callable[[str], float]:
     return of
 
 
-def sized(name: str, value):
+def to_log(name: str, value):
     """A number as the search sees it: a time or a share of the power that is left by its logarithm."""
     if ".tau-" in name:
         return np.log(value)
     return np.log(100 - value) if name.startswith("fig-8") else value
 
 
-def unsized(name: str, value):
-    """The inverse of `sized`."""
+def from_log(name: str, value):
+    """The inverse of `to_log`."""
     if ".tau-" in name:
         return np.exp(value)
     return 100 - np.exp(value) if name.startswith("fig-8") else value
 
 
 def simulate(position: np.ndarray, names: Collection[str]) -> Float64[np.ndarray, " numbers"]:
-    """Numbers of a rig as `sized`; far from all where no rig can be built."""
+    """Numbers of a rig as `to_log`; far from all where no rig can be built."""
     try:
         found = numbers(parameters(position))
     except (InputError, np.linalg.LinAlgError):
         return np.full(len(names), FAR)
-    return np.array([sized(name, found[name]) for name in names])
+    return np.array([to_log(name, found[name]) for name in names])
 
 
 def simulate_all(positions: np.ndarray, names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +116,7 @@ def simulate_all(positions: np.ndarray, names: Collection[str]) -> tuple[np.ndar
     return positions[whole], found[whole]
 
 
-def soften(residual: np.ndarray) -> np.ndarray:
+def robust_loss(residual: np.ndarray) -> np.ndarray:
     """Residuals whose squares grow as the residual alone when it is large: an exponential's tails."""
     # The square root of 2 (sqrt(1 + r^2) - 1), without its cancellation at small r.
     return residual * np.sqrt(2 / (1 + np.sqrt(1 + residual**2)))
@@ -135,7 +135,7 @@ def laplace(
     """
 
     def residuals(position):
-        return np.concatenate([soften((model(position)[seen] - observed) / deviation), position])
+        return np.concatenate([robust_loss((model(position)[seen] - observed) / deviation), position])
 
     fit = optimize.least_squares(residuals, start, diff_step=STEP, xtol=1e-3, ftol=1e-3, max_nfev=EVALUATIONS)
     return fit.x, np.linalg.inv(fit.jac.T @ fit.jac), float(fit.cost)
@@ -154,10 +154,10 @@ def infer(
     """
     positions, simulated = prior
     columns, printed = [names.index(name) for name in seen], published()
-    observed = np.array([sized(name, printed[name]) for name in seen])
+    observed = np.array([to_log(name, printed[name]) for name in seen])
     deviation = np.array([of(name) for name in seen])
     size = np.hypot(simulated[:, columns].std(axis=0), deviation)
-    misfit = np.sum(soften((simulated[:, columns] - observed) / size) ** 2, axis=1)
+    misfit = np.sum(robust_loss((simulated[:, columns] - observed) / size) ** 2, axis=1)
     ends = [
         laplace(lambda position: simulate(position, names), positions[k], columns, observed, deviation)
         for k in np.argsort(misfit, kind="stable")[:starts]
@@ -169,13 +169,13 @@ def infer(
 
 
 def band(name: str, values: np.ndarray, deviation: float) -> tuple[float, float]:
-    """95 % predictive band of a printed number from what rigs give, `sized`, each with its scatter."""
+    """95 % predictive band of a printed number from what rigs give, `to_log`, each with its scatter."""
     spread = np.random.default_rng(SEED).standard_normal((50, len(values))) * deviation
-    low, high = sorted(unsized(name, np.quantile(values + spread, [0.025, 0.975])))
+    low, high = sorted(from_log(name, np.quantile(values + spread, [0.025, 0.975])))
     return float(low), float(high)
 
 
-def alone(
+def single_entry_band(
     prior: tuple[np.ndarray, np.ndarray], names: list[str], name: str, of: Callable[[str], float]
 ) -> tuple[float, float]:
     """95 % band of a number around the rig that is searched for it alone, from as many starts as the one for all."""
@@ -194,7 +194,7 @@ def search() -> tuple[dict[str, float], Mapping[str, dict[str, tuple[float, floa
     prior = sample_prior(names)
     found: dict[str, dict] = {}
     for name, values in zip(names, prior[1].T, strict=True):
-        low, high = sorted(unsized(name, np.array([values.min(), values.max()])))
+        low, high = sorted(from_log(name, np.array([values.min(), values.max()])))
         found[name] = {"drawn": (float(low), float(high))}
     of = scatter(names)
     best, draws = infer(prior, names, names, of, STARTS)
@@ -212,7 +212,7 @@ def search() -> tuple[dict[str, float], Mapping[str, dict[str, tuple[float, floa
             if fold_of(name) == fold:
                 found[name]["held_out"] = band(name, each, of_fold(name))
     for name in [name for name in names if not inside(name, found[name]["seen"])]:
-        found[name]["alone"] = alone(prior, names, name, of)
+        found[name]["alone"] = single_entry_band(prior, names, name, of)
     return parameters(best), found
 
 

@@ -233,7 +233,7 @@ class Isolated:
         return (whole - quiet).var(axis=1) / np.where(self.moving, whole.var(axis=1), np.nan)
 
 
-def hear(twin: Twin, channels: int) -> tuple[Twin, Float64[np.ndarray, "sensors channels"]]:
+def select_floor_sensors(twin: Twin, channels: int) -> tuple[Twin, Float64[np.ndarray, "sensors channels"]]:
     """Twin whose feedforward hears `channels` floor sensors, and what each of the rig's own reads of them.
 
     Where the floor was measured with fewer sensors than the rig has, those that are missing read the mean of the
@@ -262,7 +262,7 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
     """
     require_number("start", start, above=0.0)
     axes = central_axes(twin.rig)
-    twin, spread = hear(twin, floor.channels)
+    twin, spread = select_floor_sensors(twin, floor.channels)
     training_s = round(TRAINING_SHARE * floor.duration / KEEP_EVERY_S) * KEEP_EVERY_S
 
     def run(from_s: float = SETTLE_S, **options) -> Run:
@@ -304,7 +304,7 @@ def translating_spectrum(floor: RecordedFloor) -> SpectralFloor:
     return SpectralFloor(spectrum.frequencies_hz[1:], spectrum.density[0, 1:], floor.source, 1)
 
 
-def optimum_left(
+def optimal_residual_ratio(
     twin: Twin, floor: SpectralFloor, gains: ArrayLike
 ) -> dict[str, Float64[np.ndarray, " gains"]]:
     """Rms motion in z at 1-300 Hz over the floor's, for a louder or quieter floor and the optimum weights.
@@ -312,7 +312,7 @@ def optimum_left(
     From spectra of one sensor alone, for a plate that only translates; `gains` are amplitudes relative to `floor`.
     """
     f = np.geomspace(*BAND_HZ, 1500)[:-1]
-    twin, _ = hear(twin, floor.channels)
+    twin, _ = select_floor_sensors(twin, floor.channels)
     left: dict[str, list[float]] = {name: [] for name in _cases(None)}
     for gain in require_array("gains", gains, ndim=1):
         scaled = replace(floor, levels=gain**2 * floor.levels)
@@ -490,7 +490,7 @@ def paint_gain(gains: np.ndarray, left: dict[str, np.ndarray]):
 def explore_floor(twin: Twin, floor: SpectralFloor):
     """Explorer: one-third-octave velocity in z of a louder floor and of the platform, with other sensors."""
     f = np.geomspace(0.8, 299, 400)
-    twin, _ = hear(twin, floor.channels)
+    twin, _ = select_floor_sensors(twin, floor.channels)
 
     def paint(gain: float, output_noise: float):
         changed = twin.varied(platform_noise=output_noise * 1e-4)

@@ -23,9 +23,9 @@ from experiments.motion.magnitudes import add_magnitude, mark_limit
 from experiments.motion.uncertainty import detuned, perturbed, sample_errors
 from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
-from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.base.toml_files import read_numbers
+from stillwork.base.validation import checked
 from stillwork.control.applications import filtered_estimates
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.crossover import crossover
@@ -351,7 +351,7 @@ def _move(delay: float, samples: int):
     return np.fft.rfft(steps), np.fft.rfft(commands, axis=1), move, setpoint.scanning
 
 
-class Served(NamedTuple):
+class StageResponse(NamedTuple):
     """A stage on the grid of a transform."""
 
     model: ModalModel
@@ -359,11 +359,11 @@ class Served(NamedTuple):
     pushed: Float64[np.ndarray, "masses frequencies"]  # size of that from a force that is not late
 
 
-def serve(model: ModalModel, delay: float = DELAY, samples: int = SAMPLES) -> Served:
+def stage_response(model: ModalModel, delay: float = DELAY, samples: int = SAMPLES) -> StageResponse:
     """Prepare the responses of a stage."""
     omega = grid(samples)
     pushed = np.abs(zoh_response(model, SAMPLE_TIME, omega)[:, 0])
-    return Served(model, late_response(late(model, delay), omega), pushed)
+    return StageResponse(model, late_response(late(model, delay), omega), pushed)
 
 
 @kernel
@@ -400,7 +400,7 @@ def _ends() -> np.ndarray:
     return np.searchsorted(grid(), 2 * np.pi * np.array(BANDS_HZ))
 
 
-class Met(NamedTuple):
+class Evaluation(NamedTuple):
     """What a design does on one stage, by the grid; logarithms of magnitudes."""
 
     tops: Float64[np.ndarray, "masses functions bands"]
@@ -409,7 +409,7 @@ class Met(NamedTuple):
     force: float  # N, rms of the whole control force under noise
 
 
-def meet(design: JointDesign, served: Sequence[Served], delay: float = DELAY) -> list[Met]:
+def evaluate(design: JointDesign, served: Sequence[StageResponse], delay: float = DELAY) -> list[Evaluation]:
     """Peaks of all masses, scan error and noise at mass 5, on every stage; what is unstable is not noticed here."""
     around = compensated(design, grid(), delay)
     feedback = around.feedback[MEASURED]
@@ -417,7 +417,7 @@ def meet(design: JointDesign, served: Sequence[Served], delay: float = DELAY) ->
     for each in served:
         tops = np.empty((len(each.plant), len(PEAKS), len(BANDS_HZ) - 1))
         _tops(each.plant, *around, _ends(), tops)
-        found.append(Met(tops, *scanned(feedback, each.plant[MEASURED], each.pushed[MEASURED], delay)))
+        found.append(Evaluation(tops, *scanned(feedback, each.plant[MEASURED], each.pushed[MEASURED], delay)))
     return found
 
 
@@ -442,7 +442,7 @@ def crossing_hz(design: JointDesign, model: ModalModel) -> Float64[np.ndarray, "
     return np.array(found) / (2 * np.pi)
 
 
-def rough_crossing_hz(design: JointDesign, served: Served) -> Float64[np.ndarray, " masses"]:
+def rough_crossing_hz(design: JointDesign, served: StageResponse) -> Float64[np.ndarray, " masses"]:
     """`crossing_hz` by the grid alone, a straight line between its points in logarithms: 1e-4 off, and quick."""
     gain = np.log(np.abs(_loop(served.plant, compensated(design, grid()))))
     first = np.argmax(gain < 0, axis=1)[:, None]
@@ -460,7 +460,7 @@ def scanned(
     delay: float,
     samples: int = SAMPLES,
 ) -> tuple[float, float, float]:
-    """Error, quiet and force of `Met` for one mass, its feedforward's four gains fitted in this very loop.
+    """Error, quiet and force of `Evaluation` for one mass, its feedforward's four gains fitted in this very loop.
 
     With the modified feedforward of appendix A the setpoint acts like v and the original feedforward like a force
     that no observer sees: e = S_O (r - P u0).
@@ -506,7 +506,7 @@ class Judged:
     force: Float64[np.ndarray, " plants"]  # N, rms of the control force under noise
 
     @property
-    def keeps(self) -> Bool[np.ndarray, " plants"]:
+    def feasible(self) -> Bool[np.ndarray, " plants"]:
         """Where all loops are stable and all six peaks at 6 dB or below."""
         return self.stable & (self.peaks.max(axis=1) <= 20 * np.log10(SIX_DB) + 1e-6)
 
@@ -518,12 +518,12 @@ def stable_on(design: JointDesign, plants: Sequence[ModalModel]) -> Bool[np.ndar
 
 
 def judge(design: JointDesign, plants: Sequence[ModalModel], delay: float = DELAY) -> Judged:
-    """What a design does on every plant, see `judge_all`."""
-    return judge_all({"": design}, plants, delay)[""]
+    """What a design does on every plant, see `verify_designs`."""
+    return verify_designs({"": design}, plants, delay)[""]
 
 
 @checked(infinite=True)
-def judge_all(
+def verify_designs(
     designs: Mapping[str, JointDesign],
     plants: Sequence[ModalModel],
     delay: float = DELAY,
@@ -537,7 +537,7 @@ def judge_all(
     """
     moved = [late(plant, delay) for plant in plants]
     coarse = [late_response(each, grid()) for each in moved]
-    scanning = [serve(plant.at([0], [MEASURED]), delay, JUDGED) for plant in plants]
+    scanning = [stage_response(plant.at([0], [MEASURED]), delay, JUDGED) for plant in plants]
     told, judged = delay if told is None else told, {}
     for name, design in designs.items():
         poles = closed_poles(design, plants, delay, alone, told)
@@ -607,7 +607,7 @@ class Found:
 def search(
     start: JointDesign,
     free: str,
-    served: Sequence[Served],
+    served: Sequence[StageResponse],
     limit: float = SIX_DB,
     force: float | None = None,
     steps: int = 40,
@@ -642,7 +642,7 @@ def search(
     def ask(x: np.ndarray) -> tuple[float, np.ndarray]:
         """Logarithm of what is to become small, and `_excesses`."""
         design = at(x)
-        met = meet(design, served)
+        met = evaluate(design, served)
         if aim == "bandwidth":
             wanted = 1 / min(rough_crossing_hz(design, each).min() for each in served[:counted])
         else:
@@ -677,7 +677,7 @@ def search(
             radius = min(2 * radius, 0.7)
         if gained < SMALLEST_GAIN:
             break
-    ended = _mean_error(meet(at(x), served[:counted]))
+    ended = _mean_error(evaluate(at(x), served[:counted]))
     return Found(at(x), ended, float(others.max()), meetings)
 
 
@@ -693,11 +693,11 @@ def _program(cost, others, slopes, low, high) -> tuple[np.ndarray, float]:
     return found.x[:-1], PENALTY * max(float(others.max()), 0.0) - found.fun
 
 
-def _mean_error(met: Sequence[Met]) -> float:
+def _mean_error(met: Sequence[Evaluation]) -> float:
     return float(np.sqrt(np.mean(np.square([each.error for each in met]))))
 
 
-def _excesses(met: Sequence[Met], limit: float, force: float | None) -> np.ndarray:
+def _excesses(met: Sequence[Evaluation], limit: float, force: float | None) -> np.ndarray:
     """Logarithms of peaks over their limit, and of the force over its; what keeps them is not positive."""
     tops = np.array([each.tops for each in met]) - np.log(limit)
     return np.concatenate([tops.ravel(), np.log([each.force / force for each in met]) if force else []])
@@ -726,7 +726,7 @@ def starts(count: int, seed: int) -> list[JointDesign]:
 def robust_search(
     start: JointDesign,
     free: str,
-    pool: Sequence[Served],
+    pool: Sequence[StageResponse],
     limit: float = SIX_DB,
     force: float | None = None,
     counted: int = 6,
@@ -744,7 +744,7 @@ def robust_search(
     served, meetings, best = list(range(min(counted, len(pool)))), 0, None
     for _ in range(require_count("turns", turns)):
         found = search(start, free, [pool[k] for k in served], limit, force, steps, counted)
-        met = meet(found.design, pool)
+        met = evaluate(found.design, pool)
         meetings += found.meetings + len(pool)
         over = np.array([_excesses([each], limit, force).max() for each in met])
         whole = Found(found.design, _mean_error(met), float(over.max()), 0)
@@ -821,9 +821,12 @@ def stored_designs() -> dict[str, Stored]:
 def searched_designs() -> Iterator[tuple[str, Stored]]:
     """Every search again, one after the other."""
     begin = starts(STARTS, SEED)
-    nominal = serve(stage())
+    nominal = stage_response(stage())
     pools = {
-        size: [nominal, *(serve(plant) for plant in sample_plants(size, POOL if size else 0, POOL_SEED))]
+        size: [
+            nominal,
+            *(stage_response(plant) for plant in sample_plants(size, POOL if size else 0, POOL_SEED)),
+        ]
         for size in SIZES
     }
     fast = [_search(each, "joint", [nominal], aim="bandwidth") for each in begin]
@@ -855,7 +858,7 @@ def _with(design: JointDesign, other: JointDesign, names: tuple[str, ...]) -> Jo
 
 
 def _search(
-    start: JointDesign, free: str, pool: list[Served], force: float | None = None, aim: str = "error"
+    start: JointDesign, free: str, pool: list[StageResponse], force: float | None = None, aim: str = "error"
 ) -> Found:
     if len(pool) > 1:
         return robust_search(start, free, pool, ASKED, force)
@@ -870,7 +873,7 @@ def _search(
     return replace(found, meetings=meetings)
 
 
-def _from_all(begin: list[JointDesign], free: str, pool: list[Served]) -> list[Found]:
+def _from_all(begin: list[JointDesign], free: str, pool: list[StageResponse]) -> list[Found]:
     """Where the starts ended, the best first."""
     found = []
     for start in begin:
@@ -1000,7 +1003,7 @@ def paint_joint(
     nominal = stage()
     plant = detuned(nominal, np.full(len(nominal.frequencies) - nominal.rigid_modes, frequency_error / 100))
     judged = judge(chosen, [plant], delay)
-    values = six(serve(plant, delay).plant, compensated(chosen, grid(), delay)).max(axis=1)
+    values = six(stage_response(plant, delay).plant, compensated(chosen, grid(), delay)).max(axis=1)
     figure, axis = plain(bottom=0.17)
     for name, magnitude in zip(PEAKS, values, strict=True):
         add_magnitude(axis, grid()[1:-1], magnitude[1:-1], label=name)

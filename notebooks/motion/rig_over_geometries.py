@@ -68,7 +68,7 @@ def paint_geometry(aspect: float, along_x: float, along_y: float, actuators: flo
 
 
 # === Choices of rig ===============================================================================================
-# Tables 6.2 to 6.4 of the observer thesis at any reading of what chapter 6 leaves open (``readings.toml``).
+# Tables 6.2 to 6.4 of the observer thesis at any reading of what chapter 6 leaves open (``choices.toml``).
 
 
 DIRECTIONS = ("z", "rx", "ry")

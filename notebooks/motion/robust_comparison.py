@@ -32,8 +32,8 @@ from stillwork.base.algebra import (
     set_product,
 )
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_finite_run
-from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel, pasted_kernel
+from stillwork.base.validation import checked
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import (
     Derivatives,

@@ -11,7 +11,12 @@ from stillwork import designing
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.loops import LoopResponse
-from stillwork.control.machine_loops import Intensities, Reached, observer_settings, observing_compensator
+from stillwork.control.machine_loops import (
+    AchievableBandwidth,
+    Intensities,
+    observer_settings,
+    observing_compensator,
+)
 from stillwork.identification.machine import Machine
 from stillwork.lti.peaks import resonance_grid
 from workbook import figures
@@ -49,7 +54,7 @@ def envelope(x: np.ndarray, magnitude: np.ndarray) -> np.ndarray:
     return np.unique([each[pick(magnitude[each])] for each in stretches for pick in (np.argmin, np.argmax)])
 
 
-def paint_reached(found: Mapping[str, Reached]):
+def paint_reached(found: Mapping[str, AchievableBandwidth]):
     """First crossing of every sensor for every use of the observer, on the model and on the measurement."""
     figure, axis = figures.new(1, 1, height=2.8)
     for number, (attribute, label, marker) in enumerate(
@@ -66,7 +71,7 @@ def paint_reached(found: Mapping[str, Reached]):
     return figure
 
 
-def paint_sensitivities(found: Mapping[str, Reached], machine: Machine):
+def paint_sensitivities(found: Mapping[str, AchievableBandwidth], machine: Machine):
     """Output sensitivity of every sensor at the limit of PID and of the furthest use of the observer."""
     reached = {name: each for name, each in found.items() if each.recommended is not None}
     if not reached:

@@ -283,7 +283,7 @@ def statements(found: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def statements_at(*, map_taps: int, map_memory: int, seed: int, lean: bool) -> dict[str, float]:
-    """`statements` with other filters and records (``readings.toml``); the lean form has 16 records a cell, not 32."""
+    """`statements` with other filters and records (``choices.toml``); the lean form has 16 records a cell, not 32."""
     # seeds count cells, so that those of another map must be far away
     found = compare(SETTINGS, 16 if lean else 32, seed, map_taps, 4 * map_memory, 1 - 1 / map_memory)
     return {f"worstcase.comparison.{name}": value for name, value in statements(found).items()}

@@ -149,7 +149,7 @@ def explore_accuracy(bound: float, noise: float):
 
 
 # === Update choices ===============================================================================================
-# Sections 6 and 7, the recursions, at any reading of what the worst-case paper leaves open (``readings.toml``).
+# Sections 6 and 7, the recursions, at any reading of what the worst-case paper leaves open (``choices.toml``).
 
 
 SMALL_BOUND, SAMPLES = 0.1, 375  # of notebook 03, which has this bound beside the large one

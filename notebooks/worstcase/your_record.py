@@ -9,8 +9,8 @@ from jaxtyping import Float64
 from experiments.worstcase.pairs import Pair, Spectra, residual
 from experiments.worstcase.total import total_least_squares
 from experiments.worstcase.window_pictures import paint_windows
-from stillwork.base.checks import InputError, counted, require_array, require_count
-from stillwork.estimation.min_max import solve_silently, solve_sweep, triangle
+from stillwork.base.checks import InputError, pluralise, require_array, require_count
+from stillwork.estimation.min_max import qr_r, solve_silently, solve_sweep
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax
 from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
@@ -58,7 +58,7 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
     fit, choose, judge = parts(len(scaled.input))
     if memory <= 2 * taps or memory > fit.stop:
         raise InputError(
-            f"memory is {counted(memory, 'sample')}; give more than {2 * taps} (twice the taps) and at most {fit.stop} (the part "
+            f"memory is {pluralise(memory, 'sample')}; give more than {2 * taps} (twice the taps) and at most {fit.stop} (the part "
             "of the record that is fitted)"
         )
     regressors, output = fir_regressors(scaled.input, taps), scaled.output
@@ -109,7 +109,7 @@ def parts(samples: int) -> tuple[slice, slice, slice]:
 def weighted_corner(regressors, output, forgetting: float) -> tuple[np.ndarray, np.ndarray]:
     """Square A and b that say the same as all exponentially weighted rows: a rotation changes no residual."""
     weights = exponential_weights(len(output), forgetting)[:, None]
-    corner = triangle(np.column_stack([regressors.T, output]) * weights)
+    corner = qr_r(np.column_stack([regressors.T, output]) * weights)
     return corner[:, :-1].copy(), corner[:, -1].copy()
 
 
@@ -118,7 +118,7 @@ def window_lengths(taps: int, samples: int) -> list[int]:
     longest = min(6400, samples // 8)
     if longest < 2 * taps:
         raise InputError(
-            f"the record holds {counted(samples, 'sample')}, too few for {counted(taps, 'tap')}; give {16 * taps} samples or at most "
+            f"the record holds {pluralise(samples, 'sample')}, too few for {pluralise(taps, 'tap')}; give {16 * taps} samples or at most "
             f"{samples // 16} taps"
         )
     return np.unique(np.geomspace(1.25 * taps, longest, 7).round().astype(int)).tolist()

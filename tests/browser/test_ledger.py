@@ -6,8 +6,8 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
 from workbook import paths
+from workbook.choices.command import robustness_of
 from workbook.claims import ledger
-from workbook.readings.command import standings_of
 from workbook.report import column
 from workbook.site.specification import class_of
 
@@ -35,7 +35,7 @@ def told(front) -> str:
 @pytest.mark.parametrize(
     ("field", "value_of"),
     [
-        ("room", lambda claim: claim.entry.room),
+        ("topic", lambda claim: claim.entry.topic),
         ("counted", column),
         ("verdict", lambda claim: claim.verdict),
         ("kind", lambda claim: claim.entry.kind),
@@ -50,11 +50,11 @@ def test_each_filter_shows_what_the_ledger_has(front, field, value_of):
 
 
 def test_filters_combine_and_the_button_shows_all(front):
-    room, verdict = CLAIMS[0].entry.room, CLAIMS[0].verdict
-    choose(front, "room", room)
+    topic, verdict = CLAIMS[0].entry.topic, CLAIMS[0].verdict
+    choose(front, "topic", topic)
     choose(front, "verdict", verdict)
     assert front.run(ROWS) == [
-        row for row, claim in BY_ID.items() if (claim.entry.room, claim.verdict) == (room, verdict)
+        row for row, claim in BY_ID.items() if (claim.entry.topic, claim.verdict) == (topic, verdict)
     ]
     front.driver.find_element(By.CSS_SELECTOR, "#filters button").click()
     WebDriverWait(front.driver, 5).until(lambda _: front.run(ROWS) == list(BY_ID))
@@ -77,7 +77,7 @@ def test_a_count_on_the_front_page_leads_to_its_rows(front, site):
     link = front.driver.find_element(By.CSS_SELECTOR, ".work .counts a")
     wanted = int(link.text.split()[0])
     link.click()
-    assert "ledger.html?room=" in front.driver.current_url
+    assert "ledger.html?topic=" in front.driver.current_url
     assert len(front.run(ROWS)) == wanted > 0
 
 
@@ -115,10 +115,10 @@ def test_an_address_of_a_row_shows_it_whatever_the_filters_say(front, site):
     assert WebDriverWait(front.driver, 5).until(lambda _: row in front.run(ROWS))
 
 
-def test_rows_with_readings_tell_their_class(front):
-    standings = {name: each for room in paths.rooms() for name, each in standings_of(room).items()}
-    for name in ("holds", "depends", "fails"):
-        choose(front, "readings", name)
+def test_rows_with_combinations_tell_their_class(front):
+    standings = {name: each for topic in paths.topics() for name, each in robustness_of(topic).items()}
+    for name in ("robust", "depends", "not reproduced"):
+        choose(front, "choices", name)
         wanted = [row for row, claim in BY_ID.items() if class_of(standings.get(claim.entry.id)) == name]
         assert front.run(ROWS) == wanted
         assert all(f"{name}: under" in front.driver.find_element(By.ID, row).text for row in wanted)

@@ -60,7 +60,7 @@ def test_every_row_leads_to_its_place_and_every_place_back(browser, site):
         if claim.notebook:
             place = f"notebooks/{claim.notebook}.html"
             assert found[0] == f"{place}#claim-{claim.entry.id}"
-            curve = f"readings/{claim.entry.room}.html#curve-{claim.entry.id}"
+            curve = f"choices/{claim.entry.topic}.html#curve-{claim.entry.id}"
             figures = [each for each in found[1:] if each != curve]
             assert all(each.startswith(f"{place}#figure-") for each in figures)
             assert len(figures) <= 1

@@ -231,11 +231,11 @@ def test_on_a_phone_the_front_page_is_a_few_screens_and_a_work_begins_with_its_n
     assert all(name < hero for name, hero in zip(names, heroes, strict=True))
 
 
-def test_on_a_phone_readings_fit_the_page_with_words_to_read(browser, site):
+def test_on_a_phone_combinations_fit_the_page_with_words_to_read(browser, site):
     browser.resize(NARROW)
-    browser.open((site / "readings/worstcase.html").as_uri())
+    browser.open((site / "choices/worstcase.html").as_uri())
     off = """const limit = document.documentElement.clientWidth;
-      return [...document.querySelectorAll('.curve text, .curve .readings')].filter((each) => {
+      return [...document.querySelectorAll('.curve text, .curve .combinations')].filter((each) => {
         const box = each.getBoundingClientRect();
         return box.left < 0 || box.right > limit || (each.tagName === "text" && box.height < 11.5);
       }).map((each) => each.outerHTML.slice(0, 80))"""
@@ -303,7 +303,7 @@ def test_search_finds_sections_numbers_and_names_and_keeps_the_words_in_the_addr
 
 
 def test_the_gallery_shows_a_work_or_a_verdict_alone(browser, site):
-    browser.open((site / "gallery.html").as_uri() + "?room=worstcase")
+    browser.open((site / "gallery.html").as_uri() + "?topic=worstcase")
     shown = (
         "return [...document.querySelectorAll('.gallery figure')].filter((each) => each.checkVisibility())"
     )

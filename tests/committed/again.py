@@ -2,9 +2,9 @@
 
 import time
 
-from workbook.readings.checking import At, drawn, moved_before
-from workbook.readings.results import Outcomes, collect
-from workbook.readings.running import calls_of, compute
+from workbook.choices.checking import At, drawn, moved_before
+from workbook.choices.results import Outcomes, collect
+from workbook.choices.running import calls_of, compute
 
 LIGHT = 2.0  # s of CPU; a study that takes less is computed whole
 

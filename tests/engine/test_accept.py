@@ -266,7 +266,7 @@ def cut_short(toy: toys.Toy, monkeypatch, entry: bytes) -> None:
 
 def test_an_accept_that_was_killed_is_finished_before_anybody_reads(toy, monkeypatch):
     """What is decided stands beside; what was only tried goes."""
-    cut_short(toy, monkeypatch, LEDGER.format(room="isolation").replace("= 2.0", "= 7.0").encode())
+    cut_short(toy, monkeypatch, LEDGER.format(topic="isolation").replace("= 2.0", "= 7.0").encode())
     done = toy.run("claims", "isolation", "--json")
     assert json.loads(done.stdout)[0]["published"] == 7.0
     assert not list((toy.root / "figures").rglob("a.csv"))
@@ -274,7 +274,7 @@ def test_an_accept_that_was_killed_is_finished_before_anybody_reads(toy, monkeyp
 
 
 def test_an_accept_that_was_killed_does_not_undo_what_was_written_since(toy, monkeypatch):
-    cut_short(toy, monkeypatch, LEDGER.format(room="isolation").replace("= 2.0", "= 7.0").encode())
+    cut_short(toy, monkeypatch, LEDGER.format(topic="isolation").replace("= 2.0", "= 7.0").encode())
     toy.replace("data/isolation/published.toml", "published = 2.0", "published = 3.0")
     done = toy.run("claims", "isolation", "--json")
     assert (done.returncode, done.stdout) == (2, "")

@@ -13,15 +13,15 @@ from engine import toy as toys
 
 pytestmark = pytest.mark.slow
 
-ROOM = "isolation/01-first"
+TOPIC = "isolation/01-first"
 HANDED_DOWN = (signal.SIGINT, signal.SIGHUP, signal.SIGPIPE)  # by `nohup`, and to a script's background jobs
 
 
 @pytest.fixture
 def toy(tmp_path):
     made = toys.make(tmp_path / "ein Ort für alle")
-    made.add_page(ROOM)
-    made.replace(f"notebooks/{ROOM}.ipynb", "page.claims", "print('für \\u2113', rig)\\npage.claims")
+    made.add_page(TOPIC)
+    made.replace(f"notebooks/{TOPIC}.ipynb", "page.claims", "print('für \\u2113', rig)\\npage.claims")
     (made.root / "data/motion/published.toml").unlink()
     made.write("README.md", "# Toy\n\n<!-- ledger:begin -->\n<!-- ledger:end -->\n")
     shutil.copy(Path(__file__).parents[2] / "Makefile", made.root)
@@ -55,8 +55,8 @@ def test_a_build_in_the_background_of_a_bare_machine_is_made_and_accepted(toy, h
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
-    assert "1 built, 0 failed" in make("figures", f"ARGS={ROOM} --jobs 2")
+    assert "1 built, 0 failed" in make("figures", f"ARGS={TOPIC} --jobs 2")
     assert "accepted 1 notebooks" in make("accept")
     assert make("figures").startswith("nothing to do")
-    assert "für ℓ" in (toy.root / f"notebooks/{ROOM}.ipynb").read_text(encoding="utf-8")
+    assert "für ℓ" in (toy.root / f"notebooks/{TOPIC}.ipynb").read_text(encoding="utf-8")
     assert toy.leftovers() == []

@@ -12,7 +12,7 @@ from jupyter_client.manager import start_new_kernel
 
 from engine import toy as toys
 from workbook import paths
-from workbook.readings.closure import modules
+from workbook.choices.closure import modules
 
 FIRST, SECOND = "isolation/01-first", "isolation/02-second"
 IMPORT = "from notebooks.isolation.first import trial, twice"
@@ -127,8 +127,8 @@ def beside() -> list[str]:
 @pytest.mark.slow
 def test_tests_import_each_and_it_bears_the_name_of_its_notebook():
     for name in beside():
-        _, room, stem = name.split(".")
-        assert list((paths.root() / "notebooks" / room).glob(f"[0-9]*-{stem.replace('_', '-')}.ipynb")), name
+        _, topic, stem = name.split(".")
+        assert list((paths.root() / "notebooks" / topic).glob(f"[0-9]*-{stem.replace('_', '-')}.ipynb")), name
         assert import_module(name)
 
 

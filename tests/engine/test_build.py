@@ -16,7 +16,7 @@ import pytest
 from engine import toy as toys
 from workbook import publish
 from workbook.inputs import read_inputs
-from workbook.kernel_process import Installed
+from workbook.kernel_process import IgnoredPaths
 from workbook.progress import Progress
 
 pytestmark = pytest.mark.slow
@@ -27,7 +27,7 @@ ALL = {FIRST, SECOND, OTHER}
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """Three notebooks in two rooms, built once; tests work on copies."""
+    """Three notebooks in two topics, built once; tests work on copies."""
     toy = toys.make(tmp_path_factory.mktemp("built"))
     toy.add_page(FIRST)
     toy.add(
@@ -277,7 +277,7 @@ def test_what_is_left_out_has_a_reason(path, left_out, tmp_path, monkeypatch):
     for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
         monkeypatch.delenv(name, raising=False)
     path = path.format(home=tmp_path / "home", root=tmp_path / "root")
-    assert Installed("/tmp/stillwork-1/reads").holds(path) == left_out
+    assert IgnoredPaths("/tmp/stillwork-1/reads").holds(path) == left_out
 
 
 def test_an_installed_package_that_no_pin_speaks_for_is_watched(tmp_path, monkeypatch):
@@ -293,7 +293,7 @@ def test_an_installed_package_that_no_pin_speaks_for_is_watched(tmp_path, monkey
     (tmp_path / "root" / "environment.txt").write_text(pins)
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
     monkeypatch.syspath_prepend(packages)
-    left_out = Installed("/nowhere/reads")
+    left_out = IgnoredPaths("/nowhere/reads")
     for name in ("mylab/stage.py", "mylab_units.py"):
         assert not left_out.holds(str(packages / name))
     for name in ("pinned/__init__.py", "mylab/__pycache__/stage.cpython-312.pyc", "mylab_other/a.py"):
@@ -305,7 +305,7 @@ def test_a_variable_of_the_user_s_hides_no_tree(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "pycache_prefix", str(tmp_path))
     for name in ("MPLCONFIGDIR", "NUMBA_CACHE_DIR", "STILLWORK_KERNELS"):
         monkeypatch.setenv(name, str(tmp_path))
-    left_out = Installed("/nowhere/reads")
+    left_out = IgnoredPaths("/nowhere/reads")
     for name in ("record.csv", "lab/plant.py", "root/lib/experiments/motion/model.py"):
         assert not left_out.holds(str(tmp_path / name))
     for name in (
@@ -360,9 +360,9 @@ def test_what_was_read_is_not_guessed(tmp_path, text):
 @pytest.mark.parametrize(("room", "noted"), [(10_000, True), (10, False)])
 def test_a_log_that_does_not_fit_on_the_disk_is_removed(toy, room, noted):
     script = (
-        "import os, resource, sys\nfrom workbook.kernel_process import Installed, watch\n"
+        "import os, resource, sys\nfrom workbook.kernel_process import IgnoredPaths, watch\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
-        "watch('reads', Installed('/nowhere/reads'))\nopen('environment.txt').close()"
+        "watch('reads', IgnoredPaths('/nowhere/reads'))\nopen('environment.txt').close()"
     )
     environment = toy.environment() | {"STILLWORK_ROOT": str(toy.root)}
     subprocess.run([sys.executable, "-c", script], cwd=toy.root, env=environment, check=True)
@@ -372,8 +372,8 @@ def test_a_log_that_does_not_fit_on_the_disk_is_removed(toy, room, noted):
 def read_by(folder, imports, code):
     """What a kernel notes as read by some code that runs in a folder, once all is imported that the code needs."""
     script = (
-        f"{imports}\nfrom workbook.kernel_process import Installed, watch\n"
-        f"watch('reads', Installed('/nowhere/reads'))\n{code}"
+        f"{imports}\nfrom workbook.kernel_process import IgnoredPaths, watch\n"
+        f"watch('reads', IgnoredPaths('/nowhere/reads'))\n{code}"
     )
     environment = os.environ | {"STILLWORK_ROOT": str(folder)}
     subprocess.run([sys.executable, "-c", script], cwd=folder, env=environment, check=True)
@@ -558,9 +558,9 @@ def test_a_file_named_by_a_parameter_is_an_input(toy):
         (["-p", "level=high"], "parameter level is 'high'; give a float"),
         (["-p", "seed"], "-p 'seed' is not a setting; give -p NAME=VALUE"),
         (["-p", "seed=2", "-p", "seed=3"], "-p seed is given twice"),
-        (["isolaton"], "no notebook or room 'isolaton'; did you mean 'isolation'?"),
+        (["isolaton"], "no notebook or topic 'isolaton'; did you mean 'isolation'?"),
         (["isolation/01-frst"], "did you mean 'isolation/01-first'?"),
-        (["isolation/01"], "no notebook or room 'isolation/01'; did you mean 'isolation/01-first'?"),
+        (["isolation/01"], "no notebook or topic 'isolation/01'; did you mean 'isolation/01-first'?"),
         (["--jobs", "0"], "argument --jobs: '0' is no whole number; give 1 or more"),
         (["--jobs", "²"], "argument --jobs: '²' is no whole number; give 1 or more"),
         (["--jobs", "9" * 5000], "is no whole number; give 1 or more"),

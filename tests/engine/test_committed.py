@@ -188,7 +188,7 @@ def move_the_accepted_value(toy):
 
 def add_an_entry(toy):
     ledger = toy.root / "data/isolation/published.toml"
-    ledger.write_text(ledger.read_text() + toys.LEDGER.format(room="isolation").replace(".gain", ".other"))
+    ledger.write_text(ledger.read_text() + toys.LEDGER.format(topic="isolation").replace(".gain", ".other"))
 
 
 def deviate(toy):

@@ -1,4 +1,4 @@
-"""What a contributor does first, done in a copy: a cell added in Jupyter, a new result, a new room."""
+"""What a contributor does first, done in a copy: a cell added in Jupyter, a new result, a new topic."""
 
 import json
 import subprocess
@@ -80,7 +80,7 @@ def test_a_cell_added_in_jupyter_is_accepted_as_it_is(toy, monkeypatch):
     assert subprocess.run(style, cwd=toy.root).returncode == 0
 
 
-def test_a_new_result_and_a_new_room_pass_as_they_are_written(toy, monkeypatch):
+def test_a_new_result_and_a_new_topic_pass_as_they_are_written(toy, monkeypatch):
     first = toy.run("new", "isolation", "09-payload")
     assert first.returncode == 0, first.stderr
     other = toy.run("new", "crane", "01-sway", "--create")

@@ -126,20 +126,20 @@ def test_haykin_s_table_is_built_judged_tried_and_shown_with_the_wheel_alone(str
             ENTRY.format(tenths=round(10 * width), width=width, spread=spread)
             for width, spread in PRINTED.items()
         ),
-        "data/equaliser/readings.toml": CHOICES,
+        "data/equaliser/choices.toml": CHOICES,
         "notebooks/equaliser/spread.py": MODULE,
         "notebooks/equaliser/01-spread.ipynb": notebook(CELLS),
     }.items():
         (home / name).parent.mkdir(exist_ok=True)
         (home / name).write_text(text, encoding="utf-8")
     assert "2 built, 0 failed" in stranger("-m", "workbook", "figures", "--jobs", "1", at=home)
-    tried = stranger("-m", "workbook", "readings", "--jobs", "1", at=home)
+    tried = stranger("-m", "workbook", "choices", "--jobs", "1", at=home)
     assert "equaliser: 4 depends" in tried and "paper: 1 depends" in tried
     assert "accepted 2 notebooks and 5 ledger entries" in stranger("-m", "workbook", "accept", at=home)
     claims = json.loads(stranger("-m", "workbook", "claims", "equaliser", "--json", at=home))
     assert [claim["verdict"] for claim in claims] == ["replicated"] * 4
     assert [claim["ours"] for claim in claims] == pytest.approx(list(PRINTED.values()), abs=5e-5)
-    assert {(claim["readings"]["tried"], claim["readings"]["agree"]) for claim in claims} == {(2, 1)}
+    assert {(claim["choices"]["tried"], claim["choices"]["agree"]) for claim in claims} == {(2, 1)}
     assert "0 broken links" in stranger("-m", "workbook", "site", at=home)
     page = (home / "build/site/notebooks/equaliser/01-spread.html").read_text(encoding="utf-8")
     assert "46.82" in page and "replicated" in page

@@ -14,7 +14,7 @@ from workbook.tasks import Task
 
 @pytest.fixture
 def workbook(tmp_path, monkeypatch):
-    """Write a notebook of the room `motion` with this parameters cell and read it."""
+    """Write a notebook of the topic `motion` with this parameters cell and read it."""
     (tmp_path / "data" / "motion").mkdir(parents=True)
     (tmp_path / "data" / "motion" / "published.toml").touch()
     (tmp_path / "notebooks" / "motion").mkdir(parents=True)
@@ -54,7 +54,7 @@ fast: bool = False  # or slow"""
 def test_the_parameters_cell_is_no_code_cell(workbook):
     read = workbook("seed: int = 1  # of the noise")
     assert read.cells == {"begin": "x = 1", "end": "y = 2"}
-    assert read.room == "motion"
+    assert read.topic == "motion"
 
 
 def test_a_notebook_may_have_no_parameters(workbook):
@@ -223,7 +223,7 @@ def test_of_many_parameters_the_nearest_are_named(workbook):
         assign([many], {"x": "1"})
 
 
-def test_a_number_that_a_room_lacks_gets_the_nearest_of_the_room(workbook):
+def test_a_number_that_a_topic_lacks_gets_the_nearest_of_the_topic(workbook):
     for name in ("03-a", "09-longer-words", "12-b", "13-c"):
         workbook("seed: int = 1  # of the noise", f"motion/{name}")
     with pytest.raises(InputError, match=r"'motion/99'.*'motion/09-longer-words'.*'motion/\S+'"):

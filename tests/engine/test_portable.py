@@ -80,7 +80,7 @@ def test_the_emulated_processor_runs_where_it_and_notebooks_are_named(built, mon
     monkeypatch.setattr(module.shutil, "which", lambda name: f"/usr/bin/{name}")
     assert module.portable(["motion/02-model-reduction"], processor="qemu") == 0
     assert list(built) == [module.EMULATED.name]
-    with pytest.raises(InputError, match=r"^qemu\b.*ROOM/NOTEBOOK"):
+    with pytest.raises(InputError, match=r"^qemu\b.*TOPIC/NOTEBOOK"):
         module.portable(processor="qemu")
 
 

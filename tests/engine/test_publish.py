@@ -44,7 +44,7 @@ def content(folder: Path) -> dict[str, bytes]:
 
 
 def test_replaces_all_that_was_there(tmp_path):
-    target = tmp_path / "room" / "notebook"
+    target = tmp_path / "topic" / "notebook"
     replace_folder(target, {**OLD, "gone.csv": b""})
     replace_folder(target, NEW)
     assert content(target) == NEW
@@ -155,7 +155,7 @@ def before_step(
 
 
 def test_a_record_is_whole_old_or_new_wherever_it_is_cut(tmp_path, monkeypatch):
-    target = tmp_path / "room" / "notebook"
+    target = tmp_path / "topic" / "notebook"
     replace_record(target, OLD, {"cell a": "1"})
     seen = set()
     for steps in range(40):
@@ -603,7 +603,7 @@ def test_an_error_of_the_disk_while_a_change_is_finished_leaves_it_to_the_next_c
 @pytest.mark.slow
 @pytest.mark.parametrize(("how", "number"), ERRORS)
 def test_an_error_of_the_disk_leaves_a_record_as_it_says(tmp_path, monkeypatch, number, how):
-    target = tmp_path / "room" / "notebook"
+    target = tmp_path / "topic" / "notebook"
     seen = set()
     for steps in count():
         replace_record(target, OLD, {"cell a": "1"})

@@ -10,7 +10,7 @@ import pytest
 
 from engine.toy import until
 from workbook.pinned import environment, pins, settings
-from workbook.warm import Warm, warmed
+from workbook.warm import ForkServer, warmed
 
 pytestmark = [
     pytest.mark.slow,
@@ -20,7 +20,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def warm():
-    process = Warm()
+    process = ForkServer()
     yield process
     process.close()
 

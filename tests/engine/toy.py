@@ -23,7 +23,7 @@ LIBRARY = Path(__file__).parents[2] / "lib"
 LEDGER = """\
 # Numbers of the toy.
 
-[{room}.gain]
+[{topic}.gain]
 place = "Table 1"
 quantity = "gain"
 unit = ""
@@ -92,18 +92,18 @@ class Toy:
 
     def add_page(self, name: str) -> None:
         """A notebook with a figure and a claim."""
-        room = name.partition("/")[0]
+        topic = name.partition("/")[0]
         begin = (
             "import numpy as np\nfrom workbook import figures, paths\nfrom workbook.page import Page\n"
-            f"from experiments.{room}.model import gain\npage = Page('{name}')\n"
-            f"rig = paths.data('{room}', 'rig.toml').read_text()"
+            f"from experiments.{topic}.model import gain\npage = Page('{name}')\n"
+            f"rig = paths.data('{topic}', 'rig.toml').read_text()"
         )
         cells = [
             cell("title", "# A toy", "markdown"),
             cell("begin", begin),
             cell("parameters", PARAMETERS, tags=("parameters",)),
             cell("figure", SAVE_FIGURE),
-            cell("claim", f"page.check('{room}.gain', gain(level))"),
+            cell("claim", f"page.check('{topic}.gain', gain(level))"),
             cell("claims", "page.claims"),
         ]
         self.write(f"notebooks/{name}.ipynb", notebook(cells))
@@ -216,7 +216,7 @@ def until(condition, seconds: float = 60) -> None:
 
 
 def make(root: Path) -> Toy:
-    """A toy with the rooms `isolation` and `motion`, without notebooks."""
+    """A toy with the topics `isolation` and `motion`, without notebooks."""
     toy = Toy(root)
     ignore = shutil.ignore_patterns("__pycache__")
     for file in LIBRARY.glob("stillwork/*.py"):
@@ -235,11 +235,11 @@ def make(root: Path) -> Toy:
     toy.write(process, text)
     toy.replace(process, "    _first_use()\n    import gc", "    import gc")
     toy.write("lib/experiments/__init__.py", "")  # else an installed one of this name goes before it
-    for room in ("isolation", "motion"):
-        toy.write(f"lib/experiments/{room}/__init__.py", "")
-        toy.write(f"lib/experiments/{room}/model.py", "def gain(level):\n    return 2.0 * level\n")
-        toy.write(f"data/{room}/rig.toml", "mass = 1.0\n")
-        toy.write(f"data/{room}/published.toml", LEDGER.format(room=room))
+    for topic in ("isolation", "motion"):
+        toy.write(f"lib/experiments/{topic}/__init__.py", "")
+        toy.write(f"lib/experiments/{topic}/model.py", "def gain(level):\n    return 2.0 * level\n")
+        toy.write(f"data/{topic}/rig.toml", "mass = 1.0\n")
+        toy.write(f"data/{topic}/published.toml", LEDGER.format(topic=topic))
     toy.write("pyproject.toml", (LIBRARY.parent / "pyproject.toml").read_text(encoding="utf-8"))
     # As in the workbook itself all that is installed is pinned; a kernel watches what is not.
     others = {each.name for each in metadata.distributions()} - {"numpy", "scipy", "stillwork"}

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from choices.defaults import accepted_claims, at_the_defaults, require_accepted
 from experiments.fixedpoint import Noise, choices, load_oscillator
 from experiments.fixedpoint.metrics import noisy_run
 from experiments.fixedpoint.published import KALMAN, LITERAL, WINDOW, published_controllers
-from readings.defaults import accepted_claims, at_the_defaults, require_accepted
 
 
 @pytest.mark.parametrize("study", ["noise-free", "differentiation"])

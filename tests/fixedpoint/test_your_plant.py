@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.fixedpoint import Noise, judge, load_oscillator, published_controllers
-from experiments.fixedpoint.noise import lose
+from experiments.fixedpoint.noise import drop_samples
 from notebooks.fixedpoint.your_plant import (
     contraction_along,
     controllers,
@@ -337,11 +337,11 @@ def test_a_plant_of_one_coordinate_takes_no_two_units(tmp_path):
 
 
 def test_lost_signals_come_back():
-    noise = lose(np.zeros((2, 100)), 1e-3, 0.05, 0.01)
+    noise = drop_samples(np.zeros((2, 100)), 1e-3, 0.05, 0.01)
     assert np.isnan(noise[:, 40:50]).all() and np.isnan(noise).sum() == 40
-    assert lose(noise, 1e-3, 0.0, 0.01) is noise
+    assert drop_samples(noise, 1e-3, 0.0, 0.01) is noise
     with pytest.raises(InputError, match=r"^lost_for\b"):
-        lose(noise, 1e-3, 0.01, 0.01)
+        drop_samples(noise, 1e-3, 0.01, 0.01)
 
 
 def test_a_plant_that_is_nowhere(tmp_path):

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from choices.defaults import accepted_claims, at_the_defaults, require_accepted
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.one_rig import equal_struts
 from experiments.isolation.performance import ENTRIES, expected_density, record_case
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
 from notebooks.isolation.power import mains_power, power
-from readings.defaults import accepted_claims, at_the_defaults, require_accepted
-from workbook.readings.command import standings_of
+from workbook.choices.command import robustness_of
 
 
 def test_the_rig_at_its_defaults_is_the_shipped_one():
@@ -89,7 +89,7 @@ def test_counting_the_mains_costs_the_vertical_direction_alone():
 
 
 def test_what_notebooks_03_and_05_say_of_other_readings_was_found():
-    found = standings_of("isolation")
+    found = robustness_of("isolation")
     agree = {name.removeprefix("isolation."): each.share for name, each in found.items()}
     for name in ("fig-8.removed.range", "tracking.colored-to-flat"):
         assert agree[name] == 0, name

@@ -79,11 +79,11 @@ def test_multiplications_are_those_of_the_update_written_out(actuators, n, monke
         (adaptive, "add_scaled"),
         (adaptive, "inner_product"),
         (covariance_forms, "project"),
-        (covariance_forms, "shrink_along"),
+        (covariance_forms, "downdate"),
         (algebra, "plus_row"),
     ):
         monkeypatch.setattr(module, name, getattr(module, name).py_func)
-    monkeypatch.setattr(adaptive, "watch_powers", lambda *_: None)  # of the limit, which is not the paper's
+    monkeypatch.setattr(adaptive, "check_powers", lambda *_: None)  # of the limit, which is not the paper's
     counting.Counted.count = 0
     adaptive.ferls_update.py_func(
         objects(np.zeros((actuators, n))),

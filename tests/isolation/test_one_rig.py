@@ -88,7 +88,7 @@ def test_a_number_out_of_reach_does_not_pull_the_rest():
     middle, _, _ = search.laplace(
         lambda z: np.array([z[0], z[0]]), np.zeros(1), [0, 1], np.array([0.0, 3.0]), np.full(2, 0.1)
     )
-    assert search.soften(np.array([30.0])) ** 2 == pytest.approx(2 * (np.sqrt(901) - 1))
+    assert search.robust_loss(np.array([30.0])) ** 2 == pytest.approx(2 * (np.sqrt(901) - 1))
     assert 0 < middle[0] < 1.5  # the mean would be just below 1.5; the prior decides between two equal pulls
 
 
@@ -121,6 +121,6 @@ def test_what_is_stored_was_found_by_this_code():
             assert low < value < high, name
     drawn = search.sample_prior(SEARCHED, 20)[1]  # the first of those that the search began with
     for name, values in zip(SEARCHED, drawn.T, strict=True):
-        low, high = sorted(search.unsized(name, np.array([values.min(), values.max()])))
+        low, high = sorted(search.from_log(name, np.array([values.min(), values.max()])))
         wide = 1e-3 * abs(high - low)
         assert found[name]["drawn"][0] - wide <= low and high <= found[name]["drawn"][1] + wide, name

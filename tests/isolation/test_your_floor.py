@@ -17,10 +17,10 @@ from notebooks.isolation.your_floor import (
     crossing,
     described,
     findings,
-    hear,
     isolate,
     open_floor,
-    optimum_left,
+    optimal_residual_ratio,
+    select_floor_sensors,
     translating_spectrum,
 )
 from stillwork.base.checks import InputError
@@ -70,7 +70,7 @@ def test_slab_is_isolated_in_z_and_not_tilted(twin):
 
 @pytest.mark.parametrize("channels", [1, 2])
 def test_missing_sensors_read_the_mean_of_the_others(twin, channels):
-    fewer, _ = hear(twin, channels)
+    fewer, _ = select_floor_sensors(twin, channels)
     rng = np.random.default_rng(channels)
     measured = 1e-2 * rng.standard_normal((channels, 5000))
     mean = np.repeat(measured.mean(axis=0, keepdims=True), 3 - channels, axis=0)
@@ -363,7 +363,7 @@ def test_adaptation_stays_small_where_the_sensors_hear_mostly_noise(twin, seed):
 @pytest.mark.slow
 def test_a_louder_ground_is_isolated_better(twin):
     spectrum = translating_spectrum(ground_floor(60.0, 1, common=1.0))
-    left = optimum_left(twin, spectrum, [1.0, 30.0, 1000.0])
+    left = optimal_residual_ratio(twin, spectrum, [1.0, 30.0, 1000.0])
     assert np.ptp(left["passive"]) < 1e-9  # linear, and no sensor takes part
     assert left["feedback"][0] > 1 and left["FeRLS"][0] == pytest.approx(left["feedback"][0], rel=0.01)
     assert np.all(np.diff(left["FeRLS"]) < 0) and left["FeRLS"][2] < 0.05

@@ -1,4 +1,4 @@
-"""The studies behind the motion room's readings."""
+"""The studies behind the motion topic's readings."""
 
 import numpy as np
 import pytest

@@ -9,11 +9,11 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy import linalg
 
 from contest import bench
-from contest.doubts import DOUBTS, sample_truth
 from contest.multi_model import FINE, GRID
+from contest.nominal import OwnObserver, nominal_of
 from contest.plants import sample_plant
 from contest.scores import ENTRANTS
-from contest.told import OwnObserver, told_of
+from contest.uncertainties import UNCERTAINTIES, sample_truth
 from naive.fixedpoint import kalman_step, unscented_step
 
 SAMPLES = 150
@@ -21,9 +21,9 @@ SAMPLES = 150
 
 def scan(plant="drive", doubt="all 2 %", samples=SAMPLES):
     machine = sample_plant(plant, np.random.default_rng(2))
-    truth = sample_truth(machine, DOUBTS[doubt], samples, np.random.default_rng(3))
-    record = bench.record(bench.assemble(machine, truth, bench.CAUTIOUS, estimated=False))
-    return (*told_of(machine, DOUBTS[doubt].noise), machine.sample_time), record
+    truth = sample_truth(machine, UNCERTAINTIES[doubt], samples, np.random.default_rng(3))
+    record = bench.record(bench.assemble(machine, truth, bench.BANDWIDTH_RATIO_LOW, estimated=False))
+    return (*nominal_of(machine, UNCERTAINTIES[doubt].noise), machine.sample_time), record
 
 
 def run(name, settings, told, record):
@@ -412,7 +412,7 @@ def test_the_moving_horizon_is_the_gaussian_estimate_from_its_window_alone():
 @pytest.mark.slow
 def test_the_set_holds_the_state_as_long_as_the_bounds_hold():
     machine = sample_plant("stage", np.random.default_rng(2))
-    told = (*told_of(machine, 1.0), machine.sample_time)
+    told = (*nominal_of(machine, 1.0), machine.sample_time)
     model, noise, _ = told
     rng = np.random.default_rng(5)
     sensor, process = 3.0, 10.0
@@ -438,7 +438,7 @@ def test_the_set_holds_the_state_as_long_as_the_bounds_hold():
 def test_the_adaptive_filter_finds_the_process_noise(true, low, high):
     """A force with `true` times its deviation: the factor on the variance is the square, within a decade or two."""
     machine = sample_plant("stage", np.random.default_rng(2))
-    told = (*told_of(machine, 1.0), machine.sample_time)
+    told = (*nominal_of(machine, 1.0), machine.sample_time)
     model, noise, _ = told
     rng = np.random.default_rng(5)
     observer = OwnObserver(ENTRANTS["adaptive process noise"], (0.02,))

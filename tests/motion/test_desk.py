@@ -281,7 +281,7 @@ def test_the_measurement_stands_for_the_plant(node):
     for name in HELD:
         size = np.abs(getattr(functions, name))[-len(plant) :]
         np.testing.assert_allclose(np.array(found["functions"][name])[inside], size, rtol=1e-8)
-    assert found["turns"] == control.machine_loops.extra_turns(wanted, pid)
+    assert found["turns"] == control.machine_loops.encirclement_difference(wanted, pid)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from notebooks.motion.two_inertia_drive import (
 )
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
-from stillwork.control.machine_loops import extra_turns, observed_loops, on_measurement
+from stillwork.control.machine_loops import encirclement_difference, observed_loops, on_measurement
 from stillwork.control.pid import PidFamily
 from stillwork.identification.frequency_response import Identified, closed_loop_response, impact_response
 from stillwork.identification.modal_fit import fit_modes
@@ -161,7 +161,7 @@ def test_measured_loop_with_a_perfect_fit_is_the_model_loop():
         assert np.allclose(
             measured.at(controller).input_sensitivity, expected.input_sensitivity, rtol=1e-3, atol=1e-3
         )
-        assert extra_turns(measured, controller) == 0
+        assert encirclement_difference(measured, controller) == 0
     twice = mirrored(mirrored(stage))
     assert np.array_equal(twice.output_shapes, stage.output_shapes)
 
@@ -179,7 +179,10 @@ def test_an_encirclement_is_counted():
         unstable = [not each.is_stable(controller) for each in loops]
         assert unstable == [False, turns != 0]
         assert (
-            extra_turns(on_measurement(loop, data, factor, (300.0, 1900.0), mirror=True), controller) == turns
+            encirclement_difference(
+                on_measurement(loop, data, factor, (300.0, 1900.0), mirror=True), controller
+            )
+            == turns
         )
 
 

@@ -21,12 +21,12 @@ from notebooks.motion.joint_design import (
     closed_poles,
     compensated,
     crossing_hz,
+    evaluate,
     grid,
     judge,
     late,
     late_plant,
     late_response,
-    meet,
     noise_floor,
     paint_joint,
     robust_search,
@@ -35,8 +35,8 @@ from notebooks.motion.joint_design import (
     sample_plants,
     sampled_compensator,
     search,
-    serve,
     six,
+    stage_response,
     starts,
     stored_designs,
 )
@@ -126,12 +126,12 @@ def test_scan_error_is_that_of_the_exact_simulation_in_continuous_time():
         closed_loop(plant, stage_compensator(5, DESIGNS["MC and AD"]), PUBLISHED.controller.state_space())
     )
     wanted = tracking_error(loop, setpoint, fit_feedforward(loop, setpoint))[setpoint.scanning]
-    found = meet(PUBLISHED, [serve(stage(), 0.5)], 0.5)[0]
+    found = evaluate(PUBLISHED, [stage_response(stage(), 0.5)], 0.5)[0]
     assert found.quiet == pytest.approx(np.sqrt(np.mean(wanted**2)), rel=0.1)
 
 
 def test_noise_is_that_of_the_lyapunov_equation():
-    found = meet(ODD, [serve(stage())])[0]
+    found = evaluate(ODD, [stage_response(stage())])[0]
     loop = joint_loop(ODD, 5)
     noise = parameters("stage")["noise"]
     # In the loop's model w acts as late as the command, which changes its power by less than the tolerance.
@@ -230,7 +230,7 @@ def test_stored_designs_keep_what_they_say(name):
     stored = STORED[name]
     found = judge(stored.design, [stage()])
     assert found.stable[0]
-    assert found.keeps[0] or not stored.ends
+    assert found.feasible[0] or not stored.ends
     if stored.force:
         assert found.force[0] <= stored.force * 1.01
 
@@ -239,34 +239,34 @@ def test_stored_designs_keep_what_they_say(name):
 @pytest.mark.parametrize("size", SIZES[1:])
 def test_robust_designs_serve_stages_that_they_have_not_seen(size):
     fresh = sample_plants(size, 12, 99)
-    assert judge(STORED[f"joint, for {size:.0%}"].design, fresh).keeps.all()
-    assert not judge(STORED["joint, for 0%"].design, fresh).keeps.any()
+    assert judge(STORED[f"joint, for {size:.0%}"].design, fresh).feasible.all()
+    assert not judge(STORED["joint, for 0%"].design, fresh).feasible.any()
 
 
 @pytest.mark.slow
 def test_no_small_step_lowers_the_error_within_the_limits():
     """A local optimum: of random small steps none wins more than a thousandth without breaking a limit."""
     design, rng = STORED["joint, for 0%"].design, np.random.default_rng(5)
-    served = [serve(stage())]
-    before = meet(design, served)[0].error
+    served = [stage_response(stage())]
+    before = evaluate(design, served)[0].error
     for _ in range(60):
         moved = {
             name: float(getattr(design, name) * np.exp(rng.normal(0, 0.005)))
             for name in ("bandwidth_hz", "integrator", "differentiator", "low_pass", "process", "noise_model")
         }
-        found = meet(replace(design, **moved), served)[0]
+        found = evaluate(replace(design, **moved), served)[0]
         assert found.error > before * 0.998 or found.tops.max() > np.log(SIX_DB)
 
 
 @pytest.mark.slow
 def test_searches_keep_their_limits():
     """From a start that keeps none of them: peaks, and the force under noise."""
-    served = [serve(stage())]
+    served = [stage_response(stage())]
     start = replace(PUBLISHED, bandwidth_hz=60.0)
     free = search(start, "controller", served, steps=12)
-    assert free.excess < 1e-2 and free.error < meet(start, served)[0].error
+    assert free.excess < 1e-2 and free.error < evaluate(start, served)[0].error
     quiet = search(free.design, "controller", served, force=0.004, steps=12)
-    assert meet(quiet.design, served)[0].force < 0.00404
+    assert evaluate(quiet.design, served)[0].force < 0.00404
     fast = search(free.design, "controller", served, steps=6, aim="bandwidth")
     assert crossing_hz(fast.design, stage()).min() > crossing_hz(free.design, stage()).min()
 
@@ -275,15 +275,17 @@ def test_searches_keep_their_limits():
 def test_robust_search_keeps_its_limit_on_the_pool():
     plants = [stage(), *sample_plants(0.05, 4, 7)]
     slow = replace(STORED["joint, for 5%"].design, integrator=1.0)
-    found = robust_search(slow, "controller", [serve(p) for p in plants], ASKED, counted=2, turns=3, steps=4)
+    found = robust_search(
+        slow, "controller", [stage_response(p) for p in plants], ASKED, counted=2, turns=3, steps=4
+    )
     assert found.excess < 2e-2
-    assert judge(found.design, plants).keeps.all()
+    assert judge(found.design, plants).feasible.all()
 
 
 def test_a_search_sees_nearly_the_crossing_that_is_told():
     for name in ("joint, for 5%", "largest bandwidth, for 0%"):
         design = STORED[name].design
-        rough = rough_crossing_hz(design, serve(stage()))
+        rough = rough_crossing_hz(design, stage_response(stage()))
         np.testing.assert_allclose(rough, crossing_hz(design, stage()), rtol=2e-4)
 
 
@@ -325,12 +327,12 @@ def test_explorer_says_when_a_loop_is_unstable():
         (lambda: search(PUBLISHED, "all", []), "free"),
         (lambda: search(PUBLISHED, "joint", [], aim="speed"), "aim"),
         (
-            lambda: search(replace(PUBLISHED, bandwidth_hz=400.0), "joint", [serve(stage())]),
+            lambda: search(replace(PUBLISHED, bandwidth_hz=400.0), "joint", [stage_response(stage())]),
             r"^start\b.*unstable",
         ),
         (lambda: search(PUBLISHED, "joint", [], limit=0.5), "limit"),
         (lambda: search(PUBLISHED, "joint", [], force=0.0), "force"),
-        (lambda: meet(PUBLISHED, [serve(stage(), 0.3)], 0.3), r"^delay\b"),
+        (lambda: evaluate(PUBLISHED, [stage_response(stage(), 0.3)], 0.3), r"^delay\b"),
         (lambda: starts(0, 1), "count"),
     ],
 )

@@ -21,7 +21,7 @@ from stillwork.control.bandwidth import (
     Infeasible,
     PeakConstraint,
     SearchLoop,
-    holds,
+    is_feasible,
     make_loop,
     maximise_bandwidth,
 )
@@ -150,7 +150,7 @@ def test_the_search_ends_where_looking_at_everything_at_every_step_ends(name):
     good, bad = 20.0, 85.0
     while bad - good > 0.01:
         middle = (good + bad) / 2
-        good, bad = (middle, bad) if holds(loops, FAMILY(middle), limits) else (good, middle)
+        good, bad = (middle, bad) if is_feasible(loops, FAMILY(middle), limits) else (good, middle)
     assert found.design_hz == good
     peaks = [
         (loops[k].peak(FAMILY(bad), each.function), each.function, k) for each in limits for k in range(7)
@@ -242,7 +242,7 @@ def test_a_loop_that_is_not_a_number_is_no_feasible_one():
     with pytest.raises(InputError, match=r"^input_sensitivity\b"):
         maximise_bandwidth([Broken()], family, limits, 1.5, 50.0, lowest=True)
     with pytest.raises(InputError, match=r"^input_sensitivity\b.*number"):
-        holds([Broken()], family(2.0), limits, refine=False)
+        is_feasible([Broken()], family(2.0), limits, refine=False)
 
 
 def test_an_error_of_a_readers_own_loop_comes_through():
@@ -251,7 +251,7 @@ def test_an_error_of_a_readers_own_loop_comes_through():
             raise ValueError("out of oil")
 
     with pytest.raises(ValueError, match=r"^out of oil$"):
-        holds([Empty()], (PidFamily(5.0)(2.0),) * 2, [PeakConstraint("input_sensitivity")])
+        is_feasible([Empty()], (PidFamily(5.0)(2.0),) * 2, [PeakConstraint("input_sensitivity")])
 
 
 @pytest.mark.parametrize("hertz", [20.0, 30.0])
@@ -286,7 +286,7 @@ def test_of_constraints_that_are_equal_but_for_rounding_the_first_is_active(firs
     [
         (lambda: maximise_bandwidth([], FAMILY, [PeakConstraint("input_sensitivity")]), r"^loops\b"),
         (
-            lambda: holds(
+            lambda: is_feasible(
                 [make_loop(stage().at([0], [4]))], (FAMILY(20.0),), [PeakConstraint("true_tracking")]
             ),
             r"^controller\b",

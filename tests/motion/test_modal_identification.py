@@ -8,7 +8,7 @@ from experiments.motion.structure import measured_accelerance
 from stillwork.base.checks import InputError
 from stillwork.identification.complex_frequency import complex_frequency_poles, stabilisation
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import brought_forward, build_machine
+from stillwork.identification.machine import build_machine, remove_delay
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
 from workbook import paths
@@ -272,7 +272,7 @@ def test_a_delay_and_a_resonance_that_the_band_cuts_are_told(tmp_path):
     assert any(note.startswith("a resonance at about 310 Hz, beyond the band") for note in machine.notes)
     assert machine.mass == pytest.approx(40.0, rel=2e-3)
     assert machine.fit.delay == pytest.approx(late, rel=1e-3)
-    assert brought_forward(machine, late).measured.response == pytest.approx(response, rel=1e-12)
+    assert remove_delay(machine, late).measured.response == pytest.approx(response, rel=1e-12)
     assert machine.measured.response == pytest.approx(delayed, rel=1e-12)
 
 

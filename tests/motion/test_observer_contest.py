@@ -13,7 +13,6 @@ import pytest
 
 from contest import bench, tuning
 from contest import table as tables
-from contest.doubts import DOUBTS, hidden_seed, sample_truth
 from contest.noise_map import (
     FILE,
     MAPPED,
@@ -26,8 +25,9 @@ from contest.noise_map import (
     leads,
     turning,
 )
+from contest.nominal import OwnObserver, nominal_of
 from contest.plants import PLANTS, sample_plant
-from contest.referee import Disqualified, ForeignObserver
+from contest.runner import Disqualified, ExternalObserver
 from contest.scores import ENTRANTS, contest_trial
 from contest.table import (
     COLUMNS,
@@ -41,8 +41,8 @@ from contest.table import (
     standings,
     write_table,
 )
-from contest.told import OwnObserver, told_of
 from contest.tuning import WORST
+from contest.uncertainties import UNCERTAINTIES, hidden_seed, sample_truth
 from stillwork.base.checks import InputError
 from workbook import paths
 
@@ -54,7 +54,7 @@ GUIDE = (paths.root() / "docs" / "contest.md").read_text(encoding="utf-8")
 def test_the_guide_counts_right():
     words = " ".join(GUIDE.split())
     assert {6: "Six machines"}[len(PLANTS)] in words
-    assert f"{len(DOUBTS)} doubts: none at all, and {len(DOUBTS) - 1} ways" in words
+    assert f"{len(UNCERTAINTIES)} doubts: none at all, and {len(UNCERTAINTIES) - 1} ways" in words
 
 
 def test_the_guide_shows_the_committed_ranking():
@@ -71,7 +71,7 @@ def test_the_guide_shows_the_committed_ranking():
 @pytest.fixture
 def told():
     plant = sample_plant("drive", np.random.default_rng(0))
-    return plant, *told_of(plant, 1.0), plant.sample_time
+    return plant, *nominal_of(plant, 1.0), plant.sample_time
 
 
 @pytest.fixture
@@ -112,7 +112,7 @@ class Observer:
         (step_of("import os; os.write(1, b'look')"), "prints"),
         (step_of("self.all = [np.empty(10**8) for _ in range(1000)]"), "allocates more memory"),
         (step_of("open('/etc/hostname').read()"), "reads files (/etc/hostname)"),
-        (step_of("import contest.doubts"), "reads files ("),
+        (step_of("import contest.uncertainties"), "reads files ("),
         (step_of("import subprocess; subprocess.run(['true'])"), "asks for subprocess.Popen"),
         (step_of("import os; os.listdir('/etc')"), "reads files (/etc)"),
         (step_of("import os; os.kill(os.getppid(), 0)"), "asks for os.kill"),
@@ -123,7 +123,7 @@ class Observer:
 )
 def test_who_breaks_the_rules_is_out_by_name_and_reason(text, reason, told, written):
     given = told[1:]
-    with pytest.raises(Disqualified) as out, ForeignObserver(written(text), 60.0) as observer:
+    with pytest.raises(Disqualified) as out, ExternalObserver(written(text), 60.0) as observer:
         observer.start([given])
         if "hangs" in reason:
             observer.deadline = time.monotonic() + 0.5
@@ -141,7 +141,7 @@ def test_caught_errors_do_not_hide_what_was_tried(told, written):
             pass"""
     )
     given = told[1:]
-    with pytest.raises(Disqualified, match="files"), ForeignObserver(written(sly)) as observer:
+    with pytest.raises(Disqualified, match="files"), ExternalObserver(written(sly)) as observer:
         observer.start([given])
         observer.step([0], np.zeros((1, 1)), np.zeros((1, 1)))
 
@@ -167,8 +167,8 @@ def test_an_observer_is_told_of_nothing_but_the_nominal_model(written):
             return out
     """
     plant = sample_plant("drive", np.random.default_rng(0))
-    with ForeignObserver(written(spy)) as observer:
-        observer.start([(*told_of(plant, 1.0), plant.sample_time)])
+    with ExternalObserver(written(spy)) as observer:
+        observer.start([(*nominal_of(plant, 1.0), plant.sample_time)])
         answers = np.array([observer.step([0], np.zeros((1, 1)), np.ones((1, 1)))[0] for _ in range(50)])
     assert answers[:, 0].tolist() == list(range(1, 51))  # one call a sample, each before the next is shown
     assert answers[:, 1].max() <= 1000  # not even a short scan fits in there; numpy's own tables do
@@ -214,7 +214,7 @@ def test_an_observer_may_compile_itself_and_look_at_the_clock(told, written):
             assert time.perf_counter() > self.began
             return half(twice(np.full(self.n, 3.0)))
     """
-    with ForeignObserver(written(compiled)) as observer:
+    with ExternalObserver(written(compiled)) as observer:
         observer.start([told[1:]])
         assert observer.step([0], np.zeros((1, 1)), np.zeros((1, 1))).tolist() == [[3.0] * 4]
 
@@ -233,7 +233,7 @@ def test_the_contest_goes_on_without_the_disqualified(written, capsys):
 
 def test_a_file_that_is_not_there_and_a_name_that_is_taken_are_told(written):
     with pytest.raises(InputError, match=r"^nowhere\.py\b"):
-        ForeignObserver("nowhere.py")
+        ExternalObserver("nowhere.py")
     with pytest.raises(InputError, match="'Kalman'"):
         run_contest("a test", 1, [str(written(KALMAN, "Kalman.py"))])
     with pytest.raises(InputError, match="observers"):
@@ -242,8 +242,12 @@ def test_a_file_that_is_not_there_and_a_name_that_is_taken_are_told(written):
 
 def scan(name, doubt, samples=bench.SAMPLES, seed=1):
     plant = sample_plant(name, np.random.default_rng(seed))
-    truth = sample_truth(plant, DOUBTS[doubt], samples, np.random.default_rng([seed, 1]))
-    return plant, truth, bench.record(bench.assemble(plant, truth, bench.CAUTIOUS, estimated=False))
+    truth = sample_truth(plant, UNCERTAINTIES[doubt], samples, np.random.default_rng([seed, 1]))
+    return (
+        plant,
+        truth,
+        bench.record(bench.assemble(plant, truth, bench.BANDWIDTH_RATIO_LOW, estimated=False)),
+    )
 
 
 @pytest.mark.slow
@@ -272,10 +276,10 @@ def test_scans_follow_the_equations_of_the_machine(name, doubt):
 )
 def test_without_doubt_the_machine_is_the_one_told_of_and_the_cautious_loop_holds(name):
     plant, truth, record = scan(name, "none")
-    model, _ = told_of(plant, 1.0)
+    model, _ = nominal_of(plant, 1.0)
     for told, true in ((model.a, truth.a), (model.c, truth.c)):
         np.testing.assert_allclose(true, np.broadcast_to(told, true.shape), rtol=1e-12)
-    machine = bench.assemble(plant, truth, bench.CAUTIOUS, estimated=False)
+    machine = bench.assemble(plant, truth, bench.BANDWIDTH_RATIO_LOW, estimated=False)
     stroke = machine.setpoint[-1, 0]
     mean, peak = bench.tracking_errors(machine, record.states)
     assert 0 < mean < peak < 0.01 * stroke
@@ -289,7 +293,7 @@ def test_without_doubt_the_machine_is_the_one_told_of_and_the_cautious_loop_hold
 
 def test_a_loop_with_the_estimate_zero_is_the_loop_alone():
     plant, truth, record = scan("stage", "all 2 %")
-    machine = bench.assemble(plant, truth, bench.CAUTIOUS, estimated=True)
+    machine = bench.assemble(plant, truth, bench.BANDWIDTH_RATIO_LOW, estimated=True)
     width = machine.compensation.shape[1]
     moved = bench.run_scans([bench.loop_scan(machine)], lambda *_: [np.zeros(width)])[0]
     assert np.allclose(moved, record.states, rtol=1e-12, atol=0)
@@ -298,7 +302,7 @@ def test_a_loop_with_the_estimate_zero_is_the_loop_alone():
 def test_the_true_states_let_the_bold_loop_stand_and_zero_does_not():
     """What measurement compensation and active damping are for, with the best estimate there could be."""
     plant, truth, record = scan("stage", "none")
-    machine = bench.assemble(plant, truth, bench.BOLD, estimated=True)
+    machine = bench.assemble(plant, truth, bench.BANDWIDTH_RATIO_HIGH, estimated=True)
     width, run = machine.compensation.shape[1], bench.loop_scan(machine)
     next(run)
     with pytest.raises(StopIteration) as end:
@@ -306,7 +310,7 @@ def test_the_true_states_let_the_bold_loop_stand_and_zero_does_not():
             run.send(run.gi_frame.f_locals["memory"][0][:width].copy())
     moved = end.value.value
     steady = bench.tracking_errors(
-        bench.assemble(plant, truth, bench.CAUTIOUS, estimated=False), record.states
+        bench.assemble(plant, truth, bench.BANDWIDTH_RATIO_LOW, estimated=False), record.states
     )
     assert np.all(bench.tracking_errors(machine, moved) < 0.1 * steady)
     [alone] = bench.run_scans([bench.loop_scan(machine)], lambda *_: [np.zeros(width)])
@@ -322,7 +326,7 @@ def test_hidden_seeds_follow_from_the_public_number_alone():
 @pytest.mark.parametrize("name", ENTRANTS)
 def test_sample_by_sample_is_what_the_whole_scan_gives(name):
     plant, _, record = scan("drive", "lost 20 %", 60)
-    given = *told_of(plant, 1.0), plant.sample_time
+    given = *nominal_of(plant, 1.0), plant.sample_time
     observer = OwnObserver(ENTRANTS[name])
     observer.start(*given)
     whole = observer.run(record.inputs, record.measurements)
@@ -482,8 +486,8 @@ def test_a_cluster_gives_the_table_that_this_machine_gives(written, tmp_path, mo
 @pytest.mark.slow
 def test_whoever_is_out_is_not_waited_for_again(written, monkeypatch):
     """Its process starts once, however many seeds and machines there are."""
-    starts, enter = [], ForeignObserver.__enter__
-    monkeypatch.setattr(ForeignObserver, "__enter__", lambda self: starts.append(self) or enter(self))
+    starts, enter = [], ExternalObserver.__enter__
+    monkeypatch.setattr(ExternalObserver, "__enter__", lambda self: starts.append(self) or enter(self))
     bad = written(step_of("raise ValueError('no idea')"), "hopeless.py")
     _, disqualified = run_contest(
         "a test", 2, [bad], only=["zero"], plants=("drive", "stage"), doubts=("none",)
@@ -496,7 +500,9 @@ def test_the_committed_table_holds_every_entrant_plant_and_doubt():
         header, *lines = csv.reader(stream)
     assert tuple(header) == COLUMNS
     flexible = {tuple(line[:3]) for line in lines if line[3] == "flexible"}
-    assert flexible == {(name, plant, doubt) for name in ENTRANTS for plant in PLANTS for doubt in DOUBTS}
+    assert flexible == {
+        (name, plant, doubt) for name in ENTRANTS for plant in PLANTS for doubt in UNCERTAINTIES
+    }
     assert all(float(line[5]) <= float(line[4]) <= float(line[6]) for line in lines if line[1] != "all")
 
 

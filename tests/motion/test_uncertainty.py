@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillwork.base.checks import InputError
-from stillwork.control.bandwidth import FUNCTIONS, holds, make_loop
+from stillwork.control.bandwidth import FUNCTIONS, is_feasible, make_loop
 from stillwork.control.c_code import controller_code
 from stillwork.control.digital import runnable
 from stillwork.control.machine_designs import INTENSITIES
@@ -147,11 +147,11 @@ def test_other_forms_of_numbers_are_taken_and_nonsense_is_named():
     moved = [perturbed_loops([loop], [place()._replace(frequencies=each)])[0].plant for each in forms]
     assert moved[1].frequencies == pytest.approx(moved[0].frequencies, rel=1e-6)
     assert np.array_equal(moved[2].frequencies, moved[0].frequencies)
-    assert holds((loop,), pid, [*SAFE]) and not holds([loop], PidFamily(40.0)(80.0), SAFE)
+    assert is_feasible((loop,), pid, [*SAFE]) and not is_feasible([loop], PidFamily(40.0)(80.0), SAFE)
     for call, message in (
-        (lambda: holds([], pid, SAFE), "loops is empty"),
-        (lambda: holds([loop], pid, []), "constraints is empty"),
-        (lambda: holds([loop], 3.0, SAFE), "controller"),
+        (lambda: is_feasible([], pid, SAFE), "loops is empty"),
+        (lambda: is_feasible([loop], pid, []), "constraints is empty"),
+        (lambda: is_feasible([loop], 3.0, SAFE), "controller"),
         (lambda: perturbed_loop(loop, place([1.0, 0.9])), "frequencies"),
     ):
         with pytest.raises(InputError, match=message):

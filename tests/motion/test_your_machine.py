@@ -212,7 +212,7 @@ def found():
 def test_measurement_and_model_agree_where_the_fit_is_exact(found):
     _, reached = found
     for each in reached.values():
-        assert each.extra_turns == 0 and not each.reason and each.recommended is not None
+        assert each.encirclement_difference == 0 and not each.reason and each.recommended is not None
         assert each.on_measurement.crossing_hz == pytest.approx(each.on_model.crossing_hz, rel=0.01)
         assert (
             each.on_measurement.design_hz > 0.999 * each.on_model.design_hz

@@ -1,4 +1,4 @@
-"""Slow, obvious twins of the fixedpoint room's kernels: matrices, polynomial fits, plain loops."""
+"""Slow, obvious twins of the fixedpoint topic's kernels: matrices, polynomial fits, plain loops."""
 
 import numpy as np
 

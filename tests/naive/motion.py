@@ -1,4 +1,4 @@
-"""Slow, obvious twins of what the motion room and the linear models compute fast."""
+"""Slow, obvious twins of what the motion topic and the linear models compute fast."""
 
 from fractions import Fraction
 from itertools import pairwise, product

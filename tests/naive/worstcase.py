@@ -1,4 +1,4 @@
-"""Slow, obvious twins of the worstcase room: normal equations, bisection, Theorem 2 letter by letter."""
+"""Slow, obvious twins of the worstcase topic: normal equations, bisection, Theorem 2 letter by letter."""
 
 import numpy as np
 from scipy.optimize import brentq, minimize

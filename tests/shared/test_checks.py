@@ -11,8 +11,8 @@ from hypothesis.extra import numpy as arrays
 
 from stillwork.base.checks import (
     InputError,
-    counted,
     nearest,
+    pluralise,
     require_array,
     require_choice,
     require_count,
@@ -89,8 +89,8 @@ def test_the_sample_at_which_a_run_overflows_is_named(axis, sample):
 
 
 def test_one_of_a_thing_is_no_plural():
-    assert [counted(n, "row") for n in (0, 1, 2)] == ["0 rows", "1 row", "2 rows"]
-    assert [counted(np.int64(n), "frequency") for n in (1, 3)] == ["1 frequency", "3 frequencies"]
+    assert [pluralise(n, "row") for n in (0, 1, 2)] == ["0 rows", "1 row", "2 rows"]
+    assert [pluralise(np.int64(n), "frequency") for n in (1, 3)] == ["1 frequency", "3 frequencies"]
 
 
 def test_choice():

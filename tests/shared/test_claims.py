@@ -244,7 +244,7 @@ reason = "one run differs"
 
 @pytest.fixture
 def workbook(tmp_path, monkeypatch):
-    """A workbook with a ledger of the room `motion`; give it another text or found values."""
+    """A workbook with a ledger of the topic `motion`; give it another text or found values."""
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
 
     def write(text=LEDGER, **found):
@@ -264,8 +264,8 @@ def test_reads_nested_ids(workbook):
     entries = load_entries("motion")
     assert list(entries) == ["motion.table-1.pid", "motion.order"]
     assert entries["motion.table-1.pid"].tolerance == Tolerance("digits", relative=0.03)
-    assert entries["motion.order"].room == "motion"
-    with pytest.raises(InputError, match="room"):
+    assert entries["motion.order"].topic == "motion"
+    with pytest.raises(InputError, match="topic"):
         load_entries("isolation")
 
 
@@ -326,7 +326,7 @@ def test_a_claim_of_an_unknown_entry_names_the_nearest(workbook):
     workbook()
     with pytest.raises(InputError, match=r"'motion\.ordr'.*'motion\.order'"):
         make_claim("motion.ordr", 1.0)
-    with pytest.raises(InputError, match=r"^room\b"):
+    with pytest.raises(InputError, match=r"^topic\b"):
         make_claim("moton.order", 1.0)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from workbook import paths
 
-# A face, a command, a page of the site, a study of `data/<room>/readings.toml` and a notebook's text name a function
+# A face, a command, a page of the site, a study of `data/<topic>/choices.toml` and a notebook's text name a function
 # without calling it.
 NAMED = re.compile(r"(?:experiments|contest|notebooks)[\w.]*:(\w+)|(?:stillwork|workbook)[\w.]*:(\w+)")
 WRITTEN = re.compile(r"`[\w.]*?(\w+)`")
@@ -97,6 +97,6 @@ def test_what_only_itself_or_nobody_uses_is_found():
             "LIMIT, MORE = 3, 4\ndef lost(n):\n    return lost(n - 1)\ndef kept():\n    return LIMIT"
         ),
         "lib/b": ast.parse("from a import kept\nUNREAD: int = 1\nclass Written: ...\nclass Offered: ..."),
-        "lib/__init__": ast.parse("names = face(__name__, {'b': ('Offered',)})"),
+        "lib/__init__": ast.parse("names = lazy_exports(__name__, {'b': ('Offered',)})"),
     }
     assert dead(modules, {"Written", "names"}) == ["lib/a: lost", "lib/b: UNREAD"]

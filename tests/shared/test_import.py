@@ -15,7 +15,7 @@ HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "cvxpy", "numpy", 
         ("workbook.page", ("numpy",)),
         ("workbook.explorer", ("numpy",)),
         ("workbook.build", ("numpy",)),
-        ("workbook.readings.command", ("numpy",)),
+        ("workbook.choices.command", ("numpy",)),
     ],
 )
 def test_an_import_loads_no_more_than_it_needs(module, allowed):

@@ -183,7 +183,7 @@ def test_folders_of_other_digests_go_after_a_week_without_use(workbook):
     every = workbook / "build" / "kernels"
     day = 24 * 3600
     for name, age in {"0" * 16: 8, "1" * 16: 8, "2" * 16: 6, "own": 30}.items():
-        (every / name / "room").mkdir(parents=True)
+        (every / name / "topic").mkdir(parents=True)
         os.utime(every / name, (time.time() - age * day,) * 2)
     ask = "from stillwork.base.kernel_folder import cache_folder; print(cache_folder()); input()"
     environment = {"PYTHONPATH": str(workbook / "lib"), "STILLWORK_ROOT": str(workbook), "PATH": ""}

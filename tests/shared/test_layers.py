@@ -15,7 +15,7 @@ ORDER = (*TOOLBOX, "workbook", "workbook.site")
 ABOVE = len(ORDER)  # the command line, then what stands outside the package
 OUTSIDE = ("experiments", "contest", "notebooks")
 LOADERS = {
-    f"stillwork.base.{name}" for name in ("faces", "extras", "command_line")
+    f"stillwork.base.{name}" for name in ("lazy_exports", "extras", "command_line")
 }  # import what they are told by name
 
 
@@ -65,14 +65,14 @@ def hidden(trees):
             yield module
 
 
-def between_rooms(imported):
-    """A room or a notebook with the other room that it imports."""
-    rooms = {
+def between_topics(imported):
+    """A topic or a notebook with the other topic that it imports."""
+    topics = {
         module: module.split(".")[1]
         for module in imported
         if module.startswith(("experiments.", "notebooks."))
     }
-    return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
+    return [(a, b) for a in topics for b in imported[a] if b in topics and topics[a] != topics[b]]
 
 
 def foreign(imported):
@@ -118,9 +118,9 @@ def test_the_workbook_knows_no_physics(imported):
     assert not seen & {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
 
 
-def test_the_engine_names_no_room():
+def test_the_engine_names_no_topic():
     """But in examples, which docstrings give."""
-    rooms = re.compile(rf"\b({'|'.join(paths.rooms())})\b")
+    topics = re.compile(rf"\b({'|'.join(paths.topics())})\b")
     places = {}
     for file in sorted((paths.root() / "lib" / "workbook").rglob("*")):
         if file.suffix == ".py":
@@ -131,12 +131,12 @@ def test_the_engine_names_no_room():
         elif file.suffix in (".toml", ".html", ".js", ".css", ".env"):
             places[file] = file.read_text(encoding="utf-8")
     assert len(places) > 60
-    assert [file.name for file, text in places.items() if rooms.search(text)] == []
+    assert [file.name for file, text in places.items() if topics.search(text)] == []
 
 
 @pytest.mark.slow
-def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
-    assert between_rooms(imported) == []
+def test_a_topic_imports_no_other_topic_and_nothing_of_the_site(imported):
+    assert between_topics(imported) == []
     below = [module for module in imported if module.startswith(("experiments.", "notebooks."))]
     assert not [(a, b) for a in below for b in imported[a] if folder(b) == "workbook.site"]
 
@@ -154,7 +154,7 @@ def test_the_rules_find_what_breaks_them():
     broken = imports(
         written(
             stillwork="",
-            stillwork__lti="from stillwork.base.faces import face\nall = face(__name__, {'zoh': ('hold',)})",
+            stillwork__lti="from stillwork.base.lazy_exports import lazy_exports\nall = lazy_exports(__name__, {'zoh': ('hold',)})",
             stillwork__lti__zoh="def hold():\n    from stillwork.signals import spectra",
             stillwork__signals="",
             stillwork__signals__spectra="from stillwork.lti import hold",
@@ -174,7 +174,7 @@ def test_the_rules_find_what_breaks_them():
     )
     assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
     assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
-    assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
+    assert between_topics(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
     assert foreign(broken) == [("notebooks.motion.11-tracking", "notebooks.motion.bandwidth_table")]
     assert [("stillwork.lti." + name, "workbook.paths") for name in "abc"] == [
         pair for pair in rising(broken) if pair[1] == "workbook.paths"
@@ -185,7 +185,7 @@ def test_an_import_that_the_rules_would_not_see_is_found():
     sources = {
         "stillwork__lti__a": "from ..control.pid import Pid",
         "stillwork__lti__b": "import importlib\nimportlib.import_module('stillwork.control.pid')",
-        "stillwork__base__faces": "from importlib import import_module\nimport_module('x')",
+        "stillwork__base__lazy_exports": "from importlib import import_module\nimport_module('x')",
     }
     assert list(hidden(written(**sources))) == ["stillwork.lti.a", "stillwork.lti.b"]
 

@@ -76,8 +76,8 @@ def test_a_build_sees_the_file(tmp_path):
     (tmp_path / "hers.mat").write_bytes(saved())
     script = (
         "from pathlib import Path\nfrom stillwork.signals.matfiles import read_mat\n"
-        "from workbook.kernel_process import Installed, watch\n"
-        "watch('reads', Installed('/nowhere/reads'))\nread_mat(Path('hers.mat'))"
+        "from workbook.kernel_process import IgnoredPaths, watch\n"
+        "watch('reads', IgnoredPaths('/nowhere/reads'))\nread_mat(Path('hers.mat'))"
     )
     environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
     subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)

@@ -101,7 +101,7 @@ def test_only_a_whole_figure_is_saved(workbook, wrong):
 @pytest.mark.parametrize(
     ("claim", "value", "interval", "message"),
     [
-        ("n" * 300, 1.0, None, r"^room\b"),
+        ("n" * 300, 1.0, None, r"^topic\b"),
         ("motion.order", 1.5, None, r"^motion\.order\b"),
         ("motion.order", 1.0, (-0.1, 1.0), r"^motion\.order\b.*-0\.1\b"),
         ("motion.order", 1.0, (0.9, 1.1), r"^motion\.order\b.*\b1\.1\b"),
@@ -173,7 +173,7 @@ def test_a_note_names_a_series_and_a_reason(workbook, rounding, message):
         "motion/" + "n" * 300,
     ],
 )
-def test_a_page_has_a_room_and_a_name(name):
+def test_a_page_has_a_topic_and_a_name(name):
     with pytest.raises(InputError, match=r"^notebook\b"):
         Page(name)
 

@@ -35,7 +35,7 @@ def test_the_snippet_finds_the_weights_it_announces(capsys):
 
 
 def test_it_says_where_a_build_writes():
-    assert f"`{built().relative_to(paths.root())}/<room>/<notebook>/`" in README
+    assert f"`{built().relative_to(paths.root())}/<topic>/<notebook>/`" in README
 
 
 def test_files_that_the_texts_name_exist():

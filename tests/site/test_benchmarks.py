@@ -46,7 +46,7 @@ def test_a_table_says_on_what_it_was_measured_and_how_to_measure_it():
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["motion/99-none"], "there is no notebook or room 'motion/99-none'"),
+        (["motion/99-none"], "there is no notebook or topic 'motion/99-none'"),
         (["--pins", "--rounds", "0"], "--rounds is 0; give 1 or more"),
     ],
 )

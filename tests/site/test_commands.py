@@ -19,9 +19,9 @@ from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.inspecting import inspect_file
 from workbook import paths
+from workbook.choices import command
 from workbook.claims import load_entries
 from workbook.notebooks import read_notebook
-from workbook.readings import command
 from workbook.site.mathematics import markdown
 from workbook.site.papers import cited, papers
 from workbook.site.scaffold import new_result
@@ -298,7 +298,7 @@ def test_a_record_too_short_for_a_floor_gets_no_command_for_it(tmp_path):
     assert list(commands(inspect_file(str(tmp_path / "a.csv")))) == ["fixedpoint/09-your-plant"]
 
 
-def test_an_input_output_record_in_volts_is_for_the_room_that_takes_it():
+def test_an_input_output_record_in_volts_is_for_the_topic_that_takes_it():
     file = paths.data("worstcase", "your_record/template.csv")
     assert commands(inspect_file(str(file))) == {
         "worstcase/07-your-record": {
@@ -423,7 +423,7 @@ def test_what_is_wrong_with_a_record_is_said(tmp_path):
     assert "mean 3.333e+307, standard deviation 9.428e+307" in inspect_file(str(file))
 
 
-def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):
+def test_a_machine_is_recognised_by_the_topic_that_reads_it(tmp_path):
     machine = str(paths.data("isolation", "rigid_body.toml"))
     report = inspect_file(machine)
     assert "isolation" in report
@@ -448,16 +448,16 @@ def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):
         ),
         (
             "data/motion/published.toml",
-            "published.toml: the published numbers of the room motion; how they stand: python -m stillwork claims motion",
+            "published.toml: the published numbers of the topic motion; how they stand: python -m stillwork claims motion",
         ),
         (
-            "data/fixedpoint/readings.toml",
-            "readings.toml: the {choices} choices that the work of the room fixedpoint leaves open; "
-            "to try them: python -m stillwork readings fixedpoint",
+            "data/fixedpoint/choices.toml",
+            "choices.toml: the {choices} choices that the work of the topic fixedpoint leaves open; "
+            "to try them: python -m stillwork choices fixedpoint",
         ),
         (
-            "data/worstcase/readings.csv",
-            "readings.csv: what the ledger's entries come to under each reading; see python -m stillwork claims --entry ID",
+            "data/worstcase/choices.csv",
+            "choices.csv: what the ledger's entries come to under each combination; see python -m stillwork claims --entry ID",
         ),
     ],
 )
@@ -518,7 +518,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path, capsys, name, content, 
         ["export", "", "--out", "x"],
         ["export", "a.json", "--out", ""],
         ["claims", "--entry", ""],
-        ["readings", "--scheduler", ""],
+        ["choices", "--scheduler", ""],
         ["contest", "--public", ""],
         ["contest", "--out", ""],
     ],
@@ -530,12 +530,12 @@ def test_an_empty_name_is_refused_with_its_argument(words, capsys):
 
 
 def test_a_budget_is_a_time_in_minutes(monkeypatch, capsys):
-    monkeypatch.setattr(command, "compute_readings", lambda budget_min, **_: [f"{budget_min:g} min"])
-    assert main(["readings", "--budget", "2.5"]) == 0
+    monkeypatch.setattr(command, "compute_choices", lambda budget_min, **_: [f"{budget_min:g} min"])
+    assert main(["choices", "--budget", "2.5"]) == 0
     assert capsys.readouterr().out == "2.5 min\n"
     for text in ("0", "-1", "nan", "soon"):
         with pytest.raises(SystemExit):
-            main(["readings", "--budget", text])
+            main(["choices", "--budget", text])
         assert "is not a time; give minutes, more than 0" in capsys.readouterr().err
 
 
@@ -639,7 +639,7 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
 
 
 @pytest.mark.parametrize(
-    ("room", "name", "message"),
+    ("topic", "name", "message"),
     [
         ("isolaton", "09-a", r"\broom\b.*'isolation'"),
         ("isolation", "payload", r"^name\b"),
@@ -647,28 +647,28 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
         ("crane", "01-a", "--create"),
     ],
 )
-def test_a_new_result_needs_a_room_and_a_name(toy, room, name, message):
+def test_a_new_result_needs_a_topic_and_a_name(toy, topic, name, message):
     with pytest.raises(InputError, match=message):
-        new_result(room, name)
+        new_result(topic, name)
 
 
-def test_a_new_room_has_a_ledger_and_a_paper_and_is_the_last(toy):
-    before = paths.rooms()
+def test_a_new_topic_has_a_ledger_and_a_paper_and_is_the_last(toy):
+    before = paths.topics()
     written = new_result("crane", "01-sway", create=True)
     assert written[3:] == ["data/crane/published.toml", "data/crane/paper.toml"]
-    assert paths.rooms() == ("crane", *before)  # by name: none of them says its order
+    assert paths.topics() == ("crane", *before)  # by name: none of them says its order
     toy.write("data/motion/paper.toml", "order = 1")
-    assert paths.rooms() == ("motion", "crane", "isolation")
+    assert paths.topics() == ("motion", "crane", "isolation")
     assert list(load_entries("crane")) == ["crane.sway.deviation"]
     paper = papers()["crane"]
     assert (paper["title"], paper["headline"]) == ("Crane", []) and "crane" not in cited()
 
 
-@pytest.mark.parametrize("room", ["isolation", "Crane", "a-b", "../a", "class", ""])
-def test_a_room_is_created_once_and_is_a_name_of_python(toy, room):
+@pytest.mark.parametrize("topic", ["isolation", "Crane", "a-b", "../a", "class", ""])
+def test_a_topic_is_created_once_and_is_a_name_of_python(toy, topic):
     before = toy.files("notebooks", "data", "tests")
-    with pytest.raises(InputError, match="room"):
-        new_result(room, "09-a", create=True)
+    with pytest.raises(InputError, match="topic"):
+        new_result(topic, "09-a", create=True)
     assert toy.files("notebooks", "data", "tests") == before
 
 

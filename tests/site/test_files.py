@@ -18,17 +18,17 @@ from PIL import Image
 from engine import toy as toys
 from stillwork.base.checks import InputError
 from workbook import paths
+from workbook.choices.command import robustness_of
+from workbook.choices.judging import Robustness
 from workbook.claims import Claim, Entry, Tolerance, ledger
 from workbook.notebooks import select
 from workbook.publish import replace_folder
-from workbook.readings.command import standings_of
-from workbook.readings.judging import Standing
 from workbook.site import reference
 from workbook.site.build import site_files
 from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
 from workbook.site.papers import papers
-from workbook.site.specification import class_of, stands
+from workbook.site.specification import class_of, status
 
 pytestmark = pytest.mark.slow
 
@@ -162,18 +162,18 @@ def test_the_manifest_lists_files_that_are_there():
 
 
 def test_what_a_work_says_first_is_judged_by_an_entry_of_its_own_ledger():
-    known = {claim.entry.id: claim.entry.room for claim in ledger()}
-    for room, paper in papers().items():
+    known = {claim.entry.id: claim.entry.topic for claim in ledger()}
+    for topic, paper in papers().items():
         for part in ("headline", "found"):
             named = [each["entry"] for each in paper[part]]
-            assert {known.get(each) for each in named} <= {room}
+            assert {known.get(each) for each in named} <= {topic}
 
 
 def test_advice_rests_on_verdicts_that_stand():
-    """With another verdict, or another class over the readings, the sentence is to be written anew."""
+    """With another verdict, or another class over the combinations, the sentence is to be written anew."""
     verdicts = {claim.entry.id: claim.verdict for claim in ledger()}
-    for room, paper in papers().items():
-        classes = {name: each.class_ for name, each in standings_of(room).items() if each.class_}
+    for topic, paper in papers().items():
+        classes = {name: each.class_ for name, each in robustness_of(topic).items() if each.class_}
         assert paper["builder"][-1:] in (".", "")
         for entry, stated in paper["rests"].items():
             assert stated == ", ".join([verdicts[entry], *([classes[entry]] if entry in classes else [])])
@@ -190,21 +190,22 @@ def test_the_front_page_shows_each_work_by_its_picture_and_what_came_out(files):
         assert paper["builder"] in text
 
 
-def test_what_came_out_is_a_sentence_that_the_readings_end(files):
-    lines = paths.data("isolation", "readings.csv").read_text(encoding="utf-8").splitlines()
+def test_what_came_out_is_a_sentence_that_the_combinations_end(files):
+    lines = paths.data("isolation", "choices.csv").read_text(encoding="utf-8").splitlines()
     name = "isolation.convergence.faster-each"
     (head,) = [number for number, line in enumerate(lines) if name in line.split(",")]
     rows = list(itertools.takewhile(lambda line: line[:1].isdigit(), lines[head + 1 :]))
     assert {line.split(",")[lines[head].split(",").index(name)] for line in rows} == {"1"}
     text = re.sub(r"<[^>]*>", "", files["index.html"].decode())
     assert (
-        f"Here: {papers()['isolation']['found'][0]['says']} under every one of {len(rows)} readings, " in text
+        f"Here: {papers()['isolation']['found'][0]['says']} under every one of {len(rows)} combinations, "
+        in text
     )
 
 
-def test_a_table_tells_its_best_joint_reading_and_what_comes_near_there(files):
+def test_a_table_tells_its_best_joint_combination_and_what_comes_near_there(files):
     """Of Table 4.1 that is the default, the first row of its study: its numbers are held against the ledger's here."""
-    lines = paths.data("motion", "readings.csv").read_text(encoding="utf-8").splitlines()
+    lines = paths.data("motion", "choices.csv").read_text(encoding="utf-8").splitlines()
     (head,) = [number for number, line in enumerate(lines) if "motion.table-4-1.mc.mean" in line.split(",")]
     tried = len(list(itertools.takewhile(lambda line: line[:1].isdigit(), lines[head + 1 :])))
     first = dict(zip(lines[head].split(","), lines[head + 1].split(","), strict=True))
@@ -216,7 +217,7 @@ def test_a_table_tells_its_best_joint_reading_and_what_comes_near_there(files):
         if f"motion.table-4-1.{case}.{which}" in first
     ]
     counts = [f"{sum(each <= size for each in off)} of {len(off)}" for size in (0.05, 0.15, 0.25)]
-    text = files["readings/motion.html"].decode()
+    text = files["choices/motion.html"].decode()
     row = re.search(r"<tr><td><code>motion.table-4-1</code></td><td>(.*?)</td><td>.*?</td>(.*?)</tr>", text)
     assert "(moved)" not in row[1]
     assert re.findall(r"<td>(.*?)</td>", row[2]) == [*counts, str(tried)]
@@ -243,7 +244,7 @@ def test_the_search_index_leads_to_places_that_are_there(files):
     found = json.loads(text.removeprefix("globalThis.searchIndex = ").removesuffix(";\n"))
     kinds = Counter(kind for _, kind, _, _ in found)
     assert kinds["ledger"] == len(ledger())
-    assert set(kinds) == {"ledger", "reference", "guide", *(notebook.room for notebook in select())}
+    assert set(kinds) == {"ledger", "reference", "guide", *(notebook.topic for notebook in select())}
     places: dict[str, set] = {}
     for title, _, address, _ in found:
         page, _, place = address.partition("#")
@@ -263,21 +264,21 @@ def test_every_page_describes_itself(files):
             assert len(described[0]) > 20, name
 
 
-def test_how_a_statement_stands_is_told_by_its_readings_else_by_its_verdict():
-    entry = Entry("room.fig-1.a", "Fig. 1", "time", "s", "value", 2.0, Tolerance("digits", relative=0.1))
+def test_how_a_statement_stands_is_told_by_its_combinations_else_by_its_verdict():
+    entry = Entry("topic.fig-1.a", "Fig. 1", "time", "s", "value", 2.0, Tolerance("digits", relative=0.1))
     claim = Claim(entry, 4.0)
-    assert stands(claim, None) == "not here (4 s)"
-    assert stands(Claim(entry, 2.1), None) == "here, too"
-    assert stands(Claim(entry, None), None) == "not built"
+    assert status(claim, None) == "not here (4 s)"
+    assert status(Claim(entry, 2.1), None) == "here, too"
+    assert status(Claim(entry, None), None) == "not built"
     assert class_of(None) == "not tried"
     for agreeing, words, name in (
-        (4, "under every one of 4 readings", "holds"),
-        (0, "under none of 4 readings", "fails"),
-        (1, "under 1 of 4 readings", "depends"),
+        (4, "under every one of 4 combinations", "robust"),
+        (0, "under none of 4 combinations", "not reproduced"),
+        (1, "under 1 of 4 combinations", "depends"),
     ):
         agrees = np.arange(4)[:, None] < agreeing
-        standing = Standing(entry, (), np.ones((4, 1)), agrees, np.zeros((4, 1), bool), None, ())
-        assert stands(claim, standing) == words
+        standing = Robustness(entry, (), np.ones((4, 1)), agrees, np.zeros((4, 1), bool), None, ())
+        assert status(claim, standing) == words
         assert class_of(standing) == name
 
 
@@ -343,5 +344,5 @@ def test_the_front_page_counts_what_was_predicted_apart(toy):
         shown = [unquote(each["href"].partition("?")[2]) for each in links if "?" in each["href"]]
         assert [each for each in shown if "not built" not in each] == [
             f"counted={column}",
-            f"room=isolation&counted={column}",
+            f"topic=isolation&counted={column}",
         ]

@@ -16,7 +16,7 @@ from workbook.site import picture, reference
 from workbook.site.mathematics import markdown, mathml
 from workbook.site.pages import with_outputs
 
-IDS = ["room.fig-1.a", "room.fig-1.b", "room.table-2.a"]
+IDS = ["topic.fig-1.a", "topic.fig-1.b", "topic.table-2.a"]
 
 
 def test_a_page_has_the_texts_of_now_and_the_outputs_of_the_build():
@@ -28,13 +28,13 @@ def test_a_page_has_the_texts_of_now_and_the_outputs_of_the_build():
 
 
 def test_claims_and_figures_are_found_in_their_order():
-    source = 'page.check("room.table-2.a", 1)\nother.check("room.fig-1.a")\npage.check("room.fig-1.b", 2)'
-    assert notebook_source.checked(source, IDS) == ["room.table-2.a", "room.fig-1.b"]
+    source = 'page.check("topic.table-2.a", 1)\nother.check("topic.fig-1.a")\npage.check("topic.fig-1.b", 2)'
+    assert notebook_source.checked(source, IDS) == ["topic.table-2.a", "topic.fig-1.b"]
     assert notebook_source.saved('page.save("fig-5", figure)', ["fig-5", "fig-55"]) == ["fig-5"]
 
 
 def test_a_name_made_up_in_a_loop_finds_all_that_it_can_mean():
-    assert notebook_source.checked('for x in y: page.check(f"room.fig-1.{x}", 0)', IDS) == IDS[:2]
+    assert notebook_source.checked('for x in y: page.check(f"topic.fig-1.{x}", 0)', IDS) == IDS[:2]
     assert notebook_source.checked("for x in y: page.check(x, 0)", IDS) == IDS
 
 

@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from workbook.choices.axes import Axis, Multiverse
+from workbook.choices.judging import Robustness
+from workbook.choices.results import Outcomes
 from workbook.claims import Entry, Tolerance
-from workbook.readings.axes import Axis, Multiverse
-from workbook.readings.judging import Standing
-from workbook.readings.results import Outcomes
 from workbook.site.specification import HEIGHT, TOP, curve_of
 
 # Value = size of `scale`, or minus it: published is 2, and 1.5 to 2.5 agree.
@@ -24,7 +24,7 @@ def curve(values=VALUES, published=2.0, kind="value"):
     tolerance = None if kind == "reported" else Tolerance("printed", absolute=0.5)
     entry = Entry("motion.size", "Table 1", "size", "m", kind, published, tolerance, reason="a toy")
     agrees = np.abs(values - 2) <= 0.5
-    standing = Standing(entry, (SCALE, SIGN), values, agrees, np.zeros(values.shape, bool))
+    standing = Robustness(entry, (SCALE, SIGN), values, agrees, np.zeros(values.shape, bool))
     seeds = tuple(range(1, values.shape[1] + 1))
     study = Multiverse("motion", "toy", "a:b", ("motion.size",), (SCALE, SIGN, OTHER), seeds)
     return curve_of(Outcomes(study, DESIGN, {"motion.size": values}), standing)
@@ -70,7 +70,7 @@ def test_seeds_show_as_ranges_and_what_gave_nothing_is_left_out():
     assert sum(len(places(path)) for path in drawn.dots.values()) == 5
 
 
-def test_a_published_value_far_from_all_readings_leaves_the_scale_to_them():
+def test_a_published_value_far_from_all_combinations_leaves_the_scale_to_them():
     drawn = curve(published=1000.0)
     assert drawn.published is None and drawn.band is None
     assert [text for _, text in drawn.ticks] == ["-4", "4"]

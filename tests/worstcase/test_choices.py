@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from choices.defaults import require_accepted
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
     fir_trial,
@@ -12,7 +13,6 @@ from experiments.worstcase.simulations import (
 )
 from experiments.worstcase.theory import random_problem
 from notebooks.worstcase.tracking import EXCITATIONS, PUBLISHED_NORM, weighted_excitation
-from readings.defaults import require_accepted
 from stillwork.base.checks import InputError
 from workbook.studies import run_study
 

@@ -1,8 +1,8 @@
 """Controllers, studies and pictures of the work on filters in fixed-point adaptive control."""
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "differentiation": (

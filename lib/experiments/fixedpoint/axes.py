@@ -1,4 +1,4 @@
-"""What pictures of this room share: a filter's colour, an error's label and unit, axes, legends, intervals."""
+"""What pictures of this topic share: a filter's colour, an error's label and unit, axes, legends, intervals."""
 
 import numpy as np
 

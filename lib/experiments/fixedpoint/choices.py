@@ -1,4 +1,4 @@
-"""The fixed-point paper's statements at any reading of what it leaves open (``readings.toml``)."""
+"""The fixed-point paper's statements at any reading of what it leaves open (``choices.toml``)."""
 
 from dataclasses import replace
 from itertools import product

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.fixedpoint.noise import Noise
-from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
+from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
 from stillwork.estimation.gaussian import require_covariance
 from stillwork.estimation.riccati import covariance_root, discrete_gain
 
@@ -80,7 +80,7 @@ def correlations(error: ArrayLike, sample_time: float, reach: int = 4) -> Correl
     require_count("reach", reach, at_least=0)
     if len(error) < reach + 3:
         raise InputError(
-            f"error holds {counted(len(error), 'sample')}; lags up to {reach} take {reach + 3} at least"
+            f"error holds {pluralise(len(error), 'sample')}; lags up to {reach} take {reach + 3} at least"
         )
     quotient = difference_quotient(error, sample_time)
     if np.ptp(quotient) == 0:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.fixedpoint.noise import Noise, lose
+from experiments.fixedpoint.noise import Noise, drop_samples
 from experiments.fixedpoint.published import INTEGRATION
 from stillwork.base.checks import InputError, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
@@ -81,9 +81,11 @@ def noisy_run(
     lost_for: float = 0.0,
     **options,
 ) -> ControlledRun:
-    """One run with noise from a generator or a seed, signals lost as in `noise.lose`, other options of `control.simulate`."""
+    """One run with noise from a generator or a seed, signals lost as in `noise.drop_samples`, other options of `control.simulate`."""
     rng = np.random.default_rng(rng)
-    added = lose(noise.sample(rng, len(trajectory.position)), trajectory.sample_time, lost_every, lost_for)
+    added = drop_samples(
+        noise.sample(rng, len(trajectory.position)), trajectory.sample_time, lost_every, lost_for
+    )
     encoder = {"resolution": noise.resolution, "grid": noise.sample_grid(rng)}
     options = {"integration": INTEGRATION, **options}
     return simulate(plant, controller, trajectory, added, **encoder, **options)

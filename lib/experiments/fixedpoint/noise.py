@@ -67,7 +67,7 @@ class Noise:
         return np.round((measured - grid) / self.resolution) * self.resolution + grid
 
 
-def lose(
+def drop_samples(
     noise: Float64[np.ndarray, "*coordinates samples"], sample_time: float, every: float, length: float
 ) -> Float64[np.ndarray, "*coordinates samples"]:
     """The same noise with NaN, a lost signal, in the last `length` seconds of each `every` seconds; 0: none is lost."""

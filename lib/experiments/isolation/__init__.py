@@ -17,9 +17,9 @@ keeps a0, a1, u, psi_N and e at the full rate from there on; ``[(100.0, flat), (
 the floor changes it in mid-run; ``twin.varied(platform_noise=1e-5, estimate="full")`` is another twin.
 """
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "floors": ("ShapedFloor", "colored_floor", "flat_floor"),

@@ -36,7 +36,7 @@ class Bank(NamedTuple):
     second: np.ndarray  # (sections, channels)
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """Room for what one sample needs."""
 
     product: np.ndarray  # (outputs,) of the plant
@@ -61,7 +61,7 @@ class ClosedLoop(NamedTuple):
     plant: np.ndarray  # (inputs, outputs): [A B; C D]' padded, from [states, force, floor] to [states, a1]
     states: int  # of the plant
     vector: np.ndarray  # (inputs,): states of the plant and room for its inputs
-    room: Room
+    workspace: Workspace
     floor_inertia: np.ndarray  # (actuators, sensors)
     command: np.ndarray  # (actuators,): u on its way through the sample of delay
     actuator: Bank
@@ -121,7 +121,7 @@ def loop_of(
         plant=plant,
         states=len(model.a),
         vector=aligned(inputs * runs),
-        room=Room(
+        workspace=Workspace(
             product=aligned(outputs * runs),
             readings=aligned((twin.outputs + twin.sensors) * runs),
             resonance=aligned(twin.actuators * runs),
@@ -304,7 +304,7 @@ def advance(
     plant, floor_inertia, before, after = loop.plant, loop.floor_inertia, loop.before, loop.after
     vector, command, weights, power = lanes((loop.vector, loop.command, loop.weights, loop.power), together)
     product, readings, resonance, damping, error, axes, shaped, both, regressor, filtered, rounded = lanes(
-        loop.room, together
+        loop.workspace, together
     )
     _, form, forgetting, _, allowance, _, _, _ = loop.recursion
     matrix, levels, gain = lanes((loop.recursion.matrix, each, loop.recursion.gain), together)

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import SAMPLE_RATE, SENSORS
-from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
+from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.records import STANDARD_GRAVITY, Record, resample, to_acceleration
 from workbook import paths
@@ -149,7 +149,7 @@ def record_floor(
     channels = require_count("channels", channels)
     if len(record.signals) > channels:
         raise InputError(
-            f"{record.source} holds {counted(len(record.signals), 'channel')}, the plate {counted(channels, 'sensor')}; "
+            f"{record.source} holds {pluralise(len(record.signals), 'channel')}, the plate {pluralise(channels, 'sensor')}; "
             "choose channels when loading"
         )
     moved = resample(to_acceleration(record), sample_rate).signals

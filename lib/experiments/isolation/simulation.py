@@ -13,7 +13,7 @@ from experiments.isolation.sources import BLOCK, Floor, Sources
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import (
     InputError,
-    counted,
+    pluralise,
     require_array,
     require_choice,
     require_count,
@@ -220,7 +220,7 @@ def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
     for seconds, part in given:
         if part.channels != twin.sensors:
             raise InputError(
-                f"floor has {counted(part.channels, 'channel')} but the rig has {counted(twin.sensors, 'floor sensor')}; give as many"
+                f"floor has {pluralise(part.channels, 'channel')} but the rig has {pluralise(twin.sensors, 'floor sensor')}; give as many"
             )
         if part.sample_rate != rate:
             raise InputError(

@@ -2,13 +2,20 @@
 
 from dataclasses import MISSING, fields
 
-from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number, shown
+from stillwork.base.checks import (
+    InputError,
+    nearest,
+    require_array,
+    require_count,
+    require_number,
+    short_repr,
+)
 
 
 def require_table(where: str, given) -> dict:
     """Return `given` when it is a table, else raise `InputError`."""
     if not isinstance(given, dict):
-        raise InputError(f"{where} is {shown(given)}; give a table [{where}]")
+        raise InputError(f"{where} is {short_repr(given)}; give a table [{where}]")
     return given
 
 

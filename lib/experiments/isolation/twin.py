@@ -14,9 +14,9 @@ from experiments.isolation.rig import Rig, rig_from_table
 from experiments.isolation.settings import Instruments, SelfTunedFeedforward, Skyhook
 from experiments.isolation.shaping import FrequencyNotch, NoiseShaping, SecondaryPath
 from experiments.isolation.tables import build, require_names, require_table
-from stillwork.base.checks import InputError, require_array, require_choice, require_number, shown
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, require_array, require_choice, require_number, short_repr
 from stillwork.base.toml_files import read_toml
+from stillwork.base.validation import checked
 from workbook import paths
 
 SHIPPED = ("rigid_body", "fitted")
@@ -138,7 +138,7 @@ def load_twin(model: str | Path) -> Twin:
     """Read a twin from TOML: ``"rigid_body"``, ``"fitted"``, or the path of a file of the same form."""
     if not isinstance(model, str | Path):
         raise InputError(
-            f"model is {shown(model)}; give {', '.join(map(repr, SHIPPED))} or the path of a TOML file"
+            f"model is {short_repr(model)}; give {', '.join(map(repr, SHIPPED))} or the path of a TOML file"
         )
     file = paths.data("isolation", f"{model}.toml") if model in SHIPPED else Path(model)
     if model not in SHIPPED and file.suffix != ".toml":
@@ -201,7 +201,7 @@ def _feedforward_from_table(table: dict) -> SelfTunedFeedforward:
     shape = dict(require_table("feedforward.shaping", table["shaping"]))
     notches = shape.pop("notches", [])
     if not isinstance(notches, list):
-        raise InputError(f"feedforward.shaping.notches is {shown(notches)}; give a list of tables")
+        raise InputError(f"feedforward.shaping.notches is {short_repr(notches)}; give a list of tables")
     path = dict(require_table("feedforward.path", table["path"]))
     require_names("feedforward.path", path, ("mass", "damping", "stiffness", "actuator_pole_hz"))
     path["actuator_pole"] = 2 * np.pi * require_number("actuator_pole_hz", path.pop("actuator_pole_hz"))

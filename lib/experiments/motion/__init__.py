@@ -1,8 +1,8 @@
 """Machines, designs, studies and pictures of the observer thesis."""
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "beam": ("beam_shapes", "published_beam"),

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.front_door import checked
 from stillwork.base.toml_files import read_numbers
+from stillwork.base.validation import checked
 from stillwork.lti.modal import ModalModel
 from workbook import paths
 

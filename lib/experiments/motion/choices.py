@@ -1,4 +1,4 @@
-"""The designs of chapter 3 at any reading of what the thesis leaves open (``readings.toml``)."""
+"""The designs of chapter 3 at any reading of what the thesis leaves open (``choices.toml``)."""
 
 from dataclasses import replace
 from functools import lru_cache

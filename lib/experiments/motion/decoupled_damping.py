@@ -9,7 +9,7 @@ from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from stillwork.base.checks import InputError, require_choice, require_count
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.control.decoupling import WORST_CONDITION, Decoupling
 from stillwork.control.feedback import band_pass, per_flexible_mode, stiffening
 from stillwork.control.pid import series

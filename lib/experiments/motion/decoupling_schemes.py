@@ -19,8 +19,8 @@ from experiments.motion.decoupled_damping import (
 )
 from experiments.motion.loop_conditions import slope
 from experiments.motion.machines import published_noise
-from stillwork.base.checks import InputError, counted, require_choice, require_count, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, pluralise, require_choice, require_count, require_number
+from stillwork.base.validation import checked
 from stillwork.control.applications import Application, compensator
 from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.control.feedback import band_pass, damping_gain, stiffness_gain
@@ -148,7 +148,7 @@ def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray 
     modes, actuators = plant.input_shapes.shape
     taken = actuators_of(name, plant)
     if name != "undamped" and actuators != taken:
-        raise InputError(f"plant has {counted(actuators, 'actuator')}; {name!r} takes {taken}")
+        raise InputError(f"plant has {pluralise(actuators, 'actuator')}; {name!r} takes {taken}")
     flexible = np.arange(modes - plant.rigid_modes)
     retained = truncate(plant, plant.rigid_modes + settings.damped)
     increase = np.where(flexible < settings.damped, settings.increase, 0.0)

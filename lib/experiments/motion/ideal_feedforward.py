@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from stillwork.base.checks import InputError, counted, require_samples
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.checks import InputError, pluralise, require_samples
+from stillwork.base.validation import check_fields, checked
 from stillwork.control.feedforward import Feedforward
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh, zoh_modes
@@ -191,7 +191,7 @@ def respond(model: StateModel, force: Force) -> Float64[np.ndarray, "outputs sam
     """Outputs of a continuous model driven by the force alone, exact at the samples."""
     if model.b.shape[1] != 1:
         raise InputError(
-            f"model has {counted(model.b.shape[1], 'input')}; select the one that the force drives"
+            f"model has {pluralise(model.b.shape[1], 'input')}; select the one that the force drives"
         )
     n, size = len(model.a), len(force.generator)
     chain = np.zeros((n + size, n + size))

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.machines import published_deviations, published_setpoint, stage
 from experiments.motion.uncertainty import perturbed, sample_errors
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.control.feedforward import (
     Feedforward,
     error_loop,

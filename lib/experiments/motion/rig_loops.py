@@ -13,9 +13,9 @@ from experiments.motion.rig import EdgeDecoupling
 from experiments.motion.rig_control import RigCompensator
 from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_choice
-from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.rounding import first_largest
+from stillwork.base.validation import checked
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, PeakConstraint, maximise_bandwidth
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import channel, closed_loop

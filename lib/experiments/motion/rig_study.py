@@ -20,7 +20,7 @@ from experiments.motion.rig_designs import (
 )
 from experiments.motion.rig_loops import MEASURES, RigLoop
 from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.control.loops import channel
 from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities

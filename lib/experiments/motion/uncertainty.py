@@ -12,8 +12,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, counted, require_array, require_choice, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
+from stillwork.base.validation import checked
 from stillwork.estimation.robust import Derivatives, NormBound
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti.modal import ModalModel
@@ -81,7 +81,7 @@ class SampledDerivatives:
         shapes = require_array("shapes", shapes, shape=(model.samples, model.c.shape[1], None))
         if shapes.shape[2] <= max(self.modes):
             raise InputError(
-                f"shapes has {counted(shapes.shape[2], 'mode')}; mode {max(self.modes)} is uncertain, give its shape too"
+                f"shapes has {pluralise(shapes.shape[2], 'mode')}; mode {max(self.modes)} is uncertain, give its shape too"
             )
         c = np.zeros((len(shapes), len(self.a), shapes.shape[1], model.c.shape[2]))
         for k, mode in enumerate(self.modes):

@@ -1,8 +1,8 @@
 """Trials, measured pair and pictures of the work on bounded doubt."""
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "cone": ("solve_cone_program",),

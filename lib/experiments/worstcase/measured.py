@@ -9,7 +9,7 @@ from scipy import signal
 from experiments.worstcase.pairs import MeasuredPair, residual
 from experiments.worstcase.total import total_least_squares
 from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.estimation.min_max import solve_silently, solve_sweep, triangle
+from stillwork.estimation.min_max import qr_r, solve_silently, solve_sweep
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
 from stillwork.identification.regressors import fir_regressors
@@ -171,7 +171,7 @@ def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray,
     windows, found = _windows(pair, regressors, length, most), []
     for fit, later in windows:
         # a rotation of the rows changes no residual: taps + 1 of them say all
-        corner = triangle(np.column_stack(fit))
+        corner = qr_r(np.column_stack(fit))
         swept = solve_sweep(corner[:, :-1], corner[:, -1], factors * typical)
         found.append([residual(*later, solution.estimate) for solution in swept])
     return np.median(found, axis=0)

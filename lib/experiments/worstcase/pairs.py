@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import linalg, signal
 
-from stillwork.base.checks import InputError, counted, require_count, require_number
+from stillwork.base.checks import InputError, pluralise, require_count, require_number
 from stillwork.signals.records import channel_unit, load_unscaled
 from workbook import paths
 
@@ -103,7 +103,7 @@ def open_pair(
     record = load_unscaled(file, sample_rate=sample_rate, channels=named or None)
     if len(record.names) != 2:
         raise InputError(
-            f"{record.source} holds {counted(len(record.names), 'channel')} ({', '.join(record.names)}); name the two with "
+            f"{record.source} holds {pluralise(len(record.names), 'channel')} ({', '.join(record.names)}); name the two with "
             "input_channel and output_channel"
         )
     sides = zip(record.names, units, ("input_unit", "output_unit"), strict=True)

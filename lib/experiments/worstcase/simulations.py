@@ -7,7 +7,7 @@ noise and the length of Fig. 2; what is assumed is a parameter here and named in
 import numpy as np
 from scipy import signal, special
 
-from stillwork.base.checks import InputError, counted, require_array, require_choice, require_number
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
 from stillwork.estimation.min_max import min_max_solve
 from stillwork.estimation.recursive import run_silently, worst_case_residuals
 from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
@@ -220,7 +220,7 @@ def settled(errors: np.ndarray, forgetting: float, memories: float = 3.0) -> np.
     """Root mean square of error norms (..., samples) after so many memory lengths 1 / (1 - forgetting)."""
     start = settled_from(forgetting, memories)
     if start >= np.shape(errors)[-1]:
-        raise InputError(f"errors has {counted(np.shape(errors)[-1], 'sample')}; give more than {start}")
+        raise InputError(f"errors has {pluralise(np.shape(errors)[-1], 'sample')}; give more than {start}")
     return np.sqrt(np.mean(np.square(errors[..., start:]), axis=-1))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, counted, require_array
+from stillwork.base.checks import InputError, pluralise, require_array
 
 
 def total_least_squares(matrix: ArrayLike, target: ArrayLike) -> Float64[np.ndarray, " unknowns"]:
@@ -18,7 +18,7 @@ def total_least_squares(matrix: ArrayLike, target: ArrayLike) -> Float64[np.ndar
     target = require_array("target", target, shape=(rows,))
     if rows <= unknowns:
         raise InputError(
-            f"matrix has {counted(rows, 'row')} for {counted(unknowns, 'unknown')}; give more rows than unknowns"
+            f"matrix has {pluralise(rows, 'row')} for {pluralise(unknowns, 'unknown')}; give more rows than unknowns"
         )
     direction = np.linalg.svd(np.column_stack([matrix, target]), full_matrices=False)[2][-1]
     if abs(direction[-1]) <= 1e-12:

@@ -39,7 +39,7 @@ def nearest(word, candidates: Iterable) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-def counted(number: int, noun: str) -> str:
+def pluralise(number: int, noun: str) -> str:
     """``1 row``, ``2 rows``, ``3 entries``."""
     several = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
     return f"{number} {noun if number == 1 else several}"
@@ -60,7 +60,7 @@ def require_choice(name: str, value, choices: Iterable[str]) -> str:
     choices = list(choices)
     if not isinstance(value, str) or value not in choices:
         said = ", ".join(map(repr, choices))
-        raise InputError(f"{name} is {shown(value)}; use one of {said}{nearest(value, choices)}")
+        raise InputError(f"{name} is {short_repr(value)}; use one of {said}{nearest(value, choices)}")
     return value
 
 
@@ -79,7 +79,7 @@ def require_number(
     except OverflowError:
         found = "beyond the largest floating-point number"
     except Exception:  # a reader's own object may raise anything when it is asked
-        found = f"{shown(value)}, not a number"
+        found = f"{short_repr(value)}, not a number"
     else:
         if (
             math.isfinite(number)
@@ -116,7 +116,7 @@ def require_count(name: str, value, *, at_least: int = 1) -> int:
         or not at_least <= value <= MOST_COUNT
     ):
         wanted = f", at least {at_least}" if at_least > -MOST_COUNT else ""
-        raise InputError(f"{name} is {shown(value)}; give a whole number{wanted}")
+        raise InputError(f"{name} is {short_repr(value)}; give a whole number{wanted}")
     return int(value)
 
 
@@ -125,7 +125,7 @@ def require_kind(name: str, value, kind: type | tuple[type, ...]):
     kinds = kind if isinstance(kind, tuple) else (kind,)
     if isinstance(value, kinds):
         return value
-    raise InputError(f"{name} is {shown(value)}; give {' or '.join(each.__name__ for each in kinds)}")
+    raise InputError(f"{name} is {short_repr(value)}; give {' or '.join(each.__name__ for each in kinds)}")
 
 
 def require_samples(name: str, count: float) -> int:
@@ -135,7 +135,7 @@ def require_samples(name: str, count: float) -> int:
     return round(count)
 
 
-def require_room(name: str, *shape: int) -> None:
+def require_topic(name: str, *shape: int) -> None:
     """Raise `InputError` where the array of floats that `name` asks for is larger than any machine should try."""
     size = 8 * math.prod(shape)
     if size > MOST_BYTES:
@@ -158,11 +158,11 @@ def require_flag(name: str, value) -> bool:
 def require_callable(name: str, value):
     """Return `value` when it can be called, else raise `InputError`."""
     if not callable(value):
-        raise InputError(f"{name} is {shown(value)}; give a function")
+        raise InputError(f"{name} is {short_repr(value)}; give a function")
     return value
 
 
-def shown(value) -> str:
+def short_repr(value) -> str:
     """`value` as a message quotes it: no longer than a line, whatever it is."""
     try:
         text = repr(value)
@@ -256,6 +256,6 @@ def require_one_each(values: np.ndarray, omega: np.ndarray) -> np.ndarray:
     """What a response returned for frequencies, else `InputError`."""
     if values.size != omega.size:
         raise InputError(
-            f"what response returns has shape {values.shape} for {counted(omega.size, 'frequency')}; give one value at each"
+            f"what response returns has shape {values.shape} for {pluralise(omega.size, 'frequency')}; give one value at each"
         )
     return values

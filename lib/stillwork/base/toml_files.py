@@ -3,7 +3,7 @@
 import tomllib
 from pathlib import Path
 
-from stillwork.base.checks import InputError, nearest, require_array, require_number, shown
+from stillwork.base.checks import InputError, nearest, require_array, require_number, short_repr
 
 
 class Table(dict):
@@ -20,7 +20,7 @@ class Table(dict):
         """The entry `name`, which must be a table."""
         value = self[name]
         if not isinstance(value, Table):
-            raise InputError(f"{self.where}: {name} is {shown(value)}; make it a table [{name}]")
+            raise InputError(f"{self.where}: {name} is {short_repr(value)}; make it a table [{name}]")
         return value
 
 
@@ -32,13 +32,15 @@ def read_toml(file: str | Path) -> Table:
     except FileNotFoundError:
         raise InputError(f"no file {file}; give the path of a TOML file") from None
     except OSError as error:
-        raise InputError(f"{shown(str(file))} cannot be read ({error.strerror}); give a TOML file") from None
+        raise InputError(
+            f"{short_repr(str(file))} cannot be read ({error.strerror}); give a TOML file"
+        ) from None
     except UnicodeDecodeError:
         raise InputError(f"{file} is not text; give a TOML file in UTF-8") from None
     except RecursionError:
         raise InputError(f"{file}: nested too deeply; give tables of values") from None
     except ValueError as error:  # not TOML, a null in the path, or more digits than Python takes
-        raise InputError(f"{shown(str(file))}: not valid TOML ({error}); mend that line") from None
+        raise InputError(f"{short_repr(str(file))}: not valid TOML ({error}); mend that line") from None
 
 
 def read_numbers(file: str | Path, *, lists: bool = True) -> Table:

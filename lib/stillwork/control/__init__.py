@@ -1,8 +1,8 @@
 """Controllers, loops, bandwidth, observers in the loop, damping, decoupling, feedforward, fixed-point control."""
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "applications": ("Application", "compensator"),

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.feedback import SELECTIONS, band_pass, damping_gain, per_flexible_mode, stiffness_gain
 from stillwork.estimation.observer import Observer
 from stillwork.lti.state_space import StateModel, block_matrix, interconnect

@@ -11,8 +11,8 @@ from jaxtyping import Complex128, Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_kind, require_number
-from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.base.rounding import TIE
+from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
 from stillwork.control.pid import Pid
@@ -573,7 +573,9 @@ def _ready(loops, constraints) -> list[SearchLoop]:
     return [
         loop
         if isinstance(loop, Loop)
-        else SimpleNamespace(omega=loop.omega, **{name: outside(getattr(loop, name)) for name in methods})
+        else SimpleNamespace(
+            omega=loop.omega, **{name: user_callback(getattr(loop, name)) for name in methods}
+        )
         for loop in loops
     ]
 
@@ -679,7 +681,7 @@ def _lowest(
 
 
 @checked
-def holds(
+def is_feasible(
     loops: Sequence[SearchLoop],
     controller: Pid | tuple[Pid, ...],
     constraints: Sequence[PeakConstraint],

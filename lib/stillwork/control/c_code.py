@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from stillwork.base.checks import InputError, counted, require_choice, require_count, shown
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, pluralise, require_choice, require_count, short_repr
+from stillwork.base.validation import checked
 from stillwork.control.digital import DigitalController, without_dead_states
 from stillwork.control.feedforward import Motion
 from stillwork.control.setpoint import HALVINGS
@@ -93,7 +93,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
         **{mark: f" {mark.lower()}[" in start for mark in "EF"},
     }
     values = {
-        "title": f"{name}: {counted(states, 'state')}, {1 / m.sample_time:g} samples a second, {precision} precision.",
+        "title": f"{name}: {pluralise(states, 'state')}, {1 / m.sample_time:g} samples a second, {precision} precision.",
         "signals": "\n   ".join(
             [f"in[{k}]: {_comment(text)}" for k, text in enumerate(controller.inputs)]
             + [f"out[{k}]: {_comment(text)}" for k, text in enumerate(controller.outputs)]
@@ -103,7 +103,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
         "states": states,
         "delay": late,
         "sample_time": repr(m.sample_time),
-        "late": f", {counted(late, 'sample')} late" if late else "",
+        "late": f", {pluralise(late, 'sample')} late" if late else "",
         "designed": _lines(designed),
         "keeps": ", ".join(write(each) for each in sums),
         "zero": write(0),
@@ -217,7 +217,9 @@ def adaptation_code(
 def require_names(name: str, precision: str) -> None:
     """Refuse what cannot begin names in C, and a precision that there is not."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name):
-        raise InputError(f"name is {shown(name)}; give letters, digits and _, a letter first, 31 at most")
+        raise InputError(
+            f"name is {short_repr(name)}; give letters, digits and _, a letter first, 31 at most"
+        )
     require_choice("precision", precision, PRECISIONS)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import optimize
 
-from stillwork.base.checks import InputError, counted, require_one_each
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, pluralise, require_one_each
+from stillwork.base.validation import checked
 
 
 @checked
@@ -23,7 +23,7 @@ def crossover(
     """
     if len(omega) != len(magnitude):
         raise InputError(
-            f"omega has {counted(len(omega), 'frequency')}, magnitude {len(magnitude)}; give one of each"
+            f"omega has {pluralise(len(omega), 'frequency')}, magnitude {len(magnitude)}; give one of each"
         )
     falls = np.flatnonzero((magnitude[1:] < 1) & (magnitude[:-1] >= 1))
     if not len(falls):

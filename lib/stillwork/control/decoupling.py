@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, counted
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, pluralise
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, block_matrix, constant, interconnect
@@ -62,7 +62,7 @@ class Decoupling:
         outputs, inputs = model.feedthrough.shape
         if (outputs, inputs) != (self.sensing.shape[1], len(self.actuation)):
             raise InputError(
-                f"model has {counted(inputs, 'input')} and {counted(outputs, 'output')}; this decoupling is for {len(self.actuation)} "
+                f"model has {pluralise(inputs, 'input')} and {pluralise(outputs, 'output')}; this decoupling is for {len(self.actuation)} "
                 f"and {self.sensing.shape[1]}"
             )
         rigid = model.rigid_modes
@@ -129,7 +129,7 @@ def decouple(
             )
         if len(shapes) < len(chosen):
             raise InputError(
-                f"model has {counted(len(shapes), what[:-1])}, too few to tell {len(chosen)} modes apart; add {what}"
+                f"model has {pluralise(len(shapes), what[:-1])}, too few to tell {len(chosen)} modes apart; add {what}"
             )
         inverses.append(_inverse(shapes[:, list(chosen)], what)[:rigid])
     return Decoupling(np.ascontiguousarray(inverses[0].T), inverses[1])
@@ -166,7 +166,7 @@ def decoupled_plant(
         force, (forces, states), selected = constant(np.eye(inputs)), gain.shape, gain
     if forces != inputs or states > known:
         raise InputError(
-            f"gain goes from {counted(states, 'state')} to {counted(forces, 'force')}; the plant takes {counted(inputs, 'force')} and "
+            f"gain goes from {pluralise(states, 'state')} to {pluralise(forces, 'force')}; the plant takes {pluralise(inputs, 'force')} and "
             f"{known} states are known"
         )
     read = len(selected)

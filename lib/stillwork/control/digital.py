@@ -13,16 +13,16 @@ from scipy import linalg, signal
 from stillwork.base.checks import (
     Converted,
     InputError,
-    counted,
+    pluralise,
     require_array,
     require_choice,
     require_count,
     require_number,
-    shown,
+    short_repr,
 )
 from stillwork.base.extras import require_package
-from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.toml_files import Table, read_toml
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.feedforward import Feedforward, Motion
 from stillwork.control.pid import Pid, series
 from stillwork.control.setpoint import MoveLimits
@@ -144,8 +144,8 @@ class DigitalController:
     def _require_motion(self, motion: Motion) -> None:
         if (len(self.inputs), len(self.outputs)) != (1, 1):
             raise InputError(
-                f"motion is for a controller of one error and one output; this has {counted(len(self.inputs), 'input')} "
-                f"and {counted(len(self.outputs), 'output')}"
+                f"motion is for a controller of one error and one output; this has {pluralise(len(self.inputs), 'input')} "
+                f"and {pluralise(len(self.outputs), 'output')}"
             )
         motion.require_within(min(self.high[0], -self.low[0]))
 
@@ -555,7 +555,7 @@ def biquads(model: StateModel) -> np.ndarray | None:
     """Second-order sections of a model with one input and one output; None where they would not agree with it."""
     if model.d.shape != (1, 1):
         raise InputError(
-            f"model has {counted(model.d.shape[1], 'input')} and {counted(len(model.d), 'output')}; give one of each"
+            f"model has {pluralise(model.d.shape[1], 'input')} and {pluralise(len(model.d), 'output')}; give one of each"
         )
     if not model.sample_time:
         raise InputError("model is in continuous time; discretise it first")
@@ -755,7 +755,7 @@ def load_controller(file: str | Path) -> DigitalController:
         entries = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(
-            f"{shown(str(file))} cannot be read ({error.strerror}); give a JSON or TOML file"
+            f"{short_repr(str(file))} cannot be read ({error.strerror}); give a JSON or TOML file"
         ) from None
     except (ValueError, RecursionError):
         entries = None
@@ -763,7 +763,7 @@ def load_controller(file: str | Path) -> DigitalController:
         raise InputError(f"{file.name} is no controller; give the controller.json that design wrote")
     table = Table(entries, file.name)
     if table["format"] != FORMAT:
-        raise InputError(f"{file.name}: format is {shown(table['format'])}; this reads {FORMAT!r}")
+        raise InputError(f"{file.name}: format is {short_repr(table['format'])}; this reads {FORMAT!r}")
     space = table.table("state_space")
     model = _model(space, table["sample_time_s"])
     read = {
@@ -807,5 +807,5 @@ def _model(table: Table, sample_time: float) -> StateModel:
 
 def _list(table: Table, name: str) -> list:
     if not isinstance(table[name], list):
-        raise InputError(f"{table.where}: {name} is {shown(table[name])}; give a list")
+        raise InputError(f"{table.where}: {name} is {short_repr(table[name])}; give a list")
     return table[name]

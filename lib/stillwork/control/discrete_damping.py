@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.control.feedback import DampedModes, damped_modes, per_flexible_mode, require_reach
 from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import zoh_modes

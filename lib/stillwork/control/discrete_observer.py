@@ -15,11 +15,11 @@ from stillwork.base.checks import (
     require_count,
     require_number,
 )
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application, filtered_estimates
 from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.control.feedback import band_pass, damping_gain
-from stillwork.estimation.observer import FlexibleEstimates, NoiseIntensities, with_walk
+from stillwork.estimation.observer import FlexibleEstimates, NoiseIntensities, augment_random_walk
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import late_modes, zoh, zoh_modes
@@ -124,7 +124,7 @@ def discrete_kalman_observer(
     g, q = b, noise.process / sample_time * np.eye(inputs)
     if noise_model is not None:
         require_number("noise_model", noise_model, above=0.0)
-        a, b, g, c = with_walk(a, b, c, np.eye(inputs))
+        a, b, g, c = augment_random_walk(a, b, c, np.eye(inputs))
         q = linalg.block_diag(q, noise_model * sample_time * np.eye(inputs))
     solved = discrete_gain(a, g, c, q, noise.sensor / sample_time)
     b, before = (np.vstack([each, np.zeros((len(a) - len(each), inputs))]) for each in (late_model.b, before))

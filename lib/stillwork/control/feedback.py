@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 

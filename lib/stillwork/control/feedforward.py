@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, counted, require_array, require_choice, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.loops import INPUTS, OUTPUTS, require_deviations, require_stable
 from stillwork.control.setpoint import Move, MoveLimits, Setpoint
 from stillwork.lti.discretisation import zoh
@@ -303,7 +303,7 @@ def error_loop(loop: StateModel) -> StateModel:
     outputs, inputs = loop.d.shape
     if (inputs, outputs) != (len(INPUTS), len(OUTPUTS)):
         raise InputError(
-            f"loop has {counted(inputs, 'input')} and {counted(outputs, 'output')}; give closed_loop(...) of one actuator and sensor"
+            f"loop has {pluralise(inputs, 'input')} and {pluralise(outputs, 'output')}; give closed_loop(...) of one actuator and sensor"
         )
     return loop.select([INPUTS.index("v"), INPUTS.index("w")], [OUTPUTS.index("e_true")])
 
@@ -337,7 +337,7 @@ class _Moved(NamedTuple):
 
 def _moved(loop: StateModel, sample_time: float) -> _Moved:
     if loop.b.shape[1] != 2:
-        raise InputError(f"loop has {counted(loop.b.shape[1], 'input')}; give error_loop(closed_loop(...))")
+        raise InputError(f"loop has {pluralise(loop.b.shape[1], 'input')}; give error_loop(closed_loop(...))")
     require_stable(loop)
     a, drive = _held(loop, 0, sample_time)
     _, force = _held(loop, 1, sample_time)

@@ -9,8 +9,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.held_force import move_held
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.fixed_point_linear import LinearLoop
 from stillwork.control.transformation import FlowTransformation, Transformation, deform_packed
 
@@ -227,7 +227,7 @@ def strongest_oscillation(values: ArrayLike, sample_time: float) -> Oscillation:
     if values.ndim != 1:
         raise InputError(f"values has shape {values.shape}; give one record")
     if len(values) < 16:
-        raise InputError(f"values holds {counted(len(values), 'sample')}; give 16 at least")
+        raise InputError(f"values holds {pluralise(len(values), 'sample')}; give 16 at least")
     window = np.hanning(len(values))
     weighted = (values - values.mean()) * window
     time = np.arange(len(values)) * sample_time

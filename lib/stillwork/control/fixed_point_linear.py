@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
-from stillwork.base.front_door import by_value, check_fields, checked, outside
+from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.fixed_point import INTEGRATIONS, Controller
 from stillwork.control.mechanism import Mechanism
 from stillwork.estimation.coordinate_filters import (
@@ -150,7 +150,7 @@ def _steady_gain(F, Q, H, R) -> np.ndarray:
 
 def _slopes(plant: Plant, position: float, velocity: float):
     """Partial derivatives of the acceleration where it is zero."""
-    force = outside(plant.force)(position, velocity, 0.0, plant.parameters)
+    force = user_callback(plant.force)(position, velocity, 0.0, plant.parameters)
     return partial_derivatives(plant, position, velocity, force)
 
 

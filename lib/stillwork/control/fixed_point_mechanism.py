@@ -5,8 +5,8 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import copy_vector
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
-from stillwork.base.front_door import checked
 from stillwork.base.kernels import borrowing_kernel
+from stillwork.base.validation import checked
 from stillwork.control.fixed_point import (
     COLUMNS,
     DEFORMED,

@@ -6,7 +6,7 @@ from math import degrees, inf, lcm
 
 import numpy as np
 
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.control.bandwidth import FUNCTIONS, Loop
 from stillwork.control.machine_loops import HELD, SHOWN
 from stillwork.control.pid import Pid

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex128
 
 from stillwork.base.checks import InputError, require_choice, require_number
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.validation import by_value, checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, block_matrix, constant, interconnect
 

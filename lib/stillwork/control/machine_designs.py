@@ -7,11 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from stillwork.base.checks import InputError, require_choice, require_number
-from stillwork.base.front_door import checked
-from stillwork.control.machine_loops import Intensities, Reached, applications, in_hertz, reach, search_range
+from stillwork.base.validation import checked
+from stillwork.control.machine_loops import (
+    AchievableBandwidth,
+    Intensities,
+    applications,
+    in_hertz,
+    reach,
+    search_range,
+)
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.uncertainty import NAMES, Uncertainty, uncertainty_of
-from stillwork.identification.machine import Machine, brought_forward
+from stillwork.identification.machine import Machine, remove_delay
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
 INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
@@ -35,7 +42,7 @@ class Designed(NamedTuple):
     uncertainty: dict[str, float]
     spreads: tuple[Uncertainty, ...]  # of the machine, then of the others
     settings: dict[str, DesignSettings]
-    found: dict[str, Reached]  # by use
+    found: dict[str, AchievableBandwidth]  # by use
     notes: tuple[str, ...]  # what the search is for, in words
 
     @property
@@ -198,11 +205,11 @@ def _prompt(machine: Machine, delay: float, rate: float) -> tuple[Machine, float
     if machine.fit is None:
         return machine, delay
     # What is early is no part of a machine: the measurement is only made to agree with the model.
-    return brought_forward(machine, machine.fit.delay), delay + max(machine.fit.delay, 0.0) * rate
+    return remove_delay(machine, machine.fit.delay), delay + max(machine.fit.delay, 0.0) * rate
 
 
 @checked(missing=True)
-def reach_one(machine: Machine, settings: DesignSettings, how: Mapping) -> Reached:
+def reach_one(machine: Machine, settings: DesignSettings, how: Mapping) -> AchievableBandwidth:
     """`reach` for one use; `how` are its other arguments."""
     own = {each.name: getattr(settings, each.name) for each in fields(settings) if each.name != "application"}
     return reach(machine, {"": settings.application}, **own, **how)[""]
@@ -210,7 +217,7 @@ def reach_one(machine: Machine, settings: DesignSettings, how: Mapping) -> Reach
 
 def _furthest(
     made: Designed, settings: DesignSettings, beside: dict, on_step
-) -> tuple[DesignSettings, Reached]:
+) -> tuple[DesignSettings, AchievableBandwidth]:
     """The settings, tuned where that leads further, and how far they get."""
     on_step()
     found = reach_one(made.machine, settings, made.how | beside)
@@ -225,6 +232,6 @@ def _furthest(
 
 
 @checked
-def crossing(reached: Reached) -> float:
+def crossing(reached: AchievableBandwidth) -> float:
     """The lowest first crossing of what is recommended, Hz; 0 where nothing is."""
     return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import (
     FUNCTIONS,
@@ -134,7 +134,7 @@ def on_measurement(
 
 
 @checked(infinite=True)
-def extra_turns(measured: Loop, controller: Pid) -> int:
+def encirclement_difference(measured: Loop, controller: Pid) -> int:
     """Turns around -1 that the measured open loop makes more than that of the model, on the measured band.
 
     Zero, with a stable model, means that the loop on the measured plant is stable too (Nyquist).
@@ -203,14 +203,14 @@ def observing_compensator(
 
 @by_value
 @dataclass(frozen=True)
-class Reached:
+class AchievableBandwidth:
     """How far one use of the observer gets.
 
     Attributes
     ----------
     on_model, on_measurement : Bandwidth, optional
         None where no bandwidth is feasible, and without a measurement.
-    extra_turns : int, optional
+    encirclement_difference : int, optional
         Turns around -1 that the measured open loops make more than those of the model: 0 proves stability.
     loops : tuple of Loop
         One a sensor; on the measurement where there is one.
@@ -227,7 +227,7 @@ class Reached:
 
     on_model: Bandwidth | None
     on_measurement: Bandwidth | None
-    extra_turns: int | None
+    encirclement_difference: int | None
     loops: tuple[Loop, ...]
     model_loops: tuple[Loop, ...]
     perturbed: tuple[Loop, ...] = ()
@@ -237,7 +237,7 @@ class Reached:
     @property
     def recommended(self) -> Bandwidth | None:
         """The lower of both, feasible on both; None where one of them has none, or the loop makes extra turns."""
-        if self.on_model is None or self.reason or self.extra_turns:
+        if self.on_model is None or self.reason or self.encirclement_difference:
             return None
         if self.on_measurement is None:
             return self.on_model
@@ -273,8 +273,8 @@ class Reached:
             name = SHOWN.get(stop.function, stop.function)
             row["stopped by"] = f"{name}{place} at {in_hertz(stop.peak.omega / (2 * np.pi), 0)} Hz{where}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
-        if self.extra_turns is not None:
-            row["extra turns"] = str(self.extra_turns)
+        if self.encirclement_difference is not None:
+            row["extra turns"] = str(self.encirclement_difference)
         return row
 
 
@@ -294,7 +294,7 @@ def reach(
     notches: bool = False,
     lead: float = 3.0,
     others: Sequence[tuple[Machine, float]] = (),
-) -> dict[str, Reached]:
+) -> dict[str, AchievableBandwidth]:
     """Largest bandwidth of every use below which, and at which, all constraints hold at every sensor.
 
     Of several feasible intervals the lowest is taken, see `maximise_bandwidth`.
@@ -333,7 +333,7 @@ def reach(
     Raises
     ------
     InputError
-        For bad settings. A use without any feasible bandwidth is a result, see `Reached.reason`.
+        For bad settings. A use without any feasible bandwidth is a result, see `AchievableBandwidth.reason`.
     """
     responses = [(machine, delay), *others]
     bands = [_measured_band(each, loop_hz) for each, _ in responses]
@@ -348,7 +348,7 @@ def reach(
         try:
             modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
         except InputError as error:
-            found[name] = Reached(None, None, None, (), (), reason=f"no observer: {error}")
+            found[name] = AchievableBandwidth(None, None, None, (), (), reason=f"no observer: {error}")
             continue
         elsewhere = loops_elsewhere(modelled[0], others)
         groups = [modelled, *((loop,) for loop in elsewhere)]
@@ -409,8 +409,10 @@ def reach(
             reason += f" (loops from {len(modelled) + 1} on: {place})"
         if on_data is not None:
             lower = _lower(on_model, on_data)
-            turns = sum(abs(extra_turns(loop, lower.controller)) for loop in loops)
-        found[name] = Reached(on_model, on_data, turns, loops, modelled, perturbed, reason, elsewhere)
+            turns = sum(abs(encirclement_difference(loop, lower.controller)) for loop in loops)
+        found[name] = AchievableBandwidth(
+            on_model, on_data, turns, loops, modelled, perturbed, reason, elsewhere
+        )
     return found
 
 

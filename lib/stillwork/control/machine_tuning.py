@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from stillwork.base.checks import InputError, require_choice, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application
-from stillwork.control.bandwidth import Loop, PeakConstraint, holds, make_loop
+from stillwork.control.bandwidth import Loop, PeakConstraint, is_feasible, make_loop
 from stillwork.control.machine_loops import (
     OF_ERROR,
     Intensities,
@@ -24,7 +24,7 @@ from stillwork.identification.machine import Machine
 # One step of each setting; tried up, then down, again and again while the bandwidth grows.
 STEPS = {"lead": 4 / 3, "damping": 2.0, "selectivity": 2.0, "sensor": 10.0, "drift": 10.0, "retained": 1.5}
 LEADS = (2.0, 8.0)
-MOST = {"damping": 0.5, "selectivity": 16.0}
+MAX_SETTING = {"damping": 0.5, "selectivity": 16.0}
 PUSH = 1.03  # of the bandwidth, at a time
 
 
@@ -62,7 +62,7 @@ def tuned(
         loops = observed_loops(machine.sensors, each.application, *chosen, sample_time, delay)
         return [*loops, *loops_elsewhere(loops[0], others)]
 
-    def pushed(each: DesignSettings) -> float:
+    def increase_bandwidth(each: DesignSettings) -> float:
         """The bandwidth up to which these settings hold, from the best so far on; that itself if they hold no more."""
         try:
             loops = loops_of(each)
@@ -75,7 +75,7 @@ def tuned(
         )
         while (
             PUSH * reached < highest
-            and holds(loops, pid := family(PUSH * reached), limits)
+            and is_feasible(loops, pid := family(PUSH * reached), limits)
             and not harmful_places(loops, pid, limits, boxes, 1, answers, first=True)
         ):
             reached *= PUSH
@@ -96,7 +96,7 @@ def tuned(
     for name, size in STEPS.items():
         for factor in (size, 1 / size):
             while (trial := varied(settings, name, factor)) is not None:
-                reached = pushed(trial)
+                reached = increase_bandwidth(trial)
                 if reached == design_hz:
                     break
                 settings, design_hz = trial, reached
@@ -121,7 +121,7 @@ def varied(settings: DesignSettings, name: str, factor: float) -> DesignSettings
         noise = replace(intensities, **{name: factor * getattr(intensities, name)})
         return replace(settings, intensities=noise)
     value = getattr(application, name)
-    if not isinstance(value, float) or not value or factor * value > MOST[name]:
+    if not isinstance(value, float) or not value or factor * value > MAX_SETTING[name]:
         return None
     changed: dict[str, Any] = {name: factor * value}
     return replace(settings, application=replace(application, **changed))

@@ -8,9 +8,9 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import add_product, cholesky_root, cholesky_solve
-from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
-from stillwork.base.front_door import by_value, check_fields, checked, outside
+from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
 from stillwork.base.kernels import borrowing_kernel, callback
+from stillwork.base.validation import by_value, check_fields, checked, user_callback
 
 INERTIA = "void(float64[::1], float64[::1], float64[:, ::1])"  # signatures of the two functions
 BIAS = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
@@ -68,7 +68,7 @@ class Mechanism:
             matrix, forces = self._mass(place), self._resistance(place, -place)
         except Exception as error:  # a reader's function may raise anything
             raise InputError(
-                f"inertia or bias fails on {counted(self.coordinates, 'coordinate')} and {counted(len(self.parameters), 'parameter')} ({error}); "
+                f"inertia or bias fails on {pluralise(self.coordinates, 'coordinate')} and {pluralise(len(self.parameters), 'parameter')} ({error}); "
                 "give inertia(position, parameters, out) and bias(position, velocity, parameters, out)"
             ) from None
         if not (np.isfinite(matrix).all() and np.isfinite(forces).all()):
@@ -193,12 +193,12 @@ class Mechanism:
 
     def _mass(self, position):
         matrix = np.full((self.coordinates, self.coordinates), np.nan)
-        outside(self.inertia)(position, self.parameters, matrix)
+        user_callback(self.inertia)(position, self.parameters, matrix)
         return matrix
 
     def _resistance(self, position, velocity):
         forces = np.full(self.coordinates, np.nan)
-        outside(self.bias)(position, velocity, self.parameters, forces)
+        user_callback(self.bias)(position, velocity, self.parameters, forces)
         return forces
 
 

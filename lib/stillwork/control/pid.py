@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from stillwork.base.checks import require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel, interconnect
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import pasted_kernel
+from stillwork.base.validation import by_value, check_fields, checked
 
 
 class ContractionWarning(UserWarning):

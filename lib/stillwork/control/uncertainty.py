@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.bandwidth import FUNCTIONS, Loop, PeakConstraint, make_loop
 from stillwork.control.pid import Pid
 from stillwork.identification.machine import Machine

@@ -1,8 +1,8 @@
 """Adaptive filters, estimation under bounded doubt, Kalman, robust and optimal observers, low passes."""
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "adaptive": ("FeLms", "FeRls"),

@@ -16,15 +16,15 @@ from stillwork.base.algebra import add_scaled, inner_product
 from stillwork.base.checks import (
     Converted,
     InputError,
-    counted,
+    pluralise,
     require_array,
     require_choice,
     require_count,
     require_number,
-    require_room,
+    require_topic,
 )
-from stillwork.base.front_door import by_value, check_fields, checked, own_arrays
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
+from stillwork.base.validation import by_value, check_fields, checked, copy_arrays
 from stillwork.estimation.covariance_forms import (
     FORMS,
     UD,
@@ -210,7 +210,7 @@ class FeRls:
         if np.min(np.linalg.eigvalsh(initial) if initial.ndim == 2 else initial) <= 0:
             raise InputError("initial_covariance is not positive definite; give a covariance")
         object.__setattr__(self, "initial_covariance", initial)
-        own_arrays(self)
+        copy_arrays(self)
 
     @checked(infinite=True)
     def start(self, regressors: int) -> Recursion:
@@ -241,10 +241,10 @@ class FeRls:
         initial = self.initial_covariance
         if initial.ndim and len(initial) != regressors:
             raise InputError(
-                f"initial_covariance has shape {initial.shape} for {counted(regressors, 'regressor')}; "
+                f"initial_covariance has shape {initial.shape} for {pluralise(regressors, 'regressor')}; "
                 "give one value for each, or a single number"
             )
-        require_room("regressors", regressors, regressors)
+        require_topic("regressors", regressors, regressors)
         covariance = initial if initial.ndim == 2 else np.diag(np.broadcast_to(initial, regressors))
         covariance = (covariance + covariance.T) / 2
         dtype = np.dtype(self.dtype)
@@ -276,7 +276,7 @@ def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor
     n, forget = len(regressor), matrix.dtype.type(forgetting)
     denominator, shrink = update_covariance(matrix, regressor, forget, gain)
     step_weights(weights, gain, shrink, error)
-    watch_powers(levels, regressor, forget, allowance)
+    check_powers(levels, regressor, forget, allowance)
     reached = False
     for i in range(n):
         reached |= matrix[i, i] > levels[0, i]
@@ -292,7 +292,7 @@ def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner,
     n, forget = len(regressor), matrix.dtype.type(forgetting)
     denominator = update_ud(matrix, regressor, forget, gain, inner)
     step_weights(weights, gain, matrix.dtype.type(1) / denominator, error)
-    watch_powers(levels, regressor, forget, allowance)
+    check_powers(levels, regressor, forget, allowance)
     axis = sample % n
     return denominator, variance(UD, matrix, axis) > levels[0, axis]
 
@@ -306,7 +306,7 @@ def ferls_form_update(
     forget = matrix.dtype.type(forgetting)
     denominator = update_form(form, matrix, regressor, forget, gain, inner)
     step_weights(weights, gain, one / denominator, error)
-    watch_powers(levels, regressor, forget, allowance)
+    check_powers(levels, regressor, forget, allowance)
     found = variance(form, matrix, axis)
     if found > levels[0, axis]:
         # As in `hold_ud`, here: in a function of its own the compiler would make machine code of all forms once more.
@@ -328,7 +328,7 @@ def step_weights(weights, gain, shrink, error):
 
 
 @inlined_kernel
-def watch_powers(levels, regressor, forgetting, allowance):
+def check_powers(levels, regressor, forgetting, allowance):
     """Power of each regressor in the window; the limit of its variance where that asks for a lower one."""
     lower = False
     for i in range(len(regressor)):

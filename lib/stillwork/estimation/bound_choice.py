@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
-from stillwork.base.front_door import by_value, checked
-from stillwork.estimation.min_max import solve_sweep, triangle
+from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from stillwork.base.validation import by_value, checked
+from stillwork.estimation.min_max import qr_r, solve_sweep
 from stillwork.estimation.secular import secular_function
 
 
@@ -97,7 +97,7 @@ def choose_bound(
     tail = (1 - require_number("coverage", coverage, above=0.0, below=1.0)) / 2
     if rows - -(-rows // folds) <= unknowns:
         raise InputError(
-            f"matrix has {counted(rows, 'row')}, too few to fit {counted(unknowns, 'unknown')} without one of {counted(folds, 'fold')}"
+            f"matrix has {pluralise(rows, 'row')}, too few to fit {pluralise(unknowns, 'unknown')} without one of {pluralise(folds, 'fold')}"
         )
     threshold = secular_function(matrix, target, 0.0).threshold
     tried = (
@@ -109,10 +109,10 @@ def choose_bound(
         )
     # Of a stretch its triangle says the same as all its rows.
     stretches = np.array_split(np.column_stack([matrix, target]), folds)
-    corners = [triangle(stretch) for stretch in stretches]
+    corners = [qr_r(stretch) for stretch in stretches]
     squares = np.empty((folds, len(tried)))
     for out, held in enumerate(corners):
-        kept = triangle(np.vstack(corners[:out] + corners[out + 1 :]))
+        kept = qr_r(np.vstack(corners[:out] + corners[out + 1 :]))
         fitted, aimed = np.ascontiguousarray(kept[:, :-1]), np.ascontiguousarray(kept[:, -1])
         share = np.sqrt(1 - len(stretches[out]) / rows)
         for place, solution in enumerate(solve_sweep(fitted, aimed, share * tried)):

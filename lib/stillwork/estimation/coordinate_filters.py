@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.extended import plant_extended_step
 from stillwork.estimation.filter_step import EXTENDED, LOW_PASS, SAVITZKY_GOLAY, UNSCENTED, WINDOW, Packed
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, require_covariance

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import require_array
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.validation import by_value, checked
 
 TRIES = 14  # radii, each ten times the one before
 

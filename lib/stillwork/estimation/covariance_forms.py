@@ -16,8 +16,8 @@ import numpy as np
 
 from stillwork.base.algebra import add_scaled, copy_vector, plus_column, plus_left, plus_row, project
 from stillwork.base.checks import InputError, require_choice
-from stillwork.base.front_door import checked
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
+from stillwork.base.validation import checked
 
 FORMS = ("triangle", "Joseph", "square root", "UD", "inverse QR")
 TRIANGLE, JOSEPH, SQUARE_ROOT, UD, INVERSE_QR = range(5)
@@ -64,12 +64,12 @@ def update_covariance(covariance, regressor, forgetting, gain):
     """
     one, denominator = covariance.dtype.type(1), project(covariance, regressor, forgetting, gain)
     shrink = one / denominator
-    shrink_along(covariance, gain, shrink, one / forgetting)
+    downdate(covariance, gain, shrink, one / forgetting)
     return denominator, shrink
 
 
 @pasted_kernel
-def shrink_along(covariance, gain, share, forget):
+def downdate(covariance, gain, share, forget):
     """P <- (P - share gain gain') forget."""
     for i in range(len(gain)):
         scaled = gain[i] * share
@@ -202,7 +202,7 @@ def add_triangle_information(covariance, axis, information, gain):
     """
     copy_vector(covariance[axis], gain)
     one = covariance.dtype.type(1)
-    shrink_along(covariance, gain, information / (one + information * gain[axis]), one)
+    downdate(covariance, gain, information / (one + information * gain[axis]), one)
 
 
 @kernel

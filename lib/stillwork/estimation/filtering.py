@@ -7,8 +7,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
-from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import borrowing_kernel
+from stillwork.base.validation import by_value, checked
 from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
     Filter,

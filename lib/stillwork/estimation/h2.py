@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.lti.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import h2_norm
@@ -168,10 +168,10 @@ def h2_riccati(
     feedback = _filter_gain(a.T, c1.T, b2.T, d12.T).T
     driven = StateModel(a - b2 @ feedback, b1, c1 - d12 @ feedback, d11)
     missed = StateModel(a - gain @ c2, b1 - gain @ d21, d12 @ feedback, np.zeros_like(d11))
-    claimed = float(np.hypot(trusted_norm(driven), trusted_norm(missed)))
+    claimed = float(np.hypot(checked_h2_norm(driven), checked_h2_norm(missed)))
     core = a - b2 @ feedback - gain @ c2 + gain @ d22 @ feedback
     controller = in_units(units, core, gain, -feedback)
-    return judged(plant, regular, controller, claimed, "solved", WORST_SEPARATION)
+    return verified(plant, regular, controller, claimed, "solved", WORST_SEPARATION)
 
 
 # A scaled pair of Riccati equations leaves 1e-8 at worst; the norms of unbalanced loops scatter above that.
@@ -179,7 +179,7 @@ WORST_SEPARATION = 1e-5
 
 
 @checked
-def judged(
+def verified(
     plant: GeneralisedPlant,
     regular: GeneralisedPlant,
     controller: StateModel,
@@ -189,7 +189,7 @@ def judged(
 ) -> H2Synthesis:
     """A controller with its norms; `InputError` when its loop does not have the norm that its synthesis claims."""
     loop = regular.close(controller)
-    achieved = trusted_norm(loop) if loop.is_stable else np.inf
+    achieved = checked_h2_norm(loop) if loop.is_stable else np.inf
     _, b1, _, c1, *_ = scaled_plant(regular)[0].blocks
     scale = float(np.linalg.norm(b1) * np.linalg.norm(c1))
     # A norm is the root of a sum that is known to rounding units: near zero to the root of these.
@@ -202,17 +202,17 @@ def judged(
             f"the solver reports {status!r} with H2 norm {claimed:.6g}, but the loop of its controller has "
             f"{achieved:.6g}: relative residual {(achieved - claimed) / (claimed or 1.0):.1e}, allowed {tolerance:.1e}"
         )
-    return H2Synthesis(controller, achieved, trusted_norm(plant.close(controller)), claimed, status)
+    return H2Synthesis(controller, achieved, checked_h2_norm(plant.close(controller)), claimed, status)
 
 
 def _uncancelled(loop: StateModel, states: int) -> float:
     """H2 norm of what the plant's states and the controller's add to the performance, each for itself."""
     apart = linalg.block_diag(loop.c[:, :states], loop.c[:, states:])
-    return trusted_norm(StateModel(loop.a, loop.b, apart, np.zeros((len(apart), loop.b.shape[1]))))
+    return checked_h2_norm(StateModel(loop.a, loop.b, apart, np.zeros((len(apart), loop.b.shape[1]))))
 
 
 @checked
-def trusted_norm(loop: StateModel) -> float:
+def checked_h2_norm(loop: StateModel) -> float:
     """H2 norm of a loop; where it has none that can be trusted, the reader's plant is not what is to be blamed."""
     try:
         return h2_norm(loop)

@@ -5,8 +5,8 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import add_square, condition, congruence, copy_matrix, measure, take_in_turn
 from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
+from stillwork.base.validation import checked
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
 

@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.extras import require_package
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.estimation.h2 import (
     H2Synthesis,
+    checked_h2_norm,
     in_units,
-    judged,
     regularised,
     scaled_plant,
-    trusted_norm,
+    verified,
 )
 from stillwork.lti.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import hinf_norm
@@ -78,7 +78,7 @@ def h2_lmi(
     regular = regularised(plant, effort, noise)
     return _solved(
         regular,
-        lambda status, claimed, controller: judged(plant, regular, controller, claimed, status, tolerance),
+        lambda status, claimed, controller: verified(plant, regular, controller, claimed, status, tolerance),
     )
 
 
@@ -155,7 +155,7 @@ def mixed_lmi(
         loop = regular.close(controller)
         achieved = peak = np.inf
         if loop.is_stable:
-            achieved = trusted_norm(loop.select(range(regular.exogenous), _unweighted(regular)))
+            achieved = checked_h2_norm(loop.select(range(regular.exogenous), _unweighted(regular)))
             peak = hinf_norm(loop.select([0], [1])).magnitude
         excess = max((achieved - claimed) / (claimed or 1.0), peak / level - 1)
         if not excess <= tolerance:
@@ -165,7 +165,7 @@ def mixed_lmi(
                 f"allowed {tolerance:.1e}"
             )
         posed = plant.close(controller).select(range(plant.exogenous), [0])
-        return H2Synthesis(controller, achieved, trusted_norm(posed), claimed, status)
+        return H2Synthesis(controller, achieved, checked_h2_norm(posed), claimed, status)
 
     return _solved(regular, judge, level, ratio)
 

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array, require_number
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.validation import by_value, checked
 from stillwork.estimation.secular import ROUNDING, SecularFunction, decompose
 
 
@@ -165,7 +165,7 @@ def _solution(
 
 
 @checked
-def triangle(rows: np.ndarray) -> np.ndarray:
+def qr_r(rows: np.ndarray) -> np.ndarray:
     """Triangle with the norm of every combination of the columns: what least squares and min-max need of rows."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 

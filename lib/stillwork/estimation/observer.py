@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_choice, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
@@ -237,14 +237,14 @@ def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: flo
     if noise_model is not None:
         require_number("noise_model", noise_model, above=0.0)
         walk = np.zeros((inputs, inputs))
-        a, b, g, c = with_walk(a, b, c, walk)
+        a, b, g, c = augment_random_walk(a, b, c, walk)
         q = linalg.block_diag(q, noise_model * np.eye(inputs))
     solved = continuous_gain(a, g, c, q, noise.sensor)
     return Observer(model, a, b, c, solved.gain, solved.residual)
 
 
 @checked
-def with_walk(
+def augment_random_walk(
     a: Float64[np.ndarray, "states states"],
     b: Float64[np.ndarray, "states inputs"],
     c: Float64[np.ndarray, "outputs states"],

@@ -9,14 +9,14 @@ from numpy.typing import ArrayLike
 from stillwork.base.algebra import copy_matrix, plus_row
 from stillwork.base.checks import (
     InputError,
-    counted,
+    pluralise,
     require_array,
     require_count,
     require_kind,
     require_number,
 )
-from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import kernel
+from stillwork.base.validation import by_value, checked
 from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_step
 
 # An error this many times the largest one without adaptation is no transient any more.
@@ -294,7 +294,7 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
             raise InputError(f"{each} has no rows; give at least one, with time along the last axis")
     if signals.shape[1] != samples:
         raise InputError(
-            f"{name} has {counted(signals.shape[1], 'sample')} but regressors has {samples}; "
+            f"{name} has {pluralise(signals.shape[1], 'sample')} but regressors has {samples}; "
             "give both with time along the last axis"
         )
     if not samples:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, counted, require_array
-from stillwork.base.front_door import by_value, check_fields, checked, outside
+from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.kernels import callback
+from stillwork.base.validation import by_value, check_fields, checked, user_callback
 
 SIGNATURE = "float64(float64, float64, float64, float64[::1])"  # of a plant's two functions
 
@@ -58,7 +58,7 @@ class Plant:
             right = math.isclose(got, wanted, rel_tol=1e-6)
         except Exception as error:  # a reader's function may raise anything
             raise InputError(
-                f"acceleration or force fails on {counted(len(self.parameters), 'parameter')} ({error}); "
+                f"acceleration or force fails on {pluralise(len(self.parameters), 'parameter')} ({error}); "
                 "give functions of (position, velocity, force or acceleration, parameters) that return a number"
             ) from None
         if not right:
@@ -88,7 +88,7 @@ def force_slope(plant: Plant, position: float, velocity: float, force: float) ->
 def _slope(plant: Plant, axis: int, *point: float) -> float:
     at = np.array(point, dtype=float)
     step = 1e-6 * max(1.0, abs(at[axis])) * np.eye(3)[axis]
-    acceleration = outside(plant.acceleration)
+    acceleration = user_callback(plant.acceleration)
     high = acceleration(*(at + step), plant.parameters)
     low = acceleration(*(at - step), plant.parameters)
     return float((high - low) / (2 * step[axis]))

@@ -8,14 +8,14 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import (
     InputError,
-    counted,
+    pluralise,
     require_array,
     require_count,
     require_number,
-    require_room,
-    shown,
+    require_topic,
+    short_repr,
 )
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.estimation import recursive_kernels
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, MinMax, Track, empty_track
@@ -105,7 +105,7 @@ def run_silently(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike
     outputs = require_array("outputs", outputs, shape=(samples,))
     if samples <= unknowns:
         raise InputError(
-            f"regressors has {counted(samples, 'sample')} for {counted(unknowns, 'unknown')}; give more samples than unknowns"
+            f"regressors has {pluralise(samples, 'sample')} for {pluralise(unknowns, 'unknown')}; give more samples than unknowns"
         )
     for name, values in (("regressors", regressors), ("outputs", outputs)):
         require_squares(name, values)
@@ -181,11 +181,11 @@ class RecursiveStepper:
     def __init__(self, estimator: Estimator, unknowns: int):
         if not hasattr(estimator, "advance"):
             raise InputError(
-                f"estimator is {shown(estimator)}; give MinMax, GrowingMinMax, LeastSquares or Ridge"
+                f"estimator is {short_repr(estimator)}; give MinMax, GrowingMinMax, LeastSquares or Ridge"
             )
         self._estimator = estimator
         self._unknowns = require_count("unknowns", unknowns)
-        require_room("unknowns", unknowns, unknowns)
+        require_topic("unknowns", unknowns, unknowns)
         self.samples = 0
         self._excited = self._warned = False
         self._lay_out(estimator.start(self._unknowns))

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
-from stillwork.base.front_door import by_value, check_fields
+from stillwork.base.validation import by_value, check_fields
 from stillwork.estimation import rank_one
 from stillwork.estimation.recursive_kernels import known_length, run_least_squares, run_min_max, run_ridge
 

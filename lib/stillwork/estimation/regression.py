@@ -14,7 +14,7 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from stillwork.base.checks import (
     InputError,
-    counted,
+    pluralise,
     require_array,
     require_choice,
     require_kind,
@@ -22,7 +22,7 @@ from stillwork.base.checks import (
 )
 from stillwork.estimation.adaptive import INFLATION, FeLms, FeRls
 from stillwork.estimation.covariance_forms import FORMS, factor_of
-from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently, triangle
+from stillwork.estimation.min_max import ZeroEstimateWarning, qr_r, solve_silently
 from stillwork.estimation.online import run_felms, run_ferls
 from stillwork.estimation.recursive import require_finite_squares, require_squares, warn_held
 from stillwork.estimation.recursive_kernels import admit_start, believe_start
@@ -154,7 +154,7 @@ class _RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             state = self._state
             if y.shape[1:] != self.coef_.shape[:-1]:
                 raise InputError(
-                    f"y has {counted(outputs.shape[1], 'output')}; give as many outputs as in the calls before"
+                    f"y has {pluralise(outputs.shape[1], 'output')}; give as many outputs as in the calls before"
                 )
             if columns != self._columns:
                 raise InputError("fit_intercept has changed since the calls before; call fit")
@@ -183,7 +183,7 @@ class _RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         require_finite_squares("y", y)
         if y.shape[:1] != X.shape[:1]:
             raise InputError(
-                f"y has {counted(len(y), 'sample')} but X has {len(X)}; give one output for each"
+                f"y has {pluralise(len(y), 'sample')} but X has {len(X)}; give one output for each"
             )
         if sample_weight is None:
             return X, y, np.ones(len(X))
@@ -633,7 +633,7 @@ class MinMaxRegressor(_WeightedRegressor):
         fading = forgetting ** np.arange(len(weights) - 1, -1, -1)
         mass = forgetting ** len(weights) * mass + weights @ fading
         past = forgetting ** (len(weights) / 2) * corner
-        corner = triangle(np.vstack([past, np.sqrt(fading)[:, None] * np.hstack([rows, outputs])]))
+        corner = qr_r(np.vstack([past, np.sqrt(fading)[:, None] * np.hstack([rows, outputs])]))
         columns = rows.shape[1]
         bounds = self._bounds(columns)
         if require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample":
@@ -647,7 +647,7 @@ class MinMaxRegressor(_WeightedRegressor):
         bounds = require_array("bound", self.bound)
         if bounds.shape not in ((), (features,)):
             raise InputError(
-                f"bound has shape {bounds.shape}; give a number, or one for each of {counted(features, 'feature')}"
+                f"bound has shape {bounds.shape}; give a number, or one for each of {pluralise(features, 'feature')}"
             )
         if np.any(bounds < 0):
             raise InputError("bound holds a negative number; give bounds on a norm, zero or above")

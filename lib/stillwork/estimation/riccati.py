@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.validation import by_value, checked
 
 # Relative residual above which a solution is refused; a scaled solution leaves about 1e-12.
 WORST_RESIDUAL = 1e-8

@@ -28,8 +28,8 @@ from stillwork.base.algebra import (
     take_in_turn,
 )
 from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
-from stillwork.base.front_door import by_value, check_fields, checked, made
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
+from stillwork.base.validation import by_value, check_fields, checked, made
 from stillwork.estimation.time_varying import RESCALE, FilterGains, TimeVaryingModel, require_per_sample
 
 

@@ -8,14 +8,14 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import (
     InputError,
-    counted,
+    pluralise,
     require_array,
     require_count,
     require_number,
     require_samples,
 )
-from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
+from stillwork.base.validation import by_value, check_fields, checked
 
 # A singular value (or a part of b outside the column space) below this share of the largest is rounding.
 ROUNDING = 10 * np.finfo(float).eps
@@ -237,7 +237,7 @@ def decompose(matrix: ArrayLike, target: ArrayLike, bound: float) -> tuple[Secul
         raise InputError("matrix has no columns; give at least one unknown")
     if rows < unknowns:
         raise InputError(
-            f"matrix has {counted(rows, 'row')} for {counted(unknowns, 'unknown')}; give at least as many rows as unknowns"
+            f"matrix has {pluralise(rows, 'row')} for {pluralise(unknowns, 'unknown')}; give at least as many rows as unknowns"
         )
     target = require_array("target", target, shape=(rows,))
     bound = require_number("bound", bound, at_least=0.0)

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import Converted, InputError, counted, require_array, require_finite_run
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import Converted, InputError, pluralise, require_array, require_finite_run
 from stillwork.base.kernels import kernel
+from stillwork.base.validation import by_value, check_fields, checked
 
 RESCALE = "rescale the model, its noises or the penalty"  # where a filter's matrices leave the finite numbers
 
@@ -53,7 +53,7 @@ class TimeVaryingModel:
         samples, outputs, states = c.shape
         if samples < 2:
             raise InputError(
-                f"c holds {counted(samples, 'sample')}; give the start and at least one measurement"
+                f"c holds {pluralise(samples, 'sample')}; give the start and at least one measurement"
             )
         a = require_per_sample("a", self.a, samples, (states, states))
         b = require_per_sample("b", self.b, samples, (states, None))

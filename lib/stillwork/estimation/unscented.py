@@ -11,8 +11,8 @@ from jaxtyping import Float64
 
 from stillwork.base.algebra import cholesky_root, copy_matrix
 from stillwork.base.checks import require_number
-from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import borrowing_kernel, pasted_kernel
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.gaussian import (
     COVARIANCE,
     CROSS,

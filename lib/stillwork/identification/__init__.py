@@ -1,8 +1,8 @@
 """From records to models: frequency responses, multisines, modal fits, regressors, machines from files."""
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "complex_frequency": ("complex_frequency_poles", "stabilisation"),

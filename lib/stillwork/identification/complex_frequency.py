@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import toeplitz
 
 from stillwork.base.checks import InputError, require_array, require_count
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 
 ORDERS = range(6, 41, 2)  # of the denominators, in each part of a band
 WIDTH = 2.0  # highest over lowest frequency of a part; parts overlap by half
@@ -17,8 +17,8 @@ LOWEST = 64  # lines of the lowest part, where an octave holds too few for the l
 WEIGHTS = (0.0, 0.5)
 STRONGEST = 0.4  # damping ratio beyond which a pole is no resonance
 # move of a stable pole from order to order: of its frequency, its damping; factor of the latter
-STEADY = (5e-4, 0.3, 1.5)
-SEEN = 3  # orders at which a pole must be stable
+STABLE_TOLERANCES = (5e-4, 0.3, 1.5)
+MIN_STABLE_ORDERS = 3  # orders at which a pole must be stable
 
 
 @by_value
@@ -57,7 +57,7 @@ class Stabilisation:
         while left.any():
             often = (near[:, left].sum(axis=1) * left).argmax()
             group = near[often] & left
-            if group.sum() < SEEN:
+            if group.sum() < MIN_STABLE_ORDERS:
                 break
             found.append(np.median(poles[:, group], axis=1, keepdims=True))
             left &= ~group
@@ -195,7 +195,7 @@ def _diagram(omega, response, weight):
 def _near(one, other):
     """Whether poles, as logarithms of frequency and damping, are the same within what a stable one moves."""
     apart = np.abs(one[:, :, None] - other[:, None, :])
-    alike, share, factor = STEADY
+    alike, share, factor = STABLE_TOLERANCES
     return (apart[0] < np.maximum(alike, share * np.exp(one[1]))[:, None]) & (apart[1] < np.log(factor))
 
 

@@ -7,8 +7,8 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy.signal import csd, welch
 
-from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from stillwork.base.validation import checked
 
 
 class Identified(NamedTuple):
@@ -89,7 +89,7 @@ def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Ident
     dead = (s_ff == 0) | (s_aa == 0)
     if np.any(dead[keep]):
         raise InputError(
-            f"force or response has no power at all at {counted(int(dead[keep].sum()), 'frequency')}; hit harder"
+            f"force or response has no power at all at {pluralise(int(dead[keep].sum()), 'frequency')}; hit harder"
         )
     coherence = np.abs(s_fa) ** 2 / (s_ff * s_aa) if len(force) > 1 else np.full(len(omega), np.nan)
     found = Identified(omega[keep], (s_fa / s_ff)[keep], coherence[keep])

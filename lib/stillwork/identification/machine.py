@@ -5,16 +5,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, counted, require_kind
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, pluralise, require_kind
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine_files import MachineFile
 from stillwork.identification.modal_fit import SUSPENDED, ModalFit, identify_modes
 from stillwork.lti.modal import ModalModel, mirrored
 from stillwork.lti.reduction import truncate
 
-MISSED = 0.5  # relative error below half the first resonance, or at the end of the band, that is told
-END = 0.01  # of the band's highest frequency
+MAX_RELATIVE_ERROR = (
+    0.5  # relative error below half the first resonance, or at the end of the band, that is told
+)
+BAND_END_SHARE = 0.01  # of the band's highest frequency
 AROUND = (0.4, 10.0)  # times the one resonance that stands out, where more is looked for
 TURNED = "counted against the force, turned"
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
@@ -53,7 +55,7 @@ class Machine:
 
 
 @checked(missing=True)
-def brought_forward(machine: Machine, delay: float) -> Machine:
+def remove_delay(machine: Machine, delay: float) -> Machine:
     """The machine with its measurement earlier by a delay (s) that a loop then holds instead."""
     if machine.measured is None:
         return machine
@@ -69,7 +71,7 @@ def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[floa
     inside = int(np.sum((hertz >= low) & (hertz <= high)))
     if not low < high or inside < 32:
         raise InputError(
-            f"the band {low:g} to {high:g} Hz holds {counted(inside, 'line')} of the measurement, which runs from "
+            f"the band {low:g} to {high:g} Hz holds {pluralise(inside, 'line')} of the measurement, which runs from "
             f"{hertz[0]:.4g} to {hertz[-1]:.4g} Hz; give a band inside it, or (0, 0) for all of it"
         )
     return float(low), float(high)
@@ -169,19 +171,19 @@ def _fitted(
         )
     below = fit.omega < model.frequencies[1] / 2
     missed = float(np.sqrt(np.mean(fit.error[below] ** 2))) if below.any() else 0.0
-    if missed > MISSED:
+    if missed > MAX_RELATIVE_ERROR:
         notes.append(
             f"up to {model.frequencies[1] / (4 * np.pi):.4g} Hz the model is off by {100 * missed:.2g} % (root mean "
             "square): noise, or a suspension that the lines do not resolve; mind the mass, start fit_hz above it, or "
             "measure finer"
         )
-    end = fit.omega > (1 - END) * fit.omega[-1]
+    end = fit.omega > (1 - BAND_END_SHARE) * fit.omega[-1]
     if len(fit.cut):
         notes.append(
             f"a resonance at about {fit.cut[0] / (2 * np.pi):.4g} Hz, beyond the band, is left out of the model; widen "
             "fit_hz to hold it"
         )
-    elif (off := float(np.sqrt(np.mean(fit.error[end] ** 2)))) > MISSED:
+    elif (off := float(np.sqrt(np.mean(fit.error[end] ** 2)))) > MAX_RELATIVE_ERROR:
         notes.append(
             f"at the end of the band, {band[1]:.4g} Hz, the model is off by {100 * off:.2g} % (root mean square): "
             "noise, or a resonance that the band cuts, which draws at the mass; end fit_hz well beyond it, or before it"

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, counted, require_array, require_choice, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
@@ -319,7 +319,7 @@ def _from_hammer(
     force, response = (_hits(arrays, names) for names in (forces, responses))
     if force.shape != response.shape:
         raise InputError(
-            f"force holds {counted(len(force), 'hit')} of {counted(force.shape[1], 'sample')} ({', '.join(forces)}), the response "
+            f"force holds {pluralise(len(force), 'hit')} of {pluralise(force.shape[1], 'sample')} ({', '.join(forces)}), the response "
             f"{len(response)} of {response.shape[-1]} ({', '.join(responses) or 'none'}); give one response a hit"
         )
     for name, rows in (("force", force), ("response", response)):
@@ -378,7 +378,7 @@ def _from_matrices(arrays: dict[str, np.ndarray], damping_ratio: float) -> Modal
         )
     if taken.size != nodes:
         raise InputError(
-            f"input holds {counted(taken.size, 'number')} for {counted(nodes, 'node')}; give the force's share at each"
+            f"input holds {pluralise(taken.size, 'number')} for {pluralise(nodes, 'node')}; give the force's share at each"
         )
     outputs = _matrix(arrays, "output")
     outputs = taken.reshape(1, nodes) if outputs is None else np.atleast_2d(outputs)

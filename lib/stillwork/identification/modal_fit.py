@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares, minimize_scalar
 
-from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.complex_frequency import STRONGEST, Stabilisation, stabilisation
 from stillwork.identification.frequency_response import Identified
 from stillwork.lti.discretisation import sampled_modes
@@ -26,22 +26,22 @@ ROUNDS = 4  # of looking at what the modes so far leave
 MOST_FITTED = 40  # of a measurement
 FLOOR = 0.1  # relative noise of a line below which all lines weigh the same
 SMOOTH = 9  # lines over which a response's size and its noise are averaged
-LEAST = 0.5  # relative error that a mode must prevent, root mean square over its own width
-SURE = 30.0  # times the mean square error beside it, that the sum of squares without a mode must grow by
+MIN_MODE_ERROR = 0.5  # relative error that a mode must prevent, root mean square over its own width
+F_RATIO = 30.0  # times the mean square error beside it, that the sum of squares without a mode must grow by
 RUBBED = 0.7  # part of the squares without friction that may be left with it
 RESONANT = 0.2  # damping ratio of a pole that may be a resonance beside friction
 CANCELLED = 3.0  # times the response at its frequency, that a mode's own part may have
 NEAR_GUESS = 5e-3  # of a frequency, within which a pole that settles takes the place of a guess
 UNSETTLED = 1e-3  # damping ratio of a guess that no such pole is near
-LITTLE = 1e-4  # part of the error that a candidate must take away to be tried
-EXACT = 1e-16  # part of the response's square that is rounding
+MIN_GAIN = 1e-4  # part of the error that a candidate must take away to be tried
+ROUNDING_POWER = 1e-16  # part of the response's square that is rounding
 LEAST_LINES, HUGE = 32, 1e30  # of a measurement; what its response stays below, and its inverse above
 # where a resonance that the band cuts may be, over the band's end, and its damping
-CUT = np.log(
+LOG_CUT = np.log(
     np.array([(end, ratio) for end in (0.98, 0.99, 1.0, 1.01, 1.03, 1.06, 1.12) for ratio in (2e-3, 0.02)]).T
 )
 # a delay is one from that phase at the band's end on (rad), and with that share of the squares left
-LATE = (0.05, 0.5)
+LATE_MODE = (0.05, 0.5)
 CYCLES = 2.0  # of the band's end, that a response may be late or early at most
 LAGS = 8  # lines over which errors may depend on each other, zeros appended to a record among the reasons
 
@@ -338,7 +338,7 @@ def identify_modes(
 def _identified(problem, diagram, guesses, band_hz):
     """The modes of `identify_modes`, and the problem with its delay and friction as they were found."""
     settled = np.log(diagram.settled())
-    ends = CUT + np.log([[problem.omega[-1]], [1.0]])
+    ends = LOG_CUT + np.log([[problem.omega[-1]], [1.0]])
     problem.bring_forward(np.hstack([settled[:, :MOST_FITTED], ends]))
     modes = np.zeros((2, 0))
     if len(guesses):
@@ -351,13 +351,15 @@ def _identified(problem, diagram, guesses, band_hz):
     else:
         modes = problem.found(modes, settled)
         beyond = problem.columns(ends, derivatives=False)[0][:, FIXED:]
-        cut = problem.pruned(problem.refined(problem.extended(modes, ends, beyond, most=1), 20), LEAST)
+        cut = problem.pruned(
+            problem.refined(problem.extended(modes, ends, beyond, most=1), 20), MIN_MODE_ERROR
+        )
         if cut.shape[1] > modes.shape[1]:
             modes = problem.found(cut, settled)
     problem.grounded = problem.on_springs(modes)
     if modes.size and (problem.grounded or not len(guesses)):
         modes = problem.refined(modes, 60)
-        modes = modes if len(guesses) else problem.pruned(modes, LEAST)
+        modes = modes if len(guesses) else problem.pruned(modes, MIN_MODE_ERROR)
     if not np.any(modes[0] <= np.log(problem.omega[-1])):
         raise InputError(
             f"no resonance stands out from {band_hz[0]:g} to {band_hz[1]:g} Hz; say where the modes are with "
@@ -379,7 +381,7 @@ class _Accelerance:
             or not 1 / HUGE < np.abs(self.target).min() <= np.abs(self.target).max() < HUGE
         ):
             raise InputError(
-                f"measured holds {counted(len(self.omega), 'line')} from {band_hz[0]:g} to {band_hz[1]:g} Hz, or a response of zero, "
+                f"measured holds {pluralise(len(self.omega), 'line')} from {band_hz[0]:g} to {band_hz[1]:g} Hz, or a response of zero, "
                 f"NaN or beyond {HUGE:g}; give at least {LEAST_LINES} lines of a response in 1/kg"
             )
         # A line that noise has made small by chance must not weigh more than its neighbours.
@@ -461,7 +463,7 @@ class _Accelerance:
             method="bounded",
             options={"xatol": 1e-6 * cycle},
         )
-        phase, share = LATE
+        phase, share = LATE_MODE
         if abs(found.x) * self.omega[-1] > phase and found.fun < share * left(0.0):
             self.delay += float(found.x)
             self.target = self.target * np.exp(1j * self.omega * found.x)
@@ -485,7 +487,7 @@ class _Accelerance:
         left = self.left_with(modes, trials)
         best = int(left.argmin())
         noise = left[best] / (2 * len(self.omega))
-        if not best or left[0] - left[best] < SURE * noise or left[best] > RUBBED * left[0]:
+        if not best or left[0] - left[best] < F_RATIO * noise or left[best] > RUBBED * left[0]:
             return False
         self.drag = self.finer(modes, trials, best)
         return True
@@ -529,7 +531,7 @@ class _Accelerance:
             more = self.extended(modes, settled, columns)
             if more.shape[1] == modes.shape[1]:
                 break
-            modes = self.pruned(self.refined(self.pruned(more, LEAST / 2), 20), LEAST)
+            modes = self.pruned(self.refined(self.pruned(more, MIN_MODE_ERROR / 2), 20), MIN_MODE_ERROR)
         return modes
 
     def extended(self, modes, settled, settled_columns, most=MOST_FITTED):
@@ -546,7 +548,7 @@ class _Accelerance:
             gain = np.where(own > 1e-6, gram[-1, :-1] ** 2 / np.maximum(own, 1e-6), 0.0)
             gain[taken] = 0.0
             best = int(gain.argmax())
-            if gain[best] <= max(LITTLE * gram[-1, -1], EXACT * columns[:, -1] @ columns[:, -1]):
+            if gain[best] <= max(MIN_GAIN * gram[-1, -1], ROUNDING_POWER * columns[:, -1] @ columns[:, -1]):
                 break
             taken.append(best)
             gram = _swept(gram, best)
@@ -580,7 +582,7 @@ class _Accelerance:
             beside = np.partition(place, min(20, len(place) - 1))[min(20, len(place) - 1)]
             noise = np.mean(error[place <= max(beside, 5 * damping * frequency)])
             part = np.hypot(*linear[:, FIXED + k].reshape(2, -1)[:, place.argmin()]) * abs(gains[FIXED + k])
-            if growth[k] >= SURE * noise and part <= CANCELLED:
+            if growth[k] >= F_RATIO * noise and part <= CANCELLED:
                 found[k] = np.sqrt(growth[k] / inside)
         return found
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from stillwork.base.checks import InputError, counted, require_count, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, pluralise, require_count, require_number
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
@@ -41,7 +41,7 @@ class MultisineRecords:
         experiments, realisations, _, actuators, _ = self.inputs.shape
         if experiments != actuators:
             raise InputError(
-                f"inputs holds {counted(experiments, 'experiment')} for {counted(actuators, 'actuator')}; give one each"
+                f"inputs holds {pluralise(experiments, 'experiment')} for {pluralise(actuators, 'actuator')}; give one each"
             )
         if realisations < 2:
             raise InputError("inputs holds one realisation; a variance takes at least 2")

@@ -1,8 +1,8 @@
 """Linear time-invariant models: modal and state-space form, exact discretisation, fast responses, norms."""
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "discretisation": (

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_count, require_number, require_room
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, require_count, require_number, require_topic
+from stillwork.base.validation import checked
 from stillwork.lti.state_space import StateModel
 
 
@@ -24,7 +24,7 @@ def delayed(model: StateModel, samples: int) -> StateModel:
         return model
     outputs, n = len(model.c), len(model.a)
     size = n + samples * outputs
-    require_room("samples", size, size)
+    require_topic("samples", size, size)
     a, b = np.zeros((size, size)), np.zeros((size, model.b.shape[1]))
     a[:n, :n], b[:n] = model.a, model.b
     a[n : n + outputs, :n], b[n : n + outputs] = model.c, model.d

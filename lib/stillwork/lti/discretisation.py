@@ -8,8 +8,8 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg, signal
 
-from stillwork.base.checks import InputError, counted, require_array, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_number
+from stillwork.base.validation import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
@@ -195,7 +195,7 @@ def tustin_sections(
     zeros, poles = (each if each.imag.any() else each.real for each in (zeros, poles))
     if len(zeros) > len(poles):
         raise InputError(
-            f"zeros holds {len(zeros)} values for {counted(len(poles), 'pole')}; give at most as many"
+            f"zeros holds {len(zeros)} values for {pluralise(len(poles), 'pole')}; give at most as many"
         )
     with np.errstate(all="ignore"):  # a pole at twice the rate has no twin, which the front door says
         return signal.zpk2sos(*signal.bilinear_zpk(zeros, poles, gain, 1 / sample_time))

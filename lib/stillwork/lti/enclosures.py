@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_flag
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.validation import by_value, checked
 from stillwork.lti.discretisation import continuous_poles
 from stillwork.lti.peaks import refine_peak, resonance_grid
 from stillwork.lti.state_space import StateModel, coupled_states

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel, interconnect
 
 

@@ -10,7 +10,7 @@ from fractions import Fraction
 from math import atan, atan2, inf, nextafter, pi, sqrt
 from typing import NamedTuple
 
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.validation import by_value, checked
 from stillwork.lti.enclosures import Enclosure, Polynomial, add, multiply, outward, shifted, sign_changes
 
 BITS = 160, 600, 2400  # to which a root is refined, in turn

@@ -8,8 +8,8 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, counted, require_array, require_choice, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel
 
 
@@ -67,7 +67,7 @@ class ModalModel:
         n = len(self.frequencies)
         if self.input_shapes.shape[0] != n or self.output_shapes.shape[1] != n or self.damping.shape != (n,):
             raise InputError(
-                f"shapes and damping do not fit {counted(n, 'frequency')}; give one of each a mode"
+                f"shapes and damping do not fit {pluralise(n, 'frequency')}; give one of each a mode"
             )
         if not self.feedthrough.size:
             raise InputError(

@@ -4,7 +4,7 @@ import numpy as np
 from scipy import linalg
 
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.lti.peaks import Peak
 from stillwork.lti.state_space import StateModel
 

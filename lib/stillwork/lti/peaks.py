@@ -9,14 +9,14 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import (
     InputError,
-    counted,
+    pluralise,
     require_array,
     require_count,
     require_number,
     require_one_each,
-    require_room,
+    require_topic,
 )
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 
 
 @checked
@@ -60,8 +60,8 @@ def resonance_grid(
     centre, poles = centre[centre > 0], poles[first[centre > 0]]
     width = np.maximum(np.abs(poles.real), 1e-7 * centre)
     reach = np.arcsinh(0.5 * centre / width)
-    require_room("points", points)
-    require_room("around", len(centre), 2 * around + 1)
+    require_topic("points", points)
+    require_topic("around", len(centre), 2 * around + 1)
     steps = np.linspace(-1, 1, 2 * around + 1) if around else np.zeros(0)
     offsets = width[:, None] * np.sinh(reach[:, None] * steps)
     low, high = 2 * np.pi * low_hz, 2 * np.pi * high_hz
@@ -86,7 +86,7 @@ def refine_peak(
     """Peak of ``abs(response(omega))`` between grid points: zoom into every local maximum above `near` of the largest."""
     if not 0 < len(omega) == len(magnitude):
         raise InputError(
-            f"omega has {counted(len(omega), 'frequency')}, magnitude {len(magnitude)}; give one of each"
+            f"omega has {pluralise(len(omega), 'frequency')}, magnitude {len(magnitude)}; give one of each"
         )
     last = len(omega) - 1
     inner = (magnitude[1:-1] >= magnitude[:-2]) & (magnitude[1:-1] >= magnitude[2:])

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillwork.base.checks import InputError, counted, require_count, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, pluralise, require_count, require_number
+from stillwork.base.validation import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, interconnect
 
@@ -46,7 +46,7 @@ def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
     compensated = require_count("compensated", compensated, at_least=0)
     if modes + compensated > len(model.frequencies):
         raise InputError(
-            f"modes + compensated is {modes + compensated}; the model has {counted(len(model.frequencies), 'mode')}"
+            f"modes + compensated is {modes + compensated}; the model has {pluralise(len(model.frequencies), 'mode')}"
         )
     if modes < model.rigid_modes:
         raise InputError(f"modes is {modes}; keep at least the {model.rigid_modes} rigid-body modes")

@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import add_product, copy_vector
 from stillwork.base.checks import InputError, require_array, require_finite_run
-from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
+from stillwork.base.validation import checked
 from stillwork.lti.state_space import StateModel
 
 

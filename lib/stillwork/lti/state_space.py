@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 from scipy.sparse import csgraph
 
-from stillwork.base.checks import InputError, require_array, require_number, shown
+from stillwork.base.checks import InputError, require_array, require_number, short_repr
 from stillwork.base.extras import require_package
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 
 # Above this condition of the eigenvectors, residues would lose more than half of the digits.
 WORST_CONDITION = 1e6
@@ -307,7 +307,7 @@ def from_control(system) -> StateModel:
     True
     """
     if not all(hasattr(system, name) for name in ("A", "B", "C", "D", "dt")):
-        raise InputError(f"system is {shown(system)}; give a control.StateSpace")
+        raise InputError(f"system is {short_repr(system)}; give a control.StateSpace")
     if system.dt is None or system.dt is True:
         raise InputError("system.dt is unspecified; give 0 for continuous time or the sample time in s")
     a, b, c, d = (np.array(m, dtype=float, ndmin=2) for m in (system.A, system.B, system.C, system.D))

@@ -1,8 +1,8 @@
 """Measured signals: records and their files, spectra, criteria of vibration."""
 
-from stillwork.base.faces import face
+from stillwork.base.lazy_exports import lazy_exports
 
-__all__, __getattr__, __dir__ = face(
+__all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "moving_average": ("moving",),

@@ -5,7 +5,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.signals.spectra import band_power
 
 # One-third-octave band at f: from 2^(-1/6) f to 2^(1/6) f.

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, counted, one_line, shown
+from stillwork.base.checks import InputError, one_line, pluralise, short_repr
 from stillwork.base.extras import require_package
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 from stillwork.signals.matfiles import MOST_BYTES, read_mat
 from stillwork.signals.universal import read_universal
 
@@ -40,7 +40,9 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
         ".unv": read_universal,
     }
     if not os.path.isfile(path):  # False as well for a name that no system takes
-        raise InputError(f"{shown(str(path))}: no such file; give the path of a CSV, MAT, NPZ or UFF file")
+        raise InputError(
+            f"{short_repr(str(path))}: no such file; give the path of a CSV, MAT, NPZ or UFF file"
+        )
     if path.suffix.lower() not in readers:
         raise InputError(
             f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
@@ -95,12 +97,12 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
         widths = [len(_without_empty_end(_fields(line.split("#")[0], separator))) for line in head[1:]]
         if min(widths) > names:  # pandas would warn, and drop the columns without a name
             raise InputError(
-                f"{path.name} names {counted(names, 'column')} and holds {max(widths)}; give every column a name, or none"
+                f"{path.name} names {pluralise(names, 'column')} and holds {max(widths)}; give every column a name, or none"
             )
         if max(widths) > names:
             row = next(number for number, width in enumerate(widths, 1) if width > names)
             raise InputError(
-                f"{path.name} is not a table: row {row} holds {counted(widths[row - 1], 'value')} for {counted(names, 'column')}; mend it"
+                f"{path.name} is not a table: row {row} holds {pluralise(widths[row - 1], 'value')} for {pluralise(names, 'column')}; mend it"
             )
     try:
         with warnings.catch_warnings():
@@ -177,7 +179,7 @@ def _npz(path: Path) -> dict[str, np.ndarray]:
         raise _no_archive(path, one_line(str(error))) from None
     for name, member in members.items():
         if not isinstance(member, np.ndarray):
-            raise _no_archive(path, f"its member {shown(name)} is no array")
+            raise _no_archive(path, f"its member {short_repr(name)} is no array")
     return members
 
 
@@ -189,7 +191,7 @@ def _require_size(path: Path, members: list[zipfile.ZipInfo]) -> None:
         raise _no_archive(path, f"it unpacks to {size:.2g} bytes, more than {MOST_BYTES >> 30} GB")
     for each in members:  # others unpack a thousandfold of what is asked of them at a time
         if each.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise _no_archive(path, f"its member {shown(each.filename)} is compressed as numpy does not")
+            raise _no_archive(path, f"its member {short_repr(each.filename)} is compressed as numpy does not")
 
 
 def _no_archive(path: Path, why: str) -> InputError:

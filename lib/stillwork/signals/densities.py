@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, counted, require_choice
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, pluralise, require_choice
+from stillwork.base.validation import checked
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.records import MOTION_UNITS, unit_factor
 
@@ -85,7 +85,7 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
     known = f > 0
     if known.sum() < 2:
         raise InputError(
-            f"{path.name}: {axis!r} holds {counted(known.sum(), 'frequency')} above zero; give at least 2"
+            f"{path.name}: {axis!r} holds {pluralise(known.sum(), 'frequency')} above zero; give at least 2"
         )
     rows = np.array(list(named.values()))[:, known]
     if not np.isfinite(rows).all() or np.any(rows < 0):

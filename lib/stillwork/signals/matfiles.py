@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 
 # A record of an hour at 10 kHz on ten channels takes 3 GB and ten seconds.
 MOST_BYTES = 4 * 2**30

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, counted, require_array, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_number
+from stillwork.base.validation import checked
 
 
 class Moving(NamedTuple):
@@ -54,7 +54,7 @@ def moving(error: ArrayLike, sample_time: float, exposure: float) -> Moving:
     )
     if not 2 <= width <= len(error):
         raise InputError(
-            f"exposure covers {counted(width, 'sample')} of {len(error)}; choose at least 2 and at most all"
+            f"exposure covers {pluralise(width, 'sample')} of {len(error)}; choose at least 2 and at most all"
         )
     # Cumulative sums of small numbers on a large mean lose digits: take the mean out first.
     offset = error.mean()

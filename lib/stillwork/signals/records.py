@@ -12,14 +12,14 @@ from scipy import signal
 
 from stillwork.base.checks import (
     InputError,
-    counted,
     nearest,
+    pluralise,
     require_array,
     require_choice,
     require_count,
     require_number,
 )
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.signals.datafiles import read_columns
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -120,14 +120,14 @@ class Record:
             )
         if self.signals.shape[1] < SHORTEST_SAMPLES:
             raise InputError(
-                f"{self.source} holds {counted(self.signals.shape[1], 'sample')}, too short a record; "
+                f"{self.source} holds {pluralise(self.signals.shape[1], 'sample')}, too short a record; "
                 f"give at least {SHORTEST_SAMPLES}"
             )
         if self.unit not in SI_UNITS:
             raise InputError(f"unit is {self.unit!r}; convert to {', '.join(_QUANTITIES)} or 1")
         if len(self.names) != len(self.signals):
             raise InputError(
-                f"names has {counted(len(self.names), 'entry')} for {counted(len(self.signals), 'channel')}; name each"
+                f"names has {pluralise(len(self.names), 'entry')} for {pluralise(len(self.signals), 'channel')}; name each"
             )
 
     @property
@@ -392,6 +392,6 @@ def _require_whole(source: str, column: np.ndarray, rate: float) -> None:
     if bad.any():
         first = int(bad.argmax())
         raise InputError(
-            f"{source}: {counted(int(bad.sum()), 'value')} missing or not finite, the first at t = {first / rate:.4g} s "
+            f"{source}: {pluralise(int(bad.sum()), 'value')} missing or not finite, the first at t = {first / rate:.4g} s "
             f"(row {first + 1}); cut the record there or repair it"
         )

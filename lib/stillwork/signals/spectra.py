@@ -7,8 +7,8 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from stillwork.base.checks import InputError, counted, require_array, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, pluralise, require_array, require_number
+from stillwork.base.validation import by_value, check_fields, checked
 
 
 @by_value
@@ -151,12 +151,12 @@ def estimate_response(
     y, _ = _segments("outputs", outputs, sample_rate, resolution_hz)
     if x.shape[1] != y.shape[1]:
         raise InputError(
-            f"outputs hold {counted(y.shape[1], 'sample')}, inputs {x.shape[1]}; record them together"
+            f"outputs hold {pluralise(y.shape[1], 'sample')}, inputs {x.shape[1]}; record them together"
         )
     averages, count = _averages(x.shape[1], length), len(x)
     if averages <= 2 * count:
         raise InputError(
-            f"{counted(averages, 'segment')} cannot tell {count} inputs apart; record longer or take a coarser resolution_hz"
+            f"{pluralise(averages, 'segment')} cannot tell {count} inputs apart; record longer or take a coarser resolution_hz"
         )
     frequencies, fx = _segment_spectra(x, sample_rate, length)
     _, fy = _segment_spectra(y, sample_rate, length)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, counted
+from stillwork.base.checks import InputError, pluralise
 from stillwork.base.extras import require_package
-from stillwork.base.front_door import checked
+from stillwork.base.validation import checked
 
 _FUNCTION = 58
 _UNITS = 164
@@ -69,7 +69,7 @@ def read_universal(path: str | Path) -> dict[str, np.ndarray]:
         wanted, got = one["num_pts"], len(one.get("data", ()))  # none where its type is unknown
         if got < wanted:
             raise InputError(
-                f"{path.name}: a function announces {counted(wanted, 'value')} and holds {got}; export it again"
+                f"{path.name}: a function announces {pluralise(wanted, 'value')} and holds {got}; export it again"
             )
         if one["func_type"] in _KINDS:
             _take(path, found, one)

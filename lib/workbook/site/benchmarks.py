@@ -16,7 +16,7 @@ class Benchmark:
 
     Attributes
     ----------
-    room, title, unit, command, machine : str
+    topic, title, unit, command, machine : str
         What it is of, and how and where it was measured.
     over : str
         What the ratios are to.
@@ -26,7 +26,7 @@ class Benchmark:
         What was timed; its time and ratio in each column.
     """
 
-    room: str
+    topic: str
     title: str
     unit: str
     command: str
@@ -40,21 +40,21 @@ def benchmarks() -> list[Benchmark]:
     """The tables whose file is there, in the order of ``benchmarks/tables.toml``; none in a workbook without it."""
     listed = paths.root() / "benchmarks" / "tables.toml"
     tables = tomllib.loads(listed.read_text(encoding="utf-8"))["table"] if listed.exists() else []
-    return [_benchmark(**table) for table in tables if paths.data(table["room"], table["file"]).exists()]
+    return [_benchmark(**table) for table in tables if paths.data(table["topic"], table["file"]).exists()]
 
 
-def _benchmark(room, file, title, unit, over, command, names, across="", rows=()) -> Benchmark:
-    times = measured_times(room, file)
+def _benchmark(topic, file, title, unit, over, command, names, across="", rows=()) -> Benchmark:
+    times = measured_times(topic, file)
     if across:  # what was timed stands in the rows
         columns = {"": {name: row[across] for name, row in times.items()}}
     else:
         columns = {size: times[size] for size in rows}
     return Benchmark(
-        room,
+        topic,
         title,
         unit,
         command,
-        _machine(paths.data(room, file)),
+        _machine(paths.data(topic, file)),
         names[over],
         tuple(columns),
         tuple(

@@ -13,11 +13,11 @@ from markupsafe import Markup
 
 from stillwork.base.checks import InputError
 from workbook import paths, publish
+from workbook.choices.command import robustness_of
+from workbook.choices.judging import Robustness
 from workbook.claims import KINDS, VERDICTS, Claim, ledger
 from workbook.notebooks import notebook_file
 from workbook.provenance import commit, modified
-from workbook.readings.command import standings_of
-from workbook.readings.judging import Standing
 from workbook.report import APART, REPLICATIONS, column, our_quantity, published_quantity, tally
 from workbook.site import picture, reference, search
 from workbook.site.benchmarks import benchmarks
@@ -26,7 +26,7 @@ from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, project
 from workbook.site.pages import NotebookPage, read_page
 from workbook.site.papers import papers
-from workbook.site.specification import class_of, curves, stands
+from workbook.site.specification import class_of, curves, status
 from workbook.site.states import kept_states, make_states
 from workbook.tasks import tasks
 
@@ -69,12 +69,12 @@ def site_files() -> dict[str, bytes]:
     states = kept_states(wanted)
     modules = reference.read_modules()
     guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
-    standings = {entry: each for room in paths.rooms() for entry, each in standings_of(room).items()}
-    rooms = [_room(name, paper, claims, pages, standings) for name, paper in papers().items()]
+    standings = {entry: each for topic in paths.topics() for entry, each in robustness_of(topic).items()}
+    topics = [_topic(name, paper, claims, pages, standings) for name, paper in papers().items()]
     own = _own_pages()
     render = _renderer(
         own_pages=own,
-        rooms=[room for room in rooms if room["pages"] or room["counts"]],
+        topics=[topic for topic in topics if topic["pages"] or topic["counts"]],
         # Of a folder its front stands in the navigation and leads to the others.
         guides={
             name: _title(text) for name, text in guides.items() if "/" not in name or name.endswith("/index")
@@ -94,14 +94,14 @@ def site_files() -> dict[str, bytes]:
         "",
         claims=claims,
         by_name=by_name,
-        curved={curve.standing.entry.id for room in rooms for curve in room["curves"]},
+        curved={curve.standing.entry.id for topic in topics for curve in topic["curves"]},
         kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
         classes=sorted({class_of(standings.get(claim.entry.id)) for claim in claims}),
     )
-    for room in rooms:
-        if room["curves"]:
-            files[f"readings/{room['name']}.html"] = render(
-                "readings.html", "../", room=room, curves=room["curves"]
+    for topic in topics:
+        if topic["curves"]:
+            files[f"choices/{topic['name']}.html"] = render(
+                "choices.html", "../", topic=topic, curves=topic["curves"]
             )
     files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
     files["gallery.html"] = render("gallery.html", "", pages=pages)
@@ -161,18 +161,18 @@ def static_files() -> dict[str, bytes]:
 
 
 def _neighbours(page: NotebookPage, pages: list[NotebookPage]) -> list[tuple[str, NotebookPage]]:
-    """The notebooks before and after one in its room, with the relation's name."""
-    mine = [each for each in pages if each.room == page.room]
+    """The notebooks before and after one in its topic, with the relation's name."""
+    mine = [each for each in pages if each.topic == page.topic]
     at = mine.index(page)
     before = [("prev", mine[at - 1])] if at else []
     return before + [("next", each) for each in mine[at + 1 : at + 2]]
 
 
-def _room(
-    name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage], standings: dict[str, Standing]
+def _topic(
+    name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage], standings: dict[str, Robustness]
 ) -> dict:
-    """What a template shows of a room."""
-    mine = [claim for claim in claims if claim.entry.room == name]
+    """What a template shows of a topic."""
+    mine = [claim for claim in claims if claim.entry.topic == name]
     drawn = curves(name, standings)
     joints = {curve.standing.joint.group: curve.standing.joint for curve in drawn if curve.standing.joint}
     return {
@@ -190,7 +190,7 @@ def _room(
             (each for page in pages for each in page.figures if each.path == f"figures/{paper['hero']}"), None
         ),
         "orderings": Counter(column(claim) for claim in mine if claim.entry.kind == "ordering"),
-        "pages": [page for page in pages if page.room == name],
+        "pages": [page for page in pages if page.topic == name],
     }
 
 
@@ -224,7 +224,7 @@ def _templates() -> jinja2.Environment:
     environment.filters["short_title"] = _short_title
     environment.filters["column"] = column
     environment.filters["tally"] = tally
-    environment.filters["stands"] = stands
+    environment.filters["status"] = status
     environment.filters["class_of"] = class_of
     return environment
 

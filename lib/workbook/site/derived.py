@@ -85,26 +85,26 @@ def _gallery(pages: list[NotebookPage]) -> str:
 def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
     shown = columns(claims)
     parts = [
-        "# The house\n\nA room for each published work; one notebook a result. Run a notebook with "
+        "# The house\n\nA topic for each paper; one notebook a result. Run a notebook with "
         "*Run > Run All Cells*, change its cell of parameters, or move the sliders of its explorer.",
         "## What agrees with the published works\n\n"
         + "\n".join(
             [
-                "| room | work | " + " | ".join(shown) + " |",
+                "| topic | work | " + " | ".join(shown) + " |",
                 "|---|---|" + "---:|" * len(shown),
-                *(_row(room, paper, claims, shown) for room, paper in papers().items()),
+                *(_row(topic, paper, claims, shown) for topic, paper in papers().items()),
             ]
         ),
     ]
-    for room, paper in papers().items():
-        mine = [page for page in pages if page.room == room]
+    for topic, paper in papers().items():
+        mine = [page for page in pages if page.topic == topic]
         if mine:
             listing = "\n".join(
                 f"- [{page.title}]({page.name}.ipynb){_verdicts(page.claims)}" for page in mine
             )
             first = _headline(paper, claims)
             said = f"{paper['claimed']}\n\n" if paper["claimed"] else ""
-            parts.append(f"## {paper['title']} (`{room}`)\n\n{said}{first}{listing}")
+            parts.append(f"## {paper['title']} (`{topic}`)\n\n{said}{first}{listing}")
     parts.append(f"## The shelves\n\n{about()['shelves']}")
     cells = [
         # In lines, as Jupyter writes them.
@@ -127,10 +127,10 @@ def _headline(paper: dict, claims: list[Claim]) -> str:
     return "\n".join(["| the work says | published | ours | verdict |", "|---|---|---|---|", *rows]) + "\n\n"
 
 
-def _row(room: str, paper: dict, claims: list[Claim], shown: list[str]) -> str:
-    counts = Counter(column(claim) for claim in claims if claim.entry.room == room)
+def _row(topic: str, paper: dict, claims: list[Claim], shown: list[str]) -> str:
+    counts = Counter(column(claim) for claim in claims if claim.entry.topic == topic)
     numbers = " | ".join(str(counts[name]) for name in shown)
-    return f"| `{room}` | {paper['paper']} | {numbers} |"
+    return f"| `{topic}` | {paper['paper']} | {numbers} |"
 
 
 def _verdicts(claims: tuple[Claim, ...]) -> str:
@@ -143,13 +143,13 @@ def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
     lines += [f"  title: {_quoted(project()['description'])}", "  authors:"]
     lines += [f"    - name: {_quoted(author['name'])}" for author in project()["authors"]]
     lines.append("manifest:")
-    sources = {room: paper["paper"] for room, paper in papers().items()}
+    sources = {topic: paper["paper"] for topic, paper in papers().items()}
     for page in pages:
         for figure in page.figures:
             if figure.csv:
                 about = [claim for claim in page.claims if page.figure_of(claim) == figure]
                 places = ", ".join(dict.fromkeys(claim.entry.place.partition(",")[0] for claim in about))
-                comment = f"{page.title}. {sources[page.room]}" + (f"; {places}" if places else "")
+                comment = f"{page.title}. {sources[page.topic]}" + (f"; {places}" if places else "")
                 lines += _output(f"{figure.path}.png", comment)
                 lines += _output(f"{figure.path}.csv", f"the numbers plotted in {figure.name}.png")
         if page.claims:

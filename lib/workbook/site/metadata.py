@@ -62,7 +62,7 @@ def release_date() -> str:
 
 
 def codemeta(papers: dict[str, dict]) -> str:
-    """``codemeta.json``; `papers` are the published works by room."""
+    """``codemeta.json``; `papers` are the published works by topic."""
     about = project()
     record = {
         "@context": "https://w3id.org/codemeta/3.0",
@@ -139,12 +139,12 @@ def crate(papers: dict[str, dict], pages: list[NotebookPage]) -> str:
     makers = makers[0] if len(makers) == 1 else makers  # the crate's recommendation for a single value
     articles = [
         {
-            "@id": f"#{room}",
+            "@id": f"#{topic}",
             "@type": "ScholarlyArticle",
             "name": paper["paper"],
             "description": paper["source"],
         }
-        for room, paper in papers.items()
+        for topic, paper in papers.items()
     ]
     descriptor = {
         "@id": "ro-crate-metadata.json",

@@ -108,8 +108,8 @@ class NotebookPage:
         return [figure for cell in self.cells for figure in cell.figures]
 
     @property
-    def room(self) -> str:
-        return self.notebook.room
+    def topic(self) -> str:
+        return self.notebook.topic
 
     @property
     def command(self) -> str:

@@ -1,10 +1,10 @@
-"""What stands of each room's paper on the front page and in the citations: ``data/<room>/paper.toml``."""
+"""What stands of each topic's paper on the front page and in the citations: ``data/<topic>/paper.toml``."""
 
 from stillwork.base.checks import InputError, nearest
 from stillwork.base.toml_files import read_toml
 from workbook import paths
 
-# What a room that does not say it goes without; CONTRIBUTING.md says what each is.
+# What a topic that does not say it goes without; CONTRIBUTING.md says what each is.
 NOTHING = {
     "title": "",
     "paper": "",
@@ -21,25 +21,25 @@ NOTHING = {
 
 
 def papers() -> dict[str, dict]:
-    """Of each room, in their order, all fields of its ``paper.toml``.
+    """Of each topic, in their order, all fields of its ``paper.toml``.
 
     Raises
     ------
     InputError
         When a field is unknown or of another kind, or a statement lacks its words or its entry; the message names it.
     """
-    return {room: _paper(room) for room in paths.rooms()}
+    return {topic: _paper(topic) for topic in paths.topics()}
 
 
 def cited() -> dict[str, dict]:
     """Those that say where they were published."""
-    return {room: paper for room, paper in papers().items() if paper["source"]}
+    return {topic: paper for topic, paper in papers().items() if paper["source"]}
 
 
-def _paper(room: str) -> dict:
-    file = paths.data(room, "paper.toml")
+def _paper(topic: str) -> dict:
+    file = paths.data(topic, "paper.toml")
     given = dict(read_toml(file)) if file.is_file() else {}
-    given.pop("order", None)  # which `paths.rooms` reads
+    given.pop("order", None)  # which `paths.topics` reads
     for name, value in given.items():
         if name not in NOTHING:
             raise InputError(f"{file}: unknown field {name!r}{nearest(name, NOTHING)}")
@@ -49,5 +49,5 @@ def _paper(room: str) -> dict:
         for each in given.get(name, []):
             if not isinstance(each, dict) or set(each) != {"says", "entry"}:
                 raise InputError(f"{file}: {name} holds {each!r}; give {{ says = '...', entry = '...' }}")
-    title = given.get("title") or room.capitalize()
+    title = given.get("title") or topic.capitalize()
     return {**NOTHING, "paper": title, **given, "title": title}

@@ -1,4 +1,4 @@
-"""A room's published numbers against ours, as one drawing: a row a number, sorted by how far it is off."""
+"""A topic's published numbers against ours, as one drawing: a row a number, sorted by how far it is off."""
 
 import math
 from dataclasses import dataclass

@@ -71,14 +71,14 @@ class Module:
 
     @property
     def folder(self) -> str:
-        """The concept or the room that it belongs to: ``lti``, ``motion``, or ``workbook``."""
+        """The concept or the topic that it belongs to: ``lti``, ``motion``, or ``workbook``."""
         first, *rest = self.name.split(".")
         return rest[0] if rest and first in ("stillwork", "experiments", "notebooks") else first
 
 
 @dataclass(frozen=True)
 class Folder:
-    """A concept or a room: what it is, the places and items that it hands out, and its modules."""
+    """A concept or a topic: what it is, the places and items that it hands out, and its modules."""
 
     name: str
     doc: str
@@ -87,17 +87,17 @@ class Folder:
 
 
 def folders(modules: list[Module]) -> list[Folder]:
-    """The modules by folder, in the order of the layers: the toolbox from the ground up, the workbook, the rooms."""
+    """The modules by folder, in the order of the layers: the toolbox from the ground up, the workbook, the topics."""
     found = []
     packages = {module.name: module for module in modules}
     wanted = [f"stillwork.{name}" for name in TOOLBOX]
-    shared = [f"experiments.{room}" for room in paths.rooms()]
+    shared = [f"experiments.{topic}" for topic in paths.topics()]
     for name in [*wanted, "workbook", *shared, *paths.packages()]:
         beside = name.replace("experiments.", "notebooks.")
         mine = [each for each in modules if f"{each.name}.".startswith((f"{name}.", f"{beside}."))]
         if not mine:
             continue
-        package = packages.get(name, Module(name, "", "", (), {}))  # a room's notebooks may share nothing
+        package = packages.get(name, Module(name, "", "", (), {}))  # a topic's notebooks may share nothing
         names = face_names(ast.parse(package.source))
         by_name = {module.name: module for module in mine}
         public = tuple(
@@ -113,7 +113,7 @@ def face_names(tree: ast.Module) -> dict[str, str]:
     """The names that a package hands out, with the module that defines each."""
     for statement in tree.body:
         match statement:
-            case ast.Assign(value=ast.Call(func=ast.Name(id="face"), args=[_, by_module])):
+            case ast.Assign(value=ast.Call(func=ast.Name(id="lazy_exports"), args=[_, by_module])):
                 return {
                     name: module for module, names in ast.literal_eval(by_module).items() for name in names
                 }
@@ -145,11 +145,11 @@ def library_files() -> list[Path]:
 
 
 def read_modules() -> list[Module]:
-    """The toolbox's and the workbook's modules, and those of each room: what its notebooks share, then what each has alone."""
+    """The toolbox's and the workbook's modules, and those of each topic: what its notebooks share, then what each has alone."""
     files = [file for file in library_files() if file != LIBRARY / "stillwork" / "__init__.py"]
-    for room in paths.rooms():
-        files += sorted((LIBRARY / "experiments" / room).rglob("*.py"))
-        files += sorted((paths.root() / "notebooks" / room).glob("*.py"))
+    for topic in paths.topics():
+        files += sorted((LIBRARY / "experiments" / topic).rglob("*.py"))
+        files += sorted((paths.root() / "notebooks" / topic).glob("*.py"))
     for name in paths.packages():
         files += sorted((paths.root() / name).glob("*.py"))
     return [_module(file) for file in files]

@@ -13,7 +13,7 @@ from workbook.publish import replace_file
 
 # The worked example, so that build, ledger and test run from the first minute.
 STARTER = Path(__file__).with_name("starter")
-ROOM, NAME = "paper", "01-deviation"
+TOPIC, NAME = "paper", "01-deviation"
 FILES = {
     "Makefile": "Makefile",
     "pyproject.toml": "pyproject.toml",
@@ -35,9 +35,9 @@ def begin(folder: str) -> list[str]:
         raise InputError(f"folder is {folder}, which is there and not empty; name a new one")
     (home / "data").mkdir(parents=True)
     with paths.rooted(home):
-        written = new_result(ROOM, NAME, create=True)
-        choices = paths.data(ROOM, "readings.toml")
-        replace_file(choices, starter("readings.toml", words_of(ROOM, NAME)).encode())
+        written = new_result(TOPIC, NAME, create=True)
+        choices = paths.data(TOPIC, "choices.toml")
+        replace_file(choices, starter("choices.toml", words_of(TOPIC, NAME)).encode())
     texts = {name: starter(file, {"title": home.resolve().name}) for name, file in FILES.items()}
     pins = {each.name: each.version for each in metadata.distributions()}
     texts["environment.txt"] = "".join(f"{name}=={version}\n" for name, version in sorted(pins.items()))
@@ -47,37 +47,37 @@ def begin(folder: str) -> list[str]:
     return [*written, f"put your paper in their place; it runs as it is: cd {folder} && make figures"]
 
 
-def new_result(room: str, name: str, create: bool = False) -> list[str]:
-    """Write the files of a new result, and of a new room what is said of its paper; returns their paths.
+def new_result(topic: str, name: str, create: bool = False) -> list[str]:
+    """Write the files of a new result, and of a new topic what is said of its paper; returns their paths.
 
     Parameters
     ----------
-    room : str
-        A room's name.
+    topic : str
+        A topic's name.
     name : str
         ``nn-result``, e.g. ``09-payload``.
     create : bool
-        Whether the room is a new one, which this begins.
+        Whether the topic is a new one, which this begins.
 
     Raises
     ------
     InputError
-        When there is no such room (or, to be created, it is there), a name has another form, or it is taken.
+        When there is no such topic (or, to be created, it is there), a name has another form, or it is taken.
     """
     if create:
-        _require_new_room(room)
-    elif not paths.is_room(room):
+        _require_new_topic(topic)
+    elif not paths.is_topic(topic):
         raise InputError(
-            f"there is no room {room!r}{nearest(room, paths.rooms())}; to begin it, give --create"
+            f"there is no topic {topic!r}{nearest(topic, paths.topics())}; to begin it, give --create"
         )
     if not re.fullmatch(r"\d\d-[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
         raise InputError(f"name is {name!r}; give a number and words like '09-payload'")
-    words = words_of(room, name)
+    words = words_of(topic, name)
     key, module = words["key"], words["module"]
-    notebook = notebook_file(f"{room}/{name}")
+    notebook = notebook_file(f"{topic}/{name}")
     beside = notebook.with_name(f"{module}.py")
-    test = paths.root() / "tests" / room / f"test_{module}.py"
-    ledger = paths.data(room, "published.toml")
+    test = paths.root() / "tests" / topic / f"test_{module}.py"
+    ledger = paths.data(topic, "published.toml")
     before = ledger.read_text(encoding="utf-8") if ledger.exists() else ""
     for file in (notebook, beside, test):
         if file.exists():
@@ -85,8 +85,8 @@ def new_result(room: str, name: str, create: bool = False) -> list[str]:
     taken = sorted(each.stem for each in notebook.parent.glob("[0-9][0-9]-*.ipynb"))
     if same := [each for each in taken if each[:2] == name[:2]]:
         raise InputError(f"the number {name[:2]} is taken by {same[0]}; the last one is {taken[-1][:2]}")
-    if f"[{room}.{key}." in before:
-        raise InputError(f"the ledger has entries {room}.{key} already; choose another name")
+    if f"[{topic}.{key}." in before:
+        raise InputError(f"the ledger has entries {topic}.{key} already; choose another name")
     written = {
         notebook: notebook_text(json.loads(starter("notebook.json", words))),
         beside: starter("module.txt", words),
@@ -94,18 +94,18 @@ def new_result(room: str, name: str, create: bool = False) -> list[str]:
         ledger: (before + starter("published.toml", words)).lstrip("\n"),
     }
     if create:
-        about = {**words, "title": room.replace("_", " ").capitalize()}
-        written[paths.data(room, "paper.toml")] = starter("paper.toml", about)
+        about = {**words, "title": topic.replace("_", " ").capitalize()}
+        written[paths.data(topic, "paper.toml")] = starter("paper.toml", about)
     for file, text in written.items():
         replace_file(file, text.encode())
     return [file.relative_to(paths.root()).as_posix() for file in written]
 
 
-def words_of(room: str, name: str) -> dict[str, str]:
+def words_of(topic: str, name: str) -> dict[str, str]:
     """What stands in the templates of a result."""
     key = name.partition("-")[2]
     return {
-        "room": room,
+        "topic": topic,
         "name": name,
         "key": key,
         "module": key.replace("-", "_"),
@@ -113,11 +113,11 @@ def words_of(room: str, name: str) -> dict[str, str]:
     }
 
 
-def _require_new_room(room: str) -> None:
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", room) or iskeyword(room):
-        raise InputError(f"room is {room!r}; give small letters, digits and _, as Python's modules have")
-    if paths.is_room(room):
-        raise InputError(f"the room {room} is there already; leave out --create")
+def _require_new_topic(topic: str) -> None:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", topic) or iskeyword(topic):
+        raise InputError(f"topic is {topic!r}; give small letters, digits and _, as Python's modules have")
+    if paths.is_topic(topic):
+        raise InputError(f"the topic {topic} is there already; leave out --create")
 
 
 def starter(name: str, words: dict[str, str]) -> str:

@@ -24,7 +24,7 @@ def index(
     found = []
     for page in pages:
         html = "".join(cell.html for cell in page.cells if not cell.code)
-        found += _parts(html, f"notebooks/{page.name}.html", page.title, page.room)
+        found += _parts(html, f"notebooks/{page.name}.html", page.title, page.topic)
     for name, html in guides.items():
         found += _parts(html, f"guide/{name}.html", "", "guide")
     for module in modules:
@@ -33,7 +33,7 @@ def index(
             found.append([f"{module.name}.{item.name}", "reference", address, item.doc.partition("\n\n")[0]])
     for claim in claims:
         entry = claim.entry
-        words = f"{entry.room} {entry.place} {entry.id} {claim.verdict}"
+        words = f"{entry.topic} {entry.place} {entry.id} {claim.verdict}"
         found.append([entry.quantity, "ledger", f"ledger.html#row-{entry.id}", words])
     return found
 

@@ -1,13 +1,13 @@
-"""How an entry stands over all readings, in words and as a specification curve: an entry's values under all readings, sorted, and which options were on below each."""
+"""How an entry stands over all combinations, in words and as a specification curve: an entry's values under all combinations, sorted, and which options were on below each."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from workbook.choices.axes import load_axes
+from workbook.choices.judging import Robustness
+from workbook.choices.results import Outcomes, read_results
 from workbook.claims import AGREEMENT, Claim
-from workbook.readings.axes import load_axes
-from workbook.readings.judging import Standing
-from workbook.readings.results import Outcomes, read_results
 from workbook.report import our_quantity
 
 WIDTH, TOP = 460, 10  # of the values and dots; a page stretches the width to what it has
@@ -22,9 +22,9 @@ class Curve:
 
     Attributes
     ----------
-    standing : Standing
+    standing : Robustness
     dots : dict of str to str
-        Path of each kind of readings: those under which the entry agrees, differs, or is not judged.
+        Path of each kind of combinations: those under which the entry agrees, differs, or is not judged.
     seeds : str
         Path of the ranges over seeds.
     ticks : tuple of (float, str)
@@ -40,7 +40,7 @@ class Curve:
     height : float
     """
 
-    standing: Standing
+    standing: Robustness
     dots: dict[str, str]
     seeds: str
     ticks: tuple[tuple[float, str], ...]
@@ -58,19 +58,19 @@ class Curve:
         return 10 + LETTER * max(map(len, beside))
 
 
-def curves(room: str, standings: dict[str, Standing]) -> list[Curve]:
-    """Of the entries of a room that have a value under some reading: what depends first, then what fails and holds."""
+def curves(topic: str, standings: dict[str, Robustness]) -> list[Curve]:
+    """Of the entries of a topic that have a value under some combination: what depends first, then what is not reproduced and what is robust."""
     found = [
         curve_of(study, standings[entry])
-        for study in read_results(load_axes(room)[1])
+        for study in read_results(load_axes(topic)[1])
         for entry, values in study.values.items()
         if np.isfinite(values).any()
     ]
-    order = ("depends", "fails", "holds", None)
+    order = ("depends", "not reproduced", "robust", None)
     return sorted(found, key=lambda curve: order.index(curve.standing.class_))
 
 
-def curve_of(study: Outcomes, standing: Standing) -> Curve:
+def curve_of(study: Outcomes, standing: Robustness) -> Curve:
     points = np.flatnonzero(np.isfinite(standing.values).any(axis=1))
     middle = np.nanmean(standing.values[points], axis=1)
     order = np.argsort(middle, kind="stable")
@@ -100,7 +100,7 @@ def curve_of(study: Outcomes, standing: Standing) -> Curve:
     return Curve(standing, dots, ranged, ticks, published, band, tuple(axes), tuple(options), y)
 
 
-def _scale(standing: Standing, values: np.ndarray):
+def _scale(standing: Robustness, values: np.ndarray):
     """From a value to a height; the ends of the axis, the published value and what agrees with it in heights."""
     entry, ends = standing.entry, [float(np.nanmin(values)), float(np.nanmax(values))]
     published = entry.published
@@ -138,8 +138,8 @@ def _paths(x: np.ndarray, y: float | np.ndarray, kinds: np.ndarray, shown: np.nd
     return found
 
 
-def stands(claim: Claim, standing: Standing | None) -> str:
-    """The end of a sentence: under how many readings it is so, or where none were tried or judged, whether here."""
+def status(claim: Claim, standing: Robustness | None) -> str:
+    """The end of a sentence: under how many combinations it is so, or where none were tried or judged, whether here."""
     if standing is None or standing.share is None:
         if claim.verdict in AGREEMENT:
             return "here, too"
@@ -148,12 +148,12 @@ def stands(claim: Claim, standing: Standing | None) -> str:
         ours = our_quantity(claim)
         return f"not here ({ours})" if claim.verdict in ("deviates", "fails") else f"here {ours}"
     if standing.agree == standing.tried:
-        return f"under every one of {standing.tried} readings"
+        return f"under every one of {standing.tried} combinations"
     if standing.agree == 0:
-        return f"under none of {standing.tried} readings"
-    return f"under {standing.agree} of {standing.tried} readings"
+        return f"under none of {standing.tried} combinations"
+    return f"under {standing.agree} of {standing.tried} combinations"
 
 
-def class_of(standing: Standing | None) -> str:
-    """``holds``, ``depends`` or ``fails`` over the readings; else ``not tried``."""
+def class_of(standing: Robustness | None) -> str:
+    """``robust``, ``depends`` or ``not reproduced`` over the combinations; else ``not tried``."""
     return (standing and standing.class_) or "not tried"

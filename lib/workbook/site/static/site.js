@@ -68,7 +68,7 @@ const form = document.querySelector("form#filters"); // a function in the refere
 if (form) {
   const body = document.querySelector("#claims tbody");
   const rows = Array.from(body.rows);
-  const fields = ["room", "counted", "verdict", "kind", "readings"];
+  const fields = ["topic", "counted", "verdict", "kind", "choices"];
   const texts = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
 
   const distance = (row) => (row.dataset.deviation === "" ? null : Number(row.dataset.deviation));
@@ -119,10 +119,10 @@ const gallery = document.querySelector("form#gallery-filters");
 
 if (gallery) {
   const show = () => {
-    const { room, verdict } = Object.fromEntries(new FormData(gallery));
+    const { topic, verdict } = Object.fromEntries(new FormData(gallery));
     let [shown, all] = [0, 0];
-    for (const section of document.querySelectorAll("section[data-room]")) {
-      section.hidden = Boolean(room) && room !== section.dataset.room;
+    for (const section of document.querySelectorAll("section[data-topic]")) {
+      section.hidden = Boolean(topic) && topic !== section.dataset.topic;
       for (const figure of section.querySelectorAll("figure")) {
         figure.hidden = Boolean(verdict) && !figure.dataset.verdicts.split(" ").includes(verdict.replaceAll(" ", "-"));
         shown += !section.hidden && !figure.hidden;

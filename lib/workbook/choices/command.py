@@ -1,0 +1,221 @@
+"""``python -m stillwork choices``: run what is missing, keep the results, say how every entry stands."""
+
+import contextlib
+import math
+import sys
+import time
+from collections import Counter
+from dataclasses import replace
+
+from stillwork.base.checks import InputError, require_choice
+from workbook import paths
+from workbook.choices.axes import Multiverse, load_axes
+from workbook.choices.checking import (
+    age,
+    drawn,
+    forget,
+    has_moved,
+    is_older,
+    moved_before,
+    moves,
+    note,
+    parts_a_day,
+    today,
+)
+from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness, judge
+from workbook.choices.results import Outcomes, read_results, results_text
+from workbook.choices.running import Journal, calls_of, run_combinations
+from workbook.claims import load_entries
+from workbook.lock import held, interrupts, recover
+from workbook.publish import replace_file
+from workbook.report import screen, table
+from workbook.workers import client_of, cores, processes
+
+SAMPLED = (
+    4  # parts a day of `checking.DAYS`, at least, that decide whether a study is computed again: those of CI
+)
+SHOWN = 3  # of the values that moved
+
+RUNNING = "combinations of this checkout are being tried already; wait for them or stop them"
+
+
+def compute_choices(
+    topic: str | None = None,
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    budget_min: float | None = None,
+    changed: bool = False,
+    study: str | None = None,
+) -> int:
+    """Run the combinations of a topic, or of all; returns the exit code (1: not whole yet, 128 + signal: interrupted).
+
+    Parameters
+    ----------
+    topic : str, optional
+    jobs : int, optional
+        Processes; by default one a core.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers compute.
+    budget_min : float, optional
+        After so many minutes, of all topics together, no combination is begun; the next run goes on from there.
+    changed : bool
+        Only studies with a value that moved, in a sample of today's; those whose axes changed, or that never ran.
+    study : str, optional
+        Only this study of the topic, and all of it, whatever was computed before.
+    """
+    if study is not None:
+        if topic is None:
+            raise InputError("study needs its topic; name it before: choices TOPIC --study NAME")
+        require_choice("study", study, [each.study for each in load_axes(paths.require_topic(topic))[1]])
+    topics = paths.topics() if topic is None else [paths.require_topic(topic)]
+    end = time.monotonic() + 60 * budget_min if budget_min is not None else math.inf
+    whole = True
+    recover()
+    with held("choices/lock", RUNNING), interrupts() as caught, contextlib.ExitStack() as stack:
+        executor, at_once = _executor(stack, jobs, scheduler)
+        for each in topics:
+            if not caught:
+                whole &= _compute_topic(each, executor, at_once, end, lambda: bool(caught), changed, study)
+    return 128 + caught[0] if caught else int(not whole)
+
+
+def _executor(stack: contextlib.ExitStack, jobs: int | None, scheduler: str | None):
+    """What makes an executor, and how many combinations to hand out at a time: one waits behind each that runs."""
+    if scheduler is None:
+        jobs = jobs or cores()
+        return (lambda: processes(jobs)), 2 * jobs
+    client = stack.enter_context(client_of(scheduler))
+    return (lambda: client.get_executor(pure=False)), 2 * max(sum(client.nthreads().values()), 1)
+
+
+def _compute_topic(topic: str, executor, at_once: int, end: float, stopped, changed: bool, study) -> bool:
+    axes, multiverses = load_axes(topic)
+    if not multiverses:
+        return True
+    folder = paths.root() / "build" / "choices"
+    journal = Journal(folder / f"{topic}.jsonl")
+
+    def run(wanted: list[Multiverse], runs_of) -> list[Outcomes]:
+        budget_s = end - time.monotonic()
+        return run_combinations(
+            wanted, executor, journal, at_once=at_once, budget_s=budget_s, stopped=stopped, runs_of=runs_of
+        )
+
+    if study is not None:
+        kept = [each for each in read_results(multiverses) if each.multiverse.study != study]
+        for call in calls_of(next(each for each in multiverses if each.study == study)).values():
+            journal.found.pop(call.key, None)
+    else:
+        kept = _unmoved(topic, multiverses, run, journal) if changed else []
+    names = {each.multiverse.study for each in kept}
+    others = [each for each in multiverses if each.study not in names]
+    done = kept + run(others, calls_of)
+    if len(done) < len(multiverses):
+        names = {each.study for each in multiverses} - {each.multiverse.study for each in done}
+        print(f"{topic}: not whole yet: {', '.join(sorted(names))}; run the same again to go on")
+        return False
+    done.sort(key=lambda each: multiverses.index(each.multiverse))
+    # Whatever build or accept runs: neither writes this file, nor makes anything of it.
+    replace_file(paths.data(topic, "choices.csv"), results_text(done).encode())
+    for each in others:
+        forget(each)
+    done = read_results(multiverses)  # what is judged is what was written
+    standings = judge(done, load_entries(topic), axes)
+    print(standings_text(topic, done, standings, screen()))
+    _paint(topic, done, standings)
+    return True
+
+
+def _unmoved(topic: str, multiverses: list[Multiverse], run, journal: Journal) -> list[Outcomes]:
+    """Committed results that the code as it is gave, or that came out again in a sample of today's."""
+    entries, day, parts = load_entries(topic), today(), max(parts_a_day(), SAMPLED)
+    committed = {each.multiverse.study: each for each in read_results(multiverses)}
+    kept, older = [], []
+    for each in committed.values():
+        if not has_moved(each.multiverse):
+            (older if is_older(each) else kept).append(each)
+        elif not is_older(
+            each
+        ):  # not the code changed, but what it runs on: what it gave before is no answer
+            for call in calls_of(each.multiverse).values():
+                journal.found.pop(call.key, None)
+
+    def sample(multiverse: Multiverse) -> dict:
+        runs = calls_of(multiverse)
+        again = [at for at in moved_before(multiverse) if at in runs]
+        return {at: runs[at] for at in (*drawn(multiverse, runs, day, parts), *again)}
+
+    for now in run([each.multiverse for each in older], sample):
+        multiverse = now.multiverse
+        before, tried = committed[multiverse.study], list(sample(multiverse))
+        moved = moves(before, now, tried, entries)
+        note(multiverse, [at for at in tried if moves(before, now, [at], entries)])
+        if moved:
+            more = f" (and {len(moved) - SHOWN} more)" if len(moved) > SHOWN else ""
+            print("\n".join(moved[:SHOWN]) + more)
+        else:
+            kept.append(before)
+            print(f"{multiverse.study}: as before in {len(tried)} of {before.failed.size} combinations, kept")
+    return kept
+
+
+def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Robustness], width: int) -> str:
+    """Table of all entries of a topic over their combinations, what failed, and the counts by class."""
+    rows = [("claim", "tried", "agree", "interval", "class", "decided by", "best joint combination")]
+    for name, standing in standings.items():
+        judged = standing.share is not None
+        spread = "{:.2f} .. {:.2f}".format(*standing.interval) if judged else ""
+        joint = standing.joint
+        best = f"{len(joint.agreeing)} of {len(joint.ours)} in {joint.tried} tried" if joint else ""
+        agree = f"{100 * standing.share:.3g} %" if judged else ""
+        rows.append(
+            (
+                name,
+                str(standing.tried),
+                agree,
+                spread,
+                standing.class_ or "not judged",
+                ", ".join(standing.decided_by),
+                best,
+            )
+        )
+    lines = table(rows, width)
+    for name, standing in standings.items():
+        for axis in standing.undeclared:
+            lines.append(f"{name} moves with {axis}, which does not say that it touches it")
+    for study in studies:
+        for reason, count in Counter(study.failures.values()).most_common():
+            lines.append(f"{study.multiverse.study}: {count} combinations failed: {reason}")
+    counts = Counter(standing.class_ for standing in standings.values())
+    classes = ", ".join(
+        f"{counts[name]} {name}" for name in (ROBUST, DEPENDS, NOT_REPRODUCED) if counts[name]
+    )
+    return "\n".join([*lines, "", f"{topic}: {classes or 'nothing judged'}"])
+
+
+def _paint(topic: str, studies: list[Outcomes], standings: dict[str, Robustness]) -> None:
+    from workbook.choices.drawing import paint_specification_curve, paint_topic_choices
+    from workbook.figures import save
+
+    folder = paths.root() / "build" / "choices" / topic
+    if any(standing.class_ for standing in standings.values()):
+        save(paint_topic_choices(topic, standings.values()), folder / "choices")
+    for study in studies:
+        for name in study.multiverse.entries:
+            if standings[name].class_ == DEPENDS:
+                save(paint_specification_curve(study, standings[name]), folder / name)
+    print(f"pictures: {folder.relative_to(paths.root())}")
+
+
+def robustness_of(topic: str) -> dict[str, Robustness]:
+    """How the entries of a topic stand by its committed results, by id; without those whose axes changed since."""
+    axes, multiverses = load_axes(topic)
+    studies = read_results(multiverses)
+    known = {each.multiverse.study for each in studies}
+    run = paths.data(topic, "choices.csv").exists()
+    if run and (changed := [each.study for each in multiverses if each.study not in known]):
+        print(f"{topic}: the axes of {', '.join(changed)} changed: run `make choices`", file=sys.stderr)
+    standings = judge(studies, load_entries(topic), axes)
+    ages = {entry: age(each) for each in studies for entry in each.multiverse.entries}
+    return {name: replace(standing, age=ages[name]) for name, standing in standings.items()}

@@ -1,0 +1,75 @@
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from workbook.choices.axes import Axis, Multiverse
+from workbook.choices.running import design
+
+
+def multiverse(sizes, defaults=None, points=64):
+    axes = tuple(
+        Axis(f"motion.x{k}", "which", tuple(range(size)), default, "open", ("motion.order",), "number")
+        for k, (size, default) in enumerate(zip(sizes, defaults or [0] * len(sizes), strict=True))
+    )
+    return Multiverse("motion", "toy", "a:b", ("motion.order",), axes, points=points)
+
+
+sizes = st.lists(st.integers(2, 5), min_size=1, max_size=6)
+
+
+@given(sizes, st.integers(2, 150), st.data())
+def test_a_design_begins_with_the_default_and_repeats_nothing(sizes, points, data):
+    defaults = [data.draw(st.integers(0, size - 1)) for size in sizes]
+    given = multiverse(sizes, defaults, points)
+    found = design(given)
+    assert found[0] == tuple(defaults)
+    assert len(set(found)) == len(found)
+    assert all(0 <= k < size for point in found for k, size in zip(point, sizes, strict=True))
+    if given.size <= max(64, points):
+        assert set(found) == set(itertools.product(*map(range, sizes)))
+    else:
+        assert len(found) == points
+
+
+def test_no_axis_leaves_one_point():
+    assert design(multiverse([])) == [()]
+
+
+def test_the_sample_is_the_same_on_every_machine():
+    """Written down once: another numpy or scipy that draws otherwise would orphan committed results."""
+    found = design(multiverse([3, 3, 3, 3], points=5))
+    assert found == FOUND
+
+
+FOUND = [(0, 0, 0, 0), (2, 2, 0, 0), (0, 0, 2, 2), (0, 2, 1, 1), (1, 0, 2, 2)]
+
+
+def test_a_longer_sample_begins_with_the_shorter():
+    given = multiverse([4, 3, 5, 2])
+    assert design(replace(given, points=100))[:64] == design(given)
+
+
+@pytest.mark.parametrize("points", [64, 256])
+def test_a_sample_fills_the_space_better_than_chance(points):
+    """Every option of every axis, and every pair of options, comes about as often as any other."""
+    sizes = [2, 4, 3, 5, 2, 4]
+    found = np.array(design(multiverse(sizes, points=points)))
+    rng = np.random.default_rng(1)
+    chance = np.mean(
+        [unevenness(np.floor(rng.random((points, 6)) * sizes).astype(int), sizes) for _ in range(50)]
+    )
+    assert unevenness(found, sizes) < 0.6 * chance
+
+
+def unevenness(points, sizes):
+    """Mean squared distance of the counts of all pairs of options from the even one, in units of it."""
+    total = []
+    for a, b in itertools.combinations(range(len(sizes)), 2):
+        counts = np.zeros((sizes[a], sizes[b]))
+        np.add.at(counts, (points[:, a], points[:, b]), 1)
+        total.append(np.mean((counts * counts.size / len(points) - 1) ** 2))
+    return np.mean(total)

@@ -1,0 +1,174 @@
+"""A toy work whose combinations are known in closed form: its ledger, its axes, and its studies.
+
+The sum is y = a + 2 b + a b with a of 0, 1, 2 and b of 0, 1, each as likely as any other. By hand: the mean given a
+is 1 + 1.5 a, of variance 2.25 x 2/3 = 3/2; given b it is 1 + 3 b, of variance 9 x 1/4 = 9/4; the joint part
+(a - 1)(b - 1/2) has 2/3 x 1/4 = 1/6. Together 47/12.
+"""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+FIRST = {"a": 18 / 47, "b": 27 / 47}
+TOTAL = {"a": 20 / 47, "b": 29 / 47}
+
+LEDGER = """\
+[motion.table-1.sum]
+place = "Table 1"
+quantity = "sum"
+unit = "m"
+published = 3.0
+kind = "value"
+tolerance = { absolute = 1.0, source = "printed digits" }
+
+[motion.table-1.product]
+place = "Table 1"
+quantity = "product"
+unit = "m"
+published = 2.0
+kind = "value"
+tolerance = { absolute = 0.1, source = "printed digits" }
+
+[motion.order]
+place = "section 1"
+quantity = "a at most b"
+unit = "1"
+published = 1.0
+kind = "ordering"
+
+[motion.never]
+place = "section 2"
+quantity = "what no combination gives"
+unit = "1"
+published = 100.0
+kind = "value"
+tolerance = { relative = 0.1, source = "printed digits" }
+
+[motion.always]
+place = "section 2"
+quantity = "what every combination gives"
+unit = "1"
+published = 1.0
+kind = "value"
+tolerance = { relative = 0.1, source = "printed digits" }
+
+[motion.shown]
+place = "section 2"
+quantity = "what is not judged"
+unit = "1"
+kind = "reported"
+reason = "the work gives no number"
+"""
+
+AXIS = """\
+[motion.{name}]
+question = "what {name} is"
+options = {options}
+default = {default}
+source = "section 1 leaves it open"
+touches = {touches}
+kind = "{kind}"
+
+"""
+ENTRIES = ("sum", "product", "order", "never", "always", "shown")
+ALL = '["motion.table-1", "motion.order", "motion.never", "motion.always", "motion.shown"]'
+STUDY = """\
+[studies.toy]
+function = "choices.toy_work:{function}"
+entries = {entries}
+{more}
+"""
+
+
+def axis(name, options, default, kind="number", touches=ALL) -> str:
+    return AXIS.format(name=name, options=options, default=default, kind=kind, touches=touches)
+
+
+def study(function="sums", entries=ALL, more="") -> str:
+    return STUDY.format(function=function, entries=entries, more=more)
+
+
+A, B = axis("a", [0, 1, 2], 0), axis("b", [0, 1], 0)
+TOY = A + B + study()
+SEEDS = axis("seeds", [7, 8, 9], 8, "seed")
+
+
+def write(root: Path, combinations: str = TOY, ledger: str = LEDGER) -> None:
+    """Make `root` a workbook whose topic `motion` is the toy."""
+    folder = root / "data" / "motion"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "published.toml").write_text(ledger, encoding="utf-8")
+    (folder / "choices.toml").write_text(combinations, encoding="utf-8")
+
+
+def sums(*, a, b, seed, lean, **others):
+    return {
+        "motion.table-1.sum": a + 2 * b + a * b,
+        "motion.table-1.product": a * b,
+        "motion.order": float(a <= b),
+        "motion.never": a - b,
+        "motion.always": 1.0,
+        "motion.shown": a / 3,
+    }
+
+
+def noisy(*, a, b, seed, lean, **others):
+    """The seeds 7, 8, 9 add -1, 0, 1, of variance 2/3, to the sum."""
+    found = sums(a=a, b=b, seed=seed, lean=lean)
+    return found | {"motion.table-1.sum": found["motion.table-1.sum"] + seed - 8}
+
+
+def at_zero(*, seed, lean):
+    return noisy(a=0, b=0, seed=seed, lean=lean)
+
+
+def spread(*, a, b, seed, lean):
+    """Values with intervals, and one without a value."""
+    found = sums(a=a, b=b, seed=seed, lean=lean)
+    return found | {
+        "motion.table-1.sum": (found["motion.table-1.sum"] / 3, (a / 3, b + 10.0)),
+        "motion.never": float("nan"),
+    }
+
+
+def raising(*, a, b, seed, lean):
+    if a == 2:
+        raise ValueError(f"no such\nthing at b = {b}")
+    return sums(a=a, b=b, seed=seed, lean=lean)
+
+
+def dying(*, a, b, seed, lean):
+    if (a, b) == (1, 1):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return sums(a=a, b=b, seed=seed, lean=lean)
+
+
+def slow(*, a, b, seed, lean):
+    time.sleep(0.2)
+    return noisy(a=a, b=b, seed=seed, lean=lean)
+
+
+def endless(*, a, b, seed, lean):
+    Path(os.environ["STILLWORK_ROOT"], "begun").touch()
+    time.sleep(1000)
+
+
+def incomplete(*, a, b, seed, lean):
+    return {"motion.order": 1.0}
+
+
+def talkative(*, a, b, seed, lean):
+    return sums(a=a, b=b, seed=seed, lean=lean) | {"motion.other": 1.0}
+
+
+def deaf(*, a, seed, lean):
+    return {}
+
+
+def one(**_):
+    return {"motion.order": 1.0}
+
+
+def other(**_):
+    return {"motion.always": 1.0}

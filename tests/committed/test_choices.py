@@ -1,0 +1,50 @@
+"""Committed combinations are of the committed axes, and what the code gives now is what stands there."""
+
+import pytest
+
+from committed.again import compute_again
+from workbook import paths
+from workbook.choices.axes import Multiverse, load_axes
+from workbook.choices.checking import moves, note, parts_a_day, today
+from workbook.choices.command import robustness_of
+from workbook.choices.results import read_results
+from workbook.choices.running import design
+from workbook.claims import load_entries
+
+PARTS = 4  # tests that share the studies of a topic, for workers to take
+
+
+def studies(topic: str) -> list[Multiverse]:
+    """Those of a topic whose combinations were run; none of a topic that has not got so far."""
+    return load_axes(topic)[1] if paths.data(topic, "choices.csv").exists() else []
+
+
+@pytest.mark.parametrize("topic", paths.topics())
+def test_they_are_of_these_axes(topic):
+    found = read_results(studies(topic))
+    assert [each.multiverse.study for each in found] == [each.study for each in studies(topic)], (
+        "run `make choices`"
+    )
+    for each in found:
+        assert each.design == design(each.multiverse)
+
+
+@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize("topic", paths.topics())
+def test_those_whose_turn_it_is_today_come_out_again(topic, part):
+    found = []
+    for before in read_results(studies(topic)[part::PARTS]):
+        now, tried = compute_again(before, today(), parts_a_day())
+        moved = {at: lines for at in tried if (lines := moves(before, now, [at], load_entries(topic)))}
+        note(before.multiverse, moved)
+        if moved:
+            found += [line for at in sorted(moved) for line in moved[at]]
+            found.append(f'run make choices ARGS="{topic} --study {before.multiverse.study}"')
+    if found:
+        pytest.fail("\n".join(found), pytrace=False)
+
+
+@pytest.mark.parametrize("topic", paths.topics())
+def test_every_axis_that_moves_an_entry_says_so(topic):
+    moved = {name: standing.undeclared for name, standing in robustness_of(topic).items()}
+    assert not {name: axes for name, axes in moved.items() if axes}

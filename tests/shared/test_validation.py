@@ -1,0 +1,545 @@
+"""Arguments and fields against their annotations: what is taken as it is meant, what is refused by name."""
+
+import contextlib
+import gc
+import inspect
+import pkgutil
+import re
+import subprocess
+import sys
+import typing
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from jaxtyping import Float64
+from scipy import interpolate
+
+from stillwork.base import validation
+from stillwork.base.checks import InputError
+from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.control import PeakConstraint, make_loop, maximise_bandwidth
+from stillwork.control.feedforward import least_squares
+from stillwork.control.setpoint import segment_times
+from stillwork.estimation import FeLms, FeRls, adapt, identify
+from stillwork.identification import complex_frequency_poles
+from stillwork.lti import ModalModel
+from stillwork.lti.peaks import refine_peak
+from stillwork.signals import load_record
+from stillwork.signals.moving_average import rms
+from workbook.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class Part:
+    size: float
+    rows: Float64[np.ndarray, "rows 2"]
+
+    def __post_init__(self):
+        check_fields(self)
+
+
+@checked
+def taken(
+    number: float = 1.0,
+    count: int = 1,
+    matrix: Float64[np.ndarray, "a b"] | None = None,
+    parts: Sequence[Part] = (),
+    pair: tuple[float, float] = (0.0, 1.0),
+    word: str = "",
+    call: Callable = abs,
+    either: float | Part = 0.0,
+    places: Sequence[int] | slice = (),
+    flag: bool = False,
+):
+    return number, count, matrix, parts, pair, word, call, either
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("number", "1.5", r"^number\b"),
+        ("number", 10**400, r"^number\b"),
+        pytest.param("number", 10**5000, r"^number\b", id="more digits than are printed"),
+        ("number", np.nan, r"^number\b"),
+        ("number", np.datetime64("2020-01-01"), r"^number\b"),
+        ("number", [1.0], r"^number\b"),
+        ("count", 2.0, r"^count\b"),
+        ("count", True, r"^count\b"),
+        ("matrix", [1.0, 2.0], r"^matrix\b"),
+        ("matrix", [["1", "2"]], r"^matrix\b"),
+        ("matrix", [[1.0, np.inf]], r"^matrix\b"),
+        ("matrix", [[10**400]], r"^matrix\b"),
+        ("matrix", np.ma.array([[1.0]], mask=[[True]]), r"^matrix\b"),
+        ("parts", 3, r"^parts\b"),
+        ("parts", [None], r"^parts\[0\]"),
+        ("pair", (1.0,), r"^pair\b"),
+        ("pair", (1.0, "2"), r"^pair\[1\]"),
+        ("word", None, r"^word\b"),
+        ("call", 3, r"^call\b"),
+        ("either", "x", r"^either\b"),
+        ("places", [True], r"^places\b"),
+        ("places", "x", r"^places\b"),
+        ("flag", 1, r"^flag\b"),
+        ("flag", np.array(True), r"^flag\b"),
+    ],
+)
+def test_a_wrong_argument_is_named(name, value, message):
+    with pytest.raises(InputError, match=message):
+        taken(**{name: value})
+
+
+def test_other_forms_of_the_same_numbers_become_what_the_annotation_says():
+    frozen = np.arange(6.0).reshape(2, 3)
+    frozen.flags.writeable = False
+    for matrix in (
+        frozen,
+        frozen.tolist(),
+        frozen.astype(np.float32),
+        np.asfortranarray(frozen),
+        frozen[::-1][::-1],
+    ):
+        result = taken(np.float32(2), np.int64(3), matrix, (Part(1, [[1, 2]]),), [0, 1])
+        assert result[:2] == (2.0, 3) and result[4] == (0.0, 1.0)
+        assert result[2].dtype == np.float64 and result[2].flags.c_contiguous and result[2].flags.writeable
+        np.testing.assert_array_equal(result[2], frozen)
+
+
+def test_a_flag_of_numpy_is_taken():
+    @checked
+    def opposite(flag: bool) -> bool:
+        assert type(flag) is bool
+        return not flag
+
+    assert opposite(np.True_) is False and opposite(np.False_) is True and opposite(True) is False
+
+
+def test_a_field_is_checked_and_converted():
+    assert Part(1, [[1, 2]]).rows.dtype == np.float64
+    with pytest.raises(InputError, match=r"^rows\b"):
+        Part(1.0, [[1, 2, 3]])
+
+
+def test_a_result_that_is_not_finite_is_an_error():
+    @checked
+    def ratio(number: float) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            return np.array([number]) / 0.0
+
+    @checked(infinite=True)
+    def endless(number: float) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            return np.array([number]) / 0.0
+
+    with pytest.raises(InputError, match=r"^ratio\b"):
+        ratio(1.0)
+    assert endless(1.0) == np.inf
+    with pytest.raises(InputError, match=r"^endless\b"):
+        endless(0.0)
+
+
+def test_a_result_out_of_range_names_the_argument_farthest_from_1():
+    @checked
+    def product(number: float, others: Sequence[Part], matrix: Float64[np.ndarray, "a b"]) -> float:
+        return float(np.float64(number) * others[0].size * matrix.sum() ** 2)
+
+    part = Part(1e250, np.ones((1, 2)))
+    with pytest.raises(InputError, match=r"^product\b.*: look at others\[0\]\.size \(1e\+250\)$"):
+        product(3.0, [part], matrix=[[1e29]])
+    with pytest.raises(InputError, match=r"^product\b.*: look at matrix \(1e\+200\)$"):
+        product(3.0, [Part(1.0, part.rows)], matrix=[[-1e200]])
+
+    @checked
+    def inverse(matrix: Float64[np.ndarray, "a a"], model: Part):
+        return np.linalg.inv(matrix)
+
+    with pytest.raises(InputError, match=r"^inverse\b.*: look at matrix, model\.size, model\.rows$"):
+        inverse(np.zeros((2, 2)), Part(1.0, [[1, 2]]))
+
+
+def test_arguments_that_do_not_fit_together_are_named_with_their_sizes():
+    @checked
+    def applied(matrix: Float64[np.ndarray, "a b"], model: Part, vector: Float64[np.ndarray, " b"]):
+        return matrix @ vector
+
+    with pytest.raises(
+        InputError, match=r"\bmatrix 2 x 3, model\.size a number, model\.rows 1 x 2, vector 2$"
+    ):
+        applied(np.ones((2, 3)), Part(1.0, [[1, 2]]), vector=[1.0, 2.0])
+
+
+def test_numpy_warns_of_a_readers_own_function_alone(recwarn):
+    @checked(infinite=True)
+    def overflown(number: float, call: Callable) -> float:
+        return float(np.float64(number) * 1e300 + call(1.0))
+
+    assert overflown(1e300, abs) == np.inf
+    assert [str(each.message) for each in recwarn] == []
+    overflown(1.0, lambda number: np.float64(number) / 0.0)
+    assert [each.category for each in recwarn] == [RuntimeWarning]
+    with np.errstate(divide="ignore"):
+        overflown(1.0, lambda number: np.float64(number) / 0.0)
+    assert len(recwarn) == 1
+
+
+OMEGA = np.linspace(50.0, 1500.0, 120)
+LEAKED = {
+    "an overflow": lambda _: rms(np.full(9, 1e160)),
+    "a division by zero": lambda _: segment_times(1e4, 100.0, 2.0, 5e-324),
+    "LAPACK's least squares": lambda _: complex_frequency_poles(
+        OMEGA, 1 / (1j * OMEGA - 300.0)[:, None, None], np.full(120, 1e308), 4
+    ),
+    "numbers beyond a matrix's": lambda _: least_squares(np.array([[1e308, 1.0], [1e308, 2.0]]), np.ones(2)),
+    "a text that is nearly Python": lambda _: Parameter("x", "int | str", 1).read("1inf"),
+    "a damaged archive": lambda folder: load_record(damaged(folder), "m"),
+}
+
+
+def damaged(folder: Path) -> Path:
+    file = folder / "a.npz"
+    np.savez(file, a=np.zeros(300))
+    content = bytearray(file.read_bytes())
+    content[content.index(b"PK\x01\x02")] = 0  # where the list of members begins
+    file.write_bytes(content)
+    return file
+
+
+@pytest.mark.parametrize("name", LEAKED)
+def test_nothing_but_the_error_leaves_a_call(name, tmp_path, capfd):
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        with contextlib.suppress(InputError):
+            LEAKED[name](tmp_path)
+        gc.collect()  # what was left open is found now
+    assert capfd.readouterr() == ("", "") and [str(each.message) for each in caught] == []
+
+
+def test_what_a_library_said_is_quoted_as_it_said_it():
+    @checked
+    def solved(number: float):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    with pytest.raises(InputError, match=r"^solved\b.*SVD"):
+        solved(1.0)
+
+
+def test_a_model_keeps_what_it_was_given():
+    rows = np.ones((3, 2))
+    part = Part(1.0, rows)
+    rows[:] = 7.0
+    np.testing.assert_array_equal(part.rows, np.ones((3, 2)))
+
+
+@pytest.fixture(scope="module")
+def models():
+    """Instances of the toolbox's frozen dataclasses that the fuzz knows a good call of."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+        calls = import_module("fuzzing.calls").catalogue().values()
+    values = [value for _, good in calls for value in good.values()]
+    made = [make(**good) for make, good in calls if inspect.isclass(make) and is_dataclass(make)]
+    made = [each for each in values + made if is_dataclass(each) and each.__dataclass_params__.frozen]
+    return [each for each in made if type(each).__module__.startswith("stillwork.")]
+
+
+def test_a_model_equals_another_of_the_same_values(models):
+    assert len({type(model) for model in models}) > 30
+    for model in models:
+        twin = replace(model)
+        assert twin == model and model in [twin] and [None, twin].index(model) == 1
+        assert model != 1 and model is not None
+        for field in fields(model):
+            value = getattr(model, field.name)
+            if isinstance(value, np.ndarray) and value.size:
+                other = value.copy()
+                other.flat[-1] = 0 if np.isinf(value.flat[-1]) else value.flat[-1] + 1
+                for change in (other, value[None], value.tolist()):
+                    object.__setattr__(twin, field.name, change)
+                    assert twin != model, (model, field.name)
+                object.__setattr__(twin, field.name, value)
+
+
+def test_a_lost_value_is_as_lost_in_an_equal_model():
+    @by_value
+    @dataclass(frozen=True)
+    class Kept:
+        parts: tuple
+        named: dict
+
+    assert Kept((np.array([np.nan]), [1.0]), {"a": np.ones(2)}) == Kept(
+        (np.array([np.nan]), [1.0]), {"a": np.ones(2)}
+    )
+    assert Kept((), {"a": np.ones(2)}) != Kept((), {"a": np.ones(3)})
+    assert Kept((np.ones(2),), {}) != Kept((np.ones(2, dtype=int),), {})
+    assert hash(PeakConstraint("input_sensitivity")) == hash(PeakConstraint("input_sensitivity"))
+
+
+def test_every_frozen_class_of_the_toolbox_is_equal_by_value():
+    classes = {
+        thing
+        for folder in FOLDERS
+        for each in pkgutil.iter_modules(import_module(f"stillwork.{folder}").__path__)
+        for thing in vars(import_module(f"stillwork.{folder}.{each.name}")).values()
+        if inspect.isclass(thing) and is_dataclass(thing) and thing.__dataclass_params__.frozen
+    }
+    assert classes
+    assert [each.__name__ for each in classes if each.__eq__.__module__ != by_value.__module__] == []
+
+
+def searched(family):
+    """The largest bandwidth of a stage, or what its search raises."""
+    numbers = ([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
+    loop = make_loop(ModalModel(*map(np.array, numbers)), points=50, around=3)
+    return maximise_bandwidth([loop], family, [PeakConstraint("input_sensitivity")], 1.0, 20.0)
+
+
+@pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError, np.linalg.LinAlgError])
+def test_an_error_of_a_readers_own_function_comes_through(error):
+    def family(bandwidth):
+        raise error("mine")
+
+    with pytest.raises(error, match=r"^mine$"):
+        searched(family)
+
+
+def test_an_error_of_a_library_that_a_reader_calls_comes_through():
+    table = interpolate.interp1d([1.0, 2.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="interpolation") as raised:
+        refine_peak(table, np.array([1.0, 2.0, 3.0]), np.array([1.0, 1.5, 2.0]))
+    assert not isinstance(raised.value, InputError)
+
+
+def test_the_toolbox_asks_within_a_readers_own_function_too():
+    @checked
+    def rows_of(matrix: Float64[np.ndarray, "a b"]) -> int:
+        return matrix.shape[0]
+
+    omega = np.array([0.1, 1.0])
+    assert refine_peak(lambda w: rows_of([[1.0]]) / w, omega, 1 / omega).omega == 0.1
+    with pytest.raises(InputError, match=r"^matrix\b"):
+        refine_peak(lambda w: rows_of([["text"]]) / w, omega, 1 / omega)
+
+
+def test_what_a_readers_own_function_returns_is_asked():
+    with pytest.raises(InputError, match=r"\bfamily\b.*\bPid\b"):
+        searched(lambda bandwidth: None)
+    for response in (lambda omega: None, lambda omega: "text", lambda omega: np.full(len(omega), np.nan)):
+        with pytest.raises(InputError, match=r"\bresponse\b"):
+            refine_peak(response, np.array([1.0, 2.0]), np.array([1.0, 2.0]))
+    with pytest.raises(InputError, match=r"\bresponse\b.*\(\).*\b9\b"):
+        refine_peak(lambda omega: 1.0, np.array([1.0, 2.0]), np.array([1.0, 2.0]))
+
+
+def test_what_may_be_anything_is_taken_as_it_is():
+    @checked
+    def kept(value: Any, other: Any | None = None) -> list:
+        return [value, other]
+
+    assert kept("text") == ["text", None] and kept(None, kept) == [None, kept]
+
+
+def test_a_record_without_rows_is_named():
+    regressors, disturbance = np.ones((3, 200)), np.ones((1, 200))
+    with pytest.raises(InputError, match=r"^disturbance\b"):
+        identify(FeRls(1.0), regressors, disturbance[:0])
+    with pytest.raises(InputError, match=r"^regressors\b"):
+        adapt(FeLms(0.1), regressors[:0], disturbance)
+
+
+@pytest.mark.parametrize("settings", [FeRls(1.0), FeLms(0.1)])
+@pytest.mark.parametrize("run", [adapt, identify])
+def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
+    """As a column of a table or a memory map gives them."""
+    rng = np.random.default_rng(1)
+    regressors, signal = rng.standard_normal((3, 200)), rng.standard_normal((1, 200))
+    np.save(tmp_path / "rows.npy", regressors)
+    mapped = np.load(tmp_path / "rows.npy", mmap_mode="r")
+    frozen = signal.copy()
+    frozen.flags.writeable = False
+    wanted = run(settings, regressors, signal)
+    np.testing.assert_array_equal(run(settings, mapped, frozen).weights, wanted.weights)
+
+
+# What asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
+OWN_DOORS = re.compile(
+    r"from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares)|(Adaptation|Recursive)Stepper\.update|LeastMeanSquares\.(partial_)?fit"
+)
+# What hands the parts of a recursion to its kernels, a sample at a time: `run` and the steppers have asked before.
+PARTS = {
+    *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
+    *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
+}
+FOLDERS = ("signals", "lti", "identification", "estimation", "control")
+
+
+def public_callables():
+    """Name, and the function, of all that a stranger can import from the toolbox and call with arguments."""
+    for folder in FOLDERS:
+        package = import_module(f"stillwork.{folder}")
+        for each in pkgutil.iter_modules(package.__path__):
+            module = import_module(f"{package.__name__}.{each.name}")
+            for name, thing in list(vars(module).items()):
+                if name.startswith("_") or getattr(thing, "__module__", "") != module.__name__:
+                    continue
+                if inspect.isfunction(thing):
+                    yield name, thing
+                elif inspect.isclass(thing) and not getattr(thing, "_is_protocol", False):
+                    for method, function in list(vars(thing).items()):
+                        function = getattr(function, "__func__", function)
+                        if not method.startswith("_") and inspect.isfunction(function):
+                            yield f"{name}.{method}", function
+
+
+def unasked(function):
+    """Parameters of which nobody asks whether they are what they should be; all of them where there is no door."""
+    parameters = [name for name in inspect.signature(function).parameters if name != "self"]
+    if "door" not in through(function):
+        return parameters
+    hints = typing.get_type_hints(inspect.unwrap(function))
+    known = validation.checks_of(inspect.unwrap(function)).keys()
+    return [
+        name
+        for name in parameters  # what is like an array, `require_array` asks where it is used
+        if name not in known and not validation.OPEN & {hints.get(name), *typing.get_args(hints.get(name))}
+    ]
+
+
+def through(function):
+    """Names of the functions through which a call reaches what was written."""
+    while True:
+        yield function.__code__.co_name
+        if (function := getattr(function, "__wrapped__", None)) is None:
+            return
+
+
+def test_every_public_function_has_a_front_door():
+    found = dict(public_callables())
+    assert len(found) > 200 and found.keys() >= PARTS
+    doorless = {
+        name: gaps
+        for name, function in found.items()
+        if name not in PARTS and not OWN_DOORS.fullmatch(name) and (gaps := unasked(function))
+    }
+    assert doorless == {}
+
+
+def test_what_nobody_asks_is_found():
+    def open_to_all(number: float, other):
+        return number, other
+
+    assert unasked(open_to_all) == ["number", "other"]
+    assert unasked(checked(open_to_all)) == ["other"]
+
+
+MODELS = """
+import numpy as np
+from stillwork.base.checks import InputError
+from stillwork.control import FlowTransformation
+from stillwork.control.crossover import crossover
+from stillwork.control.digital import biquads
+from stillwork.control.feedback import fed_back
+from stillwork.control.feedforward import Feedforward
+from stillwork.control.fixed_point import ending, require_noise
+from stillwork.control.fixed_point_convergence import LimitCycle, Oscillation, iterate
+from stillwork.control.fixed_point_linear import LinearFilter, semi_implicit_motion
+from stillwork.control.machine_loops import Intensities
+from stillwork.control.machine_tuning import DesignSettings, varied
+from stillwork.control.setpoint import Setpoint
+from stillwork.estimation import AdaptationStepper, FeLms, adapt
+from stillwork.estimation.covariance_forms import factor_of
+from stillwork.estimation.observer import Observer
+from stillwork.estimation.plant import Plant, force_slope, partial_derivatives
+from stillwork.estimation.secular import SecularFunction
+from stillwork.estimation.windows import end_point_weights
+from stillwork.identification.complex_frequency import Stabilisation
+from stillwork.identification.frequency_response import impact_response
+from stillwork.identification.machine_files import MachineFile, complex_responses, kind_of
+from stillwork.identification.regressors import exponential_weights
+from stillwork.lti import ModalModel, StateModel, interconnect
+from stillwork.lti.peaks import refine_peak
+from stillwork.lti.state_space import constant
+from stillwork.signals.criteria import criterion_velocity
+from stillwork.signals.densities import frequency_axis
+from stillwork.signals.records import sampling_rate
+from stillwork.signals.spectra import ResponseEstimate, Spectrum, band_power
+
+model = ModalModel([0, 10], [0, 0.01], [[1], [1]], [[1, -1]], [[0]])
+assert model.frequencies.dtype == np.float64
+one = StateModel([[-1]], [[1]], [[1]], [[0]])
+noises = Intensities(1.0, 1.0, 1.0)
+stage = ModalModel([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
+hits = np.random.default_rng(1).standard_normal((2, 64))
+ending_plant = Plant(lambda q, v, f, p: f / p[0] if q < 1 else np.nan, lambda q, v, a, p: a * p[0], [2.0])
+for call, message in (
+    (lambda: ModalModel([0.0], [0.0], [[1.0]], [[1.0]], 0.0), "feedthrough"),
+    (lambda: Observer(None, np.eye(2), np.eye(2), np.eye(2), np.eye(2)), "model"),
+    (lambda: Observer(model, -np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.ones((3, 1))), "gain"),
+    (lambda: refine_peak(np.sin, np.ones(3), np.ones(2)), "omega"),
+    (lambda: crossover(np.sin, np.ones(3), np.ones(2)), "omega"),
+    (lambda: SecularFunction([2.0, 1.0], [1.0, 1.0, 1.0], 1.0, 0.1), "coefficients"),
+    (lambda: Spectrum([0.0, 1.0], [[1.0]], 1), "density"),
+    (lambda: AdaptationStepper("rls", np.zeros((1, 2))), "settings"),
+    (lambda: Setpoint(0.1, np.zeros((5, 0)), (0.0, 0.5), 0.1), "Setpoint"),
+    (lambda: Feedforward(np.inf), "velocity"),
+    (lambda: Setpoint(0.1, np.zeros((5, 10)), ("a", 0.5), 0.1), "scan[0]"),
+    (lambda: fed_back(model, [[1.0]]), "gain"),
+    (lambda: interconnect([one], np.eye(2), [[1.0]], [[1.0]]), "feedback"),
+    (lambda: interconnect([], [[1.0]], [[1.0]], [[1.0]]), "models"),
+    (lambda: iterate(FlowTransformation(), 1e300, 5, response_gain=1e300), "iterate"),
+    (lambda: kind_of({1: 2}), "arrays"),
+    (lambda: frequency_axis({1: 2}), "columns"),
+    (lambda: sampling_rate("x", {"rate": "fast"}), "rate']"),
+    (lambda: complex_responses({}), "frequency"),
+    (lambda: ending(99, 0.0, "x"), "status"),
+    (lambda: require_noise(0, ""), "shape"),
+    (lambda: require_noise(0, ()), "shape"),
+    (
+        lambda: LinearFilter(np.eye(2), np.ones((3, 2)), np.ones((3, 2)), np.ones((3, 2))),
+        "A, B, C",
+    ),
+    (lambda: Stabilisation([1], [1.0, 2.0], [0.1], [True]), "order"),
+    (lambda: MachineFile("response", "x", accelerance="x"), "accelerance"),
+    (lambda: DesignSettings(None, 10**400, noises), "retained"),
+    (lambda: varied(DesignSettings(None, 2, noises), "foo", 2.0), "name"),
+    (lambda: Oscillation(np.nan, 1.0), "frequency_hz"),
+    (lambda: LimitCycle(np.nan, 1.0, 1.0, 1.0, True), "frequency_hz"),
+    (lambda: ResponseEstimate("x", *np.ones((3, 1, 1, 1)), 1), "frequencies_hz"),
+    (lambda: force_slope(ending_plant, 9.0, 0.0, 0.0), "force_slope"),
+    (lambda: partial_derivatives(ending_plant, 9.0, 0.0, 0.0), "partial_derivatives"),
+    (lambda: impact_response(hits, hits, 1e308), "rate"),
+    (lambda: biquads(constant([[1, 2], [3, 4]], 1e-3)), "model"),
+    (lambda: biquads(constant([[1]])), "model"),
+    (lambda: exponential_weights(0, 0.9), "rows"),
+    (lambda: exponential_weights(3, 1.5), "forgetting"),
+    (lambda: semi_implicit_motion((1.0, 2.0, 3.0), 0.0), "sample_time"),
+    (lambda: criterion_velocity("VC-A", [-1.0]), "frequencies_hz"),
+    (lambda: factor_of("triangle", np.ones((2, 3))), "covariance"),
+    (lambda: end_point_weights(3, 5), "degree"),
+    (lambda: constant(np.zeros((0, 0))), "gain"),
+    (lambda: stage.state_space().select([], []), "inputs"),
+    (lambda: stage.at([], []), "feedthrough"),
+    (lambda: stage.frequency_response([]), "omega"),
+    (lambda: stage.state_space().frequency_response([]), "omega"),
+    (lambda: adapt(FeLms(0.1), np.ones((3, 0)), np.ones((1, 0))), "regressors"),
+    (lambda: band_power([1, 2, 3], [1, 1, 1], 3, 1), "high_hz"),
+):
+    try:
+        result = call()
+    except InputError as error:
+        assert message in str(error), (message, error)
+    else:
+        raise AssertionError((message, result))
+assert abs(sampling_rate("x", {"time": [0, 0.1, 0.2]}) - 10.0) < 1e-9
+assert complex_responses({"frequency": [1, 2], "h": [1j, 2]})["h"].dtype == complex
+"""
+
+
+@pytest.mark.slow
+def test_models_check_themselves():
+    """In a process of its own: here the tests' type checker would answer first."""
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", MODELS], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
