@@ -69,7 +69,7 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 		-p no:nbval -p no:anyio -n logical --dist worksteal)
 	@awk '{ all += $$(NF - 2); print } END { printf "%-20s%6d s\n", "all of them", all }' $(PARTS) && ! grep -q FAILED $(PARTS)
 
-quick: $(READY) ## The unit tests that take less than half a second of CPU each
+quick: $(READY) ## The unit tests that take less than a quarter of a second of CPU each
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" $(ARGS)
 
 course: $(READY) ## Run the solutions of the course's exercises

@@ -146,6 +146,7 @@ def test_a_module_that_is_not_there_is_named(workbook, tmp_path):
         run(multiverses, tmp_path)
 
 
+@pytest.mark.slow
 def test_after_the_budget_nothing_begins_and_nothing_is_whole(workbook, tmp_path):
     _, multiverses = workbook(A + B + study("slow"))
     assert run(multiverses, tmp_path, budget_s=0.0) == []

@@ -117,6 +117,7 @@ def test_run_and_saved_nothing_changes(checkout):
     assert checkout.changed() == ""
 
 
+@pytest.mark.slow
 def test_a_new_result_is_written_in_the_form_that_is_saved(checkout):
     new_result("isolation", "99-payload")
     checkout.commit()
@@ -149,6 +150,7 @@ def test_an_edited_cell_loses_its_results_and_the_others_keep_theirs(checkout):
     assert {**rest, "cells": None} == {**head, "cells": None}
 
 
+@pytest.mark.slow
 def test_an_edit_taken_back_leaves_nothing(checkout):
     page = as_run(checkout.open())
     for cell in code(page):
@@ -160,6 +162,7 @@ def test_an_edit_taken_back_leaves_nothing(checkout):
     assert checkout.changed() == ""
 
 
+@pytest.mark.slow
 def test_what_was_saved_can_be_accepted_and_then_stays(checkout):
     page = as_run(checkout.open())
     edited = code(page)[-1]
@@ -230,6 +233,7 @@ def test_tags_are_a_persons(checkout):
     assert checkout.cells()[other["id"]]["metadata"] == {"tags": ["mine"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["notebooks/isolation/mine.ipynb", "mine.ipynb"])
 def test_a_notebook_of_ones_own_keeps_everything(checkout, name):
     page = as_run(checkout.open())
@@ -251,6 +255,7 @@ def test_a_committed_notebook_that_is_not_the_workbooks_keeps_everything(checkou
     assert "image/png" in (checkout.root / "docs.ipynb").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_another_root_of_the_server_changes_nothing(checkout):
     """As with plain `jupyter lab` in a folder above the checkout or below."""
     page = as_run(checkout.open())
@@ -288,6 +293,7 @@ def test_a_file_opened_as_text_is_saved_as_typed(checkout):
     assert (checkout.root / NAME).read_text("utf-8") == "{}"
 
 
+@pytest.mark.slow
 def test_without_git_a_notebook_is_saved_as_it_is(checkout):
     shutil.rmtree(checkout.root / ".git")
     checkout.save(as_run(checkout.open()))

@@ -179,6 +179,7 @@ def test_pictures_agree_when_a_line_moved_within_its_width_and_not_when_a_word_c
         assert not same_picture(picture(label=label), picture())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("colour", [GREEN, SKY, ORANGE, RED, PURPLE, GREY])
 def test_the_same_numbers_in_another_colour_are_another_figure(tmp_path, colour):
     for name, each in (("now", colour), ("before", BLUE)):

@@ -63,5 +63,6 @@ def test_only_what_moves_much_is_written_anew():
     assert updated(before, slower) == kept | {"motion/01": 100.0}
 
 
+@pytest.mark.slow
 def test_the_committed_ones_are_of_the_notebooks_that_are_there():
     assert set(durations()) <= {each.name for each in select()}

@@ -38,6 +38,7 @@ def built(monkeypatch):
     return asked
 
 
+@pytest.mark.slow
 def test_all_stand_ins_that_this_machine_can_be_build_everything(built, capsys):
     assert module.portable() == 1
     assert len(built) == len(module.PROCESSORS) - 1
@@ -122,6 +123,7 @@ sys.exit(run_whole([sys.executable, "-c", {TIDY!r}]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_build_that_is_interrupted_tidies_up_and_is_told_once(tmp_path, number):
     process = subprocess.Popen(

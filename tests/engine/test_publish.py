@@ -288,6 +288,7 @@ def killed_after(steps, folder, monkeypatch) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_many_files_change_as_one_wherever_it_is_cut(tmp_path, monkeypatch):
     seen = set()
     for steps in count():
@@ -333,6 +334,7 @@ def remove(file: Path) -> None:
 EDITS = (edit_in_place, edit_by_rename, remove)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edit", EDITS)
 @pytest.mark.parametrize("name", [*CHANGED, "figures/own"])
 def test_what_somebody_changes_meanwhile_stays_and_nothing_else_is_changed(tmp_path, monkeypatch, edit, name):
@@ -370,6 +372,7 @@ def test_what_somebody_changes_meanwhile_stays_and_nothing_else_is_changed(tmp_p
     assert seen == ({True} if untouched else {False, True})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edit", EDITS)
 @pytest.mark.parametrize("name", CHANGED)
 def test_what_is_changed_after_a_kill_stays_and_the_rest_is_whole(tmp_path, monkeypatch, edit, name):
@@ -578,6 +581,7 @@ def test_an_error_of_the_disk_leaves_a_change_as_it_says(tmp_path, monkeypatch, 
     assert seen == {"nothing", "decided", "done"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.EIO])
 def test_an_error_of_the_disk_while_a_change_is_finished_leaves_it_to_the_next_command(
     half, monkeypatch, number, tmp_path_factory

@@ -9,6 +9,7 @@ from experiments.fixedpoint.metrics import noisy_run
 from experiments.fixedpoint.published import KALMAN, LITERAL, WINDOW, published_controllers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("study", ["noise-free", "differentiation"])
 def test_without_leaving_anything_out_the_defaults_give_what_the_notebooks_gave(study):
     require_accepted("fixedpoint", study)

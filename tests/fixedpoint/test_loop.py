@@ -95,6 +95,7 @@ def van_der_pol_force(position, velocity, acceleration, parameters):
     return parameters[0] * acceleration + parameters[1] * position - (1.0 - position**2) * velocity
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode_hz", [1.0, 50.0, 150.0, 400.0])
 def test_the_plant_moves_as_a_solver_moves_it_under_the_held_force(mode_hz):
     plant = Plant(van_der_pol, van_der_pol_force, [1.0, (2 * np.pi * mode_hz) ** 2])

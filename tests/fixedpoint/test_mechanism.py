@@ -77,6 +77,7 @@ def from_lagrangian(q, v, a, numbers, step=1e-4):
     )
 
 
+@pytest.mark.slow
 def test_the_arm_is_its_lagrangian_and_friction(arm, rng):
     for _ in range(20):
         q, v, a = rng.uniform(-3, 3, (3, 2))
@@ -88,6 +89,7 @@ def test_the_arm_is_its_lagrangian_and_friction(arm, rng):
         assert arm.exact.acceleration(q, v, arm.exact.force(q, v, a)) == pytest.approx(a)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integration", ["exact", "semi-implicit"])
 def test_without_friction_and_torque_the_loop_keeps_the_energy_as_well_as_a_solver_finds_it(arm, integration):
     """Motors of no torque leave a double pendulum; the error of an Euler step is of the order of its sample time."""

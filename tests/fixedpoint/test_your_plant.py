@@ -82,6 +82,7 @@ def test_a_gain_beyond_the_contraction_range_is_warned_of_and_runs_away(cam):
     assert runs["Kalman filter"][0].diverged_at is not None and runs["moving window"][0].diverged_at is None
 
 
+@pytest.mark.slow
 def test_published_gains_neither_warn_nor_leave_the_stable_range_of_low_pass_and_kalman_filter(cam):
     models, trajectories, chosen = cam
     assert warnings_of(contraction_along(models, trajectories), chosen) == []
@@ -96,6 +97,7 @@ def test_a_gain_that_changes_its_sign_leaves_no_range(cam):
     assert np.isnan(found._replace(gain=np.array([[1.0], [-1.0]])).allowed).all()
 
 
+@pytest.mark.slow
 def test_a_mass_of_zero_on_the_way_is_refused(tmp_path):
     text = TEMPLATE.read_text(encoding="utf-8").replace('"m0": 1.0', '"m0": 0.0')
     (tmp_path / "light.py").write_text(text, encoding="utf-8")
@@ -252,6 +254,7 @@ def test_the_arm_from_its_file_to_the_loop():
     assert said.endswith("mrad rms")
 
 
+@pytest.mark.slow
 def test_on_the_arm_the_window_wants_a_wider_sigmoid_and_a_smaller_gain():
     models = load_models("arm.py")
     motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[1.0], duration=3.0)
@@ -282,6 +285,7 @@ def test_a_recorded_motion_of_two_joints(tmp_path):
         open_trajectories(("rad", "rad"), "", "m", channel="", amplitudes=[1.0] * 3)
 
 
+@pytest.mark.slow
 def test_one_angle_is_said_in_rad(tmp_path):
     (tmp_path / "a.py").write_text(
         TEMPLATE.read_text(encoding="utf-8") + "\nUNITS = ('rad',)\n", encoding="utf-8"
@@ -344,6 +348,7 @@ def test_lost_signals_come_back():
         drop_samples(noise, 1e-3, 0.01, 0.01)
 
 
+@pytest.mark.slow
 def test_a_plant_that_is_nowhere(tmp_path):
     with pytest.raises(InputError, match=r"no_such\.module"):
         load_models("no_such.module")

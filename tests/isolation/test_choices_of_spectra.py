@@ -69,6 +69,7 @@ def test_the_lean_form_of_fig_6_says_what_was_accepted_of_all_weights():
         assert found[f"isolation.tracking.{name}"] == accepted[f"isolation.tracking.{name}"].ours
 
 
+@pytest.mark.slow
 def test_counting_the_mains_costs_the_vertical_direction_alone():
     reading = {
         "output_noise": 1.8e-4,
@@ -88,6 +89,7 @@ def test_counting_the_mains_costs_the_vertical_direction_alone():
     assert abs(change["isolation.fig-8.removed.theta-x"]) < 0.01
 
 
+@pytest.mark.slow
 def test_what_notebooks_03_and_05_say_of_other_readings_was_found():
     found = robustness_of("isolation")
     agree = {name.removeprefix("isolation."): each.share for name, each in found.items()}

@@ -89,6 +89,7 @@ def test_algorithms_start_from_multiples_of_the_steady_diagonal():
             algorithms(STEADY, **{**SETTINGS, name: bad})
 
 
+@pytest.mark.slow
 def test_trial_is_reproducible_and_complete():
     both = algorithms(STEADY, **SETTINGS)
     options = {"twin": FITTED, "floor": FLOOR, "both": both, "duration_s": 2.0, "progress": False}
@@ -159,6 +160,7 @@ def test_expected_course_wants_rising_times():
         mean_course(FITTED, STEADY, "FeRL", [1.0])
 
 
+@pytest.mark.slow
 def test_a_run_that_still_leaves_the_band_at_its_end_has_not_settled():
     switch = switch_between(FITTED, FLOOR, colored_floor(80.0))
     time = np.arange(1.0, 101.0)

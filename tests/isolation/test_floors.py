@@ -41,6 +41,7 @@ def test_colored_floor_raises_only_its_bands():
     assert np.all(ratio[[1, 3]] > 2.5) and np.all(ratio[[0, 5]] < 1.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("floor", [flat_floor(80.0), flat_floor(1500.0), colored_floor(80.0)])
 def test_realisation_has_the_promised_density(floor):
     motion = floor.acceleration(400_000, seed=3)

@@ -41,6 +41,7 @@ def record(twin, seed=0, samples=SAMPLES):
     return RecordedFloor(floor, twin.instruments.sample_rate, "white")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RIGS)
 @pytest.mark.parametrize("case", ["passive", "feedback", "frozen", "felms", "ferls"])
 def test_kernel_agrees_with_its_slow_twin(name, case):
@@ -97,6 +98,7 @@ def test_sources_are_white_noise_through_the_floor_and_the_mains():
             assert np.abs(column - expected).max() < 1e-12 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_run_does_not_depend_on_its_blocks(monkeypatch):
     twin = RIGS["rigid"]
     floors = [(0.7, flat_floor(80.0)), (0.4, record(twin, samples=2500)), (0.3, flat_floor(1500.0))]
@@ -136,6 +138,7 @@ def test_algorithms_side_by_side_run_as_each_alone():
         assert np.array_equal(together[name].covariance, alone.covariance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fitted", "full estimate", "order 2"])
 def test_seeds_side_by_side_run_as_each_alone(name):
     twin, floors = RIGS[name], [(0.5, flat_floor(80.0)), (0.2, colored_floor(80.0))]

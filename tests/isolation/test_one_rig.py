@@ -36,6 +36,7 @@ def shipped():
     }
 
 
+@pytest.mark.slow
 def test_the_shipped_rigid_body_is_one_of_these_rigs(shipped):
     rigid = load_twin("rigid_body")
     twin, _ = one_rig.build(shipped)

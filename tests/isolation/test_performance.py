@@ -38,6 +38,7 @@ def test_axes_undo_the_sensors_geometry(twin):
     assert axes.platform @ (twin.rig.platform_sensors.jacobian @ motion) == pytest.approx(motion[2:5])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["passive", "feedback", "FeRLS"])
 def test_simulated_spectra_agree_with_the_expected_ones(twin, weights, case):
     given = weights if case.startswith("Fe") else None
@@ -53,6 +54,7 @@ def test_simulated_spectra_agree_with_the_expected_ones(twin, weights, case):
         assert ratio == pytest.approx(1, abs=0.12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["passive", "feedback", "FeRLS"])
 def test_estimated_transmissibility_agrees_with_the_exact_one_without_noise(twin, weights, case):
     given = weights if case.startswith("Fe") else None
@@ -90,6 +92,7 @@ def test_feedforward_removes_most_of_the_power_and_the_output_noise_is_the_limit
     assert limit == pytest.approx(model, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_weaker_floor_leaves_the_asked_share(twin, weights):
     removed = np.array([80.0, 90.0, 93.0])
     level = floor_level_for(twin, flat_floor(), weights, removed)

@@ -186,6 +186,7 @@ def test_resetting_settles_where_nothing_is_excited():
     assert run.growth[-1] == pytest.approx(5 + np.sqrt(25 + 0.1), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
     # A tenth of the published time constant: ten times the gain, so that a short silence is enough.
     twin, forgetting = load_twin("rigid_body"), float(np.exp(-2e-4))

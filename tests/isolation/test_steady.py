@@ -20,6 +20,7 @@ def band_floor(low_hz, high_hz):
     return ShapedFloor(np.repeat(sections[None], 3, axis=0), np.full(3, 1.5e-3 * 50))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("twin", [RIGID, FITTED, RIGID.varied(estimate="full")])
 @pytest.mark.parametrize("low_pass_hz", [80.0, 1500.0])
 def test_grid_is_fine_enough(twin, low_pass_hz):

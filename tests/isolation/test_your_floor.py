@@ -125,6 +125,7 @@ def test_the_weights_never_see_the_part_they_are_judged_on(twin):
     )
 
 
+@pytest.mark.slow
 def test_a_csv_in_mm_per_s_moves_the_platform_as_the_same_motion_in_si(twin, tmp_path):
     rng = np.random.default_rng(0)
     t = np.arange(16_000) / 1000.0
@@ -190,6 +191,7 @@ def test_implausible_floors_are_refused_by_their_unit_and_not_by_the_loop(
         opened(twin, tmp_path / "floor.npz", unit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("unit", "scale", "order", "power"),
     [
@@ -237,6 +239,7 @@ def test_a_sensor_that_drifts_is_told_from_a_floor(twin, tmp_path):
             opened(twin, tmp_path / "floor.npz")
 
 
+@pytest.mark.slow
 def test_a_record_that_begins_in_mid_motion_begins_at_rest(twin, tmp_path):
     np.savez(tmp_path / "floor.npz", fs=5000.0, a=np.cos(2 * np.pi * 30 * np.arange(100_000) / 5000))
     motion = opened(twin, tmp_path / "floor.npz").acceleration[0]
@@ -392,6 +395,7 @@ def test_explorers_draw_away_from_home(draw, settings):
     assert all(np.isfinite(line.get_ydata()).all() for axes in figure.axes for line in axes.lines)
 
 
+@pytest.mark.slow
 def test_the_explorer_moves_the_floor_that_was_given(twin):
     spectrum = translating_spectrum(ground_floor(20.0, 1))
     paint = your_floor.explore_floor(twin, spectrum)

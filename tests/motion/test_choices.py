@@ -26,6 +26,7 @@ def open_loop_gain(name: str, open_loop: str, mass: int, hertz) -> np.ndarray:
     return np.abs(1 / channel(loop, source, target).frequency_response(omega)[0, 0] - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("open_loop", OPEN_LOOPS)
 def test_a_bandwidth_is_the_first_crossing_of_the_loop_that_it_is_read_from(open_loop):
     hertz = bandwidth("MC and AD", open_loop, 3)

@@ -348,6 +348,7 @@ def test_band_passed_stiffness_takes_damping_away(name, sections):
     assert oscillates_stably(with_scheme("stiffness", single, Settings(0.05, 1, q, factor)))
 
 
+@pytest.mark.slow
 def test_trials_depend_on_their_stream_alone():
     first, again = (
         geometry_trial(np.random.default_rng(4), ("undamped", "band-passes", "compensation"), SETTINGS)

@@ -45,6 +45,7 @@ def accelerance(model: ModalModel, hertz: np.ndarray) -> Identified:
     return Identified(omega, -(omega**2) * model.frequency_response(omega)[0, 0], np.ones_like(omega))
 
 
+@pytest.mark.slow
 def test_closed_loop_estimate_is_free_of_the_bias_of_the_direct_one():
     """Integrator under feedback with strong noise: the direct ratio tends to the inverse of the controller."""
     rng = np.random.default_rng(0)
@@ -89,6 +90,7 @@ def test_drive_observer_separates_rigid_and_flexible():
     np.testing.assert_allclose(seen_by_controller(loop, omega), rigid, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_identified_drive_is_the_exact_one_without_noise():
     loop = drive_loop(PLANT, PLANT, None, 4.0)
     found = identify(
@@ -123,6 +125,7 @@ def test_example_of_the_three_masses():
     assert stability_trial(np.random.default_rng(5), 0.2) == {"first_unstable": 1.0, "second_stable": 1.0}
 
 
+@pytest.mark.slow
 def test_fit_recovers_a_known_structure():
     fit = fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0))
     np.testing.assert_allclose(fit.model.frequencies, TRUE.frequencies, rtol=1e-6)
@@ -145,6 +148,7 @@ def both_sensors(stage):
     return stage, mirrored(stage)
 
 
+@pytest.mark.slow
 def test_measured_loop_with_a_perfect_fit_is_the_model_loop():
     stage, factor = as_stage(
         fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0)), 12.5
@@ -166,6 +170,7 @@ def test_measured_loop_with_a_perfect_fit_is_the_model_loop():
     assert np.array_equal(twice.output_shapes, stage.output_shapes)
 
 
+@pytest.mark.slow
 def test_an_encirclement_is_counted():
     stage, factor = as_stage(
         fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0)), 12.5
@@ -189,6 +194,7 @@ def test_an_encirclement_is_counted():
 HITS = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 2.0, 0.5, 0.0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -118,6 +118,7 @@ def _at_half_steps() -> StateModel:
     return StateModel(a, b, c, d, SAMPLE_TIME / 2)
 
 
+@pytest.mark.slow
 def test_scan_error_is_that_of_the_exact_simulation_in_continuous_time():
     """Hardly late and hardly held the loop is that of notebook 11: within what half a sample of lag may cost."""
     setpoint = published_setpoint(SAMPLE_TIME)

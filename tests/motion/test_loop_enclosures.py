@@ -88,6 +88,7 @@ def test_what_cannot_be_decided_is_not_proven():
     assert not enclose_gain_margins([1], [1, 0, 1])[1].proven  # real all along the axis
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["PID", "MC", "AD", "MC and AD"])
 def test_with_an_observer_they_are_those_of_the_composed_loop(name):
     plant, pid = stage().at([0], [4]), PidFamily(stage_mass())(35.0)
@@ -102,6 +103,7 @@ def test_with_an_observer_they_are_those_of_the_composed_loop(name):
         assert found[function].proven and found[function].high == pytest.approx(composed.high, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 2])
 @pytest.mark.parametrize("application", [None, Application(compensate=True, damping=0.02, selectivity=2.0)])
 def test_the_written_controller_is_that_of_its_parts(application, delay):

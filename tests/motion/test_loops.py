@@ -189,6 +189,7 @@ class CoupledCarts:
         return np.array([1.0, 2.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", [True, False])
 @pytest.mark.parametrize("lowest", [True, False])
 def test_a_loop_of_several_axes_is_searched_alike(lowest, refine):

@@ -233,6 +233,7 @@ def on_springs(hertz, suspension_hz=6.0):
     return s**2 * sum(parts) / 8.0
 
 
+@pytest.mark.slow
 def test_a_suspension_in_an_octave_of_few_lines_is_found(tmp_path):
     """Lines 0.8 Hz apart: a resonance 0.6 Hz wide lies between two of them, and its octave holds eight."""
     hertz = np.arange(0.8, 640.0, 0.8)
@@ -247,6 +248,7 @@ def test_a_suspension_in_an_octave_of_few_lines_is_found(tmp_path):
         build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=True)
 
 
+@pytest.mark.slow
 def test_a_mass_that_the_lowest_lines_contradict_is_doubted(tmp_path):
     """Modes given by hand to a machine on springs: taken for free, its lowest lines are off by more than half."""
     hertz = np.arange(2.0, 640.0, 0.8)
@@ -317,6 +319,7 @@ def test_bad_arguments_are_refused():
 # --------------------------------------------------------------------------------------------------------- friction
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "noise", "late"), [(100.0, 0.0, 0.0), (300.0, 0.01, 0.0), (300.0, 0.01, 1e-4)]
 )
@@ -340,6 +343,7 @@ def test_a_body_on_viscous_friction_keeps_its_mass_and_invents_nothing(friction,
     assert fit.delay == pytest.approx(late, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_body_without_friction_is_given_none():
     omega = 2 * np.pi * np.arange(4.0, 160.0, 0.25)
     s, own = 1j * omega, 2 * np.pi * 90.0
@@ -350,6 +354,7 @@ def test_a_body_without_friction_is_given_none():
     assert fit.model.drag == 0.0
 
 
+@pytest.mark.slow
 def test_the_modes_of_a_suspension_are_found_over_the_whole_band():
     """Measured: modes at 0.50, 0.68 and 2.75 Hz, few of 1,280 even lines up to 10 Hz; from 0.2 to 5 Hz they stand out."""
     source = paths.data("motion", "suspension_pitch/pitch.npz")
@@ -365,6 +370,7 @@ def test_the_modes_of_a_suspension_are_found_over_the_whole_band():
     assert not any("fitted from" in note for note in given.notes)
 
 
+@pytest.mark.slow
 def test_a_band_with_one_resonance_is_told_what_it_lacks(tmp_path):
     """A mass on springs, 1 Hz, and nothing else: within a part of the measurement and over all of it."""
     hertz = np.arange(0.05, 12.0, 0.01)

@@ -340,6 +340,7 @@ def test_sample_by_sample_is_what_the_whole_scan_gives(name):
     assert np.array_equal(observer.run(record.inputs, changed)[:40], whole[:40])
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
     rng = np.random.default_rng(0)
     for runs in (6, 10, 25):
@@ -358,6 +359,7 @@ def small():
     return run_contest("a test", 2, **given)[0]
 
 
+@pytest.mark.slow
 def test_the_table_and_the_ranking_say_what_the_scores_say(small, tmp_path):
     table = ranked(measured(small))
     write_table(table, tmp_path / "table.csv")
@@ -431,6 +433,7 @@ def test_heavy_entrants_run_on_the_first_seeds_alone():
     assert found == {("Kalman", 0), ("Kalman", 1), ("unscented Kalman", 0)}
 
 
+@pytest.mark.slow
 def test_an_entrant_that_comes_later_stands_where_it_would_have_stood(small):
     """Only it is run: the others' scans were the same."""
     whole, later = (
@@ -538,6 +541,7 @@ def test_where_a_lead_begins_is_interpolated_in_the_logarithm_of_the_noise():
     assert turning(noises, [1, 2, 3, -4]) == np.inf
 
 
+@pytest.mark.slow
 def test_the_line_of_a_known_map_has_the_interval_of_its_means():
     rng, deviation = np.random.default_rng(3), 0.3
     cells = [(size, noise, seed) for size in SIZES for noise in NOISES for seed in range(SEEDS)]

@@ -133,6 +133,7 @@ def single(seed, n=4):
     return plant, best, weighted_peak(plant.close(best.controller), TOY_WEIGHT)
 
 
+@pytest.mark.slow
 def test_inequalities_reach_loops_that_the_emphasis_misses():
     """The front by emphasis is no lower bound: with cost and noise this large another loop is better twice."""
     plant, _, peak = single(1)

@@ -194,6 +194,7 @@ def test_a_singular_plant_names_what_it_needs():
         h2_riccati(plant(("-1", "1 1", "1; 1", "0 1; 0 0"), 1, 1), 0.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_the_norm_of_a_model_with_feedthrough_is_the_largest_of_its_gains(seed):
     """Integers, small and large feedthroughs; where the gain rises to that of the feedthrough, or above it a little."""

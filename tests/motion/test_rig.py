@@ -256,6 +256,7 @@ def test_loop_without_observer_is_that_of_python_control(loops):
     assert loop.radius(pids) == pytest.approx(np.abs(sensitivity.poles()).max(), abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", MEASURES)
 def test_bandwidth_is_the_largest_by_brute_force(loops, measure):
     family = rig_controllers(GEOMETRY.edge_masses)

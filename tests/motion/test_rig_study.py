@@ -170,6 +170,7 @@ def test_one_sampled_mode_is_damped_as_its_matrix_exponential_says():
     assert sampled[0] == pytest.approx(-poles[0].real / abs(poles[0]))
 
 
+@pytest.mark.slow
 def test_placed_poles_have_the_wanted_damping_and_equal_modes_are_refused():
     model = observer_model(rig_model(GEOMETRY)).at(GEOMETRY.used, POSITIONS[0])
     np.testing.assert_allclose(placed_damping(model, 0.04, SETTINGS.sample_time), 0.04, atol=1e-6)

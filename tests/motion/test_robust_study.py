@@ -295,6 +295,7 @@ def test_tracking_trial_repeats_and_compares_all_cases():
     assert exact["AD"] < exact["none"]
 
 
+@pytest.mark.slow
 def test_an_exact_plant_is_known_by_its_designs():
     """What it answers is kept from run to run: a plant whose errors vanish beside 1 is computed each time."""
     designs = published_blocks()

@@ -80,6 +80,7 @@ def test_no_draw_of_a_whole_box_is_worse(function):
         assert perturbed_loop(loop, moved).peak(pid, function).magnitude < 1.002 * size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["frequency", "residue", "damping", "gain", "mass", "delay"])
 def test_each_number_of_the_box_counts(name):
     """Alone and small it makes the peak larger than none does, by as much as its place has by itself."""
@@ -111,6 +112,7 @@ def test_where_nothing_is_uncertain_the_worst_is_the_peak():
     assert np.array_equal(found.frequencies, ONES) and found.gain == 1
 
 
+@pytest.mark.slow
 def test_a_mode_that_is_seen_folded_back_is_worst_where_it_meets_another():
     """Of 412 Hz sampled at 625 Hz 213 Hz are seen, beside the first mode: no end of the interval is the worst place.
 
@@ -168,6 +170,7 @@ def test_settings_are_not_tuned_for_nonsense():
             tuned(machine, settings, **good | {name: value})
 
 
+@pytest.mark.slow
 def test_what_a_fit_does_not_know_comes_on_top_of_what_is_asked_for():
     omega = 2 * np.pi * np.arange(20.0, 900.0)
     rng = np.random.default_rng(0)

@@ -147,6 +147,7 @@ def test_an_unknown_unit_is_not_taken_for_none(tmp_path, bracket):
     assert load_machine(file, "g", "N").kind == "frequency response"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("end", "told"), [(616.0, True), (700.0, False)])
 def test_a_band_that_cuts_a_resonance_is_told(end, told):
     """The second one stands at 616.4 Hz; it is fitted, unless somebody says which modes there are."""
@@ -159,6 +160,7 @@ def test_a_band_that_cuts_a_resonance_is_told(end, told):
     assert any("resonance" in note and "cut" in note for note in given.notes) == told
 
 
+@pytest.mark.slow
 def test_templates_are_one_machine():
     """M and K by eigenvalues; the fits find the same frequencies, the same mass and the damping of 1 %."""
     wanted = np.sqrt(np.linalg.eigvals(np.linalg.solve(MASS, STIFFNESS)).real.clip(0))

@@ -173,6 +173,7 @@ def test_limits_delay_and_a_start_in_motion_are_those_of_python(tmp_path, which,
     assert np.all(found[0, : 1 + delay] == pytest.approx(0.05, abs=1e-12))
 
 
+@pytest.mark.slow
 def test_without_limits_a_run_is_the_linear_model():
     for which in CONTROLLERS:
         controller = named(*CONTROLLERS[which])
@@ -235,6 +236,7 @@ def drawn(rng):
     return named(StateModel(a, b, c, d, SAMPLE_TIME), int(inputs), anti_windup=winding, **options)
 
 
+@pytest.mark.slow
 def test_of_random_controllers_missing_samples_limits_and_what_is_known_are_those_of_python(tmp_path):
     """Outputs and flags, sample by sample; the runs that are lost are shorter and longer than the patience."""
     rng = np.random.default_rng(11)
@@ -260,6 +262,7 @@ def test_of_random_controllers_missing_samples_limits_and_what_is_known_are_thos
     assert seen == SATURATED | HELD | INVALID
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_no_input_spoils_the_states(tmp_path, precision):
     """Infinities are missing; what is finite but runs out of range is left out, and the controller goes on."""

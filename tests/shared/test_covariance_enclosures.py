@@ -25,6 +25,7 @@ def whole_basis(rng, n):
     return lower @ upper.T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("discrete", [False, True])
 def test_variances_lie_within_their_proven_bounds(discrete):
     proven = narrow = 0

@@ -139,6 +139,7 @@ def test_a_gain_comes_back_from_its_file(tmp_path):
     assert load_controller(tmp_path / "a.json").run(np.ones((2, 2))) == pytest.approx(np.ones((1, 2)))
 
 
+@pytest.mark.slow
 def test_a_table_gives_a_controller(tmp_path):
     file = tmp_path / "pid.toml"
     rows = {name: getattr(MODEL, name).tolist() for name in "abcd"}

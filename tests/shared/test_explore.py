@@ -61,6 +61,7 @@ def test_moving_a_control_redraws_and_reset_returns():
     assert message.value == "at the published setting"
 
 
+@pytest.mark.slow
 def test_the_published_lines_stand_behind_and_leave_the_axes_alone():
     seen = []
 

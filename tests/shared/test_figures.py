@@ -257,6 +257,7 @@ def test_two_processes_write_the_same_bytes(tmp_path):
         assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_settings_of_matplotlib_are_those_of_its_user(tmp_path):
     """Each step of a figure has the style of the house, and a figure of the user's has the user's."""
     with matplotlib.rc_context({"axes.titlesize": 20, "lines.linewidth": 7.0, "xtick.labelsize": 17}):

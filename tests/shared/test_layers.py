@@ -118,6 +118,7 @@ def test_the_workbook_knows_no_physics(imported):
     assert not seen & {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
 
 
+@pytest.mark.slow
 def test_the_engine_names_no_topic():
     """But in examples, which docstrings give."""
     topics = re.compile(rf"\b({'|'.join(paths.topics())})\b")

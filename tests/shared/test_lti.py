@@ -80,6 +80,7 @@ def test_parts_that_drive_only_later_ones_respond_as_the_whole(seed, states, den
     np.testing.assert_allclose(found, np.moveaxis(whole, 0, -1), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [1, 30, 400])
 def test_a_line_of_delays_responds_as_it_turns(samples):
     line = delayed(constant(np.array([[2.0, 0.0], [-1.0, 3.0]]), 1e-3), samples)
@@ -369,6 +370,7 @@ def test_a_norm_beside_an_integrator_is_right_or_refused(make, leak):
     assert answered or leak < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_peak_of_light_modes_in_a_random_basis_is_right_or_refused(seed, unit):

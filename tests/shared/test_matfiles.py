@@ -47,6 +47,7 @@ def other_reader(tmp_path, monkeypatch):
     return write
 
 
+@pytest.mark.slow
 def test_every_array_of_numbers_comes_back(tmp_path):
     (tmp_path / "-a b'.mat").write_bytes(saved(do_compression=True))
     found = read_mat(tmp_path / "-a b'.mat")
@@ -57,6 +58,7 @@ def test_every_array_of_numbers_comes_back(tmp_path):
     assert np.array_equal(found["run.sensor.left"], SIGNALS[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("body", "why"),
     [
@@ -72,6 +74,7 @@ def test_a_reader_that_dies_gives_our_error(other_reader, body, why):
         read_mat(other_reader(body))
 
 
+@pytest.mark.slow
 def test_a_build_sees_the_file(tmp_path):
     (tmp_path / "hers.mat").write_bytes(saved())
     script = (
@@ -99,6 +102,7 @@ def test_a_reader_that_does_not_end_is_ended(other_reader, monkeypatch):
     assert time.monotonic() - start < 20  # within the process's own limit of a minute, on a busy machine
 
 
+@pytest.mark.slow
 def test_what_a_reader_prints_does_no_harm(other_reader):
     path = other_reader("print('noise'); print('noise', file=sys.stderr); return {'a': 2.0, 'text': 'x'}")
     assert read_mat(path) == {"a": 2.0}

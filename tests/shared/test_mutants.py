@@ -52,6 +52,7 @@ def test_each_fault_is_found_and_changes_its_place_alone(mutants):
     assert found == WANTED
 
 
+@pytest.mark.slow
 def test_a_seed_draws_the_same_mutants_again_and_another_one_others(mutants):
     one, again, other = (list(map(str, mutants.draw(30, seed))) for seed in (1, 1, 2))
     assert one == again and len(set(one)) == 30 and set(one) != set(other)

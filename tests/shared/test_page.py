@@ -124,6 +124,7 @@ def test_series_that_are_rounding_are_noted_with_the_reason(workbook):
     }
 
 
+@pytest.mark.slow
 def test_a_figure_that_is_saved_anew_without_a_note_loses_it(workbook):
     page = Page("motion/01-x")
     page.save("fig-1", drawing(), rounding={"line": "residual"})

@@ -37,6 +37,7 @@ def test_up_to_256_colours_come_back_exactly():
     np.testing.assert_array_equal(decoded(data)[..., :3], rgb)
 
 
+@pytest.mark.slow
 def test_frequent_colours_stay_exact_and_the_rest_is_close():
     picture = ramp(400, 500, 1)
     assert len(np.unique(picture.reshape(-1, 4), axis=0)) > 256

@@ -82,6 +82,7 @@ def test_csv_without_names_needs_a_rate(tmp_path):
         load_record(path, "m/s^2")
 
 
+@pytest.mark.slow
 def test_npz_and_mat_agree_with_csv(tmp_path):
     np.savez(tmp_path / "a.npz", acceleration=SIGNALS, fs_hz=RATE, note="text is left out")
     savemat(tmp_path / "a.mat", {"run": {"acceleration": SIGNALS.T, "fs": RATE}})
@@ -242,6 +243,7 @@ def npy(array):
     return file.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("members", "options", "message"),
     [
@@ -313,6 +315,7 @@ def test_cut_files_give_our_error(tmp_path):
             load_record(tmp_path / "a.mat", "m/s^2")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")  # our message, not a warning of pandas before it
 @pytest.mark.parametrize(
     ("name", "content", "message"),

@@ -174,6 +174,7 @@ def test_the_pixels_are_those_of_savefig(kind):
     np.testing.assert_array_equal(saved(figure, 120), picture)  # what it left behind draws the same
 
 
+@pytest.mark.slow
 def test_ticks_are_placed_once_for_each_place_of_a_panel(monkeypatch):
     calls = []
     place = Axis._update_ticks

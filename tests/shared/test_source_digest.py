@@ -72,6 +72,7 @@ def put_comment(line: tuple[str, bool]) -> str:
     return f"{text.rstrip()}  # again\n" if ends else text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", DRAWN, ids=lambda file: file.relative_to(LIBRARY).as_posix())
 def test_a_changed_token_that_acts_changes_it(file):
     """Each name, number and operator in turn, as far as Python still reads the source then."""
@@ -162,6 +163,7 @@ def test_annotations_are_a_part_of_it_where_somebody_reads_them(before, after, s
     assert (code_digest(before.encode()) == code_digest(after.encode())) == same
 
 
+@pytest.mark.slow
 def test_whoever_reads_words_or_annotations_at_run_time_reads_what_the_digest_sees():
     """Of the library's modules only the check of arguments does, by decorators and of classes."""
     reads = re.compile(
@@ -182,6 +184,7 @@ def test_an_annotation_that_acts_is_part_of_it(annotation):
     assert code_digest(one) != code_digest(other)
 
 
+@pytest.mark.slow
 def test_threads_that_ask_at_once_get_what_each_gets_alone():
     """In Python 3.11 parsing in several threads at once fails now and then."""
     sources = [file.read_bytes() for file in DRAWN] * 4

@@ -472,6 +472,7 @@ def test_a_file_of_the_workbook_s_own_gets_one_answer(file, said):
     assert inspect_file(str(paths.root() / file)) == said.format(**counts)
 
 
+@pytest.mark.slow
 def test_a_table_copied_elsewhere_names_no_notebook_and_a_harmed_one_its_line(tmp_path):
     file = tmp_path / "a.csv"
     file.write_text("panel,series,x,y,z\np,s,1,2,\n")
@@ -567,6 +568,7 @@ def test_an_unknown_option_is_one_of_another_command_or_near_one_of_its_own(word
     assert capsys.readouterr().err.rpartition("error: ")[2] == f"{hint}\n"
 
 
+@pytest.mark.slow
 def test_an_error_of_the_system_is_told_without_its_number(tmp_path, capsys):
     assert main(["report", str(SLAB), "--out", str(tmp_path / "none/a.html")]) == 2
     assert capsys.readouterr().err.startswith(f"stillwork: {tmp_path}/none/a.html: ")

@@ -81,6 +81,7 @@ BROKEN = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_file_gives_one_clear_line_and_no_page(tmp_path, capsys, name):
     file, content, message = BROKEN[name]

@@ -189,6 +189,7 @@ def test_the_judgement_of_a_cell():
     assert recommend(rows).tolist() == [1]
 
 
+@pytest.mark.slow
 def test_pictures_show_every_cell():
     names = ["noise 0.5, 0.5", "gain 0.8"]
     errors = compare({name: SETTINGS[name] for name in names}, 3, 3, 3, 60, FORGETTING)["errors"]

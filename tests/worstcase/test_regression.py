@@ -264,6 +264,7 @@ def test_a_known_column_that_says_nothing_new_does_no_harm():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
 @pytest.mark.parametrize("outputs", [None, 2])
 def test_a_stream_is_its_batch(estimator, outputs):

@@ -133,6 +133,7 @@ def test_parts_cover_the_record_once():
     )
 
 
+@pytest.mark.slow
 def test_pictures_and_explorer(template):
     pair, spectra, fitted = template
     lengths = window_lengths(24, len(pair.input))

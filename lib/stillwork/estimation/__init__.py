@@ -11,6 +11,8 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "covariance_enclosures": ("enclose_covariance",),
         "filtering": ("filter_signal",),
         "h2": ("H2Synthesis", "h2_riccati"),
+        "kalman": ("KalmanRecord", "NoiseCovariances", "kalman_filter", "kalman_gain"),
+        "hinf_synthesis": ("HinfSynthesis", "hinf_riccati"),
         "matrix_inequalities": ("h2_lmi", "mixed_lmi"),
         "min_max": ("min_max_solve",),
         "observer": ("NoiseIntensities", "kalman_observer"),

@@ -25,6 +25,13 @@ from stillwork.lti.norms import hinf_norm
 from stillwork.lti.state_space import StateModel
 
 
+def _require_continuous(plant: GeneralisedPlant) -> None:
+    if plant.model.sample_time:
+        raise InputError(
+            "plant is in discrete time; these inequalities take one in continuous time, h2_riccati either"
+        )
+
+
 @checked
 def h2_lmi(
     plant: GeneralisedPlant,
@@ -75,6 +82,7 @@ def h2_lmi(
     1.0
     """
     require_number("tolerance", tolerance, above=0.0)
+    _require_continuous(plant)
     regular = regularised(plant, effort, noise)
     return _solved(
         regular,
@@ -149,6 +157,7 @@ def mixed_lmi(
         raise InputError(
             f"plant has {plant.performance} performance outputs; give the error and the weighted"
         )
+    _require_continuous(plant)
     regular = regularised(plant, effort, noise)
 
     def judge(status: str, claimed: float, controller: StateModel) -> H2Synthesis:

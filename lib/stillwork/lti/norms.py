@@ -1,4 +1,4 @@
-"""H2 and H-infinity norms of continuous models."""
+"""H2 and H-infinity norms of models in continuous and discrete time."""
 
 import numpy as np
 from scipy import linalg
@@ -18,9 +18,10 @@ MOST_SPREAD = 1e-4  # of the H-infinity norm: by how much it may move with the r
 
 @checked
 def hinf_norm(model: StateModel) -> Peak:
-    """H-infinity norm of a stable continuous model, and its frequency, by the eigenvalues of a Hamiltonian.
+    """H-infinity norm of a stable model, and its frequency, by the eigenvalues of a Hamiltonian.
 
-    No frequency grid: a level is exceeded exactly when the Hamiltonian has imaginary eigenvalues there.
+    No frequency grid: a level is exceeded exactly when the Hamiltonian has imaginary eigenvalues there. A model in
+    discrete time is taken to continuous time by the bilinear transformation, which keeps the norm.
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ def hinf_norm(model: StateModel) -> Peak:
     Raises
     ------
     InputError
-        When the model is unstable or in discrete time, or too ill-conditioned for its rounding to be harmless.
+        When the model is unstable, or too ill-conditioned for its rounding to be harmless.
 
     References
     ----------
@@ -48,8 +49,11 @@ def hinf_norm(model: StateModel) -> Peak:
     >>> round(peak.magnitude * 100.0**2, 2)  # times the static compliance: 1 / (2 zeta)
     50.0
     """
-    if model.sample_time or not model.is_stable:
-        raise InputError("model must be stable and in continuous time for this norm")
+    if not model.is_stable:
+        raise InputError("model must be stable for this norm")
+    if model.sample_time:
+        peak = hinf_norm(to_bilinear(model))
+        return Peak(peak.magnitude, float(2 * np.arctan(peak.omega) / model.sample_time))
     if not (np.any(model.b) and np.any(model.c)):
         return Peak(_finite(float(np.linalg.norm(model.d, 2))) if model.d.size else 0.0, 0.0)
     units, rate, a, b, c = _balanced(model)
@@ -96,6 +100,32 @@ def hinf_norm(model: StateModel) -> Peak:
     return Peak(_finite(level * units[0] * units[1]), float(where * rate))
 
 
+@checked
+def to_bilinear(model: StateModel) -> StateModel:
+    """The continuous model with the response at s = (z - 1) / (z + 1) that a discrete one has at z.
+
+    It keeps stability and the H-infinity norm, and each controller of the one is one of the other.
+    """
+    shifted = np.eye(len(model.a)) + model.a
+    if np.any(np.abs(1 + model.poles) < 1e-13):
+        raise InputError("model has a pole at z = -1, half of the rate; shift it a little")
+    a, b = np.linalg.solve(shifted, model.a - np.eye(len(model.a))), np.linalg.solve(shifted, model.b)
+    return StateModel(
+        a, np.sqrt(2) * b, np.sqrt(2) * np.linalg.solve(shifted.T, model.c.T).T, model.d - model.c @ b
+    )
+
+
+@checked
+def from_bilinear(model: StateModel, sample_time: float) -> StateModel:
+    """The discrete model of which `to_bilinear` makes this one."""
+    shifted = np.eye(len(model.a)) - model.a
+    if np.any(np.abs(1 - model.poles) < 1e-13):
+        raise InputError("model has a pole at s = 1, which no discrete model has a place for")
+    a, b = np.linalg.solve(shifted, np.eye(len(model.a)) + model.a), np.linalg.solve(shifted, model.b)
+    c = np.sqrt(2) * np.linalg.solve(shifted.T, model.c.T).T
+    return StateModel(a, np.sqrt(2) * b, c, model.d + model.c @ b, sample_time)
+
+
 def _require_harmless(model: StateModel, omega: np.ndarray, level: float) -> None:
     """Refuse a model that may, with A a rounding away from its own, exceed the level at one of these frequencies.
 
@@ -125,10 +155,10 @@ def _turned(model: StateModel) -> StateModel:
     return StateModel(inverse, -inverse @ model.b, model.c @ inverse, static)
 
 
-def _balanced(model: StateModel):
+def _balanced(model: StateModel, in_slow_time: bool = True):
     """Units of B and C, the rate of the fastest pole, A in slow time, and B and C in these units; balanced."""
     units = _unit(model.b), _unit(model.c)
-    rate = np.abs(model.poles).max()
+    rate = np.abs(model.poles).max() if in_slow_time else 1.0
     a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
     return units, rate, a, model.b / units[0] / scale[:, None], model.c / units[1] * scale
 
@@ -162,7 +192,7 @@ def _crossings(model: StateModel, level: float) -> np.ndarray:
 
 @checked
 def h2_norm(model: StateModel) -> float:
-    """H2 norm of a stable, strictly proper continuous model: from a balanced Lyapunov equation, checked.
+    """H2 norm of a stable model, in continuous time a strictly proper one: from a balanced Lyapunov equation, checked.
 
     Parameters
     ----------
@@ -171,40 +201,52 @@ def h2_norm(model: StateModel) -> float:
     Returns
     -------
     float
-        Square root of the output's variance under white noise of unit intensity on every input.
+        Square root of the output's variance under white noise of unit intensity on every input; in discrete time
+        under independent numbers of unit variance.
 
     Raises
     ------
     InputError
-        When the model is unstable, has feedthrough, or the equation is too ill-conditioned to trust.
+        When the model is unstable, has feedthrough in continuous time, or the equation is too ill-conditioned to trust.
 
     References
     ----------
-    Zhou, Doyle and Glover, Robust and Optimal Control (1996), chapter 4.
+    Zhou, Doyle and Glover, Robust and Optimal Control (1996), chapters 4 and 21.
 
     Examples
     --------
     >>> lag = lti.StateModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
     >>> round(lti.h2_norm(lag) ** 2, 6)  # variance under white noise of unit intensity
     0.5
+    >>> lag = lti.StateModel([[0.5]], [[1.0]], [[1.0]], [[0.0]], sample_time=1.0)
+    >>> round(lti.h2_norm(lag) ** 2, 6)  # 1 + 1/4 + 1/16 + ...
+    1.333333
     """
-    if model.sample_time or not model.is_stable or np.any(model.d):
-        raise InputError("model must be stable, strictly proper and in continuous time for this norm")
+    discrete = model.sample_time > 0
+    if not model.is_stable or (np.any(model.d) and not discrete):
+        raise InputError("model must be stable for this norm, and strictly proper in continuous time")
+    direct = float(np.linalg.norm(model.d))
     if not (np.any(model.b) and np.any(model.c)):
-        return 0.0
-    units, rate, a, b, c = _balanced(model)
+        return direct
+    units, rate, a, b, c = _balanced(model, in_slow_time=not discrete)
     b = b / np.sqrt(rate)
-    driven = b @ b.T
-    gramian = linalg.solve_continuous_lyapunov(a, -driven)
+    solve = linalg.solve_discrete_lyapunov if discrete else _continuous_gramian
+    gramian, dual = solve(a, b @ b.T), solve(a.T, c.T @ c)
     # That of a model that passes nothing may round below zero.
     power = max(np.trace(c @ gramian @ c.T), 0.0)
     kept = MOST_DOUBT * power + NOTHING * np.linalg.norm(c) ** 2 * np.linalg.norm(gramian)
-    # The equation is solved for an A that is a rounding away from ours, E: to first order the power moves by 2 tr(Y E X).
-    dual = linalg.solve_continuous_lyapunov(a.T, -c.T @ c)
-    doubt = 2 * np.finfo(float).eps * np.linalg.norm(a, 2) * np.linalg.norm(gramian @ dual)
+    # The equation is solved for an A that is a rounding away from ours, E: to first order the power moves by
+    # 2 tr(Y E X), in discrete time by 2 tr(Y E X A').
+    moved = gramian @ a.T @ dual if discrete else gramian @ dual
+    doubt = 2 * np.finfo(float).eps * np.linalg.norm(a, 2) * np.linalg.norm(moved)
     if not doubt <= kept:
         raise InputError(
-            f"the Lyapunov equation leaves a doubt of {doubt:.1e} in a squared norm of {power:.1e} (scaled); the model "
-            "is too close to instability, or needs other units"
+            f"the Lyapunov equation leaves an uncertainty of {doubt:.1e} in a squared norm of {power:.1e} (scaled); the "
+            "model is too close to instability, or needs other units"
         )
-    return _finite(np.sqrt(power) * units[0] * units[1])
+    return _finite(np.hypot(np.sqrt(power) * units[0] * units[1], direct))
+
+
+def _continuous_gramian(a: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """X of A X + X A' + drive = 0."""
+    return linalg.solve_continuous_lyapunov(a, -drive)
