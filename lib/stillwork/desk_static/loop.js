@@ -459,11 +459,14 @@ export function boxGrid(loop, points = 300, around = 24) {
   return sortedUnique([...grid, ...between.filter((w) => w > low && w < high)]);
 }
 
-// Where |a + x b| / |c + x d| is largest from low to high: at an end, or where its slope, a quadratic, is zero.
+// Where |1 + (a + x b) / (c + x d)| is largest from low to high: at an end, or where its slope, a quadratic, is zero. The
+// quadratic is that of the difference of both squares: their own would cancel where a and b are small.
 function along(ar, ai, br, bi, cr, ci, dr, di, low, high) {
-  const a0 = ar * ar + ai * ai, a1 = ar * br + ai * bi, a2 = br * br + bi * bi;
   const c0 = cr * cr + ci * ci, c1 = cr * dr + ci * di, c2 = dr * dr + di * di;
-  const p = a2 * c1 - a1 * c2, q = a2 * c0 - a0 * c2, r = a1 * c0 - a0 * c1;
+  const e0 = 2 * (cr * ar + ci * ai) + ar * ar + ai * ai;
+  const e1 = cr * br + ci * bi + ar * (dr + br) + ai * (di + bi);
+  const e2 = 2 * (dr * br + di * bi) + br * br + bi * bi;
+  const p = e2 * c1 - e1 * c2, q = e2 * c0 - e0 * c2, r = e1 * c0 - e0 * c1;
   const tried = [low, high], root = q * q - 4 * p * r;
   if (root > 0) {
     const half = -0.5 * (q + Math.sign(q || 1) * Math.sqrt(root));
@@ -471,7 +474,8 @@ function along(ar, ai, br, bi, cr, ci, dr, di, low, high) {
   }
   let best = low, most = -1;
   for (const x of tried) {
-    const size = (a0 + 2 * a1 * x + a2 * x * x) / (c0 + 2 * c1 * x + c2 * x * x);
+    const ur = cr + x * dr, ui = ci + x * di, or = ur + (ar + x * br), oi = ui + (ai + x * bi);
+    const size = (or * or + oi * oi) / (ur * ur + ui * ui);
     if (size > most) [most, best] = [size, x];
   }
   return best;
@@ -488,31 +492,32 @@ export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, bo
   let row = 0;
   const searchRow = () => {
     const c = C.re[row], d = C.im[row], mr = box.middle.re[row], mi = box.middle.im[row];
-    let tr = 1, ti = 0, sr = c, si = d, ur = 1, ui = 0, vr = 0, vi = 0;
+    // turn + P slope below, and what S_I has beside it above.
+    let tr = 1, ti = 0, sr = c, si = d, ur = 0, ui = 0, vr = -c, vi = -d;
     if (O) {
-      const yur = O.yu.re[row], yui = O.yu.im[row], yyr = O.yy.re[row], yyi = O.yy.im[row];
-      ur = 1 - O.uu.re[row];
-      ui = -O.uu.im[row];
-      vr = -O.uy.re[row];
-      vi = -O.uy.im[row];
-      tr = ur - (c * yur - d * yui);
-      ti = ui - (c * yui + d * yur);
-      sr = c - (c * yyr - d * yyi) + vr;
-      si = d - (c * yyi + d * yyr) + vi;
+      const yur = O.yu.re[row], yui = O.yu.im[row], yyr = O.yy.re[row] - 1, yyi = O.yy.im[row];
+      ur = c * yur - d * yui;
+      ui = c * yui + d * yur;
+      vr = c * yyr - d * yyi;
+      vi = c * yyi + d * yyr;
+      tr = 1 - O.uu.re[row] - ur;
+      ti = -O.uu.im[row] - ui;
+      sr = -vr - O.uy.re[row];
+      si = -vi - O.uy.im[row];
     }
     const slope = Math.sqrt(sr * sr + si * si);
     const below = Math.sqrt((tr + sr * mr - si * mi) ** 2 + (ti + sr * mi + si * mr) ** 2) - slope * box.radius[row];
     for (const name of names) {
       const best = found[name];
-      let ar = tr, ai = ti, br = 0, bi = 0;
-      if (name === "input_sensitivity") [ar, ai, br, bi] = [ur, ui, vr, vi];
+      const [ar, ai, br, bi] = name === "input_sensitivity" ? [ur, ui, vr, vi] : [0, 0, -sr, -si];
       if (below > 0) {
-        const middle = Math.sqrt((ar + br * mr - bi * mi) ** 2 + (ai + br * mi + bi * mr) ** 2);
-        const top = middle + Math.sqrt(br * br + bi * bi) * box.radius[row];
+        const nr = tr + ar, ni = ti + ai, gr = sr + br, gi = si + bi;
+        const middle = Math.sqrt((nr + gr * mr - gi * mi) ** 2 + (ni + gr * mi + gi * mr) ** 2);
+        const top = middle + Math.sqrt(gr * gr + gi * gi) * box.radius[row];
         if (top * top <= best.square * below * below) continue;
       }
       const value = (p, q) => {
-        const x = ar + br * p - bi * q, y = ai + br * q + bi * p, u = tr + sr * p - si * q, v = ti + sr * q + si * p;
+        const u = tr + sr * p - si * q, v = ti + sr * q + si * p, x = u + (ar + br * p - bi * q), y = v + (ai + br * q + bi * p);
         return (x * x + y * y) / (u * u + v * v);
       };
       for (let start = 0; start < starts; start++) {
