@@ -4,6 +4,8 @@ import ast
 import json
 from pathlib import Path
 
+from IPython.core.inputtransformer2 import TransformerManager
+
 from workbook.site.reference import face_names
 
 
@@ -19,9 +21,14 @@ def modules(root: Path) -> dict[str, ast.Module]:
         found[".".join(part for part in parts if part != "__init__")] = ast.parse(file.read_text("utf-8"))
     for file in sorted((root / "notebooks").glob("*/*.ipynb")):
         cells = json.loads(file.read_text("utf-8"))["cells"]
-        code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-        found[f"notebooks.{file.parent.name}.{file.stem}"] = ast.parse(code)
+        code = [plain("".join(cell["source"])) for cell in cells if cell["cell_type"] == "code"]
+        found[f"notebooks.{file.parent.name}.{file.stem}"] = ast.parse("\n".join(code))
     return found
+
+
+def plain(cell: str) -> str:
+    """The Python of a cell: magics and shell commands of IPython are calls of it."""
+    return TransformerManager().transform_cell(cell)
 
 
 def imports(trees: dict[str, ast.Module]) -> dict[str, set[str]]:

@@ -35,7 +35,7 @@ FACES = {
 # No calls: made by the functions beside them, warnings and errors.
 RESULTS = {
     "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
-    "HinfSynthesis", "KalmanRecord",
+    "HinfSynthesis", "KalmanRecord", "GainProof",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # No calls: what hands the parts of a recursion to its kernels, a sample at a time; `run` and the steppers ask before.
@@ -121,6 +121,7 @@ def catalogue() -> dict:
     doubled = lti.StateModel(
         np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[2.0, -2.0]]), 0.01
     )
+    single = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
     limits = c.MoveLimits(0.2, 5.0, 500.0, 1e5)
     observer = e.kalman_observer(model, e.NoiseIntensities(1.0, 1e-12))
     sampled_observer = c.discrete_kalman_observer(model, e.NoiseIntensities(1.0, 1e-12), 1e-4)
@@ -310,6 +311,8 @@ def catalogue() -> dict:
         "sampled_derivatives": (sampled_derivatives, {"model": model, "sample_time": 1e-4, "modes": [1, 2]}),
         "perturbed": (perturbed, {"model": model, "errors": np.full((3, 4), 0.01)}),
         "GeneralisedPlant": (lti.GeneralisedPlant, fields(regular)),
+        "prove_gain": (lti.prove_gain, {"model": regular.model, "uncertain": 1, "level": 9.0}),
+        "uncertain_channel": (c.uncertain_channel, {"plant": single, "compensator": None, "controller": c.PidFamily(10.0)(20.0).state_space(), "source": "u_ff", "target": "u", "frequency": 0.05, "damping": 0.1, "gain": 0.1}),
         "GeneralisedPlant.close": (regular.close, {"controller": state}),
         "H2Synthesis": (e.H2Synthesis, fields(e.h2_riccati(regular, 0.1, 0.1))),
         "h2_riccati": (e.h2_riccati, {"plant": regular, "effort": 0.1, "noise": 0.1}),

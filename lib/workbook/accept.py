@@ -18,7 +18,8 @@ from workbook.compare import Comparison, compare, found_claims, same_outputs
 from workbook.durations import FILE, durations, updated
 from workbook.lock import exclusive_lock, interrupts, unwound
 from workbook.notebooks import cleaned, notebook_text, select
-from workbook.publish import RECORD, Edited, replace_all, replace_file, seconds_taken, trial
+from workbook.provenance import commit, is_traceable, with_commit
+from workbook.publish import RECORD, Edited, read_record, replace_all, replace_file, seconds_taken, trial
 from workbook.tasks import Task, tasks
 
 SHELVES = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
@@ -82,6 +83,8 @@ def _print_summary(claims: list[Claim], built: list[Task]) -> None:
         if folder not in {task.committed for task in built}:
             print(f"belongs to no notebook, remove it: {folder.relative_to(paths.root())}")
     for task in built:
+        if commit() and not is_traceable(_provenance(_read(task.committed / "provenance.json"))):
+            print(f"made from what no commit holds: {task.label}; commit it, then accept again")
         for file in sorted(task.committed.rglob("*")):
             if (
                 file.is_file()
@@ -167,7 +170,11 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
         content["claims.json"] = _claims_kept(task, home / "claims.json", comparison)
         taken.add("claims.json")
     taken = {name for name in taken & now if not _same(home / name, content[name])}
-    if taken or now - before or _made_under(home) != _made_under(task.target):
+    if "provenance.json" in now:
+        inputs, _ = read_record(task.target) or ({}, [])
+        content["provenance.json"] = with_commit(content["provenance.json"], task.notebook, inputs)
+    new, old = (_provenance(content.get("provenance.json")), _provenance(_read(home / "provenance.json")))
+    if taken or now - before or _made_under(old) != _made_under(new) or _is_first_traceable(old, new):
         taken |= (now - before) | {"provenance.json"}
     for name in taken:
         replace_file(home / name, content[name])
@@ -183,13 +190,22 @@ def _note_durations(built: list[Task], copy: Path) -> None:
         replace_file(copy / FILE, (json.dumps(noted, indent=1) + "\n").encode())
 
 
-def _made_under(folder: Path) -> list | None:
-    """The pins and the parameters, by their present names, that the results in a folder were made under."""
-    file = folder / "provenance.json"
-    if not file.is_file():
-        return None
-    provenance = json.loads(file.read_text(encoding="utf-8"))
+def _read(file: Path) -> bytes | None:
+    return file.read_bytes() if file.is_file() else None
+
+
+def _provenance(content: bytes | None) -> dict:
+    return json.loads(content) if content else {}
+
+
+def _made_under(provenance: dict) -> list:
+    """The pins and the parameters, by their present names, that results were made under."""
     return [provenance.get("environment_sha256"), provenance.get("parameters")]
+
+
+def _is_first_traceable(old: dict, new: dict) -> bool:
+    """Whether a commit holds what the new results were made from, and none what the committed ones were."""
+    return is_traceable(new) and not is_traceable(old)
 
 
 def _claims_kept(task: Task, committed: Path, comparison: Comparison) -> bytes:

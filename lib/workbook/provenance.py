@@ -34,20 +34,38 @@ def provenance(
 ) -> bytes:
     """JSON record of a build, free of times and places; `made_from` is the commit and the modified paths."""
     revision, changed = made_from
-    ledger = f"data/{notebook.topic}/published.toml"
-    used = {*inputs, ledger, f"notebooks/{notebook.name}.ipynb", "environment.txt"}
     parameters = {name: settings.get(name, p.value) for name, p in notebook.parameters.items()}
     environment = digest((paths.root() / "environment.txt").read_bytes())
     record = {
         "notebook": notebook.name,
         "commit": revision,
-        "dirty": bool(used & changed),
+        "dirty": bool(_used(notebook, inputs) & changed),
         "parameters": parameters,
         "seed": parameters.get("seed"),
         "environment_sha256": environment,
         **software,
     }
     return (json.dumps(record, indent=1) + "\n").encode()
+
+
+def _used(notebook: Notebook, inputs: Iterable[str]) -> set[str]:
+    """Files of the tree that a build's results rest on."""
+    ledger = f"data/{notebook.topic}/published.toml"
+    return {*inputs, ledger, f"notebooks/{notebook.name}.ipynb", "environment.txt"}
+
+
+def with_commit(record: bytes, notebook: Notebook, inputs: Iterable[str]) -> bytes:
+    """The record of an up-to-date build; of one from files that were not committed then and are now, with this commit."""
+    content = json.loads(record)
+    if is_traceable(content) or not (revision := commit()) or _used(notebook, inputs) & modified():
+        return record
+    content |= {"commit": revision, "dirty": False}
+    return (json.dumps(content, indent=1) + "\n").encode()
+
+
+def is_traceable(record: dict) -> bool:
+    """Whether a commit holds what a build was made from."""
+    return bool(record.get("commit")) and not record.get("dirty")
 
 
 def _git(*arguments: str) -> str:

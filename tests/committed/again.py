@@ -17,7 +17,7 @@ def compute_again(before: Outcomes, day: int, parts: int = 1) -> tuple[Outcomes,
     runs = calls_of(before.multiverse)
     found, spent = {}, []
     again = [at for at in moved_before(before.multiverse) if at in runs]
-    for at in dict.fromkeys([*drawn(before.multiverse, runs, day, parts), *again]):
+    for at in dict.fromkeys([*drawn(before.multiverse, runs, day, parts, before), *again]):
         begin = time.process_time()
         found[at] = compute(runs[at])
         spent.append(time.process_time() - begin)

@@ -135,6 +135,6 @@ def test_a_fresh_run_finds_the_accepted_value_and_verdict():
 def test_figures_come_from_a_commit_and_the_pinned_environment(file):
     record = json.loads(file.read_text(encoding="utf-8"))
     assert record["commit"], "built outside git"
-    assert not record["dirty"], "commit the inputs, then build again"
+    assert not record["dirty"], "commit the inputs, then run `make accept`"
     assert record["environment_sha256"] == digest((paths.root() / "environment.txt").read_bytes())
     assert record["drift"] == []

@@ -9,12 +9,23 @@ import pytest
 
 from engine import toy as toys
 from engine.test_committed import NAME, README, committed, git
+from layering import modules
 
 pytestmark = pytest.mark.slow
 
 # As Jupyter saves them: ids of chance, lines as a list; it leaves an empty cell behind the last that was run.
 ADDED = [
     {"id": "3f2a9c1b", "source": ["def double(value):\n", "    return 2*value\n", "double( 2 )"]},
+    {
+        "id": "0c41d7aa",
+        "source": [
+            "import os, sys\n",
+            "import  math\n",
+            "f = lambda x: x; x = [1]; x\n",
+            "%time 1+1\n",
+            "!true",
+        ],
+    },
     {"id": "70b1e4d2-9a51-4c0e", "source": []},
 ]
 
@@ -72,12 +83,27 @@ def test_a_cell_added_in_jupyter_is_accepted_as_it_is(toy, monkeypatch):
     save(toy)
     build_and_accept(toy)
     cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
-    assert [cell["id"] for cell in cells[-2:]] == [cell["id"] for cell in ADDED]
-    assert cells[-2]["outputs"][0]["data"] == {"text/plain": ["4"]}
+    assert [cell["id"] for cell in cells[-3:]] == [cell["id"] for cell in ADDED]
+    assert cells[-3]["outputs"][0]["data"] == {"text/plain": ["4"]}
     assert committed(toy, monkeypatch).failed == set()
     settings = ["--config", f"{Path(__file__).parents[2]}/pyproject.toml"]
-    style = [sys.executable, "-m", "ruff", "format", "--check", *settings, "notebooks"]
-    assert subprocess.run(style, cwd=toy.root).returncode == 0
+    for style in (["format", "--check"], ["check"]):
+        done = subprocess.run([sys.executable, "-m", "ruff", *style, *settings, "notebooks"], cwd=toy.root)
+        assert done.returncode == 0
+    assert f"notebooks.{NAME.replace('/', '.')}" in modules(toy.root)  # the rules of imports read it
+
+
+def test_what_was_accepted_before_it_was_committed_is_made_of_a_commit_by_the_next_accept(toy, monkeypatch):
+    done = toy.run("new", "isolation", "09-payload")
+    assert done.returncode == 0, done.stderr
+    for command in ("figures", "accept"):
+        done = toy.run(command)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert "isolation/09-payload" in done.stdout and "commit it" in done.stdout
+    save(toy)
+    assert committed(toy, monkeypatch).failed  # no commit holds what it was made from
+    build_and_accept(toy)
+    assert committed(toy, monkeypatch).failed == set()
 
 
 def test_a_new_result_and_a_new_topic_pass_as_they_are_written(toy, monkeypatch):

@@ -97,6 +97,57 @@ def test_estimates_are_those_of_the_joint_gaussian(seed, crossed):
     assert record.log_likelihood == pytest.approx(density.logpdf(measured[there]), rel=1e-9)
 
 
+def test_three_steps_of_slicot():
+    """SLICOT library, example data and results of FB01QD: the root of the covariance, and the predictor's gain."""
+
+    def matrix(text):
+        return np.array([row.split() for row in text.split(";")], dtype=float)
+
+    a = matrix(
+        ".2113 .8497 .7263 .8833; .7560 .6857 .1985 .6525; .0002 .8782 .5442 .3076; .3303 .0683 .2320 .9329"
+    )
+    b = matrix(".5618 .5042; .5896 .3493; .6853 .3873; .8906 .9222")
+    c = matrix(".3616 .5664 .5015 .2693; .2922 .4826 .4368 .6325")
+    sensor = matrix(".9488 0; .3760 .7340")
+    root = matrix("-1.2936 0 0 0; -1.1382 -.2579 0 0; -.9622 -.1529 .2974 0; -1.3076 .0936 .4508 -.4897")
+    printed = matrix(".3638 .9469; .3532 .8179; .2471 .5542; .1982 .6471")
+    model = StateModel(a, np.zeros((4, 1)), c, np.zeros((2, 1)), 1.0)
+    noise = NoiseCovariances(b @ b.T, sensor @ sensor.T)
+    y = np.zeros((2, 4))
+    y[:, 2] = 1.0, 0.0
+    one = kalman_filter(model, noise, np.zeros((1, 4)), y, np.zeros((4, 4)))
+    two = kalman_filter(model, noise, np.zeros((1, 4)), y[::-1], np.zeros((4, 4)))
+    assert one.predicted_covariance[3] == pytest.approx(root @ root.T, abs=4e-4)
+    assert np.column_stack([one.predicted[:, 3], two.predicted[:, 3]]) == pytest.approx(printed, abs=6e-5)
+
+
+def test_filterpy_gives_the_same_record():
+    filterpy = pytest.importorskip("filterpy.kalman")
+    model, noise, u, y, start, mean = drawn(8, crossed=False, missing=0.0, samples=50)
+    other = filterpy.KalmanFilter(dim_x=3, dim_z=2, dim_u=2)
+    other.x, other.P = mean[:, None].copy(), start.copy()
+    other.F, other.B, other.H = model.a, model.b, model.c
+    other.Q, other.R = noise.process, noise.sensor
+    states, covariances = [], []
+    for k in range(50):
+        other.update((y[:, k] - model.d @ u[:, k])[:, None])
+        states.append(other.x.copy())
+        covariances.append(other.P.copy())
+        other.predict(u=u[:, k : k + 1])
+    record = kalman_filter(model, noise, u, y, start, mean)
+    assert record.filtered == pytest.approx(np.array(states)[:, :, 0].T, rel=1e-9, abs=1e-9)
+    assert record.filtered_covariance == pytest.approx(np.array(covariances), rel=1e-9, abs=1e-9)
+    # Its smoother knows no input: what is left after the input's own part is smoothed.
+    forced, moved = np.zeros(3), []
+    for k in range(50):
+        moved.append(forced)
+        forced = model.a @ forced + model.b @ u[:, k]
+    free = np.array(states)[:, :, 0] - np.array(moved)
+    smoothed, spread, *_ = other.rts_smoother(free, np.array(covariances))
+    assert record.smooth()[0] == pytest.approx((smoothed + np.array(moved)).T, rel=1e-8, abs=1e-8)
+    assert record.smooth()[1] == pytest.approx(spread, rel=1e-8, abs=1e-8)
+
+
 @pytest.mark.parametrize("missing", [0.0, 1.0])
 def test_all_measured_and_nothing_measured(missing):
     model, noise, u, y, start, mean = drawn(11, missing=missing)

@@ -103,13 +103,23 @@ def test_a_changed_token_that_acts_changes_it(file):
 
 
 def annotations_of_plain_functions(tree: ast.AST) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Where annotations stand that nobody reads: of undecorated functions outside of classes, of local variables."""
-    inner = {id(child) for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for child in node.body}
+    """Where annotations stand that nobody reads: of functions that no reading decorator sees, of local variables."""
+    plain = {
+        "property",
+        "cached_property",
+        "cache",
+        "lru_cache",
+        "staticmethod",
+        "classmethod",
+        "contextmanager",
+    }
+    plain |= {"kernel", "inlined_kernel", "borrowing_kernel", "pasted_kernel"}
     found = []
     for node in ast.walk(tree):
         if not isinstance(node, ast.FunctionDef):
             continue
-        if not node.decorator_list and id(node) not in inner:
+        names = {ast.unparse(each).partition("(")[0].rpartition(".")[2] for each in node.decorator_list}
+        if names <= plain:
             arguments = [each for each in ast.walk(node.args) if isinstance(each, ast.arg)]
             found += [each.annotation for each in arguments] + [node.returns]
         found += [local.annotation for local in locals_of(node)]
@@ -137,7 +147,10 @@ def locals_of(function: ast.FunctionDef) -> list[ast.AnnAssign]:
         ("def f():\n x: int = 1", "def f():\n x: float = 1", True),
         ("def f():\n x: int\n print(x)", "def f():\n print(x)", False),  # of this module, no longer local
         ("@d\ndef f(x): return x", "@d\ndef f(x: int): return x", False),
-        ("class A:\n def f(x): pass", "class A:\n def f(x: int): pass", False),
+        ("class A:\n def f(x): pass", "class A:\n def f(x: int): pass", True),
+        ("class A:\n @property\n def f(x): pass", "class A:\n @property\n def f(x) -> int: pass", True),
+        ("@cache(4)\ndef f(x): pass", "@cache(4)\ndef f(x: int): pass", True),
+        ("@checked\ndef f(x): pass", "@checked\ndef f(x: int): pass", False),
         ("class A:\n x: int", "class A:\n x: float", False),
         ("class A:\n def f(x):\n  def g(y): pass", "class A:\n def f(x):\n  def g(y: int): pass", True),
         ("def f():\n class A:\n  x: int", "def f():\n class A:\n  x: float", False),

@@ -643,7 +643,7 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
 @pytest.mark.parametrize(
     ("topic", "name", "message"),
     [
-        ("isolaton", "09-a", r"\broom\b.*'isolation'"),
+        ("isolaton", "09-a", r"\btopic\b.*'isolation'"),
         ("isolation", "payload", r"^name\b"),
         ("isolation", "../09-a", r"^name\b"),
         ("crane", "01-a", "--create"),
@@ -657,7 +657,7 @@ def test_a_new_result_needs_a_topic_and_a_name(toy, topic, name, message):
 def test_a_new_topic_has_a_ledger_and_a_paper_and_is_the_last(toy):
     before = paths.topics()
     written = new_result("crane", "01-sway", create=True)
-    assert written[3:] == ["data/crane/published.toml", "data/crane/paper.toml"]
+    assert written[3:] == [f"data/crane/{name}.toml" for name in ("published", "paper", "choices")]
     assert paths.topics() == ("crane", *before)  # by name: none of them says its order
     toy.write("data/motion/paper.toml", "order = 1")
     assert paths.topics() == ("motion", "crane", "isolation")

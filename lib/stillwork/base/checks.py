@@ -29,14 +29,18 @@ class InputError(ValueError):
         super().__init__(one_line(message))
 
 
-def nearest(word, candidates: Iterable) -> str:
-    """Suggestion ``; did you mean 'x'?`` for a misspelt word, or an empty string."""
+def nearest(word, candidates: Iterable, prefix: str = "", cutoff: float = 0.5) -> str:
+    """Suggestion ``; did you mean 'x'?`` for a misspelt word, or an empty string.
+
+    A `prefix` that all candidates have does not count as likeness.
+    """
     if not isinstance(word, str):
         return ""
-    close = difflib.get_close_matches(
-        word, [each for each in candidates if isinstance(each, str)], n=1, cutoff=0.5
-    )
-    return f"; did you mean {close[0]!r}?" if close else ""
+    names = [
+        each.removeprefix(prefix) for each in candidates if isinstance(each, str) and each.startswith(prefix)
+    ]
+    close = difflib.get_close_matches(word.removeprefix(prefix), names, n=1, cutoff=cutoff)
+    return f"; did you mean {prefix + close[0]!r}?" if close else ""
 
 
 def pluralise(number: int, noun: str) -> str:

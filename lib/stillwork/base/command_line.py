@@ -63,7 +63,7 @@ def _meant(word: str, command: "Command", commands: dict[str, "Command"]) -> str
         return ""
     name = word.partition("=")[0]
     others = [each for each, other in commands.items() if name in other.words]
-    return f"; it is an option of {', '.join(others)}" if others else nearest(name, command.words)
+    return f"; it is an option of {', '.join(others)}" if others else nearest(name, command.words, "--", 0.6)
 
 
 def _parser(program: str, commands: dict[str, "Command"]) -> argparse.ArgumentParser:

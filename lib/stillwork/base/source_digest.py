@@ -10,6 +10,11 @@ import threading
 
 # Python 3.11 counts the depth of all syntax trees that are made at a time together: two threads disturb each other.
 _ALONE = threading.Lock()
+# Decorators that look at no annotation.
+SILENT = {
+    *("property", "cached_property", "staticmethod", "classmethod", "cache", "lru_cache", "contextmanager"),
+    *("kernel", "inlined_kernel", "borrowing_kernel", "pasted_kernel"),
+}
 TRIES = 20  # where a thread of somebody else's makes one, too
 
 
@@ -26,9 +31,10 @@ def code(source: bytes) -> ast.Module:
     """A module's code without what cannot act when it runs.
 
     Left out are comments, blank lines, line breaks and brackets that change nothing, `pass`, strings that stand alone
-    (docstrings among them), the annotations of functions that no decorator sees, and those of local variables. Kept
-    are annotations that call or assign something, and those of decorated functions, of class bodies and of a module's own
-    names: validation, dataclasses and whoever else reads annotations at run time find them there.
+    (docstrings among them), the annotations of functions and methods that no decorator but those of `SILENT` sees, and
+    those of local variables. Kept are annotations that call or assign something, and those of other decorated
+    functions, of fields and of a module's own names: validation, dataclasses and whoever else reads annotations at run
+    time find them there.
     """
     return _Acting().visit(_parsed(source))
 
@@ -46,6 +52,12 @@ def _acting_part(annotation: ast.expr | None) -> ast.expr | None:
         isinstance(part, ast.Call | ast.NamedExpr) for part in ast.walk(annotation)
     )
     return annotation if acts else None
+
+
+def _decorator(node: ast.expr) -> str:
+    """The last name of a decorator: `cache` of ``functools.cache`` and of ``cache(maxsize=4)``."""
+    node = node.func if isinstance(node, ast.Call) else node
+    return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", "")
 
 
 class _Acting(ast.NodeTransformer):
@@ -66,7 +78,7 @@ class _Acting(ast.NodeTransformer):
         return self._inside(ast.ClassDef, node)
 
     def visit_FunctionDef(self, node):
-        if not node.decorator_list and self._around is not ast.ClassDef:
+        if all(_decorator(each) in SILENT for each in node.decorator_list):
             node.returns = _acting_part(node.returns)
             each = node.args
             for argument in (*each.posonlyargs, *each.args, each.vararg, *each.kwonlyargs, each.kwarg):

@@ -29,6 +29,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "setpoint": ("MoveLimits", "plan_move", "point_to_point"),
         "trajectory": ("asin_trajectory",),
         "transformation": ("FlowTransformation",),
+        "uncertain_modes": ("uncertain_channel",),
         "uncertainty": ("Uncertainty", "worst_place"),
     },
 )

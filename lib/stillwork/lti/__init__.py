@@ -16,6 +16,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "peaks": ("resonance_grid",),
         "reduction": ("truncate",),
         "simulation": ("simulate",),
+        "structured": ("GainProof", "prove_gain"),
         "state_space": ("StateModel", "from_control", "interconnect"),
     },
 )

@@ -40,13 +40,23 @@ def parts_a_day() -> int:
     return min(require_count(SAMPLE, int(text)), DAYS)
 
 
-def drawn(multiverse: Multiverse, runs: Iterable[At], day: int, parts: int = 1) -> list[At]:
-    """The runs of a study whose turn it is on a day, at least one; with more parts, those of one part among them."""
+def drawn(
+    multiverse: Multiverse, runs: Iterable[At], day: int, parts: int = 1, outcomes: Outcomes | None = None
+) -> list[At]:
+    """The runs of a study whose turn it is on a day, at least one; with more parts, those of one part among them.
+
+    An entry that has no value in any of them, by the committed `outcomes`, adds the next run that has one.
+    """
     order = sorted(runs)
     random.Random(multiverse.study).shuffle(order)
     days = min(DAYS, len(order))
     turns = {(day + part * math.ceil(days / parts)) % days for part in range(parts)}
-    return [at for place, at in enumerate(order) if place % days in turns]
+    chosen = [at for place, at in enumerate(order) if place % days in turns]
+    first = (day + 1) % len(order) if order else 0
+    for values in outcomes.values.values() if outcomes else ():
+        if not any(math.isfinite(values[at]) for at in chosen):
+            chosen += [at for at in (*order[first:], *order[:first]) if math.isfinite(values[at])][:1]
+    return chosen
 
 
 def moves(before: Outcomes, now: Outcomes, tried: list[At], entries: dict[str, Entry]) -> list[str]:

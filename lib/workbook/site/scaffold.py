@@ -36,15 +36,12 @@ def begin(folder: str) -> list[str]:
     (home / "data").mkdir(parents=True)
     with paths.rooted(home):
         written = new_result(TOPIC, NAME, create=True)
-        choices = paths.data(TOPIC, "choices.toml")
-        replace_file(choices, starter("choices.toml", words_of(TOPIC, NAME)).encode())
     texts = {name: starter(file, {"title": home.resolve().name}) for name, file in FILES.items()}
     pins = {each.name: each.version for each in metadata.distributions()}
     texts["environment.txt"] = "".join(f"{name}=={version}\n" for name, version in sorted(pins.items()))
     for name, text in texts.items():
         replace_file(home / name, text.encode())
-    written += [choices.relative_to(home).as_posix(), *texts]
-    return [*written, f"put your paper in their place; it runs as it is: cd {folder} && make figures"]
+    return [*written, *texts, f"put your paper in their place; it runs as it is: cd {folder} && make figures"]
 
 
 def new_result(topic: str, name: str, create: bool = False) -> list[str]:
@@ -96,6 +93,7 @@ def new_result(topic: str, name: str, create: bool = False) -> list[str]:
     if create:
         about = {**words, "title": topic.replace("_", " ").capitalize()}
         written[paths.data(topic, "paper.toml")] = starter("paper.toml", about)
+        written[paths.data(topic, "choices.toml")] = starter("choices.toml", words)
     for file, text in written.items():
         replace_file(file, text.encode())
     return [file.relative_to(paths.root()).as_posix() for file in written]
