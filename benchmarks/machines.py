@@ -3,7 +3,7 @@
 A machine has 1 to 6 flexible modes of either sign, perhaps viscous friction, and a delay of 0 to 3 samples, whole or
 not. It is given as matrices or as a noisy frequency response. The C that is written is compiled, its linear map read
 out of its states, and closed around the sampled plant with its exact zero-order hold and delay, everywhere in the box
-that the design states: `python benchmarks/machines.py [FIRST [LAST]]`.
+that was asked for: `python benchmarks/machines.py [FIRST [LAST [RESULTS.jsonl]]]`. A file of results is gone on with.
 """
 
 import ctypes
@@ -248,69 +248,101 @@ def worst(machine: TrueMachine, controller, box: dict, sample_time: float, rng, 
     return whole
 
 
-def stated_box(held: dict) -> dict:
-    """What the design says that it holds; of a design without such words, its share of the resonances alone."""
-    about = held["provenance"]
-    return about.get("uncertainty", {"frequency": about.get("doubt_of_the_resonances", 0.0)})
-
-
 def asked_box() -> dict:
     """What every design of this benchmark is asked for."""
     return {"frequency": 0.05, "gain": 0.1, "damping": 0.2}
 
 
-def main(first: int = 0, last: int = 50, draws: int = DRAWS) -> None:
-    """Print a line a machine, and at the end what was promised and what is true."""
-    refused, above, unstable, spent = Counter(), [], [], []
-    for number in range(first, last):
-        rng = np.random.default_rng(number)
-        rate = float(rng.choice([2e3, 4e3, 1e4, 2e4]))
-        machine = draw_machine(rng, 1 / rate, 0.45 * rate)
-        measured = bool(rng.integers(2))
-        noise = 10 ** rng.uniform(-4, -2)
-        own = (
-            min(int(rng.integers(0, 2)), int(machine.delay * rate + 1e-9))
-            if measured
-            else machine.delay * rate
-        )
-        start = time.process_time()
-        with tempfile.TemporaryDirectory() as folder:
-            file, out = Path(folder) / "machine.npz", Path(folder) / "out"
-            if measured:
-                late = replace(machine, delay=machine.delay - own / rate)
-                write_response(file, late, noise, rng)
-            else:
-                write_matrices(file, machine)
-            try:
-                design_file(str(file), str(out), rate, delay=own, uncertainty=asked_box())
-            except InputError as error:
-                reason = re.sub(r"[-+]?\d[\d.e+-]*", "#", str(error).partition("machine.npz")[2])[:60]
-                refused[reason] += 1
-                print(f"{number:3d} refused: {error}", flush=True)
-                continue
-            spent.append(time.process_time() - start)
-            held = json.loads((out / "controller.json").read_text())
-            controller = linear_map(out)
-        # About the true machine: the box that was asked for. What the fit does not know is the design's to add.
-        found = worst(machine, controller, asked_box(), 1 / rate, np.random.default_rng(1000 + number), draws)
-        if found[:2].max() > LIMIT_DB:
-            above.append(number)
-        if found[2] >= 1:
-            unstable.append(number)
-        print(
-            f"{number:3d} {'measured' if measured else 'matrices'} {len(machine.frequencies)} modes "
-            f"{(machine.shares < 0).sum()} negative, b/m {machine.friction:.2g}, {rate:6.0f} Hz, "
-            f"{machine.delay * rate:.2f} late, {held['provenance']['use']:16s} {held['provenance']['design_hz']:6.1f} Hz; "
-            f"S {found[0]:.2f} dB, r to e {found[1]:.2f} dB, poles {found[2]:.6f}; {spent[-1]:.0f} s",
-            flush=True,
-        )
+def try_machine(number: int, draws: int = DRAWS) -> dict:
+    """A machine by its number: drawn, designed for and judged; what was promised, and what is true."""
+    rng = np.random.default_rng(number)
+    rate = float(rng.choice([2e3, 4e3, 1e4, 2e4]))
+    machine = draw_machine(rng, 1 / rate, 0.45 * rate)
+    measured = bool(rng.integers(2))
+    noise = 10 ** rng.uniform(-4, -2)
+    own = min(int(rng.integers(0, 2)), int(machine.delay * rate + 1e-9)) if measured else machine.delay * rate
+    found = {
+        "number": number,
+        "form": "measured" if measured else "matrices",
+        "modes": len(machine.frequencies),
+        "negative": int((machine.shares < 0).sum()),
+        "friction_1_s": machine.friction,
+        "rate_hz": rate,
+        "delay_samples": machine.delay * rate,
+    }
+    start = time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        file, out = Path(folder) / "machine.npz", Path(folder) / "out"
+        if measured:
+            late = replace(machine, delay=machine.delay - own / rate)
+            write_response(file, late, noise, rng)
+        else:
+            write_matrices(file, machine)
+        try:
+            said = design_file(str(file), str(out), rate, delay=own, uncertainty=asked_box())
+        except InputError as error:
+            return found | {"refused": str(error), "seconds": time.process_time() - start}
+        found["seconds"] = time.process_time() - start
+        held = json.loads((out / "controller.json").read_text())
+        controller = linear_map(out)
+    promised = next((line for line in said if "largest over all of it" in line), "")
+    sizes = [float(each) for each in re.findall(r"S_[IO] (-?[\d.]+) dB", promised)]
+    # About the true machine: the box that was asked for. What the fit does not know is the design's to add.
+    sensitivity, error, radius = worst(
+        machine, controller, asked_box(), 1 / rate, np.random.default_rng(1000 + number), draws
+    )
+    return found | {
+        "use": held["provenance"]["use"],
+        "design_hz": held["provenance"]["design_hz"],
+        "promised_db": max(sizes, default=None),
+        "sensitivity_db": float(sensitivity),
+        "r_to_e_db": float(error),
+        "largest_pole": float(radius),
+    }
+
+
+def line_of(each: dict) -> str:
+    """What is printed of a machine."""
+    if "refused" in each:
+        return f"{each['number']:3d} refused: {each['refused']}"
+    return (
+        f"{each['number']:3d} {each['form']} {each['modes']} modes {each['negative']} negative, "
+        f"b/m {each['friction_1_s']:.2g}, {each['rate_hz']:6.0f} Hz, {each['delay_samples']:.2f} late, "
+        f"{each['use']:16s} {each['design_hz']:6.1f} Hz; promised {each['promised_db']:.2f} dB, S "
+        f"{each['sensitivity_db']:.2f} dB, r to e {each['r_to_e_db']:.2f} dB, poles {each['largest_pole']:.6f}; "
+        f"{each['seconds']:.0f} s"
+    )
+
+
+def main(first: str = "0", last: str = "50", results: str = "") -> None:
+    """Try machines, all but those that the file `results` holds already, and print what was promised and what is true."""
+    kept = Path(results) if results else None
+    lines = kept.read_text().splitlines() if kept and kept.exists() else []
+    known = {each["number"]: each for each in map(json.loads, lines)}
+    for number in range(int(first), int(last)):
+        if number not in known:
+            known[number] = try_machine(number)
+            if kept:
+                with kept.open("a") as file:
+                    file.write(json.dumps(known[number]) + "\n")
+        print(line_of(known[number]), flush=True)
+    tried = list(known.values())
+    judged = [each for each in tried if "refused" not in each]
+    refused = Counter(
+        re.sub(r"[-+]?\d[\d.e+-]*", "#", each["refused"].partition("machine.npz")[2])[:60]
+        for each in tried
+        if "refused" in each
+    )
+    above = [each["number"] for each in judged if max(each["sensitivity_db"], each["r_to_e_db"]) > LIMIT_DB]
+    unstable = [each["number"] for each in judged if each["largest_pole"] >= 1]
+    spent = [each["seconds"] for each in judged] or [0.0]
     print(
-        f"{last - first} machines, {sum(refused.values())} refused, {len(above)} above {LIMIT_DB} dB {above}, "
-        f"{len(unstable)} unstable {unstable}; {np.mean(spent or [0]):.1f} s of CPU each, at most {max(spent or [0]):.0f} s"
+        f"{len(tried)} machines, {len(tried) - len(judged)} refused, {len(above)} above {LIMIT_DB} dB {above}, "
+        f"{len(unstable)} unstable {unstable}; {np.mean(spent):.1f} s of CPU each, at most {max(spent):.0f} s"
     )
     for reason, count in refused.most_common():
         print(f"  {count} refused: {reason}")
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:4]))
+    main(*sys.argv[1:4])

@@ -1,10 +1,15 @@
 """Command line: ``python -m stillwork inspect|report|design|retest|desk|export|contest``, and the commands of ``python -m workbook``."""
 
+import os
 import sys
 
-from stillwork.base.command_line import Command, Option, flag, named, number, option, run, text
-from workbook.__main__ import COMMANDS as OF_THE_WORKBOOK
-from workbook.__main__ import PROCESSES, RENAMED, SCHEDULER
+# The matrices of a design are small: with the threads of a BLAS a fit takes 4.1 s of CPU, with one 1.5.
+for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+from stillwork.base.command_line import Command, Option, flag, named, number, option, run, text  # noqa: E402
+from workbook.__main__ import COMMANDS as OF_THE_WORKBOOK  # noqa: E402
+from workbook.__main__ import PROCESSES, RENAMED, SCHEDULER  # noqa: E402
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -77,6 +82,14 @@ COMMANDS = {
             number("rate", "HZ", "of the controller", float, required=True),
             *_C_FOLDER,
             number("limit", "N", "largest output, N, N m or A", float, default=float("inf")),
+            option(
+                "--limits",
+                type=float,
+                nargs="+",
+                default=(),
+                metavar="NUMBER",
+                help="of the setpoint: velocity, acceleration, jerk, perhaps snap",
+            ),
             number("counts", "N", "encoder counts a m or rad: inputs in counts", float, default=0.0),
             number("motor-constant", "K", "N/A or N m/A: output in A", float, default=0.0),
             *_OF_A_MACHINE,

@@ -12,7 +12,7 @@ import numpy as np
 import stillwork
 from stillwork.base.checks import InputError, pluralise, require_number
 from stillwork.base.extras import require_package
-from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, PeakConstraint
+from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.c_code import controller_code, require_names
 from stillwork.control.digital import (
     DigitalController,
@@ -33,8 +33,9 @@ from stillwork.control.machine_designs import (
     reach_one,
     search_designs,
 )
-from stillwork.control.machine_loops import SHOWN, AchievableBandwidth, search_range
+from stillwork.control.machine_loops import HELD, OF_ERROR, SHOWN, AchievableBandwidth, search_range
 from stillwork.control.machine_tuning import DesignSettings
+from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box
 from stillwork.exporting import require_free, write_folder
 from stillwork.html_page import page, picture, table
@@ -59,6 +60,7 @@ def design_file(
     *,
     delay: float = DELAY,
     limit: float = np.inf,
+    limits: Sequence[float] = (),
     name: str = "controller",
     precision: str = "double",
     fit_hz: tuple[float, float] = (0.0, 0.0),
@@ -84,6 +86,9 @@ def design_file(
         See `search_designs`.
     limit : float
         Largest output of the controller: force in N, torque in N m, or current in A.
+    limits : sequence of float
+        Largest velocity, acceleration, jerk and perhaps snap of the setpoint, in the unit of the controller's position;
+        empty: set in the C. Refused where the feedforward would in sum ask for more than `limit`.
     name, precision : str
         See `controller_code`. Of several sensors each gets a controller, with its number behind the name.
     fit_hz : tuple of float
@@ -122,6 +127,7 @@ def design_file(
     require_names(name, precision)
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
+    moves = _move_limits(limits)
     require_number("rate", rate, above=0.0)
     asked = require_number("delay", delay, at_least=0.0)
     shares = asked_uncertainty(uncertainty)
@@ -145,10 +151,12 @@ def design_file(
     machines = [
         build_machine(each, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor) for each in every
     ]
+    for sensor in machines[0].sensors:
+        motion_of(sensor, 0.0, *scales, moves).require_within(limit)
     against = [each for each in machines if (TURNED in each.notes) != (TURNED in machines[0].notes)]
     if against:
         raise InputError(
-            f"{against[0].source} moves against {source.name} under the same force; mend the sign of one of them"
+            f"{against[0].source} moves against {source.name} under the same force; correct the sign of one of them"
         )
     with Progress(EACH * USES + CHANGES, task="design", unit="search", tell=True, aside=True) as progress:
         made = search_designs(
@@ -158,7 +166,7 @@ def design_file(
             delay=delay,
             uncertainty=shares,
             loop_hz=loop_hz,
-            told=lambda _: progress.step(),
+            on_step=lambda _: progress.step(),
         )
         if not made.ranking:
             reasons = "; ".join(
@@ -217,7 +225,7 @@ def design_file(
     lag = (delay + 0.5) / rate  # the hold's half a sample
     owned = [each if own_units == taken.units else in_units(each, *scales, own_units) for each in controllers]
     written = [
-        error_driven(each, motion_of(sensor, lag, *scales))
+        error_driven(each, motion_of(sensor, lag, *scales, moves))
         for each, sensor in zip(owned, machine.sensors, strict=True)
     ]
     written = [
@@ -258,6 +266,16 @@ def design_file(
     ]
 
 
+def _move_limits(limits: Sequence[float]) -> MoveLimits | None:
+    if not len(limits):
+        return None
+    if len(limits) not in (3, 4):
+        raise InputError(
+            f"limits holds {pluralise(len(limits), 'number')}; give velocity, acceleration, jerk and perhaps snap"
+        )
+    return MoveLimits(*map(float, limits))
+
+
 def _sha256(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
@@ -282,14 +300,13 @@ def over_the_box(reached: AchievableBandwidth, spreads: Sequence[Uncertainty]) -
     if all(spread.is_empty for spread in spreads):
         return {}
     pid = reached.recommended.controller
-    constraints = [PeakConstraint(name) for name in FUNCTIONS]
     pairs = [(loop, spreads[0]) for loop in reached.model_loops]
     pairs += zip(reached.elsewhere, spreads[1:], strict=True)
     sizes = [
-        [size for size, _ in make_box(loop, spread).worst(loop, pid, constraints, every=True, starts=24)]
+        [size for size, _ in make_box(loop, spread).worst(loop, pid, OF_ERROR, every=True, starts=24)]
         for loop, spread in pairs
     ]
-    return dict(zip(FUNCTIONS, np.max(sizes, axis=0).tolist(), strict=True))
+    return dict(zip(HELD, np.max(sizes, axis=0).tolist(), strict=True))
 
 
 def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) -> list[list[str]]:
@@ -320,7 +337,7 @@ def improvements(
     settings: DesignSettings,
     how: dict,
     reached: AchievableBandwidth,
-    told: Callable[[str], None] = lambda _: None,
+    on_step: Callable[[str], None] = lambda _: None,
 ) -> list[list[str]]:
     """Changes of the machine that raise the bandwidth of the same settings on the model, and to what, the best first."""
 
@@ -343,7 +360,7 @@ def improvements(
     before = reached.on_model.crossing_hz.min() if reached.on_model else 0.0
     gains = []
     for words, (change, settled) in trials.items():
-        told(words)
+        on_step(words)
         changed, *others = (
             replace(each, measured=None, fit=None, sensors=tuple(map(change, each.sensors)))
             for each in (machine, *(other for other, _ in how.get("others", ())))
@@ -368,11 +385,11 @@ def recheck(
         looked["at the worst places of the box (dB)"] = reached.perturbed
     if reached.loops is not reached.model_loops:
         looked["on the measurement (dB)"] = reached.loops
-    found: dict[str, dict[str, float]] = {name: {} for name in FUNCTIONS}
+    found: dict[str, dict[str, float]] = {name: {} for name in HELD}
     for where, loops in looked.items():
         pairs = [(loop, controllers[k % len(controllers)]) for k, loop in enumerate(loops)]
         peaks = np.max([np.abs(own_functions(*pair)).max(axis=1) for pair in pairs], axis=0)
-        for name, size in zip(FUNCTIONS, peaks, strict=True):
+        for name, size in zip(HELD, peaks, strict=True):
             found[name][where] = float(20 * np.log10(size))
     return found
 
@@ -404,12 +421,12 @@ def checked_biquads(
 
 
 def own_functions(loop: Loop, controller: DigitalController) -> np.ndarray:
-    """S_I, S_O and r to e_true with a controller's own matrices, on the loop's grid: shape (3, frequencies)."""
-    k_r, k_y, k_f = controller.model.frequency_response(loop.omega)[0]
+    """S_I and S_O with a controller's own matrices, on the loop's grid: shape (2, frequencies)."""
+    _, k_y, k_f = controller.model.frequency_response(loop.omega)[0]
     (o_uu, o_uy), _ = loop.compensator_response
     plant = loop.plant_response
     turn = 1 - k_f - k_y * plant  # f = K_r r + K_y y + K_f f + u_ff
-    return np.array([1 - o_uu - o_uy * plant, 1 - k_f, turn - plant * k_r]) / turn
+    return np.array([1 - o_uu - o_uy * plant, 1 - k_f]) / turn
 
 
 def report(
@@ -445,9 +462,7 @@ def report(
         proven=table([], list(map(list, proven))),
         helps=table(["change", "bandwidth (Hz)"], helps or [["nothing that was tried", ""]]),
         machine=picture(paint_machine(machine), "accelerance of the model and of the measurement"),
-        loops=picture(
-            paint_loops(reached, controllers), "sensitivities and true tracking of the sampled loop"
-        ),
+        loops=picture(paint_loops(reached, controllers), "sensitivities of the sampled loop"),
         files=html.escape(", ".join(files)),
     )
 
@@ -502,13 +517,13 @@ def paint_stabilisation(fit: ModalFit):
 
 
 def paint_loops(reached: AchievableBandwidth, controllers: list[DigitalController]):
-    """The three loop functions of every sensor with the controllers' own numbers, and what they may reach."""
-    figure, axes = figures.new(1, 3, height=2.8, sharey=True)
+    """Both sensitivities of every sensor with the controllers' own numbers, and what they may reach."""
+    figure, axes = figures.new(1, 2, height=2.8, sharey=True)
     colours = (figures.RED, figures.BLUE, figures.GREEN, figures.ORANGE)
     for number, loop in enumerate(reached.loops):
         pair = loop, controllers[number % len(controllers)]
         hertz = loop.omega / (2 * np.pi)
-        for axis, name, response in zip(axes, FUNCTIONS, own_functions(*pair), strict=True):
+        for axis, name, response in zip(axes, HELD, own_functions(*pair), strict=True):
             axis.semilogx(hertz, 20 * np.log10(np.abs(response)), linewidth=0.8, color=colours[number % 4])
             axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
             axis.set(title=SHOWN[name], xlabel="frequency (Hz)", ylim=(-50, 15))

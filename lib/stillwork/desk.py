@@ -1,5 +1,6 @@
 """The command ``desk``: one page on which a loop is shaped by hand on a measurement, in any browser, without a network."""
 
+import html
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_number
+from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.extras import require_package
 from stillwork.control.machine_designs import UNCERTAINTY, asked_uncertainty
 from stillwork.control.uncertainty import NAMES, uncertainty_of
 from stillwork.desk_page import offline_page
@@ -28,35 +30,16 @@ EXAMPLE = ModalModel(
 )  # 10 kg with resonances at 90 and 210 Hz
 
 
-def desk_file(
-    file: str = "",
-    out: str = "",
-    *,
-    rate: float = 0.0,
-    delay: float = 1.0,
-    fit_hz: tuple[float, float] = (0.0, 0.0),
-    loop_hz: tuple[float, float] = (0.0, 0.0),
-    uncertainty: str | Mapping[str, float] = "",
-    **reading,
-) -> list[str]:
+def desk_file(file: str = "", out: str = "", **options) -> list[str]:
     """Write the page for the machine in `file`, or for an example; returns what was found, a line each.
 
-    Where `out` ends in ``.json`` it is the machine alone, which any such page opens.
-    `rate` (Hz; 0: chosen by the resonances) and `delay` (samples) are where the design begins; `fit_hz`, `loop_hz`,
-    `uncertainty` and what is left of `reading` mean what they mean in `designing.design_file`.
+    Where `out` ends in ``.json`` it is the machine alone, which any such page opens. `options` are those of
+    `machine_to_begin_with`.
     """
     target = Path(out or f"{Path(file).name or 'desk'}.html")
     if target.exists():
         raise InputError(f"{target} exists; move it away, or give another --out")
-    require_number("rate", rate, at_least=0.0)
-    require_number("delay", delay, at_least=0.0)
-    asked = asked_uncertainty(uncertainty)
-    if file:
-        machine = read_machine(file, fit_hz=fit_hz, loop_hz=loop_hz, uncertainty=asked, **reading)
-    else:
-        machine = entry(Machine((EXAMPLE,), 10.0, "an example of 10 kg"), asked)
-    if rate:
-        machine["start"] = {"rate_hz": rate, "delay_us": 1e6 * delay / rate}
+    machine = machine_to_begin_with(file, **options)
     if target.suffix == ".json":
         text = json.dumps(machine, allow_nan=False) + "\n"
     else:
@@ -67,6 +50,71 @@ def desk_file(
         *machine["notes"],
         f"written: {target}",
     ]
+
+
+def show_desk(file: str = "", height: int = 1100, **options):
+    """The page for a machine in a cell of Jupyter; needs IPython, which Jupyter brings.
+
+    The page is the one that `desk_file` writes, in a frame of its own; its downloads go to the browser.
+
+    Parameters
+    ----------
+    file : str
+        As of `desk_file`; empty: an example.
+    height : int
+        Of the frame, in pixels.
+    **options
+        Other arguments of `desk_file`, all but `out`.
+
+    Returns
+    -------
+    IPython.display.HTML
+
+    Raises
+    ------
+    InputError
+        As `desk_file`.
+
+    Examples
+    --------
+    >>> from stillwork.desk import show_desk
+    >>> show_desk().data[:12]
+    '<div><iframe'
+    """
+    require_package("IPython")
+    from IPython.display import HTML
+
+    require_count("height", height, at_least=100)
+    page = html.escape(offline_page([machine_to_begin_with(file, **options)]))
+    return HTML(
+        f'<div><iframe srcdoc="{page}" title="Desk" style="width: 100%; height: {height}px; border: 0"></iframe></div>'
+    )
+
+
+def machine_to_begin_with(
+    file: str = "",
+    *,
+    rate: float = 0.0,
+    delay: float = 1.0,
+    fit_hz: tuple[float, float] = (0.0, 0.0),
+    loop_hz: tuple[float, float] = (0.0, 0.0),
+    uncertainty: str | Mapping[str, float] = "",
+    **reading,
+) -> dict[str, Any]:
+    """What the page holds of the machine in `file`, or of an example, with the rate and the delay of the first design.
+
+    `rate` (Hz; 0: chosen by the resonances) and `delay` (samples) are where the design begins; `fit_hz`, `loop_hz`,
+    `uncertainty` and what is left of `reading` mean what they mean in `designing.design_file`.
+    """
+    require_number("rate", rate, at_least=0.0)
+    require_number("delay", delay, at_least=0.0)
+    asked = asked_uncertainty(uncertainty)
+    if file:
+        machine = read_machine(file, fit_hz=fit_hz, loop_hz=loop_hz, uncertainty=asked, **reading)
+    else:
+        machine = entry(Machine((EXAMPLE,), 10.0, "an example of 10 kg"), asked)
+    machine["start"] = {"delay_samples": delay} | ({"rate_hz": rate} if rate else {})
+    return machine
 
 
 def read_machine(

@@ -57,6 +57,9 @@ def _data(path: Path) -> Iterator[str]:
         return
     machine = list(_machine(path, arrays))
     yield from machine
+    if any(values.dtype.kind == "c" for values in arrays.values()) and not frequency_axis(arrays):
+        yield "complex values without frequencies: put them, with a column frequency (Hz) as long, into a file of their own"
+        return
     # One hit's force and response may be an input-output record, too; several hits side by side are none.
     signals = [array for name, array in arrays.items() if array.size > 1 and not is_time(name)]
     if not machine or [np.squeeze(array).ndim for array in signals] == [1, 1]:
@@ -162,6 +165,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             words += [f"--{name.replace('_', '-')}", settings[name]]
     yield command("a controller in C", ["design", *words, "--rate", "HZ", "--out", "my_controller"])
     yield command("one page about it", ["report", *words])
+    yield command("a loop shaped by hand", ["desk", *words])
     yield figures_command("motion/29-your-machine", settings)
 
 
@@ -204,7 +208,7 @@ def outline(file: Path) -> list[str]:
     except FileNotFoundError:
         raise InputError(f"{file}: no such file; give the path of a Python file") from None
     except (SyntaxError, UnicodeDecodeError, ValueError) as error:
-        raise InputError(f"{file.name} is not Python ({error}); mend it") from None
+        raise InputError(f"{file.name} is not Python ({error}); correct it") from None
     functions = {node.name: len(node.args.args) for node in tree.body if isinstance(node, ast.FunctionDef)}
     names = {
         target.id

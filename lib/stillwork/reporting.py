@@ -150,7 +150,7 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     }
     try:
         with Progress(EACH * USES, task="report", unit="search", tell=True, aside=True) as progress:
-            made = search_designs(machine, **asked, told=lambda _: progress.step())
+            made = search_designs(machine, **asked, on_step=lambda _: progress.step())
     except InputError as error:
         yield f"no loop was searched: {error}"
     else:

@@ -10,9 +10,9 @@ import numpy as np
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table
-from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop, make_loop
+from stillwork.control.bandwidth import SIX_DB, Loop, make_loop
 from stillwork.control.digital import DigitalController, in_units, load_controller, of_reference
-from stillwork.control.machine_loops import SHOWN, encirclement_difference, on_measurement
+from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference, on_measurement
 from stillwork.control.pid import Notch, Pid
 from stillwork.designing import ALLOWED_DB, own_functions
 from stillwork.html_page import page, picture, table
@@ -124,7 +124,7 @@ def retest_file(
     head = ["", "then", "now", "change", ""]
     body = [f"<p>{html.escape(line)}</p>" for line in lines]
     body += [f"<h2>What has changed</h2>\n{table(head, changes)}"] if changes else []
-    shown = picture(paint_retest(before, loops, written), "sensitivities and true tracking, then and now")
+    shown = picture(paint_retest(before, loops, written), "sensitivities, then and now")
     body += [f"<h2>The loop</h2>\n{shown}"]
     text = page(
         "report.html",
@@ -169,7 +169,7 @@ def _model(entries: Table) -> ModalModel:
 def _from_sensitivity(
     before: Loop, controller: DigitalController, file: str, loop_hz: tuple[float, float], reading: Mapping
 ) -> Loop:
-    """The loop with the plant that a measured output sensitivity S tells of: S = 1 / (1 - K P)."""
+    """The loop with the plant that follows from a measured output sensitivity S: S = 1 / (1 - K P)."""
     ratio = load_ratio(file, response=reading.get("response", ""))
     low, high = whole_band(ratio, loop_hz)
     inside = (ratio.omega >= 2 * np.pi * low) & (ratio.omega <= 2 * np.pi * high)
@@ -219,17 +219,17 @@ def _worst(loop: Loop, controller: DigitalController) -> dict[str, tuple[float, 
     places = sizes.argmax(axis=1)
     return {
         name: (float(20 * np.log10(row[place])), float(loop.omega[place] / (2 * np.pi)))
-        for name, row, place in zip(FUNCTIONS, sizes, places, strict=True)
+        for name, row, place in zip(HELD, sizes, places, strict=True)
     }
 
 
 def paint_retest(before: Loop, loops: Mapping[str, Loop], controller: DigitalController):
-    """The three loop functions of the design on its model, and on the new response."""
-    figure, axes = figures.new(1, 3, height=2.8, sharey=True)
+    """Both sensitivities of the design on its model, and on the new response."""
+    figure, axes = figures.new(1, 2, height=2.8, sharey=True)
     shown = {"designed": before, **loops}
     colours = (figures.GREY, figures.BLUE, figures.RED)
     for (where, loop), colour in zip(shown.items(), colours, strict=False):
-        for axis, name, response in zip(axes, FUNCTIONS, own_functions(loop, controller), strict=True):
+        for axis, name, response in zip(axes, HELD, own_functions(loop, controller), strict=True):
             hertz = loop.omega / (2 * np.pi)
             axis.semilogx(hertz, 20 * np.log10(np.abs(response)), linewidth=0.8, color=colour, label=where)
             axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)

@@ -39,6 +39,10 @@ const here = {
     const loop = L.makeLoop(machine, design);
     return S.simulate(loop, R.controllerSections(design, loop.sampleTime), new Float64Array(count).fill(1));
   },
+  scan(machine, design, path, acceleration) {
+    const loop = L.makeLoop(machine, design), sections = R.controllerSections(design, loop.sampleTime);
+    return S.simulate(loop, sections, Float64Array.from(path), { acceleration: Float64Array.from(acceleration), feedforward: machine.mass });
+  },
   best(machine, design, seconds) {
     const search = X.makeSearch(machine, design, { seconds });
     while (!search.step(1000));

@@ -5,7 +5,7 @@ import pytest
 
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop, maximise_bandwidth
-from stillwork.control.machine_loops import SAFE, Intensities, applications, on_measurement, reach
+from stillwork.control.machine_loops import OF_ERROR, SAFE, Intensities, applications, on_measurement, reach
 from stillwork.control.pid import PidFamily
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import build_machine
@@ -74,14 +74,14 @@ def responses(name, omega):
 
 
 def loop_peaks(plant, block, controller, omega):
-    """S_I, S_O and r to e_true, dB, from the equations of the loop at each frequency, solved as they stand."""
+    """S_I, S_O and r to e, dB, of a controller that runs on r - y, from the equations of the loop at each frequency."""
     found = np.empty((3, len(omega)))
     for k in range(len(omega)):
         (o_uf, o_uy), (o_yf, o_yy) = block[..., k]
         p, c = plant[k], controller[k]
-        # Unknown: y = P (f + u_ff... with w = 0), f, u; y = P f - v, f = u + u_d, u = C (r - y + y_flex) + u_ff.
+        # Unknown: y = P f - v, f = u + u_d, u = C (r - y + y_flex) + u_ff; the observer sees f and y - r.
         matrix = np.array([[1, -p, 0], [-o_uy, 1 - o_uf, -1], [c * (1 - o_yy), -c * o_yf, 1]])
-        sources = np.array([[0, 0, 1], [-1, 0, 0], [0, 0, c]]).T  # u_ff, v, r
+        sources = np.array([[0, 0, 1], [-1, 0, 0], [0, -o_uy, c * (1 - o_yy)]]).T  # u_ff, v, r
         y, _, u = np.linalg.solve(matrix, sources)
         found[:, k] = np.abs([u[0], -y[1], 1 - y[2]])
     return 20 * np.log10(found.max(axis=1))
@@ -127,9 +127,13 @@ def test_without_the_third_constraint_compensation_rings_on_a_plain_machine(tmp_
     machine = machine_of(tmp_path, "collocated")
     chosen = {"MC": applications(0.02, 2.0)["MC"]}
     options = {"retained": 5, "intensities": INTENSITIES}
-    alone = reach(machine, chosen, constraints=SAFE[:2], **options)["MC"]
-    safe = reach(machine, chosen, **options)["MC"]
-    assert alone.peaks_db()["true_tracking"][0] > 15 > 6.01 > safe.peaks_db()["true_tracking"][0]
+    alone = reach(machine, chosen, constraints=OF_ERROR, **options)["MC"]
+    safe = reach(machine, chosen, constraints=SAFE, **options)["MC"]
+    high, low = (
+        20 * np.log10(each.model_loops[0].peak(each.recommended.controller, "true_tracking").magnitude)
+        for each in (alone, safe)
+    )
+    assert high > 15 > 6.01 > low
     assert safe.recommended.design_hz < 0.6 * alone.recommended.design_hz
     assert safe.recommended.function == "true_tracking" and safe.summary["stopped by"].startswith(
         "r to e_true"
@@ -209,3 +213,30 @@ def test_sample_times_that_differ_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"^compensator\b"):
         make_loop(plant, delay=1)
     assert {limit.function for limit in SAFE} == set(FUNCTIONS)
+
+
+@pytest.mark.slow
+def test_a_slow_machine_reaches_in_its_own_time_what_a_fast_one_does(tmp_path):
+    """Resonances at 225 Hz and at 0.225 Hz: below 0.1 Hz a loop has a grid, too."""
+    stiffness, found = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]]), []
+    for slower in (1.0, 1e3):
+        file = tmp_path / f"{slower:g}.npz"
+        np.savez(
+            file, M=np.diag([30.0, 10.0]), K=stiffness / slower**2, input=[1.0, 0.0], output=[[0.0, 1.0]]
+        )
+        machine = build_machine(load_machine(file), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+        best = reach(machine, {"PID": None}, retained=2, intensities=INTENSITIES)["PID"].recommended
+        found.append(slower * best.design_hz)
+    assert found[1] == pytest.approx(found[0], rel=2e-3)
+
+
+def test_a_use_without_an_observer_has_a_reason(tmp_path, monkeypatch):
+    machine = machine_of(tmp_path, "collocated")
+
+    def none(plants, application, *others):
+        raise InputError("the Riccati equation has no solution")
+
+    monkeypatch.setattr("stillwork.control.machine_loops.observed_loops", none)
+    found = reach(machine, applications(0.02, 2.0), retained=5, intensities=INTENSITIES)["MC"]
+    assert found.recommended is None and found.reason.startswith("no observer: the Riccati")
+    assert found.summary == {"on the model (Hz)": "none"}

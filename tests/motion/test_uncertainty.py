@@ -110,8 +110,8 @@ def test_along_a_line_the_largest_ratio_is_that_of_many_points():
         points = np.linspace(low, high, 401)
         found = largest_along(a, b, c, d, low, high)
         assert low <= found <= high
-        best = np.abs((a + points * b) / (c + points * d)).max()
-        assert abs((a + found * b) / (c + found * d)) >= best * (1 - 1e-12)
+        best = np.abs(1 + (a + points * b) / (c + points * d)).max()
+        assert abs(1 + (a + found * b) / (c + found * d)) >= best * (1 - 1e-12)
         inside += low < found < high
     assert inside > 50
 

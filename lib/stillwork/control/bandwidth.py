@@ -32,6 +32,10 @@ OTHER_ORDER = ("input_sensitivity_2", "output_sensitivity_2")
 # Where a closed-loop pole may lift a response: distances from its frequency, in widths of the pole.
 WIDTHS = np.array([0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 NEAR = 0.97  # of the limit: between such points no peak grows by more
+LOWEST_HZ, BELOW_RESONANCE = (
+    0.1,
+    1 / 300,
+)  # where the grid of a loop begins: the lower of these, of the first resonance
 
 
 class Infeasible(InputError):
@@ -383,7 +387,7 @@ def make_loop(
     plant: ModalModel,
     compensator: StateModel | None = None,
     *,
-    low_hz: float = 0.1,
+    low_hz: float = 0.0,
     high_hz: float = 2e4,
     points: int = 600,
     around: int = 40,
@@ -399,7 +403,8 @@ def make_loop(
     compensator : StateModel, optional
         From (u, y) to (u_d, y_flex); None: no observer.
     low_hz, high_hz, points, around
-        Grid, see `stillwork.lti.resonance_grid`; that of a sampled loop ends at half of its rate.
+        Grid, see `stillwork.lti.resonance_grid`; that of a sampled loop ends at half of its rate. `low_hz` 0: 0.1 Hz, and
+        of a slow machine a part of its first resonance, below every bandwidth that it may have.
     sample_time : float
         Sample time, s; 0: continuous time.
     delay : float
@@ -436,6 +441,9 @@ def make_loop(
             "compensator has another sample time than sample_time, or there is a delay without one"
         )
     poles = continuous_poles(observer.poles, sample_time) if sample_time else observer.poles
+    if not low_hz:
+        slowest = float(plant.frequencies[1]) if len(plant.frequencies) > 1 else np.inf
+        low_hz = min(LOWEST_HZ, BELOW_RESONANCE * slowest / (2 * np.pi))
     high_hz = min(high_hz, 0.499 / sample_time) if sample_time else high_hz
     omega = resonance_grid(np.concatenate([plant.poles, poles]), low_hz, high_hz, points, around)
     loop = Loop(

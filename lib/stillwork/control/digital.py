@@ -147,17 +147,7 @@ class DigitalController:
                 f"motion is for a controller of one error and one output; this has {pluralise(len(self.inputs), 'input')} "
                 f"and {pluralise(len(self.outputs), 'output')}"
             )
-        if motion.limits is None:
-            return
-        limits, allowed = motion.limits, min(self.high[0], -self.low[0])
-        snap = limits.snap if limits.snap < np.inf else 0.0
-        peaks = np.array([limits.velocity, limits.acceleration, limits.jerk, snap])
-        asked = motion.most_force(peaks)
-        if asked > allowed:
-            raise InputError(
-                f"limits: the feedforward asks for up to {asked:.4g} in sum, the output is limited to {allowed:.4g}; "
-                "lower the limits of acceleration, velocity, jerk or snap"
-            )
+        motion.require_within(min(self.high[0], -self.low[0]))
 
     @property
     def fed_back(self) -> int:

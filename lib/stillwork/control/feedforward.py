@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, pluralise, require_choice, require_number
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.loops import INPUTS, OUTPUTS, require_deviations, require_stable
 from stillwork.control.setpoint import Move, MoveLimits, Setpoint
@@ -136,6 +137,37 @@ class Motion:
         """
         return float(np.abs(self.feedforward.gains) @ peaks) + self.feedforward.coulomb
 
+    @checked(infinite=True)
+    def require_within(self, allowed: float | ArrayLike) -> None:
+        """Refuse limits of the setpoint under which the feedforward asks in sum for more than an output may be.
+
+        Parameters
+        ----------
+        allowed : float
+            Largest output, perhaps infinite.
+
+        Raises
+        ------
+        InputError
+            When it could ask for more.
+
+        Examples
+        --------
+        >>> heavy = control.Feedforward(acceleration=10.0)
+        >>> control.Motion(heavy, limits=control.MoveLimits(0.1, 2.0, 100.0)).require_within(21.0)  # N
+        """
+        allowed = float(require_array("allowed", allowed, shape=(), infinite=True))
+        if self.limits is None:
+            return
+        limits = self.limits
+        snap = limits.snap if limits.snap < np.inf else 0.0
+        asked = self.most_force(np.array([limits.velocity, limits.acceleration, limits.jerk, snap]))
+        if asked > allowed:
+            raise InputError(
+                f"limits: the feedforward asks for up to {asked:.4g} in sum, the output is limited to {allowed:.4g}; "
+                "lower the limits of acceleration, velocity, jerk or snap"
+            )
+
     @checked
     def run(self, move: Move, samples: int, sample_time: float) -> Float64[np.ndarray, "2 samples"]:
         """Position that the measurement should have, and the force fed forward, at each sample.
@@ -166,13 +198,15 @@ class Motion:
         return np.array([move.at(time - self.lag)[0], force])
 
 
-@checked
-def motion_of(model: ModalModel, lag: float, position: float = 1.0, drive: float = 1.0) -> Motion:
+@checked(infinite=True)
+def motion_of(
+    model: ModalModel, lag: float, position: float = 1.0, drive: float = 1.0, limits: MoveLimits | None = None
+) -> Motion:
     """What a plant asks for, in units of which its own position and force hold so many; on a suspension nothing."""
     if model.rigid_modes != 1:
-        return Motion(lag=lag)
+        return Motion(lag=lag, limits=limits)
     gains = inverse_gains(model).gains * drive / position
-    return Motion(Feedforward(*gains), lag)
+    return Motion(Feedforward(*gains), lag, limits)
 
 
 @checked

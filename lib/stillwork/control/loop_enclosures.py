@@ -8,7 +8,7 @@ import numpy as np
 
 from stillwork.base.validation import checked
 from stillwork.control.bandwidth import FUNCTIONS, Loop
-from stillwork.control.machine_loops import SHOWN
+from stillwork.control.machine_loops import HELD, SHOWN
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.enclosures import (
@@ -168,10 +168,10 @@ def proven_numbers(loops: Sequence[Loop], pid: Pid, written: Sequence[StateModel
     peaks, margins = [], []
     for k, loop in enumerate(loops):
         functions = _functions(loop, pid, written[k % len(written)])
-        peaks.append({name: _peak(loop, pid, functions, name) for name in FUNCTIONS})
+        peaks.append({name: _peak(loop, pid, functions, name) for name in HELD})
         margins.append(_margins(loop, functions, peaks[-1]["output_sensitivity"]))
     rows = []
-    for name in FUNCTIONS:
+    for name in HELD:
         highest = Enclosure(
             0.0, max(each[name].high for each in peaks), all(each[name].proven for each in peaks)
         )

@@ -12,6 +12,7 @@ from stillwork.control.machine_loops import (
     AchievableBandwidth,
     Intensities,
     applications,
+    in_hertz,
     reach,
     search_range,
 )
@@ -59,12 +60,12 @@ class Designed(NamedTuple):
     def ranking(self) -> list[str]:
         """The uses with a safe loop, the furthest first; of equals the simplest."""
         safe = [use for use, each in self.found.items() if each.recommended is not None]
-        return sorted(safe, key=lambda use: -round(crossing(self.found[use]), 2))
+        return sorted(safe, key=lambda use: -float(f"{crossing(self.found[use]):.4g}"))
 
     @property
     def ranking_line(self) -> str:
         """The same in words, with the bandwidths."""
-        said = [f"{use} {crossing(self.found[use]):.1f} Hz" for use in self.ranking]
+        said = [f"{use} {in_hertz(crossing(self.found[use]))} Hz" for use in self.ranking]
         return f"from the furthest: {', '.join(said) or 'none has a safe loop'}"
 
     def lines(self) -> list[str]:
@@ -127,7 +128,7 @@ def search_designs(
     retained: int = RETAINED,
     added_damping: float = ADDED_DAMPING,
     selectivity: float = SELECTIVITY,
-    told: Callable[[str], None] | None = None,
+    on_step: Callable[[str], None] | None = None,
 ) -> Designed:
     """How far PID, PID with notches, MC, AD, and MC and AD get, each with its settings tuned.
 
@@ -148,8 +149,8 @@ def search_designs(
         See `reach`.
     intensities, retained, added_damping, selectivity
         Where the settings of an observer begin.
-    told : callable, optional
-        Hears of each use before it is searched, `EACH` times.
+    on_step : callable, optional
+        Called with the name of each use before it is searched, `EACH` times.
 
     Returns
     -------
@@ -187,13 +188,14 @@ def search_designs(
         f"searched at {rate:g} Hz{' (nobody gave a rate: above 20 times the first resonance and 4 times the last)' * chosen}, "
         f"the force {late[0]:.4g} samples late and held, all over a box of {said or 'nothing: no uncertainty'}"
         f"{', beside the intervals of the fit' * bool(said and machine.fit)}",
+        "S_I and S_O, which is also r to e since the controller runs on the error, at most 6 dB",
     )
     made = Designed(prompt[0], prompt[1:], rate, late[0], late[1:], shares, spreads, {}, {}, notes)
     for use, application in ({"PID": None, NOTCHED: None} | applications(added_damping, selectivity)).items():
         first = DesignSettings(application, retained, intensities, use == NOTCHED)
         beside = {"loop_hz": loop_hz, "search_hz": search_hz}
         made.settings[use], made.found[use] = _furthest(
-            made, first, beside, lambda use=use: told and told(use)
+            made, first, beside, lambda use=use: on_step and on_step(use)
         )
     return made
 
@@ -214,12 +216,12 @@ def reach_one(machine: Machine, settings: DesignSettings, how: Mapping) -> Achie
 
 
 def _furthest(
-    made: Designed, settings: DesignSettings, beside: dict, told
+    made: Designed, settings: DesignSettings, beside: dict, on_step
 ) -> tuple[DesignSettings, AchievableBandwidth]:
     """The settings, tuned where that leads further, and how far they get."""
-    told()
+    on_step()
     found = reach_one(made.machine, settings, made.how | beside)
-    told()
+    on_step()
     lowest, _ = search_range(made.machine, 1 / made.rate)
     design_hz = found.recommended.design_hz if found.recommended else lowest
     trial = tuned(made.machine, settings, design_hz, **made.how)

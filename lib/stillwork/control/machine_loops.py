@@ -37,7 +37,11 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel, constant, interconnect
 
-SAFE = tuple(PeakConstraint(name) for name in FUNCTIONS)  # also the true error stays below 6 dB
+SAFE = tuple(
+    PeakConstraint(name) for name in FUNCTIONS
+)  # of the thesis, whose setpoint goes around the observer
+HELD = FUNCTIONS[:2]  # by a controller that runs on the error, whose r to e is the output sensitivity
+OF_ERROR = tuple(PeakConstraint(name) for name in HELD)
 SHOWN = {"input_sensitivity": "S_I", "output_sensitivity": "S_O", "true_tracking": "r to e_true"}
 ABOVE_SUSPENSION = 2.0  # of a machine on springs to the ground: lowest bandwidth sought, over its suspension
 HIGHEST_NOTCH = 0.8  # of half the rate
@@ -246,18 +250,12 @@ class AchievableBandwidth:
         if self.recommended is None:
             return {}
         pid, found = self.recommended.controller, {}
-        for name in FUNCTIONS:
+        for name in HELD:
             model = max(loop.peak(pid, name).magnitude for loop in self.model_loops)
             seen = max(float(np.abs(getattr(loop.at(pid), name)).max()) for loop in self.loops)
             measured = self.loops is not self.model_loops
             found[name] = float(20 * np.log10(model)), float(20 * np.log10(seen)) if measured else None
         return found
-
-    @checked(infinite=True)
-    def highest_db(self, function: str) -> str:
-        """The higher of both, rounded."""
-        sizes = self.peaks_db()[function] if self.recommended else ()
-        return f"{max(size for size in sizes if size is not None):.1f}" if sizes else ""
 
     @property
     def summary(self) -> dict[str, str]:
@@ -273,7 +271,7 @@ class AchievableBandwidth:
             if 1 <= moved <= len(self.elsewhere):
                 where = f" of response {moved + 1}"
             name = SHOWN.get(stop.function, stop.function)
-            row["stopped by"] = f"{name}{place} at {stop.peak.omega / (2 * np.pi):.0f} Hz{where}"
+            row["stopped by"] = f"{name}{place} at {in_hertz(stop.peak.omega / (2 * np.pi), 0)} Hz{where}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
         if self.encirclement_difference is not None:
             row["extra turns"] = str(self.encirclement_difference)
@@ -289,7 +287,7 @@ def reach(
     intensities: Intensities,
     loop_hz: tuple[float, float] = (0.0, 0.0),
     search_hz: tuple[float, float] = (0.0, 0.0),
-    constraints: Sequence[PeakConstraint] = SAFE,
+    constraints: Sequence[PeakConstraint] = OF_ERROR,
     sample_time: float = 0.0,
     delay: float = 0.0,
     uncertainty: Mapping[str, float] = MappingProxyType({}),
@@ -316,7 +314,7 @@ def reach(
         Range of the design parameter; (0, 0) for 1/40 of the first resonance to all of it, from twice a suspension
         and to a tenth of the rate.
     constraints : sequence of PeakConstraint
-        By default both sensitivities and r to e_true, each at most 6 dB.
+        By default those of a controller that runs on the error: both sensitivities, each at most 6 dB.
     sample_time : float
         Sample time, s; 0: continuous time.
     delay : float
@@ -346,7 +344,12 @@ def reach(
     found = {}
     for name, application in chosen.items():
         settings = observer_settings(machine, application, retained, intensities)
-        modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
+        limits = constraints if application else as_one(constraints)
+        try:
+            modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
+        except InputError as error:
+            found[name] = AchievableBandwidth(None, None, None, (), (), reason=f"no observer: {error}")
+            continue
         elsewhere = loops_elsewhere(modelled[0], others)
         groups = [modelled, *((loop,) for loop in elsewhere)]
         loops, on_data, turns = modelled, None, None
@@ -358,7 +361,7 @@ def reach(
             [] if spread.is_empty else [make_box(loop, spread) for loop in group]
             for group, spread in zip(groups, spreads, strict=True)
         ]
-        search = partial(_search, family=family, limits=constraints, refine=True)
+        search = partial(_search, family=family, limits=limits, refine=True)
         on_model, reason = search((*loops, *perturbed), low=low, high=high)
         seen = [
             on_measurement(loop, each.measured, 1.0, band, mirror)
@@ -378,7 +381,7 @@ def reach(
             for starts in (1, THOROUGH):
                 if not any(harm):
                     harm = [
-                        harmful_places(group, pid, constraints, box, starts)
+                        harmful_places(group, pid, limits, box, starts)
                         for group, box in zip(groups, boxes, strict=True)
                     ]
             if not any(harm):
@@ -411,6 +414,12 @@ def reach(
             on_model, on_data, turns, loops, modelled, perturbed, reason, elsewhere
         )
     return found
+
+
+@checked
+def as_one(constraints: Sequence[PeakConstraint]) -> list[PeakConstraint]:
+    """The tightest: without an observer all functions of a loop are one."""
+    return [min(constraints, key=lambda each: each.limit)]
 
 
 def _measured_band(machine: Machine, loop_hz: tuple[float, float]) -> tuple[float, float]:
@@ -460,8 +469,14 @@ def _lower(first: Bandwidth | None, second: Bandwidth | None) -> Bandwidth:
     return min((each for each in (first, second) if each), key=lambda each: each.design_hz)
 
 
+@checked
+def in_hertz(hertz: float, digits: int = 1) -> str:
+    """Rounded for a line of text; of a slow machine to three digits."""
+    return f"{hertz:.{digits}f}" if hertz >= 1 else f"{hertz:.3g}"
+
+
 def _span(bandwidth: Bandwidth | None) -> str:
     if bandwidth is None:
         return "none"
-    low, high = (f"{pick(bandwidth.crossing_hz):.1f}" for pick in (np.min, np.max))
+    low, high = (in_hertz(pick(bandwidth.crossing_hz)) for pick in (np.min, np.max))
     return low if low == high else f"{low} to {high}"

@@ -9,8 +9,9 @@ from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, PeakConstraint, is_feasible, make_loop
 from stillwork.control.machine_loops import (
-    SAFE,
+    OF_ERROR,
     Intensities,
+    as_one,
     loops_elsewhere,
     observed_loops,
     observer_settings,
@@ -51,7 +52,7 @@ def tuned(
     uncertainty: Mapping[str, float],
     sample_time: float,
     delay: float,
-    constraints: Sequence[PeakConstraint] = SAFE,
+    constraints: Sequence[PeakConstraint] = OF_ERROR,
     others: Sequence[tuple[Machine, float]] = (),
 ) -> DesignSettings:
     """Settings that hold the constraints on all models at a higher bandwidth than those given do at `design_hz`."""
@@ -74,8 +75,8 @@ def tuned(
         )
         while (
             PUSH * reached < highest
-            and is_feasible(loops, pid := family(PUSH * reached), constraints)
-            and not harmful_places(loops, pid, constraints, boxes, 1, answers, first=True)
+            and is_feasible(loops, pid := family(PUSH * reached), limits)
+            and not harmful_places(loops, pid, limits, boxes, 1, answers, first=True)
         ):
             reached *= PUSH
         return reached
@@ -83,6 +84,7 @@ def tuned(
     require_number("design_hz", design_hz, above=0.0)
     require_number("sample_time", sample_time, above=0.0)
     require_number("delay", delay, at_least=0.0)
+    limits = constraints if settings.application else as_one(constraints)
     # One grid for all settings: what the box holds there is the same for each.
     boxes = [
         make_box(make_loop(sensor, sample_time=sample_time, delay=late), spread, fine=False)

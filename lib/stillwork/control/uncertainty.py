@@ -380,15 +380,17 @@ class Box(NamedTuple):
         c = loop._controlled(controller, self.omega)
         turn = 1 - c * o_yu - o_uu
         slope = c * (1 - o_yy) - o_uy
-        above = {
-            "input_sensitivity": (1 - o_uu, -o_uy),
-            "output_sensitivity": (turn, np.zeros_like(turn)),
-            "true_tracking": (turn, slope - c),
+        zero = np.zeros_like(turn)
+        # What numerators have beside the denominator turn + slope P: with a slow controller next to nothing.
+        beside = {
+            "input_sensitivity": (c * o_yu, c * (o_yy - 1)),
+            "output_sensitivity": (zero, -slope),
+            "true_tracking": (zero, -c),
         }
         found = []
         late = np.exp(-1j * self.omega[:, None] * self.delays)
         for constraint in constraints:
-            ratio = np.stack([*above[constraint.function], turn, slope], axis=1)
+            ratio = np.stack([*beside[constraint.function], turn, slope], axis=1)
             least = 0.0 if every else EXCESS * constraint.limit
             size, row, taken, parts, gain, delay = _worst(
                 ratio, self.parts, self.sizes, self.fixed, self.low, self.high,
@@ -407,7 +409,7 @@ class Box(NamedTuple):
 
 @kernel
 def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, least, starts, sweeps, first):
-    """Largest square of |(a + bP)/(c + dP)| above `least`, P anywhere in the box: its row and what P is made of."""
+    """Largest square of |1 + (a + bP)/(c + dP)| above `least`, P anywhere in the box: its row and what P is made of."""
     rows, modes = parts.shape[0], parts.shape[1]
     best, best_row, best_gain, best_late = least, -1, 1.0, 0
     best_taken, best_parts = np.zeros(modes, np.int64), np.ones(modes)
@@ -431,7 +433,7 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
             turned = max(turned, abs(late[row, j] - 1))
         radius += (scale + turned * (1 + scale)) * (abs(middle) + radius)
         below = abs(c + d * middle) - abs(d) * radius
-        if below > 0 and (abs(a + b * middle) + abs(b) * radius) ** 2 <= best * below**2:
+        if below > 0 and (abs(a + c + (b + d) * middle) + abs(b + d) * radius) ** 2 <= best * below**2:
             continue
         for start in range(starts):
             gain, when = 1.0, 0
@@ -451,7 +453,8 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
                         most = -1.0
                         for j in range(sizes[k]):
                             p = turn * (others + factors[k] * parts[row, k, j])
-                            over, under = a + b * p, c + d * p
+                            under = c + d * p
+                            over = under + (a + b * p)
                             size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
                             if size > most:
                                 most, taken[k] = size, j
@@ -465,7 +468,8 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
                 most = -1.0
                 for j in range(late.shape[1]):
                     p = gain * late[row, j] * whole
-                    over, under = a + b * p, c + d * p
+                    under = c + d * p
+                    over = under + (a + b * p)
                     size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
                     if size > most:
                         most, when = size, j
@@ -473,7 +477,8 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
                     p = late[row, when] * whole
                     gain = largest_along(a, b * p, c, d * p, least_gain, most_gain)
             p = gain * late[row, when] * whole
-            over, under = a + b * p, c + d * p
+            under = c + d * p
+            over = under + (a + b * p)
             size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
             if size > best:
                 best, best_row, best_gain, best_late = size, row, gain, when
@@ -486,10 +491,15 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
 
 @kernel
 def largest_along(a, b, c, d, low, high):
-    """Where |a + xb| / |c + xd| is largest from low to high: at an end, or where its slope, a quadratic, is zero."""
-    a0, a1, a2 = a.real**2 + a.imag**2, a.real * b.real + a.imag * b.imag, b.real**2 + b.imag**2
+    """Where |1 + (a + xb) / (c + xd)| is largest from low to high: at an end, or where its slope, a quadratic, is zero.
+
+    The quadratic is that of the difference of both squares: their own would cancel where a and b are small.
+    """
     c0, c1, c2 = c.real**2 + c.imag**2, c.real * d.real + c.imag * d.imag, d.real**2 + d.imag**2
-    p, q, r = a2 * c1 - a1 * c2, a2 * c0 - a0 * c2, a1 * c0 - a0 * c1
+    e0 = 2 * (c.real * a.real + c.imag * a.imag) + a.real**2 + a.imag**2
+    e1 = c.real * b.real + c.imag * b.imag + a.real * (d.real + b.real) + a.imag * (d.imag + b.imag)
+    e2 = 2 * (d.real * b.real + d.imag * b.imag) + b.real**2 + b.imag**2
+    p, q, r = e2 * c1 - e1 * c2, e2 * c0 - e0 * c2, e1 * c0 - e0 * c1
     tried = (low, high, low, high)
     root = q * q - 4 * p * r
     if root > 0:
@@ -499,7 +509,9 @@ def largest_along(a, b, c, d, low, high):
         tried = (low, high, min(max(first, low), high), min(max(second, low), high))
     best, most = low, -1.0
     for x in tried:
-        size = (a0 + 2 * a1 * x + a2 * x * x) / (c0 + 2 * c1 * x + c2 * x * x)
+        under = c + x * d
+        over = under + (a + x * b)
+        size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
         if size > most:
             best, most = x, size
     return best

@@ -33,34 +33,35 @@ function place(into, part, row, col) {
 }
 const matrix = (rows, cols, at) => ({ rows, cols, at: Float64Array.from(at) });
 
-// The whole controller with its observer: from (r, y, f), the limited force included, to the command.
+// The whole controller with its observer, as `design` writes it: from (e, f - u), the limited force beside what is fed
+// forward included, to the command.
 export function observedController(machine, design) {
   const { sampleTime, delay, observer: block } = timing(design);
   const own = makeObserver(machine.model, machine.mass, block, sampleTime, delay + Math.max(machine.delay_s || 0, 0));
   const line = own.whole, n = own.a.rows, filters = own.filters.length, sections = biquads(design).map(realised);
   const size = line + n + 2 * filters + 2 * sections.length, first = line, bands = line + n, pid = bands + 2 * filters;
-  const a = zeros(size, size), b = zeros(size, 3), c = zeros(1, size), d = zeros(1, 3);
+  const a = zeros(size, size), b = zeros(size, 2), c = zeros(1, size), d = zeros(1, 2);
   // What delays the force, the newest at its beginning.
-  if (line) b.at[2] = 1;
+  if (line) b.at[1] = 1;
   for (let k = 1; k < line; k++) a.at[k * size + k - 1] = 1;
   place(a, own.a, first, first);
   for (let i = 0; i < n; i++) {
     if (line) a.at[(first + i) * size + line - 1] += own.b.at[2 * i];
-    else b.at[(first + i) * 3 + 2] += own.b.at[2 * i];
-    b.at[(first + i) * 3 + 1] += own.b.at[2 * i + 1];
+    else b.at[(first + i) * 2 + 1] += own.b.at[2 * i];
+    b.at[(first + i) * 2] -= own.b.at[2 * i + 1]; // the observer sees -e
   }
   own.filters.forEach(({ held: [p11, p12, p21, p22, g1, g2], gain }, k) => {
     const row = bands + 2 * k, read = matrix(1, n, own.c.at.slice((k + 1) * n, (k + 2) * n));
     place(a, matrix(2, 2, [p11, p12, p21, p22]), row, row);
     place(a, product(matrix(2, 1, [g1, g2]), read), row, first);
-    b.at[row * 3 + 1] += g1 * own.d[k + 1];
-    b.at[(row + 1) * 3 + 1] += g2 * own.d[k + 1];
+    b.at[row * 2] -= g1 * own.d[k + 1];
+    b.at[(row + 1) * 2] -= g2 * own.d[k + 1];
     c.at[row + 1] += gain;
   });
-  // e = r - y + y_flex goes through the sections one after the other.
-  let reads = zeros(1, size), direct = zeros(1, 3);
+  // e + y_flex goes through the sections one after the other.
+  let reads = zeros(1, size), direct = zeros(1, 2);
   place(reads, matrix(1, n, own.c.at.slice(0, n)), 0, first);
-  direct.at.set([1, own.d[0] - 1, 0]);
+  direct.at[0] = 1 - own.d[0];
   sections.forEach((section, k) => {
     const row = pid + 2 * k, into = matrix(2, 1, section.b);
     place(a, matrix(2, 2, section.a), row, row);
@@ -76,18 +77,16 @@ export function observedController(machine, design) {
 }
 
 export function controllerToml(machine, design) {
-  const { sampleTime, observer } = timing(design);
+  const { sampleTime, delay, observer } = timing(design);
   if (!sampleTime) throw new Error("a controller runs sampled: add a sampling block");
   const { position, drive } = machine.units;
   const lines = [`# ${machine.name}, shaped at the desk; python -m stillwork export controller.toml --out DIR`, "[controller]"];
-  lines.push(`rate_hz = ${number(1 / sampleTime)}`);
+  lines.push(`rate_hz = ${number(1 / sampleTime)}`, `inputs = ["e (${position})"]`, `outputs = ["f (${drive})"]`);
   if (observer && (observer.compensate || observer.damping > 0)) {
     const whole = observedController(machine, design);
-    lines.push(`inputs = ["r (${position})", "y (${position})"] # a third, the limited output, is fed back`);
-    lines.push(`outputs = ["f (${drive})"]`);
+    lines.push("# of two columns of b and d the first is e, the second the limited output beside what is fed forward");
     for (const name of "abcd") lines.push(`${name} = ${table(whole[name])}`);
   } else {
-    lines.push(`inputs = ["e (${position})"]`, `outputs = ["f (${drive})"]`);
     lines.push(`biquads = [\n${biquads(design).map((row) => `  ${list(row)},`).join("\n")}\n]`);
   }
   const count = integrators(design);
@@ -95,6 +94,10 @@ export function controllerToml(machine, design) {
     lines.push(`low = ${number(-design.limit)}`, `high = ${number(design.limit)}`);
     if (count) lines.push(`tracking_time_s = ${number(trackingTime(design))}`);
   } else if (design.limit > 0) lines.push("# no limit: it has integrators in a row, which would wind up");
+  const late = delay + Math.max(machine.delay_s || 0, 0) + sampleTime / 2;
+  if (machine.model && !(machine.model.omega[0] > 0) && (design.move?.feedforward ?? true)) {
+    lines.push("[controller.motion]", `lag_s = ${number(late)}`, "[controller.motion.feedforward]", `acceleration = ${number(machine.mass)}`);
+  }
   return `${lines.join("\n")}\n`;
 }
 

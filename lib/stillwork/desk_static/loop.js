@@ -1,4 +1,4 @@
-// The loop: its functions on the model and on the measurement, the six constraints, and the box around the model.
+// The loop: its functions on the model and on the measurement, the constraints, and the box around the model.
 import { complexArray, multiplyInto, resonanceGrid, sortedUnique, toDb } from "./complex.js";
 import { corners, modelGrid, plantResponse, residues, splitDelay, addMode } from "./model.js";
 import { makeObserver, observerResponse } from "./observer.js";
@@ -6,8 +6,9 @@ import { controllerSections, delayResponse, holdResponse, integrators, sectionsR
 
 export const SIX_DB = 10 ** (6 / 20);
 export const ALLOWED_DB = 6.01;
-export const FUNCTIONS = ["input_sensitivity", "output_sensitivity", "true_tracking"];
-export const SHOWN = { input_sensitivity: "S_I", output_sensitivity: "S_O", true_tracking: "r to e" };
+// The controller runs on the error, as that of `design`: S_O is also r to e.
+export const FUNCTIONS = ["input_sensitivity", "output_sensitivity"];
+export const SHOWN = { input_sensitivity: "S_I", output_sensitivity: "S_O, r to e" };
 const TURN = 2 * Math.PI;
 
 // --- what a controller meets: a plant and an observer on a grid ---
@@ -151,15 +152,14 @@ export function addPlace(loop, place) {
 
 export const controllerOn = (sections, seen) => sectionsResponse(sections, seen.axis);
 
-// Sizes of the functions on a view: arrays by name; `whole`: the open loops and the others, too. Without an observer the
-// three functions are one.
+// Sizes of the functions on a view: arrays by name; `whole`: the open loops and the others, too. Without an observer both
+// sensitivities are one.
 export function loopFunctions(seen, controller, whole = false) {
   const n = seen.omega.length, P = seen.plant, C = controller, O = seen.observer;
   const first = new Float64Array(n);
   const found = {
     input_sensitivity: first,
     output_sensitivity: O ? new Float64Array(n) : first,
-    true_tracking: O ? new Float64Array(n) : first,
   };
   if (whole) {
     found.loop = complexArray(n);
@@ -172,7 +172,7 @@ export function loopFunctions(seen, controller, whole = false) {
   for (let k = 0; k < n; k++) {
     const p = P.re[k], q = P.im[k], c = C.re[k], d = C.im[k];
     const pcr = p * c - q * d, pci = p * d + q * c;
-    let tr = 1, ti = 0, dr = 1 + pcr, di = pci;
+    let tr = 1, ti = 0, vr = pcr, vi = pci, dr = 1 + pcr, di = pci;
     if (O) {
       // turn = 1 - C o_yu - o_uu, slope = C (1 - o_yy) - o_uy, above = 1 - o_uu - o_uy P
       const yur = O.yu.re[k], yui = O.yu.im[k], yyr = O.yy.re[k], yyi = O.yy.im[k], uyr = O.uy.re[k], uyi = O.uy.im[k];
@@ -180,13 +180,13 @@ export function loopFunctions(seen, controller, whole = false) {
       ti = -(c * yui + d * yur) - O.uu.im[k];
       const sr = c - (c * yyr - d * yyi) - uyr, si = d - (c * yyi + d * yyr) - uyi;
       const ar = 1 - O.uu.re[k] - (uyr * p - uyi * q), ai = -O.uu.im[k] - (uyr * q + uyi * p);
-      const vr = p * sr - q * si, vi = p * si + q * sr;
+      vr = p * sr - q * si;
+      vi = p * si + q * sr;
       dr = tr + vr;
       di = ti + vi;
-      const size = dr * dr + di * di, er = dr - pcr, ei = di - pci;
+      const size = dr * dr + di * di;
       found.input_sensitivity[k] = Math.sqrt((ar * ar + ai * ai) / size);
       found.output_sensitivity[k] = Math.sqrt((tr * tr + ti * ti) / size);
-      found.true_tracking[k] = Math.sqrt((er * er + ei * ei) / size);
       if (whole) {
         const above = ar * ar + ai * ai, turn = tr * tr + ti * ti;
         found.output_loop.re[k] = (vr * tr + vi * ti) / turn;
@@ -205,7 +205,7 @@ export function loopFunctions(seen, controller, whole = false) {
     }
     if (whole) {
       const size = Math.sqrt(dr * dr + di * di);
-      found.closed[k] = Math.sqrt(pcr * pcr + pci * pci) / size;
+      found.closed[k] = Math.sqrt(vr * vr + vi * vi) / size;
       found.process[k] = Math.sqrt((p * p + q * q) * (tr * tr + ti * ti)) / size;
     }
     if (k === 0) start.angle = Math.atan2(di, dr);
@@ -459,11 +459,14 @@ export function boxGrid(loop, points = 300, around = 24) {
   return sortedUnique([...grid, ...between.filter((w) => w > low && w < high)]);
 }
 
-// Where |a + x b| / |c + x d| is largest from low to high: at an end, or where its slope, a quadratic, is zero.
+// Where |1 + (a + x b) / (c + x d)| is largest from low to high: at an end, or where its slope, a quadratic, is zero. The
+// quadratic is that of the difference of both squares: their own would cancel where a and b are small.
 function along(ar, ai, br, bi, cr, ci, dr, di, low, high) {
-  const a0 = ar * ar + ai * ai, a1 = ar * br + ai * bi, a2 = br * br + bi * bi;
   const c0 = cr * cr + ci * ci, c1 = cr * dr + ci * di, c2 = dr * dr + di * di;
-  const p = a2 * c1 - a1 * c2, q = a2 * c0 - a0 * c2, r = a1 * c0 - a0 * c1;
+  const e0 = 2 * (cr * ar + ci * ai) + ar * ar + ai * ai;
+  const e1 = cr * br + ci * bi + ar * (dr + br) + ai * (di + bi);
+  const e2 = 2 * (dr * br + di * bi) + br * br + bi * bi;
+  const p = e2 * c1 - e1 * c2, q = e2 * c0 - e0 * c2, r = e1 * c0 - e0 * c1;
   const tried = [low, high], root = q * q - 4 * p * r;
   if (root > 0) {
     const half = -0.5 * (q + Math.sign(q || 1) * Math.sqrt(root));
@@ -471,7 +474,8 @@ function along(ar, ai, br, bi, cr, ci, dr, di, low, high) {
   }
   let best = low, most = -1;
   for (const x of tried) {
-    const size = (a0 + 2 * a1 * x + a2 * x * x) / (c0 + 2 * c1 * x + c2 * x * x);
+    const ur = cr + x * dr, ui = ci + x * di, or = ur + (ar + x * br), oi = ui + (ai + x * bi);
+    const size = (or * or + oi * oi) / (ur * ur + ui * ui);
     if (size > most) [most, best] = [size, x];
   }
   return best;
@@ -488,32 +492,32 @@ export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, bo
   let row = 0;
   const searchRow = () => {
     const c = C.re[row], d = C.im[row], mr = box.middle.re[row], mi = box.middle.im[row];
-    let tr = 1, ti = 0, sr = c, si = d, ur = 1, ui = 0, vr = 0, vi = 0;
+    // turn + P slope below, and what S_I has beside it above.
+    let tr = 1, ti = 0, sr = c, si = d, ur = 0, ui = 0, vr = -c, vi = -d;
     if (O) {
-      const yur = O.yu.re[row], yui = O.yu.im[row], yyr = O.yy.re[row], yyi = O.yy.im[row];
-      ur = 1 - O.uu.re[row];
-      ui = -O.uu.im[row];
-      vr = -O.uy.re[row];
-      vi = -O.uy.im[row];
-      tr = ur - (c * yur - d * yui);
-      ti = ui - (c * yui + d * yur);
-      sr = c - (c * yyr - d * yyi) + vr;
-      si = d - (c * yyi + d * yyr) + vi;
+      const yur = O.yu.re[row], yui = O.yu.im[row], yyr = O.yy.re[row] - 1, yyi = O.yy.im[row];
+      ur = c * yur - d * yui;
+      ui = c * yui + d * yur;
+      vr = c * yyr - d * yyi;
+      vi = c * yyi + d * yyr;
+      tr = 1 - O.uu.re[row] - ur;
+      ti = -O.uu.im[row] - ui;
+      sr = -vr - O.uy.re[row];
+      si = -vi - O.uy.im[row];
     }
     const slope = Math.sqrt(sr * sr + si * si);
     const below = Math.sqrt((tr + sr * mr - si * mi) ** 2 + (ti + sr * mi + si * mr) ** 2) - slope * box.radius[row];
     for (const name of names) {
       const best = found[name];
-      let ar = tr, ai = ti, br = 0, bi = 0;
-      if (name === "input_sensitivity") [ar, ai, br, bi] = [ur, ui, vr, vi];
-      else if (name === "true_tracking") [br, bi] = [sr - c, si - d];
+      const [ar, ai, br, bi] = name === "input_sensitivity" ? [ur, ui, vr, vi] : [0, 0, -sr, -si];
       if (below > 0) {
-        const middle = Math.sqrt((ar + br * mr - bi * mi) ** 2 + (ai + br * mi + bi * mr) ** 2);
-        const top = middle + Math.sqrt(br * br + bi * bi) * box.radius[row];
+        const nr = tr + ar, ni = ti + ai, gr = sr + br, gi = si + bi;
+        const middle = Math.sqrt((nr + gr * mr - gi * mi) ** 2 + (ni + gr * mi + gi * mr) ** 2);
+        const top = middle + Math.sqrt(gr * gr + gi * gi) * box.radius[row];
         if (top * top <= best.square * below * below) continue;
       }
       const value = (p, q) => {
-        const x = ar + br * p - bi * q, y = ai + br * q + bi * p, u = tr + sr * p - si * q, v = ti + sr * q + si * p;
+        const u = tr + sr * p - si * q, v = ti + sr * q + si * p, x = u + (ar + br * p - bi * q), y = v + (ai + br * q + bi * p);
         return (x * x + y * y) / (u * u + v * v);
       };
       for (let start = 0; start < starts; start++) {

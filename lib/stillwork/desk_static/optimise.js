@@ -5,6 +5,8 @@ import { BLOCKS, controllerSections, isFilter } from "./response.js";
 
 const LIMIT_DB = 6; // sought; what is handed out keeps ALLOWED_DB
 const PRICE = 0.7; // octaves of bandwidth that a dB above the limit costs: more than a dB ever gains
+// Factors by which an observer's numbers are tried one by one: a simplex is too small for what counts in powers of ten.
+const LOOK = { damping: 2, selectivity: 2, sensor: 10, drift: 10 };
 const SLOWEST = 15; // bandwidth over the lowest integrator: a search would leave the integrator out
 
 // Numbers of a design that a search may change: {block, name, low, high}; those that the user holds fixed stay.
@@ -112,8 +114,25 @@ export function makeSearch(machine, design, { seconds = 6 } = {}) {
         }
       }
     };
+    // One number of the observer after the other, the bandwidth pushed up after each step, as `design` does.
+    const look = function* () {
+      for (let k = 0; k < numbers.length; k++) {
+        if (isFilter(design.blocks[numbers[k].index]) || !LOOK[numbers[k].name]) continue;
+        for (const factor of [LOOK[numbers[k].name], 1 / LOOK[numbers[k].name]]) {
+          for (let more = 0; more < 8; more++) {
+            const before = best.score, base = best.at.map((x, j) => (j === k ? x + Math.log(factor) : x));
+            for (const octaves of [0, 0.06, 0.25]) {
+              take(moved(base, octaves));
+              yield;
+            }
+            if (!(best.score > before)) break;
+          }
+        }
+      }
+    };
     for (let round = 0; round < rounds; round++) {
       yield* slide();
+      if (observing) yield* look();
       const share = began + (budget * (round + 1)) / rounds;
       let size = round ? 0.12 : 0.3;
       while (performance.now() < share && size > 4e-3) {
@@ -154,15 +173,21 @@ export function makeSearch(machine, design, { seconds = 6 } = {}) {
       const until = performance.now() + budget / 6;
       yield* nelderMead(best.at, 0.05, take, () => performance.now() > until);
     }
-    // What is left is to be slower.
-    for (let octaves = 0.02; octaves < 6; octaves *= 1.5) {
-      const at = moved(best.at, -octaves);
-      if ((yield* excessOf(machine, withNumbers(design, numbers, at), () => {})) <= 0) {
-        best = { at, score: best.score };
-        holds = true;
-        return;
-      }
+    // What is left is to be slower, by as little as will do.
+    const slower = (octaves) => moved(best.at, -octaves);
+    const fails = function* (octaves) {
+      return (yield* excessOf(machine, withNumbers(design, numbers, slower(octaves)), () => {})) > 0;
+    };
+    let near = 0, far = 0.02;
+    while (far < 6 && (yield* fails(far))) [near, far] = [far, 1.5 * far];
+    if (far >= 6) return;
+    for (let k = 0; k < 4; k++) {
+      const middle = (near + far) / 2;
+      if (yield* fails(middle)) near = middle;
+      else far = middle;
     }
+    best = { at: slower(far), score: best.score };
+    holds = true;
   })();
   let done = false;
   return {

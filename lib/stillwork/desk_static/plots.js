@@ -135,11 +135,25 @@ function drawOn(context, plot, { series = [], bands = [], rules = [], circles = 
   context.beginPath();
   context.rect(left, top, right - left, bottom - top);
   context.clip();
+  // The mappings written out: these are drawn at every frame.
+  const startX = x.log ? Math.log(x.low) : x.low, perX = (right - left) / ((x.log ? Math.log(x.high) : x.high) - startX);
+  const perY = (bottom - top) / (y.high - y.low);
+  const quickX = (value) => left + perX * ((x.log ? Math.log(value) : value) - startX);
+  const quickY = (value) => (y.log ? toY(value) : bottom - perY * (value - y.low));
   for (const { x: xs, low, high, colour } of bands) {
     context.fillStyle = colour;
     context.beginPath();
-    for (let k = 0; k < xs.length; k++) context.lineTo(toX(xs[k]), clampY(toY(high[k]), plot));
-    for (let k = xs.length - 1; k >= 0; k--) context.lineTo(toX(xs[k]), clampY(toY(low[k]), plot));
+    // Of the points that share a pixel the outermost.
+    const edge = [];
+    for (let k = 0; k < xs.length; k++) {
+      const px = quickX(xs[k]), up = clampY(quickY(high[k]), plot), down = clampY(quickY(low[k]), plot), last = edge[edge.length - 1];
+      if (last && px - last.px < 0.5) {
+        last.up = Math.min(last.up, up);
+        last.down = Math.max(last.down, down);
+      } else edge.push({ px, up, down });
+    }
+    for (const { px, up } of edge) context.lineTo(px, up);
+    for (const { px, down } of edge.reverse()) context.lineTo(px, down);
     context.closePath();
     context.fill();
   }
@@ -162,13 +176,9 @@ function drawOn(context, plot, { series = [], bands = [], rules = [], circles = 
     context.strokeStyle = colour;
     context.lineWidth = thick;
     context.setLineDash(dash);
-    // The mapping written out: this is drawn at every frame.
-    const logX = x.log, a = logX ? Math.log(x.low) : x.low, b = (right - left) / ((logX ? Math.log(x.high) : x.high) - a);
-    const c = (bottom - top) / (y.high - y.low);
     context.beginPath();
     for (let k = 0, pen = false, lastX = 0, lastY = 0; k < xs.length; k++) {
-      const px = left + b * ((logX ? Math.log(xs[k]) : xs[k]) - a);
-      const py = y.log ? toY(ys[k]) : bottom - c * (ys[k] - y.low);
+      const px = quickX(xs[k]), py = quickY(ys[k]);
       if (!(py > -1e5 && py < 1e5 && px > -1e5 && px < 1e5)) {
         pen = false;
         continue;

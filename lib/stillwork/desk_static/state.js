@@ -10,7 +10,7 @@ export function firstDesign(machine) {
     blocks: [
       pidBlock(machine.mass, hz),
       { kind: "sampling", rate_hz: rate },
-      { kind: "delay", delay_us: start.delay_us ?? 1e6 / rate },
+      { kind: "delay", delay_us: (1e6 * (start.delay_samples ?? 1)) / rate },
     ],
     limit: null,
   };

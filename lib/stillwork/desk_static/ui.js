@@ -49,7 +49,7 @@ export function startDesk(root, machines) {
   const usable = (design) =>
     design.blocks.every((block) => BLOCKS[block.kind] && Object.keys(BLOCKS[block.kind].numbers).every((name) => Number.isFinite(block[name])));
   let history = makeHistory(kept && kept.machine === machine.name && usable(kept.design) ? kept.design : firstDesign(machine));
-  let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timeAgain = 0;
+  let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timeAgain = 0, turns = 0;
   let colours = palette(root);
   const plots = Object.fromEntries(ALTOGETHER.map((name) => [name, makePlot(by(name), { title: by(name).closest("figure").querySelector("figcaption").firstChild.textContent.trim(), equal: name === "nyquist" })]));
 
@@ -99,7 +99,7 @@ export function startDesk(root, machines) {
     boxTimer = setTimeout(searchBox, IDLE);
   }
 
-  // The whole box, in slices, when the hand rests.
+  // The whole box, in slices, while nothing moves.
   function searchBox() {
     describe();
     if (search || !result?.box || !machine.model || history.now !== history.settled) return;
@@ -125,14 +125,26 @@ export function startDesk(root, machines) {
 
   // --- what is drawn ---
 
-  const decibels = (values) => Float64Array.from(values, toDb);
-  const sizes = (a) => Float64Array.from(a.re, (x, k) => 10 * Math.log10(x * x + a.im[k] * a.im[k]));
+  // Loops written out: they run over every line at every frame.
+  const decibels = (values) => {
+    const found = new Float64Array(values.length);
+    for (let k = 0; k < found.length; k++) found[k] = 20 * Math.log10(values[k]);
+    return found;
+  };
+  const sizes = ({ re, im }) => {
+    const found = new Float64Array(re.length);
+    for (let k = 0; k < found.length; k++) found[k] = 10 * Math.log10(re[k] * re[k] + im[k] * im[k]);
+    return found;
+  };
   // From -270 to 90 degrees: a loop of a mass and a PID begins at -270.
-  const phases = (a) =>
-    Float64Array.from(a.re, (x, k) => {
-      const angle = (Math.atan2(a.im[k], x) * 180) / Math.PI;
-      return angle > 90 ? angle - 360 : angle;
-    });
+  const phases = ({ re, im }) => {
+    const found = new Float64Array(re.length);
+    for (let k = 0; k < found.length; k++) {
+      const angle = (Math.atan2(im[k], re[k]) * 180) / Math.PI;
+      found[k] = angle > 90 ? angle - 360 : angle;
+    }
+    return found;
+  };
   const hertz = (omega) => (omega.hertz ??= Float64Array.from(omega, (w) => w / (2 * Math.PI)));
 
   function paint() {
@@ -140,6 +152,8 @@ export function startDesk(root, machines) {
     const x = { ...ends, log: true, label: "frequency (Hz)" };
     const before = ghost && { f: hertz(ghost.omega), ...ghost.main };
     const grey = (ys) => ({ x: before.f, y: ys, colour: colours.ghost, width: 1.3, name: "before", dash: [5, 3] });
+    // While a hand drags, phase, Nyquist and process sensitivity take turns: the screen is drawn 60 times a second.
+    const resting = history.now === history.settled, turn = (turns += 1) % 3, due = (k) => resting || turn === k;
     const draw = (name, axes, content) => {
       plots[name].frame(...axes);
       plots[name].paint(content, colours);
@@ -150,12 +164,14 @@ export function startDesk(root, machines) {
     }
     if (before) series.push(grey(sizes(before.loop)));
     draw("magnitude", [x, { low: -60, high: 60, label: "magnitude (dB)" }], { series, bands: loopBand(loop, main), rules: [{ y: 0, colour: colours.soft }] });
-    const turned = [{ x: f, y: phases(main.loop), colour: colours.blue, wrap: 300 }];
-    if (before) turned.push({ ...grey(phases(before.loop)), name: undefined, wrap: 300 });
-    draw("phase", [x, { low: -280, high: 100, degrees: true, label: "phase (°)" }], { series: turned, rules: [{ y: -180, colour: colours.soft, dash: [4, 3] }] });
+    if (due(0)) {
+      const turned = [{ x: f, y: phases(main.loop), colour: colours.blue, wrap: 300 }];
+      if (before) turned.push({ ...grey(phases(before.loop)), name: undefined, wrap: 300 });
+      draw("phase", [x, { low: -280, high: 100, degrees: true, label: "phase (°)" }], { series: turned, rules: [{ y: -180, colour: colours.soft, dash: [4, 3] }] });
+    }
     // The functions.
     const lines = loop.observer
-      ? [["input_sensitivity", "S_I", colours.vermillion, []], ["output_sensitivity", "S_O", colours.blue, []], ["true_tracking", "r to e", colours.purple, [7, 3]]]
+      ? [["input_sensitivity", "S_I", colours.vermillion, []], ["output_sensitivity", "S_O, r to e", colours.blue, []]]
       : [["output_sensitivity", "S", colours.vermillion, []]];
     const functions = lines.map(([name, title, colour, dash]) => ({ x: f, y: decibels(main[name]), colour, dash, name: title }));
     functions.push({ x: f, y: decibels(main.closed), colour: colours.green, name: "r to y", dash: [2, 2] });
@@ -166,7 +182,19 @@ export function startDesk(root, machines) {
       bands.push({ x: at, low: decibels(base[name]), high: decibels(result.box.band[name]), colour: colours.band });
     }
     draw("functions", [x, { low: -50, high: 25, label: "magnitude (dB)" }], { series: functions, bands, rules: [{ y: 6, colour: colours.ink, dash: [2, 3] }] });
-    // Nyquist: the circle around -1 that 6 dB of sensitivity leave out.
+    if (due(1)) paintNyquist(draw, loop, main, before);
+    if (due(2)) paintProcess(draw, x, main, before, grey);
+    // A simulation takes as long as all else: while a hand drags it follows some frames later.
+    if (resting || performance.now() > timeAgain) {
+      const began = performance.now();
+      paintTime("step", loop);
+      paintTime("scan", loop);
+      timeAgain = performance.now() + Math.max(TIME_FRAMES, 8 * (performance.now() - began));
+    }
+  }
+
+  function paintNyquist(draw, loop, main, before) {
+    // The circle around -1 that 6 dB of sensitivity leave out.
     const radius = 10 ** (-6 / 20), around = main.output_loop;
     const curves = [{ x: around.re, y: around.im, colour: colours.blue, name: loop.observer ? "at the output" : "open loop" }];
     if (loop.observer) curves.push({ x: main.loop.re, y: main.loop.im, colour: colours.vermillion, dash: [5, 3], name: "at the input" });
@@ -177,18 +205,14 @@ export function startDesk(root, machines) {
       circles: [{ x: -1, y: 0, radius, colour: colours.ink, dash: [2, 3] }, { x: -1, y: 0, radius: 0.015, colour: colours.ink }],
       texts: [{ x: -1, y: 0, text: "−1", colour: colours.ink }],
     });
-    const process = decibels(main.process), own0 = [{ x: f, y: process, colour: colours.blue }];
+  }
+
+  function paintProcess(draw, x, main, before, grey) {
+    const process = decibels(main.process), own0 = [{ x: hertz(result.omega), y: process, colour: colours.blue }];
     let low = Infinity, high = -Infinity;
     for (const value of process) if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
     if (before) own0.push({ ...grey(decibels(before.process)), name: undefined });
     draw("process", [x, { low: Math.max(low, high - 100), high: high + 6, label: `${machine.units.position}/${machine.units.drive} (dB)` }], { series: own0 });
-    // A simulation takes as long as all else: while a hand drags it follows some frames later.
-    if (history.now === history.settled || performance.now() > timeAgain) {
-      const began = performance.now();
-      paintTime("step", loop);
-      paintTime("scan", loop);
-      timeAgain = performance.now() + Math.max(TIME_FRAMES, 8 * (performance.now() - began));
-    }
   }
 
   // Open loops at the corners of the box: the band that the magnitude moves in.
@@ -226,7 +250,7 @@ export function startDesk(root, machines) {
       const { position } = simulate(loop, sections, reference);
       return { time: position.map((_, k) => k * sampleTime * 1e3), values: position };
     }
-    const move = moveOf(design), { position: path, acceleration, duration } = thirdOrderMove(move, sampleTime, 3 / Math.max(bandwidth, 1e-3));
+    const move = moveOf(design), { position: path, acceleration, duration } = thirdOrderMove(move, sampleTime, 3 / Math.max(bandwidth, 1e-3), loop.delay + sampleTime / 2);
     if (path.length > MOST_SAMPLES) throw new Error(`the scan takes ${path.length} samples, more than ${MOST_SAMPLES}: shorten it`);
     const { position, force } = simulate(loop, sections, path, {
       acceleration,
@@ -254,9 +278,9 @@ export function startDesk(root, machines) {
     }
     let low = Infinity, high = -Infinity;
     for (const each of [now, then]) if (each) for (const value of each.values) [low, high] = [Math.min(low, value), Math.max(high, value)];
-    const room = 0.08 * (high - low || 1), series = [{ x: now.time, y: now.values, colour: colours.blue, name: name === "scan" && now.duration ? `peak ${shortNumber(Number(Math.max(...now.values.map(Math.abs)).toPrecision(3)))} ${position}` : undefined }];
+    const margin = 0.08 * (high - low || 1), series = [{ x: now.time, y: now.values, colour: colours.blue, name: name === "scan" && now.duration ? `peak ${shortNumber(Number(Math.max(...now.values.map(Math.abs)).toPrecision(3)))} ${position}` : undefined }];
     if (then) series.push({ x: then.time, y: then.values, colour: colours.ghost, width: 1.3, dash: [5, 3], name: "before" });
-    plot.frame({ low: 0, high: now.time[now.time.length - 1] || 1, label: "time (ms)" }, { low: low - room, high: high + room, label: name === "step" ? `y (${position})` : `r − y (${position})` });
+    plot.frame({ low: 0, high: now.time[now.time.length - 1] || 1, label: "time (ms)" }, { low: low - margin, high: high + margin, label: name === "step" ? `y (${position})` : `r − y (${position})` });
     plot.paint({ series, rules: [{ y: name === "step" ? 1 : 0, colour: colours.soft, dash: [4, 3] }, ...(now.duration ? [{ x: now.duration, colour: colours.soft, dash: [2, 3] }] : [])] }, colours);
   }
 
@@ -318,8 +342,8 @@ export function startDesk(root, machines) {
   }
   function describe() {
     if (!result) return;
-    const told = figureTexts().map(([title, text]) => `${title} ${text}`).join(", ");
-    for (const name of ALTOGETHER) by(name).setAttribute("aria-label", `${plots[name].title}. ${told}`);
+    const words = figureTexts().map(([title, text]) => `${title} ${text}`).join(", ");
+    for (const name of ALTOGETHER) by(name).setAttribute("aria-label", `${plots[name].title}. ${words}`);
   }
   function warn(text) {
     const message = by("message");
@@ -338,9 +362,16 @@ export function startDesk(root, machines) {
 
   // --- changes ---
 
+  function remember() {
+    try {
+      globalThis.history.replaceState(null, "", toAddress(machine.name, history.now));
+    } catch {
+      // a page within a page, as in Jupyter, has no address of its own
+    }
+  }
   function settle(design) {
     history.put(design);
-    globalThis.history.replaceState(null, "", toAddress(machine.name, history.now));
+    remember();
     showBlocks();
     request();
   }
@@ -693,7 +724,7 @@ export function startDesk(root, machines) {
       settle(design);
       refresh();
       const to = result.bandwidth;
-      say(holds ? `${from > 0 ? `${from.toFixed(1)} to ` : ""}${to.toFixed(1)} Hz in ${seconds.toFixed(1)} s; all six constraints hold` : "nothing was found that holds all six constraints: another structure may");
+      say(holds ? `${from > 0 ? `${from.toFixed(1)} to ` : ""}${to.toFixed(1)} Hz in ${seconds.toFixed(1)} s; all constraints hold` : "nothing was found that holds all constraints: another structure may");
     };
     setTimeout(slice);
   }
@@ -721,7 +752,7 @@ export function startDesk(root, machines) {
   });
   const back = (way) => {
     history[way]();
-    globalThis.history.replaceState(null, "", toAddress(machine.name, history.now));
+    remember();
     showBlocks();
     request();
   };

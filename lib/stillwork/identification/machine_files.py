@@ -255,7 +255,9 @@ def is_unit(text: str, wanted: tuple[str, ...]) -> bool:
 def _agreed(name: str, given: str, stated: str) -> str:
     """The unit that is given or stated in the file; `InputError` when they are two."""
     if given and stated and unit_factor(given) != unit_factor(stated):
-        raise InputError(f"{name} is {given!r}, but the file says {stated!r}; leave it out, or mend the file")
+        raise InputError(
+            f"{name} is {given!r}, but the file says {stated!r}; leave it out, or correct the file"
+        )
     return given or stated
 
 
