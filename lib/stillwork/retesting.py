@@ -91,6 +91,11 @@ def retest_file(
         machine = build_machine(
             load_machine(file, **reading), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False
         )
+        if machine.mass_unit != made["mass_unit"]:
+            raise InputError(
+                f"{Path(file).name} is of a machine in {machine.mass_unit}, the controller of one in {made['mass_unit']}; "
+                "give the response in the units of the design"
+            )
         late = max(machine.fit.delay, 0.0) if machine.fit else 0.0
         modelled = make_loop(
             machine.sensors[0],
@@ -175,6 +180,11 @@ def _from_sensitivity(
     inside = (ratio.omega >= 2 * np.pi * low) & (ratio.omega <= 2 * np.pi * high)
     inside &= ratio.omega < np.pi / before.sample_time
     seen = Identified(*(each[inside] for each in ratio))
+    if len(seen.omega) and np.abs(seen.response).max() < 0.5:
+        raise InputError(
+            f"{Path(file).name} stays below {np.abs(seen.response).max():.2g}, and an output sensitivity reaches 1; give "
+            "the force that reaches the machine over the injected one, up to above the crossing"
+        )
     if not len(seen.omega):
         raise InputError(f"{Path(file).name} holds no line below half the controller's rate; measure lower")
     _, k_y, k_f = controller.model.frequency_response(seen.omega)[0]

@@ -15,9 +15,11 @@ from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.digital import from_biquads, load_controller
+from stillwork.control.feedforward import Feedforward, Motion
 from stillwork.control.machine_designs import ADDED_DAMPING, INTENSITIES, SELECTIVITY
 from stillwork.control.machine_loops import applications, pid_family, reach
 from stillwork.control.machine_tuning import DesignSettings, varied
+from stillwork.control.setpoint import MoveLimits
 from stillwork.designing import design_file
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine, stated_units
@@ -77,7 +79,9 @@ def test_limits_of_the_setpoint_are_checked_in_sum_before_the_search(tmp_path):
     """40 kg at 2 m/s^2 ask for more than 40 N."""
     file, out = changed(tmp_path, 1.0), str(tmp_path / "out")
     with pytest.raises(InputError, match=r"^limits\b.* 80 in sum, the output is limited to 40"):
-        design_file(file, out, RATE, limit=40.0, limits=[0.02, 2.0, 100.0])
+        design_file(file, out, RATE, limit=40.0, limits=[0.2, 2.0, 100.0])
+    # At 10 mm/s a jerk of 100 m/s^3 brings 1 m/s^2: no move asks for more.
+    Motion(Feedforward(acceleration=40.0), limits=MoveLimits(0.01, 2.0, 100.0)).require_within(40.0)
     with pytest.raises(InputError, match=r"^limits holds 2 numbers"):
         design_file(file, out, RATE, limits=[0.02, 2.0])
 
@@ -246,6 +250,24 @@ def test_a_sensitivity_measured_in_the_loop_is_a_retest(written, tmp_path):
     assert "the promise holds" in said[0]
     sizes = dict(re.findall(r"(S_I|S_O) ([-.\d]+) dB", said[1]))
     assert float(sizes["S_O"]) == pytest.approx(20 * np.log10(np.abs(sensitivity).max()), abs=0.006)
+    np.savez(
+        tmp_path / "p.npz", **{"frequency (Hz)": hertz, "p": plant}
+    )  # the machine, which is no sensitivity
+    with pytest.raises(InputError, match=r"^p\.npz\b"):
+        retest_file(
+            str(written[0] / "controller.json"), str(tmp_path / "p.npz"), str(tmp_path / "no.html"), closed_loop=True
+        )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_retest_takes_the_units_of_the_design_alone(written, tmp_path):
+    hertz = np.geomspace(1.0, 4e3, 2000)
+    columns = {"frequency (Hz)": hertz, "H (rad/(N m))": held_response(PAIR, hertz)}
+    np.savez(tmp_path / "turned.npz", **columns)
+    with pytest.raises(InputError, match=r"^turned\.npz\b.*kg m\^2.*kg"):
+        retest_file(
+            str(written[0] / "controller.json"), str(tmp_path / "turned.npz"), str(tmp_path / "no.html")
+        )
 
 
 def test_a_controller_without_its_observer_is_not_retested(tmp_path):

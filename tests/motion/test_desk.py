@@ -98,11 +98,14 @@ def drawn(seed: int):
     if seed % 2:
         compensate, damping = [(True, 0.0), (False, 0.05), (True, 0.05)][seed // 2 % 3]
         retained = int(rng.integers(2, count + 2))
-        chosen = Application(compensate=compensate, damping=damping, selectivity=2.0 if damping else None)
+        selectivity = float(rng.choice([0.25, 0.5, 0.505, 1.0, 2.0, 16.0]))
+        chosen = Application(
+            compensate=compensate, damping=damping, selectivity=selectivity if damping else None
+        )
         noise = NoiseIntensities((INTENSITIES["disturbance"] * mass) ** 2, INTENSITIES["sensor"] ** 2)
         drift = INTENSITIES["drift"] * mass**2 if compensate else None
         compensator = observing_compensator(model, chosen, retained, noise, drift, 1 / rate, delay)
-        own = {"compensate": compensate, "damping": damping, "selectivity": 2.0, "retained": retained}
+        own = {"compensate": compensate, "damping": damping, "selectivity": selectivity, "retained": retained}
         blocks.append({"kind": "observer"} | own | INTENSITIES)
     loop = make_loop(model, compensator, low_hz=bandwidth / 30, sample_time=1 / rate, delay=delay)
     return Machine((model,), mass, "drawn"), loop, pid, {"blocks": blocks, "limit": None}

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.loops import INPUTS, OUTPUTS, require_deviations, require_stable
-from stillwork.control.setpoint import Move, MoveLimits, Setpoint
+from stillwork.control.setpoint import Move, MoveLimits, Setpoint, largest_of
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
@@ -159,9 +159,7 @@ class Motion:
         allowed = float(require_array("allowed", allowed, shape=(), infinite=True))
         if self.limits is None:
             return
-        limits = self.limits
-        snap = limits.snap if limits.snap < np.inf else 0.0
-        asked = self.most_force(np.array([limits.velocity, limits.acceleration, limits.jerk, snap]))
+        asked = self.most_force(largest_of(self.limits))
         if asked > allowed:
             raise InputError(
                 f"limits: the feedforward asks for up to {asked:.4g} in sum, the output is limited to {allowed:.4g}; "

@@ -321,6 +321,12 @@ def plan_move(distance: float, limits: MoveLimits, start: float = 0.0) -> Move:
     return Move(start, distance, _knots(limits, low), _rise_time(limits, low) + abs(distance) / low)
 
 
+@checked
+def largest_of(limits: MoveLimits) -> Float64[np.ndarray, "4"]:
+    """Largest velocity, acceleration, jerk and snap of a long move: what is reached, which may be less than allowed."""
+    return np.abs(_knots(limits, limits.velocity)[:, 2:]).max(axis=0)
+
+
 def _rise_time(limits: MoveLimits, top: float) -> float:
     t_snap, t_jerk, t_acceleration, _ = _segments(limits, top)
     return 4 * t_snap + 2 * t_jerk + t_acceleration

@@ -23,6 +23,14 @@ export function heldMode(w, z, time, drag = 0) {
     }
     return [1, once, 0, Math.exp(-lost), time * time * twice, once];
   }
+  if (z >= 1) {
+    // Two real poles, p and q; each exponential decays by itself.
+    const root = Math.sqrt(z * z - 1), p = w * (z - root), apart = 2 * w * root;
+    const slow = Math.exp(-p * time), fast = slow * Math.exp(-apart * time);
+    const sinc = apart * time < 1e-8 ? slow * time : (slow * -Math.expm1(-apart * time)) / apart;
+    const mean = (slow + fast) / 2, drawn = z * w * sinc;
+    return [mean + drawn, sinc, -w * w * sinc, mean - drawn, (1 - mean - drawn) / (w * w), sinc];
+  }
   const s = Math.sqrt(1 - z * z), angle = w * s * time, decay = Math.exp(-z * w * time), tilt = z / s;
   const sine = Math.sin(angle), cosine = Math.cos(angle);
   const sinc = angle === 0 ? time : (time * sine) / angle;

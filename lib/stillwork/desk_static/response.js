@@ -41,7 +41,7 @@ export const BLOCKS = {
     title: "Observer",
     numbers: {
       damping: { label: "AD: damping added", unit: "", low: 0, high: 0.9, free: true },
-      selectivity: { label: "AD: quality of band-passes", unit: "", low: 0.51, high: 100, free: true },
+      selectivity: { label: "AD: quality of band-passes", unit: "", low: 0.05, high: 100, free: true },
       retained: { label: "modes held, body included", unit: "", low: 2, high: 12, free: false, whole: true },
       disturbance: { label: "disturbance", unit: "acceleration/√Hz", low: 1e-12, high: 1e6, free: true },
       sensor: { label: "sensor noise", unit: "position/√Hz", low: 1e-18, high: 1e3, free: true },
