@@ -51,6 +51,8 @@ def kernel_environment(folder: Path, output: Path) -> dict[str, str]:
         paths.ROOT_VARIABLE: str(paths.root()),
         FOLDER_VARIABLE: cache_folder(),
         "IPYTHONDIR": str(folder / "ipython"),  # no user's startup files
+        # Machine code of functions in cells is kept there, by their own source alone: nothing of another build.
+        "XDG_CACHE_HOME": str(folder / "cache"),
         "PYTHONPATH": os.pathsep.join(
             filter(None, [library, str(paths.root()), os.environ.get("PYTHONPATH")])
         ),

@@ -111,3 +111,16 @@ def test_what_cannot_be_proven_is_refused_by_name():
         uncertain_channel(plant, None, pid, "u_ff", "u")
     with pytest.raises(InputError, match="channel"):
         uncertain_channel(plant, None, pid, "u_ff", "nowhere", gain=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1e-9, 1e-6, 1e6, 1e9])
+def test_a_proof_does_not_hang_on_the_unit_of_an_input(unit):
+    model = StateModel(
+        np.array([[-1.0]]), np.array([[0.5, unit]]), np.array([[-1.0], [1.0]]), np.zeros((2, 2))
+    )
+    assert [prove_gain(model, 1, level * unit).proven for level in (1.99, 2.01, 1000.0)] == [
+        False,
+        True,
+        True,
+    ]

@@ -65,7 +65,9 @@ class NoiseCovariances:
             matrix = getattr(self, name)
             if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0):
                 raise InputError(f"{name} is not symmetric; give a covariance, such as (X + X.T) / 2")
-        scale = np.sqrt(np.concatenate([np.diag(self.process), np.diag(self.sensor)]))
+        if np.any(np.diag(self.process) < 0):
+            raise InputError("process has a variance below zero; give a covariance")
+        scale = np.sqrt(np.concatenate([np.diag(self.process), np.maximum(np.diag(self.sensor), 0.0)]))
         if not np.all(scale[sizes[0] :] > 0):
             raise InputError("sensor is not positive definite; give the covariance of real noise")
         scale[~(scale > 0)] = 1.0
@@ -191,6 +193,8 @@ def kalman_gain(model: StateModel, noise: NoiseCovariances) -> KalmanGain:
     a = model.a - known @ model.c
     free = noise.process - known @ cross.T
     root = covariance_root((free + free.T) / 2)
+    if not np.any(root):
+        raise InputError("noise.process drives no state by itself; a stationary gain takes a disturbance")
     if model.sample_time:
         found = discrete_gain(a, root, model.c, 1.0, noise.sensor)
         return KalmanGain(found.gain + known, found.covariance, found.residual, found.filter_gain)
@@ -252,16 +256,16 @@ def kalman_filter(
         raise InputError("model is in continuous time; discretise it with zoh first")
     _require_fit(model, noise)
     n, (outputs, inputs) = len(model.a), model.d.shape
-    y = np.asarray(y, dtype=float)
-    if y.ndim != 2 or len(y) != outputs or not y.shape[1]:
+    y = require_array("y", y, shape=(outputs, None), missing=True)
+    if not y.shape[1]:
         raise InputError(f"y has shape {y.shape}; give {outputs} x samples")
-    require_array("y", np.where(np.isnan(y), 0.0, y))
     u = require_array("u", u, shape=(inputs, y.shape[1]))
     start = require_array("initial_covariance", initial_covariance, shape=(n, n))
     scale = np.sqrt(np.maximum(np.diag(start), 0.0))
     scale[scale == 0] = 1.0
     balanced = start / scale / scale[:, None]
-    if not np.allclose(balanced, balanced.T, rtol=0, atol=1e-9) or np.linalg.eigvalsh(balanced)[0] < -1e-9:
+    symmetric = np.allclose(balanced, balanced.T, rtol=0, atol=1e-9)
+    if np.any(np.diag(start) < 0) or not symmetric or np.linalg.eigvalsh(balanced)[0] < -1e-9:
         raise InputError("initial_covariance is not symmetric and positive semidefinite; give a covariance")
     initial = require_array("initial", np.zeros(n) if initial is None else initial, shape=(n,))
     samples = y.shape[1]
@@ -288,6 +292,7 @@ def kalman_filter(
     )
     for name, values in (("the state", filtered), ("the predicted state", predicted)):
         require_finite_run(name, values, "rescale the model or its noises", axis=1)
+    require_finite_run("the covariance", after, "the model is unstable and unmeasured for too long")
     return KalmanRecord(filtered, after, predicted, before, innovations, float(likelihood), model, noise)
 
 

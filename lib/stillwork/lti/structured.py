@@ -217,11 +217,11 @@ def _valid(
 
     if not largest(model.frequency_response([omega])[:, :, 0]) < -MARGINS[-1] / 2:
         return np.inf, -np.inf
-    a, b, c = model.a, model.b, model.c
-    through = form(model.d.astype(complex))
+    a, b, c = model.a, model.b * unit, model.c  # inputs in units of their own weights
+    through = form(model.d.astype(complex)) * unit * unit[:, None]
     if not len(a):
         return 0.0, np.inf
-    s = c.T @ (q @ model.d + cross.conj().T)
+    s = c.T @ (q @ model.d + cross.conj().T) * unit
     if np.linalg.cond(through) > 1e14:
         return np.inf, -np.inf
     fed = np.linalg.solve(through, np.hstack([s.conj().T, b.T]))
