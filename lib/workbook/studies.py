@@ -128,7 +128,9 @@ def spread_interval(values, level: float = 0.95) -> tuple[float, float]:
     return float(values.mean() - half), float(values.mean() + half)
 
 
-def proportion_interval(successes: float, runs: int, level: float = 0.95) -> tuple[float, float]:
+def proportion_interval(
+    successes: float | np.number, runs: int | np.integer, level: float = 0.95
+) -> tuple[float, float]:
     """Wilson's (1927) confidence interval of a proportion; `successes` may be a share times the runs, no whole number."""
     require_count("runs", runs)
     require_number("successes", successes, at_least=0, at_most=runs)

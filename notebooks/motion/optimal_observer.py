@@ -316,7 +316,7 @@ def front_values(kalman_hz: float, front_hz: np.ndarray) -> Values:
 def front_study(*, bandwidth_measure: str, bandwidth_plant: str, seed: int, lean: bool) -> Values:
     """Conclusion 5.3 by one measure of bandwidth on one plant; it has no leaner form."""
     problem, generalised, kalman, weight = _compared()
-    points = front(generalised, weight, EMPHASES, *regularisation(problem, 0.01))
+    points = front(generalised, weight, np.array(EMPHASES), *regularisation(problem, 0.01))
     plant = problem.plant if bandwidth_plant == "observer's model" else stage().at([0], [4])
     return front_values(*front_bandwidths(points, problem, plant, kalman, bandwidth_measure))
 

@@ -506,7 +506,8 @@ def paint_map(names: list[str], errors: np.ndarray):
         axes.set_xticks(columns, METHODS.values(), rotation=90, fontsize=7)
     panels[0].set_yticks(rows, names)
     panels[0].set_ylim(len(names) - 0.5, -0.5)
-    figures.label(panels, y="what is wrong: noise on input, output")
+    # Beside few rows there is no height for the whole label.
+    figures.label(panels, y="what is wrong: noise on input, output" if len(names) > 8 else "what is wrong")
     figures.legend_below(panels[0], 1)
     bar = figure.colorbar(mesh, ax=panels, label="error over that of the best", extend="max", ticks=range(6))
     bar.ax.set_yticklabels(["1", "2", "4", "8", "16", "32"])

@@ -266,7 +266,7 @@ def test_the_command_paints_and_the_ledger_tells_of_combinations(workbook, tmp_p
     with held("lock", ""), command(tmp_path) as process:
         text = process.communicate(timeout=120)[0]
     assert process.returncode == 0, text
-    assert (tmp_path / "build/choices/motion/combinations.png").exists()
+    assert (tmp_path / "build/choices/motion/choices.png").exists()
     assert (tmp_path / "build/choices/motion/motion.order.png").exists()
     assert main(["claims", "motion", "--json"]) == 0
     claims = {each["id"]: each for each in json.loads(capsys.readouterr().out)}

@@ -179,7 +179,8 @@ def test_the_two_that_change_the_picture_most_move_together():
     alone = {".".join(map(str, [a, *home[1:]])) for a in range(counts[0])}
     alone |= {".".join(map(str, [*home[:3], a])) for a in range(counts[3])}
     assert set(found["states"]) == everything | alone
-    assert 35 <= len(found["states"]) <= 45
+    # The main control keeps 15 stops, the one moved with it at least 5.
+    assert 75 <= len(found["states"]) <= 95
     for key, place in found["states"].items():
         stops = map(int, key.split("."))
         values = [float(each["stops"][stop]) for each, stop in zip(found["controls"], stops, strict=True)]
@@ -237,7 +238,7 @@ def test_what_does_not_fit_has_fewer_pictures_or_says_so(explorer, monkeypatch):
 
 @pytest.mark.slow
 def test_what_takes_long_has_fewer_pictures(explorer, monkeypatch):
-    """A clock that runs a second a picture: 45 of them are too few for all stops, and enough for forty."""
+    """A clock that runs a second a picture: 45 of them are too few for all stops, and enough for half."""
     drawn = []
 
     def draw(x):
@@ -247,7 +248,7 @@ def test_what_takes_long_has_fewer_pictures(explorer, monkeypatch):
     explorer(draw)
     monkeypatch.setattr(states_of.time, "process_time", lambda: len(drawn))
     monkeypatch.setattr(states_of, "LONGEST_S", 45.0)
-    assert 20 < compute("a")["count"] <= 40
+    assert 20 < compute("a")["count"] <= 60
     assert len(drawn) < 100
 
 

@@ -201,6 +201,7 @@ def _passes_nothing(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> bool:
     return True
 
 
+@checked
 def solve_lyapunov(
     a: Float64[np.ndarray, "states states"],
     q: Float64[np.ndarray, "states states"],
@@ -250,6 +251,28 @@ def h2_norm(model: StateModel) -> float:
     direct = float(np.linalg.norm(model.d))
     if not (np.any(model.b) and np.any(model.c)):
         return direct
+    units, power, doubt, nothing = _squared(model)
+    if nothing:
+        return direct
+    if not doubt <= MOST_DOUBT * power:
+        raise InputError(
+            f"the Lyapunov equation leaves an uncertainty of {doubt:.1e} in a squared norm of {power:.1e} (scaled); the "
+            "model is too close to instability, or needs other units"
+        )
+    return _finite(np.hypot(np.sqrt(power) * units[0] * units[1], direct))
+
+
+@checked
+def rough_h2_norm(model: StateModel) -> tuple[float, float]:
+    """H2 norm of a stable, strictly proper model, however few of its digits are known, and what it does not exceed."""
+    units, power, doubt, _ = _squared(model)
+    size = units[0] * units[1]
+    return _finite(np.sqrt(max(power, 0.0)) * size), _finite(np.sqrt(abs(power) + doubt) * size)
+
+
+def _squared(model: StateModel) -> tuple[tuple[float, float], float, float, bool]:
+    """Units of B and C, the squared norm in these without D, its uncertainty, and whether nothing passes at all."""
+    discrete = model.sample_time > 0
     units, rate, a, b, c = _balanced(model, in_slow_time=not discrete)
     b = b / np.sqrt(rate)
     gramian, dual = (solve_lyapunov(*each, discrete=discrete) for each in ((a, b @ b.T), (a.T, c.T @ c)))
@@ -257,7 +280,7 @@ def h2_norm(model: StateModel) -> float:
     # What cancels on the way is known to its rounding alone.
     rounding = 4 * len(a) * np.finfo(float).eps * float(np.trace(np.abs(c) @ np.abs(gramian) @ np.abs(c).T))
     if abs(power) <= rounding and _passes_nothing(a, b, c):
-        return direct
+        return units, 0.0, 0.0, True
     # The equation is solved for an A that is a rounding away from ours, E: to first order the power moves by
     # 2 tr(Y E X), in discrete time by 2 tr(Y E X A').
     if discrete:  # each number by itself: in skew states the solver loses more than the norms say
@@ -266,11 +289,5 @@ def h2_norm(model: StateModel) -> float:
         moved = np.linalg.norm(a, 2) * np.linalg.norm(gramian @ dual)
     doubt = max(2 * np.finfo(float).eps * moved, rounding)
     if abs(power - np.trace(b.T @ dual @ b)) > APART * power:  # both equations give it, by other roundings
-        doubt = power
-    kept = MOST_DOUBT * power
-    if not doubt <= kept:
-        raise InputError(
-            f"the Lyapunov equation leaves an uncertainty of {doubt:.1e} in a squared norm of {power:.1e} (scaled); the "
-            "model is too close to instability, or needs other units"
-        )
-    return _finite(np.hypot(np.sqrt(power) * units[0] * units[1], direct))
+        doubt = max(doubt, abs(power))
+    return units, power, doubt, False

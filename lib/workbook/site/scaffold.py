@@ -70,6 +70,10 @@ def new_result(topic: str, name: str, create: bool = False) -> list[str]:
     if not re.fullmatch(r"\d\d-[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
         raise InputError(f"name is {name!r}; give a number and words like '09-payload'")
     words = words_of(topic, name)
+    # A new topic begins with a study of its example; an entry without one gives the reason.
+    words["open"] = (
+        "" if create else 'open = "none: the example leaves nothing open"  # or a study in choices.toml\n'
+    )
     key, module = words["key"], words["module"]
     notebook = notebook_file(f"{topic}/{name}")
     beside = notebook.with_name(f"{module}.py")

@@ -12,8 +12,6 @@ UNTRIED: dict[str, set[str]] = {
         "fixedpoint.eq-6.decrease",
     },
     "fixedpoint/07-fair-comparison": {
-        "fixedpoint.section-2c.best-settings",
-        "fixedpoint.section-4.kalman-does-not-work",
         "fixedpoint.section-4.low-pass-cheapest",
     },
     "isolation/01-floor-and-paths": {
@@ -25,6 +23,15 @@ UNTRIED: dict[str, set[str]] = {
         "isolation.setup.suspension-frequencies",
     },
     "isolation/02-convergence": {
+        "isolation.convergence.other-actuators",
+        "isolation.equal-variance.faster-each-kept",
+        "isolation.equal-variance.faster-each-own",
+        "isolation.equal-variance.faster-each-step",
+        "isolation.equal-variance.faster-each-ten-times",
+        "isolation.equal-variance.speed-up-kept",
+        "isolation.equal-variance.speed-up-own",
+        "isolation.equal-variance.speed-up-step",
+        "isolation.equal-variance.speed-up-ten-times",
         "isolation.convergence.band-37-felms",
         "isolation.convergence.band-37-ferls",
         "isolation.convergence.error-falls",
@@ -49,6 +56,10 @@ UNTRIED: dict[str, set[str]] = {
         "isolation.table-1-rigid.final-w9",
     },
     "isolation/04-transmissibility": {
+        "isolation.fig-7.beyond-400-hz",
+        "isolation.fig-7.off-diagonal-bounds",
+        "isolation.fig-7.passive-low-frequency",
+        "isolation.fig-7.waterbed",
         "isolation.fig-7.same-by-both",
     },
     "isolation/05-power": {
