@@ -184,7 +184,7 @@ if (search) {
       }),
     );
     const count = `${found.length} place${found.length === 1 ? "" : "s"}${found.length > 50 ? ", the first 50 shown" : ""}`;
-    document.getElementById("found").textContent = words.length ? count : "";
+    document.getElementById("found").textContent = search.elements.q.value.trim() ? count : "";
     toAddress(search);
   };
   whenChanged(search, show);
