@@ -83,7 +83,7 @@ def _print_summary(claims: list[Claim], built: list[Task]) -> None:
         if folder not in {task.committed for task in built}:
             print(f"belongs to no notebook, remove it: {folder.relative_to(paths.root())}")
     for task in built:
-        if commit() and not is_traceable(_provenance(_read(task.committed / "provenance.json"))):
+        if not is_traceable(_provenance(_read(task.committed / "provenance.json"))) and commit():
             print(f"made from what no commit holds: {task.label}; commit it, then accept again")
         for file in sorted(task.committed.rglob("*")):
             if (
