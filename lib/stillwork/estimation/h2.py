@@ -17,7 +17,7 @@ from stillwork.estimation.h2_discrete import discrete_h2, require_promised
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.lti.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import h2_norm, rough_h2_norm
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, state_scale
 
 
 @by_value
@@ -302,10 +302,6 @@ def scaled_plant(plant: GeneralisedPlant, size: float = 1.0) -> tuple[Generalise
     b = np.hstack([b1 / np.sqrt(rate), b2 * controls / rate])
     c = np.vstack([c1 / size, c2 / each])
     d = np.block([[d11 / size, d12 * controls / size], [d21 * np.sqrt(rate) / each, d22 * controls / each]])
-    n, size = len(a), len(a) + max(b.shape[1], len(c))
-    whole = np.zeros((size, size))
-    whole[:n, :n], whole[:n, n : n + b.shape[1]], whole[n : n + len(c), :n] = a / rate, b, c
-    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
-    scale = scale[:n]
+    scale = state_scale(a / rate, b, c)
     model = StateModel(a * scale / scale[:, None] / rate, b / scale[:, None], c * scale, d)
     return GeneralisedPlant(model, plant.exogenous, plant.performance), Units(rate, controls, measurements)

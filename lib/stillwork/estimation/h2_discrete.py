@@ -7,7 +7,7 @@ from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 from stillwork.lti.generalised_plant import GeneralisedPlant, with_feedthrough
 from stillwork.lti.norms import h2_norm
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, state_scale
 
 WORST_SEPARATION = 1e-6  # of the loop's norm from that which the equations promise, relative
 
@@ -52,15 +52,9 @@ def require_promised(loop: StateModel, promised: float) -> float:
 def _balanced(plant: GeneralisedPlant) -> tuple[np.ndarray, ...]:
     """The plant's blocks with balanced states."""
     a, b1, b2, c1, c2, *feedthrough = plant.blocks
-    n, size = len(a), len(a) + max(plant.model.d.shape)
     inputs, outputs = np.hstack([b1, b2]), np.vstack([c1, c2])
-    whole = np.zeros((size, size))
-    whole[:n, :n] = a
-    whole[:n, n : n + inputs.shape[1]] = inputs / (np.linalg.norm(inputs) or 1.0)
-    whole[n : n + len(outputs), :n] = outputs / (np.linalg.norm(outputs) or 1.0)
-    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
-    scale = scale[:n]
-    into, out = scale[:, None], scale
+    out = state_scale(a, inputs / (np.linalg.norm(inputs) or 1.0), outputs / (np.linalg.norm(outputs) or 1.0))
+    into = out[:, None]
     return a * out / into, b1 / into, b2 / into, c1 * out, c2 * out, *feedthrough
 
 

@@ -8,9 +8,10 @@ from scipy import linalg
 
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.lti.discretisation import tustin
 from stillwork.lti.generalised_plant import GeneralisedPlant, with_feedthrough
-from stillwork.lti.norms import from_bilinear, hinf_norm, to_bilinear
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.norms import hinf_norm, to_bilinear
+from stillwork.lti.state_space import StateModel, state_scale
 
 SEARCHES = 200  # levels that a search may try
 SEMIDEFINITE = 1e-7  # eigenvalues of a solution this far below zero, relative to the largest, are rounding
@@ -56,6 +57,7 @@ class _Normal:
     """A plant in continuous time with D12 = [0; I], D21 = [0 I] and D22 = 0, and the way back."""
 
     blocks: tuple[np.ndarray, ...]  # A, B1, B2, C1, C2, D11
+    feedthrough: Float64[np.ndarray, "measurements controls"]  # D22, which was taken out
     controls: Float64[np.ndarray, "controls controls"]  # u = this times the normal plant's
     measurements: Float64[np.ndarray, "measurements measurements"]  # the normal plant's y = this times y
     rate: float  # rad/s: time runs in 1/rate
@@ -141,7 +143,8 @@ def _normalised(plant: GeneralisedPlant) -> _Normal:
     """Slow time, balanced states, controls and measurements in units and directions in which D12 and D21 are units."""
     discrete = plant.model.sample_time > 0
     model = to_bilinear(plant.model) if discrete else plant.model
-    a, b1, b2, c1, c2, d11, d12, d21, _ = GeneralisedPlant(model, plant.exogenous, plant.performance).blocks
+    shifted = GeneralisedPlant(model, plant.exogenous, plant.performance)
+    a, b1, b2, c1, c2, d11, d12, d21, d22 = shifted.blocks
     if not len(a):
         raise InputError("plant has no states; there is nothing to control")
     turns = []
@@ -158,12 +161,7 @@ def _normalised(plant: GeneralisedPlant) -> _Normal:
     rate = float(np.median(np.abs(linalg.eigvals(a)))) or 1.0
     inputs = np.hstack([b1 @ right, np.linalg.solve(effort.T, b2.T).T]) / rate
     outputs = np.vstack([left.T @ c1, np.linalg.solve(noise.T, c2)])
-    n, size = len(a), len(a) + max(inputs.shape[1], len(outputs))
-    whole = np.zeros((size, size))
-    whole[:n, :n], whole[:n, n : n + inputs.shape[1]] = a / rate, inputs
-    whole[n : n + len(outputs), :n] = outputs
-    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
-    scale = scale[:n]
+    scale = state_scale(a / rate, inputs, outputs)
     inputs, outputs = inputs / scale[:, None], outputs * scale
     w, z = b1.shape[1], len(c1)
     blocks = (
@@ -174,7 +172,7 @@ def _normalised(plant: GeneralisedPlant) -> _Normal:
         outputs[z:],
         left.T @ d11 @ right,
     )
-    return _Normal(blocks, np.linalg.inv(effort), np.linalg.inv(noise.T), rate)
+    return _Normal(blocks, d22, np.linalg.inv(effort), np.linalg.inv(noise.T), rate)
 
 
 def _least_level(normal: _Normal) -> float:
@@ -254,12 +252,11 @@ def _closed(plant: GeneralisedPlant, normal: _Normal, level: float) -> HinfSynth
     controller = StateModel(found.a * normal.rate, b * normal.rate, c, d)
     sample_time = plant.model.sample_time
     try:
-        if sample_time:
-            shifted = to_bilinear(plant.model)
-            d22 = GeneralisedPlant(shifted, plant.exogenous, plant.performance).blocks[-1]
-            controller = from_bilinear(with_feedthrough(controller, d22), sample_time)
-        else:
-            controller = with_feedthrough(controller, plant.blocks[-1])
+        controller = with_feedthrough(controller, normal.feedthrough)
+        if sample_time:  # s of `to_bilinear` counts in half the rate
+            rate = 2 / sample_time
+            slow = StateModel(controller.a * rate, controller.b * rate, controller.c, controller.d)
+            controller = tustin(slow, sample_time)
         loop = plant.close(controller)
         peak = hinf_norm(loop) if loop.is_stable else None
     except (InputError, np.linalg.LinAlgError):

@@ -9,6 +9,7 @@ from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, checked
+from stillwork.lti.state_space import state_scale
 
 # Relative residual above which a solution is refused; a scaled solution leaves about 1e-12.
 WORST_RESIDUAL = 1e-8
@@ -77,7 +78,7 @@ def _stationary(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Gain that corrects, covariance and residual."""
     a, g, c, root = _checked(a, noise_input, c, process, sensor)
-    scale = _state_scale(a, g, c)
+    scale = state_scale(a, g / np.linalg.norm(g), c / np.linalg.norm(c))
     # The eigenvalues may all be zero.
     rate = 1.0 if discrete else np.linalg.norm(a * scale[None, :] / scale[:, None]) or 1.0
     solve = linalg.solve_discrete_are if discrete else linalg.solve_continuous_are
@@ -181,17 +182,6 @@ def _cayley(a: np.ndarray, g: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np
         2 * shift * np.linalg.solve(shifted, gram) @ mixed.T,
         2 * shift * mixed.T @ noise @ np.linalg.inv(shifted),
     )
-
-
-def _state_scale(a: np.ndarray, g: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Scale of the states that balances A, G and C together; A alone says nothing about a rigid body."""
-    n, size = len(a), max(g.shape[1], len(c))
-    whole = np.zeros((n + size, n + size))
-    whole[:n, :n] = a
-    whole[:n, n : n + g.shape[1]] = g / np.linalg.norm(g)
-    whole[n : n + len(c), :n] = c / np.linalg.norm(c)
-    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
-    return scale[:n]
 
 
 @checked

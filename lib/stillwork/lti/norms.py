@@ -104,7 +104,8 @@ def hinf_norm(model: StateModel) -> Peak:
 def to_bilinear(model: StateModel) -> StateModel:
     """The continuous model with the response at s = (z - 1) / (z + 1) that a discrete one has at z.
 
-    It keeps stability and the H-infinity norm, and each controller of the one is one of the other.
+    It keeps stability and the H-infinity norm, and each controller of the one is one of the other. `tustin` goes back, for
+    a model whose s counts in half the rate.
     """
     shifted = np.eye(len(model.a)) + model.a
     if np.any(np.abs(1 + model.poles) < 1e-13):
@@ -113,17 +114,6 @@ def to_bilinear(model: StateModel) -> StateModel:
     return StateModel(
         a, np.sqrt(2) * b, np.sqrt(2) * np.linalg.solve(shifted.T, model.c.T).T, model.d - model.c @ b
     )
-
-
-@checked
-def from_bilinear(model: StateModel, sample_time: float) -> StateModel:
-    """The discrete model of which `to_bilinear` makes this one."""
-    shifted = np.eye(len(model.a)) - model.a
-    if np.any(np.abs(1 - model.poles) < 1e-13):
-        raise InputError("model has a pole at s = 1, which no discrete model has a place for")
-    a, b = np.linalg.solve(shifted, np.eye(len(model.a)) + model.a), np.linalg.solve(shifted, model.b)
-    c = np.sqrt(2) * np.linalg.solve(shifted.T, model.c.T).T
-    return StateModel(a, np.sqrt(2) * b, c, model.d + model.c @ b, sample_time)
 
 
 def _require_harmless(model: StateModel, omega: np.ndarray, level: float) -> None:
@@ -139,8 +129,8 @@ def _require_harmless(model: StateModel, omega: np.ndarray, level: float) -> Non
         return np.linalg.norm(matrices, 2, axis=(1, 2))
 
     # Each number of A by itself: its zeros and ones are exact.
-    doubt = 2 * np.finfo(float).eps * sizes(np.abs(left) @ np.abs(model.a) @ np.abs(right))
-    worst = max(np.max(sizes(model.d + left @ model.b) + doubt) - level, doubt[-1])
+    uncertainty = 2 * np.finfo(float).eps * sizes(np.abs(left) @ np.abs(model.a) @ np.abs(right))
+    worst = max(np.max(sizes(model.d + left @ model.b) + uncertainty) - level, uncertainty[-1])
     if not worst <= MOST_SPREAD * level:
         raise InputError(
             f"model leaves an uncertainty of {worst:.1e} in a norm of {level:.1e} (scaled) by the "
@@ -190,7 +180,6 @@ def _crossings(model: StateModel, level: float) -> np.ndarray:
     return np.unique(np.abs(values[imaginary].imag))
 
 
-@checked
 def _passes_nothing(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> bool:
     """Whether every Markov parameter, C A^k B, is zero but for its rounding."""
     carried, sizes = b, np.abs(b)
@@ -251,12 +240,12 @@ def h2_norm(model: StateModel) -> float:
     direct = float(np.linalg.norm(model.d))
     if not (np.any(model.b) and np.any(model.c)):
         return direct
-    units, power, doubt, nothing = _squared(model)
+    units, power, uncertainty, nothing = _squared(model)
     if nothing:
         return direct
-    if not doubt <= MOST_DOUBT * power:
+    if not uncertainty <= MOST_DOUBT * power:
         raise InputError(
-            f"the Lyapunov equation leaves an uncertainty of {doubt:.1e} in a squared norm of {power:.1e} (scaled); the "
+            f"the Lyapunov equation leaves an uncertainty of {uncertainty:.1e} in a squared norm of {power:.1e} (scaled); the "
             "model is too close to instability, or needs other units"
         )
     return _finite(np.hypot(np.sqrt(power) * units[0] * units[1], direct))
@@ -265,9 +254,9 @@ def h2_norm(model: StateModel) -> float:
 @checked
 def rough_h2_norm(model: StateModel) -> tuple[float, float]:
     """H2 norm of a stable, strictly proper model, however few of its digits are known, and what it does not exceed."""
-    units, power, doubt, _ = _squared(model)
+    units, power, uncertainty, _ = _squared(model)
     size = units[0] * units[1]
-    return _finite(np.sqrt(max(power, 0.0)) * size), _finite(np.sqrt(abs(power) + doubt) * size)
+    return _finite(np.sqrt(max(power, 0.0)) * size), _finite(np.sqrt(abs(power) + uncertainty) * size)
 
 
 def _squared(model: StateModel) -> tuple[tuple[float, float], float, float, bool]:
@@ -287,7 +276,7 @@ def _squared(model: StateModel) -> tuple[tuple[float, float], float, float, bool
         moved = float(np.sum(np.abs(a).T * (np.abs(gramian) @ np.abs(a.T) @ np.abs(dual))))
     else:
         moved = np.linalg.norm(a, 2) * np.linalg.norm(gramian @ dual)
-    doubt = max(2 * np.finfo(float).eps * moved, rounding)
+    uncertainty = max(2 * np.finfo(float).eps * moved, rounding)
     if abs(power - np.trace(b.T @ dual @ b)) > APART * power:  # both equations give it, by other roundings
-        doubt = max(doubt, abs(power))
-    return units, power, doubt, False
+        uncertainty = max(uncertainty, abs(power))
+    return units, power, uncertainty, False

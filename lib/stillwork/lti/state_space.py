@@ -262,6 +262,23 @@ def response_between(
     return (c @ states).reshape(len(c), -1, len(omega)) + model.d[:, :, None]
 
 
+@checked
+def state_scale(
+    a: Float64[np.ndarray, "states states"],
+    b: Float64[np.ndarray, "states inputs"],
+    c: Float64[np.ndarray, "outputs states"],
+) -> Float64[np.ndarray, " states"]:
+    """Units of the states that balance A, B and C together, in the units that B and C are given in.
+
+    A alone says nothing about a rigid body. The balanced model is ``a * s / s[:, None]``, ``b / s[:, None]``, ``c * s``.
+    """
+    n, size = len(a), max(b.shape[1], len(c))
+    whole = np.zeros((n + size, n + size))
+    whole[:n, :n], whole[:n, n : n + b.shape[1]], whole[n : n + len(c), :n] = a, b, c
+    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
+    return scale[:n]
+
+
 def _matrix(a: bytes, states: int) -> Float64[np.ndarray, "states states"]:
     return np.frombuffer(a).reshape(states, states)
 

@@ -162,15 +162,16 @@ class _Scalings:
         scaled[:n] *= unit[:, None]
         scaled[:, :n] /= unit
         performance = scaled[n:].conj().T @ scaled[n:]
+        for k in range(n):
+            cross = np.zeros((self._inputs,) * 2, complex)
+            cross[k] += 1j * scaled[k]
+            self._parts[1][k].value = _real(cross + cross.conj().T)
         for margin in MARGINS:
             self._least.value = LEAST_SCALING * margin
             for k in range(n):
-                row = scaled[k]
-                square, cross = np.outer(row.conj(), row), np.zeros((self._inputs,) * 2, complex)
+                square = np.outer(scaled[k].conj(), scaled[k])
                 square[k, k] -= 1 - margin
-                cross[k] += 1j * row
                 self._parts[0][k].value = _real(square)
-                self._parts[1][k].value = _real(cross + cross.conj().T)
             ends = np.r_[np.zeros(n), np.full(self._inputs - n, 1 - margin)]
             self._fixed.value = _real(performance - np.diag(ends))
             if not n:
