@@ -321,7 +321,7 @@ def _parsed(file: Path, text: str) -> dict[str, Entry]:
     try:
         tree = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
+        raise InputError(f"{file}: not valid TOML ({error}); correct that line") from None
     return {entry.id: entry for entry in _entries(tree, ())}
 
 

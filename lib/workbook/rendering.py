@@ -65,7 +65,7 @@ def _text_named(figure) -> Iterator[None]:
     except ValueError:
         if (text := _unset(figure)) is not None:
             raise InputError(
-                f"figure has the text {short_repr(text)}, which cannot be set; mend its formula, or write \\$ for a dollar"
+                f"figure has the text {short_repr(text)}, which cannot be set; correct its formula, or write \\$ for a dollar"
             ) from None
         raise
 

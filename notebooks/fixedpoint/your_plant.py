@@ -98,7 +98,7 @@ def _executed(file: Path) -> dict[str, Any]:
         # Under no file name, so that nothing is cached beside a file of the user's, or of the data.
         exec(compile(file.read_text(encoding="utf-8"), f"<{file.name}>", "exec"), space)
     except Exception as error:
-        raise InputError(f"{file.name} stops with {type(error).__name__}: {error}; mend it") from None
+        raise InputError(f"{file.name} stops with {type(error).__name__}: {error}; correct it") from None
     return space
 
 
@@ -133,7 +133,7 @@ def _models(space: Mapping, source: str) -> Models:
         raise InputError(f"{source}: {error}") from None
     except Exception as error:
         raise InputError(
-            f"{source}: a model function stops with {type(error).__name__}: {error}; mend it"
+            f"{source}: a model function stops with {type(error).__name__}: {error}; correct it"
         ) from None
     return Models(plant, believed, source, units)
 
@@ -319,7 +319,7 @@ def _response_gain(models: Models, position: float, velocity: float, wanted: flo
     if len(slopes) < 2 or 0 in slopes:
         unit = models.units[0]
         raise InputError(
-            f"a model does not answer the force at q = {position:.3g} {unit}, q' = {velocity:.3g} {unit}/s; mend it there"
+            f"a model does not answer the force at q = {position:.3g} {unit}, q' = {velocity:.3g} {unit}/s; correct it there"
         )
     return slopes[0] / slopes[1]
 

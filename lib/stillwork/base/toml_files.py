@@ -40,7 +40,7 @@ def read_toml(file: str | Path) -> Table:
     except RecursionError:
         raise InputError(f"{file}: nested too deeply; give tables of values") from None
     except ValueError as error:  # not TOML, a null in the path, or more digits than Python takes
-        raise InputError(f"{short_repr(str(file))}: not valid TOML ({error}); mend that line") from None
+        raise InputError(f"{short_repr(str(file))}: not valid TOML ({error}); correct that line") from None
 
 
 def read_numbers(file: str | Path, *, lists: bool = True) -> Table:

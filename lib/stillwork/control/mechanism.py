@@ -76,7 +76,7 @@ class Mechanism:
                 f"inertia or bias leaves an entry of out unset, or not finite, at q = {place}; fill all of them"
             )
         if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-12 * np.abs(matrix).max()):
-            raise InputError(f"inertia is not symmetric at q = {place}: {matrix.tolist()}; mend it")
+            raise InputError(f"inertia is not symmetric at q = {place}: {matrix.tolist()}; correct it")
 
     @checked
     def mass(self, position: ArrayLike) -> Float64[np.ndarray, "coordinates coordinates"]:
@@ -110,7 +110,7 @@ class Mechanism:
         matrix = self._mass(require_array("position", position, shape=(self.coordinates,)))
         if not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 0):
             raise InputError(
-                f"inertia is not positive definite at q = {np.asarray(position)}; mend the function or the parameters"
+                f"inertia is not positive definite at q = {np.asarray(position)}; correct the function or the parameters"
             )
         return matrix
 

@@ -66,7 +66,7 @@ class Plant:
                 return
             raise InputError(
                 f"force is not the inverse of acceleration: for {wanted:g} m/s^2 at q = {position:g}, "
-                f"q' = {velocity:g} it gives {force:g} N, which accelerates by {got:g}; mend one of the two"
+                f"q' = {velocity:g} it gives {force:g} N, which accelerates by {got:g}; correct one of the two"
             )
         raise InputError(
             f"acceleration or force fails on {pluralise(len(self.parameters), 'parameter')} ({failure}); "

@@ -104,7 +104,7 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
         if max(widths) > names:
             row = next(number for number, width in enumerate(widths, 1) if width > names)
             raise InputError(
-                f"{path.name} is not a table: row {row} holds {pluralise(widths[row - 1], 'value')} for {pluralise(names, 'column')}; mend it"
+                f"{path.name} is not a table: row {row} holds {pluralise(widths[row - 1], 'value')} for {pluralise(names, 'column')}; correct it"
             )
     try:
         with warnings.catch_warnings():
@@ -132,11 +132,11 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
             numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
         except OverflowError:
             raise InputError(
-                f"{path.name}, column {name}: a number is beyond the largest floating-point number; mend it"
+                f"{path.name}, column {name}: a number is beyond the largest floating-point number; correct it"
             ) from None
         text = column[np.isnan(numbers) & column.notna().to_numpy()]
         if len(text):
-            wrong = "not a number; mend it"
+            wrong = "not a number; correct it"
             if MOMENT.fullmatch(text.iloc[0]):
                 wrong = "a date or a time of day; give seconds from any start, or leave the column out"
             raise InputError(

@@ -90,7 +90,7 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
         )
     rows = np.array(list(named.values()))[:, known]
     if not np.isfinite(rows).all() or np.any(rows < 0):
-        raise InputError(f"{path.name} holds a density that is missing, infinite or negative; mend it")
+        raise InputError(f"{path.name} holds a density that is missing, infinite or negative; correct it")
     order = np.argsort(f[known], kind="stable")  # some analysers write the highest frequency first
     f, rows = f[known][order], rows[:, order]
     squares = [

@@ -233,7 +233,7 @@ def load_unscaled(
         if np.ptp(column) == 0:
             raise InputError(
                 f"{path.name}, channel {name} stands at {column[0]:.4g} throughout; leave it out with "
-                "channels=[...] or mend the sensor"
+                "channels=[...] or correct the sensor"
             )
     return Record(np.array(list(columns.values())), rate, "1", tuple(columns), path.name)
 
@@ -373,7 +373,7 @@ def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | N
             continue
         if stated is not None and abs(found - stated) > RATE_TOLERANCE * stated:
             raise InputError(
-                f"sample_rate is {stated:g} Hz, but {name!r} of {source} says {found:.6g} Hz; leave one out or mend it"
+                f"sample_rate is {stated:g} Hz, but {name!r} of {source} says {found:.6g} Hz; leave one out or correct it"
             )
     if found is None:
         raise InputError(f"{source} has no time and no rate; give sample_rate in Hz or a column named time")
