@@ -24,7 +24,7 @@ import numpy as np  # noqa: E402
 from scipy import linalg  # noqa: E402
 
 from stillwork.base.checks import InputError  # noqa: E402
-from stillwork.designing import design_file  # noqa: E402
+from stillwork.design.design import design_file  # noqa: E402
 
 LIMIT_DB = 6.01
 DRAWS, SWEEPS = 60, 1  # random places in the box, and looks along each axis from the worst of them

@@ -38,7 +38,7 @@ PLACE = ROOT / "build" / "mutants"
 TREE, KERNELS, RECORDS = PLACE / "tree", PLACE / "kernels", PLACE / "records"
 FORKED = Path(__file__).with_name("mutating")
 PARTS = ("base", "signals", "lti", "identification", "estimation", "control")
-OTHERS = ("stillwork/designing.py", "experiments/isolation/loop.py", "experiments/isolation/together.py")
+OTHERS = ("stillwork/design/design.py", "experiments/isolation/loop.py", "experiments/isolation/together.py")
 # Their mutants would change how the tests run, not what they find.
 LEFT_OUT = re.compile(r"__init__|kernel_cache|kernel_folder|kernels|garbage")
 TESTS = ("shared", "isolation", "motion", "worstcase", "fixedpoint")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stillwork.design.inspect import inspect_file
 from stillwork.identification import build_machine, load_machine
-from stillwork.inspecting import inspect_file
 from stillwork.signals import load_record
 
 UNIVERSAL = """    -1

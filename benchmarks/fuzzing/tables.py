@@ -12,7 +12,7 @@ from experiments.isolation.twin import load_twin
 from experiments.motion import beam, machines, rig
 from fuzzing.hostile import wrong
 from notebooks.motion import joint_design as joint_designs
-from stillwork.inspecting import inspect_file
+from stillwork.design.inspect import inspect_file
 from workbook import paths
 from workbook.claims import ledger, load_entries
 

@@ -53,12 +53,12 @@ _OF_A_LOOP = (
 COMMANDS = {
     "inspect": Command(
         "say what a file of yours holds and which notebooks can use it",
-        "stillwork.inspecting:inspect_file",
+        "stillwork.design.inspect:inspect_file",
         (_file("a record, a frequency response, a machine or a trajectory of yours"),),
     ),
     "report": Command(
         "write one page about a measurement of yours; what is missing, it asks",
-        "stillwork.reporting:report_asking",
+        "stillwork.design.report:report_asking",
         (
             _file("of a machine, a record, or power spectral densities"),
             option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
@@ -70,7 +70,7 @@ COMMANDS = {
     ),
     "design": Command(
         "from a machine's file to a controller in C, and a page about it",
-        "stillwork.designing:design_file",
+        "stillwork.design.design:design_file",
         (
             option(
                 "files",
@@ -99,7 +99,7 @@ COMMANDS = {
     ),
     "retest": Command(
         "say on a page whether a new response keeps what a design promised",
-        "stillwork.retesting:retest_file",
+        "stillwork.design.retest:retest_file",
         (
             option("controller", type=named, metavar="CONTROLLER.json", help="that design wrote"),
             _file("the machine again, in the same units"),
@@ -114,7 +114,7 @@ COMMANDS = {
     ),
     "desk": Command(
         "write one page on which a loop is shaped by hand on a measurement, in any browser",
-        "stillwork.desk:desk_file",
+        "stillwork.design.desk:desk_file",
         (
             option("file", nargs="?", default="", metavar="FILE", help="as for design; without, an example"),
             option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
@@ -125,7 +125,7 @@ COMMANDS = {
     ),
     "export": Command(
         "write C99 of a controller, or of FeRls or FeLms, from a file",
-        "stillwork.exporting:export_file",
+        "stillwork.design.export:export_file",
         (_file("controller.json, or TOML"), *_C_FOLDER),
     ),
     "contest": Command(

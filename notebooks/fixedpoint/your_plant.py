@@ -36,9 +36,9 @@ from stillwork.control.transformation import (
     RobustTransformation,
     contraction_range,
 )
+from stillwork.design.inspect import TABLES, outline, plant_form
 from stillwork.estimation.filtering import UNIT_MASS
 from stillwork.estimation.plant import Plant, force_slope
-from stillwork.inspecting import TABLES, outline, plant_form
 from stillwork.signals.records import load_record
 from workbook import figures, paths
 

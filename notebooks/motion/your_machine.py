@@ -7,7 +7,6 @@ import numpy as np
 from experiments.motion.bode import paint_bode
 from experiments.motion.loop_functions import paint_over_masses
 from experiments.motion.magnitudes import decibel
-from stillwork import designing
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.loops import LoopResponse
@@ -17,6 +16,7 @@ from stillwork.control.machine_loops import (
     observer_settings,
     observing_compensator,
 )
+from stillwork.design import design as designing
 from stillwork.identification.machine import Machine
 from stillwork.lti.peaks import resonance_grid
 from workbook import figures

@@ -14,7 +14,7 @@ from selenium.webdriver.support.ui import Select, WebDriverWait
 
 from browser.test_pages import CONTRAST, MISFITS
 from stillwork.__main__ import main
-from stillwork.desk_page import offline_page, shipped_machines
+from stillwork.design.desk_page import offline_page, shipped_machines
 from workbook import paths
 
 PATIENCE = 120  # s, of a busy machine

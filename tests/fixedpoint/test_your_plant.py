@@ -24,7 +24,7 @@ from stillwork.base.checks import InputError
 from stillwork.control import FlowTransformation, asin_trajectory, simulate
 from stillwork.control.trajectory import sine_trajectory
 from stillwork.control.transformation import RobustTransformation
-from stillwork.inspecting import outline
+from stillwork.design.inspect import outline
 from workbook import paths
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")

@@ -10,7 +10,6 @@ import pytest
 from scipy import signal
 
 from shared.compiled import compiled, pointer
-from stillwork import designing
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
@@ -20,12 +19,13 @@ from stillwork.control.machine_designs import ADDED_DAMPING, INTENSITIES, SELECT
 from stillwork.control.machine_loops import applications, pid_family, reach
 from stillwork.control.machine_tuning import DesignSettings, varied
 from stillwork.control.setpoint import MoveLimits
-from stillwork.designing import design_file
+from stillwork.design import design as designing
+from stillwork.design.design import design_file
+from stillwork.design.retest import retest_file
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine, stated_units
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel, modal_model
-from stillwork.retesting import retest_file
 from workbook import paths
 
 TEMPLATES = paths.data("motion", "your_machine")

@@ -20,9 +20,9 @@ from stillwork.control.digital import error_driven, load_controller, runnable
 from stillwork.control.machine_loops import HELD, OF_ERROR, observing_compensator, on_measurement
 from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import Uncertainty, make_box
-from stillwork.designing import design_file
-from stillwork.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine, show_desk
-from stillwork.desk_page import STATIC, offline_page, script, shipped_machines
+from stillwork.design.design import design_file
+from stillwork.design.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine, show_desk
+from stillwork.design.desk_page import STATIC, offline_page, script, shipped_machines
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine

@@ -8,10 +8,10 @@ import pytest
 
 import workbook
 from stillwork.control.machine_designs import asked_uncertainty, default_rate, search_designs
-from stillwork.designing import design_file
+from stillwork.design.design import design_file
+from stillwork.design.report import report_file
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
-from stillwork.reporting import report_file
 from workbook import paths
 
 RATE, DELAY, UNCERTAINTY = 8e3, 0.5, "frequency=0.03,gain=0.1"

@@ -9,8 +9,8 @@ from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.c_code import adaptation_code, controller_code
 from stillwork.control.digital import DigitalController
+from stillwork.design.export import write_folder
 from stillwork.estimation.adaptive import FeLms, FeRls
-from stillwork.exporting import write_folder
 from stillwork.lti.state_space import StateModel
 
 LAG = DigitalController(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from stillwork.base.checks import InputError
-from stillwork.inspecting import inspect_file
+from stillwork.design.inspect import inspect_file
 from stillwork.signals import datafiles
 from stillwork.signals.densities import read_densities
 from stillwork.signals.records import (

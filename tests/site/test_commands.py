@@ -14,10 +14,10 @@ import pytest
 from engine import toy as toys
 from notebooks.isolation.your_floor import SHORTEST_S
 from shared.universal_files import function, write_universal
-from stillwork import inspecting
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
-from stillwork.inspecting import inspect_file
+from stillwork.design import inspect as inspecting
+from stillwork.design.inspect import inspect_file
 from workbook import paths
 from workbook.choices import command
 from workbook.claims import load_entries

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stillwork.__main__ import main
-from stillwork.reporting import Missing, report_file
+from stillwork.design.report import Missing, report_file
 from workbook import paths
 
 HERTZ = np.arange(5.0, 500.0)

@@ -136,11 +136,7 @@ def library_files() -> list[Path]:
     """
     if not (paths.root() / "lib" / "stillwork").is_dir():
         return []
-    files = [
-        file
-        for file in (LIBRARY / "stillwork").rglob("*.py")
-        if file.name not in ("__main__.py", "inspecting.py")
-    ]
+    files = [file for file in (LIBRARY / "stillwork").rglob("*.py") if file.name != "__main__.py"]
     return sorted([*files, *(LIBRARY / "workbook" / f"{name}.py" for name in FOR_NOTEBOOKS)])
 
 

@@ -12,8 +12,9 @@ from scipy import integrate
 from stillwork.base.checks import InputError, one_line
 from stillwork.base.extras import require_package
 from stillwork.control.machine_designs import DELAY, EACH, asked_uncertainty, search_designs
-from stillwork.designing import USES, paint_machine, paint_stabilisation, uses_table
-from stillwork.html_page import page, picture, table
+from stillwork.design.design import USES, paint_machine, paint_stabilisation, uses_table
+from stillwork.design.html_page import page, picture, table
+from stillwork.design.inspect import inspect_file
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import (
     complex_responses,
@@ -21,7 +22,6 @@ from stillwork.identification.machine_files import (
     load_machine,
     stated_units,
 )
-from stillwork.inspecting import inspect_file
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import (
     DENSITIES_SAID,

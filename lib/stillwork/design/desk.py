@@ -12,7 +12,7 @@ from stillwork.base.checks import InputError, require_count, require_number
 from stillwork.base.extras import require_package
 from stillwork.control.machine_designs import UNCERTAINTY, asked_uncertainty
 from stillwork.control.uncertainty import NAMES, uncertainty_of
-from stillwork.desk_page import offline_page
+from stillwork.design.desk_page import offline_page
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine
@@ -77,7 +77,7 @@ def show_desk(file: str = "", height: int = 1100, **options):
 
     Examples
     --------
-    >>> from stillwork.desk import show_desk
+    >>> from stillwork.design.desk import show_desk
     >>> show_desk().data[:12]
     '<div><iframe'
     """
@@ -104,7 +104,7 @@ def machine_to_begin_with(
     """What the page holds of the machine in `file`, or of an example, with the rate and the delay of the first design.
 
     `rate` (Hz; 0: chosen by the resonances) and `delay` (samples) are where the design begins; `fit_hz`, `loop_hz`,
-    `uncertainty` and what is left of `reading` mean what they mean in `designing.design_file`.
+    `uncertainty` and what is left of `reading` mean what they mean in `design.design_file`.
     """
     require_number("rate", rate, at_least=0.0)
     require_number("delay", delay, at_least=0.0)

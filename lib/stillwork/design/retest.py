@@ -14,12 +14,12 @@ from stillwork.control.bandwidth import SIX_DB, Loop, make_loop
 from stillwork.control.digital import DigitalController, in_units, load_controller, of_reference
 from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference, on_measurement
 from stillwork.control.pid import Notch, Pid
-from stillwork.designing import ALLOWED_DB, own_functions
-from stillwork.html_page import page, picture, table
+from stillwork.design.design import ALLOWED_DB, own_functions
+from stillwork.design.html_page import page, picture, table
+from stillwork.design.inspect import inspect_file
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine, load_ratio
-from stillwork.inspecting import inspect_file
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 from workbook import figures

@@ -37,8 +37,8 @@ from stillwork.control.machine_loops import HELD, OF_ERROR, SHOWN, AchievableBan
 from stillwork.control.machine_tuning import DesignSettings
 from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box
-from stillwork.exporting import require_free, write_folder
-from stillwork.html_page import page, picture, table
+from stillwork.design.export import require_free, write_folder
+from stillwork.design.html_page import page, picture, table
 from stillwork.identification.machine import TURNED, Machine, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
