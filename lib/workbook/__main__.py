@@ -133,7 +133,7 @@ COMMANDS = {
         before=IN_A_WORKBOOK,
     ),
     "doctor": Command(
-        "compare this environment with environment.txt", "workbook.doctor:doctor", before=IN_A_WORKBOOK
+        "compare this environment with environment.txt", "workbook.environment:doctor", before=IN_A_WORKBOOK
     ),
 }
 

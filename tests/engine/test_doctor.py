@@ -4,8 +4,7 @@ from importlib import metadata
 
 import pytest
 
-from workbook.doctor import doctor
-from workbook.environment import drift, pins
+from workbook.environment import doctor, drift, pins
 
 
 @pytest.fixture

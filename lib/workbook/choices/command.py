@@ -136,7 +136,7 @@ def _compute_topic(topic: str, executor, at_once: int, end: float, stopped, chan
     done = read_results(multiverses)  # what is judged is what was written
     standings = _judged(topic, done, axes)
     print(standings_text(topic, done, standings, screen()))
-    _paint(topic, done, standings)
+    print("make site draws every entry over its combinations")
     return True
 
 
@@ -212,20 +212,6 @@ def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Rob
         f"{counts[name]} {name}" for name in (ROBUST, DEPENDS, NOT_REPRODUCED) if counts[name]
     )
     return "\n".join([*lines, "", f"{topic}: {classes or 'nothing judged'}"])
-
-
-def _paint(topic: str, studies: list[Outcomes], standings: dict[str, Robustness]) -> None:
-    from workbook.choices.drawing import paint_specification_curve, paint_topic_choices
-    from workbook.figures import save
-
-    folder = paths.root() / "build" / "choices" / topic
-    if any(standing.class_ for standing in standings.values()):
-        save(paint_topic_choices(topic, standings.values()), folder / "choices")
-    for study in studies:
-        for name in study.multiverse.entries:
-            if standings[name].class_ == DEPENDS:
-                save(paint_specification_curve(study, standings[name]), folder / name)
-    print(f"pictures: {folder.relative_to(paths.root())}")
 
 
 def judged(topic: str) -> dict[str, Robustness]:
