@@ -24,8 +24,8 @@ sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 import control  # noqa: E402
 import numpy as np  # noqa: E402
 
-from experiments.motion.design_explorer import paint_design  # noqa: E402
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
+from experiments.motion.explorers import paint_design  # noqa: E402
 from experiments.motion.machines import (  # noqa: E402
     published_setpoint,
     stage,

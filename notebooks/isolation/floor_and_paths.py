@@ -8,9 +8,8 @@ from numpy.typing import ArrayLike
 from scipy import optimize, signal
 
 from experiments.isolation.floors import ShapedFloor, colored_floor
-from experiments.isolation.frequency_axes import thinned
 from experiments.isolation.one_rig import equal_struts
-from experiments.isolation.responses import control_paths, responses, series
+from experiments.isolation.responses import control_paths, responses, series, thinned
 from experiments.isolation.rig import Rig
 from experiments.isolation.shaping import secondary_path
 from experiments.isolation.twin import Twin

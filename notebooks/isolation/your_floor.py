@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from experiments.isolation.frequency_axes import COARSE_HZ, thinned
 from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
 from experiments.isolation.plant import plant_of_rig
 from experiments.isolation.power import BAND_HZ
@@ -21,6 +20,7 @@ from experiments.isolation.recorded_floors import (
     record_floor,
     synthesise_floor,
 )
+from experiments.isolation.responses import COARSE_HZ, thinned
 from experiments.isolation.simulation import Run, simulate
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin

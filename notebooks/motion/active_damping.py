@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.motion.magnitudes import add_magnitude
+from experiments.motion.pictures import add_magnitude
 from stillwork.base.rounding import in_order
 from stillwork.control.feedback import place
 from stillwork.lti.modal import ModalModel

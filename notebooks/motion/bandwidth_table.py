@@ -7,13 +7,15 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.choices import COMPENSATIONS, SIX, limit
 from experiments.motion.designs import (
+    COMPENSATIONS,
     DAMPING,
     DESIGNS,
     NOISE_MODEL,
+    SIX,
     Design,
     first_crossing,
+    limit,
     stage_bandwidth,
 )
 from experiments.motion.intervals import Values

@@ -10,8 +10,7 @@ from scipy import linalg
 
 from experiments.motion.designs import COMPENSATED, RETAINED
 from experiments.motion.machines import published_noise, stage
-from experiments.motion.magnitude_panels import paint_magnitudes
-from experiments.motion.magnitudes import add_magnitude
+from experiments.motion.pictures import add_magnitude, paint_magnitudes
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.applications import Application
 from stillwork.control.discrete_damping import damped_poles, discrete_damping_gain

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.designs import Design, stage_compensator
-from experiments.motion.legends import case_styles
 from experiments.motion.machines import stage, stage_mass
+from experiments.motion.pictures import case_styles
 from stillwork.base.checks import InputError, require_array
 from stillwork.control.applications import Application
 from stillwork.control.loops import channel, closed_loop, require_deviations, require_stable

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from scipy import linalg, optimize
 
 from experiments.motion.designs import COMPENSATED, RETAINED
-from experiments.motion.explorer_panels import plain
 from experiments.motion.machines import (
     published_deviations,
     published_noise,
@@ -20,7 +19,7 @@ from experiments.motion.machines import (
     stage,
     stage_mass,
 )
-from experiments.motion.magnitudes import add_magnitude, mark_limit
+from experiments.motion.pictures import add_magnitude, mark_limit, plain
 from experiments.motion.uncertainty import detuned, perturbed, sample_errors
 from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number

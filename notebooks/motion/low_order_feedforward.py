@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
-from experiments.motion.legends import CASES
 from experiments.motion.machines import published_setpoint, stage
-from experiments.motion.scan_errors import paint_errors
+from experiments.motion.pictures import CASES, paint_errors
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.feedforward import (

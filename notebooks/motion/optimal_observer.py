@@ -13,7 +13,7 @@ from experiments.motion.designs import DAMPING
 from experiments.motion.ideal_feedforward import invert
 from experiments.motion.intervals import Values
 from experiments.motion.machines import published_noise, stage, stage_mass
-from experiments.motion.magnitudes import add_magnitude
+from experiments.motion.pictures import add_magnitude
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.control.applications import filtered_estimates
 from stillwork.control.bandwidth import SIX_DB

@@ -5,12 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.motion.explorer_panels import plain
-from experiments.motion.magnitude_panels import paint_magnitudes
-from experiments.motion.magnitudes import add_magnitude
+from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
 from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published
-from experiments.motion.rig_axes import COLOURS, FORCES, MOTIONS, UNITS, frequencies
-from experiments.motion.rig_designs import published_settings, rig_loops
+from experiments.motion.rig_designs import (
+    COLOURS,
+    FORCES,
+    MOTIONS,
+    UNITS,
+    frequencies,
+    published_settings,
+    rig_loops,
+)
 from experiments.motion.rig_loops import RigLoop
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.signals.spectra import Spectrum

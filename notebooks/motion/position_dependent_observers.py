@@ -5,12 +5,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from experiments.motion.designs import Design
-from experiments.motion.explorer_panels import plain
-from experiments.motion.legends import LABELS
-from experiments.motion.loop_functions import paint_limited
 from experiments.motion.machines import stage, stage_mass
-from experiments.motion.magnitude_panels import paint_magnitudes
-from experiments.motion.magnitudes import add_magnitude, mark_limit
+from experiments.motion.pictures import (
+    LABELS,
+    add_magnitude,
+    mark_limit,
+    paint_limited,
+    paint_magnitudes,
+    plain,
+)
 from experiments.motion.position_dependence import place_loops, stage_grid
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop

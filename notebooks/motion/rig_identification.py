@@ -6,12 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from experiments.motion.explorer_panels import plain
-from experiments.motion.magnitude_panels import paint_magnitudes
-from experiments.motion.magnitudes import add_magnitude
+from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
 from experiments.motion.rig import EdgeDecoupling, Geometry, assumed_geometry, decoupling, rig_model
-from experiments.motion.rig_axes import frequencies
-from experiments.motion.rig_designs import RigSettings, published_settings, rig_controllers
+from experiments.motion.rig_designs import RigSettings, frequencies, published_settings, rig_controllers
 from experiments.motion.rig_loops import sampled_controller
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.control.loops import channel, closed_loop

@@ -7,11 +7,18 @@ from functools import lru_cache
 import numpy as np
 from matplotlib.lines import Line2D
 
-from experiments.motion.explorer_panels import plain
 from experiments.motion.intervals import Values, central
+from experiments.motion.pictures import plain
 from experiments.motion.rig import assumed_geometry, rig_model
-from experiments.motion.rig_axes import COLOURS, MOTIONS
-from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
+from experiments.motion.rig_designs import (
+    CASES,
+    COLOURS,
+    MOTIONS,
+    bandwidths,
+    model_errors,
+    published_settings,
+    rig_loops,
+)
 from experiments.motion.rig_study import levelling, levelling_errors, printed_controllers, sample_geometry
 from workbook import figures
 

@@ -5,12 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from experiments.motion.choices import as_read, limit
-from experiments.motion.designs import DESIGNS, design_controller, stage_compensator
+from experiments.motion.designs import DESIGNS, as_read, design_controller, limit, stage_compensator
 from experiments.motion.intervals import Values, key
 from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import CASES, MEASURED, noisy_scan_trial
-from experiments.motion.scan_errors import paint_errors
+from experiments.motion.pictures import paint_errors
 from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily

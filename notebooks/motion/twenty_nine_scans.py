@@ -12,12 +12,10 @@ from experiments.motion import perturbed_tracking
 from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
 from experiments.motion.ideal_feedforward import Force, feedforward_error, respond, sampled_ideal_force
 from experiments.motion.intervals import Values, key
-from experiments.motion.legends import case_styles
 from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
-from experiments.motion.magnitudes import plain_numbers
 from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
+from experiments.motion.pictures import case_styles, paint_errors, plain_numbers
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
-from experiments.motion.scan_errors import paint_errors
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.applications import Application
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors

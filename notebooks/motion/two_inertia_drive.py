@@ -6,10 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.motion.bode import paint_bode
-from experiments.motion.legends import CASES
 from experiments.motion.machines import Drive, drive
-from experiments.motion.magnitudes import add_magnitude, plain_numbers
+from experiments.motion.pictures import CASES, add_magnitude, paint_bode, plain_numbers
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily

@@ -4,9 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from experiments.motion.bode import paint_bode
-from experiments.motion.loop_functions import paint_over_masses
-from experiments.motion.magnitudes import decibel
+from experiments.motion.pictures import decibel, paint_bode, paint_over_masses
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.loops import LoopResponse

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.worstcase.random_problem import sample_problem
+from experiments.worstcase.simulations import sample_problem
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.secular import secular_function
 from workbook import figures

@@ -181,7 +181,7 @@ def test_questions_that_have_no_answer(twin):
 
 @pytest.mark.parametrize("line", [3, 50, 401, 1999])
 def test_a_drawn_curve_keeps_a_peak_one_line_wide(line):
-    from experiments.isolation.frequency_axes import thinned
+    from experiments.isolation.responses import thinned
 
     density = np.full(4001, 1e-6)
     density[line] = 1.0

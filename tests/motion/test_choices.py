@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.motion import choices
+from experiments.motion import designs
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import published_setpoint, stage
 from experiments.motion.perturbed_tracking import noisy_scan_trial
@@ -17,7 +17,7 @@ from stillwork.control.loops import channel, closed_loop
 def open_loop_gain(name: str, open_loop: str, mass: int, hertz) -> np.ndarray:
     """Magnitude of an open loop, from a sensitivity of the closed loop's states, or from plant and controller."""
     plant = stage().at([0], [mass - 1])
-    controller = choices.limit(name, "6 dB", "noise model", 0.005)[1].controller.state_space()
+    controller = designs.limit(name, "6 dB", "noise model", 0.005)[1].controller.state_space()
     omega = 2 * np.pi * np.atleast_1d(hertz)
     if open_loop == "P C_fb":
         return np.abs(plant.frequency_response(omega) * controller.frequency_response(omega))[0, 0]
@@ -40,9 +40,9 @@ def test_readings_that_change_the_search_change_its_limit():
     assert bandwidth("MC", "f_bw", 7) == usual
     assert bandwidth("MC", "f_bw", 1, six="2") > usual
     assert bandwidth("MC", "f_bw", 1, stage_damping=0.001) < 0.7 * usual
-    both = [bandwidth("MC and AD", "f_bw", 1, compensation=each) for each in choices.COMPENSATIONS]
+    both = [bandwidth("MC and AD", "f_bw", 1, compensation=each) for each in designs.COMPENSATIONS]
     assert len(set(both)) == 1  # its noise model is printed
-    alone = [bandwidth("MC, two constraints", "f_bw", 1, compensation=each) for each in choices.COMPENSATIONS]
+    alone = [bandwidth("MC, two constraints", "f_bw", 1, compensation=each) for each in designs.COMPENSATIONS]
     assert len(set(alone)) == 3
 
 

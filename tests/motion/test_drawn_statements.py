@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.motion.designs import DESIGNS, PRINTED_HZ, design_controller, stage_bandwidth
-from experiments.motion.drawn_lines import depth, turning_points
 from experiments.motion.machines import loaded_modes, stage
+from experiments.motion.pictures import depth, turning_points
 from motion.test_choices import open_loop_gain
 from notebooks.motion.active_damping import rigid_poles_after_placement
 from notebooks.motion.bandwidth_table import LOOPS, WAYS, agreeing

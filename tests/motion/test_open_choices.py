@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.motion import chain_pictures, design_explorer, drawn_lines, magnitudes
+from experiments.motion import explorers, pictures
 from notebooks.motion import discretisation as printed_matrices
 from notebooks.motion import disturbance_rejection as performance
 from notebooks.motion import generalised_h2 as energy_to_peak
@@ -40,10 +40,10 @@ def test_the_limit_rises_with_the_noise_model_beyond_the_printed_optimum():
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda: design_explorer.paint_design(60.0, 0.035, 2.0, "yes"),
-        lambda: design_explorer.paint_published("PID with notches", 100.0),
-        lambda: chain_pictures.paint_reduction(3, 100.0),
-        lambda: chain_pictures.paint_heavy_mass(2, 2.6),
+        lambda: explorers.paint_design(60.0, 0.035, 2.0, "yes"),
+        lambda: explorers.paint_published("PID with notches", 100.0),
+        lambda: explorers.paint_reduction(3, 100.0),
+        lambda: explorers.paint_heavy_mass(2, 2.6),
         lambda: printed_matrices.paint_transition_error(470.0, 0.005),
         lambda: tracking_pictures.paint_feedforward(12.5, 1.66, 35.0),
         lambda: performance.paint_disturbance(35.0, 0.01, 0.035),
@@ -90,16 +90,16 @@ def test_what_is_drawn_is_drawn_lines_by_line():
     axis.plot([1.0, 2.0, 3.0], [0.0, 5.0, 1.0], label="first")
     axis.plot([1.0, 2.0, 3.0], [7.0, 2.0, 4.0], label="second")
     axis.axhline(6.0)  # without a label
-    assert list(drawn_lines.labelled_lines(axis)) == ["first", "second"]
-    np.testing.assert_array_equal(drawn_lines.labelled_lines(axis)["second"], [[1, 2, 3], [7, 2, 4]])
-    np.testing.assert_array_equal(drawn_lines.highest(axis), [[2, 5], [1, 7]])
-    np.testing.assert_array_equal(drawn_lines.highest(axis, 1.5), [[2, 5], [3, 4]])
+    assert list(pictures.labelled_lines(axis)) == ["first", "second"]
+    np.testing.assert_array_equal(pictures.labelled_lines(axis)["second"], [[1, 2, 3], [7, 2, 4]])
+    np.testing.assert_array_equal(pictures.highest(axis), [[2, 5], [1, 7]])
+    np.testing.assert_array_equal(pictures.highest(axis, 1.5), [[2, 5], [3, 4]])
 
 
 def test_a_logarithmic_axis_of_a_decade_shows_plain_numbers():
     figure, axis = figures.new()
     axis.semilogy([2.0, 30.0])
-    magnitudes.plain_numbers(axis.yaxis)
+    pictures.plain_numbers(axis.yaxis)
     figure.draw_without_rendering()
     texts = [label.get_text() for label in axis.get_yticklabels(which="both") if label.get_text()]
     assert {"3", "10"} <= set(texts)

@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 
 from experiments.isolation.floors import flat_floor
-from experiments.isolation.frequency_axes import COARSE_HZ, thinned
 from experiments.isolation.performance import DIRECTIONS, exact_transmissibility, expected_density
 from experiments.isolation.power import BAND_HZ, reduction_percent
+from experiments.isolation.responses import COARSE_HZ, thinned
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
 from workbook import figures

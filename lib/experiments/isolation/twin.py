@@ -10,10 +10,9 @@ from scipy import linalg
 
 from experiments.isolation import shaping
 from experiments.isolation.plant import Platform, plant_of_rig
-from experiments.isolation.rig import Rig, rig_from_table
+from experiments.isolation.rig import Rig, build, require_names, require_table, rig_from_table
 from experiments.isolation.settings import Instruments, SelfTunedFeedforward, Skyhook
 from experiments.isolation.shaping import FrequencyNotch, NoiseShaping, SecondaryPath
-from experiments.isolation.tables import build, require_names, require_table
 from stillwork.base.checks import InputError, require_array, require_choice, require_number, short_repr
 from stillwork.base.toml_files import read_toml
 from stillwork.base.validation import checked

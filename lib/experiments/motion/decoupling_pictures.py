@@ -6,8 +6,7 @@ import numpy as np
 
 from experiments.motion.beam import beam, beam_parameters, beam_shapes
 from experiments.motion.decoupling_schemes import Settings, actuators_of, published_settings, with_scheme
-from experiments.motion.explorer_panels import plain
-from experiments.motion.magnitudes import decibel
+from experiments.motion.pictures import decibel, plain
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.state_space import StateModel
 from workbook import figures

@@ -4,10 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from experiments.motion.drawn_lines import labelled_lines
-from experiments.motion.legends import case_styles
 from experiments.motion.loop_conditions import slope
-from experiments.motion.magnitudes import add_magnitude
+from experiments.motion.pictures import add_magnitude, case_styles, labelled_lines
 from stillwork.control.bandwidth import Loop
 from stillwork.control.loops import channel
 from stillwork.control.pid import Pid

@@ -30,7 +30,9 @@ from stillwork.control.bandwidth import Infeasible
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel
+from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import truncate
+from workbook import figures
 
 RETAINED = 11  # modes in the observer: three rigid ones and the eight of Table 6.1
 CASES = ("Original", "MC", "AD", "MC and AD")  # rows of Tables 6.2 to 6.4
@@ -132,3 +134,17 @@ def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:
     o_yu = np.moveaxis(loop.compensator.frequency_response(loop.omega)[3:, :3], -1, 0)
     seen = loop.decoupling.sensing @ o_yu @ loop.decoupling.actuation * loop.controlled(pids)[:, None, :]
     return float(np.linalg.norm(seen, 2, axis=(1, 2)).max())
+
+
+COLOURS = dict(zip(CASES, (figures.BLACK, figures.BLUE, figures.GREEN, figures.RED), strict=True))
+FORCES, MOTIONS = ("F_z", "M_x", "M_y"), ("z", "r_x", "r_y")
+UNITS = (("m/N", "m/Nm", "m/Nm"), ("rad/N", "rad/Nm", "rad/Nm"), ("rad/N", "rad/Nm", "rad/Nm"))
+
+
+def frequencies(
+    low_hz: float = 5.0, high_hz: float = 2000.0, points: int = 200, around: int = 15
+) -> np.ndarray:
+    """Frequencies of the figures (rad/s), dense around the published modes."""
+    p = published()
+    w, z = 2 * np.pi * np.array(p["frequencies_hz"]), np.array(p["damping"])
+    return resonance_grid(w * (-z + 1j), low_hz, high_hz, points, around)

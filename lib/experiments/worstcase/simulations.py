@@ -266,3 +266,11 @@ def settled_from(forgetting: float, memories: float = 3.0) -> int:
     """The sample after so many memory lengths."""
     forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     return int(np.ceil(memories / (1 - forgetting)))
+
+
+def sample_problem(seed: int, rows: int, unknowns: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Data A, b with standard normal regressors, parameters 1, -1/2, 1/3, ... and Gaussian noise on b."""
+    rng = np.random.default_rng(seed)
+    matrix = rng.standard_normal((rows, unknowns))
+    truth = (-1.0) ** np.arange(unknowns) / np.arange(1.0, unknowns + 1)
+    return matrix, matrix @ truth + noise * rng.standard_normal(rows)
