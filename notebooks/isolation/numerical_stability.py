@@ -563,7 +563,7 @@ def paint_map(
         certain, mean = condition_bounds(forgettings[0], precision)
         for bound, line, text in ((certain, ":", "errors of one sign "), (mean, "--", "independent errors ")):
             axes.axvline(bound, color=figures.BLACK, lw=0.8, ls=line)
-            axes.annotate(text, (bound, 2e-12), rotation=90, ha="right", va="bottom", fontsize=7)
+            axes.annotate(text, (bound, 5), rotation=90, ha="right", va="top", fontsize=7)
         axes.axhline(1.0, color=figures.GREY, lw=0.8)
         axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 10))
         axes.set(xlabel="condition number of the scaled regressors")

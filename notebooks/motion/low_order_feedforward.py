@@ -198,7 +198,7 @@ def paint_errors_over_order(
             axis.semilogy([order], [1e9 * np.hypot(copied, alone)], "s", **style)
         figures.mark_published(axis, copies[name][0], published[name], "published, with noise")
         axis.xaxis.get_major_locator().set_params(integer=True)
-        axis.set(title=f"{name}, redesigned", xlabel="states of the feedforward (1)")
+        axis.set(title=f"{name}, redesigned", xlabel="states of the feedforward")
     axes[0, 0].set_ylabel("rms error in the scan (nm)")
     figures.legend_below(axes[0, 0], 3)
     return figure

@@ -74,7 +74,7 @@ def paint_geometry(aspect: float, along_x: float, along_y: float, actuators: flo
         (0.15, np.abs(model.output_shapes[:, 3:]).max(axis=0), figures.BLUE, "largest at a sensor"),
     ):
         axes[1].bar(number + shift, shapes * size, 0.3, color=colour, label=label)
-    axes[1].set(xlabel="flexible mode", ylabel=r"mode shape, rms over the plate = 1 (1)", ylim=(0, 3))
+    axes[1].set(xlabel="flexible mode", ylabel=r"mode shape, rms over the plate = 1", ylim=(0, 3))
     axes[1].legend()
     return figure
 

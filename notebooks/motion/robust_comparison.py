@@ -463,7 +463,7 @@ def paint_statements(
     for name, each in (("regularised least squares", regularised), ("Kalman", kalman)):
         level = np.median(each.flexible())
         sizes.axhline(level, color=COLOURS[name], ls="--", linewidth=0.9, label=f"the same, {name}")
-    sizes.set_ylabel("error (1, median)")
+    sizes.set_ylabel("relative error (median)")
     sizes.legend(fontsize=7)
     for k, (claim, part) in enumerate(shares.items()):  # thinner and thinner: lines at 1 lie on each other
         held.semilogx(weights, part, linewidth=5 - 1.3 * k, label=SAID[claim])

@@ -74,7 +74,7 @@ def paint_beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
     for number, place in enumerate(actuators, 1):
         axis.annotate(str(number), (place, -2.3), xytext=(6, 0), textcoords="offset points", fontsize=8)
     axis.plot(sensors, np.full(len(sensors), 2.35), "v", color=figures.GREY, label="sensors")
-    axis.set(xlabel="place along the beam (1)", ylabel="mode shape (1)")
+    axis.set(xlabel="place along the beam (of its length)", ylabel="mode shape (tip = 2)")
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=len(published) + 2)
     return figure
 
