@@ -29,7 +29,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "lib")]
 
-from stillwork.base.kernel_folder import kernels_digest  # noqa: E402
+from stillwork.base.kernel_folder import cache_folder  # noqa: E402
 from stillwork.base.toml_files import read_toml  # noqa: E402
 from workbook.choices.closure import imports  # noqa: E402
 from workbook.pinned import pins  # noqa: E402
@@ -40,7 +40,7 @@ FORKED = Path(__file__).with_name("mutating")
 PARTS = ("base", "signals", "lti", "identification", "estimation", "control")
 OTHERS = ("stillwork/design/design.py", "experiments/isolation/loop.py", "experiments/isolation/together.py")
 # Their mutants would change how the tests run, not what they find.
-LEFT_OUT = re.compile(r"__init__|kernel_cache|kernel_folder|kernels|garbage")
+LEFT_OUT = {"__init__", "kernel_cache", "kernel_folder", "kernel_sources", "kernels", "garbage"}
 TESTS = ("shared", "isolation", "motion", "worstcase", "fixedpoint")
 # They read the library as text.
 READERS = re.compile("test_(dead_code|wording|layers|readme|wheel|types|source_digest|rendering|import)")
@@ -173,7 +173,7 @@ def changes(node: ast.AST, local: list[str]) -> Iterator[tuple[str, str]]:
 def draw(count: int, seed: int) -> list[Mutant]:
     """So many mutants, of every kind about as many."""
     files = [*(f for part in PARTS for f in sorted((ROOT / "lib" / "stillwork" / part).glob("*.py")))]
-    files = [f for f in files if not LEFT_OUT.search(f.name)] + [ROOT / "lib" / each for each in OTHERS]
+    files = [f for f in files if f.stem not in LEFT_OUT] + [ROOT / "lib" / each for each in OTHERS]
     kinds: dict[str, list[Mutant]] = {}
     for file in files:
         for each in mutants_of(file.relative_to(ROOT / "lib").as_posix(), file.read_bytes()):
@@ -215,11 +215,6 @@ def distances(test: Path) -> dict[Path, int]:
     return found
 
 
-def users(file: Path) -> set[Path]:
-    """A file of the library and those that lead to it: what it does may be part of their machine code."""
-    return {each for each in (TREE / "lib").rglob("*.py") if file in distances(each)}
-
-
 def copy_tree() -> None:
     """The files as they are, committed or not, with an order of tests that `run` sets."""
     listed = subprocess.run(
@@ -234,9 +229,7 @@ def copy_tree() -> None:
         'import os\n\nORDER = os.environ["ORDER"].split("|")\n\n\ndef rank(file):\n    return ORDER.index(str(file))\n'
     )
     KERNELS.mkdir(parents=True, exist_ok=True)
-    made = ROOT / "build" / "kernels" / kernels_digest()
-    if made.is_dir():
-        shutil.copytree(made, KERNELS, dirs_exist_ok=True)
+    shutil.copytree(cache_folder(), KERNELS, dirs_exist_ok=True)
 
 
 def environment() -> dict[str, str]:
@@ -308,10 +301,9 @@ def names(file: Path) -> set[str]:
     return brought | read | {node.attr for node in nodes if isinstance(node, ast.Attribute)}
 
 
-def run(tests: list[Path], kernels: Path, limit: float, *options: str) -> tuple[str, str]:
+def run(tests: list[Path], limit: float, *options: str) -> tuple[str, str]:
     """What pytest found: passed, failed or late, and its last lines."""
     variables = {"ORDER": "|".join(str(each).partition("::")[0] for each in tests)}
-    variables |= {"STILLWORK_KERNELS": str(kernels)}
     try:
         done = subprocess.run(
             [*PYTEST, *options, *map(str, tests)],
@@ -332,7 +324,7 @@ def run(tests: list[Path], kernels: Path, limit: float, *options: str) -> tuple[
 @cache
 def passes(test: str) -> bool:
     """Whether a test passes in the copy without a fault."""
-    return run([TREE / test], KERNELS, PATIENCE)[0] == "passed"
+    return run([TREE / test], PATIENCE)[0] == "passed"
 
 
 def judge(mutant: Mutant, limit: float, marks: Iterable[str]) -> dict:
@@ -342,7 +334,6 @@ def judge(mutant: Mutant, limit: float, marks: Iterable[str]) -> dict:
     """
     file, tests = TREE / "lib" / mutant.file, nearest(mutant)[:FILES]
     text, before = file.read_bytes(), file.stat().st_mtime
-    kernels = kernels_without(file, text, mutant) if b"stillwork.base.kernel" in text else KERNELS
     end, by, failing = "survived", "", []
     for marked in marks if tests else ():
         options = ["-x", "-rfE", "-m", marked]
@@ -351,14 +342,14 @@ def judge(mutant: Mutant, limit: float, marks: Iterable[str]) -> dict:
                 file.write_bytes(mutant.applied(text))
                 # For Python's bytecode, which looks at whole seconds.
                 os.utime(file, (before + 10, before + 10))
-                state, said = run(tests, kernels, limit, *options, *failing)
+                state, said = run(tests, limit, *options, *failing)
             finally:
                 file.write_bytes(text)
                 os.utime(file, (before, before))
             if state == "passed":
                 break
             if state == "late":
-                late = run(tests, KERNELS, limit, *options, *failing)[0] == "late"
+                late = run(tests, limit, *options, *failing)[0] == "late"
                 end = "not decided" if late else "killed by time"
                 break
             found = re.findall(r"^(?:FAILED|ERROR) (\S+?)(?: - .*)?$", said, re.MULTILINE)
@@ -367,19 +358,6 @@ def judge(mutant: Mutant, limit: float, marks: Iterable[str]) -> dict:
                 end = "killed"
             failing += ["--deselect", by]
     return {"mutant": str(mutant), "end": end, "by": by if end == "killed" else "", "tests": len(tests)}
-
-
-def kernels_without(file: Path, text: bytes, mutant: Mutant) -> Path:
-    """A copy of the machine code in which what may hold a kernel of `file` is to be made anew."""
-    kernels = PLACE / "kernels-of-mutant"
-    shutil.rmtree(kernels, ignore_errors=True)
-    shutil.copytree(KERNELS, kernels, copy_function=os.link)
-    if mutant.in_kernel:
-        for user in users(file):
-            for made in kernels.glob(f"{user.parent.name}_*"):
-                for each in made.glob(f"{user.stem}.*"):
-                    each.unlink()
-    return kernels
 
 
 def equivalent(mutant: Mutant) -> bool:

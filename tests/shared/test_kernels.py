@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from importlib import import_module
 from pathlib import Path
 
 import numba
@@ -29,19 +28,29 @@ from stillwork.base.kernels import inlined_kernel
 def _twice(x):
     return {factor} * x
 """
+CONSTANTS = """
+from typing import NamedTuple
+
+OFFSET = {offset}
+
+class Pair(NamedTuple):
+    {fields}: float
+"""
 CALLER = """
+from stillwork import constants
 from stillwork.called import _twice
 from stillwork.base.kernels import kernel
 
 @kernel
-def _use(x):
-    return _twice(x) + 1
+def _use(x, pair):
+    return _twice(x) + constants.OFFSET + pair.second
 """
 RUN = """
 from stillwork.caller import _use
+from stillwork.constants import Pair
 print(flush=True)
 input()
-print(_use(10.0), sum(_use.stats.cache_misses.values()))
+print(_use(10.0, Pair(5.0, 0.0)), sum(_use.stats.cache_misses.values()))
 """
 ALONE = """
 from stillwork.base.kernels import kernel
@@ -58,7 +67,9 @@ def _outer(x):
 
 def start(root: Path, **environment) -> subprocess.Popen:
     """A process that has imported the kernels of the workbook at `root` and waits for a line to call them."""
-    environment = {"PYTHONPATH": str(root / "lib"), "STILLWORK_ROOT": str(root), "PATH": ""} | environment
+    ours = {"PYTHONPATH": str(root / "lib"), "STILLWORK_ROOT": str(root), "PATH": ""}
+    # Python takes a file of the same second and size for the same one.
+    environment = {"PYTHONDONTWRITEBYTECODE": "1"} | ours | environment
     process = subprocess.Popen(
         [sys.executable, "-c", RUN], env=environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
@@ -83,12 +94,13 @@ def workbook(tmp_path) -> Path:
     package = root / "lib" / "stillwork"
     (package / "base").mkdir(parents=True)
     (root / "data").mkdir()
-    needed = ("checks", "garbage", "kernel_cache", "kernel_folder", "kernels", "source_digest")
+    needed = ("checks", "garbage", "kernel_cache", "kernel_folder", "kernel_sources", "kernels")
     for name in ("__init__", *needed):
         shutil.copy(Path(stillwork.__file__).parent / "base" / f"{name}.py", package / "base")
     shutil.copy(Path(stillwork.__file__), package)
     (package / "caller.py").write_text(CALLER)
     (package / "called.py").write_text(CALLED.format(factor=2))
+    (package / "constants.py").write_text(CONSTANTS.format(offset=1, fields="first: float; second"))
     return root
 
 
@@ -155,8 +167,10 @@ def test_the_folders_that_the_environment_names_are_obeyed(workbook, tmp_path):
     assert not (workbook / "build").exists()
 
 
-# The user's own places for machine code, numba's rule for them, and one where nothing of the workbook's can be written.
+# The places for machine code: ours, a named one, the user's own, numba's rule, and one where nothing of ours can be written.
 PLACES = (
+    {},
+    {"STILLWORK_KERNELS": "{own}"},
     {"NUMBA_CACHE_DIR": "{own}"},
     {"NUMBA_CACHE_LOCATOR_CLASSES": "InTreeCacheLocator"},
     {"STILLWORK_ROOT": "{own}", "NUMBA_CACHE_DIR": ""},
@@ -165,13 +179,50 @@ PLACES = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("place", PLACES)
-def test_a_change_of_a_called_kernel_is_seen_wherever_machine_code_is_kept(workbook, tmp_path, place):
+def test_a_change_of_what_a_kernel_names_is_seen_wherever_machine_code_is_kept(workbook, tmp_path, place):
     own = {name: value.format(own=tmp_path / "own") for name, value in place.items()}
-    called = workbook / "lib" / "stillwork" / "called.py"
-    for factor, value in ((2, 21), (3, 31), (2, 21)):
-        called.write_text(CALLED.format(factor=factor))
+    package = workbook / "lib" / "stillwork"
+    for factor, offset, second, value in (
+        (2, 1, 1, 21),
+        (3, 1, 1, 31),
+        (3, 4, 1, 34),
+        (3, 4, 0, 39),
+        (2, 1, 1, 21),
+    ):
+        (package / "called.py").write_text(CALLED.format(factor=factor))
+        fields = "first: float; second" if second else "second: float; first"
+        (package / "constants.py").write_text(CONSTANTS.format(offset=offset, fields=fields))
         assert run(workbook, **own)[0] == value
     assert run(workbook, **own) == [21, 0]
+
+
+CELLS = r"""
+import sys
+from IPython.core.interactiveshell import InteractiveShell
+shell = InteractiveShell.instance()
+shell.run_cell("from stillwork.base.kernels import kernel")
+shell.run_cell("@kernel\ndef called(x):\n    return {factor} * x")
+shell.run_cell("@kernel\ndef caller(x):\n    return called(x) + 1")
+shell.run_cell("print(caller(10.0), sum(caller.stats.cache_misses.values()))")
+"""
+
+
+@pytest.mark.slow
+def test_a_change_of_a_kernel_in_another_cell_is_seen(workbook, tmp_path):
+    (tmp_path / "ipykernel_1").mkdir()
+    environment = {
+        "PYTHONPATH": str(workbook / "lib"),
+        "IPYTHONDIR": str(tmp_path),
+        "HOME": str(tmp_path),
+        "PATH": "",
+    }
+
+    def ask(factor: int) -> list[float]:
+        command = [sys.executable, "-c", CELLS.format(factor=factor)]
+        said = subprocess.check_output(command, env=environment, text=True)
+        return [float(word) for word in said.split()]
+
+    assert [ask(factor) for factor in (2, 2, 3, 3)] == [[21, 1], [21, 0], [31, 1], [31, 0]]
 
 
 def test_the_cache_folder_is_the_one_that_the_driver_gives(monkeypatch):
@@ -179,66 +230,28 @@ def test_the_cache_folder_is_the_one_that_the_driver_gives(monkeypatch):
     assert cache_folder() == "/given"
 
 
-def test_folders_of_other_digests_go_after_a_week_without_use(workbook):
-    every = workbook / "build" / "kernels"
-    day = 24 * 3600
-    for name, age in {"0" * 16: 8, "1" * 16: 8, "2" * 16: 6, "own": 30}.items():
+def test_machine_code_goes_after_a_week_without_use(workbook):
+    run(workbook)
+    every, day = workbook / "build" / "kernels", 24 * 3600
+    used = _kernel_folders(workbook)
+    for name, age in {"0" * 16: 8, f"topic_{'1' * 16}": 8, "2" * 16: 6, "own": 30}.items():
         (every / name / "topic").mkdir(parents=True)
         os.utime(every / name, (time.time() - age * day,) * 2)
-    ask = "from stillwork.base.kernel_folder import cache_folder; print(cache_folder()); input()"
-    environment = {"PYTHONPATH": str(workbook / "lib"), "STILLWORK_ROOT": str(workbook), "PATH": ""}
-
-    def asked() -> subprocess.Popen:
-        return subprocess.Popen(
-            [sys.executable, "-c", ask],
-            env=environment,
-            text=True,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        )
-
-    first = asked()
-    used = Path(first.stdout.readline().strip())
-    folders = {folder.name for folder in every.iterdir() if folder.is_dir()}
-    assert folders == {used.name, "2" * 16, "own"}
-
-    os.utime(used, (1e9, 1e9))  # as after a long session, which has it in use
-    (workbook / "lib" / "stillwork" / "called.py").write_text(CALLED.format(factor=3))
-    asked().communicate("\n")
-    assert used.exists()
-    first.communicate("\n")
-    (workbook / "lib" / "stillwork" / "called.py").write_text(CALLED.format(factor=4))
-    asked().communicate("\n")
-    assert not used.exists()
-
-
-def test_kernels_beside_a_notebook_are_part_of_the_digest(workbook):
-    ask = "from stillwork.base.kernel_folder import kernels_digest; print(kernels_digest())"
-    environment = {"PYTHONPATH": str(workbook / "lib"), "STILLWORK_ROOT": str(workbook), "PATH": ""}
-    own, found = workbook / "notebooks" / "motion" / "own.py", []
-    own.parent.mkdir(parents=True)
-    for text in ("", CALLED.format(factor=2), CALLED.format(factor=2) + "# why", CALLED.format(factor=3)):
-        own.write_text(text)
-        found.append(subprocess.check_output([sys.executable, "-c", ask], env=environment))
-    assert found[1] == found[2] and len(set(found)) == 3
+    (every / f"{'3' * 16}.code").touch()  # as earlier versions left it
+    os.utime(every / f"{'3' * 16}.code", (1e9, 1e9))
+    assert run(workbook) == [21, 0]
+    assert _kernel_folders(workbook) == used | {"2" * 16, "own"}
+    assert not list(every.glob("*.code"))
 
 
 @pytest.mark.slow
 def test_a_comment_in_a_file_of_kernels_compiles_that_file_alone(workbook):
-    """Its own kernels, whose machine code numba keys by the file; not those that call them."""
+    """Its own kernels, whose machine code is kept by the file; not those that call them."""
     assert run(workbook) == [21, 1]
-    folders = _kernel_folders(workbook)
-    package = workbook / "lib" / "stillwork"
-    called = package / "called.py"
-    called.write_text(f"# Why, in a comment.\n{called.read_text()}")
-    assert run(workbook) == [21, 0]
-    caller = package / "caller.py"
-    caller.write_text(f"# Why, in a comment.\n{caller.read_text()}")
-    assert run(workbook) == [21, 1]
-    assert _kernel_folders(workbook) == folders
-    called.write_text(called.read_text().replace("2", "3"))
-    assert run(workbook) == [31, 1]
-    assert len(_kernel_folders(workbook)) == len(folders) + 1
+    for name, compiled in (("called", 0), ("constants", 0), ("caller", 1)):
+        file = workbook / "lib" / "stillwork" / f"{name}.py"
+        file.write_text(f"# Why, in a comment.\n{file.read_text()}")
+        assert run(workbook) == [21, compiled]
 
 
 def _kernel_folders(workbook: Path) -> set[str]:
@@ -384,46 +397,3 @@ def test_a_call_of_what_counts_references_is_found():
     assert list(counted({name: ast.parse(text) for name, text in sources.items()})) == [
         (("stillwork.b", "both"), ("stillwork.a", "make"))
     ]
-
-
-LIBRARY = Path(stillwork.__file__).parents[1]
-
-
-def place_of(module: str) -> Path:
-    root = LIBRARY.parent if module.startswith("contest.") else LIBRARY
-    return root.joinpath(*module.split(".")).with_suffix(".py")
-
-
-def imported_names(source: bytes) -> dict[str, Path]:
-    """Names that a module takes from the library, with the files that they come from."""
-    return {
-        alias.asname or alias.name: place_of(node.module)
-        for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.ImportFrom)
-        and (node.module or "").startswith(("stillwork.", "workbook.", "experiments.", "contest."))
-        for alias in node.names
-    }
-
-
-def test_what_a_kernel_names_comes_from_files_that_its_machine_code_is_kept_by():
-    """A constant is frozen into the machine code; of a file without kernels a change of it would go unseen."""
-    elsewhere, kernels = [], 0
-    others = [file for name in ("contest", "notebooks") for file in (LIBRARY.parent / name).rglob("*.py")]
-    for file in sorted([*LIBRARY.rglob("*.py"), *others]):
-        if b"stillwork.base.kernel" not in (source := file.read_bytes()):
-            continue
-        root = LIBRARY if file.is_relative_to(LIBRARY) else LIBRARY.parent
-        module = import_module(".".join(file.relative_to(root).with_suffix("").parts))
-        taken = imported_names(source)
-        for name, kernel in vars(module).items():
-            if (
-                isinstance(kernel, numba.core.registry.CPUDispatcher)
-                and kernel.py_func.__module__ == module.__name__
-            ):
-                kernels += 1
-                used = taken.keys() & set(kernel.py_func.__code__.co_names)
-                elsewhere += [
-                    (name, each) for each in used if b"stillwork.base.kernel" not in taken[each].read_bytes()
-                ]
-    assert kernels > 100
-    assert elsewhere == []

@@ -5,11 +5,12 @@ of every run: a kernel written for one run then serves several, and every lane g
 run in their order, to the same bits. `together` is a tuple as long as the runs are many, so that the compiler knows
 their number, or None for a single run, whose arrays stay as they are.
 
-What stands here becomes part of kernels' machine code, whose folder (`stillwork.base.kernel_folder`) is named after
-every file that says ``stillwork.base.kernel``, as this sentence does.
+What stands here becomes part of kernels' machine code: the type's name holds this file's digest, by which it is kept.
 """
 
+import hashlib
 import operator
+from pathlib import Path
 
 from llvmlite import ir
 from numba.core import cgutils, types
@@ -22,6 +23,7 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import make_array, populate_array
 
 NUMBER = 8  # bytes
+SOURCE = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
 
 
 class Lanes(types.Type):
@@ -29,7 +31,7 @@ class Lanes(types.Type):
 
     def __init__(self, count: int):
         self.count = count
-        super().__init__(name=f"Lanes({count})")
+        super().__init__(name=f"Lanes({count}, {SOURCE})")
 
     def can_convert_from(self, context, other):
         """What a variable may hold before it holds lanes."""

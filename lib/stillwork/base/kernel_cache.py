@@ -8,13 +8,14 @@ import pickle
 import time
 from pathlib import Path
 
-from numba import config
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
+from numba import config, types
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.serialize import dumps
 
 from stillwork.base.garbage import no_collection
-from stillwork.base.kernel_folder import cache_folder, kernels_digest
+from stillwork.base.kernel_folder import cache_folder
+from stillwork.base.kernel_sources import sources_digest
 
 try:
     import fcntl
@@ -27,8 +28,9 @@ PATIENCE = 120.0  # s; several times what the largest kernel takes on a busy mac
 class CodeCache(FunctionCache):
     """Numba's cache of one function, of which one process at a time compiles what is not there.
 
-    A file that cannot be read, as a crash or a full disk leave it, counts as absent; a file that cannot be
-    written is left out. What the cache gives is time: it must not stop a calculation.
+    Machine code counts for the functions and constants that it was made from, wherever they stand. A file that cannot
+    be read, as a crash or a full disk leave it, counts as absent; a file that cannot be written is left out. What the
+    cache gives is time: it must not stop a calculation.
     """
 
     _turn = None  # the locked file, while this process compiles
@@ -63,6 +65,9 @@ class CodeCache(FunctionCache):
         with contextlib.suppress(OSError):
             super().save_overload(sig, data)
 
+    def _index_key(self, sig, codegen):
+        return sig, codegen.magic_tuple(), sources_digest(self._py_func), _fields(getattr(sig, "args", sig))
+
     def _look(self, sig, target_context):
         try:
             return super().load_overload(sig, target_context)
@@ -70,6 +75,12 @@ class CodeCache(FunctionCache):
             with contextlib.suppress(OSError):
                 self.flush()  # saving reads the index again
             return None
+
+
+def _fields(kinds) -> tuple:
+    """Names of the fields of named tuples: machine code knows these by their places."""
+    tuples = [each for each in kinds if isinstance(each, types.BaseTuple)]
+    return tuple((getattr(each, "fields", ()), _fields(getattr(each, "types", ()))) for each in tuples)
 
 
 class _ContentLocator(_CacheLocator):
@@ -102,15 +113,15 @@ class _ContentLocator(_CacheLocator):
         try:
             locator = cls(py_func, py_file)
             os.makedirs(locator.get_cache_path(), exist_ok=True)
+            os.utime(locator.get_cache_path())  # what is not used is removed
         except OSError:
             return None
         return locator
 
 
-def _folder():
-    """The user's folder for machine code, NUMBA_CACHE_DIR, with one in it for the kernels as they are; else ours."""
-    named = config.CACHE_DIR  # type: ignore[attr-defined]  # numba sets it from the environment
-    return os.path.join(named, kernels_digest()) if named else cache_folder()
+def _folder() -> str:
+    """The user's folder for machine code, NUMBA_CACHE_DIR, or ours."""
+    return config.CACHE_DIR or cache_folder()  # type: ignore[attr-defined]  # numba sets it from the environment
 
 
 class _CheckedCode(CompileResultCacheImpl):
@@ -133,15 +144,6 @@ class KernelCache(CodeCache):
     """The cache of a kernel of the package."""
 
     _impl_class = _CheckedCode  # type: ignore[assignment]
-
-    def __init__(self, py_func):
-        super().__init__(py_func)
-        locator = self._impl.locator
-        if not isinstance(
-            locator, _ContentLocator
-        ):  # numba's own places, which look at the kernel's file alone
-            stamp = (locator.get_source_stamp(), kernels_digest())
-            self._cache_file = IndexDataCacheFile(self._cache_path, self._impl.filename_base, stamp)
 
 
 def _locked(path: str):

@@ -73,8 +73,7 @@ def callback(function: Callable, signature: str):
     """Compile a function of a reader's own to a C callback, cached beside the file that defines it.
 
     All callbacks of one signature have one type, so a kernel that calls them is compiled once for every function.
-    The cache notices a change of that file, not of another one from which the function calls: keep what belongs
-    to a model in one file. A function typed at a prompt, or of a module that ``sys.modules`` does not hold, is
+    A function typed at a prompt, or of a module that ``sys.modules`` does not hold, is
     compiled anew in every process.
     """
     function = inspect.unwrap(function)

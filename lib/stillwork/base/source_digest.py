@@ -1,6 +1,6 @@
 """A digest of what a module's source does: wording and layout are no part of it.
 
-The keys of notebooks, of studies and of kernels' machine code (`stillwork.base.kernel_folder`) hold it.
+The keys of notebooks and of studies hold it.
 """
 
 import ast
