@@ -276,7 +276,7 @@ def compiled(psi, error, start) -> dict:
 
     weights, covariance = start()
     for k in range(1000):
-        levels, gain = np.full((3, REGRESSORS), np.inf), np.empty(REGRESSORS)
+        levels, gain = np.full((4, REGRESSORS), np.inf), np.empty(REGRESSORS)
         ferls_update(weights, covariance, FORGETTING, levels, np.inf, gain, psi[k], error[k])
     if not np.allclose(call(1000)[1], weights, rtol=1e-9, atol=1e-12):
         raise SystemExit("the C update gives other weights than the kernel")

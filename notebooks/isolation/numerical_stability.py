@@ -444,7 +444,7 @@ def _forget_along(weights, covariance, psi, error, forgetting, gain):
 def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, kept):
     regressors, filtered, optima, segment, shaping = loop
     n, memory = len(start), np.zeros((len(shaping), 2))
-    weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((3, n))
+    weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((4, n))
     bound = 0.0
     for i in range(n):
         covariance[i, i] = start[i]

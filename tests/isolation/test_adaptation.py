@@ -161,7 +161,7 @@ def test_limit_is_added_information():
     psi, e = rng.standard_normal(5), rng.standard_normal(2)
     unlimited, limits = covariance.copy(), 0.6 * np.diag(covariance)
     weights, same = np.zeros((2, 5)), np.zeros((2, 5))
-    levels, free = np.zeros((3, 5)), np.zeros((3, 5))
+    levels, free = np.zeros((4, 5)), np.zeros((4, 5))
     levels[0], free[0] = limits, np.inf
     _, reached = ferls_update(weights, covariance, 0.9, levels, np.inf, np.empty(5), psi, e)
     assert reached
@@ -366,8 +366,8 @@ def test_update_kernels_run_without_compilation_too():
     rng = np.random.default_rng(3)
     psi, e = rng.standard_normal(9), rng.standard_normal(6)
     for update, extra in (
-        (ferls_update, lambda: (0.99, np.ones((3, 9)), np.inf, np.empty(9), psi, e)),
-        (ferls_ud_update, lambda: (0.99, np.ones((3, 9)), 1.0, np.empty(9), np.empty(9), psi, e, 0)),
+        (ferls_update, lambda: (0.99, np.ones((4, 9)), np.inf, np.empty(9), psi, e)),
+        (ferls_ud_update, lambda: (0.99, np.ones((4, 9)), 1.0, np.empty(9), np.empty(9), psi, e, 0)),
         (felms_update, lambda: (psi, e, 0.1, 1e-5, 6.0)),
     ):
         results = []

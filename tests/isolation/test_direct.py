@@ -89,7 +89,7 @@ def test_multiplications_are_those_of_the_update_written_out(actuators, n, monke
         objects(np.zeros((actuators, n))),
         objects(np.eye(n)),
         one,
-        np.full((3, n), np.inf),
+        np.full((4, n), np.inf),
         np.inf,
         np.empty(n, dtype=object),
         objects(psi),

@@ -33,7 +33,7 @@ def ferls_updates(weights, matrix, forgetting, levels, each, allowance, gain, re
 def hold_each(matrix, forgetting, levels, runs):
     """`hold_triangle` of every run, by copies: it is rare."""
     count = len(matrix)
-    one, limits, work = np.empty((count, count)), np.empty((3, count)), np.empty(count)
+    one, limits, work = np.empty((count, count)), np.empty((4, count)), np.empty(count)
     # In loops: slices would triple the time to compile.
     for run in range(runs):
         for i in range(count):

@@ -23,7 +23,7 @@ from stillwork.base.checks import (
     require_number,
     require_topic,
 )
-from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel, pasted_kernel
 from stillwork.base.validation import by_value, check_fields, checked, copy_arrays
 from stillwork.estimation.covariance_forms import (
     FORMS,
@@ -110,7 +110,7 @@ class Recursion(NamedTuple):
     matrix: np.ndarray  # (n, n), what the form stores for P
     form: int  # place in FORMS
     forgetting: float  # lambda as the precision holds it
-    # (3, n): limits of P's diagonal, power of psi in the window, share of time at the limit
+    # (4, n): limits of P's diagonal, power of psi in the window, share of time at the limit, room for work
     levels: np.ndarray
     allowance: float  # limit times power that is granted to each regressor
     gain: np.ndarray  # (n,), room for work
@@ -251,7 +251,7 @@ class FeRls:
         form = self.form
         if form == "safe":
             form = "triangle" if dtype == np.float64 else "UD"
-        levels = np.zeros((3, regressors), dtype)
+        levels = np.zeros((4, regressors), dtype)
         levels[0] = self.growth_limit * np.diag(covariance)
         return Recursion(
             factor_of(form, covariance).astype(dtype),
@@ -297,7 +297,7 @@ def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner,
     return denominator, variance(UD, matrix, axis) > levels[0, axis]
 
 
-@kernel
+@borrowing_kernel
 def ferls_form_update(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
 ):
@@ -342,21 +342,21 @@ def check_powers(levels, regressor, forgetting, allowance):
                 levels[0, i] = allowance / levels[1, i]
 
 
-@kernel
+@borrowing_kernel
 def hold_triangle(covariance, forgetting, levels, gain):
     """Bring the diagonal of P back to its limits, as if each regressor above its own had been seen once more."""
-    held = np.empty(levels.shape[1], np.bool_)
-    hold_diagonal(covariance, levels[0], held, gain)
-    for i in range(len(held)):
-        if held[i]:
+    hold_diagonal(covariance, levels[0], levels[3], gain)
+    for i in range(len(gain)):
+        if levels[3, i]:
             levels[2, i] += covariance.dtype.type(1) - covariance.dtype.type(forgetting)
 
 
-@kernel
+@borrowing_kernel
 def hold_ud(factor, forgetting, levels, gain, inner, axis):
     """The same for one element of Bierman's factors: a regressor along its axis, seen without forgetting."""
-    one, n = factor.dtype.type(1), levels.shape[1]
-    unit = np.zeros(n, factor.dtype)
+    one, n, unit = factor.dtype.type(1), levels.shape[1], levels[3]
+    for i in range(n):
+        unit[i] = 0
     unit[axis] = np.sqrt(one / levels[0, axis] - one / variance(UD, factor, axis))
     update_ud(factor, unit, one, gain, inner)
     levels[2, axis] = stretched(levels[2, axis], factor.dtype.type(forgetting), n)
@@ -368,7 +368,7 @@ def stretched(share, forgetting, n):
     return min(1.0, share + 1.0 - forgetting**n)
 
 
-@inlined_kernel
+@pasted_kernel
 def ferls_step(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
 ):

@@ -16,7 +16,7 @@ import numpy as np
 
 from stillwork.base.algebra import add_scaled, copy_vector, plus_column, plus_left, plus_row, project
 from stillwork.base.checks import InputError, require_choice
-from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel, pasted_kernel
 from stillwork.base.validation import checked
 
 FORMS = ("triangle", "Joseph", "square root", "UD", "inverse QR")
@@ -205,7 +205,7 @@ def add_triangle_information(covariance, axis, information, gain):
     downdate(covariance, gain, information / (one + information * gain[axis]), one)
 
 
-@kernel
+@borrowing_kernel
 def hold_diagonal(covariance, limits, held, gain):
     """Add to the triangle what brings its diagonal back to these limits, and note whose variance is `held` by it.
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float64, Int64
 from numpy.typing import ArrayLike
 
-from stillwork.base.algebra import copy_matrix, plus_row
+from stillwork.base.algebra import copy_matrix, copy_vector, plus_row
 from stillwork.base.checks import (
     InputError,
     pluralise,
@@ -392,7 +392,7 @@ def run_ferls(
     due = every - 1
     for k in range(len(regressors)):
         if not fits:
-            error = signals[k]
+            copy_vector(signals[k], error)  # of one of two arrays numba would count the references
         elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k, True
         leverage = ferls_step(

@@ -132,7 +132,7 @@ def estimate(
 @kernel
 def _estimate(forward, inputs, gain, outputs, u, y, initial, out):
     runs, n, samples = out.shape
-    x, predicted = np.empty(n), np.empty(n)
+    x, predicted, innovation = np.empty(n), np.empty(n), np.empty(y.shape[1])
     for run in range(runs):
         for i in range(n):
             x[i] = out[run, i, 0] = initial[i]
@@ -144,13 +144,13 @@ def _estimate(forward, inputs, gain, outputs, u, y, initial, out):
                 for j in range(u.shape[1]):
                     total += inputs[k, i, j] * u[run, j, k - 1]
                 predicted[i] = total
-            for i in range(n):
-                x[i] = predicted[i]
             for j in range(y.shape[1]):
-                innovation = y[run, j, k]
+                total = y[run, j, k]
                 for i in range(n):
-                    innovation -= outputs[k, j, i] * predicted[i]
-                for i in range(n):
-                    x[i] += gain[k, i, j] * innovation
+                    total -= outputs[k, j, i] * predicted[i]
+                innovation[j] = total
             for i in range(n):
-                out[run, i, k] = x[i]
+                total = predicted[i]
+                for j in range(y.shape[1]):
+                    total += gain[k, i, j] * innovation[j]
+                x[i] = out[run, i, k] = total
