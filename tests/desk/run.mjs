@@ -5,8 +5,8 @@ import { pathToFileURL } from "node:url";
 
 const folder = process.argv[2];
 const load = (name) => import(pathToFileURL(`${folder}/${name}`));
-const [L, R, M, O, S, X, B] = await Promise.all(
-  ["loop.js", "response.js", "model.js", "observer.js", "simulate.js", "optimise.js", "export.js"].map(load),
+const [L, R, M, O, S, X, B, F] = await Promise.all(
+  ["loop.js", "response.js", "model.js", "observer.js", "simulate.js", "optimise.js", "export.js", "files.js"].map(load),
 );
 
 const here = {
@@ -48,6 +48,10 @@ const here = {
     while (!search.step(1000));
     const found = search.results(), loop = L.makeLoop(machine, found.design);
     return { ...found, bandwidth: L.judge(loop, found.design).bandwidth };
+  },
+  alone(machine, design) {
+    const found = F.measuredAlone(machine), judged = L.judge(L.makeLoop(found, design), design);
+    return { rigid: found.rigid, turned: found.turned, mass: found.mass, unstable: judged.unstable, box: judged.box.unstable };
   },
   toml: B.controllerToml,
   code: B.biquadCode,

@@ -1,5 +1,6 @@
 """The desk's modules, run by node, against this library's own loops and against SciPy; its page and its files."""
 
+import ctypes
 import html
 import json
 import re
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from shared.compiled import STRICT
 from stillwork import control, lti
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
@@ -33,7 +35,7 @@ from workbook import paths
 
 DESIGNS = 200
 CLOSE = 1e-9
-ROUNDING = 1e-12  # relative, of a magnitude of 1 beside the point -1
+ROUNDING = 1e-11  # relative, of a magnitude of 1 beside the point -1
 TURN = 2 * np.pi
 INTENSITIES = {"disturbance": 8e-4, "sensor": 1.41e-9, "drift": 1.92e-4}
 
@@ -248,11 +250,13 @@ def test_the_box_is_searched_as_the_library_searches_it(node):
             pid = control.PidFamily(machine.mass)(share * machine.resonances_hz[0])
             shaped = design | {"blocks": [pid_block(pid), *others]}
             calls.append(("here", "box", own, shaped, box.omega))
-            wanted.append([box.worst(loop, pid, [each], every=True)[0][0] for each in OF_ERROR])
+            wanted.append([box.worst(loop, pid, [each], every=True, exact=False)[0][0] for each in OF_ERROR])
     found = values(node(calls))
     for each, worst in zip(found, wanted, strict=True):
         for name, size in zip(HELD, worst, strict=True):
-            np.testing.assert_allclose(each[name]["size"], size, rtol=max(CLOSE, ROUNDING * size))
+            np.testing.assert_allclose(
+                each[name]["size"], size, rtol=max(CLOSE, ROUNDING * max(worst))
+            )  # of one denominator
     assert min(map(max, wanted)) < 2 and max(map(max, wanted)) > 1e3  # boxes that hold, and that do not
 
 
@@ -393,6 +397,7 @@ def test_a_table_is_read_as_the_library_reads_it(node, tmp_path):
         ("time (s),force 1 (N)\n0,1\n", "stillwork desk FILE"),
         ("1,2,3\n2,3,4\n", "names"),
         ("frequency,real\n1,2\n", "magnitude"),
+        ("frequency (Hz),real (furlong/N),imaginary (furlong/N)\n1,2,3\n", "unit is not known"),
     ):
         [found] = node([("files.js", "machineOfTable", text, "x")])
         assert told in found["error"]
@@ -471,10 +476,83 @@ def test_a_response_that_nothing_fits_comes_without_a_model(tmp_path):
     rows = "\n".join(f"{f},0.1,0" for f in hertz)
     (tmp_path / "mass.csv").write_text(f"frequency (Hz),real (m/s^2/N),imaginary (m/s^2/N)\n{rows}\n")
     found = read_machine(tmp_path / "mass.csv")
-    assert found["model"] is None and found["mass"] == pytest.approx(10)
+    assert found["model"] is None and "mass" not in found
     assert (
         found["uncertainty"] == {"gain": 0.05, "delay": 0.0} and "no model was fitted" in found["notes"][-1]
     )
+    said = desk_file(str(tmp_path / "mass.csv"), str(tmp_path / "desk.html"))
+    assert said[0] == "mass.csv: a measurement alone"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rigid", [2, 1, 0])
+def test_a_bare_measurement_is_judged_as_what_it_is_below_its_lines(node, rigid):
+    """A rigid body, one with friction, and one on a suspension, either way round: poles outside as those of the model."""
+    rng, calls, wanted = np.random.default_rng(rigid), [], []
+    for seed in range(24):
+        mass, sign = float(np.exp(rng.uniform(-2, 4))), 1 - 2 * (seed % 2)
+        first, hertz = float(rng.uniform(2, 20)), float(rng.uniform(200, 400))
+        model = lti.ModalModel(
+            TURN * np.array([0.0 if rigid else 6 * first, hertz]),
+            np.array([0.0 if rigid else 0.05, 0.01]),
+            np.array([[1.0], [0.6]]) / np.sqrt(mass),
+            np.array([[1.0, float(rng.choice([-0.6, 0.6]))]]) / np.sqrt(mass),
+            np.array([[0.0]]),
+            drag=TURN * 6 * first if rigid == 1 else 0.0,
+        )
+        lines = np.geomspace(first, 40 * hertz, 700)
+        own = -((TURN * lines) ** 2) * model.frequency_response(TURN * lines)[0, 0]
+        rate, bandwidth = 100 * hertz, float(np.exp(rng.uniform(np.log(3 * first), np.log(2 * hertz))))
+        pid = control.PidFamily(mass)(bandwidth)
+        loop = make_loop(model, low_hz=first / 30, sample_time=1 / rate, delay=0.5)
+        machine = {
+            "name": "bare",
+            "units": {"position": "m", "drive": "N"},
+            "notes": [],
+            "delay_s": 0.0,
+            "model": None,
+            "measured": {"hz": lines, "re": sign * own.real, "im": sign * own.imag},
+            "band_hz": [lines[0], lines[-1]],
+            "uncertainty": {"gain": 1e-4, "delay": 0.0},
+        }
+        timing = [{"kind": "sampling", "rate_hz": rate}, {"kind": "delay", "delay_us": 0.5e6 / rate}]
+        calls.append(("here", "alone", machine, {"blocks": [pid_block(pid), *timing], "limit": None}))
+        wanted.append((sign < 0, int(np.sum(loop.poles(pid).real > 0)), mass))
+    for found, (turned, unstable, mass) in zip(values(node(calls)), wanted, strict=True):
+        assert (found["rigid"], found["turned"]) == (rigid, turned)
+        assert found["unstable"] == found["box"] == unstable
+        assert rigid != 2 or found["mass"] == pytest.approx(mass, rel=0.1)
+    assert 3 < sum(unstable > 0 for _, unstable, _ in wanted) < 21
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("language", ["c99", "c++17"])
+def test_the_biquads_in_c_hold_a_missing_error(node, tmp_path, language):
+    """Before and after it they are SciPy's filter, of the errors that were there or stood for it."""
+    machine, _, _, design = drawn(4)
+    [text] = values(node([("here", "code", entry(machine, {}), design)]))
+    [rows] = values(node([("response.js", "biquads", design)]))
+    (tmp_path / "desk.c").write_text(text, encoding="utf-8")
+    compiler = "gcc" if language == "c99" else "g++"
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed, which compiles what the desk writes")
+    flags = [f"-std={language}", *STRICT, "-shared", "-fPIC"]
+    files = [str(tmp_path / "desk.c"), "-o", str(tmp_path / "desk.so")]
+    subprocess.run([compiler, *flags, *files], check=True)
+    step = ctypes.CDLL(str(tmp_path / "desk.so")).controller_step
+    step.argtypes, step.restype = (ctypes.c_void_p, ctypes.c_double), ctypes.c_double
+    given = np.random.default_rng(3).standard_normal(60)
+    given[5], given[20:32], given[40] = (
+        np.nan,
+        np.inf,
+        1e308,
+    )  # held, missing for two samples too long, out of range
+    state = ctypes.create_string_buffer(16 * len(rows) + 64)
+    out = np.array([step(state, error) for error in given])
+    assert np.array_equal(out[29:32], out[[29, 29, 29]]) and out[40] == out[39] and np.isfinite(out).all()
+    given[5], given[20:30] = given[4], given[19]
+    taken = np.delete(np.arange(60), [30, 31, 40])
+    np.testing.assert_allclose(out[taken], signal.sosfilt(rows, given[taken]), rtol=1e-9)
 
 
 @pytest.mark.slow

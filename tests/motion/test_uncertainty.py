@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillwork.base.checks import InputError
-from stillwork.control.bandwidth import FUNCTIONS, is_feasible, make_loop
+from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, is_feasible, make_loop
 from stillwork.control.c_code import controller_code
 from stillwork.control.digital import runnable
 from stillwork.control.machine_designs import INTENSITIES
@@ -23,9 +23,12 @@ from stillwork.control.machine_loops import (
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
+    EXCESS,
     Perturbation,
     Uncertainty,
+    harmful_places,
     largest_along,
+    make_box,
     perturbed_loop,
     perturbed_loops,
     uncertainty_of,
@@ -66,6 +69,23 @@ def test_the_worst_place_is_the_worst_of_a_grid(options, function):
     there = perturbed_loop(loop, worst).peak(pid, function).magnitude
     assert there >= 0.999 * grid and size == pytest.approx(there, rel=2e-3)
     assert worst.frequencies[0] == 1 and np.all(np.abs(worst.frequencies - 1) <= 0.05 + 1e-12)
+
+
+def test_a_peak_between_the_lines_of_the_grid_is_seen():
+    """A grid without the lines at the worst peak shows it too low; a limit in between is exceeded all the same."""
+    loop, pid, name = make_loop(CHAIN, **SAMPLED), PidFamily(40.0)(12.0), "output_sensitivity"
+    box = make_box(loop, Uncertainty(frequency=0.05), fine=False)
+    ((_, there),) = box.worst(loop, pid, [PeakConstraint(name)], every=True)
+    peak = perturbed_loop(loop, there).peak(pid, name)
+    kept = np.abs(box.omega / peak.omega - 1) > 0.02
+    coarse = box._replace(
+        **{each: getattr(box, each)[kept] for each in ("omega", "parts", "places", "fixed")}
+    )
+    ((shown, _),) = coarse.worst(loop, pid, [PeakConstraint(name)], every=True, exact=False)
+    assert 0.995 * peak.magnitude < shown < 0.9995 * peak.magnitude
+    between = [PeakConstraint(name, (shown * peak.magnitude) ** 0.5 / EXCESS)]
+    assert not coarse.worst(loop, pid, between, exact=False)
+    assert harmful_places([loop], pid, between, [coarse])
 
 
 @pytest.mark.slow

@@ -366,10 +366,12 @@ class Box(NamedTuple):
         starts: int = STARTS,
         compensator: np.ndarray | None = None,
         first: bool = False,
+        exact: bool = True,
     ) -> list[tuple[float, Perturbation]]:
         """Places where a constraint is exceeded, the worst of each, with the magnitude there.
 
-        `every`: in any case; `first`: not the worst but the first that the grid shows.
+        `every`: in any case; `first`: not the worst but the first that is found; `exact`: judged by its peak itself,
+        which may lie between the lines of the grid.
         """
         if compensator is None:
             compensator = loop.compensator.frequency_response(self.omega)
@@ -393,7 +395,7 @@ class Box(NamedTuple):
         for constraint in constraints:
             ratio = np.stack([*beside[constraint.function], turn, slope], axis=1)
             limit = 0.0 if every else EXCESS * constraint.limit
-            least = limit if first else BETWEEN * limit
+            least = BETWEEN * limit if exact else limit
             size, row, taken, parts, gain, delay = _worst(
                 ratio, self.parts, self.sizes, self.fixed, self.low, self.high,
                 1 - self.gain, 1 + self.gain, late, least**2, starts, SWEEPS, first,
@@ -406,7 +408,7 @@ class Box(NamedTuple):
             moved = np.divide(there, frequencies, out=np.ones(len(there)), where=frequencies > 0)
             place = Perturbation(moved, parts, self.ratios[modes, taken], gain, float(self.delays[delay]))
             peak = math.sqrt(size)
-            if not first:  # it lies between the lines of the grid
+            if exact:
                 peak = max(peak, perturbed_loop(loop, place).peak(controller, constraint.function).magnitude)
             if peak > limit:
                 found.append((peak, place))
@@ -546,7 +548,9 @@ def harmful_places(
         worst = [
             each
             for loop, box, own in zip(loops, boxes, compensators, strict=False)
-            for each in box.worst(loop, controller, [constraint], starts=starts, compensator=own, first=first)
+            for each in box.worst(
+                loop, controller, [constraint], starts=starts, compensator=own, first=first, exact=not first
+            )
         ]
         if worst:
             found.append(max(worst, key=lambda each: each[0])[1])

@@ -46,7 +46,7 @@ def desk_file(file: str = "", out: str = "", **options) -> list[str]:
         text = offline_page([machine])
     target.write_text(text, encoding="utf-8")
     return [
-        f"{machine['name']}: {machine['mass']:.4g} {machine['mass_unit']}",
+        f"{machine['name']}: {'{mass:.4g} {mass_unit}'.format_map(machine) if machine['model'] else 'a measurement alone'}",
         *machine["notes"],
         f"written: {target}",
     ]
@@ -172,23 +172,15 @@ def entry(
 
 
 def _measured_alone(taken, reason, loop_hz, uncertainty) -> dict[str, Any]:
-    measured = taken.accelerance
-    band = whole_band(measured, loop_hz)
-    few = max(4, len(measured.omega) // 50)
-    low = float(np.median(measured.response[:few].real))
-    if low < 0:
-        measured = measured._replace(response=-measured.response)
-    position, drive = taken.units
-    known = {("m", "N"): "kg", ("rad", "N m"): "kg m^2"}
+    """A measurement of which the page itself finds what it is below its first line, and its mass."""
+    band = whole_band(taken.accelerance, loop_hz)
     return {
         "name": taken.source,
-        "units": {"position": position, "drive": drive},
-        "mass": 1 / (abs(low) or 1.0),
-        "mass_unit": known.get(taken.units, f"{drive}/({position}/s^2)"),
+        "units": dict(zip(("position", "drive"), taken.units, strict=True)),
         "notes": [*taken.notes, f"no model was fitted: {reason}"],
         "delay_s": 0.0,
         "model": None,
-        "measured": _lines(measured, band, np.zeros(0), np.zeros(0)),
+        "measured": _lines(taken.accelerance, band, np.zeros(0), np.zeros(0)),
         "band_hz": list(band),
         "uncertainty": {name: uncertainty.get(name, 0.0) for name in ("gain", "delay")},
     }

@@ -4,6 +4,7 @@ import { FUNCTIONS, SHOWN } from "./loop.js";
 import { makeObserver, product, zeros } from "./observer.js";
 import { BLOCKS, activeBlocks, biquads, integrators, timing } from "./response.js";
 
+const PATIENCE = 10; // samples for which a missing input is held, as in the C of `design`
 const number = (x) => (Number.isInteger(x) ? x.toFixed(1) : String(x));
 const list = (values) => `[${values.map(number).join(", ")}]`;
 const table = (m) =>
@@ -107,40 +108,78 @@ export function biquadCode(machine, design, name = "controller") {
   if (observer && (observer.compensate || observer.damping > 0)) {
     throw new Error("biquads alone would leave the observer out: save controller.toml, and run `python -m stillwork export`");
   }
-  const rows = biquads(design), limit = design.limit > 0 ? design.limit : 0, { position, drive } = machine.units;
+  const { position, drive } = machine.units, NAME = name.toUpperCase(), limit = design.limit > 0 ? design.limit : 0, rows = biquads(design);
   const values = rows.map((row) => `    {${[...row.slice(0, 3), ...row.slice(4)].map(number).join(", ")}},`).join("\n");
   const clamp = limit
-    ? `    if (value > ${name.toUpperCase()}_LIMIT) {\n        value = ${name.toUpperCase()}_LIMIT;\n    } else if (value < -${name.toUpperCase()}_LIMIT) {\n        value = -${name.toUpperCase()}_LIMIT;\n    }\n`
-    : "";
+    ? `        if (value > ${NAME}_LIMIT) {\n            state->out = ${NAME}_LIMIT;\n        } else if (value < -${NAME}_LIMIT) {\n            state->out = -${NAME}_LIMIT;\n        } else {\n            state->out = value;\n        }\n`
+    : "        state->out = value;\n";
   return `/* ${machine.name.replace(/\*\//g, "")}, shaped at the desk: error (${position}) to force (${drive}), every ${number(sampleTime)} s.
-   A limited output winds its integrator up; the code that python -m stillwork export writes does not. */
+   A missing error, not a number, is held for ${NAME}_PATIENCE samples; then, and out of range, output and states stay as
+   they were. A limited output winds its integrator up; the code that python -m stillwork export writes does not. */
+#include <math.h>
 #include <stddef.h>
 
-#define ${name.toUpperCase()}_SECTIONS ${rows.length}
-${limit ? `#define ${name.toUpperCase()}_LIMIT ${number(limit)}\n` : ""}
+#ifdef __FAST_MATH__
+#error "missing numbers need IEEE arithmetic: compile without -ffast-math"
+#endif
+
+#define ${NAME}_SECTIONS ${rows.length}
+#define ${NAME}_PATIENCE ${PATIENCE}
+${limit ? `#define ${NAME}_LIMIT ${number(limit)}\n` : ""}
 typedef struct {
-    double memory[${name.toUpperCase()}_SECTIONS][2]; /* zero at the start */
+    double memory[${NAME}_SECTIONS][2]; /* zero at the start, as all of it */
+    double error; /* the last that was there */
+    double out; /* the last that was given */
+    int missing; /* samples in a row */
 } ${name}_state;
 
-static const double ${name}_biquads[${name.toUpperCase()}_SECTIONS][5] = {/* b0, b1, b2, a1, a2 */
+static const double ${name}_biquads[${NAME}_SECTIONS][5] = {/* b0, b1, b2, a1, a2 */
 ${values}
 };
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 double ${name}_step(${name}_state *state, double error);
+
+#ifdef __cplusplus
+}
+#endif
 
 double ${name}_step(${name}_state *state, double error)
 {
-    double value = error;
+    double next[${NAME}_SECTIONS][2];
+    double value;
+    double sum = 0.0;
     size_t k;
-    for (k = 0; k < ${name.toUpperCase()}_SECTIONS; k++) {
+
+    if (isfinite(error)) {
+        state->error = error;
+        state->missing = 0;
+    } else if (state->missing < ${NAME}_PATIENCE) {
+        state->missing++;
+    } else {
+        return state->out;
+    }
+    value = state->error;
+    for (k = 0; k < ${NAME}_SECTIONS; k++) {
         const double *section = ${name}_biquads[k];
-        double *memory = state->memory[k];
+        const double *memory = state->memory[k];
         const double out = section[0] * value + memory[0];
-        memory[0] = section[1] * value - section[3] * out + memory[1];
-        memory[1] = section[2] * value - section[4] * out;
+
+        next[k][0] = section[1] * value - section[3] * out + memory[1];
+        next[k][1] = section[2] * value - section[4] * out;
+        sum += fabs(next[k][0]) + fabs(next[k][1]);
         value = out;
     }
-${clamp}    return value;
+    if (isfinite(value) && isfinite(sum)) {
+        for (k = 0; k < ${NAME}_SECTIONS; k++) {
+            state->memory[k][0] = next[k][0];
+            state->memory[k][1] = next[k][1];
+        }
+${clamp}    }
+    return state->out;
 }
 `;
 }

@@ -4,6 +4,8 @@ const GRAVITY = 9.80665;
 const PREFIXES = { "": 1, m: 1e-3, u: 1e-6, n: 1e-9, k: 1e3 };
 const POSITIONS = ["m", "rad", "count"], DRIVES = ["N", "N m", "A", "V"];
 const FREQUENCIES = ["frequency", "frequencies", "freq", "freqs", "f", "hz", "hertz", "omega"];
+const ANGLES = [...FREQUENCIES, "phase", "angle", "w"];
+const PLAIN = ["", "-", "1", "s", "ms", "rad", "deg", "degrees", "°", "hz", "khz", "rad/s"]; // in brackets of time, phase, frequency and coherence
 export const RESPONSE_UNITS = POSITIONS.flatMap((each) => ["/s^2", "/s", ""].map((over) => each + over));
 export const DRIVE_UNITS = DRIVES;
 
@@ -22,17 +24,23 @@ export function unitFactor(text) {
 const wordOf = (name) => name.toLowerCase().trim().split(/[\s([_\d]/)[0];
 const bracketOf = (name) => (name.match(/[([](.+)[)\]]/)?.[1] ?? "").trim().toLowerCase();
 
+// What stands in the brackets at the end of a name, after `dB re 1`.
+const inBrackets = (name) => (name.match(/[([](.+)[)\]]\s*$/)?.[1] ?? "").replace(/^dB\b\s*((re\s*)?1\s+|re\s+)?/i, "");
+const isOne = (text, units) => units.includes(unitFactor(text)?.[1]);
+
 // Units of response and drive that the names state: {response, drive}, empty where none does.
 export function statedUnits(names) {
   const found = { response: "", drive: "" };
   for (const name of names) {
-    const whole = (name.match(/[([](.+)[)\]]\s*$/)?.[1] ?? "").replace(/^dB\b\s*((re\s*)?1\s+|re\s+)?/i, "");
-    const cut = whole.lastIndexOf("/"), top = whole.slice(0, Math.max(cut, 0)).replace(/^[() ]+|[() ]+$/g, "");
-    const below = whole.slice(cut + 1).replace(/^[() ]+|[() ]+$/g, "");
-    const upper = unitFactor(top), lower = unitFactor(below);
-    if (upper && lower && RESPONSE_UNITS.includes(upper[1]) && DRIVES.includes(lower[1])) {
+    const whole = inBrackets(name), cut = whole.lastIndexOf("/");
+    const [top, below] = [whole.slice(0, Math.max(cut, 0)), whole.slice(cut + 1)].map((each) => each.replace(/^[() ]+|[() ]+$/g, ""));
+    if (isOne(top, RESPONSE_UNITS) && isOne(below, DRIVES)) {
       found.response ||= top;
       found.drive ||= below;
+    } else if (!ANGLES.includes(wordOf(name))) {
+      // rad and rad/s behind a phase and a frequency are no motion of the machine.
+      if (isOne(whole, RESPONSE_UNITS)) found.response ||= whole;
+      if (isOne(whole, DRIVES)) found.drive ||= whole;
     }
   }
   return found;
@@ -90,6 +98,8 @@ export function machineOfTable(text, name, units = {}) {
     if (!(hz[k] > hz[k - 1])) throw new Error("the frequency does not rise from line to line; sort the rows");
   }
   const stated = statedUnits(names), notes = [];
+  const unknown = names.find((each) => !PLAIN.includes(inBrackets(each).toLowerCase()) && !Object.values(statedUnits([each])).some(Boolean));
+  if (unknown) throw new Error(`${unknown}: the unit is not known; use ${RESPONSE_UNITS.join(", ")} over ${DRIVES.join(", ")}, with m, u, n or k in front`);
   const response = units.response || stated.response || "m/s^2";
   const [factor, responseUnit] = unitFactor(response) ?? [];
   const order = RESPONSE_UNITS.indexOf(responseUnit);
@@ -113,25 +123,49 @@ export function machineOfTable(text, name, units = {}) {
   });
   const lines = measured.hz.length;
   if (lines < 32) throw new Error(`${lines} usable lines are too few; give at least 32`);
-  // The rigid body, from the lowest lines: its sign says how the force is counted.
-  const few = Math.max(4, Math.floor(lines / 50));
-  const middle = [...measured.re.slice(0, few)].sort((a, b) => a - b)[Math.floor(few / 2)];
-  if (middle < 0) {
-    measured.re = measured.re.map((x) => -x);
-    measured.im = measured.im.map((x) => -x);
-    notes.push("counted against the force, turned");
-  }
-  return {
+  return measuredAlone({
     name,
     units: { position, drive: driveUnit },
-    mass: 1 / Math.abs(middle || 1),
-    mass_unit: position === "m" && driveUnit === "N" ? "kg" : position === "rad" && driveUnit === "N m" ? "kg m^2" : `${driveUnit}/(${position}/s^2)`,
-    notes: [...notes, "without a fitted model: the box holds gain and delay alone, and there is no observer"],
+    notes,
     measured,
     band_hz: [measured.hz[0], measured.hz[lines - 1]],
     model: null,
     delay_s: 0,
     uncertainty: { gain: 0.05, delay: 0 },
+  });
+}
+
+// How often a machine integrates its force below its first line.
+export const BELOW = ["a suspension", "friction", "a rigid body"];
+
+// A machine of which a measurement is all: what it is below the first line, and whether it is counted against its force,
+// by slope and phase of its first octave, or as given; its mass, as which it moves there.
+export function measuredAlone(machine, given = null) {
+  const { hz, re, im } = machine.measured;
+  const count = Math.min(Math.max(8, hz.filter((f) => f <= 2 * hz[0]).length), hz.length);
+  const x = hz.slice(0, count).map(Math.log), sizes = x.map((_, k) => Math.hypot(re[k], im[k]));
+  const mean = (values) => values.reduce((sum, value) => sum + value, 0) / count, middle = mean(x);
+  const slope = mean(x.map((v, k) => (v - middle) * Math.log(sizes[k]))) / mean(x.map((v) => (v - middle) ** 2)) - 2; // of the position
+  const degrees = (Math.atan2(mean(sizes.map((size, k) => -im[k] / size)), mean(sizes.map((size, k) => -re[k] / size))) * 180) / Math.PI;
+  let best = { cost: Infinity };
+  for (const rigid of given === null ? [2, 1, 0] : [given]) {
+    for (const sign of [1, -1]) {
+      const angle = degrees + 90 * rigid - (sign < 0 ? 180 : 0), away = Math.abs(angle - 360 * Math.round(angle / 360));
+      const cost = 90 * Math.abs(slope + rigid) + away;
+      if (cost < best.cost) best = { cost, rigid, sign };
+    }
+  }
+  const { rigid, sign } = best, { position, drive } = machine.units;
+  const turned = sign < 0 ? { hz, re: re.map((value) => -value), im: im.map((value) => -value) } : machine.measured;
+  const units = { "m N": "kg", "rad N m": "kg m^2" };
+  return {
+    ...machine,
+    measured: turned,
+    turned: Boolean(machine.turned) !== sign < 0,
+    mass: 1 / [...sizes].sort((a, b) => a - b)[count >> 1],
+    mass_unit: units[`${position} ${drive}`] ?? `${drive}/(${position}/s^2)`,
+    rigid,
+    first: `slope ${slope.toFixed(2)} and phase ${(degrees - (sign < 0 ? 180 * Math.sign(degrees) : 0)).toFixed(0)}° of the first octave`,
   };
 }
 
@@ -143,7 +177,9 @@ export function machineOfJson(text) {
   } catch {
     throw new Error("it is no JSON");
   }
-  return found && typeof found.name === "string" && found.units && found.mass > 0 && (found.model || found.measured) ? found : null;
+  if (!found || typeof found.name !== "string" || !found.units) return null;
+  if (found.model && found.mass > 0) return found;
+  return found.measured ? measuredAlone(found) : null;
 }
 
 const FORMAT = "stillwork controller 1";

@@ -1,5 +1,5 @@
 // The loop: its functions on the model and on the measurement, the constraints, and the box around the model.
-import { complexArray, multiplyInto, resonanceGrid, sortedUnique, toDb } from "./complex.js";
+import { complexArray, geomspace, multiplyInto, resonanceGrid, sortedUnique, toDb } from "./complex.js";
 import { corners, modelGrid, plantResponse, residues, splitDelay, addMode } from "./model.js";
 import { makeObserver, observerResponse } from "./observer.js";
 import { controllerSections, delayResponse, holdResponse, integrators, sectionsResponse, timing, tustinAxis } from "./response.js";
@@ -65,8 +65,10 @@ export function makeLoop(machine, design, { points = 500, around = 24 } = {}) {
       position.re[j] = -measured.re[k] / seen[j] ** 2;
       position.im[j] = -measured.im[k] / seen[j] ** 2;
     });
+    const lowest = { re: position.re[0], im: position.im[0] };
     loop.measured = view(...onMeasurement(loop, machine, seen, position), observer);
     loop.measured.seen = seen.length;
+    if (!model) loop.measured.below = belowLines(loop, machine.rigid, seen[0], lowest);
   }
   if (!loop.model && !loop.measured) throw new Error("the machine has neither a model nor a measurement");
   loop.places = model ? corners(model) : gainCorners(machine);
@@ -120,6 +122,16 @@ function onMeasurement(loop, machine, seen, position) {
   ];
 }
 
+const DECADES_BELOW = 7;
+
+// What a machine without a model is taken for below its first line: as a rigid body, with friction or on a suspension.
+function belowLines({ sampleTime, delay }, rigid, first, { re, im }) {
+  const omega = geomspace(first / 10 ** DECADES_BELOW, first, 24 * DECADES_BELOW), size = omega.map((w) => (first / w) ** rigid);
+  const plant = { re: size.map((x) => re * x), im: size.map((x) => im * x) };
+  multiplyInto(plant, sampleTime ? holdResponse(omega, sampleTime, delay) : delayResponse(omega, delay));
+  return view(omega, sampleTime, plant, null);
+}
+
 // Without a model the box holds the gain and the delay alone.
 function gainCorners(machine) {
   const box = machine.uncertainty;
@@ -129,16 +141,14 @@ function gainCorners(machine) {
 
 function cornerView(loop, place) {
   const base = loop.model ?? loop.measured;
-  if (loop.model) {
-    const plant = plantResponse(loop.machine.model, base.omega, loop.sampleTime, loop.delay, place);
-    return { ...base, plant };
-  }
-  const plant = { re: Float64Array.from(base.plant.re), im: Float64Array.from(base.plant.im) };
-  multiplyInto(plant, delayResponse(base.omega, place.delay));
-  for (let k = 0; k < base.omega.length; k++) {
-    plant.re[k] *= place.gain;
-    plant.im[k] *= place.gain;
-  }
+  if (!loop.model) return { ...movedView(base, place), below: movedView(base.below, place) };
+  return { ...base, plant: plantResponse(loop.machine.model, base.omega, loop.sampleTime, loop.delay, place) };
+}
+
+function movedView(base, place) {
+  const plant = delayResponse(base.omega, place.delay);
+  multiplyInto(plant, base.plant);
+  multiplyInto(plant, complexArray(base.omega.length, place.gain));
   return { ...base, plant };
 }
 
@@ -228,6 +238,13 @@ export function unstablePoles(phase, open) {
   return Math.round(open / 2 - (last - begin) / Math.PI);
 }
 
+// The argument from far below the first line on: what is assumed there comes first.
+function wholePhase(seen, sections, { phase }) {
+  if (!seen.below) return phase;
+  const under = loopFunctions(seen.below, controllerOn(sections, seen.below)).phase;
+  return { start: under.start, turns: under.turns + phase.turns };
+}
+
 function nearestParity(value, like) {
   let whole = Math.round(value);
   if ((whole - like) % 2 !== 0) whole += value > whole ? 1 : -1;
@@ -236,8 +253,7 @@ function nearestParity(value, like) {
 
 export function openPoles(machine, design) {
   const model = machine.model;
-  let rigid = 2;
-  if (model) rigid = model.omega[0] > 0 ? 0 : model.drag > 0 ? 1 : 2;
+  const rigid = !model ? machine.rigid : model.omega[0] > 0 ? 0 : model.drag > 0 ? 1 : 2;
   return rigid + integrators(design);
 }
 
@@ -296,7 +312,7 @@ export function judge(loop, design, { whole = true, places = true } = {}) {
     result[name] = loopFunctions(seen, controllerOn(sections, seen), whole || seen === shown);
   }
   const base = result.model ?? result.measured;
-  result.unstable = unstablePoles(base.phase, open);
+  result.unstable = unstablePoles(wholePhase(loop.model ?? loop.measured, sections, base), open);
   if (result.model && result.measured) result.extraTurns = extraTurns(loop, sections, result.measured);
   const main = loop.measured ? result.measured : result.model;
   result.main = main;
@@ -321,7 +337,7 @@ export function judge(loop, design, { whole = true, places = true } = {}) {
     for (const corner of loop.corners) {
       const found = loopFunctions(corner, c);
       // A box whose middle is stable and whose sensitivity is bounded is stable: its corners are counted all the same.
-      result.box.unstable = Math.max(result.box.unstable, unstablePoles(found.phase, open));
+      result.box.unstable = Math.max(result.box.unstable, unstablePoles(wholePhase(corner, sections, found), open));
       for (const name of names) {
         const most = band[name], own = found[name];
         for (let k = 0; k < most.length; k++) if (own[k] > most[k]) most[k] = own[k];

@@ -1,7 +1,7 @@
 // The page: blocks to add, drag and type, and everything that follows from them, live.
 import { toDb } from "./complex.js";
 import { biquadCode, controllerToml, designText } from "./export.js";
-import { DRIVE_UNITS, RESPONSE_UNITS, designOfController, machineOfJson, machineOfTable } from "./files.js";
+import { BELOW, DRIVE_UNITS, RESPONSE_UNITS, designOfController, machineOfJson, machineOfTable, measuredAlone } from "./files.js";
 import { FUNCTIONS, SHOWN, addPlace, boxSearch, judge, makeLoop } from "./loop.js";
 import { makeSearch } from "./optimise.js";
 import { makePlot, palette, shortNumber, svgOf } from "./plots.js";
@@ -43,12 +43,16 @@ export function startDesk(root, machines) {
     element.append(...children);
     return element;
   };
-  machines = [...machines];
+  machines = machines.map((each) => (each.model ? each : measuredAlone(each)));
   const kept = fromAddress(location.hash);
   let machine = machines.find((each) => each.name === kept?.machine) ?? machines[0];
   const usable = (design) =>
     design.blocks.every((block) => BLOCKS[block.kind] && Object.keys(BLOCKS[block.kind].numbers).every((name) => Number.isFinite(block[name])));
-  let history = makeHistory(kept && kept.machine === machine.name && usable(kept.design) ? kept.design : firstDesign(machine));
+  const whole = (found) => (found && usable(found.design) ? found : null);
+  let history = makeHistory(kept?.machine === machine.name && usable(kept.design) ? kept.design : firstDesign(machine));
+  // A design whose machine is not on the page: it waits for its file.
+  let waiting = machines.some((each) => each.name === kept?.machine) ? null : whole(kept);
+  const askForFile = () => waiting && say(`the address holds a design for ${waiting.machine}: drop that file here again, and it is restored`);
   let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timeAgain = 0, turns = 0;
   let colours = palette(root);
   const plots = Object.fromEntries(ALTOGETHER.map((name) => [name, makePlot(by(name), { title: by(name).closest("figure").querySelector("figcaption").firstChild.textContent.trim(), equal: name === "nyquist" })]));
@@ -287,12 +291,13 @@ export function startDesk(root, machines) {
   // --- figures, lights and words ---
 
   const figureTexts = () => {
-    const { margins: m } = result, db = (x) => (Number.isFinite(x) ? `${x.toFixed(1)} dB` : "none");
+    // Of the loop at the plant's output, as those of `design`.
+    const { margins: m } = result, factor = (x) => (Number.isFinite(x) ? `${(10 ** (x / 20)).toPrecision(3)} (${x.toFixed(1)} dB)` : "none");
     return [
       ["bandwidth", result.bandwidth > 0 ? `${result.bandwidth.toPrecision(4)} Hz` : "no crossing"],
       ["loop", stability(), !result.stable],
+      ["gain margin", `${factor(m.up)}, down to ${(Number.isFinite(m.down) ? 10 ** (-m.down / 20) : 0).toPrecision(3)}`],
       ["phase margin", Number.isFinite(m.phase) ? `${m.phase.toFixed(1)}°` : "none"],
-      ["gain margins", `${db(m.down)} down, ${db(m.up)} up`],
       ["modulus margin", m.modulus.toFixed(3)],
     ];
   };
@@ -408,6 +413,7 @@ export function startDesk(root, machines) {
         if (field.fixed) field.fixed.checked = (block.fixed ?? []).includes(name);
       }
       const card = fields.get(`${index}`);
+      card.on.disabled = block.kind === "observer" && !machine.model;
       card.box.classList.toggle("desk-off", Boolean(block.off));
       card.on.checked = !block.off;
       if (card.compensate) card.compensate.checked = Boolean(block.compensate);
@@ -604,7 +610,9 @@ export function startDesk(root, machines) {
 
   function showMachine() {
     by("machine").replaceChildren(...machines.map((each) => make("option", { value: each.name, selected: each === machine }, each.name)));
-    const notes = [`${shortNumber(Number(machine.mass.toPrecision(4)))} ${machine.mass_unit}`];
+    const size = `${shortNumber(Number(machine.mass.toPrecision(4)))} ${machine.mass_unit}`, alone = "without a fitted model: the box holds gain and delay alone, and there is no observer";
+    const notes = machine.model ? [size] : [machine.rigid === 2 ? size : `it moves as ${size} in its first octave`, alone];
+    if (machine.turned) notes.push("counted against the force, turned");
     if (machine.model) {
       const found = machine.model.omega.filter((w) => w > 0).map((w) => (w / (2 * Math.PI)).toPrecision(4));
       notes.push(`resonances at ${found.join(", ")} Hz`);
@@ -619,6 +627,12 @@ export function startDesk(root, machines) {
     if (machine.measured) notes.push(`measured from ${machine.band_hz.map((f) => shortNumber(Number(f.toPrecision(4)))).join(" to ")} Hz, ${machine.measured.hz.length} lines on the page`);
     const list = make("ul", { class: "desk-notes-list" }, ...[...notes, ...machine.notes].map((note) => make("li", {}, note)));
     const children = [list];
+    if (!machine.model) {
+      const select = make("select", {}, ...BELOW.map((words, rigid) => make("option", { value: String(rigid), selected: rigid === machine.rigid }, words)));
+      select.addEventListener("change", () => takeBelow(Number(select.value)));
+      const ends = `below ${shortNumber(Number(machine.band_hz[0].toPrecision(4)))} Hz it is taken for`;
+      children.push(make("p", { class: "desk-add" }, make("label", {}, `${ends} `, select), ` (${machine.first})`));
+    }
     if (dropped && dropped.machine === machine.name && shownUnits) {
       const choose = (label, options, now, key) => {
         const select = make("select", {}, ...options.map((unit) => make("option", { selected: unit === now }, unit)));
@@ -636,23 +650,39 @@ export function startDesk(root, machines) {
     loops = new Map();
     pinned = ghost = null;
     by("ghost").setAttribute("aria-pressed", "false");
-    history = makeHistory(design ?? firstDesign(machine));
+    const { design: first, words } = withoutObserver(design ?? firstDesign(machine));
+    history = makeHistory(first);
     showMachine();
     settle(history.now);
+    return words;
+  }
+  // An observer stays, out of the loop, where no model is there for it.
+  function withoutObserver(design) {
+    const idle = machine.model ? [] : design.blocks.filter((block) => block.kind === "observer" && !block.off);
+    const blocks = design.blocks.map((block) => (idle.includes(block) ? { ...block, off: true } : block));
+    return { design: { ...design, blocks }, words: idle.length ? ["its observer is out of the loop: it needs a fitted model"] : [] };
+  }
+  function takeBelow(rigid) {
+    const found = measuredAlone(machine, rigid);
+    machines[machines.indexOf(machine)] = found;
+    machine = found;
+    loops = new Map();
+    showMachine();
+    request();
   }
   function takeTable(text, name, units = {}) {
     const found = machineOfTable(text, name, units);
     shownUnits = found.notes.some((note) => note.includes("does not say its units")) || Object.keys(units).length ? "yes" : "";
     dropped = { text, name, units, machine: name };
     keepMachine(found);
-    say(`${name}: ${found.measured.hz.length} lines`);
   }
   function keepMachine(found) {
     const at = machines.findIndex((each) => each.name === found.name);
     if (at >= 0) machines[at] = found;
     else machines.push(found);
-    useMachine(found);
-    say(`${found.name} is on the desk`);
+    const restored = waiting?.machine === found.name;
+    const words = useMachine(found, restored ? waiting.design : null);
+    say([`${found.name} is on the desk, with ${restored ? "the design of the address" : "a first design"}`, ...words].join("; "));
   }
   async function takeFile(file) {
     try {
@@ -663,10 +693,9 @@ export function startDesk(root, machines) {
           keepMachine(whole);
           return;
         }
-        const { design, notes } = designOfController(text, machine);
-        if (!machine.model) design.blocks = design.blocks.filter((block) => block.kind !== "observer");
+        const { design: found, notes } = designOfController(text, machine), { design, words } = withoutObserver(found);
         settle(design);
-        say([`${file.name}: its blocks are on the desk`, ...notes].join("; "));
+        say([`${file.name}: its blocks are on the desk`, ...notes, ...words].join("; "));
       } else takeTable(text, file.name);
     } catch (error) {
       warn(`${file.name}: ${error.message}`);
@@ -835,7 +864,9 @@ export function startDesk(root, machines) {
     const found = fromAddress(location.hash);
     if (!found || !usable(found.design) || JSON.stringify(found.design) === JSON.stringify(history.settled)) return;
     const other = machines.find((each) => each.name === found.machine);
-    if (other && other !== machine) useMachine(other, found.design);
+    waiting = other ? null : found;
+    if (!other) askForFile();
+    else if (other !== machine) useMachine(other, found.design);
     else settle(found.design);
   });
 
@@ -844,6 +875,7 @@ export function startDesk(root, machines) {
   showBlocks();
   refresh();
   describe();
+  askForFile();
   root.dataset.ready = "yes";
   return { get result() { return result; }, get design() { return history.now; }, hold, settle, refresh };
 }
