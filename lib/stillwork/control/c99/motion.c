@@ -2,7 +2,6 @@
 
 #include <math.h>
 
-typedef ${name}_real real;
 typedef ${name}_point point;
 
 /* Lengths of the pieces of constant snap, jerk and acceleration on the way from rest to the velocity `top`, and the jerk
@@ -153,10 +152,13 @@ static point look(const ${name}_move *p, double time)
     return at;
 }
 
-static real feedforward(const ${name}_tuning *t, const point *at)
+static ${name}_real feedforward(const ${name}_tuning *t, const point *at)
 {
-    real force = (t->feed_velocity * (real)at->velocity) + (t->feed_acceleration * (real)at->acceleration)
-        + (t->feed_jerk * (real)at->jerk) + (t->feed_snap * (real)at->snap);
+    ${name}_real force = t->feed_velocity * (${name}_real)at->velocity;
+
+    force += t->feed_acceleration * (${name}_real)at->acceleration;
+    force += t->feed_jerk * (${name}_real)at->jerk;
+    force += t->feed_snap * (${name}_real)at->snap;
 
     if (at->velocity > 0.0) {
         force += t->feed_coulomb;
@@ -172,16 +174,16 @@ static double now(const ${name}_motion *m)
     return m->begun + ((double)m->count * ${guard}_SAMPLE_TIME);
 }
 
-unsigned ${name}_enable(${name}_motion *m, const ${name}_tuning *t, double position, double velocity, real force)
+unsigned ${name}_enable(${name}_motion *m, const ${name}_tuning *t, double position, double velocity, ${name}_real force)
 {
-    const real none[1] = {$zero};
+    const ${name}_real none[1] = {$zero};
     unsigned flags = ${guard}_INVALID;
 
     if ((isfinite(position) != 0) && (isfinite(velocity) != 0) && (isfinite(force) != 0)
         && (has_limits(t) || (fabs(velocity) <= 0.0))) {
         /* The second half of a move that has its largest velocity here. */
         const double time = rise(&m->plan, t, fabs(velocity));
-        real known[1];
+        ${name}_real known[1];
         point at;
 
         m->plan.distance = velocity * time;
@@ -215,13 +217,13 @@ double ${name}_rest(const ${name}_motion *m)
     return m->from + m->plan.distance;
 }
 
-unsigned ${name}_run(${name}_motion *m, const ${name}_tuning *t, double measured, real *force)
+unsigned ${name}_run(${name}_motion *m, const ${name}_tuning *t, double measured, ${name}_real *force)
 {
     const double time = now(m);
     const point ahead = look(&m->plan, time);
     const point late = look(&m->plan, time - t->lag);
-    const real error[1] = {(real)((m->from + late.position) - measured)};
-    const real known[1] = {feedforward(t, &ahead)};
+    const ${name}_real error[1] = {(${name}_real)((m->from + late.position) - measured)};
+    const ${name}_real known[1] = {feedforward(t, &ahead)};
     unsigned flags = ${name}_step(&m->loop, t, error, known, force);
 
     if ((time - t->lag) < m->plan.duration) {
