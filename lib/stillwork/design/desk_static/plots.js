@@ -87,29 +87,38 @@ export function makePlot(canvas, { title, equal = false }) {
     plot.colours = colours;
     const context = canvas.getContext("2d");
     context.setTransform(plot.ratio, 0, 0, plot.ratio, 0, 0);
-    drawOn(context, plot, plot.content, colours);
+    context.clearRect(0, 0, plot.width, plot.height);
+    drawAxes(context, plot, colours);
+    drawCurves(context, plot, plot.content, colours);
   };
   plot.repaint = () => plot.content && plot.paint(plot.content, plot.colours);
   return plot;
 }
 
-function drawOn(context, plot, { series = [], bands = [], rules = [], circles = [], texts = [] }, colours) {
-  const { width, height, x, y } = plot, left = PAD.left, right = width - PAD.right, top = PAD.top, bottom = height - PAD.bottom;
-  context.clearRect(0, 0, width, height);
-  context.font = '12px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
-  context.lineJoin = "round";
+const FONT = '12px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
+const edges = ({ width, height }) => ({ left: PAD.left, right: width - PAD.right, top: PAD.top, bottom: height - PAD.bottom });
+
+function drawAxes(context, plot, colours) {
+  const { height, x, y, toX, toY } = plot, { left, right, top, bottom } = edges(plot);
+  context.font = FONT;
   const tall = Math.max(3, Math.round((bottom - top) / 45)), wide = Math.max(3, Math.round((right - left) / 90));
   const xTicks = x.log ? logTicks(x.low, x.high) : linearTicks(x.low, x.high, wide);
   const yTicks = y.log ? logTicks(y.low, y.high) : y.degrees ? degreeTicks(y.low, y.high) : linearTicks(y.low, y.high, tall);
   context.lineWidth = 1;
-  const toX = (value) => plot.toX(value), toY = (value) => plot.toY(value);
-  for (const tick of xTicks) {
-    context.strokeStyle = tick.major ? colours.line : colours.grid;
-    stroke(context, [toX(tick.value), toX(tick.value)], [top, bottom]);
-  }
-  for (const tick of yTicks) {
-    context.strokeStyle = tick.major ? colours.line : colours.grid;
-    stroke(context, [left, right], [toY(tick.value), toY(tick.value)]);
+  // All lines of a colour in one path, on whole pixels: these are drawn at every frame.
+  const whole = (value) => Math.round(value) + 0.5;
+  for (const [colour, major] of [[colours.grid, false], [colours.line, true]]) {
+    context.strokeStyle = colour;
+    context.beginPath();
+    for (const { value } of xTicks.filter((tick) => Boolean(tick.major) === major)) {
+      context.moveTo(whole(toX(value)), top);
+      context.lineTo(whole(toX(value)), bottom);
+    }
+    for (const { value } of yTicks.filter((tick) => Boolean(tick.major) === major)) {
+      context.moveTo(left, whole(toY(value)));
+      context.lineTo(right, whole(toY(value)));
+    }
+    context.stroke();
   }
   context.fillStyle = colours.soft;
   context.textBaseline = "top";
@@ -131,6 +140,12 @@ function drawOn(context, plot, { series = [], bands = [], rules = [], circles = 
   context.textAlign = "center";
   context.fillText(y.label, 0, 0);
   context.restore();
+}
+
+function drawCurves(context, plot, { series = [], bands = [], rules = [], circles = [], texts = [] }, colours) {
+  const { x, y, toX, toY } = plot, { left, right, top, bottom } = edges(plot);
+  context.font = FONT;
+  context.lineJoin = "bevel";
   context.save();
   context.beginPath();
   context.rect(left, top, right - left, bottom - top);
@@ -184,7 +199,7 @@ function drawOn(context, plot, { series = [], bands = [], rules = [], circles = 
         continue;
       }
       // Points that no eye tells apart cost as much as others.
-      if (pen && Math.abs(px - lastX) + Math.abs(py - lastY) < 0.6 && k < xs.length - 1) continue;
+      if (pen && Math.abs(px - lastX) + Math.abs(py - lastY) < 1 && k < xs.length - 1) continue;
       lastX = px;
       lastY = py;
       if (pen && Math.abs(ys[k] - ys[k - 1]) < wrap) context.lineTo(px, py);
@@ -272,7 +287,6 @@ export function svgOf(plot) {
   const two = (x) => Number(x.toFixed(2));
   const wrap = () => (transform ? ` transform="${transform}"` : "") + (clip ? ` clip-path="url(#${clip})"` : "");
   const context = {
-    clearRect() {},
     beginPath: () => (path = ""),
     moveTo: (x, y) => (path += `M${two(x)} ${two(y)}`),
     lineTo: (x, y) => (path += `${path ? "L" : "M"}${two(x)} ${two(y)}`),
@@ -300,7 +314,8 @@ export function svgOf(plot) {
   };
   const hover = plot.hover;
   plot.hover = null;
-  drawOn(context, plot, plot.content, plot.colours);
+  drawAxes(context, plot, plot.colours);
+  drawCurves(context, plot, plot.content, plot.colours);
   plot.hover = hover;
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${plot.width}" height="${plot.height}" viewBox="0 0 ${plot.width} ${plot.height}" font-family="system-ui, sans-serif" font-size="12"><title>${clean(plot.title)}</title><rect width="100%" height="100%" fill="${plot.colours.paper}"/>${parts.join("")}</svg>\n`;
 }

@@ -53,7 +53,7 @@ export function startDesk(root, machines) {
   // A design whose machine is not on the page: it waits for its file.
   let waiting = machines.some((each) => each.name === kept?.machine) ? null : whole(kept);
   const askForFile = () => waiting && say(`the address holds a design for ${waiting.machine}: drop that file here again, and it is restored`);
-  let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timeAgain = 0, turns = 0;
+  let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timeAgain = 0, timed = "", turns = 0;
   let colours = palette(root);
   const plots = Object.fromEntries(ALTOGETHER.map((name) => [name, makePlot(by(name), { title: by(name).closest("figure").querySelector("figcaption").firstChild.textContent.trim(), equal: name === "nyquist" })]));
 
@@ -188,11 +188,11 @@ export function startDesk(root, machines) {
     draw("functions", [x, { low: -50, high: 25, label: "magnitude (dB)" }], { series: functions, bands, rules: [{ y: 6, colour: colours.ink, dash: [2, 3] }] });
     if (due(1)) paintNyquist(draw, loop, main, before);
     if (due(2)) paintProcess(draw, x, main, before, grey);
-    // A simulation takes as long as all else: while a hand drags it follows some frames later.
+    // A simulation takes as long as all else: while a hand drags, step and scan follow in turn, some frames later.
     if (resting || performance.now() > timeAgain) {
       const began = performance.now();
-      paintTime("step", loop);
-      paintTime("scan", loop);
+      timed = timed === "step" ? "scan" : "step";
+      for (const name of resting ? ["step", "scan"] : [timed]) paintTime(name, loop);
       timeAgain = performance.now() + Math.max(TIME_FRAMES, 8 * (performance.now() - began));
     }
   }
