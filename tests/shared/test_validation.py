@@ -297,6 +297,16 @@ def searched(family):
     return maximise_bandwidth([loop], family, [PeakConstraint("input_sensitivity")], 1.0, 20.0)
 
 
+@pytest.mark.parametrize("count", [10**14, 2**62])
+def test_what_asks_for_more_than_the_memory_is_refused_with_its_size(count):
+    @checked
+    def zeros(count: int) -> np.ndarray:
+        return np.zeros((count, 2))
+
+    with pytest.raises(InputError, match=r"^zeros asks for .*memory.*count " + re.escape(f"{count:g}")):
+        zeros(count)
+
+
 @pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError, np.linalg.LinAlgError])
 def test_an_error_of_a_readers_own_function_comes_through(error):
     def family(bandwidth):

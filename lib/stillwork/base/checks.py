@@ -139,7 +139,7 @@ def require_samples(name: str, count: float) -> int:
     return round(count)
 
 
-def require_topic(name: str, *shape: int) -> None:
+def require_memory(name: str, *shape: int) -> None:
     """Raise `InputError` where the array of floats that `name` asks for is larger than any machine should try."""
     size = 8 * math.prod(shape)
     if size > MOST_BYTES:

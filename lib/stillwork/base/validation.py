@@ -101,12 +101,16 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
         except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError, MemoryError) as error:
             if error is _inside.callback_error:
                 raise
+            if isinstance(error, MemoryError):
+                raise _too_large(function, error, names, values, named) from None
             raise _beyond(function, error, names, values, named) from None
         except InputError:
             raise
         except (ValueError, IndexError) as error:
             if error is _inside.callback_error:
                 raise
+            if re.search("array is too big|[Mm]aximum allowed (size|dimension)", str(error)):
+                raise _too_large(function, error, names, values, named) from None
             if "infs or NaNs" in str(error):  # scipy's word for numbers that overflowed on the way
                 raise _beyond(function, error, names, values, named) from None
             raise InputError(
@@ -218,6 +222,21 @@ def _beyond(function: Callable, why, names: list[str], values: tuple, named: dic
     return InputError(
         f"{_named(function)} has no result for these numbers ({str(why).strip() or 'out of range'}); "
         f"they are too large, too small or too close to singular: look at {_listed(said) or 'its arguments'}"
+    )
+
+
+def _too_large(
+    function: Callable, error: Exception, names: list[str], values: tuple, named: dict
+) -> InputError:
+    """A refusal with the size of what was asked for, where numpy says it, and the arguments that may ask for it."""
+    size = re.search(r"[\d.]+ .?i?B", str(error))
+    said = [
+        f"{name} {f'{array:g}' if array.ndim == 0 else ' x '.join(map(str, array.shape))}"
+        for name, array in _numbers_in(names, values, named).items()
+    ]
+    return InputError(
+        f"{_named(function)} asks for {size.group() if size else 'an array'}, more than the memory holds; "
+        f"give smaller numbers or arrays: {_listed(said) or 'its arguments'}"
     )
 
 

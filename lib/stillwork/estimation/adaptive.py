@@ -20,8 +20,8 @@ from stillwork.base.checks import (
     require_array,
     require_choice,
     require_count,
+    require_memory,
     require_number,
-    require_topic,
 )
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, pasted_kernel
 from stillwork.base.validation import by_value, check_fields, checked, copy_arrays
@@ -244,7 +244,7 @@ class FeRls:
                 f"initial_covariance has shape {initial.shape} for {pluralise(regressors, 'regressor')}; "
                 "give one value for each, or a single number"
             )
-        require_topic("regressors", regressors, regressors)
+        require_memory("regressors", regressors, regressors)
         covariance = initial if initial.ndim == 2 else np.diag(np.broadcast_to(initial, regressors))
         covariance = (covariance + covariance.T) / 2
         dtype = np.dtype(self.dtype)

@@ -11,8 +11,8 @@ from stillwork.base.checks import (
     pluralise,
     require_array,
     require_count,
+    require_memory,
     require_number,
-    require_topic,
     short_repr,
 )
 from stillwork.base.validation import checked
@@ -185,7 +185,7 @@ class RecursiveStepper:
             )
         self._estimator = estimator
         self._unknowns = require_count("unknowns", unknowns)
-        require_topic("unknowns", unknowns, unknowns)
+        require_memory("unknowns", unknowns, unknowns)
         self.samples = 0
         self._excited = self._warned = False
         self._lay_out(estimator.start(self._unknowns))

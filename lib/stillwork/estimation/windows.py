@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.algebra import inner_product
-from stillwork.base.checks import InputError, require_count, require_topic
+from stillwork.base.checks import InputError, require_count, require_memory
 from stillwork.base.kernels import borrowing_kernel
 from stillwork.base.validation import checked
 
@@ -25,7 +25,7 @@ def end_point_weights(samples: int, degree: int, derivative: int = 0) -> Float64
             f"derivative, degree and samples are {derivative}, {degree} and {samples}; "
             "give a degree below the samples and a derivative of at most the degree"
         )
-    require_topic("samples", samples, degree + 1)
+    require_memory("samples", samples, degree + 1)
     place = np.arange(1 - samples, 1) / max(samples - 1, 1)  # scaled to [-1, 0]: well conditioned
     powers = np.vander(place, degree + 1, increasing=True)
     fit = np.linalg.pinv(powers)[derivative]

@@ -7,9 +7,9 @@ from stillwork.base.checks import (
     InputError,
     require_array,
     require_count,
+    require_memory,
     require_number,
     require_samples,
-    require_topic,
 )
 from stillwork.base.validation import checked
 from stillwork.signals.spectra import Spectrum
@@ -47,7 +47,7 @@ def fir_regressors(signal: ArrayLike, taps: int) -> np.ndarray:
     """
     signal = require_array("signal", signal, ndim=1)
     taps = require_count("taps", taps)
-    require_topic("taps", taps, len(signal))
+    require_memory("taps", taps, len(signal))
     return _delayed(signal, range(taps))
 
 
@@ -64,8 +64,8 @@ def arx_regressors(
     output_lags = require_count("output_lags", output_lags)
     input_lags = require_count("input_lags", input_lags)
     delay = require_count("delay", delay, at_least=0)
-    require_topic("output_lags", output_lags, len(signal))
-    require_topic("input_lags", input_lags, len(signal))
+    require_memory("output_lags", output_lags, len(signal))
+    require_memory("input_lags", input_lags, len(signal))
     past = _delayed(output, range(1, output_lags + 1))
     return np.concatenate([past, _delayed(signal, range(delay, delay + input_lags))])
 
@@ -99,7 +99,7 @@ def exponential_bound(row: float, forgetting: float, samples: int | None = None)
 @checked
 def exponential_weights(rows: int, forgetting: float) -> np.ndarray:
     """Of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
-    require_topic("rows", require_count("rows", rows))
+    require_memory("rows", require_count("rows", rows))
     require_number("forgetting", forgetting, above=0.0, at_most=1.0)
     return forgetting ** (np.arange(rows - 1, -1, -1) / 2)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_count, require_number, require_topic
+from stillwork.base.checks import InputError, require_count, require_memory, require_number
 from stillwork.base.validation import checked
 from stillwork.lti.state_space import StateModel
 
@@ -24,7 +24,7 @@ def delayed(model: StateModel, samples: int) -> StateModel:
         return model
     outputs, n = len(model.c), len(model.a)
     size = n + samples * outputs
-    require_topic("samples", size, size)
+    require_memory("samples", size, size)
     a, b = np.zeros((size, size)), np.zeros((size, model.b.shape[1]))
     a[:n, :n], b[:n] = model.a, model.b
     a[n : n + outputs, :n], b[n : n + outputs] = model.c, model.d

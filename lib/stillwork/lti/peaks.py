@@ -12,9 +12,9 @@ from stillwork.base.checks import (
     pluralise,
     require_array,
     require_count,
+    require_memory,
     require_number,
     require_one_each,
-    require_topic,
 )
 from stillwork.base.validation import checked
 
@@ -60,8 +60,8 @@ def resonance_grid(
     centre, poles = centre[centre > 0], poles[first[centre > 0]]
     width = np.maximum(np.abs(poles.real), 1e-7 * centre)
     reach = np.arcsinh(0.5 * centre / width)
-    require_topic("points", points)
-    require_topic("around", len(centre), 2 * around + 1)
+    require_memory("points", points)
+    require_memory("around", len(centre), 2 * around + 1)
     steps = np.linspace(-1, 1, 2 * around + 1) if around else np.zeros(0)
     offsets = width[:, None] * np.sinh(reach[:, None] * steps)
     low, high = 2 * np.pi * low_hz, 2 * np.pi * high_hz
