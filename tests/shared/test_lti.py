@@ -382,6 +382,15 @@ def test_a_norm_beside_an_integrator_is_right_or_refused(make, leak):
     assert answered or leak < 1e-6
 
 
+@pytest.mark.parametrize("omega", [1e-150, 1e-100, 1e100, 1e140, 1e150])
+def test_a_peak_is_found_at_any_frequency(omega):
+    """Of C = 1 / omega^2, through states of unlike units: their A, and the square of a gain, leave the range of numbers."""
+    one, nothing = np.ones((1, 1)), np.zeros((1, 1))
+    peak = lti.hinf_norm(lti.ModalModel(np.array([omega]), np.array([0.01]), one, one, nothing).state_space())
+    assert peak.omega == pytest.approx(omega * np.sqrt(1 - 2 * 0.01**2), rel=1e-4)
+    assert peak.magnitude * omega * omega == pytest.approx(1 / (0.02 * np.sqrt(1 - 0.01**2)), rel=1e-8)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -497,7 +506,7 @@ def test_a_delay_is_whole_samples_and_a_part(samples, wanted):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [7, 99])
+@pytest.mark.parametrize("seed", [7, 99, 2006])
 def test_a_squared_norm_of_light_modes_in_skew_states_is_right_or_refused(seed):
     """In both time domains, states in units over 8 decades, against the proven enclosure."""
     rng, answered = np.random.default_rng(seed), 0

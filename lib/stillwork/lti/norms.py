@@ -9,13 +9,14 @@ from scipy import linalg
 from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 from stillwork.lti.peaks import Peak
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, unit_of
 
 # A gain this far below |B| |C|, in slow time and balanced, is the rounding of a model that passes nothing.
 NOTHING = 1e-15
 TOLERANCE = 1e-10  # of the H-infinity norm, relative
 GRID = 200  # frequencies at which a model that no pole lifts above its feedthrough is looked at first
 MOST_DOUBT = 1e-6  # of the power that a Lyapunov equation gives, relative
+MOST_MOVED = 0.1  # of a pole's distance from the edge of stability, by a rounding of A
 APART = 1e-3  # by which the power may differ, relative, where the dual equation gives it
 MOST_SPREAD = 1e-4  # of the H-infinity norm: by how much it may move with the rounding of A
 
@@ -63,8 +64,11 @@ def hinf_norm(model: StateModel) -> Peak:
     units, rate, a, b, c = _balanced(model)
     b, d = b / rate, model.d / units[0] / units[1]
     _finite(np.abs(d).max())
-    size = np.sqrt(np.linalg.norm(b) / np.linalg.norm(c)) if np.any(b) and np.any(c) else 1.0
-    scaled = StateModel(a, b / size, c * size, d)
+    sizes = np.linalg.norm(b), np.linalg.norm(c)
+    size = np.sqrt(sizes[0] / sizes[1]) if all(sizes) else 1.0
+    whole = unit_of(np.array([[sizes[0] * sizes[1], np.linalg.norm(d)]]))  # the Hamiltonian squares gains
+    b, c, d = b / size / np.sqrt(whole), c * size / np.sqrt(whole), d / whole
+    scaled = StateModel(a, b, c, d)
 
     def gains(omega: np.ndarray) -> np.ndarray:
         return np.linalg.norm(np.moveaxis(scaled.frequency_response(omega), -1, 0), ord=2, axis=(1, 2))
@@ -97,7 +101,7 @@ def hinf_norm(model: StateModel) -> Peak:
         level, where = values.max(), middle[values.argmax()]
     if passes:
         _require_harmless(scaled, np.append(resonances, where), level)
-    return Peak(_finite(level * units[0] * units[1]), float(where * rate))
+    return Peak(_finite(level * whole * units[0] * units[1]), float(where * rate))
 
 
 @checked
@@ -147,16 +151,10 @@ def _turned(model: StateModel) -> StateModel:
 
 def _balanced(model: StateModel, in_slow_time: bool = True):
     """Units of B and C, the rate of the fastest pole, A in slow time, and B and C in these units; balanced."""
-    units = _unit(model.b), _unit(model.c)
+    units = unit_of(model.b), unit_of(model.c)
     rate = np.abs(model.poles).max() if in_slow_time else 1.0
     a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
     return units, rate, a, model.b / units[0] / scale[:, None], model.c / units[1] * scale
-
-
-def _unit(matrix: np.ndarray) -> float:
-    """A power of two beside the largest element, where its square would leave the range of numbers; else 1."""
-    largest = np.abs(matrix).max()
-    return 1.0 if 1e-60 < largest < 1e60 else float(2.0 ** np.frexp(largest)[1])
 
 
 def _finite(norm: float) -> float:
@@ -277,6 +275,11 @@ def _squared(model: StateModel) -> tuple[tuple[float, float], float, float, bool
     else:
         moved = np.linalg.norm(a, 2) * np.linalg.norm(gramian @ dual)
     uncertainty = max(2 * np.finfo(float).eps * moved, rounding)
-    if abs(power - np.trace(b.T @ dual @ b)) > APART * power:  # both equations give it, by other roundings
+    # To first order no longer, where that moves a pole as far as it lies from the edge of stability.
+    poles, left, right = linalg.eig(a, left=True)
+    moved = np.finfo(float).eps * np.sum(np.abs(left) * (np.abs(a) @ np.abs(right)), axis=0)
+    far = np.abs(np.sum(left.conj() * right, axis=0)) * (1 - np.abs(poles) if discrete else -poles.real)
+    # Both equations give the power, by other roundings.
+    if np.any(moved > MOST_MOVED * far) or abs(power - np.trace(b.T @ dual @ b)) > APART * power:
         uncertainty = max(uncertainty, abs(power))
     return units, power, uncertainty, False

@@ -233,16 +233,30 @@ class StateModel:
 
 @lru_cache(maxsize=16)
 def _eigenvalues(a: bytes, states: int) -> Complex128[np.ndarray, " states"]:
-    return linalg.eigvals(_matrix(a, states)).astype(complex) if states else np.zeros(0, complex)
+    if not states:
+        return np.zeros(0, complex)
+    matrix, unit = _matrix(a, states), 1.0
+    if unit_of(matrix) != 1.0:  # LAPACK's own scaling loses the poles there
+        matrix = linalg.matrix_balance(matrix, permute=False)[0]
+        unit = unit_of(matrix)
+    return linalg.eigvals(matrix / unit).astype(complex) * unit
+
+
+@checked
+def unit_of(matrix: Float64[np.ndarray, "rows columns"]) -> float:
+    """A power of two beside the largest element, where its square would leave the range of numbers; else 1."""
+    largest = np.abs(matrix).max(initial=0.0)
+    return 1.0 if 1e-60 < largest < 1e60 else float(2.0 ** np.frexp(largest)[1])
 
 
 @lru_cache(maxsize=16)
 def _decomposition(a: bytes, states: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
     """Scale that balances A, the balanced A, its poles, and its eigenvectors where they are not too skew."""
     balanced, (scale, _) = linalg.matrix_balance(_matrix(a, states), permute=False, separate=True)
-    poles, vectors = linalg.eig(balanced)
+    unit = unit_of(balanced)
+    poles, vectors = linalg.eig(balanced / unit)
     skew = np.linalg.cond(vectors) > WORST_CONDITION
-    return scale, balanced, poles.astype(complex), None if skew else vectors.astype(complex)
+    return scale, balanced, poles.astype(complex) * unit, None if skew else vectors.astype(complex)
 
 
 @checked
