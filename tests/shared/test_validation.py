@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from jaxtyping import Float64
 from scipy import interpolate
 
 from stillwork.base import validation
+from stillwork.base.bounds import Fraction, Positive, Vector, at_least
 from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control import PeakConstraint, make_loop, maximise_bandwidth
@@ -295,6 +296,41 @@ def searched(family):
     numbers = ([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
     loop = make_loop(ModalModel(*map(np.array, numbers)), points=50, around=3)
     return maximise_bandwidth([loop], family, [PeakConstraint("input_sensitivity")], 1.0, 20.0)
+
+
+@checked
+def bounded(
+    share: Fraction = 0.5,
+    count: Annotated[int, at_least(2)] = 2,
+    times: Sequence[Positive] = (),
+    limit: Positive | None = None,
+    signal: Vector = (),
+):
+    return share, count, times, limit, signal
+
+
+@checked
+def passing_on(**values):
+    return bounded(**values)
+
+
+@pytest.mark.parametrize("call", [bounded, passing_on])
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"share": 1.0}, r"^share is 1; .*above 0 and below 1$"),
+        ({"count": 1}, r"^count is 1; .*at least 2$"),
+        ({"times": [1.0, 0.0]}, r"^times\[1\] is 0; .*above 0$"),
+        ({"limit": -1.0}, r"^limit is -1; .*above 0$"),
+        ({"signal": [[1.0]]}, r"^signal has shape \(1, 1\)"),
+    ],
+)
+def test_bounds_of_an_annotation_are_asked_of_calls_from_inside_too(call, values, message):
+    with pytest.raises(InputError, match=message):
+        call(**values)
+    share, count, times, limit, signal = call(share=np.float32(0.25), times=[np.float32(1)], signal=[1, 2])
+    assert (share, count, times, limit) == (0.25, 2, [1.0], None) and type(share) is type(times[0]) is float
+    assert signal.dtype == float
 
 
 @pytest.mark.parametrize("count", [10**14, 2**62])

@@ -1,6 +1,7 @@
 """The front door of the toolbox: arguments and fields are held against their annotations, results are finite.
 
-A function keeps to its own what no annotation says: bounds, which sizes fit together, what is stable.
+An annotation may hold bounds, too (`stillwork.base.bounds`). A function keeps to its own what no annotation says: which
+sizes fit together, what is stable.
 """
 
 import inspect
@@ -14,7 +15,7 @@ from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache, partial, wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from jaxtyping import AbstractArray
@@ -85,15 +86,16 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
 
     @wraps(function)
     def door(*values, **named):
+        checks = bounds_of(function) if _inside.now else checks_of(function)
+        if checks:
+
+            def asked(name: str, value):
+                return checks[name](name, value) if name in checks else value
+
+            values = (*map(asked, names, values), *values[len(names) :])
+            named = {name: asked(name, value) for name, value in named.items()}
         if _inside.now:
             return function(*values, **named)
-        checks = checks_of(function)
-
-        def asked(name: str, value):
-            return checks[name](name, value) if name in checks else value
-
-        values = (*map(asked, names, values), *values[len(names) :])
-        named = {name: asked(name, value) for name, value in named.items()}
         _inside.now, _inside.words = True, np.geterr()
         try:
             with np.errstate(all="ignore"):
@@ -288,12 +290,28 @@ def _farthest(array: np.ndarray) -> float | None:
 @cache
 def checks_of(owner) -> dict[str, Callable]:
     """A check for every parameter or field whose annotation says what it takes."""
-    hints = typing.get_type_hints(inspect.unwrap(owner) if inspect.isfunction(owner) else owner)
+    hints = _hints(owner)
     names = hints if inspect.isfunction(owner) else [field.name for field in fields(owner)]
     # A model keeps a reader's function as it is: kernels compile it.
     how = _argument if inspect.isfunction(owner) else _check
     found = {name: how(hints[name]) for name in names if name != "return"}
     return {name: check for name, check in found.items() if check is not None}
+
+
+@cache
+def bounds_of(function: Callable) -> dict[str, Callable]:
+    """The checks of those parameters whose annotation says more than a type: they are made of calls from inside, too."""
+    hints = _hints(function)
+    return {name: check for name, check in checks_of(function).items() if _is_bounded(hints[name])}
+
+
+def _hints(owner) -> dict[str, Any]:
+    plain = inspect.unwrap(owner) if inspect.isfunction(owner) else owner
+    return typing.get_type_hints(plain, include_extras=True)
+
+
+def _is_bounded(hint) -> bool:
+    return typing.get_origin(hint) is Annotated or any(map(_is_bounded, typing.get_args(hint)))
 
 
 def _argument(hint) -> Callable | None:
@@ -316,6 +334,8 @@ def _check(hint) -> Callable | None:
     if hint in _PLAIN:
         return _PLAIN[hint][0]
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Annotated:
+        return hint.__metadata__[0]
     if origin is Callable:
         return require_callable
     if origin in (types.UnionType, typing.Union):
@@ -368,6 +388,7 @@ def _union(parts: tuple) -> Callable | None:
 
 def _words(hint) -> str:
     """How a refusal names what is wanted."""
+    hint = hint.__origin__ if typing.get_origin(hint) is Annotated else hint
     kind = typing.get_origin(hint) or hint
     if kind in (list, tuple, Sequence, Collection, Iterable):
         return "a list of whole numbers" if int in typing.get_args(hint) else "a list of values"

@@ -7,19 +7,19 @@ regressors serves all of them, eq. (27).
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.algebra import add_scaled, inner_product
+from stillwork.base.bounds import Count, Positive, within
 from stillwork.base.checks import (
     Converted,
     InputError,
     pluralise,
     require_array,
     require_choice,
-    require_count,
     require_memory,
     require_number,
 )
@@ -36,6 +36,7 @@ from stillwork.estimation.covariance_forms import (
     update_ud,
     variance,
 )
+from stillwork.estimation.gaussian import require_covariance
 
 # How much more than the steady value from its own power alone a regressor's correlation with the others may make of P.
 INFLATION = 10.0
@@ -73,14 +74,12 @@ class FeLms:
     array([[ 3., -5.]])
     """
 
-    step_size: float = 1e-4
-    regularisation: float = 1e-5
+    step_size: Positive = 1e-4
+    regularisation: Positive = 1e-5
     trace: str = "regressors"
 
     def __post_init__(self):
         check_fields(self)
-        require_number("step_size", self.step_size, above=0.0)
-        require_number("regularisation", self.regularisation, above=0.0)
         require_choice("trace", self.trace, ("regressors", "literal"))
 
     def trace_copies(self, actuators: int) -> float:
@@ -181,7 +180,7 @@ class FeRls:
     """
 
     initial_covariance: Converted
-    forgetting: float = float(np.exp(-2e-4 / 10))
+    forgetting: Annotated[float, within(above=0.0, at_most=1.0)] = float(np.exp(-2e-4 / 10))
     growth_limit: float = 10.0
     form: str = "safe"
     dtype: str = "float64"
@@ -189,7 +188,6 @@ class FeRls:
     @checked
     def __post_init__(self):
         check_fields(self, infinite=("growth_limit",))
-        require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         if self.growth_limit != np.inf:
             require_number("growth_limit", self.growth_limit, at_least=1.0)
         require_choice("form", self.form, ("safe", *FORMS))
@@ -205,15 +203,13 @@ class FeRls:
             raise InputError(
                 f"initial_covariance has shape {initial.shape}; give a number, its diagonal or a square matrix"
             )
-        if initial.ndim == 2 and not np.allclose(initial, initial.T, rtol=1e-9, atol=0):
-            raise InputError("initial_covariance is not symmetric; give a covariance")
-        if np.min(np.linalg.eigvalsh(initial) if initial.ndim == 2 else initial) <= 0:
-            raise InputError("initial_covariance is not positive definite; give a covariance")
+        whole = np.atleast_1d(initial)
+        require_covariance("initial_covariance", whole, len(whole))
         object.__setattr__(self, "initial_covariance", initial)
         copy_arrays(self)
 
     @checked(infinite=True)
-    def start(self, regressors: int) -> Recursion:
+    def start(self, regressors: Count) -> Recursion:
         """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors.
 
         Parameters
@@ -237,7 +233,6 @@ class FeRls:
         array([[1000.,    0.],
                [   0., 1000.]])
         """
-        require_count("regressors", regressors)
         initial = self.initial_covariance
         if initial.ndim and len(initial) != regressors:
             raise InputError(

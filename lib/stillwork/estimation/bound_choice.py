@@ -1,12 +1,13 @@
 """The bound of min-max estimation chosen by cross-validation, and how sure the choice is."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from stillwork.base.bounds import Count, Fraction, Matrix, Natural, Vector, at_least
+from stillwork.base.checks import InputError, pluralise
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.min_max import qr_r, solve_sweep
 from stillwork.estimation.secular import secular_function
@@ -41,14 +42,14 @@ class BoundChoice:
 
 @checked
 def choose_bound(
-    matrix: ArrayLike,
-    target: ArrayLike,
-    bounds: ArrayLike | None = None,
+    matrix: Matrix,
+    target: Vector,
+    bounds: Vector | None = None,
     *,
-    folds: int = 10,
-    coverage: float = 0.95,
-    draws: int = 1000,
-    seed: int = 0,
+    folds: Annotated[int, at_least(2)] = 10,
+    coverage: Fraction = 0.95,
+    draws: Count = 1000,
+    seed: Natural = 0,
 ) -> BoundChoice:
     """Choose eta by what min-max estimates predict: each stretch of the rows is held out once.
 
@@ -91,18 +92,14 @@ def choose_bound(
     >>> choice.interval[0] <= choice.best <= choice.interval[1]
     True
     """
-    matrix, target = require_array("matrix", matrix, ndim=2), require_array("target", target, ndim=1)
     rows, unknowns = matrix.shape
-    folds, draws = require_count("folds", folds, at_least=2), require_count("draws", draws)
-    tail = (1 - require_number("coverage", coverage, above=0.0, below=1.0)) / 2
+    tail = (1 - coverage) / 2
     if rows - -(-rows // folds) <= unknowns:
         raise InputError(
             f"matrix has {pluralise(rows, 'row')}, too few to fit {pluralise(unknowns, 'unknown')} without one of {pluralise(folds, 'fold')}"
         )
     threshold = secular_function(matrix, target, 0.0).threshold
-    tried = (
-        np.geomspace(1e-3, 1, 25) * threshold if bounds is None else require_array("bounds", bounds, ndim=1)
-    )
+    tried = np.geomspace(1e-3, 1, 25) * threshold if bounds is None else bounds
     if len(tried) < 2 or tried[0] < 0 or np.any(np.diff(tried) <= 0):
         raise InputError(
             "bounds does not rise from zero or above; give at least two, each above the one before"
@@ -117,7 +114,7 @@ def choose_bound(
         share = np.sqrt(1 - len(stretches[out]) / rows)
         for place, solution in enumerate(solve_sweep(fitted, aimed, share * tried)):
             squares[out, place] = np.sum((held[:, -1] - held[:, :-1] @ solution.estimate) ** 2)
-    rng = np.random.default_rng(require_count("seed", seed, at_least=0))
+    rng = np.random.default_rng(seed)
     times = rng.multinomial(folds, np.full(folds, 1 / folds), draws)
     best = tried[np.argmin(times @ squares, axis=1)]
     low, high = np.quantile(best, [tail, 1 - tail], method="nearest")

@@ -6,11 +6,13 @@ runs over a record or inside the controller's loop.
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Count, NonNegative, Positive, at_least
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.extended import plant_extended_step
@@ -31,12 +33,11 @@ def _packed(kind, options, work_shape, process=((),), noise=((),)):
 class MovingWindow:
     """Section II.A: three cascaded affine fits over `length` + 1 samples, read at the newest sample."""
 
-    length: int = 12  # L of the paper; the window holds L + 1 samples
+    length: Count = 12  # L of the paper; the window holds L + 1 samples
     error_from_measurement = True  # which position the controller compares with the nominal one
 
     def __post_init__(self):
         check_fields(self)
-        require_count("length", self.length)
 
     @checked
     def packed(self) -> Packed:
@@ -70,12 +71,11 @@ class LowPass:
     True
     """
 
-    bandwidth: float = 350.0
+    bandwidth: Positive = 350.0
     error_from_measurement = True
 
     def __post_init__(self):
         check_fields(self)
-        require_number("bandwidth", self.bandwidth, above=0)
 
     @checked
     def packed(self) -> Packed:
@@ -100,15 +100,13 @@ class SavitzkyGolay:
     """Least-squares polynomial over the latest samples; its value and derivatives at the newest one."""
 
     samples: int = 15  # in the window
-    degree: int = 2  # of the polynomial, 2 at least: an acceleration is wanted
-    sample_time: float = 1e-3  # s; the weights of the derivatives depend on it
+    degree: Annotated[int, at_least(2)] = 2  # of the polynomial, 2 at least: an acceleration is wanted
+    sample_time: Positive = 1e-3  # s; the weights of the derivatives depend on it
     error_from_measurement = True
 
     def __post_init__(self):
         check_fields(self)
-        require_count("degree", self.degree, at_least=2)
         require_count("samples", self.samples, at_least=self.degree + 1)
-        require_number("sample_time", self.sample_time, above=0)
 
     @checked
     def packed(self) -> Packed:
@@ -277,7 +275,7 @@ class UnscentedKalman(_KalmanFilter):
     plant: Plant
     process: ArrayLike = (1e-1, 1e-3)
     noise: ArrayLike = (1e-2, 1e-3)
-    initial_variance: float = 1e-3
+    initial_variance: Positive = 1e-3
     literal: bool = False
     points: SigmaPoints = field(default_factory=SigmaPoints)
     model_acceleration: bool = False
@@ -287,7 +285,6 @@ class UnscentedKalman(_KalmanFilter):
         check_fields(self)
         object.__setattr__(self, "process", require_covariance("process", self.process, 2))
         object.__setattr__(self, "noise", require_covariance("noise", self.noise, 2))
-        require_number("initial_variance", self.initial_variance, above=0)
 
     @checked
     def packed(self) -> Packed:
@@ -348,17 +345,14 @@ class ExtendedKalman(_KalmanFilter):
     """
 
     plant: Plant
-    disturbance_step: float = 1.0
-    noise_deviation: float = 1e-4
-    velocity_step: float = 0.0
+    disturbance_step: NonNegative = 1.0
+    noise_deviation: Positive = 1e-4
+    velocity_step: NonNegative = 0.0
     initial_deviation: tuple[float, float, float] = (1e-2, 1.0, 10.0)
     error_from_measurement = False
 
     def __post_init__(self):
         check_fields(self)
-        require_number("disturbance_step", self.disturbance_step, at_least=0)
-        require_number("noise_deviation", self.noise_deviation, above=0)
-        require_number("velocity_step", self.velocity_step, at_least=0)
         deviation = require_array("initial_deviation", self.initial_deviation, shape=(3,))
         if np.any(deviation < 0):
             raise InputError("initial_deviation holds a negative number; give standard deviations")

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import linalg
 
+from stillwork.base.bounds import Fraction
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.discretisation import tustin
@@ -65,7 +66,9 @@ class _Normal:
 
 @checked
 def hinf_riccati(
-    plant: GeneralisedPlant, level: float | None = None, tolerance: float = 1e-4
+    plant: GeneralisedPlant,
+    level: float | None = None,
+    tolerance: Fraction = 1e-4,
 ) -> HinfSynthesis:
     r"""Controller u = K y that keeps the H-infinity norm from w to z below a level, or makes it as small as can be.
 
@@ -108,7 +111,6 @@ def hinf_riccati(
     >>> round(found.level, 3)  # the root of 2
     1.414
     """
-    require_number("tolerance", tolerance, above=0.0, below=1.0)
     normal = _normalised(plant)
     if level is not None:
         require_number("level", level, above=0.0)

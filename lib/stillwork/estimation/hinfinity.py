@@ -1,24 +1,26 @@
 """H-infinity filter in discrete time: bounds the energy gain from noise to the estimation error."""
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import add_square, condition, congruence, copy_matrix, measure, take_in_turn
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.bounds import Positive, within
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import kernel
 from stillwork.base.validation import checked
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
 
 @checked(missing=True)
-def hinfinity_gains(model: TimeVaryingModel, wanted: ArrayLike, level: float) -> FilterGains:
+def hinfinity_gains(model: TimeVaryingModel, wanted: ArrayLike, level: Positive) -> FilterGains:
     r"""A-posteriori H-infinity filter of z = L x (Hassibi, Sayed and Kailath, 1999, ch. 4).
 
     It is the Kalman filter on a covariance that every step inflates to :math:`(P^{-1}-\gamma^{-2}L^TL)^{-1}`. L,
     `wanted`, is in units in which all errors count alike; the level :math:`\gamma` bounds the ratio of error energy
     to noise energy, both in units of their deviations. Where no filter keeps it, the error names the sample.
     """
-    level = require_number("level", level, above=0.0)
     wanted = require_array("wanted", wanted, shape=(None, model.a.shape[1]))
     gains, failed = _design(model, wanted, level)
     if failed:
@@ -27,10 +29,11 @@ def hinfinity_gains(model: TimeVaryingModel, wanted: ArrayLike, level: float) ->
 
 
 @checked
-def smallest_level(model: TimeVaryingModel, wanted: ArrayLike, tolerance: float = 1e-3) -> float:
+def smallest_level(
+    model: TimeVaryingModel, wanted: ArrayLike, tolerance: Annotated[float, within(at_least=1e-12)] = 1e-3
+) -> float:
     """Smallest level for which `hinfinity_gains` exists, from above, by bisection to a relative tolerance."""
     wanted = require_array("wanted", wanted, shape=(None, model.a.shape[1]))
-    require_number("tolerance", tolerance, at_least=1e-12)
     square = np.linalg.norm(wanted @ model.initial_covariance @ wanted.T, 2) if len(wanted) else 0.0
     if not 0 < square < np.inf:
         raise InputError(

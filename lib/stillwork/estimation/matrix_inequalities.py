@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.extras import require_package
 from stillwork.base.validation import checked
@@ -37,7 +38,7 @@ def h2_lmi(
     plant: GeneralisedPlant,
     effort: float | ArrayLike = 0.0,
     noise: float | ArrayLike = 0.0,
-    tolerance: float = 1e-3,
+    tolerance: Positive = 1e-3,
 ) -> H2Synthesis:
     r"""Controller u = K y with the smallest H2 norm from w to z, from matrix inequalities that Clarabel solves.
 
@@ -81,7 +82,6 @@ def h2_lmi(
     >>> round(apart.regular_norm / estimation.h2_riccati(plant, effort=0.5, noise=0.5).regular_norm, 2)
     1.0
     """
-    require_number("tolerance", tolerance, above=0.0)
     _require_continuous(plant)
     regular = regularised(plant, effort, noise)
     return _solved(

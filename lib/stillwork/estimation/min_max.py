@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import require_array, require_number
+from stillwork.base.bounds import Matrix, NonNegative, Vector
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.secular import ROUNDING, SecularFunction, decompose
 
@@ -39,7 +39,7 @@ class MinMaxSolution:
 
 
 @checked(infinite=True)
-def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxSolution:
+def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: NonNegative) -> MinMaxSolution:
     """Estimate x in b = (A + dA) x + v when only a bound on the 2-norm of dA is known.
 
     The estimate minimises the worst residual that a perturbation of norm at most `bound` can cause. It is
@@ -94,17 +94,15 @@ def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxS
 
 
 @checked(infinite=True)
-def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxSolution:
+def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: NonNegative) -> MinMaxSolution:
     """`min_max_solve` without its warning, where a zero estimate is a result."""
     return solve_sweep(matrix, target, [bound])[0]
 
 
 @checked(infinite=True)
-def solve_sweep(matrix: ArrayLike, target: ArrayLike, bounds: Iterable[float]) -> list[MinMaxSolution]:
+def solve_sweep(matrix: Matrix, target: Vector, bounds: Iterable[NonNegative]) -> list[MinMaxSolution]:
     """`solve_silently` for several bounds, with one decomposition of the data."""
-    matrix = require_array("matrix", matrix, ndim=2)
-    target = require_array("target", target, ndim=1)
-    bounds = [require_number("bound", bound, at_least=0.0) for bound in bounds]
+    bounds = list(bounds)
     matrix_unit = _size(matrix)
     target_unit = _size(target)
     scaled, aimed = matrix / matrix_unit, target / target_unit

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.bounds import Positive
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.lti.modal import ModalModel
@@ -40,13 +41,11 @@ class NoiseIntensities:
     1e-12
     """
 
-    process: float  # Q, N^2
-    sensor: float  # R, m^2
+    process: Positive  # Q, N^2
+    sensor: Positive  # R, m^2
 
     def __post_init__(self):
         check_fields(self)
-        require_number("process", self.process, above=0.0)
-        require_number("sensor", self.sensor, above=0.0)
 
 
 class FlexibleEstimates:
@@ -194,7 +193,9 @@ class Observer(FlexibleEstimates):
 
 
 @checked
-def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: float | None = None) -> Observer:
+def kalman_observer(
+    model: ModalModel, noise: NoiseIntensities, noise_model: Positive | None = None
+) -> Observer:
     """Kalman observer of section 3.1, with the process noise at the plant input (G = B).
 
     Parameters
@@ -235,7 +236,6 @@ def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: flo
     inputs = b.shape[1]
     g, q = b, noise.process * np.eye(inputs)
     if noise_model is not None:
-        require_number("noise_model", noise_model, above=0.0)
         walk = np.zeros((inputs, inputs))
         a, b, g, c = augment_random_walk(a, b, c, walk)
         q = linalg.block_diag(q, noise_model * np.eye(inputs))

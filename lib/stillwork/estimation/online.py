@@ -7,13 +7,13 @@ from jaxtyping import Float, Float64, Int64
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import copy_matrix, copy_vector, plus_row
+from stillwork.base.bounds import Fraction, Matrix
 from stillwork.base.checks import (
     InputError,
     pluralise,
     require_array,
     require_count,
     require_kind,
-    require_number,
 )
 from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, checked
@@ -263,13 +263,11 @@ class AdaptationStepper:
 
 
 @checked
-def steady_covariance(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray, "n n"]:
+def steady_covariance(regressors: Matrix, forgetting: Fraction) -> Float64[np.ndarray, "n n"]:
     """P that FeRLS settles at, (1 - lambda) E[psi psi']^-1, from a stretch of psi_N after the transients of the filters.
 
     A direction of the regressors that is silent has no steady value, and is an `InputError`.
     """
-    regressors = require_array("regressors", regressors, ndim=2)
-    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     size = np.sqrt(np.mean(regressors**2, axis=1))
     if np.min(size) == 0:
         raise InputError(f"regressors: row {int(np.argmin(size))} is zero; leave it out")

@@ -2,10 +2,12 @@
 
 import math
 import warnings
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Matrix, within
 from stillwork.base.checks import (
     InputError,
     pluralise,
@@ -96,9 +98,8 @@ def warn_held(unknowns: ArrayLike, stacklevel: int) -> None:
 
 
 @checked(missing=True)
-def run_silently(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Track:
+def run_silently(estimator: Estimator, regressors: Matrix, outputs: ArrayLike) -> Track:
     """`run` without its warning, for sweeps in which a zero estimate is a result."""
-    regressors = require_array("regressors", regressors, ndim=2)
     unknowns, samples = regressors.shape
     if unknowns == 0:
         raise InputError("regressors has no rows; give at least one unknown")
@@ -287,19 +288,21 @@ class RecursiveStepper:
 
 @checked
 def worst_case_residuals(
-    regressors: ArrayLike, outputs: ArrayLike, estimates: ArrayLike, bounds: ArrayLike, forgetting: float
+    regressors: Matrix,
+    outputs: ArrayLike,
+    estimates: ArrayLike,
+    bounds: ArrayLike,
+    forgetting: Annotated[float, within(above=0.0, at_most=1.0)],
 ) -> np.ndarray:
     """|A_t x_t - b_t| + eta_t |x_t| of any estimates, the criterion that min-max estimation minimises.
 
     Regressors and estimates are (unknowns, samples); the forgetting, at most 1, weighs all rows alike at 1.
     """
-    regressors = require_array("regressors", regressors, ndim=2)
     estimates = require_array("estimates", estimates, shape=regressors.shape)
     outputs = require_array("outputs", outputs, shape=regressors.shape[1:])
     bounds = require_array("bounds", bounds, shape=regressors.shape[1:])
     if np.any(bounds < 0):
         raise InputError("bounds holds a negative value; give bounds on a norm, zero or above")
-    forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
     worst = np.empty(len(outputs))
     rows, points = np.ascontiguousarray(regressors.T), np.ascontiguousarray(estimates.T)
     recursive_kernels.worst_residuals(rows, outputs, bounds, forgetting, points, worst)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from stillwork.base.bounds import Fraction, NonNegative, Positive
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.validation import by_value, check_fields
 from stillwork.estimation import rank_one
@@ -223,15 +224,13 @@ class MinMax(_MinMaxUpdate):
     True
     """
 
-    bound: float
-    forgetting: float
+    bound: NonNegative
+    forgetting: Fraction
     update: str = "exact"
     iterations: int = 1
 
     def __post_init__(self):
         check_fields(self)
-        require_number("bound", self.bound, at_least=0.0)
-        require_number("forgetting", self.forgetting, above=0.0, below=1.0)
         self._check()
 
     @property
@@ -267,13 +266,12 @@ class GrowingMinMax(_MinMaxUpdate):
     This is the setting of Fig. 1 (forgetting 1); parameters as in `MinMax`.
     """
 
-    row_bound: float  # epsilon, on the 2-norm of the perturbation of one regressor
+    row_bound: NonNegative  # epsilon, on the 2-norm of the perturbation of one regressor
     update: str = "exact"
     iterations: int = 1
 
     def __post_init__(self):
         check_fields(self)
-        require_number("row_bound", self.row_bound, at_least=0.0)
         self._check()
 
     def bounds(self, first: int, count: int) -> np.ndarray:
@@ -315,13 +313,12 @@ class LeastSquares(_Recursion):
     array([0.7, 0.2])
     """
 
-    forgetting: float
+    forgetting: Fraction
     initial_covariance: float | None = None
     growth_limit: float = 1e6
 
     def __post_init__(self):
         check_fields(self, infinite=("growth_limit",))
-        require_number("forgetting", self.forgetting, above=0.0, below=1.0)
         if self.initial_covariance is not None:
             require_number("initial_covariance", self.initial_covariance, above=0.0)
         if self.growth_limit != np.inf:
@@ -387,13 +384,11 @@ class LeastSquares(_Recursion):
 class Ridge(_Recursion):
     """Exponentially weighted ridge regression with a constant penalty: x = (R + penalty I)^-1 s."""
 
-    penalty: float  # above 0; in the unit of the squared regressors, summed over the window
-    forgetting: float  # lambda, between 0 and 1
+    penalty: Positive  # above 0; in the unit of the squared regressors, summed over the window
+    forgetting: Fraction  # lambda, between 0 and 1
 
     def __post_init__(self):
         check_fields(self)
-        require_number("penalty", self.penalty, above=0.0)
-        require_number("forgetting", self.forgetting, above=0.0, below=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
         return np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros(unknowns)

@@ -12,6 +12,7 @@ without the inverse covariances of the printed equations.
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
@@ -27,7 +28,8 @@ from stillwork.base.algebra import (
     plus_row,
     take_in_turn,
 )
-from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
+from stillwork.base.bounds import Positive, within
+from stillwork.base.checks import InputError, require_array, require_finite_run
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.base.validation import by_value, check_fields, checked, made
 from stillwork.estimation.time_varying import RESCALE, FilterGains, TimeVaryingModel, require_per_sample
@@ -101,27 +103,29 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
 
 
 @checked(missing=True)
-def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight: float) -> FilterGains:
+def sensitivity_gains(
+    model: TimeVaryingModel,
+    derivatives: Derivatives,
+    weight: Annotated[float, within(above=0.0, at_most=1.0)],
+) -> FilterGains:
     r"""Sensitivity-penalised filter (5.25).
 
     The weight :math:`\gamma` in (0, 1] is 1 for the Kalman filter, small values punish sensitivity. It weighs squares of
     sensitivities (m) against variances: the larger the sensitivities, the larger a weight acts already.
     """
-    weight = require_number("weight", weight, above=0.0, at_most=1.0)
     rows = derivatives.rows(model)
     penalty = np.full(model.samples, (1 - weight) / weight)
     return _penalised(model, rows, penalty, np.zeros((model.samples, model.c.shape[1], 0)))
 
 
 @checked(missing=True)
-def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float = 1.0) -> FilterGains:
+def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: Positive = 1.0) -> FilterGains:
     r"""Robust regularised least-squares filter (5.21) with the rule of thumb :math:`\lambda = (1+\alpha)\lambda_l`.
 
     The thesis takes a margin :math:`\alpha` of 1. The rule does not see how large E is: with one output and margin 1
     it halves R even for errors that vanish. Only the exact search, or no uncertainty at all, returns to the Kalman
     filter.
     """
-    margin = require_number("margin", margin, above=0.0)
     rows, m = bound_rows(model, bound)
     return _penalised(model, rows, (1 + margin) * lower_limit(model, rows, m), m)
 

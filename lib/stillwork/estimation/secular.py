@@ -6,12 +6,11 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Count, Matrix, NonNegative, Positive
 from stillwork.base.checks import (
     InputError,
     pluralise,
     require_array,
-    require_count,
-    require_number,
     require_samples,
 )
 from stillwork.base.kernels import kernel
@@ -103,13 +102,11 @@ class SecularFunction:
 
     eigenvalues: Float64[np.ndarray, " rank"]  # squares of the nonzero singular values of A, descending
     coefficients: Float64[np.ndarray, " rank"]  # c = U1'b
-    excess: float  # |d|, the part of b outside the column space of A; 0 when that is rounding
-    bound: float  # eta, on the 2-norm of the perturbation of A
+    excess: NonNegative  # |d|, the part of b outside the column space of A; 0 when that is rounding
+    bound: NonNegative  # eta, on the 2-norm of the perturbation of A
 
     def __post_init__(self):
         check_fields(self)
-        require_number("excess", self.excess, at_least=0.0)
-        require_number("bound", self.bound, at_least=0.0)
         if self.eigenvalues.shape != self.coefficients.shape or np.any(self.eigenvalues <= 0):
             raise InputError(
                 "eigenvalues must be above zero, one for each of the coefficients; leave the others out"
@@ -156,7 +153,7 @@ class SecularFunction:
         return self.bound * np.sqrt(residual / norm) * slope * (1 / norm + alpha / residual)
 
     @checked
-    def iterates(self, start: float, steps: int) -> np.ndarray:
+    def iterates(self, start: Positive, steps: Count) -> np.ndarray:
         """start, f(start), f(f(start)), ...: the iteration (21), `steps` + 1 values.
 
         Parameters
@@ -171,13 +168,13 @@ class SecularFunction:
         InputError
             When an iterate leaves the finite numbers.
         """
-        values = [require_number("start", start, above=0.0)]
-        for _ in range(require_samples("steps", require_count("steps", steps))):
+        values = [start]
+        for _ in range(require_samples("steps", steps)):
             values.append(float(self(values[-1])))
         return np.array(values)
 
     @checked
-    def root(self, start: float | None = None) -> tuple[float, int]:
+    def root(self, start: Positive | None = None) -> tuple[float, int]:
         """Unique positive fixed point and the number of evaluations of f it took.
 
         Parameters
@@ -196,7 +193,7 @@ class SecularFunction:
                 f"bound is {self.bound:g}; the secular equation has a positive root only for a bound "
                 f"between {lowest:g} and {self.threshold:g}"
             )
-        start = self._far_start() if start is None else require_number("start", start, above=0.0)
+        start = self._far_start() if start is None else start
         return secular_root(self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, start)
 
     def _far_start(self) -> float:
@@ -229,9 +226,10 @@ def secular_function(matrix: ArrayLike, target: ArrayLike, bound: float) -> Secu
 
 
 @checked(infinite=True)
-def decompose(matrix: ArrayLike, target: ArrayLike, bound: float) -> tuple[SecularFunction, np.ndarray, int]:
+def decompose(
+    matrix: Matrix, target: ArrayLike, bound: NonNegative
+) -> tuple[SecularFunction, np.ndarray, int]:
     """Secular function, right singular vectors (unknowns x rank) and rank of a checked problem."""
-    matrix = require_array("matrix", matrix, ndim=2)
     rows, unknowns = matrix.shape
     if unknowns == 0:
         raise InputError("matrix has no columns; give at least one unknown")
@@ -240,7 +238,6 @@ def decompose(matrix: ArrayLike, target: ArrayLike, bound: float) -> tuple[Secul
             f"matrix has {pluralise(rows, 'row')} for {pluralise(unknowns, 'unknown')}; give at least as many rows as unknowns"
         )
     target = require_array("target", target, shape=(rows,))
-    bound = require_number("bound", bound, at_least=0.0)
     left, singular, right = np.linalg.svd(matrix, full_matrices=False)
     rank = int(np.sum(singular > rows * ROUNDING * singular[0]))
     left, singular, right = left[:, :rank], singular[:rank], right[:rank]

@@ -5,11 +5,13 @@ again, let the caller say what they would measure, correct.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.algebra import cholesky_root, copy_matrix
+from stillwork.base.bounds import Positive, within
 from stillwork.base.checks import require_number
 from stillwork.base.kernels import borrowing_kernel, pasted_kernel
 from stillwork.base.validation import by_value, check_fields, checked
@@ -37,15 +39,13 @@ class SigmaPoints:
     With the published alpha the first weight is -9999: the weighted sums lose four digits.
     """
 
-    alpha: float = 1e-2
+    alpha: Positive = 1e-2
     beta: float = 1e-3
-    kappa: float = 0.0
+    kappa: Annotated[float, within(above=-1)] = 0.0
 
     def __post_init__(self):
         check_fields(self)
-        require_number("alpha", self.alpha, above=0)
         require_number("beta", self.beta)
-        require_number("kappa", self.kappa, above=-1)
 
     @checked
     def weights(self, size: int) -> Float64[np.ndarray, "4"]:

@@ -6,20 +6,20 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.algebra import inner_product
-from stillwork.base.checks import InputError, require_count, require_memory
+from stillwork.base.bounds import Count, Natural
+from stillwork.base.checks import InputError, require_memory
 from stillwork.base.kernels import borrowing_kernel
 from stillwork.base.validation import checked
 
 
 @checked
-def end_point_weights(samples: int, degree: int, derivative: int = 0) -> Float64[np.ndarray, " samples"]:
+def end_point_weights(
+    samples: Count, degree: Natural, derivative: Natural = 0
+) -> Float64[np.ndarray, " samples"]:
     """Weights of a least-squares polynomial's value or derivative (a sample, not a second) at the last sample.
 
     The first weight belongs to the oldest sample.
     """
-    require_count("samples", samples)
-    require_count("degree", degree, at_least=0)
-    require_count("derivative", derivative, at_least=0)
     if not derivative <= degree < samples:
         raise InputError(
             f"derivative, degree and samples are {derivative}, {degree} and {samples}; "

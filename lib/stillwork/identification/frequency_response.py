@@ -1,13 +1,14 @@
 """Frequency responses from records: averaged cross spectra, open or closed loop, with their coherence."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy.signal import csd, welch
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from stillwork.base.bounds import Matrix, Positive, Vector, at_least
+from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import checked
 
 
@@ -42,18 +43,20 @@ class Identified(NamedTuple):
 
 @checked
 def closed_loop_response(
-    excitation: ArrayLike, inputs: ArrayLike, outputs: ArrayLike, sample_time: float, segment: int
+    excitation: Vector,
+    inputs: ArrayLike,
+    outputs: ArrayLike,
+    sample_time: Positive,
+    segment: Annotated[int, at_least(8)],
 ) -> Identified:
     """Plant response in closed loop, as the ratio of the cross spectra with the excitation.
 
     The direct ratio of output and input would be biased by the noise that the loop feeds back; noise that is
     independent of the excitation averages out of this one.
     """
-    excitation = require_array("excitation", excitation, ndim=1)
     inputs = require_array("inputs", inputs, shape=excitation.shape)
     outputs = require_array("outputs", outputs, shape=excitation.shape)
-    require_number("sample_time", sample_time, above=0.0)
-    if require_count("segment", segment, at_least=8) > len(excitation) // 2:
+    if segment > len(excitation) // 2:
         raise InputError(
             f"segment is {segment} of {len(excitation)} samples; averaging takes at least two segments"
         )
@@ -71,14 +74,12 @@ def closed_loop_response(
 
 
 @checked(missing=True)
-def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Identified:
+def impact_response(force: Matrix, response: ArrayLike, rate: Positive) -> Identified:
     """H1 estimate from hits, one record a hit: the force's own cross spectra averaged over hits.
 
     The coherence of a single hit would be one everywhere and say nothing: it is NaN.
     """
-    force = require_array("force", force, ndim=2)
     response = require_array("response", response, shape=force.shape)
-    require_number("rate", rate, above=0.0)
     if not len(force):
         raise InputError("force holds no hit; give one row a hit")
     f, a = (np.fft.rfft(x - x.mean(axis=1, keepdims=True), axis=1) for x in (force, response))

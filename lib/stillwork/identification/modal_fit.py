@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares, minimize_scalar
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from stillwork.base.bounds import Count, Positive, Vector
+from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.complex_frequency import STRONGEST, Stabilisation, stabilisation
 from stillwork.identification.frequency_response import Identified
@@ -61,11 +62,11 @@ class ModalMatrixFit:
 
 @checked
 def fit_modal_matrix(
-    omega: ArrayLike,
+    omega: Vector,
     response: ArrayLike,
     deviation: ArrayLike,
-    modes: int,
-    sample_time: float,
+    modes: Count,
+    sample_time: Positive,
     rigid_modes: int,
 ) -> ModalMatrixFit:
     r"""Fit frequencies, damping and residue matrices by weighted least squares over all entries at once.
@@ -79,11 +80,8 @@ def fit_modal_matrix(
     brought to rank one, the rigid body's to rank `rigid_modes`. The response (lines, outputs, inputs) is in m/N, and
     `deviation` the standard deviation of an entry's complex error on each line.
     """
-    omega = require_array("omega", omega, ndim=1)
     response = require_array("response", response, shape=(len(omega), None, None), dtype=np.complex128)
     deviation = require_array("deviation", deviation, shape=omega.shape)
-    require_count("modes", modes)
-    require_number("sample_time", sample_time, above=0.0)
     outputs, inputs = response.shape[1:]
     if not 0 <= rigid_modes <= min(outputs, inputs):
         raise InputError(f"rigid_modes is {rigid_modes}; it cannot exceed the numbers of inputs and outputs")

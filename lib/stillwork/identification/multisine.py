@@ -1,12 +1,13 @@
 """Multisine experiments on a plant in closed loop, and its frequency response matrix without the loop's bias."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from stillwork.base.checks import InputError, pluralise, require_count, require_number
+from stillwork.base.bounds import Count, Positive, at_least
+from stillwork.base.checks import InputError, pluralise
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
@@ -14,12 +15,11 @@ from stillwork.lti.state_space import StateModel
 
 @checked
 def random_phase_multisine(
-    rng: np.random.Generator, samples: int, rms: float
+    rng: np.random.Generator, samples: Annotated[int, at_least(4)], rms: Positive
 ) -> Float64[np.ndarray, " samples"]:
     """One period of a multisine with equal amplitudes and random phases on every line up to the Nyquist frequency."""
-    if require_count("samples", samples, at_least=4) % 2:
+    if samples % 2:
         raise InputError(f"samples is {samples}; give an even number")
-    require_number("rms", rms, above=0.0)
     spectrum = np.zeros(samples // 2 + 1, complex)
     lines = samples // 2 - 1
     spectrum[1:-1] = np.exp(2j * np.pi * rng.random(lines))
@@ -57,9 +57,9 @@ def run_multisine(
     *,
     samples: int = 16384,
     rms: float = 1.0,
-    realisations: int = 10,
-    periods: int = 2,
-    settling: int = 2,
+    realisations: Count = 10,
+    periods: Count = 2,
+    settling: Count = 2,
 ) -> MultisineRecords:
     """Excite one actuator after the other in closed loop; keep the periods after the settling.
 
@@ -67,8 +67,6 @@ def run_multisine(
     the commanded forces and the measured outputs; `deviations` are those of the unmeasured force (N) and of the
     sensor noise (m) a sample. For every one of the `realisations` the phases are drawn anew.
     """
-    for name, value in (("realisations", realisations), ("periods", periods), ("settling", settling)):
-        require_count(name, value)
     if loop.d.shape != (actuators + sensors, 2 * actuators + sensors):
         raise InputError(
             f"loop has shape {loop.d.shape}; give {actuators + sensors} outputs and the three inputs"

@@ -1,14 +1,15 @@
 """Regressors of FIR and ARX models from measured records, and bounds from what is known of their noise."""
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Count, Fraction, Natural, NonNegative, Vector, within
 from stillwork.base.checks import (
     InputError,
     require_array,
-    require_count,
     require_memory,
-    require_number,
     require_samples,
 )
 from stillwork.base.validation import checked
@@ -16,7 +17,7 @@ from stillwork.signals.spectra import Spectrum
 
 
 @checked
-def fir_regressors(signal: ArrayLike, taps: int) -> np.ndarray:
+def fir_regressors(signal: Vector, taps: Count) -> np.ndarray:
     """Columns (u_t, u_(t-1), ..., u_(t-taps+1)), for y_t = sum over k of x_k u_(t-k).
 
     Parameters
@@ -45,25 +46,19 @@ def fir_regressors(signal: ArrayLike, taps: int) -> np.ndarray:
     array([[1., 2., 3.],
            [0., 1., 2.]])
     """
-    signal = require_array("signal", signal, ndim=1)
-    taps = require_count("taps", taps)
     require_memory("taps", taps, len(signal))
     return _delayed(signal, range(taps))
 
 
 @checked
 def arx_regressors(
-    signal: ArrayLike, output: ArrayLike, *, output_lags: int, input_lags: int, delay: int = 0
+    signal: Vector, output: ArrayLike, *, output_lags: Count, input_lags: Count, delay: Natural = 0
 ) -> np.ndarray:
     """Columns (y_(t-1), ..., y_(t-output_lags), u_(t-delay), ..., u_(t-delay-input_lags+1)), with zeros before the record.
 
     They belong to y_t = sum over i of x_i y_(t-i) + sum over k of x_(output_lags+k) u_(t-delay-k+1).
     """
-    signal = require_array("signal", signal, ndim=1)
     output = require_array("output", output, shape=signal.shape)
-    output_lags = require_count("output_lags", output_lags)
-    input_lags = require_count("input_lags", input_lags)
-    delay = require_count("delay", delay, at_least=0)
     require_memory("output_lags", output_lags, len(signal))
     require_memory("input_lags", input_lags, len(signal))
     past = _delayed(output, range(1, output_lags + 1))
@@ -71,55 +66,57 @@ def arx_regressors(
 
 
 @checked
-def row_bound(amplitudes: ArrayLike) -> float:
+def row_bound(amplitudes: Vector) -> float:
     """Bound epsilon on the 2-norm of one regressor's error from the largest error of each entry.
 
     The paper's FIR example: two entries within w_max give epsilon = sqrt(2) w_max.
     """
-    amplitudes = require_array("amplitudes", amplitudes, ndim=1)
     if np.any(amplitudes < 0):
         raise InputError("amplitudes holds a negative value; give sizes, zero or above")
     return float(np.linalg.norm(amplitudes))
 
 
 @checked
-def exponential_bound(row: float, forgetting: float, samples: int | None = None) -> float:
+def exponential_bound(row: NonNegative, forgetting: Fraction, samples: Count | None = None) -> float:
     """Bound eta on the 2-norm of the exponentially weighted perturbation, Section 5.
 
     epsilon sqrt(sum of forgetting^j over the samples); without `samples` its limit epsilon / sqrt(1 - forgetting).
     """
-    row = require_number("row", row, at_least=0.0)
-    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     memory = 1 / (1 - forgetting)
     if samples is not None:
-        memory *= 1 - forgetting ** require_count("samples", samples)
+        memory *= 1 - forgetting**samples
     return float(row * np.sqrt(memory))
 
 
 @checked
-def exponential_weights(rows: int, forgetting: float) -> np.ndarray:
+def exponential_weights(
+    rows: Count, forgetting: Annotated[float, within(above=0.0, at_most=1.0)]
+) -> np.ndarray:
     """Of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
-    require_memory("rows", require_count("rows", rows))
-    require_number("forgetting", forgetting, above=0.0, at_most=1.0)
+    require_memory("rows", rows)
     return forgetting ** (np.arange(rows - 1, -1, -1) / 2)
 
 
 @checked
-def noise_bound(deviation: float, unknowns: int, forgetting: float) -> float:
+def noise_bound(deviation: NonNegative, unknowns: Count, forgetting: Fraction) -> float:
     """Typical 2-norm of the weighted perturbation when its entries are independent noise.
 
     deviation (sqrt(m) + sqrt(unknowns)) with m = 1 / (1 - forgetting) effective rows: the expected norm
     of a random matrix (Davidson and Szarek 2001, Theorem II.13, an upper bound on it). The guaranteed
     bound of `exponential_bound` grows as sqrt(m unknowns) and is then needlessly large.
     """
-    deviation = require_number("deviation", deviation, at_least=0.0)
-    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
-    return float(deviation * (1 / np.sqrt(1 - forgetting) + np.sqrt(require_count("unknowns", unknowns))))
+    return float(deviation * (1 / np.sqrt(1 - forgetting) + np.sqrt(unknowns)))
 
 
 @checked
 def coloured_noise_bound(
-    noise: Spectrum, taps: int, forgetting: float, *, coverage: float = 0.975, draws: int = 200, seed: int = 0
+    noise: Spectrum,
+    taps: Count,
+    forgetting: Fraction,
+    *,
+    coverage: Fraction = 0.975,
+    draws: Count = 200,
+    seed: Natural = 0,
 ) -> float:
     """2-norm of the weighted perturbation of FIR regressors that noise of a known density seldom exceeds.
 
@@ -161,10 +158,7 @@ def coloured_noise_bound(
     """
     if len(noise.density) != 1:
         raise InputError(f"noise has {len(noise.density)} channels; give the spectrum of one")
-    taps, draws = require_count("taps", taps), require_count("draws", draws)
-    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
-    coverage = require_number("coverage", coverage, above=0.0, below=1.0)
-    rng = np.random.default_rng(require_count("seed", seed, at_least=0))
+    rng = np.random.default_rng(seed)
     rows = require_samples("forgetting", np.ceil(7 / (1 - forgetting)))  # older ones count for a thousandth
     length = rows + taps - 1
     lines = np.linspace(0, noise.frequencies_hz[-1], length // 2 + 1)

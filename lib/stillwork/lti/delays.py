@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_count, require_memory, require_number
+from stillwork.base.bounds import Natural
+from stillwork.base.checks import InputError, require_memory, require_number
 from stillwork.base.validation import checked
 from stillwork.lti.state_space import StateModel
 
@@ -15,9 +16,8 @@ def split_delay(samples: float) -> tuple[int, float]:
 
 
 @checked
-def delayed(model: StateModel, samples: int) -> StateModel:
+def delayed(model: StateModel, samples: Natural) -> StateModel:
     """The model with every output late by a whole number of samples."""
-    samples = require_count("samples", samples, at_least=0)
     if not model.sample_time:
         raise InputError("model is in continuous time; discretise it first")
     if not samples:

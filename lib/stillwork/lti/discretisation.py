@@ -2,12 +2,14 @@
 
 import math
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg, signal
 
+from stillwork.base.bounds import Positive, within
 from stillwork.base.checks import InputError, pluralise, require_array, require_number
 from stillwork.base.validation import checked
 from stillwork.lti.modal import ModalModel
@@ -26,14 +28,12 @@ def zoh_modes(model: ModalModel, sample_time: float) -> StateModel:
 
 @checked
 def late_modes(
-    model: ModalModel, sample_time: float, late: float
+    model: ModalModel, sample_time: Positive, late: Annotated[float, within(at_least=0.0, below=1.0)]
 ) -> tuple[StateModel, Float64[np.ndarray, "states inputs"]]:
     """As `zoh_modes`, of a force that begins `late` by a part of a sample, below 1; and the old force's input matrix.
 
     Until it begins the force of the sample before acts: x_{k+1} = A x_k + B u_k + B_old u_{k-1}.
     """
-    require_number("sample_time", sample_time, above=0.0)
-    require_number("late", late, at_least=0.0, below=1.0)
     n = len(model.frequencies)
     blocks, gains, old = _late(model.frequencies, model.damping, sample_time, late, model.drag)
     a = np.zeros((n, 2, n, 2))
@@ -91,7 +91,7 @@ def _held(
 
 
 @checked
-def zoh(model: StateModel, sample_time: float) -> StateModel:
+def zoh(model: StateModel, sample_time: Positive) -> StateModel:
     """Zero-order-hold discretisation by the exponential of the balanced [A B; 0 0].
 
     Parameters
@@ -121,7 +121,6 @@ def zoh(model: StateModel, sample_time: float) -> StateModel:
     >>> lti.zoh(lag, sample_time=0.01).a.round(3)  # exp(-1)
     array([[0.368]])
     """
-    require_number("sample_time", sample_time, above=0.0)
     _require_continuous(model)
     n, m = model.b.shape
     whole = np.zeros((n + m, n + m))
@@ -133,7 +132,7 @@ def zoh(model: StateModel, sample_time: float) -> StateModel:
 
 
 @checked
-def tustin(model: StateModel, sample_time: float, omega: float | None = None) -> StateModel:
+def tustin(model: StateModel, sample_time: Positive, omega: float | None = None) -> StateModel:
     """Discretise by the bilinear rule, as controllers are.
 
     Parameters
@@ -165,7 +164,6 @@ def tustin(model: StateModel, sample_time: float, omega: float | None = None) ->
     >>> lti.tustin(integrator, sample_time=0.1).d  # half a sample of its input at once
     array([[0.05]])
     """
-    require_number("sample_time", sample_time, above=0.0)
     _require_continuous(model)
     rate = 2 / sample_time
     if omega is not None:
@@ -184,10 +182,9 @@ def tustin(model: StateModel, sample_time: float, omega: float | None = None) ->
 
 @checked
 def tustin_sections(
-    zeros: ArrayLike, poles: ArrayLike, gain: float, sample_time: float
+    zeros: ArrayLike, poles: ArrayLike, gain: float, sample_time: Positive
 ) -> Float64[np.ndarray, "sections 6"]:
     """Second-order sections, as `scipy.signal.sosfilt` takes them, of a filter's zeros and poles (rad/s) and its gain."""
-    require_number("sample_time", sample_time, above=0.0)
     zeros, poles = (
         require_array(name, value, ndim=1, dtype=complex)
         for name, value in (("zeros", zeros), ("poles", poles))
@@ -202,19 +199,17 @@ def tustin_sections(
 
 
 @checked
-def prewarped(omega: Float64[np.ndarray, "..."], sample_time: float) -> Float64[np.ndarray, "..."]:
+def prewarped(omega: Float64[np.ndarray, "..."], sample_time: Positive) -> Float64[np.ndarray, "..."]:
     """Frequencies that Tustin's rule takes to `omega` (rad/s): there a continuous controller responds like its rule.
 
     Beyond half of the sample rate, where a sampled response repeats itself, they repeat themselves, too.
     """
-    require_number("sample_time", sample_time, above=0.0)
     return np.asarray(2 / sample_time * np.tan(omega * sample_time / 2))  # of a single one, too
 
 
 @checked
-def continuous_poles(poles: ArrayLike, sample_time: float) -> Complex128[np.ndarray, " states"]:
+def continuous_poles(poles: ArrayLike, sample_time: Positive) -> Complex128[np.ndarray, " states"]:
     """Discrete poles as a continuous model would have them (rad/s), without those of pure delays at 0."""
-    require_number("sample_time", sample_time, above=0.0)
     poles = require_array("poles", poles, ndim=1, dtype=complex)
     return np.log(poles[np.abs(poles) > 1e-6]) / sample_time
 

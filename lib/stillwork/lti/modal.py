@@ -8,7 +8,8 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
+from stillwork.base.bounds import Matrix, NonNegative, Vector
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel
 
@@ -60,7 +61,7 @@ class ModalModel:
     output_shapes: Float64[np.ndarray, "outputs modes"]  # phi_s
     feedthrough: Float64[np.ndarray, "outputs inputs"]  # compliance T_DC
     measures: str = "position"  # or "velocity"
-    drag: float = 0.0  # c, 1/s: rate at which the rigid body loses its speed
+    drag: NonNegative = 0.0  # c, 1/s: rate at which the rigid body loses its speed
 
     def __post_init__(self):
         check_fields(self)
@@ -80,7 +81,6 @@ class ModalModel:
         if np.any(self.damping[self.frequencies == 0] != 0):
             raise InputError("damping of a mode of zero frequency must be 0: its ratio has no meaning")
         require_choice("measures", self.measures, ("position", "velocity"))
-        require_number("drag", self.drag, at_least=0.0)
 
     @property
     def rigid_modes(self) -> int:
@@ -211,7 +211,7 @@ class ModalModel:
         return self.output_shapes[:, flexible] @ gains
 
     @checked
-    def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
+    def frequency_response(self, omega: Vector) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
         """Response at `omega` (rad/s) from the closed-form residues of each mode.
 
         Parameters
@@ -235,7 +235,6 @@ class ModalModel:
         >>> np.abs(stage.modes([0]).frequency_response([10.0])).round(6)  # 0.09 / 10^2: the rigid body
         array([[[0.0009]]])
         """
-        omega = require_array("omega", omega, ndim=1)
         if not len(omega):
             raise InputError("omega is empty; give at least one frequency")
         if self.rigid_modes and np.any(omega == 0):
@@ -303,7 +302,7 @@ class ModalModel:
 
 @checked
 def modal_model(
-    mass: ArrayLike,
+    mass: Matrix,
     stiffness: ArrayLike,
     input_map: ArrayLike,
     output_map: ArrayLike,
@@ -344,7 +343,6 @@ def modal_model(
     >>> (model.frequencies / (2 * np.pi)).round(1)  # Hz
     array([  0. , 125.8])
     """
-    mass = require_array("mass", mass, ndim=2)
     n = len(mass)
     stiffness = require_array("stiffness", stiffness, shape=(n, n))
     for name, matrix in (("mass", mass), ("stiffness", stiffness)):

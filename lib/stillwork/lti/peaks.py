@@ -1,17 +1,17 @@
 """Frequency grids that see lightly damped modes, and peaks between their points."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Natural, Positive, at_least
 from stillwork.base.checks import (
     InputError,
     pluralise,
     require_array,
-    require_count,
     require_memory,
     require_number,
     require_one_each,
@@ -21,7 +21,11 @@ from stillwork.base.validation import checked
 
 @checked
 def resonance_grid(
-    poles: ArrayLike, low_hz: float, high_hz: float, points: int = 600, around: int = 40
+    poles: ArrayLike,
+    low_hz: Positive,
+    high_hz: float,
+    points: Annotated[int, at_least(2)] = 600,
+    around: Natural = 40,
 ) -> Float64[np.ndarray, " frequencies"]:
     """Frequencies (rad/s): logarithmic, and `around` more on either side of every pole, dense at its width.
 
@@ -51,10 +55,7 @@ def resonance_grid(
     >>> bool(np.abs(omega - 500).min() < 0.01)  # rad/s
     True
     """
-    require_number("low_hz", low_hz, above=0.0)
     require_number("high_hz", high_hz, above=low_hz)
-    require_count("points", points, at_least=2)
-    require_count("around", around, at_least=0)
     poles = np.ravel(require_array("poles", poles, dtype=complex))
     centre, first = np.unique(np.abs(poles), return_index=True)
     centre, poles = centre[centre > 0], poles[first[centre > 0]]

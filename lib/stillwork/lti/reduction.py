@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillwork.base.checks import InputError, pluralise, require_count, require_number
+from stillwork.base.bounds import Count, Natural, Positive
+from stillwork.base.checks import InputError, pluralise
 from stillwork.base.validation import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, interconnect
 
 
 @checked
-def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
+def truncate(model: ModalModel, modes: Count, compensated: Natural = 0) -> ModalModel:
     """Keep the first `modes` modes and add the compliance of the next `compensated` as feedthrough, (2.14).
 
     Parameters
@@ -42,8 +43,6 @@ def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
     >>> lti.truncate(model, modes=1, compensated=1).feedthrough  # 0.2 0.2 / 2000^2 m/N
     array([[1.e-08]])
     """
-    modes = require_count("modes", modes)
-    compensated = require_count("compensated", compensated, at_least=0)
     if modes + compensated > len(model.frequencies):
         raise InputError(
             f"modes + compensated is {modes + compensated}; the model has {pluralise(len(model.frequencies), 'mode')}"
@@ -55,9 +54,9 @@ def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
 
 
 @checked
-def roll_off(model: ModalModel, cutoff_hz: float) -> StateModel:
+def roll_off(model: ModalModel, cutoff_hz: Positive) -> StateModel:
     """Strictly proper variant: the compliance feedthrough passes a first-order low-pass at `cutoff_hz`."""
-    w = 2 * np.pi * require_number("cutoff_hz", cutoff_hz, above=0.0)
+    w = 2 * np.pi * cutoff_hz
     outputs, inputs = model.feedthrough.shape
     modal = replace(model, feedthrough=np.zeros((outputs, inputs))).state_space()
     compliance = StateModel(

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.bounds import Natural, Positive
+from stillwork.base.checks import InputError
 from stillwork.base.extras import require_package
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel
@@ -56,7 +57,7 @@ class GainProof:
 
 
 @checked
-def prove_gain(model: StateModel, uncertain: int, level: float) -> GainProof:
+def prove_gain(model: StateModel, uncertain: Natural, level: Positive) -> GainProof:
     r"""Prove that the H-infinity norm from w to z stays below a level for all :math:`|\delta_i|\le1`.
 
     The model's first inputs and outputs are closed by the uncertain real numbers, :math:`w_i=\delta_iz_i`; the others
@@ -97,8 +98,6 @@ def prove_gain(model: StateModel, uncertain: int, level: float) -> GainProof:
     >>> lti.prove_gain(model, 1, level=2.01).proven, lti.prove_gain(model, 1, level=1.99).proven
     (True, False)
     """
-    require_count("uncertain", uncertain, at_least=0)
-    require_number("level", level, above=0.0)
     outputs, inputs = model.d.shape
     if not uncertain < min(outputs, inputs):
         raise InputError(

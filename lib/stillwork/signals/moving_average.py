@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_number
+from stillwork.base.bounds import Positive, Vector
+from stillwork.base.checks import InputError, pluralise
 from stillwork.base.validation import checked
 
 
@@ -19,7 +19,7 @@ class Moving(NamedTuple):
 
 
 @checked
-def moving(error: ArrayLike, sample_time: float, exposure: float) -> Moving:
+def moving(error: Vector, sample_time: Positive, exposure: Positive) -> Moving:
     """MA, MSD and rms of an error over every window of `exposure` seconds (sums for the integrals).
 
     Parameters
@@ -47,11 +47,7 @@ def moving(error: ArrayLike, sample_time: float, exposure: float) -> Moving:
     >>> signals.moving([3.0, 1.0, -1.0, -3.0], sample_time=1e-3, exposure=2e-3).average
     array([ 2.,  0., -2.])
     """
-    error = require_array("error", error, ndim=1)
-    width = round(
-        require_number("exposure", exposure, above=0.0)
-        / require_number("sample_time", sample_time, above=0.0)
-    )
+    width = round(exposure / sample_time)
     if not 2 <= width <= len(error):
         raise InputError(
             f"exposure covers {pluralise(width, 'sample')} of {len(error)}; choose at least 2 and at most all"
@@ -68,22 +64,20 @@ def moving(error: ArrayLike, sample_time: float, exposure: float) -> Moving:
 
 
 @checked
-def rms(error: ArrayLike) -> float:
+def rms(error: Vector) -> float:
     """Root mean square along the last axis of a single record."""
-    error = require_array("error", error, ndim=1)
     if not len(error):
         raise InputError("error is empty; give at least one sample")
     return float(np.sqrt(np.mean(error**2)))
 
 
 @checked
-def average_filter(omega: ArrayLike, exposure: float) -> Float64[np.ndarray, " frequencies"]:
+def average_filter(omega: Vector, exposure: Positive) -> Float64[np.ndarray, " frequencies"]:
     """Response of the moving average, a sinc with zeros at multiples of 1/T (section 1.5.3)."""
-    omega = require_array("omega", omega, ndim=1)
-    return np.sinc(omega * require_number("exposure", exposure, above=0.0) / (2 * np.pi))
+    return np.sinc(omega * exposure / (2 * np.pi))
 
 
 @checked
-def average_reduction(bandwidth_ratio: float) -> float:
+def average_reduction(bandwidth_ratio: Positive) -> float:
     """Part by which MA falls when the bandwidth grows by this ratio, by the rule MA ~ f_bw^-2.5."""
-    return 1 - require_number("bandwidth_ratio", bandwidth_ratio, above=0.0) ** -2.5
+    return 1 - bandwidth_ratio**-2.5

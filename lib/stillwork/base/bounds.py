@@ -1,0 +1,31 @@
+"""Annotations that say what is refused: `checked` and `check_fields` make the check that an annotation holds."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
+
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import require_array, require_count, require_number
+
+Positive = Annotated[float, partial(require_number, above=0.0)]
+NonNegative = Annotated[float, partial(require_number, at_least=0.0)]
+Fraction = Annotated[float, partial(require_number, above=0.0, below=1.0)]
+Count = Annotated[int, partial(require_count, at_least=1)]
+Natural = Annotated[int, partial(require_count, at_least=0)]
+if TYPE_CHECKING:  # array_like becomes an array at the front door: types know one of the two
+    Vector = Any
+    Matrix = Any
+else:
+    Vector = Annotated[ArrayLike, partial(require_array, ndim=1)]
+    Matrix = Annotated[ArrayLike, partial(require_array, ndim=2)]
+
+
+def within(**bounds: Any) -> Callable:
+    """A finite number `above`, `below`, `at_least` or `at_most` these, as `require_number` takes them."""
+    return partial(require_number, **bounds)
+
+
+def at_least(count: int) -> Callable:
+    """A whole number of at least so much."""
+    return partial(require_count, at_least=count)
