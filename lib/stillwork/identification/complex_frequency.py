@@ -7,7 +7,8 @@ from jaxtyping import Bool, Complex128, Float64, Int64
 from numpy.typing import ArrayLike
 from scipy.linalg import toeplitz
 
-from stillwork.base.checks import InputError, require_array, require_count
+from stillwork.base.bounds import Count, Vector
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 
 ORDERS = range(6, 41, 2)  # of the denominators, in each part of a band
@@ -66,7 +67,7 @@ class Stabilisation:
 
 @checked
 def complex_frequency_poles(
-    omega: ArrayLike, response: ArrayLike, weight: ArrayLike, order: int
+    omega: Vector, response: ArrayLike, weight: ArrayLike, order: Count
 ) -> Complex128[np.ndarray, " poles"]:
     r"""Poles (rad/s) of the polynomial fraction of one order that fits a response matrix best.
 
@@ -109,17 +110,15 @@ def complex_frequency_poles(
     >>> round(float(abs(nearest)), 1)
     150.0
     """
-    omega = require_array("omega", omega, ndim=1)
     response = require_array("response", response, shape=(len(omega), None, None), dtype=complex)
     weight = require_array("weight", weight, shape=omega.shape)
-    require_count("order", order)
     if len(omega) < 4 * order or np.any(np.diff(omega) <= 0):
         raise InputError(f"omega must ascend and hold at least {4 * order} lines for order {order}")
     return _poles(_sums(omega, response, weight, order), order, omega)
 
 
 @checked
-def stabilisation(omega: ArrayLike, response: ArrayLike) -> Stabilisation:
+def stabilisation(omega: Vector, response: ArrayLike) -> Stabilisation:
     """Poles over orders in overlapping octaves, so that low and close resonances are resolved like high ones.
 
     Parameters
@@ -153,9 +152,8 @@ def stabilisation(omega: ArrayLike, response: ArrayLike) -> Stabilisation:
     >>> bool(np.any(np.abs(settled - 150) < 0.1))
     True
     """
-    omega = require_array("omega", omega, ndim=1)
     response = require_array("response", response, shape=(len(omega), None, None), dtype=complex)
-    size = np.sqrt(np.mean(np.abs(response) ** 2, axis=(1, 2)))
+    size = np.sqrt(np.sum(np.abs(response) ** 2, axis=(1, 2)) / max(np.prod(response.shape[1:]), 1))
     if len(omega) < 2 or np.any(np.diff(omega) <= 0) or omega[0] <= 0 or not size.min() > 0:
         raise InputError("omega must ascend from above 0, and response be other than zero at every line")
     found = [(np.zeros(0, int), np.zeros((2, 0)), np.zeros(0, bool))]

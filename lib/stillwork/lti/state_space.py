@@ -6,11 +6,11 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from numpy.typing import ArrayLike
 from scipy import linalg
 from scipy.sparse import csgraph
 
-from stillwork.base.checks import InputError, require_array, require_number, short_repr
+from stillwork.base.bounds import NonNegative, Vector
+from stillwork.base.checks import InputError, short_repr
 from stillwork.base.extras import require_package
 from stillwork.base.validation import by_value, check_fields, checked
 
@@ -50,7 +50,7 @@ class StateModel:
     b: Float64[np.ndarray, "states inputs"]
     c: Float64[np.ndarray, "outputs states"]
     d: Float64[np.ndarray, "outputs inputs"]
-    sample_time: float = 0.0  # s; 0: continuous time
+    sample_time: NonNegative = 0.0  # s; 0: continuous time
 
     def __post_init__(self):
         check_fields(self)
@@ -58,7 +58,6 @@ class StateModel:
         if self.a.shape != (n, n) or self.b.shape != (n, inputs) or self.c.shape != (outputs, n):
             shapes = ", ".join(str(getattr(self, name).shape) for name in "abcd")
             raise InputError(f"a, b, c, d have shapes {shapes}, which do not fit together")
-        require_number("sample_time", self.sample_time, at_least=0.0)
 
     @property
     def poles(self) -> Complex128[np.ndarray, " states"]:
@@ -119,7 +118,7 @@ class StateModel:
         return StateModel(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.sample_time)
 
     @checked
-    def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
+    def frequency_response(self, omega: Vector) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
         """Response at `omega` (rad/s): by residues, or by solving where the eigenvectors are too skew.
 
         Parameters
@@ -143,7 +142,6 @@ class StateModel:
         >>> low_pass.frequency_response([10.0]).round(3)  # at its corner, 10 rad/s
         array([[[0.5-0.5j]]])
         """
-        omega = require_array("omega", omega, ndim=1)
         if not len(omega):
             raise InputError("omega is empty; give at least one frequency")
         point = np.exp(1j * omega * self.sample_time) if self.sample_time else 1j * omega
@@ -237,7 +235,8 @@ def _eigenvalues(a: bytes, states: int) -> Complex128[np.ndarray, " states"]:
         return np.zeros(0, complex)
     matrix, unit = _matrix(a, states), 1.0
     if unit_of(matrix) != 1.0:  # LAPACK's own scaling loses the poles there
-        matrix = linalg.matrix_balance(matrix, permute=False)[0]
+        with np.errstate(invalid="ignore"):
+            matrix = linalg.matrix_balance(matrix, permute=False)[0]
         unit = unit_of(matrix)
     return linalg.eigvals(matrix / unit).astype(complex) * unit
 
@@ -246,7 +245,7 @@ def _eigenvalues(a: bytes, states: int) -> Complex128[np.ndarray, " states"]:
 def unit_of(matrix: Float64[np.ndarray, "rows columns"]) -> float:
     """A power of two beside the largest element, where its square would leave the range of numbers; else 1."""
     largest = np.abs(matrix).max(initial=0.0)
-    return 1.0 if 1e-60 < largest < 1e60 else float(2.0 ** np.frexp(largest)[1])
+    return 1.0 if 1e-60 < largest < 1e60 else float(2.0 ** (np.frexp(largest)[1] - 1))
 
 
 @lru_cache(maxsize=16)
