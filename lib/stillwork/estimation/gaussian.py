@@ -4,34 +4,48 @@ Their workspace is a stack of square blocks, one a name below; the block MEANS h
 """
 
 import numpy as np
+from jaxtyping import Float64
 
 from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import pasted_kernel
+from stillwork.base.validation import checked
 
 POINTS, OBSERVED, COVARIANCE, ROOT, INNOVATION, CROSS, GAIN, MEANS = range(8)
 BLOCKS = 8
+ASYMMETRY, LEAST_DEFINITE = 1e-9, 1e-14  # of a covariance whose variances are 1
 ESTIMATE, EXPECTED, MEASURED, SCRATCH, PAST = range(5)  # rows of MEANS
 
 
 def require_covariance(name: str, value, size: int, *, definite: bool = True) -> np.ndarray:
     """Return a symmetric positive definite matrix from a matrix or from its diagonal, else raise `InputError`.
 
-    Not `definite`: zero eigenvalues are allowed, for a process without noise.
+    Not `definite`: zero eigenvalues are allowed, for a process without noise. It is judged in the deviations of its own
+    elements, so that units do not matter.
     """
     matrix = require_array(name, value)
     if matrix.shape == (size,):
         matrix = np.diag(matrix)
     if matrix.shape != (size, size):
         raise InputError(f"{name} has shape {matrix.shape}; give {size} x {size}, or the {size} variances")
-    scale = np.abs(matrix).max()
-    if np.abs(matrix - matrix.T).max() > 1e-12 * scale:
-        raise InputError(f"{name} is not symmetric; give a covariance, e.g. (C + C.T) / 2")
-    smallest = np.linalg.eigvalsh(matrix)[0]
-    if smallest < -1e-12 * scale or (definite and smallest <= 1e-15 * scale):
+    scaled = in_deviations(matrix)
+    if np.abs(scaled - scaled.T).max(initial=0.0) > ASYMMETRY:
+        raise InputError(f"{name} is not symmetric; give a covariance, such as (C + C.T) / 2")
+    smallest = np.linalg.eigvalsh(scaled)[0]
+    if smallest < (LEAST_DEFINITE if definite else -ASYMMETRY):
         wanted = "positive definite" if definite else "positive semidefinite"
-        raise InputError(f"{name} is not {wanted} (eigenvalue {smallest:.3g}); give variances above zero")
-    return np.ascontiguousarray(matrix)
+        raise InputError(
+            f"{name} is not {wanted} (eigenvalue {smallest:.3g}, scaled); give a covariance of noise"
+        )
+    return matrix
+
+
+@checked
+def in_deviations(covariance: Float64[np.ndarray, "size size"]) -> Float64[np.ndarray, "size size"]:
+    """A covariance over the deviations of its elements; where one has none, as it is."""
+    deviation = np.sqrt(np.abs(np.diag(covariance)))
+    deviation[deviation == 0] = 1.0
+    return covariance / deviation / deviation[:, None]
 
 
 @pasted_kernel

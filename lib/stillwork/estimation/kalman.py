@@ -18,6 +18,7 @@ from stillwork.base.algebra import (
 from stillwork.base.checks import InputError, require_array, require_finite_run
 from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.estimation.gaussian import ASYMMETRY, in_deviations, require_covariance
 from stillwork.estimation.riccati import KalmanGain, continuous_gain, covariance_root, discrete_gain
 from stillwork.lti.state_space import StateModel
 
@@ -61,20 +62,10 @@ class NoiseCovariances:
         sizes = len(self.process), len(self.sensor)
         cross = np.zeros(sizes) if self.cross is None else self.cross
         object.__setattr__(self, "cross", require_array("cross", cross, shape=sizes))
-        for name in ("process", "sensor"):
-            matrix = getattr(self, name)
-            if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0):
-                raise InputError(f"{name} is not symmetric; give a covariance, such as (X + X.T) / 2")
-        if np.any(np.diag(self.process) < 0):
-            raise InputError("process has a variance below zero; give a covariance")
-        scale = np.sqrt(np.concatenate([np.diag(self.process), np.maximum(np.diag(self.sensor), 0.0)]))
-        if not np.all(scale[sizes[0] :] > 0):
-            raise InputError("sensor is not positive definite; give the covariance of real noise")
-        scale[~(scale > 0)] = 1.0
-        whole = np.block([[self.process, self.cross], [self.cross.T, self.sensor]]) / scale / scale[:, None]
-        if np.linalg.eigvalsh(whole[sizes[0] :, sizes[0] :])[0] < 1e-14:
-            raise InputError("sensor is not positive definite; give the covariance of real noise")
-        if np.linalg.eigvalsh(whole)[0] < -1e-9:
+        process = require_covariance("process", self.process, sizes[0], definite=False)
+        sensor = require_covariance("sensor", self.sensor, sizes[1])
+        whole = in_deviations(np.block([[process, self.cross], [self.cross.T, sensor]]))
+        if np.linalg.eigvalsh(whole)[0] < -ASYMMETRY:
             raise InputError(
                 "process, sensor and cross are no covariance together: a combination of the noises has a "
                 "variance below zero"

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import Converted, InputError, pluralise, require_array, require_finite_run
 from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.estimation.gaussian import require_covariance
 
 RESCALE = "rescale the model, its noises or the penalty"  # where a filter's matrices leave the finite numbers
 
@@ -62,9 +63,7 @@ class TimeVaryingModel:
             object.__setattr__(self, name, array)
         sizes = {"process": g.shape[2], "sensor": outputs, "initial_covariance": states}
         for name, size in sizes.items():
-            matrix = require_array(name, getattr(self, name), shape=(size, size))
-            if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0) or np.linalg.eigvalsh(matrix)[0] <= 0:
-                raise InputError(f"{name} is not symmetric and positive definite; give a covariance")
+            matrix = require_covariance(name, getattr(self, name), size)
             object.__setattr__(self, name, matrix)
 
     @property
