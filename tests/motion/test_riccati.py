@@ -143,6 +143,16 @@ def test_an_observer_without_gain_is_refused():
         Observer(good.model, good.a, good.b, good.c, 0 * good.gain)
 
 
+@pytest.mark.parametrize("solve", [continuous_gain, discrete_gain])
+def test_where_the_library_finds_none_doubling_does(solve, monkeypatch):
+    model = truncate(stage().at([0], [4]), 4, 3)
+    plant = model.state_space() if solve is continuous_gain else zoh_modes(model, 1e-4)
+    wanted = solve(plant.a, plant.b, plant.c, 1e-4, 2e-18).gain
+    monkeypatch.setattr(riccati, "_solved", lambda _, a, g, c: np.full_like(a, np.nan))
+    found = solve(plant.a, plant.b, plant.c, 1e-4, 2e-18).gain
+    np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-8 * np.abs(wanted).max())
+
+
 def test_a_large_residual_is_refused(monkeypatch):
     monkeypatch.setattr(riccati, "WORST_RESIDUAL", 1e-30)
     with pytest.raises(InputError, match="residual"):

@@ -104,7 +104,8 @@ def _stationary(
                 update, residual, stable = check(a_s, g_s, c_s, p)
             gain = scale[:, None] * update * size * np.sqrt(rate)
         full = p * size**2 * scale[:, None] * scale
-        scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
+        if np.isfinite(full).all():
+            scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
     _require_solved(residual, stable)
     return np.linalg.solve(root.T, gain.T).T, full, float(residual)
 
