@@ -371,7 +371,8 @@ def modal_model(
         own[w == 0] = drag
         if np.abs(modal - np.diag(own)).max() > loose:
             raise InputError(
-                "damping_matrix does not decouple in the mode shapes; give damping_ratio instead"
+                "damping_matrix does not decouple in the mode shapes; leave it out and give damping_ratio, or give the "
+                "frequency response of this machine as a file: a fit takes whatever damping it has"
             )
         ratio = np.divide(np.where(w > 0, own, 0.0), 2 * w, out=np.zeros(n), where=w > 0)
     input_map = require_array("input_map", input_map, shape=(n, None))

@@ -176,7 +176,7 @@ export function startDesk(root, machines) {
     // The functions.
     const lines = loop.observer
       ? [["input_sensitivity", "S_I", colours.vermillion, []], ["output_sensitivity", "S_O, r to e", colours.blue, []]]
-      : [["output_sensitivity", "S", colours.vermillion, []]];
+      : [["output_sensitivity", "S_I and S_O, r to e", colours.vermillion, []]];
     const functions = lines.map(([name, title, colour, dash]) => ({ x: f, y: decibels(main[name]), colour, dash, name: title }));
     functions.push({ x: f, y: decibels(main.closed), colour: colours.green, name: "r to y", dash: [2, 2] });
     if (before) functions.push(grey(decibels(before.output_sensitivity)));
