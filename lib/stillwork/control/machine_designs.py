@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.checks import InputError, require_number
 from stillwork.base.validation import checked
 from stillwork.control.machine_loops import (
     AchievableBandwidth,
@@ -17,7 +17,7 @@ from stillwork.control.machine_loops import (
     search_range,
 )
 from stillwork.control.machine_tuning import DesignSettings, tuned
-from stillwork.control.uncertainty import NAMES, Uncertainty, uncertainty_of
+from stillwork.control.uncertainty import NAMES, Uncertainty, require_shares, uncertainty_of
 from stillwork.identification.machine import Machine, remove_delay
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
@@ -107,10 +107,7 @@ def asked_uncertainty(said: str | Mapping[str, float]) -> dict[str, float]:
                 ) from None
         if "none" not in words:
             named = UNCERTAINTY | named
-    for name, value in named.items():
-        require_choice("uncertainty", name, NAMES)
-        below = {} if name == "delay" else {"below": 1.0}
-        require_number(f"uncertainty: {name}", value, at_least=0.0, **below)
+    require_shares(named)
     return {name: value for name, value in named.items() if value}
 
 

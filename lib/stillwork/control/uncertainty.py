@@ -109,16 +109,21 @@ class Perturbation(NamedTuple):
 
 
 @checked
+def require_shares(asked: Mapping[str, float]) -> None:
+    """Refuse other names than `NAMES`, and what is no share, or no delay."""
+    for name, value in asked.items():
+        require_choice("uncertainty", name, NAMES)
+        below = {} if name == "delay" else {"below": 1.0}
+        require_number(f"uncertainty: {name}", value, at_least=0.0, **below)
+
+
+@checked
 def uncertainty_of(machine: Machine, asked: Mapping[str, float]) -> Uncertainty:
     """What is asked for, by `NAMES`, and the fit's intervals of 95 % beside it: a machine changes after it was measured.
 
     Nothing asked for is no uncertainty at all.
     """
-    for name, value in asked.items():
-        require_choice("uncertainty", name, NAMES)
-        require_number(
-            f"uncertainty: {name}", value, at_least=0.0, **{} if name == "delay" else {"below": 1.0}
-        )
+    require_shares(asked)
     model, fit = machine.sensors[0], machine.fit
     found: dict = dict(asked)
     if fit is not None and asked:
