@@ -1,4 +1,4 @@
-"""Command line of the engine: ``python -m workbook figures|choices|claims|portable|accept|site|release|refresh|verify|init|new|doctor``."""
+"""Command line of the engine: ``python -m workbook figures|choices|claims|portable|accept|site|release|refresh|init|new|doctor``."""
 
 import argparse
 import sys
@@ -110,12 +110,6 @@ COMMANDS = {
         "rewrite what follows from ledger and notebooks: README tables, index, manifests",
         "workbook.commands:refresh",
         before=SETTLED,
-    ),
-    "verify": Command(
-        "check stored results again by another library alone",
-        "workbook.commands:verify",
-        (option("name", metavar="NAME", help="e.g. joint"),),
-        before=IN_A_WORKBOOK,
     ),
     "init": Command(
         "begin a workbook for a paper of yours, in a new folder",

@@ -1,6 +1,5 @@
 """What commands do that are more than one call."""
 
-from importlib import import_module
 from json import dumps
 
 from stillwork.base.checks import InputError
@@ -50,18 +49,6 @@ def _with_choices(claims: list) -> list[dict]:
         | {"choices": standings[claim.entry.id].as_dict() if claim.entry.id in standings else None}
         for claim in claims
     ]
-
-
-def verify(name: str) -> int:
-    """Check stored results by another library alone."""
-    prefix = "verify_"
-    files = sorted((paths.root() / "lib" / "experiments").glob(f"*/{prefix}*.py"))
-    modules = {
-        file.stem.removeprefix(prefix): f"experiments.{file.parent.name}.{file.stem}" for file in files
-    }
-    if name not in modules:
-        raise InputError(f"there is nothing to verify called {name!r}; use {', '.join(modules)}")
-    return 0 if import_module(modules[name]).main() else 1
 
 
 def accept() -> int:

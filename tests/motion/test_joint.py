@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from experiments.motion import verify_joint
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import parameters, published_setpoint, stage
+from naive import joint
 from notebooks.motion.joint_design import (
     ASKED,
     DELAY,
@@ -48,7 +48,6 @@ from notebooks.motion.joint_design import (
     steps_of,
     stored_designs,
 )
-from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedforward import error_loop, fit_feedforward, tracking_error
@@ -255,7 +254,7 @@ def test_python_control_agrees_with_every_stored_design():
     """Poles, peaks and scan error without a line of the toolbox: the numbers of the files go in.
 
     At the mass of the largest peak and at the one of the scan; the first seven designs at another in turn as well, which
-    must not be higher. The command `verify joint` takes all.
+    must not be higher.
     """
     machines = tomllib.loads((_data() / "machines.toml").read_text())
     designs = tomllib.loads((_data() / "joint.toml").read_text())
@@ -266,7 +265,7 @@ def test_python_control_agrees_with_every_stored_design():
         design = STORED[name].design
         highest = six(plant, compensated(design, fine)).max(axis=(0, 2)).argmax()
         masses = {1 + int(highest), 5} | ({1 + turn} if turn < 7 else set())
-        radius, peak, error = verify_joint.check(machines, numbers, masses)
+        radius, peak, error = joint.check(machines, numbers, masses)
         found = judge(design, [stage()])
         assert found.stable[0] and radius < 1
         # Python-control's peaks are met to 0.0003 dB, see there, ours to steps of 0.15 Hz: 0.0001 dB here.
@@ -277,18 +276,6 @@ def test_python_control_agrees_with_every_stored_design():
 
 def _data():
     return paths.data("motion")
-
-
-@pytest.mark.parametrize(("radius", "peak", "code"), [(0.9, 6.0, 0), (0.9, 6.3, 1), (1.1, 5.0, 1)])
-def test_the_command_says_what_fails(capsys, monkeypatch, radius, peak, code):
-    monkeypatch.setattr(verify_joint, "check", lambda machines, design: (radius, peak, 1.5))
-    assert main(["verify", "joint"]) == code
-    assert ("FAILS" in capsys.readouterr().out) == bool(code)
-
-
-def test_an_unknown_result_is_named(capsys):
-    assert main(["verify", "rest"]) == 2
-    assert "'rest'; use joint" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", STORED)

@@ -547,7 +547,7 @@ def test_a_budget_is_a_time_in_minutes(monkeypatch, capsys):
 
 def test_a_word_too_many_is_not_taken_for_an_option(capsys):
     with pytest.raises(SystemExit):
-        main(["verify", "joint", "extra"])
+        main(["init", "folder", "extra"])
     assert capsys.readouterr().err.endswith("error: unknown 'extra'\n")
 
 

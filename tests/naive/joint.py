@@ -1,39 +1,19 @@
-"""Every stored joint design again through python-control alone: ``python -m stillwork verify joint``.
+"""A joint design through python-control alone.
 
 Nothing of the toolbox closes, samples or solves anything here: masses and springs, printed formulas and the numbers of
 ``data/motion/joint.toml`` go in; poles, peaks and the scan's error of the nominal stage come out.
 """
 
-import tomllib
 from collections.abc import Iterable, Mapping
 
 import control
 import numpy as np
 from scipy import linalg
 
-from workbook import paths
-
 SAMPLE_TIME, HALF = 1e-4, 0.5e-4  # s; the force is late by three halves of a sample
 NANO = 1e9  # lengths in nm: no entry of a matrix is larger than it need be
-LARGEST_DB = 6.005  # 6 dB and half of the last digit that is printed
 NAMES = ("r", "u_ff", "v", "w", "d", "u0")
 SAMPLES, AHEAD = 4096, 10  # of a move: what follows until all is still, and the rest before it
-
-
-def main() -> bool:
-    """Print one line a design; whether every one that says so is stable and keeps its limits."""
-    machines, designs = (
-        tomllib.loads(paths.data("motion", f"{name}.toml").read_text()) for name in ("machines", "joint")
-    )
-    print(f"{'design':42s} largest |z|  largest peak (dB)  scan error (nm)")
-    good = True
-    for name, design in designs.items():
-        radius, peak, error = check(machines, design)
-        kept = radius < 1 and (peak <= LARGEST_DB or not design["ends"])
-        good &= kept
-        note = "" if kept and design["ends"] else "  no start kept the limits" if kept else "  FAILS"
-        print(f"{name:42s} {radius:11.5f}  {peak:17.2f}  {error:15.3f}{note}")
-    return good
 
 
 def check(
