@@ -19,7 +19,7 @@ from contest.tuning import TRAINING, capped_mean, positions
 from contest.uncertainties import Uncertainty, hidden_seed, sample_truth
 from stillwork.base.checks import InputError
 from workbook import paths
-from workbook.studies import mean_interval
+from workbook.studies import mean_interval, proportion_interval
 
 SIZES = (0.005, 0.01, 0.02, 0.05, 0.1)  # of the errors of frequency, damping, gain and shape
 NOISES = (1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)  # factors on the sensor's noise
@@ -120,6 +120,29 @@ def crossings(errors: pd.DataFrame, lead: Callable[[pd.DataFrame], pd.Series]) -
         inside = np.mean((turns > 0) & np.isfinite(turns))
         rows.append((size, turning(NOISES, own.mean(axis=0)), low, high, inside))
     return pd.DataFrame(rows, columns=["size", "noise", "low", "high", "crosses"])
+
+
+def quiet_and_loud(errors: pd.DataFrame, size: float, loud: float) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """One size of the errors at the thesis's sensor noise and at `loud` times as much, a row a seed."""
+    some = errors[np.isclose(errors["size"], size)]
+    return some[some["noise"] == 1].set_index("seed"), some[some["noise"] == loud].set_index("seed")
+
+
+def noise_values(errors: pd.DataFrame, size: float = 0.05, loud: float = NOISES[-1]) -> dict:
+    """Conclusions 5.4 and 5.5 on the map as the ledger has them: fractions of the seeds."""
+    quiet, noisy = quiet_and_loud(errors, size, loud)
+    held = {"5-4.kalman-not-beaten": quiet["Kalman"] <= quiet[list(ROBUST)].min(axis=1)}
+    for short, name in zip(("penalised", "regularised"), ROBUST, strict=True):
+        held[f"5-5.{short}-gains-with-noise"] = noisy["Kalman"] - noisy[name] > quiet["Kalman"] - quiet[name]
+    return {
+        f"motion.conclusion-{claim}": (float(each.mean()), proportion_interval(int(each.sum()), len(each)))
+        for claim, each in held.items()
+    }
+
+
+def noise_study(*, map_size: float, loud_noise: float, seed: int, lean: bool) -> dict:
+    """The same for another size of the errors or another noise, from the stored map; it has no leaner form."""
+    return noise_values(pd.read_csv(FILE), map_size, loud_noise)
 
 
 def main() -> None:
