@@ -190,6 +190,7 @@ def expected_course_painter(twin: Twin, steady: Steady, duration_s: float) -> Ca
 
 MEMORY_S, STEP_SIZE = 10.0, 1e-4  # section 5.1.1
 RUNS, DURATION_S = 16, 200.0  # repetitions of Table 1, and their length (not published)
+RIGID_S, START_S = 100.0, 5.0  # of the runs on the rigid body, and of those from the printed start
 # Of the orderings: fewer than 36 runs leave the interval of a share of one below the threshold of 0.9.
 SHORT_RUNS, SHORT_S = 40, 60.0
 ROWS = slice(3, 9)  # w4 to w9
@@ -309,8 +310,19 @@ def convergence(
     tau = "tau" if settling_band == con.SHARE else "tau 37"
     found = judged(long, tau)
     del found["isolation.convergence.least-speed-up-ours"]  # reported by the notebook alone
-    found["isolation.convergence.faster-each"] = faster_each(brief, tau)
-    return found
+    length = {"runs": TOGETHER, "duration_s": RIGID_S, "model": "rigid_body"}
+    rigid = both(**given, low_pass_hz=floor_upper_end, seed=seed, **length)
+    alike = other_actuators(*_actuator_times(tuple(given.items()), floor_upper_end, seed))
+    return found | judged_short(brief, tau) | judged_rigid(rigid, tau) | alike
+
+
+@lru_cache(maxsize=32)  # combinations that differ in the band share it
+def _actuator_times(given: tuple, low_pass_hz: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Those of `times_by_actuator` on the rigid body, FeLMS and FeRLS."""
+    twin, floor = load_twin("rigid_body"), flat_floor(low_pass_hz)
+    algorithms = con.algorithms(steady_state(twin, floor), **dict(given), sample_time=twin.sample_time)
+    found = times_by_actuator(twin, floor, algorithms, seed)
+    return found["FeLMS"], found["FeRLS"]
 
 
 def judged(study: Study, tau: str = "tau") -> dict[str, tuple[float, tuple[float, float]]]:
@@ -323,11 +335,61 @@ def judged(study: Study, tau: str = "tau") -> dict[str, tuple[float, tuple[float
                 key = f"isolation.table-1.{name.lower()}.{entry}-w{k + 1}"
                 found[key] = float(middle[k]), (float(low[k]), float(high[k]))
     found["isolation.convergence.speed-up"] = speed_up(study, tau)
+    apart = np.sqrt(np.mean((study["FeLMS final"] - study["FeRLS final"]) ** 2, axis=1))
+    found["isolation.convergence.same-final"] = float(apart.mean()), spread_interval(apart)
+    for name in ALGORITHMS:
+        logs = np.log(study[f"{name} tau 37"])[:, ROWS].mean(axis=1)
+        interval = tuple(np.exp(spread_interval(logs)))
+        found[f"isolation.convergence.band-37-{name.lower()}"] = float(np.exp(logs.mean())), interval
     ratios = np.log(study[f"FeLMS {tau}"] / study[f"FeRLS {tau}"])
     for entry, extreme in (("least", ratios.min(axis=1)), ("largest", ratios.max(axis=1))):
         interval = tuple(np.exp(spread_interval(extreme)))
         found[f"isolation.convergence.{entry}-speed-up-ours"] = float(np.exp(extreme.mean())), interval
     return found
+
+
+def judged_short(study: Study, tau: str = "tau") -> dict[str, tuple[float, tuple[float, float]]]:
+    """Every entry that is a share of the short runs."""
+    spread = {name: np.ptp(np.log(study[f"{name} {tau}"][:, ROWS]), axis=1) for name in ALGORITHMS}
+    return {
+        "isolation.convergence.faster-each": faster_each(study, tau),
+        "isolation.convergence.more-uniform": share_of(spread["FeRLS"] < spread["FeLMS"]),
+        "isolation.convergence.error-falls": share_of(
+            np.maximum(study["FeLMS error"], study["FeRLS error"]) < 1
+        ),
+    }
+
+
+def judged_rigid(study: Study, tau: str = "tau") -> dict[str, tuple[float, tuple[float, float]]]:
+    """Every entry that the runs on the rigid body decide."""
+    found = {
+        f"isolation.table-1-rigid.final-w{k}": (float(middle), (float(low), float(high)))
+        for k, (middle, low, high) in enumerate(zip(*run_interval(study, "FeRLS", "final"), strict=True), 1)
+    }
+    return found | {"isolation.convergence.speed-up-rigid": speed_up(study, tau)}
+
+
+def other_actuators(felms: np.ndarray, ferls: np.ndarray) -> dict[str, float]:
+    """Share of the actuators whose FeRLS time is near the first one's, and shorter than with FeLMS."""
+    alike = (np.abs(np.log(ferls / ferls[0])) < np.log(1.25)) & (ferls < felms)
+    return {"isolation.convergence.other-actuators": float(alike.mean())}
+
+
+def share_of(obeyed: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """Share of the runs, with its interval."""
+    return float(obeyed.mean()), proportion_interval(int(obeyed.sum()), obeyed.size)
+
+
+def starting(*, memory: float, floor_upper_end: float, seed: int, lean: bool = False) -> dict:
+    """Section 4.3: whether FeRLS goes on from P(-1) = I / 1e-5 in closed loop, a share of runs; no leaner form."""
+    twin = load_twin("fitted")
+    forgetting = float(np.exp(-twin.sample_time / memory))
+    floor = flat_floor(floor_upper_end)
+    stopped = [
+        con.try_starts(twin, floor, [1e-5], forgetting, START_S, seed + k).stopped_s[0]
+        for k in range(SHORT_RUNS)
+    ]
+    return {"isolation.convergence.start": share_of(np.isnan(stopped))}
 
 
 # === Equal variance ===============================================================================================
@@ -351,7 +413,7 @@ def trade_off(seed: int) -> dict[str, np.ndarray]:
     The scatter is the variance around the fixed point over that of FeLMS as printed, geometric mean of w1 to w9; the
     time is the geometric mean of w4 to w9 over runs, to the fixed point, s.
     """
-    scatter = scatter_of(seed)
+    scatter = scatter_of(seed, 80.0, False)
     base = scatter["FeLMS", STEP_SIZE]
     curves = {
         "FeLMS": [("FeLMS", {"step_size": step}, ("FeLMS", step)) for step in STEPS],
@@ -374,12 +436,44 @@ def trade_off(seed: int) -> dict[str, np.ndarray]:
     return found
 
 
+def equal_variance(
+    *, floor_upper_end: float, settling_band: float, seed: int, lean: bool = False
+) -> dict[str, tuple[float, tuple[float, float]]]:
+    """FeRLS against FeLMS where both scatter alike: speed-up, and share of runs that are faster; no leaner form."""
+    tau = "tau" if settling_band == con.SHARE else "tau 37"
+    common = {"seed": seed, "low_pass_hz": floor_upper_end}
+    felms, found = short("FeLMS", **common), {}
+    compared = {
+        start: (felms, short("FeRLS", memory_s=EQUAL_MEMORY_S, initial_covariance=factor, **common))
+        for start, factor in STARTS.items()
+    }
+    compared["step"] = short("FeLMS", step_size=EQUAL_STEP, **common), short("FeRLS", **common)
+    for start, studies in compared.items():
+        found[f"isolation.equal-variance.speed-up-{start}"] = speed_up(pair(*studies), tau)
+        found[f"isolation.equal-variance.faster-each-{start}"] = faster_each(pair(*studies), tau)
+    return found
+
+
+def scattering(*, trace: str, floor_upper_end: float, seed: int, lean: bool = False) -> dict:
+    """Variances around the fixed point (sections 4.4, 5.1.1) as the notebook judges them; no leaner form."""
+    found = scatter_of(seed, floor_upper_end, trace == "literal")
+    felms, ferls = found["FeLMS", STEP_SIZE], found["FeRLS", MEMORY_S]
+    return {
+        "isolation.convergence.same-variance": scatter_ratio(ferls, felms),
+        "isolation.convergence.vanishing-variance": share_of(found["FeRLS", 0.0] < ferls),
+    }
+
+
 @lru_cache(maxsize=4)
-def scatter_of(seed: int, runs: int = TOGETHER, duration_s: float = 120.0) -> dict:
-    """Mean square of w1 to w9 around the fixed point, (runs, 9), by algorithm and step or memory; 0: no forgetting."""
-    twin, floor = load_twin("fitted"), flat_floor()
+def scatter_of(seed: int, low_pass_hz: float, literal: bool = False) -> dict:
+    """Mean square of w1 to w9 around the fixed point, (runs, 9), by algorithm and step or memory; 0: no forgetting.
+
+    The printed step is that of the trace over nine regressors, or of the `literal` one over six times as many.
+    """
+    twin, floor = load_twin("fitted"), flat_floor(low_pass_hz)
     steady = steady_state(twin, floor)
     settled = {("FeLMS", step): FeLms(step_size=step) for step in STEPS}
+    settled["FeLMS", STEP_SIZE] = FeLms(step_size=STEP_SIZE, trace="literal" if literal else "regressors")
     for memory in MEMORIES_S:
         forgetting = float(np.exp(-twin.sample_time / memory))
         covariance = steady.covariance * memory_ratio(forgetting)
@@ -387,7 +481,7 @@ def scatter_of(seed: int, runs: int = TOGETHER, duration_s: float = 120.0) -> di
     settled["FeRLS", 0.0] = FeRls(steady.covariance, 1.0, growth_limit=np.inf)
     study = run_study(
         con.steady_trial,
-        runs,
+        TOGETHER,
         seed,
         together=TOGETHER,
         progress=False,
@@ -395,7 +489,7 @@ def scatter_of(seed: int, runs: int = TOGETHER, duration_s: float = 120.0) -> di
         floor=floor,
         steady=steady,
         settled=settled,
-        duration_s=duration_s,
+        duration_s=120.0,
     )
     return dict(study.values)
 

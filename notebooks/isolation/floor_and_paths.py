@@ -7,14 +7,14 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import optimize, signal
 
-from experiments.isolation.floors import ShapedFloor, colored_floor
+from experiments.isolation.floors import ShapedFloor, colored_floor, flat_floor
 from experiments.isolation.one_rig import equal_struts
 from experiments.isolation.responses import control_paths, responses, series, thinned
 from experiments.isolation.rig import Rig
 from experiments.isolation.shaping import secondary_path
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_number
-from stillwork.signals.criteria import criterion_density
+from stillwork.signals.criteria import criterion_density, criterion_velocity, one_third_octave_velocity
 from stillwork.signals.spectra import Spectrum
 from workbook import figures
 
@@ -242,7 +242,7 @@ def explore_floor(low_pass_hz: float, gain: float):
 def suspension(
     *, strut_damping: float, strut_tilt: float, rotations: float, seed: int, lean: bool
 ) -> dict[str, float]:
-    """Relative damping with the skyhook loop, as in notebook 01; there is nothing to leave out."""
+    """Section 2's numbers of the rig, as in notebook 01; there is nothing to leave out."""
     twin = equal_struts(
         strut_damping=strut_damping, actuator_pole=300.0, strut_tilt=strut_tilt, rotations=rotations
     )
@@ -250,4 +250,31 @@ def suspension(
     damping, shares = suspension_modes(twin).damping, twin.rig.mass * twin.rig.modes[1] ** 2
     kinds = {"horizontal": shares[0] + shares[1] > 0.5, "vertical": shares[2] > 0.5}
     kinds["rotations"] = ~(kinds["horizontal"] | kinds["vertical"])
-    return {f"isolation.setup.damping-{kind}": damping[rows].mean() for kind, rows in kinds.items()}
+    found = {f"isolation.setup.damping-{kind}": damping[rows].mean() for kind, rows in kinds.items()}
+    return found | rig_values(twin)
+
+
+def rig_values(twin: Twin) -> dict[str, float]:
+    """Suspension frequencies to the printed digits, equivalent mass and diagonal dominance, as the ledger has them."""
+    passive = suspension_modes(twin, feedback=False).frequencies_hz
+    return {
+        "isolation.setup.suspension-frequencies": float(np.mean((passive > 14.95) & (passive < 45.05))),
+        "isolation.setup.equivalent-mass": twin.plant.equivalent_mass,
+        "isolation.setup.diagonal-dominance": float(
+            np.mean(dominance(twin, np.geomspace(1, 1000, 2000)) > 1)
+        ),
+    }
+
+
+def follows_criteria(low_pass_hz: float) -> float:
+    """Share of the one-third-octave bands from 8 to 80 Hz in which the flat floor lies between BBN-C and BBN-B."""
+    grid = np.geomspace(1, 90, 2000)
+    bands, velocity = one_third_octave_velocity(grid, flat_floor(low_pass_hz).density(grid)[0])
+    judged = (bands > 7.9) & (bands < 81)
+    upper, lower = (criterion_velocity(name, bands) for name in ("BBN-B", "BBN-C"))
+    return float(np.mean(((velocity < upper) & (velocity > lower))[judged]))
+
+
+def floor_bands(*, floor_upper_end: float, seed: int, lean: bool) -> dict[str, float]:
+    """Fig. 2's flat floor beside the criteria; there is nothing to leave out."""
+    return {"isolation.fig-2.flat-follows-criteria": follows_criteria(floor_upper_end)}

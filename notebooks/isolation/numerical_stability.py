@@ -10,9 +10,10 @@ from jaxtyping import Float64, Int64
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from experiments.isolation.floors import ShapedFloor
+from experiments.isolation.floors import ShapedFloor, flat_floor
 from experiments.isolation.simulation import Run, simulate
-from experiments.isolation.twin import Twin
+from experiments.isolation.steady import steady_state
+from experiments.isolation.twin import Twin, load_twin
 from stillwork.base.algebra import inner_product, plus_row, set_product
 from stillwork.base.checks import (
     InputError,
@@ -127,6 +128,31 @@ def covariance_run(
     table = np.array(rows).T
     table[5] /= np.linalg.eigvalsh(start)[-1]
     return CovarianceRun(*table)
+
+
+SHOWN = ("one product", "both products", "triangle", "UD")
+EXPERIMENT_S, TIME_CONSTANTS = 200.0, 45.0  # Fig. 5; length of a run
+
+
+def double_values(runs: Mapping[str, CovarianceRun], experiment: float) -> dict[str, float]:
+    """What section 6 says of stability, in float64; `experiment` in time constants."""
+    return {
+        "isolation.stability.observed": float(np.mean([run.breakdown > experiment for run in runs.values()])),
+        "isolation.stability.not-eliminated": float(runs["one product"].breakdown < np.inf),
+    }
+
+
+def double_precision(
+    *, memory: float, floor_upper_end: float, seed: int, lean: bool, model: str = "rigid_body"
+) -> dict[str, float]:
+    """The same for another memory (s) or floor; there is nothing to leave out."""
+    twin, floor = load_twin(model), flat_floor(floor_upper_end)
+    forgetting = float(np.exp(-twin.sample_time / memory))
+    run = simulate(twin, floor, 2.0 + memory, signals_from_s=2.0, seed=seed)
+    start = np.diag(np.round(np.diag(steady_state(twin, floor, forgetting=forgetting).covariance), 4))
+    record = run.filtered_regressors.astype(np.float32)
+    runs = {form: covariance_run(form, record, forgetting, start, TIME_CONSTANTS) for form in SHOWN}
+    return double_values(runs, EXPERIMENT_S / memory)
 
 
 def _health(form, matrix, information) -> tuple[float, ...]:

@@ -68,11 +68,11 @@ class CaseRecord:
 
 
 def tune(
-    twin: Twin, floor: ShapedFloor, felms_s: float | None, ferls_s: float, seeds: Sequence[int]
+    twin: Twin, floor: ShapedFloor, felms_s: float | None, ferls_s: float | None, seeds: Sequence[int]
 ) -> list[dict[str, Float64[np.ndarray, "actuators regressors"]]]:
     """For each seed the weights that FeLMS and FeRLS reach from zero with the published settings, each in its own time.
 
-    Without `felms_s` FeLMS is left out.
+    Without its time an algorithm is left out.
     FeRLS starts from ten times the steady covariance's diagonal, section 5.1.1.
     """
     covariance = 10 * np.diag(steady_state(twin, floor).covariance)
