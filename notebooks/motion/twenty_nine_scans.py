@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from experiments.motion import perturbed_tracking
 from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
 from experiments.motion.ideal_feedforward import Force, feedforward_error, respond, sampled_ideal_force
-from experiments.motion.intervals import Values, key
+from experiments.motion.intervals import Values, key, share
 from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
 from experiments.motion.pictures import case_styles, paint_errors, plain_numbers
@@ -23,6 +23,7 @@ from stillwork.control.loops import channel, closed_loop, require_stable
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
+from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel
 from workbook import figures
 
@@ -31,6 +32,8 @@ from workbook import figures
 
 
 SETTLED = 2e-8  # m, within which an error has settled
+RUNS = 35  # with other noise, in which the statements of section 4.2.5 are counted
+AXIS_N = 30.0  # half the axis of Fig. 4.9
 ErrorsByCase = Mapping[str, Float64[np.ndarray, "places samples"]]
 
 
@@ -134,14 +137,19 @@ def _table_noise(masses: int, sample_time: float, seed: int) -> ErrorsByCase:
 def _quiet_table(
     channel: str, masses: int, fit_noise: bool, fit_loop: str, sample_time: float, seed: int
 ) -> LocationStudy:
+    force = _table_force(fit_noise, fit_loop, sample_time, seed)
+    return study_locations(table_loops(masses), force, published_setpoint(sample_time), channel)
+
+
+@lru_cache(maxsize=8)
+def _table_force(fit_noise: bool, fit_loop: str, sample_time: float, seed: int) -> Force:
     setpoint, deviations = published_setpoint(sample_time), published_deviations()
     controller, noise = stage_bandwidth(fit_loop).controller, None
     if fit_noise:
         loop = closed_loop(stage().at([0], [4]), None, controller.state_space())
         draws = np.random.default_rng((seed, 0))
         noise = noise_error(loop, sample_time, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
-    force = stage_error(setpoint, controller, noise=noise)
-    return study_locations(table_loops(masses), force, setpoint, channel)
+    return stage_error(setpoint, controller, noise=noise)
 
 
 def table_agreement(
@@ -171,6 +179,37 @@ def table_statements(study: LocationStudy) -> dict[str, bool]:
         "transient": transient["MC, redesigned"] < transient["MC"],
         "settling": settled["AD, redesigned"] < settled["original"],
     }
+
+
+def statement_shares(quiet: LocationStudy, draws: Sequence[ErrorsByCase]) -> Values:
+    """Each statement of section 4.2.5 as the ledger has it: the share of draws of the noise in which it holds."""
+    said = [table_statements(quiet.noisy(each)) for each in draws]
+    return {f"motion.section-4-2-5.{claim}": share([each[claim] for each in said]) for claim in said[0]}
+
+
+def energy_values(quiet: LocationStudy, noisy: LocationStudy) -> Values:
+    """Conclusion 5.7 as the ledger has it: how often the feedforward error outweighs the noise, over the cases."""
+    shares = {case: np.mean(quiet.rms(case) ** 2) / np.mean(noisy.rms(case) ** 2) for case in CASES}
+    outweighs = np.array(list(shares.values())) > 0.5
+    return {"motion.conclusion-5-7.energy-outweighs-noise": float(outweighs.mean())}
+
+
+def reduced_everywhere(plant: ModalModel, grid: ArrayLike, places: ArrayLike) -> tuple[float, float]:
+    """Share of the places of the sensor and of the actuator where compliance lowers the model error at 10 Hz.
+
+    Tenfold with that of all four discarded modes, and at all with that of the three of chapter 3.
+    """
+    low, tenfold, lowered = 2 * np.pi * np.array([10.0]), [], []
+    for moves in ("sensor", "actuator"):
+        for place in places:
+            there = at_place(plant, grid, float(place), moves)
+            exact = there.frequency_response(low)
+            none, three, four = (
+                np.abs(exact - truncate(there, 4, count).frequency_response(low)).max() for count in (0, 3, 4)
+            )
+            tenfold.append(four < 0.1 * none)
+            lowered.append(three < none)
+    return float(np.mean(tenfold)), float(np.mean(lowered))
 
 
 def location_loops(
@@ -372,6 +411,10 @@ def paint_location(place: float, damping: float, compensate: str, bandwidth_hz: 
 # --- Section 4.2.5: Table 4.1 ------------------------------------------------------------------------------------
 
 
+CHANNELS = {"seen by the observer": "u_ff", "unseen": "w"}
+FIT_LOOPS = {"37 Hz": "PID", "83 Hz": "MC and AD"}
+
+
 def locations(
     *,
     error_channel: str,
@@ -385,11 +428,11 @@ def locations(
 ) -> Values:
     """Table 4.1 (nm), one draw of the noise and its spread over ranges of the places; it has no leaner form."""
     study = read_table(
-        channel={"seen by the observer": "u_ff", "unseen": "w"}[error_channel],
+        channel=CHANNELS[error_channel],
         noise=location_noise,
         masses=location_masses,
         fit_noise=gains_from == "noisy move",
-        fit_loop={"37 Hz": "PID", "83 Hz": "MC and AD"}[gains_in],
+        fit_loop=FIT_LOOPS[gains_in],
         sample_time=location_sample_time,
         seed=seed,
     )
@@ -401,3 +444,59 @@ def locations(
             over_places_nm = float(each.min()), float(each.max())
             found[f"motion.table-4-1.{key(case)}.{part}"] = float(1e9 * value), over_places_nm
     return found
+
+
+def location_sentences(
+    *,
+    error_channel: str,
+    location_noise: bool,
+    location_masses: int,
+    gains_from: str,
+    gains_in: str,
+    location_sample_time: float,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """What the text says of Table 4.1 and Fig. 4.9, and Conclusion 2.2 at these places; it has no leaner form."""
+    force = _table_force(gains_from == "noisy move", FIT_LOOPS[gains_in], location_sample_time, seed)
+    setpoint, loops = published_setpoint(location_sample_time), every_fourth(table_loops(location_masses))
+    quiet = study_locations(loops, force, setpoint, CHANNELS[error_channel])
+    draws = _sentence_noise(location_masses, location_sample_time, seed, location_noise)
+    return statement_shares(quiet, draws) | {
+        "motion.fig-4-9.axis": float(np.abs(force.values).max() <= AXIS_N),
+        "motion.conclusion-2-2.every-place": _reduced(location_masses)[0],
+    }
+
+
+def every_fourth(loops: Loops) -> Loops:
+    """Every fourth of the twenty-nine places: where they lie along eight masses, the masses."""
+    return {place: loops[place] for place in list(loops)[::4]}
+
+
+@lru_cache(maxsize=4)
+def _sentence_noise(masses: int, sample_time: float, seed: int, noise: bool) -> list[ErrorsByCase]:
+    sizes = {name: noise * size for name, size in published_deviations().items()}
+    seeds = [(seed, run) for run in range(RUNS)]
+    return location_noise(every_fourth(table_loops(masses)), published_setpoint(sample_time), sizes, seeds)
+
+
+@cache
+def _reduced(masses: int) -> tuple[float, float]:
+    plant, grid = structure(masses)
+    return reduced_everywhere(plant, grid, np.linspace(grid[0], grid[-1], 29))
+
+
+def bounded_energy(
+    *,
+    error_channel: str,
+    location_masses: int,
+    gains_from: str,
+    gains_in: str,
+    location_sample_time: float,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """Conclusion 5.7 on the scans of Table 4.1; it has no leaner form."""
+    case = location_masses, gains_from == "noisy move", FIT_LOOPS[gains_in], location_sample_time, seed
+    quiet = _quiet_table(CHANNELS[error_channel], *case)
+    return energy_values(quiet, quiet.noisy(_table_noise(location_masses, location_sample_time, seed)))
