@@ -6,6 +6,7 @@ import math
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 
 from stillwork.base.checks import InputError, nearest, require_choice, require_count
 from workbook import paths
@@ -83,12 +84,12 @@ class Axis:
         """Argument under which a study gets the option."""
         return self.name.replace("-", "_")
 
-    @property
+    @cached_property
     def texts(self) -> tuple[str, ...]:
         """The options as they are written in the results."""
         return tuple(map(option_text, self.options))
 
-    @property
+    @cached_property
     def default_index(self) -> int:
         """Place of the default among the options."""
         return self.texts.index(option_text(self.default))
@@ -142,7 +143,7 @@ class Multiverse:
         """Number of points: combinations of the options."""
         return math.prod(len(axis.options) for axis in self.axes)
 
-    @property
+    @cached_property
     def default_point(self) -> tuple[int, ...]:
         """Places of the defaults among the options."""
         return tuple(axis.default_index for axis in self.axes)
@@ -181,7 +182,11 @@ def load_axes(topic: str) -> tuple[dict[str, Axis], list[Multiverse]]:
     tree = _read(topic)
     ledger = tuple(load_entries(topic))
     axes = {name: _axis(f"{topic}.{name}", given, ledger) for name, given in tree.get(topic, {}).items()}
-    multiverses = [_multiverse(topic, n, given, axes, ledger) for n, given in tree.get("studies", {}).items()]
+    touching = {key: set(_matching(key, axis.touches, ledger)) for key, axis in axes.items()}
+    multiverses = [
+        _multiverse(topic, name, given, axes, touching, ledger)
+        for name, given in tree.get("studies", {}).items()
+    ]
     owner: dict[str, str] = {}
     for multiverse in multiverses:
         for entry in multiverse.entries:
@@ -244,7 +249,14 @@ def _axis(name: str, given, ledger: tuple[str, ...]) -> Axis:
     return Axis(id=name, **{**given, "options": tuple(given["options"]), "touches": tuple(given["touches"])})
 
 
-def _multiverse(topic: str, study: str, given, axes: dict[str, Axis], ledger: tuple[str, ...]) -> Multiverse:
+def _multiverse(
+    topic: str,
+    study: str,
+    given,
+    axes: dict[str, Axis],
+    touching: dict[str, set[str]],
+    ledger: tuple[str, ...],
+) -> Multiverse:
     name = f"studies.{study}"
     _require_fields(name, given, _STUDY_FIELDS, ("function", "entries"))
     module, colon, function = given["function"].partition(":")
@@ -254,7 +266,6 @@ def _multiverse(topic: str, study: str, given, axes: dict[str, Axis], ledger: tu
             f"{name}: function is {given['function']!r}; give 'package.module:function' or a notebook, '{topic}/...'"
         )
     entries = _matching(f"{name}: entries", given["entries"], ledger)
-    touching = {key: set(_matching(key, axis.touches, ledger)) for key, axis in axes.items()}
     mine = [axis for key, axis in axes.items() if touching[key] & set(entries)]
     mine = _with_defaults(name, given.get("defaults", {}), mine)
     seeds = [axis for axis in mine if axis.kind == "seed"]

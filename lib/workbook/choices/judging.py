@@ -402,19 +402,34 @@ def _best_joint(group: str, parts: list[_Part]) -> Joint | None:
         studies[part.study.multiverse.study].append(part)
     counts = Counter(axis.name for mine in studies.values() for axis in mine[0].study.multiverse.axes)
     shared = sorted(name for name, count in counts.items() if count > 1)
+    waiting = [(mine, _best_by_shared(mine, shared)) for mine in studies.values()]
     whole: dict[tuple, _Pick] = {(): _Pick((0.0, 0), (), 1)}
-    for mine in studies.values():
-        more = _best_by_shared(mine, shared)
+    order = []
+    while waiting:  # first what leaves the fewest axes open, which later studies share
+        mine, more = waiting.pop(min(range(len(waiting)), key=lambda k: _left_open(waiting, order, k)))
+        order.append(mine)
+        still = {axis.name for later, _ in waiting for axis in later[0].study.multiverse.axes}
         joined: dict[tuple, _Pick] = {}
         for (key, one), (other, two) in itertools.product(whole.items(), more.items()):
             if all(dict(key).get(name, option) == option for name, option in other):
-                joined[tuple(sorted((dict(key) | dict(other)).items()))] = one.with_(two)
+                options = (dict(key) | dict(other)).items()
+                left = tuple(sorted(each for each in options if each[0] in still))
+                pick = one.with_(two)
+                joined[left] = joined[left].or_(pick) if left in joined else pick
         whole = joined
     if not whole:
         return None
-    best = max(whole.values(), key=lambda pick: pick.score)
-    places = list(zip(studies.values(), best.points, strict=True))
-    return _joint_at(group, places, sum(pick.count for pick in whole.values()), -best.score[0] / len(parts))
+    best = whole[()]
+    return _joint_at(
+        group, list(zip(order, best.points, strict=True)), best.count, -best.score[0] / len(parts)
+    )
+
+
+def _left_open(waiting: list, order: list, k: int) -> int:
+    """Axes of the studies taken so far and the k-th waiting one that another waiting one has, too."""
+    taken = {axis.name for mine in (*order, waiting[k][0]) for axis in mine[0].study.multiverse.axes}
+    rest = [mine for place, (mine, _) in enumerate(waiting) if place != k]
+    return len(taken & {axis.name for mine in rest for axis in mine[0].study.multiverse.axes})
 
 
 @dataclass(frozen=True)
@@ -431,6 +446,11 @@ class _Pick:
         return _Pick(
             (distance, self.score[1] + other.score[1]), self.points + other.points, self.count * other.count
         )
+
+    def or_(self, other: "_Pick") -> "_Pick":
+        """The better of two picks, among all of both."""
+        better = other if other.score > self.score else self
+        return replace(better, count=self.count + other.count)
 
 
 def _best_by_shared(parts: list[_Part], shared: list[str]) -> dict[tuple, _Pick]:
