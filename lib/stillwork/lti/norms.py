@@ -16,7 +16,6 @@ NOTHING = 1e-15
 TOLERANCE = 1e-10  # of the H-infinity norm, relative
 GRID = 200  # frequencies at which a model that no pole lifts above its feedthrough is looked at first
 MOST_DOUBT = 1e-6  # of the power that a Lyapunov equation gives, relative
-MOST_MOVED = 0.1  # of a pole's distance from the edge of stability, by a rounding of A
 APART = 1e-3  # by which the power may differ, relative, where the dual equation gives it
 MOST_SPREAD = 1e-4  # of the H-infinity norm: by how much it may move with the rounding of A
 
@@ -279,7 +278,10 @@ def _squared(model: StateModel) -> tuple[tuple[float, float], float, float, bool
     poles, left, right = linalg.eig(a, left=True)
     moved = np.finfo(float).eps * np.sum(np.abs(left) * (np.abs(a) @ np.abs(right)), axis=0)
     far = np.abs(np.sum(left.conj() * right, axis=0)) * (1 - np.abs(poles) if discrete else -poles.real)
-    # Both equations give the power, by other roundings.
-    if np.any(moved > MOST_MOVED * far) or abs(power - np.trace(b.T @ dual @ b)) > APART * power:
+    # Both equations give the power, by other roundings; what the solver left of one is a power, too, in more digits.
+    wide, x, drive = (each.astype(np.longdouble) for each in (a, gramian, b))
+    moving = wide @ x @ wide.T - x if discrete else wide @ x + x @ wide.T
+    apart = abs(power - np.trace(b.T @ dual @ b)), abs(np.sum(dual * (moving + drive @ drive.T)))
+    if np.any(moved > far) or max(apart) > APART * power:
         uncertainty = max(uncertainty, abs(power))
     return units, power, uncertainty, False
