@@ -268,6 +268,8 @@ def steady_covariance(regressors: Matrix, forgetting: Fraction) -> Float64[np.nd
 
     A direction of the regressors that is silent has no steady value, and is an `InputError`.
     """
+    if not regressors.size:
+        raise InputError("regressors holds no samples; give a stretch with time along the last axis")
     size = np.sqrt(np.mean(regressors**2, axis=1))
     if np.min(size) == 0:
         raise InputError(f"regressors: row {int(np.argmin(size))} is zero; leave it out")
