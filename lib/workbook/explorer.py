@@ -1,7 +1,7 @@
 """Explorers: turn a drawing function into sliders with live redraw, or a static picture in a build."""
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import InitVar, dataclass
 
 from stillwork.base.checks import InputError, nearest, require_choice, require_number
@@ -72,6 +72,10 @@ class Slider:
         """Whether the parameter is a whole number."""
         return all(isinstance(value, int) for value in (self.low, self.high, self.start, self.step or 1))
 
+    def require(self, name: str, value: float) -> None:
+        """Raise an `InputError` where the control `name` cannot stand at `value`."""
+        require_number(name, value, at_least=self.low, at_most=self.high)
+
     def read(self, value: float) -> float:
         """What the parameter gets when the control stands at `value`."""
         return round(value) if self.whole else value
@@ -125,6 +129,10 @@ class Choice:
             raise InputError(f"start is {self.start!r}, not an option{nearest(self.start, self.options)}")
         _require_basis(self.basis, self.place)
 
+    def require(self, name: str, value: str) -> None:
+        """Raise an `InputError` where the control `name` has no such option."""
+        require_choice(name, value, self.options)
+
     def read(self, value: str) -> str:
         """What the parameter gets: the name as it is."""
         return value
@@ -145,6 +153,19 @@ def basis_text(control: Slider | Choice, start: str) -> str:
     """What stands beside a control: its start, and what that is."""
     known = f"{control.basis}, {control.place}" if control.place else control.basis
     return f"start: {start}" if control.basis == "default" else f"start: {start} ({known})"
+
+
+def whole_settings(
+    presets: Mapping[str, Mapping], controls: Mapping[str, Slider | Choice]
+) -> dict[str, dict]:
+    """Each named design at all controls; what it does not name stands at its start."""
+    for name, settings in presets.items():
+        for control, value in settings.items():
+            controls[require_choice(f"a control of preset {name!r}", control, controls)].require(
+                control, value
+            )
+    start = {name: control.start for name, control in controls.items()}
+    return {name: start | settings for name, settings in presets.items()}
 
 
 @dataclass(frozen=True)
@@ -242,13 +263,15 @@ def show_behind(figure, lines: list[list]) -> None:
             axes.add_artist(Line2D(*points.T, color=GREY, alpha=0.45, lw=2.5, zorder=0.5))
 
 
-def explore(draw: Callable, **controls: Slider | Choice):
+def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **controls: Slider | Choice):
     """Redraw ``draw(**settings)`` while a control moves, before the lines of the start in grey; Reset returns to it.
 
     Parameters
     ----------
     draw : callable
         Returns a `matplotlib.figure.Figure`.
+    presets : mapping of str to mapping, optional
+        Named designs, a button each: values of controls, e.g. ``{"MC": {"damping": 0.0}}``; the others stand at their start.
     **controls : Slider or Choice
         One a parameter of `draw`.
 
@@ -258,6 +281,7 @@ def explore(draw: Callable, **controls: Slider | Choice):
         The picture at the start where a build, not a person, runs the notebook.
     """
     start = {name: control.start for name, control in controls.items()}
+    designs = whole_settings(presets or {}, controls)
     ghost: list[list] = []
 
     def drawn(**settings):
@@ -288,19 +312,28 @@ def explore(draw: Callable, **controls: Slider | Choice):
         except InputError as error:  # an impossible setting is an answer, not a crash
             message.value = f"no picture: {_escaped(str(error))}"
 
-    def go_home(_button):
+    def go_to(settings):
+        for row in rows.values():
+            row.unobserve(redraw, names="value")
         for name, row in rows.items():
-            row.value = start[name]
+            row.value = settings[name]
+        watch()
 
-    for row in rows.values():
-        row.observe(redraw, names="value")
-    reset.on_click(go_home)
-    redraw()
+    def watch():
+        for row in rows.values():
+            row.observe(redraw, names="value")
+        redraw()
+
+    buttons = [widgets.Button(description=name, layout=widgets.Layout(width="auto")) for name in designs]
+    for button, settings in zip([reset, *buttons], [start, *designs.values()], strict=True):
+        button.on_click(lambda _button, settings=settings: go_to(settings))
+    watch()
     marked = [
         widgets.HBox([row, widgets.Label(basis_text(controls[name], str(start[name])))])
         for name, row in rows.items()
     ]
-    return widgets.VBox([*marked, widgets.HBox([reset, message]), picture])
+    named = [widgets.HBox(buttons)] if buttons else []
+    return widgets.VBox([*named, *marked, widgets.HBox([reset, message]), picture])
 
 
 def _escaped(text: str) -> str:

@@ -392,7 +392,7 @@ def test_a_louder_ground_is_isolated_better(twin):
         (rig_pictures.explore_floor, {"low_pass_hz": 300.0, "gain": 2.0}),
         (
             performance_pictures.explore_transmissibility,
-            {"integrator_cutoff_hz": 1.0, "lowpass_hz": 200.0, "low_pass_hz": 300.0},
+            {"integrator_cutoff_hz": 1.0, "shaping_hz": 200.0, "floor_hz": 300.0},
         ),
         (
             performance_pictures.explore_power,

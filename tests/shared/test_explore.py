@@ -60,6 +60,34 @@ def test_moving_a_control_redraws_and_reset_returns():
 
 
 @pytest.mark.slow
+def test_a_preset_leads_all_controls_to_a_named_design_with_one_picture():
+    seen = []
+
+    def note(**settings):
+        seen.append(settings)
+        return draw(**settings)
+
+    box = explore(note, {"loud": {"gain": 8.0, "floor": "colored"}, "start": {}}, **CONTROLS)
+    buttons, *rows = box.children[: 1 + len(CONTROLS)]
+    rows[1].children[0].value = 1000.0
+    before = len(seen)
+    loud, start = buttons.children
+    loud.click()
+    assert seen[before:] == [{"gain": 8.0, "rate": 100.0, "order": 3, "floor": "colored"}]
+    start.click()
+    assert seen[before + 1 :] == [{name: control.start for name, control in CONTROLS.items()}]
+
+
+@pytest.mark.parametrize(
+    ("preset", "message"),
+    [({"gian": 1.0}, "'a'.*'gian'.*'gain'"), ({"gain": 11.0}, "^gain"), ({"floor": "flt"}, "^floor.*'flt'")],
+)
+def test_a_preset_stands_on_its_controls(preset, message):
+    with pytest.raises(InputError, match=message):
+        explore(draw, {"a": preset}, **CONTROLS)
+
+
+@pytest.mark.slow
 def test_the_lines_of_the_start_stand_behind_and_leave_the_axes_alone():
     seen = []
 

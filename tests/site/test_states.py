@@ -48,12 +48,12 @@ def test_only_what_the_explorer_needs_runs():
         "rows = []\nfor number in range(3):\n    rows.append(number)\nprint(rows, 1 / 0)",
         "math.nothing(level)",
         "def draw(x): return table['gain'] * x + sum(rows)",
-        "explore(draw, x=Slider(0.0, 1.0, math.floor(0.5)))",
+        "explore(draw, {'one': {'x': 1.0}}, x=Slider(0.0, 1.0, math.floor(0.5)))",
         "later = 1 / 0",
     ]
     explorer = read_explorer(notebook(*cells))
     assert explorer.draw(3.0) == 6.0 + 3
-    assert explorer.controls == {"x": Slider(0.0, 1.0, 0)}
+    assert explorer.controls == {"x": Slider(0.0, 1.0, 0)} and explorer.presets == {"one": {"x": 1.0}}
     assert len(statements(notebook(*cells).source)) == 9
     assert read_explorer(notebook("explored = 1")) is None
 
@@ -186,6 +186,18 @@ def test_the_two_that_change_the_picture_most_move_together():
         values = [float(each["stops"][stop]) for each, stop in zip(found["controls"], stops, strict=True)]
         wanted = panels(paint(**dict(zip(CONTROLS, values, strict=True))))
         assert found["pictures"][place] == wanted
+
+
+@pytest.mark.slow
+def test_a_named_design_has_its_stops_and_its_picture():
+    design = {"small": 0.033, "large_m": 3.333, "middle": 1.0, "tiny": 0.01}
+    found = states(Explorer(paint, CONTROLS, {"ours": design}), 40)
+    [(name, stops)] = found["presets"]
+    assert name == "ours"
+    values = [float(each["stops"][stop]) for each, stop in zip(found["controls"], stops, strict=True)]
+    assert values == list(design.values())
+    place = found["states"][".".join(map(str, stops))]
+    assert found["pictures"][place] == panels(paint(**design))
 
 
 def test_a_setting_without_a_picture_says_why():

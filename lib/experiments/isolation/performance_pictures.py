@@ -132,12 +132,12 @@ def paint_removed(study, published: tuple[float, float, float]):
     return figure
 
 
-def explore_transmissibility(integrator_cutoff_hz: float, lowpass_hz: float, low_pass_hz: float):
+def explore_transmissibility(integrator_cutoff_hz: float, shaping_hz: float, floor_hz: float):
     """Explorer: noise-free transmissibility with optimum weights over the cut-offs that bound it."""
     twin = load_twin("rigid_body").varied(integrator_cutoff_hz=integrator_cutoff_hz)
-    twin = twin.varied(shaping=replace(twin.feedforward.shaping, lowpass_hz=lowpass_hz))
+    twin = twin.varied(shaping=replace(twin.feedforward.shaping, lowpass_hz=shaping_hz))
     f = np.geomspace(0.5, 1000, 250)
-    weights = steady_state(twin, flat_floor(low_pass_hz), frequencies_hz=COARSE_HZ).weights
+    weights = steady_state(twin, flat_floor(floor_hz), frequencies_hz=COARSE_HZ).weights
     figure, axes = figures.new(1, 1, height=3.0)
     for name, given in (("feedback", None), ("FeRLS", weights)):
         z = exact_transmissibility(twin, f, weights=given)[0, 0]

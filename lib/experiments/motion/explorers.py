@@ -1,5 +1,6 @@
 """Explorers that several notebooks share: the mass chain of chapter 2, and the stage's bandwidth with one use of the observer."""
 
+from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
@@ -44,6 +45,8 @@ def paint_heavy_mass(place: int, mass_kg: float):
         curves[label] = (omega, machine.frequency_response(omega)[0, 0])
     return paint_bode(curves, "$f_1$ to $x_1$ (dB re 1 m/N)", height=3.2)[0]
 
+ORIGINAL = ", original controller"
+
 
 @lru_cache(maxsize=8)
 def _loops(design: Design) -> list[Loop]:
@@ -68,6 +71,27 @@ def paint_design(
 @lru_cache(maxsize=8)
 def _limit_hz(design: str) -> float:
     return stage_bandwidth(design).design_hz
+
+
+def design_presets(designs: Iterable[str], *controls: str) -> dict[str, dict]:
+    """Presets of an explorer with these `controls` of `paint_design`: designs of the bandwidth table, at their limits.
+
+    A name that ends in ``", original controller"`` has the limit of PID. Limits are rounded down to 0.1 Hz, so that they
+    stay feasible.
+    """
+    found = {}
+    for name in designs:
+        used = name.removesuffix(ORIGINAL)
+        use = DESIGNS[used].application or Application()
+        settings = {
+            "bandwidth_hz": float(np.floor(10 * _limit_hz(used if used == name else "PID")) / 10),
+            "damping": use.damping,
+            "selectivity": use.selectivity,
+            "compensate": "yes" if use.compensate else "no",
+            "noise_model": DESIGNS[used].noise_model,
+        }
+        found[name] = {control: settings[control] for control in controls}
+    return found
 
 
 def paint_published(design: str, part: float):

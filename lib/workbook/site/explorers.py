@@ -2,10 +2,10 @@
 
 import ast
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
-from workbook.explorer import Choice, Slider
+from workbook.explorer import Choice, Slider, whole_settings
 from workbook.notebooks import Notebook
 
 SCOPES = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
@@ -17,6 +17,11 @@ class Explorer:
 
     draw: Callable
     controls: dict[str, Slider | Choice]
+    presets: dict[str, dict] = field(default_factory=dict)
+
+
+def _taken(draw: Callable, presets: Mapping[str, Mapping] | None = None, **controls) -> Explorer:
+    return Explorer(draw, controls, whole_settings(presets or {}, controls))
 
 
 def read_explorer(notebook: Notebook) -> Explorer | None:
@@ -28,7 +33,7 @@ def read_explorer(notebook: Notebook) -> Explorer | None:
     if not needed:
         return None
     *before, last = needed
-    names: dict[str, object] = {"_taken": lambda draw, **controls: Explorer(draw, controls)}
+    names: dict[str, object] = {"_taken": _taken}
     exec(compile(ast.Module(before, []), notebook.name, "exec"), names)
     last.value.func = ast.copy_location(ast.Name("_taken", ast.Load()), last.value)
     return eval(compile(ast.Expression(last.value), notebook.name, "eval"), names)

@@ -54,7 +54,7 @@ def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None
     -------
     dict
         ``controls`` (name, unit, stops, start, basis), ``joint`` (the two), ``states`` (for the stops of all controls,
-        as ``"0.3.2"``, the place in ``pictures``) and ``pictures``.
+        as ``"0.3.2"``, the place in ``pictures``), ``pictures`` and ``presets`` (name and stops of each named design).
 
     Raises
     ------
@@ -84,13 +84,19 @@ def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None
         swings = {name: _swing(ladder(controls[name], along(name), COARSE), along(name)) for name in pair}
         pair = [name for name in controls if name in sorted(swings, key=swings.get)[-2:]]
     counts = _counts(controls, sorted(pair, key=swings.get), count)
-    ladders = {name: ladder(controls[name], along(name), counts[name]) for name in controls}
+    also = {name: {design[name] for design in explorer.presets.values()} for name in controls}
+    ladders = {name: ladder(controls[name], along(name), counts[name], also[name]) for name in controls}
     home = {name: each.start for name, each in ladders.items()}
     stops = {name: range(len(each.values)) for name, each in ladders.items()}
     wanted = [
         dict(zip(pair, each, strict=True)) for each in itertools.product(*(stops[name] for name in pair))
     ]
     wanted += [{name: stop} for name in controls if name not in pair for stop in stops[name]]
+    presets = {
+        design: {name: ladders[name].values.index(value) for name, value in settings.items()}
+        for design, settings in explorer.presets.items()
+    }
+    wanted += presets.values()
     pictures: dict[str, int] = {}
     found = {}
     for moved in wanted:
@@ -102,6 +108,7 @@ def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None
         "joint": [list(controls).index(name) for name in pair],
         "states": found,
         "pictures": [json.loads(text) for text in pictures],
+        "presets": [[design, list(stops.values())] for design, stops in presets.items()],
     }
 
 

@@ -1,7 +1,7 @@
 """At which settings an explorer's pictures are computed: more stops where the picture changes more."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,15 +21,20 @@ class Ladder:
 
 def shares(control: Slider) -> np.ndarray:
     """Where the values that a slider offers lie between its ends (0 to 1), the start among them."""
-    low, high, at = control.low, control.high, control.start
+    low, high = control.low, control.high
     span = np.log10(high / low) if control.log else high - low
     step = control.step or (0.02 if control.log else (high - low) / 50)
     if control.whole and not control.log:
         step = max(1, round(step))
-    start = (np.log10(at / low) if control.log else at - low) / span
+    start = _share(control, control.start)
     regular = np.arange(round(span / step) + 1) * step / span
     others = regular[(regular < 1 + 1e-9) & (abs(regular - start) > 1e-9)]
     return np.unique(np.append(others, start))
+
+
+def _share(control: Slider, value: float) -> float:
+    low, high = control.low, control.high
+    return np.log(value / low) / np.log(high / low) if control.log else (value - low) / (high - low)
 
 
 def value_at(control: Slider, share: float):
@@ -41,8 +46,8 @@ def value_at(control: Slider, share: float):
     return control.read(float(f"{value:.3g}" if control.log else f"{value:.10g}"))
 
 
-def ladder(control: Slider | Choice, picture_of: Callable, count: int) -> Ladder:
-    """Stops of a control while the others stay: its ends, its start, and between them where it matters.
+def ladder(control: Slider | Choice, picture_of: Callable, count: int, also: Collection = ()) -> Ladder:
+    """Stops of a control while the others stay: its ends, its start, what `also` names, and between them where it matters.
 
     Parameters
     ----------
@@ -51,13 +56,17 @@ def ladder(control: Slider | Choice, picture_of: Callable, count: int) -> Ladder
         The picture for a value of this control.
     count : int
         Stops at most; a choice has all of its options.
+    also : collection
+        Values of the control that have a stop in any case.
     """
     if isinstance(control, Choice):
         return Ladder(control.options, control.options.index(control.start))
     offered = {value_at(control, share): share for share in shares(control)}
+    offered |= {value: _share(control, value) for value in also}
+    offered = dict(sorted(offered.items()))
     values, places = list(offered), list(offered.values())
     home = values.index(control.start)
-    chosen = sorted({0, home, len(values) - 1})
+    chosen = sorted({0, home, len(values) - 1, *map(values.index, also)})
     while len(chosen) < min(count, len(values)):
         gaps = [
             (_gap(picture_of, values[a], values[b]) + (places[b] - places[a]) / 4, a, b)

@@ -226,7 +226,7 @@
   };
 
   const begin = async (figure) => {
-    const { controls, joint, states, pictures } = await unpack(figure.dataset.states);
+    const { controls, joint, states, pictures, presets } = await unpack(figure.dataset.states);
     const home = controls.map((control) => control.start);
     const stops = [...home];
     const area = make("div", { class: "panels", role: "img" });
@@ -238,6 +238,7 @@
       const now = pictures[states[stops.join(".")]];
       const published = pictures[states[home.join(".")]];
       const moved = stops.some((stop, number) => stop !== home[number]);
+      for (const { goal, button } of named) button.setAttribute("aria-pressed", goal === stops.join("."));
       const setting = controls.map((control, number) => `${control.name} ${unit(control, stops[number])}`).join(", ");
       area.setAttribute("aria-label", `Picture at ${setting}`);
       told.textContent = now.message ?? (moved ? "Moved; in grey the start." : "At the start.");
@@ -275,13 +276,19 @@
       return { set, element: make("div", { class: "control" }, name, input, value, mark) };
     });
 
-    const reset = make("button", { type: "button" }, "Back to the start");
-    reset.addEventListener("click", () => {
-      rows.forEach((row, number) => row.set(home[number]));
-      show();
-    });
+    const leading = (name, goal) => {
+      const button = make("button", { type: "button" }, name);
+      button.addEventListener("click", () => {
+        rows.forEach((row, number) => row.set(goal[number]));
+        show();
+      });
+      return button;
+    };
+    const reset = leading("Back to the start", home);
+    const named = presets.map(([name, goal]) => ({ goal: goal.join("."), button: leading(name, goal) }));
     rows.forEach((row, number) => row.set(home[number]));
     const list = make("div", { class: "controls" }, ...rows.map((row) => row.element), make("div", { class: "control" }, reset, told));
+    if (named.length) list.prepend(make("div", { class: "presets", role: "group", "aria-label": "Named designs" }, ...named.map((each) => each.button)));
     if (joint.length < controls.length) {
       const together = joint.map((number) => controls[number].name).join(" and ");
       list.append(make("p", { class: "note" }, `${together} move together; every other control moves alone, from the start.`));
