@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from experiments.motion.designs import DESIGNS, RETAINED, Design, stage_bandwidth, stage_loops
+from experiments.motion.designs import DESIGNS, NOISE_MODEL, RETAINED, Design, stage_bandwidth, stage_loops
 from experiments.motion.machines import chain, stage, stage_mass
 from experiments.motion.pictures import LABELS, paint_bode, paint_over_masses
 from stillwork.control.applications import Application
@@ -59,7 +59,7 @@ def paint_design(
     damping: float = 0.0,
     selectivity: float = 2.0,
     compensate: str = "no",
-    noise_model: float = 0.03,
+    noise_model: float = NOISE_MODEL,
 ):
     """Explorer: S_I and S_O of the seven loops for one controller and one use of the observer."""
     used = damping > 0 or compensate == "yes"
@@ -88,7 +88,7 @@ def design_presets(designs: Iterable[str], *controls: str) -> dict[str, dict]:
             "damping": use.damping,
             "selectivity": use.selectivity,
             "compensate": "yes" if use.compensate else "no",
-            "noise_model": DESIGNS[used].noise_model,
+            "noise_model": DESIGNS[used].noise_model or NOISE_MODEL,
         }
         found[name] = {control: settings[control] for control in controls}
     return found
