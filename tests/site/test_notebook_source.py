@@ -274,6 +274,13 @@ def test_no_markdown_becomes_an_element_of_its_own(text):
     assert not [link for link in page.links if re.match(r"\W*(x$|\w+script|data)", link, re.IGNORECASE)]
 
 
+@pytest.mark.parametrize("end", ["", " onclick=x", "</summary><b>"])
+def test_only_a_plain_fold_stays_html(end):
+    html = markdown(f"<details>\n<summary{end}>Check</summary>\n\n**4** $x$\n\n</details>")
+    assert ("<details>" in html) == (not end) and "<strong>4</strong>" in html
+    assert not {"b", "onclick"} & set(Opened(html).tags)
+
+
 def test_a_formula_in_a_heading_is_a_formula():
     assert "math" in Opened(markdown("# The law $a < b$")).tags
 

@@ -1,7 +1,8 @@
 """Solutions of the track on adaptive feedforward.
 
 Each function answers the exercise of its number with the toolbox, holds the answer against something that shares no
-code with it, and returns what the exercise prints as its check.
+code with it, and returns what the exercise prints as its check. Its arguments are the numbers of the exercise: with others
+it gives the answer to a new one.
 """
 
 import numpy as np
@@ -26,26 +27,26 @@ def crossing(values: np.ndarray, level: float) -> float:
     return after - (level - values[after]) / (values[after - 1] - values[after])
 
 
-def exercise_1() -> str:
+def exercise_1(damping: float = 0.7, stiffness: float = 60e3) -> str:
     """One skyhook gain for all modes: damping goes with frequency."""
     modes = suspension_modes(load_twin("rigid_body"), feedback=False)
     lowest, highest = modes.frequencies_hz.min(), modes.frequencies_hz.max()
-    stiffness = 60e3  # N/m, of a strut
-    gain = 2 * 0.7 * stiffness / (2 * np.pi * lowest)  # N s/m
+    gain = 2 * damping * stiffness / (2 * np.pi * lowest)  # N s/m
     highest_damping = gain * 2 * np.pi * highest / (2 * stiffness)
 
     # The poles of a strut with the mass that puts it at each frequency.
-    for frequency_hz, damping in ((lowest, 0.7), (highest, highest_damping)):
+    for frequency_hz, wanted in ((lowest, damping), (highest, highest_damping)):
         mass = stiffness / (2 * np.pi * frequency_hz) ** 2
         poles = np.roots([mass, gain, stiffness])
-        assert np.isclose(-poles.real.sum() / 2 / np.sqrt(poles.prod().real), damping)
+        assert np.isclose(-poles.real.sum() / 2 / np.sqrt(poles.prod().real), wanted)
     return f"{highest_damping:.2f}"
 
 
-def exercise_2() -> str:
+def exercise_2(step: float = 0.05, weak: float = 0.1) -> str:
     """FeLMS's slow mode: the weak regressor learns at its own share of the power."""
-    step, weak = 0.05, 0.1
-    samples = 4000
+    share = weak**2 / (1 + weak**2)  # of the power in all regressors
+    expected = -1 / np.log1p(-step * share)
+    samples = round(2 * expected)
     courses = []
     for seed in range(60):
         regressors = signs(seed, 2, samples) * [[1.0], [weak]]
@@ -53,32 +54,30 @@ def exercise_2() -> str:
         courses.append(1 - found.history[:, 0, 1])
     measured = crossing(np.mean(courses, axis=0), np.exp(-1))
 
-    share = weak**2 / (1 + weak**2)  # of the power in all regressors
-    expected = -1 / np.log1p(-step * share)
     assert abs(measured / expected - 1) < 0.1  # sixty runs scatter by a few per cent
     return f"{expected:.0f}"
 
 
-def exercise_3() -> str:
+def exercise_3(bold: float = 10.0) -> str:
     """FeRLS from a covariance ten times the steady one: most of the way in a sixth of the memory."""
     memory = 2000
     forgetting = np.exp(-1 / memory)
     regressors = signs(1, 1, 2 * memory)
     steady = 1 - forgetting  # of regressors of power one
     taken = {}
-    for start in (1, 10):
+    for start in (1, bold):
         settings = FeRls(start * steady, forgetting, growth_limit=np.inf)
         history = identify(settings, regressors, -regressors, every=1).history[:, 0, 0]
         taken[start] = crossing(1 - history, np.exp(-1)) / memory
 
     # In least squares the start counts as its own information, which is forgotten like all other.
-    x = optimize.brentq(lambda x: 0.1 * x / (1 - 0.9 * x) - np.exp(-1), 0, 1)
+    x = optimize.brentq(lambda x: x / bold / (1 - (1 - 1 / bold) * x) - np.exp(-1), 0, 1)
     assert np.isclose(taken[1], 1, atol=2e-3)
-    assert np.isclose(taken[10], -np.log(x), atol=2e-3)
-    return f"{taken[10]:.2f}"
+    assert np.isclose(taken[bold], -np.log(x), atol=2e-3)
+    return f"{taken[bold]:.2f}"
 
 
-def exercise_4() -> str:
+def exercise_4(degrees: float = 60.0) -> str:
     """A path estimate that is wrong by a phase: slower by its cosine, and unstable beyond a quarter turn."""
 
     def course(phase: float) -> np.ndarray:
@@ -91,7 +90,7 @@ def exercise_4() -> str:
             left.append(np.linalg.norm(stepper.weights - [[1.0, 0.0]]))
         return np.array(left)
 
-    slower = crossing(course(np.pi / 3), np.exp(-1)) / crossing(course(0.0), np.exp(-1))
+    slower = crossing(course(np.radians(degrees)), np.exp(-1)) / crossing(course(0.0), np.exp(-1))
     grows = course(np.radians(100))
 
     # Averaged over the tone the step is -mu/2 times a rotation.
@@ -99,17 +98,16 @@ def exercise_4() -> str:
         rotation = np.array([[np.cos(phase), -np.sin(phase)], [np.sin(phase), np.cos(phase)]])
         return float(np.linalg.eigvals(-rotation).real.max())
 
-    assert np.isclose(slower, rate(0.0) / rate(np.pi / 3), rtol=0.02)
+    assert np.isclose(slower, rate(0.0) / rate(np.radians(degrees)), rtol=0.02)
     assert rate(np.radians(100)) > 0 and grows[-1] > grows[0]
     return f"{slower:.1f}"
 
 
-def exercise_5() -> str:
+def exercise_5(louder: float = 16.0) -> str:
     """A floor that becomes sixteen times quieter in power: FeRLS waits until it has forgotten the loud one."""
     memory = 2000
     forgetting = np.exp(-1 / memory)
     quiet = signs(2, 1, 5 * memory)
-    louder = 16.0
     settings = FeRls((1 - forgetting) / louder, forgetting, growth_limit=np.inf)  # steady on the loud floor
     history = identify(settings, quiet, -quiet, every=1).history[:, 0, 0]
     measured = crossing(1 - history, np.exp(-1)) / memory
@@ -123,46 +121,47 @@ def exercise_5() -> str:
     return f"{measured:.2f}"
 
 
-def exercise_6() -> str:
+def exercise_6(frequency_hz: float = 3.0, reduction_db: float = 20.0) -> str:
     """Weak integrators: what a reduction of 20 dB at 3 Hz asks of their cut-off."""
+    target = 10 ** (-reduction_db / 20)
     corner = 1.0  # rad/s; all that matters is the ratio
     pole = np.array([[-corner, 0, 0], [corner, -corner, 0], [0, corner, -corner]])
     low_pass = StateModel(pole, [[corner], [0], [0]], [[0, 0, 1.0]], [[0.0]])
 
     def left(ratio: float) -> float:
         value = low_pass.frequency_response([ratio])[0, 0, 0]
-        return float(abs(2 * value - value**2)) - 0.1
+        return float(abs(2 * value - value**2)) - target
 
     ratio = optimize.brentq(left, 1, 10)
-    cutoff_hz = 3 / ratio
+    cutoff_hz = frequency_hz / ratio
 
     # By the powers themselves: 1 - (1 - L)^2 with L = 1 / (1 + j f / f_c)^3.
-    grid = np.linspace(0.5, 2.0, 150_001)
-    remains = np.abs(1 - (1 - (1 + 3j / grid) ** -3.0) ** 2)
-    assert np.isclose(grid[np.argmax(remains >= 0.1)], cutoff_hz, atol=1e-4)
+    grid = cutoff_hz * np.linspace(0.5, 2.0, 150_001)
+    remains = np.abs(1 - (1 - (1 + 1j * frequency_hz / grid) ** -3.0) ** 2)
+    assert np.isclose(grid[np.argmax(remains >= target)], cutoff_hz, atol=1e-4)
     return f"{cutoff_hz:.2f}"
 
 
-def exercise_7() -> str:
+def exercise_7(frequency_hz: float = 160.0, reduction_db: float = 20.0) -> str:
     """A late command: the rate at which one sample of delay still leaves 20 dB at 160 Hz."""
-    rate_hz = np.pi * 160 / np.arcsin(0.05)
+    target = 10 ** (-reduction_db / 20)
+    rate_hz = np.pi * frequency_hz / np.arcsin(target / 2)
 
     time = np.arange(200_000) / rate_hz
-    floor = np.sin(2 * np.pi * 160 * time)
+    floor = np.sin(2 * np.pi * frequency_hz * time)
     late = np.r_[0.0, floor[:-1]]
-    assert np.isclose(np.std((floor - late)[1:]) / np.std(floor), 0.1, rtol=1e-3)
+    assert np.isclose(np.std((floor - late)[1:]) / np.std(floor), target, rtol=1e-3)
     return f"{rate_hz / 1e3:.2f}"
 
 
-def exercise_8() -> str:
+def exercise_8(removed: float = 0.94, louder: float = 2.0) -> str:
     """Output noise sets the limit: what is left of 94 % when the sensor is twice as loud."""
-    removed = 0.94
     noise = (1 - removed) / removed  # over the power that the floor makes
-    doubled = 1 / (1 + 4 * noise)
+    doubled = 1 / (1 + louder**2 * noise)
 
     rng = np.random.default_rng(8)
     floor, sensor = rng.standard_normal((2, 400_000))
-    for scale, expected in ((1, removed), (2, doubled)):
+    for scale, expected in ((1, removed), (louder, doubled)):
         output = signal.lfilter([0.6, -0.8], 1, floor) + scale * np.sqrt(noise) * sensor
         rows = np.stack([floor[1:], floor[:-1]])
         weights = np.linalg.lstsq(rows.T, output[1:], rcond=None)[0]
@@ -170,9 +169,9 @@ def exercise_8() -> str:
     return f"{100 * doubled:.1f}"
 
 
-def exercise_9() -> str:
+def exercise_9(correlation: float = 0.99, step: float = 0.05) -> str:
     """Two sensors that see the same motion to 99 %: FeLMS takes the ratio of the eigenvalues, FeRLS does not care."""
-    correlation, step, samples = 0.99, 0.05, 12_000
+    samples = 12_000
     courses = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -196,9 +195,9 @@ def exercise_9() -> str:
     return f"{ratio:.0f}"
 
 
-def exercise_10() -> str:
+def exercise_10(limit: float = 10.0, constants: int = 12) -> str:
     """A silent sensor winds the covariance up, and the limit says when it stops."""
-    memory, constants = 500, 12
+    memory = 500
     forgetting = np.exp(-1 / memory)
     steady = 1 - forgetting
     silent = np.zeros((1, constants * memory))
@@ -207,16 +206,16 @@ def exercise_10() -> str:
     assert np.isclose(free, np.exp(constants), rtol=1e-9)
 
     def growth(samples: int) -> float:
-        settings = FeRls(steady, forgetting, growth_limit=10.0)
+        settings = FeRls(steady, forgetting, growth_limit=limit)
         return identify(settings, silent[:, :samples], still[:, :samples]).covariance[0, 0] / steady
 
-    reached = next(n for n in range(memory, len(silent[0])) if growth(n) >= 10 * (1 - 1e-9))
-    assert np.isclose(reached / memory, np.log(10), atol=2 / memory)
-    assert growth(len(silent[0])) < 10.1
+    reached = next(n for n in range(memory, len(silent[0])) if growth(n) >= limit * (1 - 1e-9))
+    assert np.isclose(reached / memory, np.log(limit), atol=2 / memory)
+    assert growth(len(silent[0])) < 1.01 * limit
     return f"{reached / memory:.2f}"
 
 
-def exercise_11() -> str:
+def exercise_11(rate_hz: float = 5000.0) -> str:
     """The longest memory that single precision can tell from none, at 5 kHz."""
     low, high = 1, 2**40
     while high - low > 1:
@@ -225,15 +224,17 @@ def exercise_11() -> str:
 
     half_spacing = float(1 - np.nextafter(np.float32(1), np.float32(0))) / 2
     assert np.isclose(high, 1 / half_spacing, rtol=1e-6)
-    return f"{high / 5000 / 3600:.2f}"
+    return f"{high / rate_hz / 3600:.2f}"
 
 
-def exercise_12() -> str:
+def exercise_12(low_hz: float = 8.0, high_hz: float = 80.0) -> str:
     """A record of a slab: its motion in a band from the spectrum, and from the filtered record."""
     record = load_record(paths.data("isolation", "slab_footfall/slab_vertical.csv"), "m/s^2")
     found = {
         resolution: float(
-            np.sqrt(estimate_spectrum(record.signals, record.sample_rate, resolution).power(8, 80)[0])
+            np.sqrt(
+                estimate_spectrum(record.signals, record.sample_rate, resolution).power(low_hz, high_hz)[0]
+            )
         )
         for resolution in (0.1, 2.0)
     }
@@ -241,7 +242,7 @@ def exercise_12() -> str:
     # Parseval: the transform of the whole record, without windows.
     transform = np.fft.rfft(record.signals[0])
     frequencies = np.fft.rfftfreq(record.signals.shape[1], 1 / record.sample_rate)
-    inside = (frequencies >= 8) & (frequencies <= 80)
+    inside = (frequencies >= low_hz) & (frequencies <= high_hz)
     rms = np.sqrt(2 * np.sum(np.abs(transform[inside]) ** 2)) / record.signals.shape[1]
     assert np.isclose(found[2.0], rms, rtol=0.02)
     assert found[0.1] > 1.1 * rms  # a few long windows give the steps in the middle too much weight

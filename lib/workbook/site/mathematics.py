@@ -44,11 +44,18 @@ def mathml(formula: str, block: bool = False) -> str:
     return rendered
 
 
+# The only HTML of a text that stays HTML: what hides an answer behind a click.
+_FOLD = re.compile(r"<details>\n<summary>[\w ,]+</summary>|</details>")
+
+
 class _Renderer(IPythonRenderer):
-    """HTML in the text is shown as text; links to notebooks, guides and their code lead to the pages."""
+    """Other HTML in the text than `_FOLD` is shown as text; links to notebooks, guides and their code lead to the pages."""
 
     def __init__(self):
         super().__init__(escape=True, allow_harmful_protocols=False, anchor_link_text="#")
+
+    def block_html(self, html: str) -> str:
+        return html if _FOLD.fullmatch(html.strip()) else super().block_html(html)
 
     def block_mermaidjs(self, code: str) -> str:
         return self.block_code(code)  # no script draws it here, and the base class would not escape it
