@@ -46,15 +46,18 @@ def _name_rows(axis, observers: Sequence[str], remark: str = "") -> None:
 
 
 def paint_matrix(table: pd.DataFrame, over: str):
-    """Errors of the entrants, one row each, over plants or doubts."""
+    """Errors of the entrants, one row each, over plants or uncertainties; beyond twice that of zero the number stands in the cell."""
     figure, axis = figures.new(1, 1, height=4.6)
     columns, rows = np.arange(table.shape[1]), np.arange(table.shape[0])
     mesh = axis.pcolormesh(columns, rows, np.clip(table.to_numpy(), 0, 2), cmap="coolwarm", vmin=0, vmax=2)
     axis.set_xticks(columns, table.columns, rotation=60, ha="right")
     axis.set_yticks(rows, table.index)
     axis.invert_yaxis()
+    for row, column in np.argwhere(table.to_numpy() > 2):
+        value = f"{table.iloc[row, column]:.0f}"
+        axis.text(column, row, value, color="white", ha="center", va="center", fontsize=5)
     axis.set(xlabel=over, ylabel="observer")
-    figure.colorbar(mesh, ax=axis, label="error over that of zero")
+    figure.colorbar(mesh, ax=axis, label="error over that of zero", extend="max")
     return figure
 
 
@@ -105,10 +108,17 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
             columns, rows = np.arange(lead.shape[1]), np.arange(lead.shape[0])
             mesh = axis.pcolormesh(columns, rows, lead.to_numpy(), cmap="coolwarm_r", vmin=-0.2, vmax=0.2)
             down, across = np.nonzero(sure.to_numpy())
-            axis.plot(across, down, "o", color=figures.BLACK, markersize=3, label="ahead of both")
+            axis.plot(
+                across,
+                down,
+                "o",
+                color=figures.BLACK,
+                markersize=3,
+                label="surely ahead, and better than zero",
+            )
             for line, style, label in (
                 (crossings(errors, ahead_of(name, rival)), "-", "ahead from here on"),
-                (silent[name], "--", "says nothing from here on"),
+                (silent[name], "--", "no better than zero from here on"),
             ):
                 inside = line["crosses"].to_numpy() > 0.5
                 low, at, high = (
@@ -121,6 +131,7 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
             axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
             axis.set_title(f"{name} over {rival}", fontsize=8)
     figures.label(axes, "sensor's noise", "size of the errors (%)")
+    figures.legend_below(axes[-1, 0], 3)
     figure.colorbar(mesh, ax=axes, label="lead")
     return figure
 
