@@ -45,6 +45,7 @@ def paint_heavy_mass(place: int, mass_kg: float):
         curves[label] = (omega, machine.frequency_response(omega)[0, 0])
     return paint_bode(curves, "$f_1$ to $x_1$ (dB re 1 m/N)", height=3.2)[0]
 
+
 ORIGINAL = ", original controller"
 
 
