@@ -191,3 +191,7 @@ if (search) {
   fromAddress(search);
   show();
 }
+
+// A formula wider than the page scrolls by keys, too.
+for (const formula of document.querySelectorAll("math[display='block']"))
+  if (formula.scrollWidth > formula.clientWidth) formula.setAttribute("tabindex", "0");
