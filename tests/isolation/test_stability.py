@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from experiments.isolation.floors import flat_floor
-from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
 from experiments.isolation.simulation import simulate, simulate_together
 from experiments.isolation.twin import load_twin
 from naive import cures as naive
@@ -22,10 +21,13 @@ from notebooks.isolation.numerical_stability import (
     steady_start,
 )
 from stillwork.base.checks import InputError
+from stillwork.control.isolation_filters import noise_shaping, weak_integrator
 from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.covariance_forms import covariance_of, factor_of
 
 FORGETTING = 0.99
+
+PRINTED = load_twin("rigid_body").feedforward
 
 
 def regressors(n=5, samples=2000, seed=0):
@@ -142,7 +144,7 @@ def test_one_motion_breaks_the_triangle_in_float32_and_not_the_factors():
 def closed_loop(cure, samples=400):
     rng = np.random.default_rng(2)
     integrator = weak_integrator(3, 4 * np.pi, 200.0, 2e-4)
-    shaping = noise_shaping(NoiseShaping(), SecondaryPath(), 2e-4)
+    shaping = noise_shaping(PRINTED.shaping, PRINTED.path, 2e-4)
     floor, noise = rng.standard_normal((2, samples)), 0.1 * rng.standard_normal(samples)
     floor[1, samples // 3 :] *= 1e-3
     optimum, start = np.array([0.3, -0.2, 0.5, 1.0]), np.array([0.02, 0.02, 0.5, 0.5])

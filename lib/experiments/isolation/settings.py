@@ -5,9 +5,9 @@ from functools import cached_property
 
 import numpy as np
 
-from experiments.isolation import shaping
-from experiments.isolation.shaping import NoiseShaping, SecondaryPath
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.control import isolation_filters as shaping
+from stillwork.control.isolation_filters import NoiseShaping, SecondaryPath
 from stillwork.lti.discretisation import tustin_sections
 
 

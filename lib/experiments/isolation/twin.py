@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import linalg
 
-from experiments.isolation import shaping
 from experiments.isolation.plant import Platform, plant_of_rig
 from experiments.isolation.rig import Rig, build, require_names, require_table, rig_from_table
 from experiments.isolation.settings import Instruments, SelfTunedFeedforward, Skyhook
-from experiments.isolation.shaping import FrequencyNotch, NoiseShaping, SecondaryPath
 from stillwork.base.checks import InputError, require_array, require_choice, require_number, short_repr
 from stillwork.base.toml_files import read_toml
 from stillwork.base.validation import checked
+from stillwork.control import isolation_filters as shaping
+from stillwork.control.isolation_filters import FrequencyNotch, NoiseShaping, SecondaryPath
 from workbook import paths
 
 SHIPPED = ("rigid_body", "fitted")

@@ -1,6 +1,6 @@
-"""Filters of the isolation controller, designed in continuous time and discretised with Tustin's rule.
+"""Filters of a self-tuned feedforward against floor vibration, after Beijen et al. (2018).
 
-Every design returns second-order sections as `scipy.signal.sosfilt` takes them. Products are formed from poles
+They are designed in continuous time and discretised with Tustin's rule. Every design returns second-order sections as `scipy.signal.sosfilt` takes them. Products are formed from poles
 and zeros in continuous time, before Tustin's rule: what cancels on paper never meets a rounding error.
 """
 
@@ -18,7 +18,7 @@ Sections = Float64[np.ndarray, "sections 6"]
 
 @dataclass(frozen=True)
 class FrequencyNotch:
-    """Notch (s² + depth width w s + w²) / (s² + width w s + w²); the defaults are those of eq. (1)."""
+    """Notch (s² + depth width w s + w²) / (s² + width w s + w²)."""
 
     frequency_hz: float
     width: float = 1.0  # bandwidth over frequency
@@ -30,19 +30,14 @@ class FrequencyNotch:
         require_number("depth", self.depth, at_least=0.0, at_most=1.0)
 
 
-# The paper gives the mains' frequencies but no widths; narrow ones keep the band between them.
-RESONANCE = FrequencyNotch(962.0)
-MAINS = tuple(FrequencyNotch(frequency, width=0.1) for frequency in (50.0, 100.0, 200.0))
-
-
 @dataclass(frozen=True)
 class SecondaryPath:
-    """One axis of the secondary path from actuator to platform acceleration, eq. (2)."""
+    """One axis of the secondary path from actuator to platform acceleration."""
 
-    mass: float = 1.4  # m, kg
-    damping: float = 290.0  # d, N s/m
-    stiffness: float = 60e3  # k, N/m
-    actuator_pole: float = 2 * np.pi * 300  # w_a, rad/s
+    mass: float  # m, kg
+    damping: float  # d, N s/m
+    stiffness: float  # k, N/m
+    actuator_pole: float  # w_a, rad/s
 
     def __post_init__(self):
         for name in ("mass", "damping", "stiffness", "actuator_pole"):
@@ -56,12 +51,12 @@ class SecondaryPath:
 
 @dataclass(frozen=True)
 class NoiseShaping:
-    """Band of interest N: Butterworth high-pass and low-pass with notches, Section 4.2."""
+    """Band of interest N: Butterworth high-pass and low-pass with notches."""
 
-    highpass_hz: float = 6.0
-    lowpass_hz: float = 300.0
-    order: int = 3
-    notches: tuple[FrequencyNotch, ...] = (RESONANCE, *MAINS)
+    highpass_hz: float
+    lowpass_hz: float
+    order: int
+    notches: tuple[FrequencyNotch, ...] = ()
 
     def __post_init__(self):
         require_number("highpass_hz", self.highpass_hz, above=0.0)
@@ -72,7 +67,7 @@ class NoiseShaping:
 def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) -> Sections:
     """Normalised weak integrator beta H with H = (1 - (a / (s + a))^n) / s, eq. (11)-(13).
 
-    Below the cut-off a (rad/s) the transmissibility is left alone with the order n. The paper prints no value of
+    Below the cut-off a (rad/s) the transmissibility is left alone with the order n. The literature prints no value of
     beta. Powers of beta H are the same filter again on its own output.
     """
     require_count("order", order)
@@ -90,7 +85,7 @@ def secondary_path(path: SecondaryPath, sample_time: float) -> Sections:
 
 
 def noise_shaping(shaping: NoiseShaping, path: SecondaryPath, sample_time: float) -> Sections:
-    """Noise shaping N = band x notches x s² / (m s² + d s + k) of the path, Section 4.2."""
+    """Noise shaping N = band x notches x s² / (m s² + d s + k) of the path."""
     zeros, poles, gain = _band(shaping, sample_time)
     poles = [*poles, *np.roots(path.suspension)]
     return tustin_sections([*zeros, 0, 0], poles, gain / path.mass, sample_time)
@@ -119,8 +114,8 @@ def inverse_secondary_shaping(
     return tustin_sections(zeros, poles, gain, sample_time)
 
 
-def conditioning(sample_time: float, highpass_hz: float = 0.1, lowpass_hz: float = 3000.0) -> Sections:
-    """Signal conditioner of the accelerometers: second-order high-pass and low-pass, Section 2.
+def conditioning(sample_time: float, highpass_hz: float, lowpass_hz: float) -> Sections:
+    """Signal conditioner of the accelerometers: second-order high-pass and low-pass.
 
     The published low-pass is analogue and lies above half the sampling rate, so its corner cannot be prewarped;
     plain Tustin keeps its phase within 0.2 degrees up to 300 Hz.
@@ -133,7 +128,7 @@ def conditioning(sample_time: float, highpass_hz: float = 0.1, lowpass_hz: float
 
 
 def skyhook(
-    gain: float, sample_time: float, cutoff: float = 1.0, notch: FrequencyNotch | None = RESONANCE
+    gain: float, sample_time: float, cutoff: float = 1.0, notch: FrequencyNotch | None = None
 ) -> Sections:
     """Skyhook damping k_v / (s + w_i) with a notch at the resonance, eq. (1); the actuator gets minus its output.
 
