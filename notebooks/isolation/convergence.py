@@ -13,7 +13,7 @@ from experiments.isolation.floors import ShapedFloor, flat_floor
 from experiments.isolation.mean_convergence import Sideways, mean_course
 from experiments.isolation.responses import responses
 from experiments.isolation.simulation import TOGETHER, simulate_together
-from experiments.isolation.steady import FORGETTING, Steady, steady_state
+from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin, load_twin
 from stillwork.base.rounding import in_order
 from stillwork.estimation.adaptive import FeLms, FeRls

@@ -12,10 +12,11 @@ from experiments.isolation.convergence import ALGORITHMS
 from experiments.isolation.floors import ShapedFloor, colored_floor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.simulation import TOGETHER, sample_seeds, simulate_together
-from experiments.isolation.steady import Steady, steady_state
+from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
 from stillwork.base.checks import require_choice
 from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.mean_adaptation import Steady
 from workbook import figures
 from workbook.studies import Study, proportion_interval, run_study
 

@@ -31,7 +31,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         ),
         "rig": ("Lines", "Rig"),
         "simulation": ("Run", "simulate", "simulate_together"),
-        "steady": ("Steady", "steady_state"),
+        "steady": ("steady_state",),
         "twin": ("Twin", "load_twin", "twin_from_table"),
     },
 )

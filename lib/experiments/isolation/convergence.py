@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import ShapedFloor
 from experiments.isolation.simulation import sample_seeds, simulate, simulate_together
-from experiments.isolation.steady import Steady
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import require_array, require_number
 from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.mean_adaptation import Steady
 
 ALGORITHMS = ("FeLMS", "FeRLS")
 SHARE = 0.63  # half width of the band around the final value, Table 1

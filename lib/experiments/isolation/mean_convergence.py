@@ -10,10 +10,11 @@ from scipy import linalg, signal
 from experiments.isolation.convergence import ALGORITHMS
 from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor
 from experiments.isolation.simulation import simulate
-from experiments.isolation.steady import Steady, steady_state
+from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.estimation.adaptive import FeRls
+from stillwork.estimation.mean_adaptation import Steady
 
 
 def mean_course(

@@ -1,51 +1,12 @@
 """Exact frequency responses of a twin as it is simulated, and the same paths as `control` objects."""
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import signal
 
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array
-
-
-@dataclass(frozen=True)
-class Responses:
-    """Frequency responses of the sampled loop, frequencies along the first axis.
-
-    The measured platform acceleration is ``a1 = P1 a0 + P2 u`` and the feedforward ``u = W B (a0 + n0)``, with
-    a0 and n0 before the signal conditioner, a1 behind it, and the skyhook part of P1 and P2.
-    """
-
-    frequencies_hz: Float64[np.ndarray, "frequencies"]  # below half the sample rate
-    primary: Complex128[np.ndarray, "frequencies outputs sensors"]  # P1
-    secondary: Complex128[np.ndarray, "frequencies outputs actuators"]  # P2, m/s^2 per N
-    # measured platform acceleration per platform noise n1, which enters before the conditioner
-    sensitivity: Complex128[np.ndarray, "frequencies outputs outputs"]
-    # B: conditioner and weak integrators
-    regressors: Complex128[np.ndarray, "frequencies regressors sensors"]
-    shaping: Complex128[np.ndarray, "frequencies"]  # N
-    error: Complex128[np.ndarray, "frequencies actuators outputs"]  # N P2hat^-1
-    conditioning: Complex128[np.ndarray, "frequencies"]
-
-    @property
-    def path_error(self) -> Complex128[np.ndarray, "frequencies actuators actuators"]:
-        """P2hat^-1 P2: the identity for a perfect estimate; a positive definite Hermitian part converges."""
-        return self.error @ self.secondary / self.shaping[:, None, None]
-
-    def feedforward(self, weights: ArrayLike | None) -> Complex128[np.ndarray, "frequencies outputs sensors"]:
-        """P2 W B: what frozen `weights` W make of the floor sensors' readings; nothing without them."""
-        shape = (self.secondary.shape[2], self.regressors.shape[1])
-        given = require_array("weights", np.zeros(shape) if weights is None else weights, shape=shape)
-        return self.secondary @ (given @ self.regressors)
-
-    def transmissibility(
-        self, weights: ArrayLike | None = None
-    ) -> Complex128[np.ndarray, "frequencies outputs sensors"]:
-        """T from floor to platform acceleration, eq. (4), with frozen feedforward `weights`."""
-        return (self.primary + self.feedforward(weights)) / self.conditioning[:, None, None]
+from stillwork.estimation.mean_adaptation import Responses
 
 
 def responses(twin: Twin, frequencies_hz: ArrayLike, feedback: bool = True) -> Responses:

@@ -65,10 +65,9 @@ class NoiseShaping:
 
 
 def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) -> Sections:
-    """Normalised weak integrator beta H with H = (1 - (a / (s + a))^n) / s, eq. (11)-(13).
+    """Normalised weak integrator beta H with H = (1 - (a / (s + a))^n) / s.
 
-    Below the cut-off a (rad/s) the transmissibility is left alone with the order n. The literature prints no value of
-    beta. Powers of beta H are the same filter again on its own output.
+    Below the cut-off a (rad/s) the transmissibility is left alone with the order n. Powers of beta H are the same filter again on its own output.
     """
     require_count("order", order)
     require_number("cutoff", cutoff, above=0.0)
@@ -79,7 +78,7 @@ def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) 
 
 
 def secondary_path(path: SecondaryPath, sample_time: float) -> Sections:
-    """Secondary path of eq. (2), without the sample of delay that the paper adds for its Fig. 3."""
+    """Secondary path s² / (m s² + d s + k) w_a / (s + w_a), without delay."""
     poles = [*np.roots(path.suspension), -path.actuator_pole]
     return tustin_sections([0, 0], poles, path.actuator_pole / path.mass, sample_time)
 
@@ -94,7 +93,7 @@ def noise_shaping(shaping: NoiseShaping, path: SecondaryPath, sample_time: float
 def inverse_secondary_shaping(
     shaping: NoiseShaping, path: SecondaryPath, sample_time: float, estimate: SecondaryPath | None = None
 ) -> Sections:
-    """Filter N P2^-1 from platform acceleration to the filtered error, eq. (16).
+    """Filter N P2^-1 from platform acceleration to the filtered error.
 
     The suspension of N cancels that of P2, which leaves band x notches x (s + w_a) / w_a. The inverse alone has a
     double integrator, and with Tustin's rule a pole at z = -1; here neither ever appears, because the low-pass makes
@@ -117,8 +116,7 @@ def inverse_secondary_shaping(
 def conditioning(sample_time: float, highpass_hz: float, lowpass_hz: float) -> Sections:
     """Signal conditioner of the accelerometers: second-order high-pass and low-pass.
 
-    The published low-pass is analogue and lies above half the sampling rate, so its corner cannot be prewarped;
-    plain Tustin keeps its phase within 0.2 degrees up to 300 Hz.
+    An analogue low-pass may lie above half the sampling rate, so its corner cannot be prewarped.
     """
     require_number("highpass_hz", highpass_hz, above=0.0)
     require_number("lowpass_hz", lowpass_hz, above=highpass_hz)
@@ -130,11 +128,7 @@ def conditioning(sample_time: float, highpass_hz: float, lowpass_hz: float) -> S
 def skyhook(
     gain: float, sample_time: float, cutoff: float = 1.0, notch: FrequencyNotch | None = None
 ) -> Sections:
-    """Skyhook damping k_v / (s + w_i) with a notch at the resonance, eq. (1); the actuator gets minus its output.
-
-    Eq. (1) prints w_i / (s + w_i), which is the same number at the published w_i = 1 rad/s; without the w_i the
-    gain is N s/m whatever the cut-off.
-    """
+    """Skyhook damping k_v / (s + w_i), with a notch; the actuator gets minus its output. The gain is in N s/m whatever the cut-off."""
     require_number("gain", gain, at_least=0.0)
     require_number("cutoff", cutoff, above=0.0)
     zeros, poles = _notches(() if notch is None else (notch,), sample_time)
