@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork inspect|report|design|retest|desk|export|contest``, and the commands of ``python -m workbook``."""
+"""Command line: ``python -m stillwork inspect|report|design|isolate|retest|desk|export|contest``, and the commands of ``python -m workbook``."""
 
 import os
 import sys
@@ -95,6 +95,31 @@ COMMANDS = {
             *_OF_A_MACHINE,
             *_OF_A_LOOP,
             flag("mirrored-sensor", "serve a mirrored sensor, too"),
+        ),
+    ),
+    "isolate": Command(
+        "from an isolator and its floor to a self-tuned feedforward in C, certified, and a page about it",
+        "stillwork.design.isolate:isolate_file",
+        (
+            option(
+                "machine",
+                type=named,
+                metavar="MACHINE",
+                help="TOML of an isolator, or its measured response to its actuators",
+            ),
+            option("floor", type=named, metavar="FLOOR", help="record or spectra of the floor sensors"),
+            number("rate", "HZ", "of the controller", float, required=True),
+            text("out", "DIR", "a new or empty folder", dest="folder", required=True),
+            option("--name", default="isolator", help="what all names in C begin with"),
+            option("--precision", default="double", metavar="double|single"),
+            option("--unit", default="", help="of the floor, by default what the file says"),
+            number("limit", "N", "of each force", float, default=float("inf")),
+            option("--algorithm", default="FeRls", metavar="FeRls|FeLms"),
+            number(
+                "variance", "SHARE", "that the weights' scatter may add; default 0.05", float, default=0.05
+            ),
+            number("spread", "SHARE", "how far the isolator may be off; default 0.05", float, default=0.05),
+            _band("band-hz", "of the filtered error (default: chosen)"),
         ),
     ),
     "retest": Command(

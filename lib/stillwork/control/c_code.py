@@ -7,16 +7,19 @@ from string import Template
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, pluralise, require_choice, require_count, short_repr
 from stillwork.base.validation import checked
 from stillwork.control.digital import DigitalController, without_dead_states
 from stillwork.control.feedforward import Motion
+from stillwork.control.isolation import POWERS, FeedforwardLoop
 from stillwork.control.setpoint import HALVINGS
 from stillwork.estimation.adaptive import FeLms, FeRls
 
 TEMPLATES = Path(__file__).parent / "c99"
 PRECISIONS: dict[str, Any] = {"double": np.float64, "single": np.float32}
+PATIENCE_S = 0.01  # for which the loop of an isolator holds a missing sensor
 HOLDS = 0.5  # a state whose own coefficient is larger changes by little: it is summed up, the others are set
 
 
@@ -211,6 +214,91 @@ def adaptation_code(
         + "    int axis; /* whose limit is looked at next */",
     }
     return write.files(("adaptation", "ferls"), name, values)
+
+
+def isolation_code(
+    loop: FeedforwardLoop,
+    settings: FeLms | FeRls,
+    weights: Float64[np.ndarray, "axes regressors"],
+    limit: float,
+    pause_s: float,
+    name: str,
+    precision: str = "double",
+) -> dict[str, str]:
+    """C99 of the whole loop of an isolator, which allocates nothing: text by the name of its file.
+
+    ``name.h`` and ``name.c`` hold the filters, skyhook, limit, warm start and stored weights, ``name_adapt.h`` and
+    ``name_adapt.c`` the update. The filters' states are in double precision whatever the precision of the rest: corners
+    of a hertz at thousands of samples a second lose their place in single.
+
+    Parameters
+    ----------
+    loop : FeedforwardLoop
+    settings : FeLms or FeRls
+        Of the adaptation.
+    weights : ndarray, shape (axes, regressors)
+        With which it starts.
+    limit : float
+        Of each command, N.
+    pause_s : float
+        For how long the weights are kept after the limit acted, s.
+    name, precision : str
+        See `controller_code`.
+
+    Returns
+    -------
+    dict of str to str
+
+    Raises
+    ------
+    InputError
+        When `name` is no name in C.
+    """
+    write, wide = _Numbers(name, precision), _Numbers(name, "double")
+    axes, regressors = weights.shape
+    sensors = regressors // (POWERS + 1)
+    before, modes, after = loop.error
+    unlimited = limit == np.inf
+    recursive = isinstance(settings, FeRls)
+    values = {
+        "title": f"{name}: {axes}-axis feedforward from {pluralise(sensors, 'floor sensor')}, "
+        f"{loop.rate:g} samples a second.",
+        "axes": axes,
+        "sensors": sensors,
+        "both": 2 * sensors,
+        "regressors": regressors,
+        "stored": axes * regressors + recursive * regressors * (regressors + 1) // 2,
+        "sample_time": repr(loop.sample_time),
+        "zero": write(0),
+        "limit": "INFINITY" if unlimited else write(limit),
+        "pause": round(pause_s * loop.rate),
+        "patience": round(PATIENCE_S * loop.rate),
+        "powers": POWERS,
+        "power_sections": len(loop.integrator),
+        "integrator_sections": POWERS * len(loop.integrator),
+        "skyhook_sections": len(loop.skyhook),
+        "shaping_sections": len(loop.noise_shaping),
+        "error_sections": modes.shape[1],
+        "weights": _rows(write, weights),
+        "before": _rows(wide, before),
+        "after": _rows(wide, after),
+        "modes": _lines("{" + _rows(wide, np.delete(each, 3, axis=1)).strip() + "}," for each in modes),
+        **{
+            each: _rows(wide, np.delete(getattr(loop, kind), 3, axis=1))
+            for each, kind in (
+                ("skyhook", "skyhook"),
+                ("shaping", "noise_shaping"),
+                ("integrator", "integrator"),
+            )
+        },
+    }
+    return write.files("isolation", name, values, {"r": recursive}) | adaptation_code(
+        settings, axes, regressors, f"{name}_adapt", precision
+    )
+
+
+def _rows(write: "_Numbers", matrix: np.ndarray) -> str:
+    return _lines("{" + ", ".join(map(write, row)) + "}," for row in matrix)
 
 
 @checked

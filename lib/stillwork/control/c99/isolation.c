@@ -1,0 +1,233 @@
+#include "$name.h"
+
+#include <math.h>
+#include <stdbool.h>
+#include <string.h>
+
+#ifdef __FAST_MATH__
+#error "missing numbers need IEEE arithmetic: compile without -ffast-math"
+#endif
+
+typedef ${name}_real real;
+
+#define A ${guard}_AXES
+#define S ${guard}_SENSORS
+#define N ${guard}_REGRESSORS
+#define POWER $power_sections /* sections of one weak integrator */
+
+/* Samples after the limit acted until the error belongs to an unlimited command again; and for how many a missing
+   sensor is held. */
+static const int pause_samples = $pause;
+static const int patience = $patience;
+
+static const double skyhook[$skyhook_sections][5] = {
+$skyhook};
+static const double shaping[$shaping_sections][5] = {
+$shaping};
+static const double integrator[POWER][5] = {
+$integrator};
+static const double modes[A][$error_sections][5] = {
+$modes};
+static const double before[A][A] = {
+$before};
+static const double after[A][A] = {
+$after};
+static const real designed[A][N] = {
+$weights};
+
+/* One section, transposed direct form II. */
+static double section(const double c[5], double *first, double *second, double value)
+{
+    const double result = (c[0] * value) + *first;
+
+    *first = (c[1] * value) - (c[3] * result) + *second;
+    *second = (c[2] * value) - (c[4] * result);
+    return result;
+}
+
+static void product(const double matrix[A][A], const double from[A], double to[A])
+{
+    int a;
+    int b;
+
+    for (a = 0; a < A; a++) {
+        to[a] = 0.0;
+        for (b = 0; b < A; b++) {
+            to[a] += matrix[a][b] * from[b];
+        }
+    }
+}
+
+void ${name}_start(${name}_state *s)
+{
+    int a;
+    int i;
+
+    (void)memset(s, 0, sizeof(*s));
+    ${name}_adapt_start(&s->adapt);
+    for (a = 0; a < A; a++) {
+        s->limit[a] = $limit;
+        for (i = 0; i < N; i++) {
+            s->adapt.weights[a][i] = designed[a][i];
+        }
+    }
+    s->adapting = 1;
+    s->wait = pause_samples; /* the filters start from rest */
+}
+
+void ${name}_store(const ${name}_state *s, real stored[${guard}_STORED])
+{
+    int place = 0;
+    int a;
+    int i;
+r|    int j;
+
+    for (i = 0; i < N; i++) {
+        for (a = 0; a < A; a++) {
+            stored[place] = s->adapt.weights[a][i];
+            place++;
+        }
+r|        for (j = 0; j <= i; j++) {
+r|            stored[place] = s->adapt.factor[i][j];
+r|            place++;
+r|        }
+    }
+}
+
+int ${name}_restore(${name}_state *s, const real stored[${guard}_STORED])
+{
+    int place = 0;
+    int usable = 1;
+    int a;
+    int i;
+r|    int j;
+
+    ${name}_start(s);
+    for (i = 0; i < N; i++) {
+        for (a = 0; a < A; a++) {
+            s->adapt.weights[a][i] = stored[place];
+            usable = (isfinite(stored[place]) != 0) ? usable : 0;
+            place++;
+        }
+r|        for (j = 0; j <= i; j++) {
+r|            s->adapt.factor[i][j] = stored[place];
+r|            usable = ((isfinite(stored[place]) != 0) && ((j < i) || (stored[place] > $zero))) ? usable : 0;
+r|            place++;
+r|        }
+    }
+    if (usable == 0) {
+        ${name}_start(s);
+    }
+    return usable;
+}
+
+/* Keep what is there; false: a sensor is missing, and its last value stands for it. */
+static bool take(real kept[], const real given[], int count)
+{
+    bool whole = true;
+    int i;
+
+    for (i = 0; i < count; i++) {
+        if (isfinite(given[i]) != 0) {
+            kept[i] = given[i];
+        } else {
+            whole = false;
+        }
+    }
+    return whole;
+}
+
+unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform[A], real out[A])
+{
+    unsigned flags = 0u;
+    double damping[A];
+    double axes[A];
+    double error[A];
+    double both[2 * S];
+    real e[A];
+    real psi[N];
+    real filtered[N];
+    bool whole;
+    int a;
+    int i;
+    int k;
+    int p;
+
+    whole = take(s->floor, floor, S);
+    whole = take(s->platform, platform, A) && whole;
+    s->missing = whole ? 0 : (s->missing + 1);
+    if (!whole) {
+        flags |= ${guard}_HELD;
+        s->wait = pause_samples;
+        if (s->missing > patience) { /* nothing to go by: no force, and the filters stand still */
+            s->missing = patience + 1;
+            for (a = 0; a < A; a++) {
+                out[a] = $zero;
+            }
+            return flags | ${guard}_INVALID | ${guard}_FROZEN;
+        }
+    }
+
+    /* The filtered error N P2^-1 a1, mode by mode, and the skyhook. */
+    for (a = 0; a < A; a++) {
+        damping[a] = (double)s->platform[a];
+        error[a] = damping[a];
+        for (k = 0; k < $skyhook_sections; k++) {
+            damping[a] = section(skyhook[k], &s->skyhook[k][0][a], &s->skyhook[k][1][a], damping[a]);
+        }
+    }
+    product(before, error, axes);
+    for (a = 0; a < A; a++) {
+        for (k = 0; k < $error_sections; k++) {
+            axes[a] = section(modes[a][k], &s->error[k][0][a], &s->error[k][1][a], axes[a]);
+        }
+    }
+    product(after, axes, error);
+
+    /* The regressors psi from the floor, and N psi: N first, then the weak integrators of both. */
+    for (i = 0; i < S; i++) {
+        both[i] = (double)s->floor[i];
+        both[S + i] = both[i];
+        for (k = 0; k < $shaping_sections; k++) {
+            both[S + i] = section(shaping[k], &s->shaping[k][0][i], &s->shaping[k][1][i], both[S + i]);
+        }
+    }
+    for (p = 0; p <= $powers; p++) {
+        for (i = 0; i < (2 * S); i++) {
+            for (k = (p - 1) * POWER; (p > 0) && (k < (p * POWER)); k++) {
+                both[i] = section(integrator[k % POWER], &s->integrator[k][0][i], &s->integrator[k][1][i], both[i]);
+            }
+        }
+        for (i = 0; i < S; i++) {
+            psi[(p * S) + i] = (real)both[i];
+            filtered[(p * S) + i] = (real)both[S + i];
+        }
+    }
+
+    /* The command, and its limit: weights do not learn from a force that was cut off. */
+    ${name}_adapt_feed(&s->adapt, psi, out);
+    for (a = 0; a < A; a++) {
+        out[a] -= (real)damping[a];
+        e[a] = (real)error[a];
+        if (!(out[a] <= s->limit[a])) {
+            out[a] = s->limit[a];
+            flags |= ${guard}_SATURATED;
+        }
+        if (out[a] < -s->limit[a]) {
+            out[a] = -s->limit[a];
+            flags |= ${guard}_SATURATED;
+        }
+    }
+    if ((flags & ${guard}_SATURATED) != 0u) {
+        s->wait = pause_samples;
+    }
+    if ((s->adapting == 0) || (s->wait > 0)) {
+        flags |= ${guard}_FROZEN;
+        s->wait -= (s->wait > 0) ? 1 : 0;
+    } else if (${name}_adapt_update(&s->adapt, filtered, e) == 0) {
+        flags |= ${guard}_INVALID | ${guard}_FROZEN;
+    } else {
+        /* adapted */
+    }
+    return flags;
+}

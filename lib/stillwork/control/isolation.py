@@ -1,0 +1,233 @@
+"""A self-tuned feedforward for an isolator: its filters, what it does, and whether its adaptation converges.
+
+    M q'' + C (q' - q0') + K (q - q0) = f,   q0 = G p
+
+q are positions along the actuators, p those of the floor sensors, f the forces behind the actuators' pole and a delay.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy import linalg, signal
+
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.control.isolation_filters import (
+    NoiseShaping,
+    SecondaryPath,
+    inverse_secondary_shaping,
+    noise_shaping,
+    skyhook,
+    weak_integrator,
+)
+from stillwork.estimation.mean_adaptation import Responses, Steady
+
+ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
+
+
+@dataclass(frozen=True)
+class Isolator:
+    """Mechanics of an isolator along its actuators, and what its sensors add."""
+
+    mass: ArrayLike  # M (axes, axes), kg: J' f on the body, q = J x; M^-1 = J M_body^-1 J'
+    damping: ArrayLike  # C, N s/m
+    stiffness: ArrayLike  # K, N/m
+    floor: ArrayLike  # G (axes, sensors): motion of each axis's foot per motion of each floor sensor
+    actuator_pole: float  # w_a, rad/s
+    delay: float  # s, from sample to force, without the hold
+    floor_noise: float  # m/s^2/sqrt(Hz), of each floor sensor
+    platform_noise: float  # likewise, of each platform sensor
+
+    def __post_init__(self):
+        axes = len(require_array("mass", self.mass, ndim=2))
+        for name in ("mass", "damping", "stiffness"):
+            matrix = require_array(name, getattr(self, name), shape=(axes, axes))
+            size = np.abs(matrix).max()
+            if not np.allclose(matrix, matrix.T, atol=1e-6 * size):
+                raise InputError(f"{name} is not symmetric; give a physical matrix")
+            if np.linalg.eigvalsh(matrix)[0] <= (-1e-9 * size if name == "damping" else 0):
+                raise InputError(f"{name} is not positive definite; give a physical matrix")
+            object.__setattr__(self, name, matrix)
+        object.__setattr__(self, "floor", require_array("floor", self.floor, shape=(axes, None)))
+        require_number("actuator_pole", self.actuator_pole, above=0.0)
+        for name in ("delay", "floor_noise", "platform_noise"):
+            require_number(name, getattr(self, name), at_least=0.0)
+
+    @property
+    def axes(self) -> int:
+        """Actuators, and platform sensors."""
+        return len(self.mass)
+
+    @property
+    def sensors(self) -> int:
+        """Floor sensors."""
+        return self.floor.shape[1]
+
+    @cached_property
+    def modes(self) -> tuple[Float64[np.ndarray, " axes"], Float64[np.ndarray, "axes axes"]]:
+        """Undamped angular frequencies, rad/s, rising, and mass-normalised shapes in the columns."""
+        squares, shapes = linalg.eigh(self.stiffness, self.mass)
+        return np.sqrt(squares), shapes
+
+    @property
+    def frequencies_hz(self) -> Float64[np.ndarray, " axes"]:
+        """Undamped frequencies, rising."""
+        return self.modes[0] / (2 * np.pi)
+
+    def paths(
+        self, frequencies_hz: ArrayLike, sample_time: float
+    ) -> tuple[
+        Complex128[np.ndarray, "frequencies axes sensors"], Complex128[np.ndarray, "frequencies axes axes"]
+    ]:
+        """P1 from the floor sensors' acceleration and P2 from a held command, both to the platform's acceleration."""
+        f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+        s = 2j * np.pi * f[:, None, None]
+        suspended = s * self.damping + self.stiffness
+        whole = np.linalg.inv(s * s * self.mass + suspended)
+        late = np.exp(-s * (self.delay + sample_time / 2)) * np.sinc(f * sample_time)[:, None, None]
+        through = self.actuator_pole / (s + self.actuator_pole) * late
+        return whole @ suspended @ self.floor, s * s * whole * through
+
+
+@dataclass(frozen=True)
+class FeedforwardLoop:
+    """The filters of the loop; what is asked of them is their sections, and their responses on an isolator."""
+
+    rate: float  # samples a second
+    gain: float  # k_v, N s/m, of the skyhook on every axis
+    cutoff_hz: float  # alpha, of the weak integrators
+    beta: float  # 1/s: the weak integrator's normalisation
+    shaping: NoiseShaping
+    estimate: Isolator  # what the path is taken for
+
+    @property
+    def sample_time(self) -> float:
+        """s."""
+        return 1 / self.rate
+
+    @cached_property
+    def path(self) -> SecondaryPath:
+        """One axis for all of N: the mean inverse mass and the mean frequency, with the skyhook."""
+        omega, _ = self.estimate.modes
+        mass = float(1 / np.mean(np.diag(np.linalg.inv(self.estimate.mass))))
+        mean = float(np.exp(np.mean(np.log(omega))))
+        own = float(np.trace(self.estimate.damping) / self.estimate.axes) + self.gain
+        return SecondaryPath(mass, max(own, 0.1 * mass * mean), mass * mean**2, self.estimate.actuator_pole)
+
+    @cached_property
+    def integrator(self) -> np.ndarray:
+        """Sections of beta H."""
+        return weak_integrator(ORDER, 2 * np.pi * self.cutoff_hz, self.beta, self.sample_time)
+
+    @cached_property
+    def noise_shaping(self) -> np.ndarray:
+        """Sections of N."""
+        return noise_shaping(self.shaping, self.path, self.sample_time)
+
+    @cached_property
+    def skyhook(self) -> np.ndarray:
+        """Sections of the skyhook loop; the command gets minus its output."""
+        return skyhook(self.gain, self.sample_time)
+
+    @cached_property
+    def error(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """N P2hat^-1 = after · sections of each mode · before: (axes, axes), (axes, sections, 6), (axes, axes)."""
+        estimate = self.estimate
+        omega, shapes = estimate.modes
+        damping = np.diag(shapes.T @ (estimate.damping + self.gain * np.eye(estimate.axes)) @ shapes)
+        sections = [
+            inverse_secondary_shaping(
+                self.shaping,
+                self.path,
+                self.sample_time,
+                SecondaryPath(1.0, float(max(d, 0.002 * w)), float(w**2), estimate.actuator_pole),
+            )
+            for d, w in zip(damping, omega, strict=True)
+        ]
+        return np.linalg.inv(shapes), np.array(sections), np.linalg.inv(shapes.T)
+
+    def responses(
+        self,
+        primary: Complex128[np.ndarray, "frequencies axes sensors"],
+        secondary: Complex128[np.ndarray, "frequencies axes axes"],
+        frequencies_hz: Float64[np.ndarray, " frequencies"],
+    ) -> Responses:
+        """Of the loop around paths that do not hold the skyhook yet."""
+        f, sensors = frequencies_hz, primary.shape[2]
+        damping, integrator, shaping = (
+            signal.freqz_sos(sections, f, fs=self.rate)[1]
+            for sections in (self.skyhook, self.integrator, self.noise_shaping)
+        )
+        sensitivity = np.linalg.inv(np.eye(secondary.shape[1]) + secondary * damping[:, None, None])
+        stack = integrator[:, None] ** np.arange(POWERS + 1)
+        before, sections, after = self.error
+        each = np.stack([signal.freqz_sos(rows, f, fs=self.rate)[1] for rows in sections], axis=1)
+        return Responses(
+            frequencies_hz=f,
+            primary=sensitivity @ primary,
+            secondary=sensitivity @ secondary,
+            sensitivity=sensitivity,
+            regressors=(stack[:, :, None, None] * np.eye(sensors)).reshape(len(f), -1, sensors),
+            shaping=shaping,
+            error=(after * each[:, None, :]) @ before,
+            conditioning=np.ones(len(f), complex),
+        )
+
+
+@dataclass(frozen=True)
+class FloorSpectra:
+    """Cross-spectral densities of the floor sensors on bands of frequency, (m/s^2)^2/Hz, one-sided."""
+
+    frequencies_hz: Float64[np.ndarray, " frequencies"]
+    widths_hz: Float64[np.ndarray, " frequencies"]
+    density: Complex128[np.ndarray, "frequencies sensors sensors"]
+    duration: float  # s, of what was measured
+    source: str
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Whether the adaptation may be switched on; `problems` says in words what speaks against it."""
+
+    phase_deg: float  # largest angle of P2hat^-1 P2 in the band; 180 beyond 90 where no bound exists
+    phase_hz: float
+    sensitivity_db: float  # largest of the skyhook loop
+    slowest: float  # smallest real part of the mean update's eigenvalues: of R^-1 A, or of A over its trace
+    red: float  # slow motion over motion in band, per memory; see `red_number`
+    problems: tuple[str, ...]
+
+
+def path_angle(error: Complex128[np.ndarray, "frequencies axes axes"]) -> Float64[np.ndarray, " frequencies"]:
+    """Largest angle of x' E x over all x, in degrees: of one axis the phase error; 180 where it passes 90."""
+    found = np.full(len(error), 180.0)
+    hermitian = (error + np.conj(error.transpose(0, 2, 1))) / 2
+    for k, part in enumerate(hermitian):
+        if np.linalg.eigvalsh(part)[0] > 0:
+            skew = (error[k] - np.conj(error[k].T)) / 2j
+            found[k] = np.degrees(np.arctan(np.abs(linalg.eigh(skew, part, eigvals_only=True)).max()))
+    return found
+
+
+def encirclements(loop: Complex128[np.ndarray, "frequencies axes axes"]) -> int:
+    """How often det(I + L) of a stable L turns about 0 from the first frequency to the last; 0: the loop is stable."""
+    turned = np.unwrap(np.angle(np.linalg.det(np.eye(loop.shape[1]) + loop)))
+    return int(np.rint((turned[-1] - turned[0]) / np.pi))
+
+
+def red_number(
+    paths: Responses, floor: FloorSpectra, sensor_noise: float, steady: Steady, low_hz: float
+) -> float:
+    """Slow motion over motion in band, times the step: what breaks an adaptation whose mean converges.
+
+    Slow motion reaches the command through the weak integrators and not the filtered error, but weights that move by
+    chance carry it into the band. Of ``dv = -(step C psi_N psi') v`` the coefficient has the size
+    sqrt(largest eigenvalue of R^-1 E[psi psi']) a time constant of the adaptation; here it is given per radian of the
+    band's lower end, for a time constant of one second.
+    """
+    seen = floor.density + sensor_noise**2 * np.eye(floor.density.shape[1])
+    psi = paths.regressors
+    whole = np.einsum("f,fis,fst,fjt->ij", floor.widths_hz, psi, seen, np.conj(psi), optimize=True).real
+    largest = linalg.eigh(whole, steady.correlation, eigvals_only=True)[-1]
+    return float(np.sqrt(largest) / (2 * np.pi * low_hz))

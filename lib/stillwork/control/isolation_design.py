@@ -1,0 +1,415 @@
+"""Design of an isolator's self-tuned feedforward: chosen, certified before it is switched on, and predicted."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy import signal
+
+from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.control.isolation import (
+    Certificate,
+    FeedforwardLoop,
+    FloorSpectra,
+    Isolator,
+    encirclements,
+    path_angle,
+    red_number,
+)
+from stillwork.control.isolation_filters import FrequencyNotch, NoiseShaping
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.mean_adaptation import Responses, Steady, mean_adaptation, scatter
+
+ALGORITHMS = ("FeRls", "FeLms")
+HIGHEST_SENSITIVITY_DB = 6.0  # of the skyhook loop
+HIGHEST_PHASE = 90.0  # degrees
+SLOWEST = 0.1  # of the mean update's eigenvalues, of FeRLS: a mode takes ten time constants at most
+RED_LIMIT = 4.0  # see `red_number`: of random isolators the weights scattered more from 10 on, and broke loose from 14 on
+SHORTEST_S = 2.0  # time constant of an adaptation that is slow beside the band's own filters
+LOWEST_HZ = 1.0  # from where the remaining motion is judged
+RATIOS = (0.0, 0.1, 0.2, 0.4, 0.7)  # relative damping that the skyhook adds, tried
+LOW_SHARE, HIGH_SHARE = 0.4, 8.0  # of the lowest and the highest mode, where the band begins and ends at most
+TRUSTED_PHASE = 50.0  # degrees of the path's error at the band's upper end
+CUTOFFS_HZ = (0.5, 1.0, 2.0, 3.0, 4.5)  # of the weak integrators, tried
+EVEN = 10.0  # regularisation of FeLMS over the power of the regressors: an even step but for bursts
+LONGEST_S = 300.0  # time constant beyond which nobody waits
+DRAWS = 24  # of isolators in the box, for the band of a prediction
+WIDE = 3.0  # standard deviations over the draws that the band takes in
+# How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
+SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
+
+Paths = Callable[[Float64[np.ndarray, " frequencies"]], tuple[np.ndarray, np.ndarray]]
+
+
+def floor_spectra(
+    acceleration: Float64[np.ndarray, "sensors samples"],
+    sample_rate: float,
+    source: str,
+    resolution_hz: float = 0.25,
+) -> FloorSpectra:
+    """Cross spectra of a record by Welch's method, on bands of half a per cent where the lines lie closer."""
+    length = round(sample_rate / resolution_hz)
+    if acceleration.shape[1] < 2 * length:
+        raise InputError(f"{source} is too short; give at least {2 / resolution_hz:g} s")
+    f, density = signal.csd(
+        acceleration[:, None], acceleration[None], sample_rate, nperseg=length, detrend="constant"
+    )
+    lines = np.conj(np.moveaxis(density, -1, 0))[1:-1]  # of a_i with conj(a_j)
+    duration = acceleration.shape[1] / sample_rate
+    return binned(f[1:-1], lines, duration, source)
+
+
+def binned(
+    f: Float64[np.ndarray, " lines"], density: np.ndarray, duration: float, source: str
+) -> FloorSpectra:
+    """Even lines from one step on, averaged over bands of half a per cent."""
+    step = f[1] - f[0]
+    edges = [0]
+    while edges[-1] < len(f):
+        edges.append(edges[-1] + max(1, round(0.005 * f[edges[-1]] / step)))
+    edges[-1] = len(f)
+    counts = np.diff(edges)
+    mean = np.add.reduceat(density, edges[:-1]) / counts[:, None, None]
+    centres = np.add.reduceat(f, edges[:-1]) / counts
+    return FloorSpectra(centres, counts * step, mean.astype(complex), duration, source)
+
+
+def choose_beta(loop: FeedforwardLoop, floor: FloorSpectra) -> float:
+    """For which beta H neither raises nor lowers the power of the shaped floor."""
+    f = floor.frequencies_hz
+    own = np.einsum("faa->f", floor.density).real * floor.widths_hz
+    shaped = own * np.abs(signal.freqz_sos(loop.noise_shaping, f, fs=loop.rate)[1]) ** 2
+    through = np.abs(signal.freqz_sos(replace(loop, beta=1.0).integrator, f, fs=loop.rate)[1]) ** 2
+    return float(np.sqrt(shaped.sum() / (shaped * through).sum()))
+
+
+@dataclass(frozen=True)
+class IsolationDesign:
+    """A loop on one isolator and floor: what its adaptation is, whether it converges, and where it ends."""
+
+    loop: FeedforwardLoop
+    paths: Responses
+    steady: Steady
+    step: float  # 1 - lambda of FeRLS, mu of FeLMS
+    scatter: Float64[
+        np.ndarray, "modes modes"
+    ]  # covariance of the weights about those of `steady`; 0 with a given step
+    settings: FeLms | FeRls
+    time_constant: float  # s, of the adaptation: of FeLMS that of its fastest direction
+    variance: float  # by which the scatter raises the power of the filtered error
+    certificate: Certificate
+    motion: float  # mean square of the remaining acceleration, all axes, (m/s^2)^2
+
+
+def try_loop(
+    loop: FeedforwardLoop,
+    isolator: Isolator,
+    paths_of: Paths,
+    floor: FloorSpectra,
+    algorithm: str,
+    variance: float,
+    step: float | None = None,
+) -> IsolationDesign:
+    """A loop with the fastest adaptation that keeps the `variance` and survives the floor's slow motion, or with `step`."""
+    f, widths = floor.frequencies_hz, floor.widths_hz
+    responses = loop.responses(*paths_of(f), f)
+    noises = isolator.floor_noise, isolator.platform_noise
+    steady = mean_adaptation(responses, widths, floor.density, *noises, 0.0)
+    power = float(np.trace(steady.correlation))
+    # Of FeLMS the fastest direction sees the largest share of the regressors' power a step.
+    share = 1.0 if algorithm == "FeRls" else float(np.linalg.eigvalsh(steady.correlation)[-1]) / power
+    red = red_number(responses, floor, noises[0], steady, loop.shaping.highpass_hz)
+    each, excess = np.zeros_like(steady.update), 0.0
+    if step is None:
+        each = scatter(responses, steady, widths, floor.density, *noises, loop.rate, algorithm)
+        excess = float(np.sum(steady.curvature * each)) / steady.error_power
+        slowest = max(excess / (variance * share * loop.rate), SHORTEST_S, red / RED_LIMIT)
+        step = 1 / (slowest * share * loop.rate)
+    time_constant = 1 / (step * share * loop.rate)
+    if algorithm == "FeRls":
+        covariance = step * np.linalg.inv(steady.correlation)
+        settings: FeLms | FeRls = FeRls((covariance + covariance.T) / 2, forgetting=1 - step)
+    else:
+        settings = FeLms(step * (1 + EVEN), EVEN * power)
+    inside = (f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz)
+    left = motion_density(responses, steady.weights, floor, noises)
+    return IsolationDesign(
+        loop=loop,
+        paths=responses,
+        steady=steady,
+        step=step,
+        scatter=step * each,
+        settings=settings,
+        time_constant=time_constant,
+        variance=step * excess,
+        certificate=certify(loop, responses, paths_of, steady, algorithm, red / time_constant),
+        motion=float((left * widths)[:, inside].sum()),
+    )
+
+
+def motion_density(
+    paths: Responses, weights, floor: FloorSpectra, noises: tuple[float, float]
+) -> Float64[np.ndarray, "axes frequencies"]:
+    """Density of the platform's true acceleration with frozen weights, (m/s^2)^2/Hz."""
+    whole = paths.transmissibility(weights)
+    heard = noises[0] * paths.feedforward(weights)
+    damped = noises[1] * (paths.sensitivity - np.eye(paths.sensitivity.shape[1]))
+    own = np.einsum("fas,fst,fat->af", whole, floor.density, np.conj(whole), optimize=True).real
+    return own + sum(np.sum(np.abs(each) ** 2, axis=2).T for each in (heard, damped))
+
+
+def certify(
+    loop: FeedforwardLoop, responses: Responses, paths_of: Paths, steady: Steady, algorithm: str, red: float
+) -> Certificate:
+    """Whether an adaptation may be switched on, from the loop's responses on the floor's frequencies and on a fine grid."""
+    f = responses.frequencies_hz
+    band = (f >= loop.shaping.highpass_hz) & (f <= loop.shaping.lowpass_hz)
+    angles = path_angle(responses.path_error[band])
+    worst = int(np.argmax(angles))
+    peak = 20 * np.log10(np.linalg.norm(responses.sensitivity, 2, axis=(1, 2)).max())
+    values = steady.rls_eigenvalues if algorithm == "FeRls" else steady.lms_eigenvalues
+    slowest = float(values.real.min())
+    fine = np.geomspace(1e-2, 0.499 * loop.rate, 6000)
+    damping = signal.freqz_sos(loop.skyhook, fine, fs=loop.rate)[1]
+    turns = encirclements(paths_of(fine)[1] * damping[:, None, None])
+    problems = []
+    if angles[worst] > HIGHEST_PHASE:
+        problems.append(
+            f"the path estimate is off by more than 90 degrees at {f[band][worst]:.3g} Hz: the adaptation would climb there; "
+            "identify the path again, or narrow the band"
+        )
+    if turns:
+        problems.append("the skyhook loop is unstable; lower its gain or the delay")
+    elif peak > HIGHEST_SENSITIVITY_DB:
+        problems.append(f"the skyhook loop peaks at {peak:.2g} dB; lower its gain or the delay")
+    if slowest <= (SLOWEST if algorithm == "FeRls" else 0.0):
+        problems.append(
+            f"the mean of the weights does not converge: its update has an eigenvalue of {slowest:.2g}"
+        )
+    if red > RED_LIMIT * (1 + 1e-9):
+        problems.append(
+            f"the floor's slow motion is {red / RED_LIMIT:.3g} times what this adaptation survives; adapt more slowly"
+        )
+    return Certificate(
+        float(angles[worst]), float(f[band][worst]), float(peak), slowest, float(red), tuple(problems)
+    )
+
+
+def perturbed(isolator: Isolator, spread: float, rng: np.random.Generator) -> Isolator:
+    """An isolator of the box: every mode's mass, stiffness and damping and the actuators' pole, each by itself."""
+    omega, shapes = isolator.modes
+    back = np.linalg.inv(shapes)
+    n = len(omega)
+    mass, stiffness, damping, pole = (
+        1 + share * spread * rng.uniform(-1, 1, size)
+        for share, size in zip(SPREADS.values(), (n, n, n, 1), strict=True)
+    )
+    damped = np.diag(shapes.T @ isolator.damping @ shapes)
+    matrices = [
+        back.T @ np.diag(each) @ back
+        for each in (mass, omega**2 * stiffness, np.maximum(damped, 0) * damping)
+    ]
+    return replace(
+        isolator,
+        **{
+            name: (each + each.T) / 2
+            for name, each in zip(("mass", "stiffness", "damping"), matrices, strict=True)
+        },
+        actuator_pole=float(isolator.actuator_pole * pole[0]),
+    )
+
+
+def choose_band(loop: FeedforwardLoop, paths_of: Paths, frequencies_hz: np.ndarray) -> tuple[float, float]:
+    """From below the lowest mode to where the path's phase may no longer be trusted, or beyond the highest."""
+    low = LOW_SHARE * float(frequencies_hz[0])
+    high = min(HIGH_SHARE * float(frequencies_hz[-1]), loop.rate / 8)
+    f = np.geomspace(low, high, 300)
+    wide = replace(loop, shaping=replace(loop.shaping, highpass_hz=low, lowpass_hz=high))
+    angles = path_angle(wide.responses(*paths_of(f), f).path_error)
+    over = np.flatnonzero((angles > TRUSTED_PHASE) & (f > 1.5 * frequencies_hz[-1]))
+    return low, float(f[over[0]] if len(over) else high)
+
+
+def design_isolation(
+    isolator: Isolator,
+    floor: FloorSpectra,
+    rate: float,
+    *,
+    estimate: Isolator | None = None,
+    correction: Callable | None = None,
+    band_hz: tuple[float, float] = (0.0, 0.0),
+    notches: tuple[FrequencyNotch, ...] = (),
+    algorithm: str = "FeRls",
+    variance: float = 0.1,
+    spread: float = 0.05,
+    seed: int = 0,
+) -> tuple[IsolationDesign, list[IsolationDesign]]:
+    """Choose skyhook gain, integrator cut-off, beta and adaptation, certified on the isolator and over its box.
+
+    Parameters
+    ----------
+    isolator : Isolator
+        What it is, as far as it is known.
+    floor : FloorSpectra
+        On which the weights are learnt.
+    rate : float
+        Samples a second.
+    estimate : Isolator, optional
+        What the filters take it for, by default the same.
+    correction : callable, optional
+        From frequencies in Hz and the modelled P2 there to the measured P2.
+    band_hz : tuple of float
+        Of the filtered error; (0, 0): chosen.
+    notches : tuple of FrequencyNotch
+        In it.
+    algorithm : str
+        ``FeRls`` or ``FeLms``.
+    variance : float
+        By how much the weights' scatter may raise the power of the filtered error.
+    spread : float
+        How far the true isolator may be from this one, see `SPREADS`.
+    seed : int
+        Of the draws from the box.
+
+    Returns
+    -------
+    IsolationDesign
+    list of IsolationDesign
+        The same loop on isolators of the box.
+
+    Raises
+    ------
+    InputError
+        When no loop that was tried may be switched on; it says why.
+    """
+    require_choice("algorithm", algorithm, ALGORITHMS)
+    require_number("variance", variance, above=0.0, at_most=1.0)
+    require_number("spread", spread, at_least=0.0, below=0.2)
+    estimate = isolator if estimate is None else estimate
+
+    def paths_of(model: Isolator) -> Paths:
+        def paths(f):
+            primary, secondary = model.paths(f, 1 / rate)
+            return primary, secondary if correction is None else correction(f, secondary)
+
+        return paths
+
+    own = paths_of(isolator)
+    mass = 1 / float(np.mean(np.diag(np.linalg.inv(estimate.mass))))
+    omega = float(np.exp(np.mean(np.log(estimate.modes[0]))))
+    first = FeedforwardLoop(
+        rate, 0.4 * mass * omega, 2.0, 1.0, NoiseShaping(1.0, rate / 8, 3, notches), estimate
+    )
+    low, high = band_hz if any(band_hz) else choose_band(first, own, estimate.frequencies_hz)
+    shaping = replace(first.shaping, highpass_hz=float(low), lowpass_hz=float(high))
+    tried = []
+    for ratio in RATIOS:
+        for cutoff in CUTOFFS_HZ:
+            if cutoff > low / 2:
+                continue
+            loop = replace(first, gain=2 * ratio * mass * omega, cutoff_hz=cutoff, shaping=shaping)
+            loop = replace(loop, beta=choose_beta(loop, floor))
+            tried.append(try_loop(loop, isolator, own, floor, algorithm, variance))
+    if not tried:
+        raise InputError(
+            f"band_hz begins at {low:.3g} Hz, below twice every cut-off tried; begin at 1 Hz or above"
+        )
+    safe = [each for each in tried if not each.certificate.problems]
+    if not safe:
+        best = min(tried, key=lambda each: len(each.certificate.problems))
+        raise InputError("not to be switched on: " + "; ".join(best.certificate.problems))
+    quick = [each for each in safe if each.time_constant <= LONGEST_S]
+    if not quick:
+        least = min(each.time_constant for each in safe)
+        raise InputError(
+            f"not to be switched on: with this floor's slow motion an adaptation survives from a time constant of {least:.3g} s on; "
+            f"more than {LONGEST_S:g} s is too slow: take a high-pass over the floor sensors, or begin the band higher"
+        )
+    rng = np.random.default_rng(seed)
+    box = [perturbed(isolator, spread, rng) for _ in range(DRAWS)]
+    reasons = ()
+    for design in sorted(quick, key=lambda each: each.motion):
+        step = design.step
+        around = []
+        for each in box:
+            around.append(try_loop(design.loop, each, paths_of(each), floor, algorithm, variance, step))
+            if reasons := around[-1].certificate.problems:
+                break
+        else:
+            return design, around
+    raise InputError(
+        f"not to be switched on: somewhere within {100 * spread:g} % of this isolator {'; '.join(reasons)}"
+    )
+
+
+@dataclass(frozen=True)
+class IsolationPrediction:
+    """What a design leaves on its floor: lowest, expected and highest over the box, the weights' scatter and the record."""
+
+    band_hz: tuple[float, float]
+    remains: Float64[np.ndarray, "3 axes"]  # rms acceleration in the band, m/s^2
+    without: Float64[np.ndarray, " axes"]  # the same without any control
+    feedback: Float64[np.ndarray, " axes"]  # and with the skyhook alone
+    # root of the sum over the floor sensors of |T|^2
+    transmissibility: Float64[np.ndarray, "3 axes frequencies"]
+    without_transmissibility: Float64[np.ndarray, "axes frequencies"]
+    density: Float64[np.ndarray, "axes frequencies"]  # of the remaining acceleration, expected, (m/s^2)^2/Hz
+
+
+def predict(
+    design: IsolationDesign,
+    around: list[IsolationDesign],
+    isolator: Isolator,
+    floor: FloorSpectra,
+    seed: int = 0,
+) -> IsolationPrediction:
+    """Motion and transmissibility of a design and of the same loop around, each with weights drawn from their scatter."""
+    f, widths = floor.frequencies_hz, floor.widths_hz
+    band = LOWEST_HZ, design.loop.shaping.lowpass_hz
+    inside = (f >= band[0]) & (f <= band[1])
+    noises = isolator.floor_noise, isolator.platform_noise
+    rng = np.random.default_rng(seed)
+
+    def rms(density):
+        return np.sqrt((density * widths)[:, inside].sum(axis=1))
+
+    def gain(whole):
+        return np.sqrt(np.sum(np.abs(whole) ** 2, axis=2)).T
+
+    values, vectors = np.linalg.eigh(design.scatter)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    sizes, gains = [], []
+    for each in around:
+        weights = each.steady.weights
+        weights = weights + (root @ rng.standard_normal(weights.size)).reshape(weights.shape)
+        sizes.append(rms(motion_density(each.paths, weights, floor, noises)))
+        gains.append(gain(each.paths.transmissibility(weights)))
+    density = motion_density(design.paths, design.steady.weights, floor, noises)
+    power = (density * widths)[:, inside]
+    lines = (density**2 * widths)[:, inside].sum(axis=1)
+    # Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines.
+    varies = WIDE / 2 * np.sqrt(lines / floor.duration) / power.sum(axis=1)
+    bare = replace(design.loop, gain=0.0).responses(*isolator.paths(f, design.loop.sample_time), f)
+    silent = np.zeros_like(design.steady.weights)
+    return IsolationPrediction(
+        band_hz=band,
+        remains=_banded(np.array(sizes), rms(density), varies),
+        without=rms(motion_density(bare, silent, floor, (0.0, 0.0))),
+        feedback=rms(motion_density(design.paths, silent, floor, noises)),
+        transmissibility=_banded(
+            np.array(gains), gain(design.paths.transmissibility(design.steady.weights)), np.zeros(1)
+        ),
+        without_transmissibility=gain(bare.transmissibility()),
+        density=density,
+    )
+
+
+def _banded(draws: np.ndarray, expected: np.ndarray, varies: np.ndarray) -> np.ndarray:
+    """Lowest, expected and highest: the draws', and as many standard deviations of their logarithms as `WIDE` says."""
+    logs = np.log(draws)
+    mean, width = logs.mean(axis=0), WIDE * logs.std(axis=0)
+    low = np.minimum(logs.min(axis=0), mean - width)
+    high = np.maximum(logs.max(axis=0), mean + width)
+    shift = varies if expected.ndim == 1 else varies[:, None]
+    return np.array([np.exp(low - shift), expected, np.exp(high + shift)])

@@ -1,0 +1,409 @@
+"""The command ``isolate``: from an isolator and its floor to a self-tuned feedforward in C, certified and predicted."""
+
+import html
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import stillwork
+from stillwork.base.checks import InputError, pluralise, require_array, require_number
+from stillwork.base.extras import require_package
+from stillwork.base.toml_files import Table, read_toml
+from stillwork.control.c_code import isolation_code, require_names
+from stillwork.control.isolation import FloorSpectra, Isolator
+from stillwork.control.isolation_design import (
+    HIGHEST_PHASE,
+    HIGHEST_SENSITIVITY_DB,
+    RED_LIMIT,
+    SLOWEST,
+    IsolationDesign,
+    IsolationPrediction,
+    binned,
+    design_isolation,
+    floor_spectra,
+    predict,
+)
+from stillwork.control.isolation_filters import FrequencyNotch
+from stillwork.design.export import require_free, write_folder
+from stillwork.design.html_page import page, picture, table
+from stillwork.estimation.adaptive import FeRls
+from stillwork.identification.machine_files import complex_responses, load_machine
+from stillwork.identification.path_fit import fit_path
+from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
+from stillwork.signals.datafiles import read_arrays, read_columns
+from stillwork.signals.densities import density_unit, read_densities, stated_density
+from stillwork.signals.records import PASS_SHARE, load_record, to_acceleration
+from workbook import figures
+
+QUIET = 1e-5  # m/s^2/sqrt(Hz): noise of a sensor of which nothing is said
+MAINS_WIDTH = 0.1  # of a notch, bandwidth over frequency
+LINE_HZ = 0.25
+LISTENED_S = 60.0  # over which the motion is judged that spectra foresee
+PAUSES = 5.0  # of the band's slowest time constant, for which the weights are kept after the limit acted
+MECHANICS = ("mass", "damping", "stiffness", "actuator_pole_hz", "delay_s", "floor")
+
+
+def isolate_file(
+    machine: str,
+    floor: str,
+    folder: str,
+    rate: float,
+    *,
+    unit: str = "",
+    limit: float = np.inf,
+    algorithm: str = "FeRls",
+    variance: float = 0.05,
+    spread: float = 0.05,
+    band_hz: tuple[float, float] = (0.0, 0.0),
+    name: str = "isolator",
+    precision: str = "double",
+) -> list[str]:
+    """Design a self-tuned feedforward for an isolator on a floor and write it, in C99, into a new folder with a page.
+
+    Parameters
+    ----------
+    machine : str
+        TOML with a table [isolator], or the measured response of its acceleration to its actuators; see `read_isolator`.
+    floor : str
+        A record of the floor sensors, or their power spectral densities; one channel stands for independent sensors
+        that are all shaken so.
+    folder : str
+        New or empty.
+    rate : float
+        Samples a second of the controller, Hz.
+    unit : str
+        Of the floor's channels; empty: as the file says.
+    limit : float
+        Of each command, N.
+    algorithm : str
+        ``FeRls`` or ``FeLms``.
+    variance : float
+        By what share the weights' scatter may raise the power of the filtered error: it sets lambda or mu.
+    spread : float
+        How far the true isolator may be from what is known; see `isolation_design.SPREADS`.
+    band_hz : tuple of float
+        Of the filtered error; (0, 0): chosen.
+    name, precision : str
+        See `isolation_code`.
+
+    Returns
+    -------
+    list of str
+        What was chosen and found, a line each.
+
+    Raises
+    ------
+    MissingPackage
+        When the page cannot be drawn, before anything is computed.
+    InputError
+        When a file cannot be used, the loop may not be switched on, or something stands in the folder.
+    """
+    require_package("matplotlib")
+    require_free(folder)
+    require_names(name, precision)
+    require_number("rate", rate, above=0.0)
+    if limit != np.inf:
+        require_number("limit", limit, above=0.0)
+    isolator, estimate, measured, notches, notes = read_isolator(machine, rate)
+    spectra, said = read_floor(floor, unit, isolator.sensors, rate)
+    correction = None
+    if measured is not None:
+
+        def correction(f, modelled):
+            return corrected(isolator, measured, rate, f, modelled)
+
+    design, around = design_isolation(
+        isolator,
+        spectra,
+        rate,
+        estimate=estimate,
+        correction=correction,
+        band_hz=band_hz,
+        notches=tuple(FrequencyNotch(each, MAINS_WIDTH) for each in notches),
+        algorithm=algorithm,
+        variance=variance,
+        spread=spread,
+    )
+    found = predict(design, around, isolator, spectra)
+    loop = design.loop
+    pause = PAUSES / (2 * np.pi * loop.shaping.highpass_hz)
+    files = isolation_code(loop, design.settings, design.steady.weights, limit, pause, name, precision)
+    facts = [
+        [
+            "isolator",
+            f"{pluralise(isolator.axes, 'actuator')}, modes at {_listed(isolator.frequencies_hz)} Hz",
+        ],
+        ["skyhook gain", f"{loop.gain:.4g} N s/m on each axis"],
+        ["weak integrators", f"third order, cut off at {loop.cutoff_hz:g} Hz, beta {loop.beta:.4g} 1/s"],
+        ["band", f"{loop.shaping.highpass_hz:.3g} to {loop.shaping.lowpass_hz:.4g} Hz"],
+        [
+            "adaptation",
+            f"{algorithm}, {_step(design, algorithm)}, time constant {design.time_constant:.3g} s",
+        ],
+        [
+            "scatter of the weights",
+            f"raises the power of the filtered error by {100 * design.variance:.2g} %",
+        ],
+        ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
+        *([["taken", each] for each in (*notes, *said)]),
+    ]
+    checks = certificate_rows(design, around)
+    remains = remains_rows(found, spectra)
+    about = {
+        "made_by": f"stillwork {stillwork.__version__} isolate",
+        "machine": Path(machine).name,
+        "floor": spectra.source,
+        "rate_hz": rate,
+        "skyhook_gain": loop.gain,
+        "cutoff_hz": loop.cutoff_hz,
+        "beta": loop.beta,
+        "band_hz": [loop.shaping.highpass_hz, loop.shaping.lowpass_hz],
+        "algorithm": algorithm,
+        "step": design.step,
+        "weights": design.steady.weights.tolist(),
+        "judged_hz": list(found.band_hz),
+        "remains": found.remains.tolist(),
+        "without": found.without.tolist(),
+    }
+    files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
+    write_folder(folder, files)  # before the page: what was computed is not lost with a picture
+    text = page(
+        "isolate.html",
+        source=html.escape(Path(machine).name),
+        floor=html.escape(spectra.source),
+        facts=table([], facts),
+        remains=table(
+            ["axis", "without control", "skyhook alone", "expected", "lowest", "highest", "class"], remains
+        ),
+        low=f"{found.band_hz[0]:g}",
+        high=f"{found.band_hz[1]:.4g}",
+        spread=f"{100 * spread:g}",
+        transmissibility=picture(paint_transmissibility(design, found), "transmissibility of every axis"),
+        certificate=table(["", "found", "worst in the box", "limit"], checks),
+        files=html.escape(", ".join(sorted(files))),
+        name=name,
+    )
+    (Path(folder) / "report.html").write_text(text, encoding="utf-8")
+    return [
+        f"{Path(machine).name} on {spectra.source}",
+        *(": ".join(row) for row in facts),
+        *(f"{row[0]}: {row[1]}, worst in the box {row[2]}, limit {row[3]}" for row in checks),
+        f"remains at {found.band_hz[0]:g} to {found.band_hz[1]:.4g} Hz (m/s^2):",
+        *(f"  axis {row[0]}: {row[4]} to {row[5]}, without control {row[1]}; {row[6]}" for row in remains),
+        f"{folder}: {', '.join(sorted([*files, 'report.html']))}",
+    ]
+
+
+def read_isolator(file: str, rate: float):
+    """Isolator, what the controller takes it for, its measured response or None, lines to leave out in Hz, and notes.
+
+    TOML with [isolator] (``mass`` in kg, ``damping`` in N s/m and ``stiffness`` in N/m along the actuators, a number or a
+    matrix; ``actuator_pole_hz``; ``delay_s`` from sample to force, by default a sample; ``floor``, the motion of each axis's
+    foot per floor sensor, by default each its own), perhaps [noise] (``floor`` and ``platform``, m/s^2/sqrt(Hz)),
+    [estimate] (the same mechanics, where the controller is to take others), ``response`` (a file, beside it, of the measured
+    response) and ``notches_hz``. Or that response alone: then the mechanics are fitted to it.
+    """
+    path = Path(file)
+    if path.suffix.lower() != ".toml":
+        f, seen, notes = read_response(path)
+        fitted = fit_path(f, seen, rate)
+        notes.append(f"fitted to {len(f)} lines, off by {100 * fitted.residual:.2g} % of the response")
+        notes.append(
+            f"each axis on a floor sensor of its own, with sensors of {QUIET:g} m/s^2/sqrt(Hz); a TOML says otherwise"
+        )
+        own = Isolator(
+            fitted.mass, fitted.damping, fitted.stiffness, np.eye(len(fitted.mass)), fitted.actuator_pole, fitted.delay,
+            QUIET, QUIET,
+        )  # fmt: skip
+        return own, own, (f, seen), (), notes
+    whole = read_toml(file)
+    noise = whole.table("noise") if "noise" in whole else {}
+    notes, measured = [], None
+    if "response" in whole:
+        f, seen, notes = read_response(path.parent / str(whole["response"]))
+        measured = f, seen
+    if "isolator" not in whole and measured:
+        fitted = fit_path(*measured, rate)
+        notes.append(
+            f"fitted to {len(measured[0])} lines, off by {100 * fitted.residual:.2g} % of the response"
+        )
+        given: dict = {name: getattr(fitted, name) for name in ("mass", "damping", "stiffness")}
+        given |= {"actuator_pole_hz": fitted.actuator_pole / (2 * np.pi), "delay_s": fitted.delay}
+        table_of = Table(given | ({"floor": whole["floor"]} if "floor" in whole else {}), whole.where)
+    else:
+        table_of = whole.table("isolator")
+    isolator = _mechanics(table_of, noise, rate)
+    estimate = isolator
+    if "estimate" in whole:
+        estimate = _mechanics(Table({**table_of, **whole.table("estimate")}, whole.where), noise, rate)
+    notches = require_array("notches_hz", whole.get("notches_hz", []), ndim=1).tolist()
+    if measured is not None and measured[1].shape[1] != isolator.axes:
+        raise InputError(
+            f"response is of {measured[1].shape[1]} axes, the isolator has {isolator.axes}; give the same"
+        )
+    return isolator, estimate, measured, tuple(notches), notes
+
+
+def _mechanics(given: Table, noise: dict, rate: float) -> Isolator:
+    for each in given:
+        if each not in MECHANICS:
+            raise InputError(f"{given.where}: unknown name {each!r}; known: {', '.join(MECHANICS)}")
+    matrices = []
+    for each in MECHANICS[:3]:
+        value = require_array(each, given[each])
+        matrices.append(value if value.ndim == 2 else np.diag(np.atleast_1d(value)))
+    axes = len(matrices[0])
+    return Isolator(
+        *matrices,
+        floor=require_array("floor", given.get("floor", np.eye(axes)), ndim=2),
+        actuator_pole=2 * np.pi * require_number("actuator_pole_hz", given["actuator_pole_hz"], above=0.0),
+        delay=require_number("delay_s", given.get("delay_s", 1 / rate)),
+        floor_noise=require_number("noise: floor", noise.get("floor", QUIET)),
+        platform_noise=require_number("noise: platform", noise.get("platform", QUIET)),
+    )
+
+
+def read_response(path: Path) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Frequencies in Hz, (lines, axes, axes) of (m/s^2)/N, and notes: one response, or a matrix of outputs by inputs."""
+    names = list(complex_responses(read_arrays(path)))
+    several = names if len(names) > 1 else [""]
+    axes = round(np.sqrt(len(several)))
+    if axes**2 != len(several):
+        raise InputError(
+            f"{path.name} holds {len(several)} responses; give one from each actuator to each sensor"
+        )
+    read = [load_machine(path, response=each) for each in several]
+    if any(each.accelerance is None or each.units[0] != "m" for each in read):
+        raise InputError(
+            f"{path.name} is no frequency response of an acceleration; give that of the platform per command"
+        )
+    omega = read[0].accelerance.omega
+    if any(len(each.accelerance.omega) != len(omega) for each in read):
+        raise InputError(f"{path.name}: some responses are zero at some lines; leave these lines out")
+    rows = np.array([each.accelerance.response for each in read]).reshape(axes, axes, -1)
+    notes = [note for note in read[0].notes if "unit" in note]
+    return omega / (2 * np.pi), np.moveaxis(rows, -1, 0).astype(complex), notes
+
+
+def corrected(isolator: Isolator, measured, rate: float, f: np.ndarray, modelled: np.ndarray) -> np.ndarray:
+    """The measured P2 where it was measured, a model beyond: the difference is interpolated, and fades at the ends."""
+    lines, seen = measured
+    off = seen - isolator.paths(lines, 1 / rate)[1]
+    flat = off.reshape(len(lines), -1)
+    moved = np.stack([np.interp(f, lines, each, left=0.0, right=0.0) for each in flat.T], axis=1)
+    return modelled + moved.reshape(modelled.shape)
+
+
+def read_floor(file: str, unit: str, sensors: int, rate: float) -> tuple[FloorSpectra, list[str]]:
+    """Cross spectra of the floor sensors below nine tenths of half the rate, and notes."""
+    path = Path(file)
+    spectral = density_unit(unit) if unit else any(map(stated_density, read_columns(path)))
+    notes = []
+    if spectral:
+        f, rows = read_densities(path, unit, [], sensors)
+        lines = np.arange(LINE_HZ, min(f[-1], 0.45 * rate), LINE_HZ)
+        rows = np.array([np.interp(lines, f, row, left=0.0) for row in rows])
+        density = rows.T[:, :, None] * np.eye(len(rows))
+        notes.append("the floor sensors as independent of one another")
+        spectra = binned(lines, density, LISTENED_S, f"spectra of {path.name}")
+    else:
+        record = to_acceleration(load_record(path, unit, most_channels=sensors))
+        spectra = floor_spectra(record.signals, record.sample_rate, record.source, LINE_HZ)
+        top = min(0.45 * rate, PASS_SHARE * record.sample_rate / 2)
+        kept = spectra.frequencies_hz < top
+        spectra = replace(
+            spectra, frequencies_hz=spectra.frequencies_hz[kept], widths_hz=spectra.widths_hz[kept],
+            density=spectra.density[kept],
+        )  # fmt: skip
+    channels = spectra.density.shape[1]
+    if channels == 1 < sensors:
+        notes.append(f"every one of the {sensors} floor sensors as shaken like this one, independently")
+        spectra = replace(spectra, density=spectra.density * np.eye(sensors))
+    elif channels != sensors:
+        raise InputError(
+            f"{path.name} holds {pluralise(channels, 'channel')}, the isolator has {pluralise(sensors, 'floor sensor')}; give as many, or one"
+        )
+    return spectra, notes
+
+
+def _step(design: IsolationDesign, algorithm: str) -> str:
+    return f"lambda = 1 - {design.step:.4g}" if algorithm == "FeRls" else f"mu = {design.step:.4g}"
+
+
+def _listed(values) -> str:
+    return ", ".join(f"{each:.4g}" for each in values)
+
+
+def certificate_rows(design: IsolationDesign, around: list[IsolationDesign]) -> list[list[str]]:
+    """Each quantity of the certificate: as designed, worst over the box, and its limit."""
+    own, box = design.certificate, [each.certificate for each in around]
+    phase = max(box, key=lambda each: each.phase_deg)
+    red = max(each.red for each in box)
+    lowest = SLOWEST if isinstance(design.settings, FeRls) else 0.0
+    return [
+        [
+            "phase of the path error (degrees)",
+            f"{own.phase_deg:.0f} at {own.phase_hz:.3g} Hz",
+            f"{phase.phase_deg:.0f} at {phase.phase_hz:.3g} Hz",
+            f"{HIGHEST_PHASE:g}",
+        ],
+        [
+            "smallest eigenvalue of the mean update",
+            f"{own.slowest:.3g}",
+            f"{min(each.slowest for each in box):.3g}",
+            f"{lowest:g}",
+        ],
+        [
+            "peak of the skyhook loop (dB)",
+            f"{own.sensitivity_db:.2f}",
+            f"{max(each.sensitivity_db for each in box):.2f}",
+            f"{HIGHEST_SENSITIVITY_DB:g}",
+        ],
+        [
+            "slow motion of the floor over that in band",
+            f"{own.red:.3g} (survives {RED_LIMIT / own.red:.3g} times as much)",
+            f"{red:.3g}",
+            f"{RED_LIMIT:g}",
+        ],
+    ]
+
+
+def remains_rows(found: IsolationPrediction, floor: FloorSpectra) -> list[list[str]]:
+    """Rms of every axis without control, with the skyhook, expected, lowest, highest, and the class of the highest."""
+    rows = []
+    f = floor.frequencies_hz
+    for k in range(len(found.without)):
+        low, expected, high = found.remains[:, k]
+        # The class of the highest: the expected spectrum as much larger.
+        name = "not judged: the floor's spectrum ends below 90 Hz"
+        if f[-1] > 90:
+            name = criterion_met(*one_third_octave_velocity(f, found.density[k] * (high / expected) ** 2))
+        values = (found.without[k], found.feedback[k], expected, low, high)
+        rows.append([str(k + 1), *(f"{each:.3g}" for each in values), name])
+    return rows
+
+
+def paint_transmissibility(design: IsolationDesign, found: IsolationPrediction):
+    """Of every axis: without control, expected, and the band over the box."""
+    axes_count = len(found.without)
+    columns = min(axes_count, 3)
+    figure, panels = figures.new(-(-axes_count // columns), columns, squeeze=False, sharex=True, sharey=True)
+    f = design.paths.frequencies_hz
+    shown = (f > 0.3) & (f < 2 * design.loop.shaping.lowpass_hz)
+
+    def decibels(values):
+        return 20 * np.log10(values[shown])
+
+    for k, axis in enumerate(panels.flat[:axes_count]):
+        low, expected, high = found.transmissibility[:, k]
+        axis.fill_between(f[shown], decibels(low), decibels(high), color=figures.SKY, alpha=0.5, label="band")
+        axis.semilogx(
+            f[shown], decibels(found.without_transmissibility[k]), color=figures.GREY, label="without"
+        )
+        axis.semilogx(f[shown], decibels(expected), color=figures.BLUE, label="expected")
+        axis.set(title=f"axis {k + 1}", xlabel="frequency (Hz)")
+    panels[0, 0].set_ylabel("transmissibility (dB)")
+    panels[0, 0].legend()
+    return figure
