@@ -29,11 +29,9 @@ int simulate(long samples, int states, int late, int adapting, const double *a, 
         for (int j = 0; j < S; j++)
             read_floor[j] = floor[k * {fine} * S + j] + noise[k * (A + S) + A + j];
         for (int i = 0; i < A; i++) {{
-            double y = 0;
+            read_platform[i] = noise[k * (A + S) + i];
             for (int j = 0; j < states; j++)
-                y += c[i * states + j] * x[j];
-            out[k * A + i] = y;
-            read_platform[i] = y + noise[k * (A + S) + i];
+                read_platform[i] += c[i * states + j] * x[j];
         }}
         flags |= {name}_step(s, read_floor, read_platform, command);
         for (int j = 0; j < A; j++) {{
@@ -41,6 +39,12 @@ int simulate(long samples, int states, int late, int adapting, const double *a, 
             in[j] = ring[(first + k) % (late + 1)][j];
         }}
         for (int step = 0; step < {fine}; step++) {{
+            for (int i = 0; i < A; i++) {{
+                double y = 0;
+                for (int j = 0; j < states; j++)
+                    y += c[i * states + j] * x[j];
+                out[(k * {fine} + step) * A + i] = y;
+            }}
             const double *now = floor + (k * {fine} + step) * S;
             const double *then = (k == samples - 1 && step == {fine} - 1) ? now : now + S;
             for (int j = 0; j < S; j++) {{
@@ -204,7 +208,7 @@ class CompiledLoop:
         self.done = 0
 
     def run(self, machine: TrueIsolator, floor, seed, adapting=True):
-        """Platform acceleration (axes, samples), weights and all flags; plant and loop go on where they were.
+        """Platform acceleration at every step of the plant, weights and all flags; plant and loop go on where they were.
 
         The floor has FINE samples for each one of the loop.
         """
@@ -214,7 +218,7 @@ class CompiledLoop:
         noise = np.random.default_rng(seed).standard_normal((samples, n + s))
         noise *= level * np.r_[np.full(n, machine.platform_noise), np.full(s, machine.floor_noise)]
         arrays = [np.ascontiguousarray(each, float) for each in (*machine.matrices(), floor.T, noise)]
-        weights, out = np.zeros((n, 3 * s)), np.zeros((samples, n))
+        weights, out = np.zeros((n, 3 * s)), np.zeros((FINE * samples, n))
 
         def pointer(each):
             return each.ctypes.data_as(ctypes.c_void_p)
@@ -229,6 +233,6 @@ class CompiledLoop:
 
 def band_rms(rows, rate, low, high):
     """Rms of each row between two frequencies, by its own periodogram."""
-    f, density = signal.periodogram(rows, rate, detrend="constant")
+    f, density = signal.periodogram(rows, rate, window="hann", detrend="constant")
     inside = (f >= low) & (f <= high)
     return np.sqrt(density[:, inside].sum(axis=1) * (f[1] - f[0]))

@@ -24,6 +24,7 @@ from stillwork.control.isolation_filters import (
 )
 from stillwork.estimation.mean_adaptation import Responses, Steady
 
+IMAGES = 20  # of a sampled response at multiples of the rate, on either side
 ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
 
 
@@ -79,16 +80,29 @@ class Isolator:
     def paths(
         self, frequencies_hz: ArrayLike, sample_time: float
     ) -> tuple[
-        Complex128[np.ndarray, "frequencies axes sensors"], Complex128[np.ndarray, "frequencies axes axes"]
+        Complex128[np.ndarray, "frequencies axes sensors"],
+        Complex128[np.ndarray, "frequencies axes axes"],
+        Complex128[np.ndarray, "frequencies axes axes"],
     ]:
-        """P1 from the floor sensors' acceleration and P2 from a held command, both to the platform's acceleration."""
+        """P1 from the floor sensors' acceleration to the platform's, P2 from a held command, and P2 as a sampler sees it.
+
+        The steps of a held command shake the platform at multiples of the rate, too, which a sampler folds back to low
+        frequencies, where the acceleration itself is small.
+        """
         f = require_array("frequencies_hz", frequencies_hz, ndim=1)
         s = 2j * np.pi * f[:, None, None]
         suspended = s * self.damping + self.stiffness
         whole = np.linalg.inv(s * s * self.mass + suspended)
-        late = np.exp(-s * (self.delay + sample_time / 2)) * np.sinc(f * sample_time)[:, None, None]
-        through = self.actuator_pole / (s + self.actuator_pole) * late
-        return whole @ suspended @ self.floor, s * s * whole * through
+        images = f + np.delete(np.arange(-IMAGES, IMAGES + 1), IMAGES)[:, None] / sample_time
+        held = s * s * whole * self._through(f, sample_time)[:, None, None]
+        folded = self._through(images, sample_time).sum(axis=0)[:, None, None] * np.linalg.inv(self.mass)
+        return whole @ suspended @ self.floor, held, held + folded
+
+    def _through(self, f: np.ndarray, sample_time: float) -> np.ndarray:
+        """From a command to the force: hold, delay and the actuator's pole."""
+        s = 2j * np.pi * f
+        late = np.exp(-s * (self.delay + sample_time / 2)) * np.sinc(f * sample_time)
+        return self.actuator_pole / (s + self.actuator_pole) * late
 
 
 @dataclass(frozen=True)
@@ -185,6 +199,8 @@ class FloorSpectra:
     density: Complex128[np.ndarray, "frequencies sensors sensors"]
     duration: float  # s, of what was measured
     source: str
+    # E[p^2] / E[p]^2 and E[p^3] / E[p]^3 of the power p of half a second: 1 of a floor that keeps its strength
+    bursts: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -219,7 +235,7 @@ def encirclements(loop: Complex128[np.ndarray, "frequencies axes axes"]) -> int:
 def red_number(
     paths: Responses, floor: FloorSpectra, sensor_noise: float, steady: Steady, low_hz: float
 ) -> float:
-    """Slow motion over motion in band, times the step: what breaks an adaptation whose mean converges.
+    """Slow motion over motion in band: what breaks an adaptation whose mean converges.
 
     Slow motion reaches the command through the weak integrators and not the filtered error, but weights that move by
     chance carry it into the band. Of ``dv = -(step C psi_N psi') v`` the coefficient has the size

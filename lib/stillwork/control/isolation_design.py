@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 from scipy import signal
 
 from stillwork.base.checks import InputError, require_choice, require_number
@@ -19,14 +19,24 @@ from stillwork.control.isolation import (
 )
 from stillwork.control.isolation_filters import FrequencyNotch, NoiseShaping
 from stillwork.estimation.adaptive import FeLms, FeRls
-from stillwork.estimation.mean_adaptation import Responses, Steady, mean_adaptation, scatter
+from stillwork.estimation.mean_adaptation import (
+    Responses,
+    Scatter,
+    Steady,
+    mean_adaptation,
+    scatter,
+    sum_kronecker,
+)
 
 ALGORITHMS = ("FeRls", "FeLms")
 HIGHEST_SENSITIVITY_DB = 6.0  # of the skyhook loop
 HIGHEST_PHASE = 90.0  # degrees
 SLOWEST = 0.1  # of the mean update's eigenvalues, of FeRLS: a mode takes ten time constants at most
 RED_LIMIT = 4.0  # see `red_number`: of random isolators the weights scattered more from 10 on, and broke loose from 14 on
-SHORTEST_S = 2.0  # time constant of an adaptation that is slow beside the band's own filters
+PERIODS = 10.0  # of the band's lower end that a time constant holds for each regressor: fewer leave R unknown
+# How much more than expected weights may move within the band: of random isolators up to 7 times, with lightly damped modes
+# and footfalls.
+JITTER = 5.0
 LOWEST_HZ = 1.0  # from where the remaining motion is judged
 RATIOS = (0.0, 0.1, 0.2, 0.4, 0.7)  # relative damping that the skyhook adds, tried
 LOW_SHARE, HIGH_SHARE = 0.4, 8.0  # of the lowest and the highest mode, where the band begins and ends at most
@@ -34,12 +44,13 @@ TRUSTED_PHASE = 50.0  # degrees of the path's error at the band's upper end
 CUTOFFS_HZ = (0.5, 1.0, 2.0, 3.0, 4.5)  # of the weak integrators, tried
 EVEN = 10.0  # regularisation of FeLMS over the power of the regressors: an even step but for bursts
 LONGEST_S = 300.0  # time constant beyond which nobody waits
+BURST_S = 0.5  # of a stretch of a record whose power counts
 DRAWS = 24  # of isolators in the box, for the band of a prediction
 WIDE = 3.0  # standard deviations over the draws that the band takes in
 # How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
 SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
 
-Paths = Callable[[Float64[np.ndarray, " frequencies"]], tuple[np.ndarray, np.ndarray]]
+Paths = Callable[[Float64[np.ndarray, " frequencies"]], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def floor_spectra(
@@ -57,11 +68,25 @@ def floor_spectra(
     )
     lines = np.conj(np.moveaxis(density, -1, 0))[1:-1]  # of a_i with conj(a_j)
     duration = acceleration.shape[1] / sample_rate
-    return binned(f[1:-1], lines, duration, source)
+    return binned(f[1:-1], lines, duration, source, _bursts(acceleration, sample_rate))
+
+
+def _bursts(acceleration, sample_rate) -> tuple[float, float]:
+    window = round(BURST_S * sample_rate)
+    pieces = acceleration[:, : acceleration.shape[1] // window * window].reshape(
+        len(acceleration), -1, window
+    )
+    power = pieces.var(axis=2).mean(axis=0)
+    mean = power.mean()
+    return float(np.mean(power**2) / mean**2), float(np.mean(power**3) / mean**3)
 
 
 def binned(
-    f: Float64[np.ndarray, " lines"], density: np.ndarray, duration: float, source: str
+    f: Float64[np.ndarray, " lines"],
+    density: np.ndarray,
+    duration: float,
+    source: str,
+    bursts: tuple[float, float] = (1.0, 1.0),
 ) -> FloorSpectra:
     """Even lines from one step on, averaged over bands of half a per cent."""
     step = f[1] - f[0]
@@ -72,7 +97,7 @@ def binned(
     counts = np.diff(edges)
     mean = np.add.reduceat(density, edges[:-1]) / counts[:, None, None]
     centres = np.add.reduceat(f, edges[:-1]) / counts
-    return FloorSpectra(centres, counts * step, mean.astype(complex), duration, source)
+    return FloorSpectra(centres, counts * step, mean.astype(complex), duration, source, bursts)
 
 
 def choose_beta(loop: FeedforwardLoop, floor: FloorSpectra) -> float:
@@ -89,17 +114,15 @@ class IsolationDesign:
     """A loop on one isolator and floor: what its adaptation is, whether it converges, and where it ends."""
 
     loop: FeedforwardLoop
-    paths: Responses
+    paths: "MovingPaths"
     steady: Steady
     step: float  # 1 - lambda of FeRLS, mu of FeLMS
-    scatter: Float64[
-        np.ndarray, "modes modes"
-    ]  # covariance of the weights about those of `steady`; 0 with a given step
+    scatter: Scatter | None  # of the weights about those of `steady`; none with a given step
     settings: FeLms | FeRls
     time_constant: float  # s, of the adaptation: of FeLMS that of its fastest direction
-    variance: float  # by which the scatter raises the power of the filtered error
+    variance: float  # share by which weights that move raise the remaining motion's power, expected
     certificate: Certificate
-    motion: float  # mean square of the remaining acceleration, all axes, (m/s^2)^2
+    motion: float  # mean square of the remaining acceleration of all axes with it, (m/s^2)^2
 
 
 def try_loop(
@@ -113,18 +136,26 @@ def try_loop(
 ) -> IsolationDesign:
     """A loop with the fastest adaptation that keeps the `variance` and survives the floor's slow motion, or with `step`."""
     f, widths = floor.frequencies_hz, floor.widths_hz
-    responses = loop.responses(*paths_of(f), f)
+    primary, held, sampled = paths_of(f)
+    responses = loop.responses(primary, sampled, f)
+    moving = MovingPaths(responses, primary, held, signal.freqz_sos(loop.skyhook, f, fs=loop.rate)[1])
     noises = isolator.floor_noise, isolator.platform_noise
     steady = mean_adaptation(responses, widths, floor.density, *noises, 0.0)
     power = float(np.trace(steady.correlation))
     # Of FeLMS the fastest direction sees the largest share of the regressors' power a step.
     share = 1.0 if algorithm == "FeRls" else float(np.linalg.eigvalsh(steady.correlation)[-1]) / power
     red = red_number(responses, floor, noises[0], steady, loop.shaping.highpass_hz)
-    each, excess = np.zeros_like(steady.update), 0.0
+    inside = (f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz)
+    left = motion_density(moving, steady.weights, floor, noises)
+    motion = float((left * widths)[:, inside].sum())
+    moves = None
     if step is None:
-        each = scatter(responses, steady, widths, floor.density, *noises, loop.rate, algorithm)
-        excess = float(np.sum(steady.curvature * each)) / steady.error_power
-        slowest = max(excess / (variance * share * loop.rate), SHORTEST_S, red / RED_LIMIT)
+        moves = scatter(responses, steady, widths, floor.density, *noises, loop.rate, algorithm)
+        slow, fast = _added_motion(responses, moves, floor, noises[0], loop.rate, inside)
+        # slow step + fast step^2 = variance motion
+        fastest = 2 * variance * motion / (slow + np.sqrt(slow**2 + 4 * fast * variance * motion))
+        known = PERIODS * len(steady.correlation) / loop.shaping.highpass_hz
+        slowest = max(1 / (fastest * share * loop.rate), known, red / RED_LIMIT)
         step = 1 / (slowest * share * loop.rate)
     time_constant = 1 / (step * share * loop.rate)
     if algorithm == "FeRls":
@@ -132,31 +163,84 @@ def try_loop(
         settings: FeLms | FeRls = FeRls((covariance + covariance.T) / 2, forgetting=1 - step)
     else:
         settings = FeLms(step * (1 + EVEN), EVEN * power)
-    inside = (f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz)
-    left = motion_density(responses, steady.weights, floor, noises)
+    added = 0.0 if moves is None else step * slow + step**2 * fast
     return IsolationDesign(
         loop=loop,
-        paths=responses,
+        paths=moving,
         steady=steady,
-        step=step,
-        scatter=step * each,
+        step=float(step),
+        scatter=moves,
         settings=settings,
-        time_constant=time_constant,
-        variance=step * excess,
+        time_constant=float(time_constant),
+        variance=float(added / motion),
         certificate=certify(loop, responses, paths_of, steady, algorithm, red / time_constant),
-        motion=float((left * widths)[:, inside].sum()),
+        motion=float(motion + added),
     )
 
 
+def _added_motion(
+    paths, moves: Scatter, floor: FloorSpectra, sensor_noise, rate, inside
+) -> tuple[float, float]:
+    """Power that moving weights add, per step and per step squared.
+
+    Per step as the weights wander from the fixed point; per step squared as they move within the band, where they carry
+    the regressors' slow power into it and resonances that the filtered error does not show are struck.
+    """
+    seen = floor.density + sensor_noise**2 * np.eye(floor.density.shape[1])
+    widths = floor.widths_hz[:, None, None]
+    psi = paths.regressors
+    plain = psi @ seen @ np.conj(psi.transpose(0, 2, 1)) * widths
+    driven = np.conj(paths.secondary.transpose(0, 2, 1)) @ paths.secondary
+    slow = np.sum(sum_kronecker(driven[inside], plain[inside]) * moves.covariance)
+    force = jitter_density(moves, plain.sum(axis=0).real, rate)
+    f = paths.frequencies_hz
+    fast = np.sum(driven.real * force * widths / f[:, None, None] ** 2, where=inside[:, None, None])
+    return float(floor.bursts[0] * slow), float(JITTER * floor.bursts[1] * fast)
+
+
+def jitter_density(moves: Scatter, power: np.ndarray, rate: float) -> Float64[np.ndarray, "axes axes"]:
+    """Density of the force by weights that move within the band, times f^2 and per step squared."""
+    n = len(power)
+    axes = len(moves.drive) // n
+    each = np.einsum("aibj,ij->ab", moves.drive.reshape(axes, n, axes, n), power)
+    return 2 * rate / (2 * np.pi) ** 2 * each
+
+
+@dataclass(frozen=True)
+class MovingPaths:
+    """What the platform truly does, beside what its sampled sensors show."""
+
+    seen: Responses
+    primary: Complex128[np.ndarray, "frequencies axes sensors"]  # without the skyhook
+    held: Complex128[
+        np.ndarray, "frequencies axes axes"
+    ]  # likewise, from a held command, between samples, too
+    skyhook: Complex128[np.ndarray, "frequencies"]
+
+    def transmissibility(self, weights: np.ndarray) -> Complex128[np.ndarray, "frequencies axes sensors"]:
+        """From the floor to the platform, with frozen weights."""
+        command = weights @ self.seen.regressors - self._damped(
+            self.seen.primary + self.seen.feedforward(weights)
+        )
+        return self.primary + self.held @ command
+
+    def noises(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """From the noise of floor and platform sensors to the platform."""
+        command = weights @ self.seen.regressors - self._damped(self.seen.feedforward(weights))
+        return self.held @ command, -self.held @ self._damped(self.seen.sensitivity)
+
+    def _damped(self, seen):
+        return self.skyhook[:, None, None] * seen
+
+
 def motion_density(
-    paths: Responses, weights, floor: FloorSpectra, noises: tuple[float, float]
+    paths: MovingPaths, weights: np.ndarray, floor: FloorSpectra, noises: tuple[float, float]
 ) -> Float64[np.ndarray, "axes frequencies"]:
     """Density of the platform's true acceleration with frozen weights, (m/s^2)^2/Hz."""
     whole = paths.transmissibility(weights)
-    heard = noises[0] * paths.feedforward(weights)
-    damped = noises[1] * (paths.sensitivity - np.eye(paths.sensitivity.shape[1]))
     own = np.einsum("fas,fst,fat->af", whole, floor.density, np.conj(whole), optimize=True).real
-    return own + sum(np.sum(np.abs(each) ** 2, axis=2).T for each in (heard, damped))
+    heard = zip(noises, paths.noises(weights), strict=True)
+    return own + sum(level**2 * np.sum(np.abs(each) ** 2, axis=2).T for level, each in heard)
 
 
 def certify(
@@ -172,7 +256,7 @@ def certify(
     slowest = float(values.real.min())
     fine = np.geomspace(1e-2, 0.499 * loop.rate, 6000)
     damping = signal.freqz_sos(loop.skyhook, fine, fs=loop.rate)[1]
-    turns = encirclements(paths_of(fine)[1] * damping[:, None, None])
+    turns = encirclements(paths_of(fine)[2] * damping[:, None, None])
     problems = []
     if angles[worst] > HIGHEST_PHASE:
         problems.append(
@@ -226,7 +310,8 @@ def choose_band(loop: FeedforwardLoop, paths_of: Paths, frequencies_hz: np.ndarr
     high = min(HIGH_SHARE * float(frequencies_hz[-1]), loop.rate / 8)
     f = np.geomspace(low, high, 300)
     wide = replace(loop, shaping=replace(loop.shaping, highpass_hz=low, lowpass_hz=high))
-    angles = path_angle(wide.responses(*paths_of(f), f).path_error)
+    primary, _, sampled = paths_of(f)
+    angles = path_angle(wide.responses(primary, sampled, f).path_error)
     over = np.flatnonzero((angles > TRUSTED_PHASE) & (f > 1.5 * frequencies_hz[-1]))
     return low, float(f[over[0]] if len(over) else high)
 
@@ -258,7 +343,7 @@ def design_isolation(
     estimate : Isolator, optional
         What the filters take it for, by default the same.
     correction : callable, optional
-        From frequencies in Hz and the modelled P2 there to the measured P2.
+        From frequencies in Hz to what the measured P2 has more than the isolator.
     band_hz : tuple of float
         Of the filtered error; (0, 0): chosen.
     notches : tuple of FrequencyNotch
@@ -266,7 +351,7 @@ def design_isolation(
     algorithm : str
         ``FeRls`` or ``FeLms``.
     variance : float
-        By how much the weights' scatter may raise the power of the filtered error.
+        By what share moving weights may raise the power of the remaining motion.
     spread : float
         How far the true isolator may be from this one, see `SPREADS`.
     seed : int
@@ -290,8 +375,9 @@ def design_isolation(
 
     def paths_of(model: Isolator) -> Paths:
         def paths(f):
-            primary, secondary = model.paths(f, 1 / rate)
-            return primary, secondary if correction is None else correction(f, secondary)
+            primary, held, sampled = model.paths(f, 1 / rate)
+            more = 0.0 if correction is None else correction(f)
+            return primary, held + more, sampled + more
 
         return paths
 
@@ -377,30 +463,43 @@ def predict(
     def gain(whole):
         return np.sqrt(np.sum(np.abs(whole) ** 2, axis=2)).T
 
-    values, vectors = np.linalg.eigh(design.scatter)
+    covariance = design.step * floor.bursts[0] * design.scatter.covariance
+    seen = floor.density + noises[0] ** 2 * np.eye(isolator.sensors)
+    psi = design.paths.seen.regressors
+    power = np.einsum("f,fis,fst,fjt->ij", widths, psi, seen, np.conj(psi), optimize=True).real
+    force = design.step**2 * floor.bursts[1] * jitter_density(design.scatter, power, design.loop.rate)
+
+    def jitter(paths):
+        return (
+            np.einsum("fab,bc,fac->af", paths.seen.secondary, force, np.conj(paths.seen.secondary)).real
+            / f**2
+        )
+
+    values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0))
     sizes, gains = [], []
     for each in around:
         weights = each.steady.weights
         weights = weights + (root @ rng.standard_normal(weights.size)).reshape(weights.shape)
-        sizes.append(rms(motion_density(each.paths, weights, floor, noises)))
+        strength = JITTER ** rng.uniform(0, 1.5)
+        sizes.append(rms(motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
         gains.append(gain(each.paths.transmissibility(weights)))
-    density = motion_density(design.paths, design.steady.weights, floor, noises)
+    density = motion_density(design.paths, design.steady.weights, floor, noises) + jitter(design.paths)
     power = (density * widths)[:, inside]
     lines = (density**2 * widths)[:, inside].sum(axis=1)
     # Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines.
     varies = WIDE / 2 * np.sqrt(lines / floor.duration) / power.sum(axis=1)
-    bare = replace(design.loop, gain=0.0).responses(*isolator.paths(f, design.loop.sample_time), f)
+    bare = replace(design.paths, skyhook=0 * design.paths.skyhook)
     silent = np.zeros_like(design.steady.weights)
     return IsolationPrediction(
         band_hz=band,
         remains=_banded(np.array(sizes), rms(density), varies),
-        without=rms(motion_density(bare, silent, floor, (0.0, 0.0))),
+        without=rms(motion_density(bare, silent, floor, noises)),
         feedback=rms(motion_density(design.paths, silent, floor, noises)),
         transmissibility=_banded(
             np.array(gains), gain(design.paths.transmissibility(design.steady.weights)), np.zeros(1)
         ),
-        without_transmissibility=gain(bare.transmissibility()),
+        without_transmissibility=gain(bare.transmissibility(silent)),
         density=density,
     )
 

@@ -54,7 +54,7 @@ def isolate_file(
     unit: str = "",
     limit: float = np.inf,
     algorithm: str = "FeRls",
-    variance: float = 0.05,
+    variance: float = 0.1,
     spread: float = 0.05,
     band_hz: tuple[float, float] = (0.0, 0.0),
     name: str = "isolator",
@@ -80,7 +80,7 @@ def isolate_file(
     algorithm : str
         ``FeRls`` or ``FeLms``.
     variance : float
-        By what share the weights' scatter may raise the power of the filtered error: it sets lambda or mu.
+        By what share moving weights may raise the power of what remains: it sets lambda or mu.
     spread : float
         How far the true isolator may be from what is known; see `isolation_design.SPREADS`.
     band_hz : tuple of float
@@ -108,12 +108,7 @@ def isolate_file(
         require_number("limit", limit, above=0.0)
     isolator, estimate, measured, notches, notes = read_isolator(machine, rate)
     spectra, said = read_floor(floor, unit, isolator.sensors, rate)
-    correction = None
-    if measured is not None:
-
-        def correction(f, modelled):
-            return corrected(isolator, measured, rate, f, modelled)
-
+    correction = None if measured is None else unmodelled(isolator, measured, rate)
     design, around = design_isolation(
         isolator,
         spectra,
@@ -287,13 +282,16 @@ def read_response(path: Path) -> tuple[np.ndarray, np.ndarray, list[str]]:
     return omega / (2 * np.pi), np.moveaxis(rows, -1, 0).astype(complex), notes
 
 
-def corrected(isolator: Isolator, measured, rate: float, f: np.ndarray, modelled: np.ndarray) -> np.ndarray:
-    """The measured P2 where it was measured, a model beyond: the difference is interpolated, and fades at the ends."""
+def unmodelled(isolator: Isolator, measured, rate: float):
+    """What a measured P2 has more than the isolator's, at frequencies in Hz: straight between lines, none beyond them."""
     lines, seen = measured
-    off = seen - isolator.paths(lines, 1 / rate)[1]
-    flat = off.reshape(len(lines), -1)
-    moved = np.stack([np.interp(f, lines, each, left=0.0, right=0.0) for each in flat.T], axis=1)
-    return modelled + moved.reshape(modelled.shape)
+    off = (seen - isolator.paths(lines, 1 / rate)[2]).reshape(len(lines), -1)
+
+    def more(f):
+        moved = np.stack([np.interp(f, lines, each, left=0.0, right=0.0) for each in off.T], axis=1)
+        return moved.reshape(-1, isolator.axes, isolator.axes)
+
+    return more
 
 
 def read_floor(file: str, unit: str, sensors: int, rate: float) -> tuple[FloorSpectra, list[str]]:
@@ -390,7 +388,7 @@ def paint_transmissibility(design: IsolationDesign, found: IsolationPrediction):
     axes_count = len(found.without)
     columns = min(axes_count, 3)
     figure, panels = figures.new(-(-axes_count // columns), columns, squeeze=False, sharex=True, sharey=True)
-    f = design.paths.frequencies_hz
+    f = design.paths.seen.frequencies_hz
     shown = (f > 0.3) & (f < 2 * design.loop.shaping.lowpass_hz)
 
     def decibels(values):

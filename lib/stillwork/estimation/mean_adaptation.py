@@ -72,8 +72,6 @@ class Steady:
     rls_eigenvalues: Complex128[np.ndarray, "modes"]
     # of A over the trace of R: a mode settles in 1 / (mu eigenvalue) samples (trace over the regressors)
     lms_eigenvalues: Complex128[np.ndarray, "modes"]
-    # of E[e'e] in the weights' deviation v: v' curvature v more than at the least squares
-    curvature: Float64[np.ndarray, "modes modes"]
 
 
 def mean_adaptation(
@@ -123,12 +121,12 @@ def mean_adaptation(
     # E[e psi_N'] = b + sum_f G W Q with G = e per u and Q = psi (psi_N)^H.
     cross = (paths.regressors @ seen) @ _hermitian(shaped)
     b = _mean(disturbance @ floor_power, shaped)
-    mean_update = _kronecker(response, cross)
+    mean_update = sum_kronecker(response, cross)
     weights = -np.linalg.solve(mean_update, b.ravel()).reshape(b.shape)
 
     # Least squares: the gradient of E[e'e] in the weights, G^H e psi^H, vanishes.
     plain = (paths.regressors @ seen) @ _hermitian(paths.regressors)
-    normal = _kronecker(_hermitian(response) @ response, plain)
+    normal = sum_kronecker(_hermitian(response) @ response, plain)
     right = _mean(_hermitian(response) @ disturbance @ floor_power, paths.regressors)
     least = -np.linalg.solve(normal, right.ravel()).reshape(b.shape)
 
@@ -149,7 +147,6 @@ def mean_adaptation(
         covariance=(1 - forgetting) * inverse,
         rls_eigenvalues=np.linalg.eigvals(np.kron(np.eye(len(b)), inverse) @ mean_update).astype(complex),
         lms_eigenvalues=(np.linalg.eigvals(mean_update) / np.trace(correlation)).astype(complex),
-        curvature=normal,
     )
 
 
@@ -174,6 +171,18 @@ def error_spectra(
     return own.astype(complex), ((driven + heard) @ _hermitian(shaped)).astype(complex)
 
 
+@dataclass(frozen=True)
+class Scatter:
+    """How weights move about the fixed point under a slow adaptation of one unit of step: 1 - lambda, or mu.
+
+    The step of FeLMS is that of the trace over the regressors.
+    """
+
+    # C O C' of v+ = v - step (B v + C xi): xi = e psi_N' about its mean, O the sum of its correlations over all lags
+    drive: Float64[np.ndarray, "modes modes"]
+    covariance: Float64[np.ndarray, "modes modes"]  # S of B S + S B' = C O C'
+
+
 def scatter(
     paths: Responses,
     steady: Steady,
@@ -184,13 +193,8 @@ def scatter(
     platform_noise: float,
     sample_rate: float,
     algorithm: str = "FeRls",
-) -> Float64[np.ndarray, "modes modes"]:
-    """Covariance of the weights about the fixed point, per step of the adaptation, for slow adaptation.
-
-    The step is 1 - lambda of FeRLS or mu of FeLMS (trace over the regressors). Of ``v+ = v - step (B v + C xi)``, with
-    ``xi = e psi_N'`` about its mean, the covariance S obeys ``B S + S B' = step C O C'``; O is the sum of xi's
-    correlations over all lags, of Gaussian signals a sum over frequency.
-    """
+) -> Scatter:
+    """Scatter of the weights of `FeRls` or `FeLms` on Gaussian signals, of which O is a sum over frequency."""
     own, mixed = error_spectra(paths, steady.weights, floor, sensor_noise, platform_noise)
     shaped = paths.shaping[:, None, None] * paths.regressors
     seen = floor + sensor_noise**2 * np.eye(floor.shape[1])
@@ -207,7 +211,7 @@ def scatter(
         trace = np.trace(steady.correlation)
         moves, total = steady.update / trace, total / trace**2
     found = linalg.solve_continuous_lyapunov(moves, total)
-    return (found + found.T) / 2
+    return Scatter(total, (found + found.T) / 2)
 
 
 def _hermitian(matrices: np.ndarray) -> np.ndarray:
@@ -219,7 +223,9 @@ def _mean(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.einsum("fis,fjs->ij", left, np.conj(right), optimize=True).real
 
 
-def _kronecker(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def sum_kronecker(
+    left: Complex128[np.ndarray, "frequencies rows rows"], right: Complex128[np.ndarray, "frequencies n n"]
+) -> Float64[np.ndarray, "modes modes"]:
     """Matrix of W -> Re sum_f left W right on the rows of W, one after another."""
     rows, columns = left.shape[1], right.shape[1]
     flat = left.reshape(len(left), -1).T @ right.reshape(len(right), -1)

@@ -73,7 +73,9 @@ def fit_path(frequencies_hz: ArrayLike, response: ArrayLike, sample_rate: float)
         return x[:-2] * scale, np.exp(x[-2]), x[-1] / sample_rate
 
     start = np.concatenate([entries / scale, [np.log(pole), delay * sample_rate]])
-    found = optimize.least_squares(lambda x: misfit(*unpack(x)), start, x_scale="jac", ftol=1e-7, xtol=1e-7)
+    found = optimize.least_squares(
+        lambda x: misfit(*unpack(x)), start, x_scale="jac", ftol=1e-7, xtol=1e-7, max_nfev=60
+    )
     entries, pole, delay = unpack(found.x)
     mass, damping, stiffness = (_symmetric(each, axes) for each in np.split(entries, 3))
     residual = float(np.sqrt(np.sum(found.fun**2) / len(kept)))

@@ -1,0 +1,147 @@
+"""Random isolators through ``isolate``: the compiled C around true ones, somewhere in the box, on five floors.
+
+python benchmarks/isolators.py [FIRST] [LAST] [RESULTS.jsonl]
+"""
+
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from scipy import signal
+
+from stillwork.base.checks import InputError
+from stillwork.design.isolate import isolate_file
+from workbook import paths
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from naive.isolators import FINE, CompiledLoop, band_rms, coloured, draw_isolator, moved
+
+AXES = (1, 2, 3, 4, 5, 6, 1, 2, 3, 6)  # of the ten
+RATE = 2000.0
+SPREAD = 0.05
+JUDGED_S = 60.0
+FLOORS = ("flat", "coloured", "ground", "slab", "drift")
+GRID = np.geomspace(0.02, 950, 4000)  # Hz
+
+
+def density(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies and acceleration density of a floor known by its spectrum."""
+    flat = 2e-6 / (1 + (3 / GRID) ** 4) / (1 + (GRID / 80) ** 4)
+    if name == "ground":
+        file = paths.data("isolation", "ligo_llo_ground/ground_velocity_density.npz")
+        with np.load(file, allow_pickle=False) as ground:
+            f, velocity = ground["frequencies_hz"], ground["velocity_density_Z"].astype(float).mean(axis=0)
+        kept = f > 0
+        return f[kept], 1e4 * velocity[kept] * (2 * np.pi * f[kept]) ** 2
+    if name == "coloured":
+        flat = 0.1 * flat + 4e-6 * ((GRID > 15) & (GRID < 25)) + 1e-6 * ((GRID > 45) & (GRID < 60))
+    if name == "drift":  # slow motion, six times as much acceleration per root Hz as in the band
+        flat = flat + 36 * 2e-6 / (1 + (GRID / 0.5) ** 6)
+    return GRID, flat
+
+
+def make_floor(name: str, folder: Path, sensors: int, rng: np.random.Generator):
+    """File for the command, its unit, and a function that gives seconds of the motion at the plant's steps."""
+    fine = FINE * RATE
+    if name == "slab":
+        file = paths.data("isolation", "slab_footfall/slab_vertical.csv")
+        seconds, record = np.loadtxt(file, delimiter=",", skiprows=1, unpack=True)
+        rows = signal.detrend(record) * signal.windows.tukey(len(record), 0.05)
+        count = round(seconds[-1] * fine)
+        row = signal.resample(rows, count)  # periodic: it may be run round and round
+        shifts = np.arange(sensors) * count // max(sensors, 1)
+        whole = np.array([np.roll(row, shift) for shift in shifts])
+        return (
+            file,
+            "",
+            lambda length: np.tile(whole, -(-round(length * fine) // count))[:, : round(length * fine)],
+        )
+    hertz, level = density(name)
+    file = folder / "floor.npz"
+    np.savez(file, **{"frequency (Hz)": hertz, "floor ((m/s^2)^2/Hz)": level})
+    return file, "", lambda length: coloured(rng, hertz, level, round(length * fine), fine, sensors)
+
+
+def try_isolator(number: int, name: str) -> dict:
+    """One of the ten on one floor: what was promised, and what the true one does under the compiled C."""
+    rng = np.random.default_rng(100 + number)
+    nominal = draw_isolator(rng, AXES[number % len(AXES)], RATE)
+    true = moved(nominal, rng, SPREAD)
+    own = {"number": number, "floor": name, "axes": len(nominal.mass), "sensors": nominal.floor.shape[1]}
+    start = time.process_time()
+    with tempfile.TemporaryDirectory() as holder:
+        folder = Path(holder)
+        (folder / "isolator.toml").write_text(nominal.toml())
+        file, unit, motion = make_floor(name, folder, true.floor.shape[1], rng)
+        try:
+            isolate_file(
+                str(folder / "isolator.toml"),
+                str(file),
+                str(folder / "out"),
+                RATE,
+                unit=unit,
+                limit=nominal.limit,
+                spread=SPREAD,
+            )
+        except InputError as error:
+            return own | {"refused": str(error)}
+        own["seconds"] = time.process_time() - start
+        about = json.loads((folder / "out" / "isolator.json").read_text())
+        loop = CompiledLoop(folder / "out", "isolator")
+        settle = 10 + 5 / (about["step"] * RATE)
+        floor = motion(settle + JUDGED_S)
+        first = round(settle * RATE)
+        loop.run(true, floor[:, : first * FINE], 1)
+        platform, _, flags = loop.run(true, floor[:, first * FINE :], 2)
+    low, _, high = np.array(about["remains"])
+    found = band_rms(platform, RATE * FINE, *about["judged_hz"])
+    inside = (found >= low) & (found <= high)
+    return own | {
+        "gain": about["skyhook_gain"],
+        "cutoff_hz": about["cutoff_hz"],
+        "band_hz": about["band_hz"],
+        "time_constant_s": 1 / (about["step"] * RATE),
+        "inside": int(inside.sum()),
+        "off": float(np.max(np.maximum(found / high, low / found))),
+        "width": float(np.max(high / low)),
+        "reduction_db": float(
+            -20 * np.log10(np.sqrt(np.mean(found**2) / np.mean(np.square(about["without"]))))
+        ),
+        "flags": flags,
+    }
+
+
+def main(first: str = "0", last: str = "10", results: str = "") -> None:
+    """Try isolators, all but those that the file `results` holds already, and print a line each."""
+    kept = Path(results) if results else None
+    lines = kept.read_text().splitlines() if kept and kept.exists() else []
+    known = {(each["number"], each["floor"]): each for each in map(json.loads, lines)}
+    for number in range(int(first), int(last)):
+        for name in FLOORS:
+            if (number, name) not in known:
+                known[number, name] = try_isolator(number, name)
+                if kept:
+                    with kept.open("a") as file:
+                        file.write(json.dumps(known[number, name]) + "\n")
+            each = known[number, name]
+            head = f"{number:3d} {each['axes']} axes, {each['sensors']} sensors, {name:8s}"
+            if "refused" in each:
+                print(f"{head} refused: {each['refused']}", flush=True)
+                continue
+            print(
+                f"{head} gain {each['gain']:8.3g}, cut-off {each['cutoff_hz']:g} Hz, {each['band_hz'][0]:.3g} to "
+                f"{each['band_hz'][1]:.3g} Hz, {each['time_constant_s']:5.1f} s: {each['inside']} of {each['axes']} inside "
+                f"(at worst {each['off']:.3f} of a limit; band {each['width']:.2f} wide), {each['reduction_db']:.1f} dB, "
+                f"flags {each['flags']}",
+                flush=True,
+            )
+    judged = [each for each in known.values() if "refused" not in each]
+    axes, inside = (sum(each[name] for each in judged) for name in ("axes", "inside"))
+    print(f"{len(known)} tried, {len(known) - len(judged)} refused; {inside} of {axes} axes inside the band")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:4])

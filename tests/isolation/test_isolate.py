@@ -1,0 +1,304 @@
+"""The feedforward of one's own isolator: fit, certificate, prediction and the C, against what shares no code with them."""
+
+import ctypes
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from naive.isolators import FINE, CompiledLoop, band_rms, coloured, draw_isolator, moved
+from shared.compiled import compiled, pointer
+from stillwork.base.checks import InputError
+from stillwork.control import isolation_design
+from stillwork.control.c_code import isolation_code
+from stillwork.control.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
+from stillwork.control.isolation_filters import NoiseShaping
+from stillwork.design.isolate import isolate_file
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.mean_adaptation import Responses, mean_adaptation, scatter
+from stillwork.identification.path_fit import fit_path
+
+RATE = 1000.0
+GRID = np.geomspace(0.02, 450, 3000)
+
+
+def isolator_of(true):
+    return Isolator(
+        true.mass, true.damping, true.stiffness, true.floor, true.pole, true.late / true.rate,
+        true.floor_noise, true.platform_noise,
+    )  # fmt: skip
+
+
+def loop_of(isolator, gain=0.0):
+    return FeedforwardLoop(RATE, gain, 1.0, 100.0, NoiseShaping(5.0, 100.0, 3), isolator)
+
+
+# ------------------------------------------------------------------------------------------------- mean and scatter
+
+
+@pytest.mark.parametrize(("a", "b"), [(0.0, 0.0), (0.9, 0.0), (0.9, 0.8), (0.5, -0.7)])
+def test_weights_scatter_as_the_closed_form_of_two_first_order_signals(a, b):
+    """psi and e independent, with correlations a^k and b^k: their product's sum over all lags, and the variance of v."""
+    f = (np.arange(20_000) + 0.5) / 20_000 * RATE / 2
+    z = np.exp(-2j * np.pi * f / RATE)
+    psi, e = 1 / (1 - a * z), 1 / (1 - b * z)
+    one, column = np.ones((len(f), 1, 1), complex), e[:, None, None]
+    paths = Responses(
+        f, 0 * one, 1 / column, one, one, np.ones(len(f), complex), column, np.ones(len(f), complex)
+    )
+    floor, quadrature = (np.abs(psi) ** 2)[:, None, None], np.full(len(f), f[1] - f[0])
+    steady = mean_adaptation(paths, quadrature, floor, 0.0, 1.0, 0.99)
+    power, error = RATE / 2 / (1 - a**2), RATE / 2 / (1 - b**2)
+    assert steady.correlation.item() == pytest.approx(power, rel=1e-3)
+    assert steady.rls_eigenvalues.real.item() == pytest.approx(1.0, rel=1e-9)
+    together = power * error * (1 + a * b) / (1 - a * b)
+    for algorithm, gain in (("FeRls", 1 / power), ("FeLms", 1 / power)):
+        found = scatter(paths, steady, quadrature, floor, 0.0, 1.0, RATE, algorithm)
+        assert found.drive.item() == pytest.approx(gain**2 * together, rel=1e-3)
+        assert found.covariance.item() == pytest.approx(gain**2 * together / 2, rel=1e-3)
+
+
+# --------------------------------------------------------------------------------------------------------- certificate
+
+
+def test_the_angle_of_a_path_error_is_the_largest_over_all_commands():
+    rng = np.random.default_rng(0)
+    errors = np.eye(3) + 0.4 * (rng.standard_normal((5, 3, 3)) + 1j * rng.standard_normal((5, 3, 3)))
+    found = path_angle(errors)
+    tried = rng.standard_normal((200_000, 3)) + 1j * rng.standard_normal((200_000, 3))
+    for error, angle in zip(errors, found, strict=True):
+        seen = np.abs(np.angle(np.einsum("ka,ab,kb->k", tried.conj(), error, tried), deg=True)).max()
+        assert seen <= angle + 1e-9 and (angle == 180 or seen > angle - 3)
+    phases = np.array([0.0, 30.0, 89.0, 91.0, -120.0])
+    one_axis = path_angle(np.exp(1j * np.radians(phases))[:, None, None])
+    assert one_axis == pytest.approx([0, 30, 89, 180, 180])
+
+
+@pytest.mark.parametrize("ratio", [0.5, 3.0, 8.0, 20.0, 60.0])
+def test_encirclements_are_the_unstable_poles_of_the_sampled_skyhook_loop(ratio):
+    true = replace(draw_isolator(np.random.default_rng(3), 2, RATE), late=1)
+    isolator = isolator_of(true)
+    gain = ratio * np.sqrt(np.trace(isolator.mass) * np.trace(isolator.stiffness)) / 2
+    loop = loop_of(isolator, float(gain))
+    f = np.geomspace(1e-2, 0.499 * RATE, 20_000)
+    damping = signal.freqz_sos(loop.skyhook, f, fs=RATE)[1]
+    turns = encirclements(isolator.paths(f, 1 / RATE)[2] * damping[:, None, None])
+    # x, the skyhook's states and the command on its way: the next of all from the present of all.
+    a, b, c = true.matrices()[0], true.matrices()[1][:, :2], true.matrices()[2]
+    for _ in range(FINE - 1):
+        b = a @ b + true.matrices()[1][:, :2]
+    a = np.linalg.matrix_power(a, FINE)
+    num, den = signal.sos2tf(loop.skyhook)
+    one, n = np.eye(2), len(a)
+    k = (num[1:] - den[1:] * num[0])[0]  # y = num[0] u + state, state+ = -den state + k u
+    whole = np.block(
+        [
+            [a, np.zeros((n, 2)), b],
+            [k * c, -den[1] * one, np.zeros((2, 2))],
+            [-num[0] * c, -one, np.zeros((2, 2))],
+        ]
+    )
+    stable = np.abs(np.linalg.eigvals(whole)).max() < 1
+    assert (turns == 0) == stable
+
+
+def test_a_path_is_found_again_from_its_response():
+    for axes, seed in ((1, 1), (2, 2)):
+        rng = np.random.default_rng(seed)
+        true = draw_isolator(rng, axes, RATE)
+        f = np.linspace(3, 200, 300)
+        seen = true.response(f)
+        noise = rng.standard_normal(seen.shape) + 1j * rng.standard_normal(seen.shape)
+        found = fit_path(f, seen * (1 + 0.003 * noise), RATE)
+        for name in ("mass", "stiffness"):
+            wanted = getattr(true, name)
+            assert np.abs(getattr(found, name) - wanted).max() < 0.02 * np.abs(wanted).max()
+        assert found.delay * RATE == pytest.approx(true.late, abs=0.05)
+        assert found.actuator_pole == pytest.approx(true.pole, rel=0.05)
+    with pytest.raises(InputError, match="isolator"):
+        fit_path(f, rng.standard_normal((len(f), 2, 2)) + 0j, RATE)
+
+
+# --------------------------------------------------------------------------------------------------------------- the C
+
+
+def written(algorithm="FeRls", precision="double", axes=2, limit=1e9):
+    true = draw_isolator(np.random.default_rng(5), axes, RATE)
+    loop = loop_of(isolator_of(true), 50.0)
+    regressors = (POWERS + 1) * true.floor.shape[1]
+    settings = FeRls(1e-2, 0.999) if algorithm == "FeRls" else FeLms(1e-3, 1e-2)
+    weights = np.random.default_rng(6).standard_normal((axes, regressors))
+    return (
+        loop,
+        weights,
+        isolation_code(loop, settings, weights, limit, 0.05, "iso", precision),
+        true.floor.shape[1],
+    )
+
+
+DRIVER = """
+#include "iso.h"
+void run(long samples, int adapting, const iso_real *floor, const iso_real *platform, iso_real *out, int *flags,
+         iso_real *stored, int restored)
+{
+    iso_state s;
+    iso_start(&s);
+    if (restored)
+        flags[0] = iso_restore(&s, stored);
+    s.adapting = adapting;
+    for (long k = 0; k < samples; k++)
+        flags[k] = (int)iso_step(&s, floor + k * ISO_SENSORS, platform + k * ISO_AXES, out + k * ISO_AXES);
+    iso_store(&s, stored);
+}
+"""
+
+
+def run(library, floor, platform, dtype=np.float64, adapting=False, stored=None):
+    arrays = [np.ascontiguousarray(each.T, dtype) for each in (floor, platform)]
+    out, flags = np.zeros_like(arrays[1]), np.zeros(max(len(out_ := arrays[1]), 1), np.int32)
+    kept = np.zeros(4000, dtype) if stored is None else stored
+    library.run(
+        ctypes.c_long(len(out_)), int(adapting), *map(pointer, arrays), pointer(out), pointer(flags),
+        pointer(kept), int(stored is not None),
+    )  # fmt: skip
+    return out.T.astype(float), flags, kept
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("algorithm", "precision"), [("FeRls", "double"), ("FeRls", "single"), ("FeLms", "double")]
+)
+def test_the_written_filters_are_those_of_the_design(tmp_path, algorithm, precision):
+    loop, weights, files, sensors = written(algorithm, precision)
+    library = compiled(files, tmp_path, DRIVER)
+    rng = np.random.default_rng(7)
+    floor, platform = rng.standard_normal((sensors, 3000)), rng.standard_normal((2, 3000))
+    dtype = np.float64 if precision == "double" else np.float32
+    found, flags, _ = run(library, floor, platform, dtype)
+    psi, rows = floor, [floor]
+    for _ in range(POWERS):
+        rows.append(psi := signal.sosfilt(loop.integrator, psi, axis=1))
+    wanted = weights @ np.vstack(rows) - signal.sosfilt(loop.skyhook, platform, axis=1)
+    tolerance = 1e-9 if precision == "double" else 1e-4
+    assert np.abs(found - wanted).max() < tolerance * np.abs(wanted).max()
+    assert np.all(flags == 4)  # frozen
+
+
+@pytest.mark.slow
+def test_a_limit_and_missing_samples_freeze_the_weights_and_stored_ones_go_on(tmp_path):
+    _, weights, files, sensors = written(limit=5.0)
+    library = compiled(files, tmp_path, DRIVER)
+    rng = np.random.default_rng(8)
+    floor, platform = 1e-3 * rng.standard_normal((sensors, 3000)), 1e-3 * rng.standard_normal((2, 3000))
+    _, flags, stored = run(library, floor, platform, adapting=True)
+    assert np.flatnonzero(flags == 0)[0] == 50 and np.all(flags[50:] == 0)
+    assert not np.array_equal(stored[:2], weights[:, 0])  # it has learnt
+    loud = floor.copy()
+    loud[0, 1000] = 1e6
+    found, flags, _ = run(library, loud, platform, adapting=True)
+    assert np.abs(found).max() == 5.0 and flags[1000] == 1 | 4 and flags[1010] & 4
+    lost = floor.copy()
+    lost[0, 1000:1005] = np.nan
+    lost[0, 2000:2100] = np.inf
+    found, flags, _ = run(library, lost, platform, adapting=True)
+    assert np.all(np.isfinite(found)) and np.all(flags[1000:1005] == 2 | 4)
+    assert np.all(flags[2011:2100] == 2 | 4 | 8) and np.all(found[:, 2011:2100] == 0)
+    again = stored.copy()
+    run(library, floor[:, :0], platform[:, :0], stored=again)
+    assert np.array_equal(again, stored)
+    bad = stored.copy()
+    bad[3] = np.nan
+    run(library, floor[:, :0], platform[:, :0], stored=bad)
+    assert bad[:2] == pytest.approx(weights[:, 0])  # those of the design
+
+
+# ----------------------------------------------------------------------------------------------------------- the whole
+
+
+def write_floor(folder, density):
+    np.savez(folder / "floor.npz", **{"frequency (Hz)": GRID, "floor ((m/s^2)^2/Hz)": density})
+    return str(folder / "floor.npz")
+
+
+def flat(drift=0.0):
+    return 2e-6 / (1 + (3 / GRID) ** 4) / (1 + (GRID / 80) ** 4) + drift**2 * 2e-6 / (1 + (GRID / 0.5) ** 6)
+
+
+def judge(folder, true, density, seed=1):
+    """Lowest and highest that were promised, and what the true isolator does with the compiled C."""
+    about = json.loads((folder / "isolator.json").read_text())
+    settle = 10 + 5 / (about["step"] * RATE)
+    samples, first = round((settle + 60) * RATE), round(settle * RATE)
+    floor = coloured(
+        np.random.default_rng(seed), GRID, density, samples * FINE, RATE * FINE, true.floor.shape[1]
+    )
+    loop = CompiledLoop(folder, "isolator")
+    loop.run(true, floor[:, : first * FINE], 1)
+    platform, _, _ = loop.run(true, floor[:, first * FINE :], 2)
+    low, _, high = np.array(about["remains"])
+    return low, high, band_rms(platform, RATE * FINE, *about["judged_hz"]), np.array(about["without"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("axes", "seed", "drift", "more"), [
+    (1, 0, 0.0, {}), (1, 1, 4.0, {}), (2, 2, 0.0, {}), (1, 3, 0.0, {"algorithm": "FeLms"}),
+])  # fmt: skip
+def test_the_c_keeps_the_band_on_a_true_isolator_of_the_box(tmp_path, axes, seed, drift, more):
+    rng = np.random.default_rng(seed)
+    nominal = draw_isolator(rng, axes, RATE)
+    true = moved(nominal, rng, 0.05)
+    (tmp_path / "m.toml").write_text(nominal.toml())
+    floor = write_floor(tmp_path, flat(drift))
+    isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE, limit=nominal.limit, **more)
+    low, high, found, without = judge(tmp_path / "out", true, flat(drift))
+    assert np.all(low <= found) and np.all(found <= high) and np.all(found < 0.2 * without)
+    assert "Before it is switched on" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_measured_response_gives_the_isolator_and_is_what_the_path_is_judged_on(tmp_path):
+    true = draw_isolator(np.random.default_rng(4), 1, RATE)
+    f = np.linspace(2, 300, 600)
+    np.savez(tmp_path / "h.npz", **{"frequency (Hz)": f, "h (m/s^2/N)": true.response(f)[:, 0, 0]})
+    floor = write_floor(tmp_path, flat())
+    lines = isolate_file(str(tmp_path / "h.npz"), floor, str(tmp_path / "out"), RATE)
+    assert any("fitted to 600 lines" in each for each in lines)
+    wrong = "[estimate]\nstiffness = " + repr((9 * true.stiffness).tolist())
+    (tmp_path / "m.toml").write_text('response = "h.npz"\n' + true.toml(wrong))
+    with pytest.raises(InputError, match="90 degrees"):
+        isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "wrong"), RATE)
+    assert not (tmp_path / "wrong").exists()
+
+
+@pytest.mark.slow
+def test_slow_motion_that_is_refused_would_have_broken_the_loop(tmp_path, monkeypatch):
+    """A drift a thousand times what is in the band: refused; let pass, the weights run away."""
+    true = draw_isolator(np.random.default_rng(0), 1, RATE)
+    (tmp_path / "m.toml").write_text(true.toml())
+    floor = write_floor(tmp_path, flat(300.0))
+    with pytest.raises(InputError, match="slow motion"):
+        isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE)
+    monkeypatch.setattr(isolation_design, "RED_LIMIT", 1e9)
+    isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE, variance=1.0, limit=true.limit)
+    _, high, found, _ = judge(tmp_path / "out", true, flat(300.0))
+    assert np.any(found > 3 * high)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("mass = [[", "mess = [["), "mass"),
+        (("delay_s", "dely_s"), "dely_s"),
+        (("actuator_pole_hz = ", "actuator_pole_hz = -"), "actuator_pole_hz"),
+        (("", ""), "holds 3 spectra"),
+    ],
+)
+def test_a_file_that_cannot_be_used_says_why(tmp_path, change, message):
+    text = draw_isolator(np.random.default_rng(0), 2, RATE).toml()
+    (tmp_path / "m.toml").write_text(text.replace(*change))
+    two = {f"floor {k} ((m/s^2)^2/Hz)": flat() for k in (1, 2, 3)}
+    np.savez(tmp_path / "f.npz", **{"frequency (Hz)": GRID, **two})
+    with pytest.raises(InputError, match=message):
+        isolate_file(str(tmp_path / "m.toml"), str(tmp_path / "f.npz"), str(tmp_path / "out"), RATE)
