@@ -23,7 +23,7 @@ AXES = (1, 2, 3, 4, 5, 6, 1, 2, 3, 6)  # of the ten
 RATE = 2000.0
 SPREAD = 0.05
 JUDGED_S = 60.0
-FLOORS = ("flat", "coloured", "ground", "slab", "drift")
+FLOORS = ("flat", "slab", "drift", "ground", "coloured")
 GRID = np.geomspace(0.02, 950, 4000)  # Hz
 
 
@@ -119,8 +119,8 @@ def main(first: str = "0", last: str = "10", results: str = "") -> None:
     kept = Path(results) if results else None
     lines = kept.read_text().splitlines() if kept and kept.exists() else []
     known = {(each["number"], each["floor"]): each for each in map(json.loads, lines)}
-    for number in range(int(first), int(last)):
-        for name in FLOORS:
+    for name in FLOORS:
+        for number in range(int(first), int(last)):
             if (number, name) not in known:
                 known[number, name] = try_isolator(number, name)
                 if kept:

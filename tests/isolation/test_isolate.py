@@ -2,6 +2,8 @@
 
 import ctypes
 import json
+import os
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,11 +16,13 @@ from stillwork.base.checks import InputError
 from stillwork.control import isolation_design
 from stillwork.control.c_code import isolation_code
 from stillwork.control.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
+from stillwork.control.isolation_design import CUTOFFS_HZ, DRAWS, LONGEST_S, RATIOS
 from stillwork.control.isolation_filters import NoiseShaping
 from stillwork.design.isolate import isolate_file
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Responses, mean_adaptation, scatter
 from stillwork.identification.path_fit import fit_path
+from workbook import paths
 
 RATE = 1000.0
 GRID = np.geomspace(0.02, 450, 3000)
@@ -45,17 +49,17 @@ def test_weights_scatter_as_the_closed_form_of_two_first_order_signals(a, b):
     z = np.exp(-2j * np.pi * f / RATE)
     psi, e = 1 / (1 - a * z), 1 / (1 - b * z)
     one, column = np.ones((len(f), 1, 1), complex), e[:, None, None]
-    paths = Responses(
+    responses = Responses(
         f, 0 * one, 1 / column, one, one, np.ones(len(f), complex), column, np.ones(len(f), complex)
     )
     floor, quadrature = (np.abs(psi) ** 2)[:, None, None], np.full(len(f), f[1] - f[0])
-    steady = mean_adaptation(paths, quadrature, floor, 0.0, 1.0, 0.99)
+    steady = mean_adaptation(responses, quadrature, floor, 0.0, 1.0, 0.99)
     power, error = RATE / 2 / (1 - a**2), RATE / 2 / (1 - b**2)
     assert steady.correlation.item() == pytest.approx(power, rel=1e-3)
     assert steady.rls_eigenvalues.real.item() == pytest.approx(1.0, rel=1e-9)
     together = power * error * (1 + a * b) / (1 - a * b)
     for algorithm, gain in (("FeRls", 1 / power), ("FeLms", 1 / power)):
-        found = scatter(paths, steady, quadrature, floor, 0.0, 1.0, RATE, algorithm)
+        found = scatter(responses, steady, quadrature, floor, 0.0, 1.0, RATE, algorithm)
         assert found.drive.item() == pytest.approx(gain**2 * together, rel=1e-3)
         assert found.covariance.item() == pytest.approx(gain**2 * together / 2, rel=1e-3)
 
@@ -274,15 +278,16 @@ def test_a_measured_response_gives_the_isolator_and_is_what_the_path_is_judged_o
 
 @pytest.mark.slow
 def test_slow_motion_that_is_refused_would_have_broken_the_loop(tmp_path, monkeypatch):
-    """A drift a thousand times what is in the band: refused; let pass, the weights run away."""
+    """Let pass, with the time constant that the band alone asks for, the weights run away."""
     true = draw_isolator(np.random.default_rng(0), 1, RATE)
     (tmp_path / "m.toml").write_text(true.toml())
-    floor = write_floor(tmp_path, flat(300.0))
+    floor = write_floor(tmp_path, flat(3e4))
     with pytest.raises(InputError, match="slow motion"):
         isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE)
     monkeypatch.setattr(isolation_design, "RED_LIMIT", 1e9)
+    monkeypatch.setattr(isolation_design, "JITTER", 0.0)
     isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE, variance=1.0, limit=true.limit)
-    _, high, found, _ = judge(tmp_path / "out", true, flat(300.0))
+    _, high, found, _ = judge(tmp_path / "out", true, flat(3e4))
     assert np.any(found > 3 * high)
 
 
@@ -302,3 +307,16 @@ def test_a_file_that_cannot_be_used_says_why(tmp_path, change, message):
     np.savez(tmp_path / "f.npz", **{"frequency (Hz)": GRID, **two})
     with pytest.raises(InputError, match=message):
         isolate_file(str(tmp_path / "m.toml"), str(tmp_path / "f.npz"), str(tmp_path / "out"), RATE)
+
+
+@pytest.mark.slow
+def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
+    guide = (paths.root() / "docs" / "isolate.md").read_text(encoding="utf-8")
+    text = re.search(r"```toml\n(.+?)```", guide, re.DOTALL)[1]
+    (tmp_path / "m.toml").write_text("\n".join(text.splitlines()[1:]))  # without the response
+    lines = isolate_file(str(tmp_path / "m.toml"), write_floor(tmp_path, flat()), str(tmp_path / "out"), RATE)
+    assert set(os.listdir(tmp_path / "out")) == {
+        "isolator.c", "isolator.h", "isolator_adapt.c", "isolator_adapt.h", "isolator.json", "report.html",
+    }  # fmt: skip
+    assert f"of {len(RATIOS) * len(CUTOFFS_HZ)} tried" in guide and f"for {DRAWS} others" in guide
+    assert f"up to {LONGEST_S:g} s" in guide and any("modes at 20.13 Hz" in each for each in lines)

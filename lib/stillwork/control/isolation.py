@@ -218,11 +218,13 @@ class Certificate:
 def path_angle(error: Complex128[np.ndarray, "frequencies axes axes"]) -> Float64[np.ndarray, " frequencies"]:
     """Largest angle of x' E x over all x, in degrees: of one axis the phase error; 180 where it passes 90."""
     found = np.full(len(error), 180.0)
-    hermitian = (error + np.conj(error.transpose(0, 2, 1))) / 2
-    for k, part in enumerate(hermitian):
-        if np.linalg.eigvalsh(part)[0] > 0:
-            skew = (error[k] - np.conj(error[k].T)) / 2j
-            found[k] = np.degrees(np.arctan(np.abs(linalg.eigh(skew, part, eigvals_only=True)).max()))
+    turned = np.conj(error.transpose(0, 2, 1))
+    hermitian, skew = (error + turned) / 2, (error - turned) / 2j
+    safe = np.linalg.eigvalsh(hermitian)[:, 0] > 0
+    # x' E x = x' H x (1 + i tan) with the generalised eigenvalues of the skew part over the Hermitian one.
+    root = np.linalg.inv(np.linalg.cholesky(hermitian[safe]))
+    tangents = np.linalg.eigvalsh(root @ skew[safe] @ np.conj(root.transpose(0, 2, 1)))
+    found[safe] = np.degrees(np.arctan(np.abs(tangents).max(axis=1)))
     return found
 
 

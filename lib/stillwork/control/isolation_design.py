@@ -34,8 +34,8 @@ HIGHEST_PHASE = 90.0  # degrees
 SLOWEST = 0.1  # of the mean update's eigenvalues, of FeRLS: a mode takes ten time constants at most
 RED_LIMIT = 4.0  # see `red_number`: of random isolators the weights scattered more from 10 on, and broke loose from 14 on
 PERIODS = 10.0  # of the band's lower end that a time constant holds for each regressor: fewer leave R unknown
-# How much more than expected weights may move within the band: of random isolators up to 7 times, with lightly damped modes
-# and footfalls.
+# How much more than expected weights may move within the band: seen up to 7 times, with a lightly damped mode under
+# footfalls.
 JITTER = 5.0
 LOWEST_HZ = 1.0  # from where the remaining motion is judged
 RATIOS = (0.0, 0.1, 0.2, 0.4, 0.7)  # relative damping that the skyhook adds, tried
@@ -59,7 +59,7 @@ def floor_spectra(
     source: str,
     resolution_hz: float = 0.25,
 ) -> FloorSpectra:
-    """Cross spectra of a record by Welch's method, on bands of half a per cent where the lines lie closer."""
+    """Cross spectra of a record by Welch's method, on bands of one per cent where the lines lie closer."""
     length = round(sample_rate / resolution_hz)
     if acceleration.shape[1] < 2 * length:
         raise InputError(f"{source} is too short; give at least {2 / resolution_hz:g} s")
@@ -88,11 +88,11 @@ def binned(
     source: str,
     bursts: tuple[float, float] = (1.0, 1.0),
 ) -> FloorSpectra:
-    """Even lines from one step on, averaged over bands of half a per cent."""
+    """Even lines from one step on, averaged over bands of one per cent."""
     step = f[1] - f[0]
     edges = [0]
     while edges[-1] < len(f):
-        edges.append(edges[-1] + max(1, round(0.005 * f[edges[-1]] / step)))
+        edges.append(edges[-1] + max(1, round(0.01 * f[edges[-1]] / step)))
     edges[-1] = len(f)
     counts = np.diff(edges)
     mean = np.add.reduceat(density, edges[:-1]) / counts[:, None, None]
@@ -254,7 +254,7 @@ def certify(
     peak = 20 * np.log10(np.linalg.norm(responses.sensitivity, 2, axis=(1, 2)).max())
     values = steady.rls_eigenvalues if algorithm == "FeRls" else steady.lms_eigenvalues
     slowest = float(values.real.min())
-    fine = np.geomspace(1e-2, 0.499 * loop.rate, 6000)
+    fine = np.geomspace(1e-2, 0.499 * loop.rate, 3000)
     damping = signal.freqz_sos(loop.skyhook, fine, fs=loop.rate)[1]
     turns = encirclements(paths_of(fine)[2] * damping[:, None, None])
     problems = []
