@@ -480,6 +480,8 @@ def predict(
     sizes, gains = [], []
     for each in around:
         weights = each.steady.weights
+        if isinstance(design.settings, FeLms):  # its slow directions stay long where they started
+            weights = weights + rng.uniform() * (design.steady.weights - weights)
         weights = weights + (root @ rng.standard_normal(weights.size)).reshape(weights.shape)
         strength = JITTER ** rng.uniform(0, 1.5)
         sizes.append(rms(motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
