@@ -7,13 +7,19 @@ import json
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy import signal
 
 from stillwork.base.checks import InputError
+from stillwork.control.c_code import isolation_code
+from stillwork.control.isolation import FeedforwardLoop, Isolator
+from stillwork.control.isolation_design import binned, choose_beta, try_loop
+from stillwork.control.isolation_filters import NoiseShaping
 from stillwork.design.isolate import isolate_file
+from stillwork.estimation.mean_adaptation import scatter
 from workbook import paths
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
@@ -114,6 +120,46 @@ def try_isolator(number: int, name: str) -> dict:
     }
 
 
+def slow_motion(number: int) -> list[str]:
+    """Scatter of the weights over that expected, in units of the filtered regressors, as slow motion grows."""
+    rng = np.random.default_rng(number)
+    true = draw_isolator(rng, int(rng.integers(1, 4)), RATE)
+    own = Isolator(
+        true.mass, true.damping, true.stiffness, true.floor, true.pole, true.late / RATE, 0.0, 1e-5
+    )
+    true = replace(true, floor_noise=0.0, platform_noise=1e-5)
+    omega = float(own.modes[0].mean())
+    loop = FeedforwardLoop(RATE, 0.4 * float(np.trace(own.mass)) / own.axes * omega, float(rng.choice([0.5, 1.0, 2.0])), 1.0,
+        NoiseShaping(0.4 * float(own.frequencies_hz[0]), 90.0, 3), own)  # fmt: skip
+    time_constant, edge = float(rng.choice([4.0, 8.0])), float(rng.choice([0.3, 1.0]))
+    found = []
+    for drift in (0.0, 0.2, 0.5, 1.0, 2.0, 4.0):
+        level = density("flat")[1] + drift**2 * 2e-6 / (1 + (GRID / edge) ** 6)
+        lines = np.arange(0.25, 900, 0.25)
+        rows = np.interp(lines, GRID, level)[:, None, None] * np.eye(own.sensors)
+        floor = binned(lines, rows, 60.0, "drift")
+        loop = replace(loop, beta=choose_beta(loop, floor))
+        step = 1 / (time_constant * RATE)
+        design = try_loop(loop, own, lambda f: own.paths(f, 1 / RATE), floor, "FeRls", 1.0, step)
+        moves = scatter(design.paths.seen, design.steady, floor.widths_hz, floor.density, 0.0, 1e-5, RATE)
+        expected = step * np.sum(np.kron(np.eye(own.axes), design.steady.correlation) * moves.covariance)
+        with tempfile.TemporaryDirectory() as holder:
+            folder = Path(holder)
+            for name, text in isolation_code(
+                loop, design.settings, design.steady.weights, 1e12, 0.1, "iso"
+            ).items():
+                (folder / name).write_text(text)
+            whole, kept = CompiledLoop(folder, "iso"), []
+            part = round(time_constant * RATE / 2) * FINE
+            motion = coloured(rng, GRID, level, 24 * part, FINE * RATE, own.sensors)
+            for k in range(24):
+                kept.append(whole.run(true, motion[:, k * part : (k + 1) * part], k)[1])
+        off = np.array(kept[6:]) - np.mean(kept[6:], axis=0)
+        size = np.mean(np.einsum("kai,ij,kaj->k", off, design.steady.correlation, off))
+        found.append(f"{design.certificate.red:.2g}: {size / expected:.2g}")
+    return found
+
+
 def main(first: str = "0", last: str = "10", results: str = "") -> None:
     """Try isolators, all but those that the file `results` holds already, and print a line each."""
     kept = Path(results) if results else None
@@ -144,4 +190,8 @@ def main(first: str = "0", last: str = "10", results: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:4])
+    if sys.argv[1:2] == ["slow"]:
+        for each in range(*map(int, sys.argv[2:4] or (0, 10))):
+            print(each, *slow_motion(each), sep="  ", flush=True)
+    else:
+        main(*sys.argv[1:4])

@@ -32,7 +32,7 @@ ALGORITHMS = ("FeRls", "FeLms")
 HIGHEST_SENSITIVITY_DB = 6.0  # of the skyhook loop
 HIGHEST_PHASE = 90.0  # degrees
 SLOWEST = 0.1  # of the mean update's eigenvalues, of FeRLS: a mode takes ten time constants at most
-RED_LIMIT = 4.0  # see `red_number`: of random isolators the weights scattered more from 10 on, and broke loose from 14 on
+RED_LIMIT = 4.0  # see `red_number`: of ten random isolators the weights scattered more from 7 on, and ran away from 14 on
 PERIODS = 10.0  # of the band's lower end that a time constant holds for each regressor: fewer leave R unknown
 # How much more than expected weights may move within the band: seen up to 7 times, with a lightly damped mode under
 # footfalls.
@@ -453,12 +453,14 @@ def predict(
     """Motion and transmissibility of a design and of the same loop around, each with weights drawn from their scatter."""
     f, widths = floor.frequencies_hz, floor.widths_hz
     band = LOWEST_HZ, design.loop.shaping.lowpass_hz
-    inside = (f >= band[0]) & (f <= band[1])
+    # A band of frequency that an end of the judged one cuts counts in part.
+    cut = np.minimum(f + widths / 2, band[1]) - np.maximum(f - widths / 2, band[0])
+    counted = np.clip(cut, 0.0, widths)
     noises = isolator.floor_noise, isolator.platform_noise
     rng = np.random.default_rng(seed)
 
     def rms(density):
-        return np.sqrt((density * widths)[:, inside].sum(axis=1))
+        return np.sqrt(density @ counted)
 
     def gain(whole):
         return np.sqrt(np.sum(np.abs(whole) ** 2, axis=2)).T
@@ -487,10 +489,9 @@ def predict(
         sizes.append(rms(motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
         gains.append(gain(each.paths.transmissibility(weights)))
     density = motion_density(design.paths, design.steady.weights, floor, noises) + jitter(design.paths)
-    power = (density * widths)[:, inside]
-    lines = (density**2 * widths)[:, inside].sum(axis=1)
-    # Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines.
-    varies = WIDE / 2 * np.sqrt(lines / floor.duration) / power.sum(axis=1)
+    # Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines; bursts
+    # make the time shorter.
+    varies = WIDE / 2 * np.sqrt(density**2 @ counted * floor.bursts[0] / floor.duration) / (density @ counted)
     bare = replace(design.paths, skyhook=0 * design.paths.skyhook)
     silent = np.zeros_like(design.steady.weights)
     return IsolationPrediction(
