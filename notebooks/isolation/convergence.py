@@ -17,6 +17,7 @@ from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin, load_twin
 from stillwork.base.rounding import in_order
 from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.mean_adaptation import Steady
 from workbook import figures
 from workbook.claims import load_entries
 from workbook.studies import Study, mean_interval, proportion_interval, run_study, spread_interval
