@@ -7,13 +7,18 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import signal
 
-from experiments.worstcase.total import total_least_squares
 from stillwork.base.checks import InputError, require_array, require_choice
-from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.linear_fits import (
+    cross_validated_penalty,
+    evidence_penalty,
+    hinfinity_estimate,
+    huber_estimate,
+    instrumental_variables,
+    total_least_squares,
+)
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
-from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.identification.regressors import exponential_weights, fir_regressors
 from workbook import figures
 from workbook.studies import mean_interval, proportion_interval, run_study
@@ -45,11 +50,7 @@ CORNER, TONE = (
 )  # of the sample rate; the tone lies where that of the measured record of notebook 06 does
 # of one size; what a short past foretells, so that instruments have a chance
 TONES = (1 / 16, 3 / 16, 6 / 16)
-HINFINITY_MARGIN = 1.1  # level of the H-infinity filter over the smallest that there is
 MARGIN = 1.05  # error over that of the best up to which a method counts as equal; stated before the map was computed
-HUBER = (
-    1.345  # deviations, beyond which an error counts less: 95 % as good as least squares in Gaussian noise
-)
 
 
 @dataclass(frozen=True)
@@ -242,81 +243,6 @@ def estimates(record: FlawedRecord, forgetting: float) -> dict[str, np.ndarray]:
         "min_max": solve_silently(matrix, target, bound).estimate,
         "approximate": recursion.estimates[:, -1],
     }
-
-
-def _spectrum(matrix, target) -> tuple[np.ndarray, np.ndarray, float]:
-    """Squared singular values, squared coordinates of the target along them, and what of its square lies outside."""
-    left, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
-    along = (left.T @ target) ** 2
-    return sizes**2, along, max(float(target @ target - along.sum()), 0.0)
-
-
-def cross_validated_penalty(matrix: np.ndarray, target: np.ndarray, samples: float) -> float:
-    """Penalty with the smallest generalised cross-validation |A x - b|^2 / (samples - trace)^2.
-
-    Golub, Heath and Wahba (1979); `samples` counts the rows of weighted data, all of them or the memory.
-    """
-    squares, along, outside = _spectrum(matrix, target)
-    penalties = squares[0] * np.geomspace(1e-10, 1e6, 321)
-    kept = squares / (squares + penalties[:, None])
-    scores = (((1 - kept) ** 2) @ along + outside) / (samples - kept.sum(axis=1)) ** 2
-    return float(penalties[scores.argmin()])
-
-
-def evidence_penalty(matrix: np.ndarray, target: np.ndarray, samples: float) -> float:
-    """Penalty with the largest evidence for parameters and noise of unknown variances (MacKay, 1992), on a grid."""
-    squares, along, outside = _spectrum(matrix, target)
-    penalties = squares[0] * np.geomspace(1e-10, 1e6, 321)
-    shrunk = penalties[:, None] / (squares + penalties[:, None])
-    misfit = shrunk @ along + outside  # |A x - b|^2 + penalty |x|^2
-    score = samples * np.log(misfit) - np.log(shrunk).sum(axis=1)
-    return float(penalties[score.argmin()])
-
-
-def huber_estimate(matrix: np.ndarray, target: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Huber's estimate by reweighting, its scale the weighted median of |residuals| over 0.6745; `weights` of squares."""
-    counted = weights
-    for _ in range(20):
-        scaled = counted[:, None] * matrix
-        found = np.linalg.solve(scaled.T @ matrix, scaled.T @ target)
-        sizes = np.abs(target - matrix @ found)
-        order = np.argsort(sizes)
-        middle = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
-        limit = HUBER * sizes[order[middle]] / 0.6745
-        counted = weights * np.minimum(1.0, limit / np.maximum(sizes, 1e-300))
-    return found
-
-
-def instrumental_variables(matrix: np.ndarray, target: np.ndarray, instruments: np.ndarray) -> np.ndarray:
-    """Two-stage least squares: rows are replaced by what the instruments say of them (Söderström and Stoica, 1983)."""
-    explained = instruments @ np.linalg.lstsq(instruments, matrix, rcond=None)[0]
-    return np.linalg.solve(explained.T @ matrix, explained.T @ target)
-
-
-def hinfinity_model(matrix: np.ndarray, variance: float, size: float, forgetting: float) -> TimeVaryingModel:
-    """Constant parameters of squared norm `size` as a state that is seen through the rows; sample 0 is the start.
-
-    Forgetting is the growth of the state times forgetting^(-t/2) (Sayed and Kailath, 1994).
-    """
-    taps = matrix.shape[1]
-    identity, none, one = np.eye(taps), np.zeros((taps, 1)), np.ones((1, 1))
-    seen = np.concatenate([np.zeros((1, 1, taps)), matrix[:, None]])
-    growth = identity / np.sqrt(forgetting)
-    return TimeVaryingModel(growth, none, none, seen, one, variance * one, size * identity / taps)
-
-
-def hinfinity_estimate(
-    matrix: np.ndarray, target: np.ndarray, variance: float, size: float, forgetting: float
-) -> np.ndarray:
-    """The parameters at the end by the a-posteriori H-infinity filter of all of them, near its smallest level.
-
-    Hassibi, Sayed and Kailath (1999), chapter 4.
-    """
-    model, wanted = hinfinity_model(matrix, variance, size, forgetting), np.eye(matrix.shape[1])
-    gains = hinfinity_gains(model, wanted, HINFINITY_MARGIN * smallest_level(model, wanted, 1e-2))
-    scale = forgetting ** (-np.arange(model.samples) / 2)
-    outputs = scale * np.concatenate([[0.0], target])
-    return estimate(gains, np.zeros((1, model.samples)), outputs[None])[:, -1] / scale[-1]
 
 
 def compare(

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.worstcase.pairs import Pair, Spectra, residual
-from experiments.worstcase.total import total_least_squares
 from experiments.worstcase.window_pictures import paint_windows
 from stillwork.base.checks import InputError, pluralise, require_array, require_count
+from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.estimation.min_max import qr_r, solve_silently, solve_sweep
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax

@@ -13,14 +13,8 @@ from notebooks.worstcase.comparison import (
     best_intervals,
     compare,
     comparison_trial,
-    cross_validated_penalty,
     equal_to_best,
     estimates,
-    evidence_penalty,
-    hinfinity_estimate,
-    hinfinity_model,
-    huber_estimate,
-    instrumental_variables,
     over_best,
     recommend,
     sample_record,
@@ -28,6 +22,14 @@ from notebooks.worstcase.comparison import (
 )
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import smallest_level
+from stillwork.estimation.linear_fits import (
+    cross_validated_penalty,
+    evidence_penalty,
+    hinfinity_estimate,
+    hinfinity_model,
+    huber_estimate,
+    instrumental_variables,
+)
 from workbook import figures
 
 FORGETTING = 0.9
@@ -121,15 +123,15 @@ def filtered(matrix, outputs, deviation, level):
     return state * FORGETTING ** (len(outputs) / 2)
 
 
-def test_hinfinity_keeps_its_level_and_nothing_keeps_less(monkeypatch):
+def test_hinfinity_keeps_its_level_and_nothing_keeps_less():
     matrix = record(rows=9).matrix
     model = hinfinity_model(matrix, 0.49, 1.0, FORGETTING)
     smallest = smallest_level(model, np.eye(3), 1e-3)
-    monkeypatch.setattr(comparison, "HINFINITY_MARGIN", 1.3)
     target = np.random.default_rng(3).standard_normal(9)
     level = 1.3 * smallest_level(model, np.eye(3), 1e-2)
     twin = filtered(matrix, target, 0.7, level)
-    assert hinfinity_estimate(matrix, target, 0.49, 1.0, FORGETTING) == pytest.approx(twin, abs=1e-9)
+    found = hinfinity_estimate(matrix, target, 0.49, 1.0, FORGETTING, margin=1.3)
+    assert found == pytest.approx(twin, abs=1e-9)
     assert smallest / 1.001 < gain_of(matrix, level) < level
     with pytest.raises(AssertionError):  # below the smallest level the information loses its sign
         filtered(matrix, target, 0.7, 0.99 * smallest)

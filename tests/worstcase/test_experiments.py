@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from experiments.worstcase import measured, total_least_squares
+from experiments.worstcase import measured
 from experiments.worstcase.pairs import load_pair, open_pair
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
@@ -36,6 +36,7 @@ from notebooks.worstcase import time_updates as update_pictures
 from notebooks.worstcase import tracking as tracking_pictures
 from stillwork.base.checks import InputError
 from stillwork.estimation import LeastSquares, min_max_solve
+from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.estimation.recursive import run_silently
 from stillwork.identification import fir_regressors
 from stillwork.identification.regressors import exponential_bound

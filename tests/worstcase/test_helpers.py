@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from experiments.worstcase import total_least_squares
 from stillwork.base.checks import InputError
+from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.identification import fir_regressors
 from stillwork.identification.regressors import arx_regressors, exponential_bound, noise_bound, row_bound
 

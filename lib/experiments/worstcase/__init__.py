@@ -6,6 +6,5 @@ __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "theory": ("solve_cone_program",),
-        "total": ("total_least_squares",),
     },
 )

@@ -7,8 +7,8 @@ from jaxtyping import Float64
 from scipy import signal
 
 from experiments.worstcase.pairs import MeasuredPair, residual
-from experiments.worstcase.total import total_least_squares
 from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.estimation.min_max import qr_r, solve_silently, solve_sweep
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
