@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import optimize
 from sklearn import config_context
 from sklearn.exceptions import NotFittedError
 from sklearn.metrics import r2_score
@@ -18,17 +19,25 @@ from sklearn.utils.estimator_checks import check_estimator
 from naive import worstcase as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation import (
+    BiasCompensatedRegressor,
     FeRls,
+    HinfinityRegressor,
+    HuberRegressor,
+    InstrumentalRegressor,
     LeastMeanSquares,
     MinMax,
     MinMaxRegressor,
     RecursiveLeastSquares,
+    RidgeRegressor,
+    TotalLeastSquares,
     identify,
     min_max_solve,
     run,
 )
+from stillwork.estimation.linear_fits import cross_validated_penalty, evidence_penalty
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive import GrowthLimitWarning
+from stillwork.estimation.regression import UnweightedRegressor
 
 EVERY = [
     LeastMeanSquares(),
@@ -37,6 +46,15 @@ EVERY = [
     MinMaxRegressor(bound=0.0),
     MinMaxRegressor(bound=0.1),
     MinMaxRegressor(bound=0.01, bound_on="sample", initial_covariance=100.0),
+    RidgeRegressor(),
+    RidgeRegressor("cross-validation"),
+    RidgeRegressor(0.1),
+    TotalLeastSquares(),
+    BiasCompensatedRegressor(),
+    BiasCompensatedRegressor(noise=0.01),
+    InstrumentalRegressor(),
+    HuberRegressor(),
+    HinfinityRegressor(),
 ]
 KINDS = [
     LeastMeanSquares(step_size=0.4, fit_intercept=False),
@@ -44,6 +62,11 @@ KINDS = [
     RecursiveLeastSquares(fit_intercept=False),
     MinMaxRegressor(0.3, forgetting=0.95, fit_intercept=False),
     MinMaxRegressor([0.3, 0.0, 0.1], "sample", initial_covariance=10.0, fit_intercept=False),
+    RidgeRegressor(forgetting=0.95, fit_intercept=False),
+    TotalLeastSquares([0.3, 0.0, 0.1], fit_intercept=False),
+    BiasCompensatedRegressor([0.3, 0.0, 0.1], forgetting=0.95, fit_intercept=False),
+    InstrumentalRegressor(forgetting=0.95, fit_intercept=False),
+    HinfinityRegressor(0.3, 2.0, 4.0, forgetting=0.99, fit_intercept=False),
 ]
 
 
@@ -170,6 +193,13 @@ SCALED = [
     RecursiveLeastSquares(forgetting=0.9, form="UD", fit_intercept=False),
     MinMaxRegressor(0.0, fit_intercept=False),
     MinMaxRegressor(0.3, forgetting=0.9, fit_intercept=False),
+    RidgeRegressor(),
+    RidgeRegressor("cross-validation", forgetting=0.9),
+    TotalLeastSquares([0.1, 0.0, 0.2], 0.3),
+    BiasCompensatedRegressor(0.1),
+    InstrumentalRegressor(),
+    HuberRegressor(),
+    HinfinityRegressor(),
 ]
 
 
@@ -180,10 +210,15 @@ def test_a_prediction_is_the_same_in_any_unit(estimator, fit_intercept):
     estimator = clone(estimator).set_params(fit_intercept=fit_intercept)
     expected = estimator.fit(X, y).predict(X)
     for size in (1e-9, 1e-4, 1e-3, 1e3, 1e9):
-        bounds = {"bound": estimator.bound * size} if isinstance(estimator, MinMaxRegressor) else {}
-        again = clone(estimator).set_params(**bounds)
-        assert again.fit(X * size, y).predict(X * size) == pytest.approx(expected, rel=1e-9)
-        assert clone(estimator).fit(X, y * size).predict(X) / size == pytest.approx(expected, rel=1e-9)
+        given = estimator.get_params()
+        own = {
+            name: np.multiply(given[name], size) for name in ("bound", "noise") if given.get(name) is not None
+        }
+        again = clone(estimator).set_params(**own)
+        assert again.fit(X * size, y).predict(X * size) == pytest.approx(expected, rel=1e-7)
+        own = {"output_noise": given["output_noise"] * size} if "output_noise" in given else {}
+        again = clone(estimator).set_params(**own)
+        assert again.fit(X, y * size).predict(X) / size == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("estimator", SCALED[1:4], ids=repr)
@@ -332,7 +367,7 @@ def test_a_lost_sample_is_time_without_news(estimator):
         (spoiled if target is y else target)[lost, 0] = np.nan
         found = clone(estimator).fit(spoiled, target)
         silent_X, silent_y = X * gone[:, None], y * gone[:, None]
-        if isinstance(estimator, LeastMeanSquares):
+        if isinstance(estimator, UnweightedRegressor):
             expected = clone(estimator).fit(silent_X, silent_y)
         else:
             expected = clone(estimator).fit(X, y, gone)
@@ -546,3 +581,68 @@ def test_an_estimator_that_has_learned_nothing_says_so():
     for estimator in KINDS:
         with pytest.raises(NotFittedError, match=type(estimator).__name__):
             clone(estimator).predict(np.ones((2, 3)))
+
+
+@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize("forgetting", [0.9, 1.0])
+def test_each_kind_meets_its_own_criterion(fit_intercept, forgetting):
+    """With an intercept as a column of ones that is neither shrunk nor noisy; minima by a general optimiser."""
+    X, y = record(30)
+    y, instruments = y + 4.0 * fit_intercept, X + record(31)[0]
+    A = np.column_stack([X, np.ones(60)]) if fit_intercept else X
+    Z = np.column_stack([instruments, A[:, 3:]])
+    root = np.sqrt(forgetting ** np.arange(59, -1, -1))
+    A, Z, b = A * root[:, None], Z * root[:, None], y * root
+    mass, shrunk = np.sum(root**2) - fit_intercept, np.arange(A.shape[1]) < 3
+    how = {"forgetting": forgetting, "fit_intercept": fit_intercept}
+
+    def minimum(cost):
+        return optimize.minimize(cost, np.linalg.lstsq(A, b)[0], method="BFGS", options={"gtol": 1e-9}).x
+
+    def found(estimator, **given):
+        fitted = estimator.set_params(**how).fit(X, y, **given)
+        return np.append(fitted.coef_, fitted.intercept_ if fit_intercept else [])
+
+    def misfit(x):
+        return np.sum((b - A @ x) ** 2)
+
+    noise = np.array([0.5, 0.2, 0.1])
+    known = A[:, 3:]
+    rest = A[:, :3] - known @ np.linalg.lstsq(known, A[:, :3])[0] if fit_intercept else A
+    aimed = b - known @ np.linalg.lstsq(known, b)[0] if fit_intercept else b
+    compensated = np.linalg.solve(rest.T @ rest - mass * np.diag(noise**2), rest.T @ aimed)
+    project = Z @ np.linalg.pinv(Z)
+    expected = {
+        RidgeRegressor(7.0): minimum(lambda x: misfit(x) + 7.0 * x[shrunk] @ x[shrunk]),
+        TotalLeastSquares(noise, 2.0): minimum(lambda x: misfit(x) / (4.0 + np.sum((noise * x[:3]) ** 2))),
+        InstrumentalRegressor(): minimum(lambda x: np.sum((project @ (b - A @ x)) ** 2)),
+    }
+    for estimator, wanted in expected.items():
+        given = {"instruments": instruments} if isinstance(estimator, InstrumentalRegressor) else {}
+        assert found(estimator, **given) == pytest.approx(wanted, abs=1e-5), estimator
+    assert found(BiasCompensatedRegressor(noise))[:3] == pytest.approx(compensated)
+    for penalty, choose in (("evidence", evidence_penalty), ("cross-validation", cross_validated_penalty)):
+        same = RidgeRegressor(choose(rest, aimed, mass))
+        assert found(RidgeRegressor(penalty)) == pytest.approx(found(same))
+    huber = found(HuberRegressor())
+    left = (b - A @ huber) / root
+    scale = np.sort(np.abs(left))[
+        np.searchsorted(np.cumsum(root[np.argsort(np.abs(left))] ** 2), np.sum(root**2) / 2)
+    ]
+    bent = np.clip(left, -1.345 * scale / 0.6745, 1.345 * scale / 0.6745)
+    assert (
+        np.abs((A * root[:, None]).T @ bent).max() < 1e-3 * np.abs((A * root[:, None]).T @ (b / root)).max()
+    )
+
+
+def test_hinfinity_is_the_filter_in_information_form():
+    X, y = record(32)
+    information, coef, level = 3 / 4.0 * np.eye(3), np.zeros(3), 3.0
+    stream = HinfinityRegressor(0.5, 2.0, level, forgetting=0.99, fit_intercept=False)
+    for row, output in zip(X, y, strict=True):
+        information = 0.99 * (information - np.eye(3) / level**2) + np.outer(row, row) / 0.25
+        coef = coef + np.linalg.solve(information, row) * (output - row @ coef) / 0.25
+        stream.partial_fit(row[None], [output])
+        assert stream.coef_ == pytest.approx(coef, rel=1e-9)
+    with pytest.raises(InputError, match=r"level"):
+        HinfinityRegressor(0.5, 2.0, 0.1).fit(X, y)

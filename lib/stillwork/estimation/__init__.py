@@ -20,6 +20,14 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "plant": ("Plant",),
         "recursive": ("RecursiveStepper", "run"),
         "recursive_settings": ("LeastSquares", "MinMax"),
-        "regression": ("LeastMeanSquares", "MinMaxRegressor", "RecursiveLeastSquares"),
+        "regression": ("LeastMeanSquares", "RecursiveLeastSquares"),
+        "robust_regression": ("HinfinityRegressor", "HuberRegressor"),
+        "triangle_regression": (
+            "BiasCompensatedRegressor",
+            "InstrumentalRegressor",
+            "MinMaxRegressor",
+            "RidgeRegressor",
+            "TotalLeastSquares",
+        ),
     },
 )

@@ -60,8 +60,8 @@ def huber_estimate(
     target = require_array("target", target, shape=(len(matrix),))
     counted = weights = require_array("weights", weights, shape=(len(matrix),))
     for _ in range(20):
-        scaled = counted[:, None] * matrix
-        found = _solve(scaled.T @ matrix, scaled.T @ target)
+        root = np.sqrt(counted)
+        found = np.linalg.lstsq(root[:, None] * matrix, root * target)[0]
         sizes = np.abs(target - matrix @ found)
         order = np.argsort(sizes)
         middle = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
@@ -81,14 +81,7 @@ def instrumental_variables(
     target = require_array("target", target, shape=(len(matrix),))
     instruments = require_array("instruments", instruments, shape=(len(matrix), None))
     explained = instruments @ np.linalg.lstsq(instruments, matrix, rcond=None)[0]
-    return _solve(explained.T @ matrix, explained.T @ target)
-
-
-def _solve(products, correlation) -> np.ndarray:
-    try:
-        return np.linalg.solve(products, correlation)
-    except np.linalg.LinAlgError:  # the shortest of all solutions
-        return np.linalg.lstsq(products, correlation)[0]
+    return np.linalg.lstsq(explained, target)[0]
 
 
 @checked

@@ -4,7 +4,6 @@ A sample with NaN in it (a feature or an output) is lost: time passes, so that f
 A call that is refused changes nothing.
 """
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,18 +15,15 @@ from stillwork.base.checks import (
     InputError,
     pluralise,
     require_array,
-    require_choice,
     require_kind,
     require_number,
 )
 from stillwork.estimation.adaptive import INFLATION, FeLms, FeRls
 from stillwork.estimation.covariance_forms import FORMS, factor_of
-from stillwork.estimation.min_max import ZeroEstimateWarning, qr_r, solve_silently
 from stillwork.estimation.online import run_felms, run_ferls
 from stillwork.estimation.recursive import require_finite_squares, require_squares, warn_held
 from stillwork.estimation.recursive_kernels import admit_start, believe_start
 from stillwork.estimation.recursive_settings import START
-from stillwork.estimation.secular import ROUNDING
 
 NUMBERS = {"dtype": np.float64, "ensure_all_finite": "allow-nan"}  # what scikit-learn's checks are to return
 SHARE = 1e-5  # regularisation of least mean squares over the largest |x|^2, where it follows from the data
@@ -37,7 +33,7 @@ class _InputTypeError(InputError, TypeError):
     """What scikit-learn calls a TypeError and the toolbox an InputError."""
 
 
-class _RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
+class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     # y = coef x + intercept. A subclass starts a state and advances it by rows, the last column of which is constant
     # where there is an intercept.
     fit_intercept: Any
@@ -214,7 +210,7 @@ class _RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return start
 
 
-class _WeightedRegressor(_RecursiveRegressor):
+class WeightedRegressor(RecursiveRegressor):
     def fit(self, X, y, sample_weight=None):
         """Learn from samples in their order, from the start.
 
@@ -275,8 +271,66 @@ class _WeightedRegressor(_RecursiveRegressor):
         return self._learn(X, y, sample_weight, anew=not hasattr(self, "coef_"), whole=False)
 
 
+class UnweightedRegressor(RecursiveRegressor):
+    def fit(self, X, y):
+        """Learn from samples in their order, from the start.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+
+        Returns
+        -------
+        estimator
+            Itself, with `coef_` and `intercept_`.
+
+        Raises
+        ------
+        InputError
+            When a setting is out of its range, a table does not fit, or no sample is without NaN.
+
+        Examples
+        --------
+        >>> lms = estimation.LeastMeanSquares(step_size=1.0, fit_intercept=False)
+        >>> lms.fit([[1.0], [2.0]], [3.0, 6.0]).coef_.round(3)
+        array([3.])
+        """
+        return self._learn(X, y, None, anew=True)
+
+    def partial_fit(self, X, y):
+        """Learn from the samples that follow those of the calls before, as `fit` does of all at once.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+
+        Returns
+        -------
+        estimator
+            Itself, with `coef_` and `intercept_`.
+
+        Raises
+        ------
+        InputError
+            As `fit` does, and when the numbers of features or outputs differ from those before.
+
+        Examples
+        --------
+        >>> lms = estimation.LeastMeanSquares(step_size=1.0, fit_intercept=False).partial_fit([[1.0]], [2.0])
+        >>> lms.partial_fit([[2.0]], [6.0]).coef_.round(3)  # the second sample meets 3
+        array([3.])
+        """
+        return self._learn(X, y, None, anew=not hasattr(self, "coef_"), whole=False)
+
+    def _constant(self, X):
+        sizes = np.sqrt(np.mean(X**2, axis=1))
+        return float(sizes[np.argmax(sizes > 0)]) or 1.0
+
+
 @dataclass(eq=False, repr=False)
-class LeastMeanSquares(_RecursiveRegressor):
+class LeastMeanSquares(UnweightedRegressor):
     """Normalised least mean squares: coef += step_size (y - coef x) x' / (regularisation + |x|^2).
 
     `fit` is one pass over the samples in their order.
@@ -325,65 +379,9 @@ class LeastMeanSquares(_RecursiveRegressor):
     initial_coef: Any = None
     fit_intercept: Any = True
 
-    def fit(self, X, y):
-        """Learn from samples in their order, from the start.
-
-        Parameters
-        ----------
-        X : array_like, shape (samples, features)
-        y : array_like, shape (samples,) or (samples, outputs)
-
-        Returns
-        -------
-        LeastMeanSquares
-            Itself, with `coef_` and `intercept_`.
-
-        Raises
-        ------
-        InputError
-            When a setting is out of its range, a table does not fit, or no sample is without NaN.
-
-        Examples
-        --------
-        >>> lms = estimation.LeastMeanSquares(step_size=1.0, fit_intercept=False)
-        >>> lms.fit([[1.0], [2.0]], [3.0, 6.0]).coef_.round(3)
-        array([3.])
-        """
-        return self._learn(X, y, None, anew=True)
-
-    def partial_fit(self, X, y):
-        """Learn from the samples that follow those of the calls before, as `fit` does of all at once.
-
-        Parameters
-        ----------
-        X : array_like, shape (samples, features)
-        y : array_like, shape (samples,) or (samples, outputs)
-
-        Returns
-        -------
-        LeastMeanSquares
-            Itself, with `coef_` and `intercept_`.
-
-        Raises
-        ------
-        InputError
-            As `fit` does, and when the numbers of features or outputs differ from those before.
-
-        Examples
-        --------
-        >>> lms = estimation.LeastMeanSquares(step_size=1.0, fit_intercept=False).partial_fit([[1.0]], [2.0])
-        >>> lms.partial_fit([[2.0]], [6.0]).coef_.round(3)  # the second sample meets 3
-        array([3.])
-        """
-        return self._learn(X, y, None, anew=not hasattr(self, "coef_"), whole=False)
-
     def _start(self, columns, outputs):
         # the estimate, and the largest |x|^2 so far
         return self._initial(self.initial_coef, columns, outputs), 0.0
-
-    def _constant(self, X):
-        sizes = np.sqrt(np.mean(X**2, axis=1))
-        return float(sizes[np.argmax(sizes > 0)]) or 1.0
 
     def _advance(self, state, rows, outputs, weights):
         coef = state[0].copy()
@@ -401,7 +399,7 @@ class LeastMeanSquares(_RecursiveRegressor):
 
 
 @dataclass(eq=False, repr=False)
-class RecursiveLeastSquares(_WeightedRegressor):
+class RecursiveLeastSquares(WeightedRegressor):
     """Recursive least squares with exponential forgetting, all outputs with one covariance.
 
     It minimises sum_j forgetting^(t - j) w_j |y_j - coef x_j|^2 plus forgetting^t times the distance from the initial
@@ -535,155 +533,6 @@ class RecursiveLeastSquares(_WeightedRegressor):
             share = believe_start(covariance, i, rise[i], gain)
             coef += share * np.outer(start[:, i] - coef[:, i], gain)
         return recursion._replace(matrix=factor_of(FORMS[recursion.form], covariance), levels=levels)
-
-
-@dataclass(eq=False, repr=False)
-class MinMaxRegressor(_WeightedRegressor):
-    """Least squares for features that are off by a bounded error: the smallest of the largest residuals.
-
-    Over all perturbations dX with |dX diag(bound)^-1| <= 1 of the features seen so far it minimises the largest
-    |y - (X + dX) coef|. Of sample j, row and output carry the weight (w_j forgetting^(t - j))^(1/2).
-
-    Attributes
-    ----------
-    bound : float or array_like, shape (features,)
-        eta, the bound on the 2-norm of the perturbation, in the unit of the features, or one for each column. A column
-        of bound 0 is known exactly. `set_params` may change it at any time.
-    bound_on : str
-        ``record``: of what the bound holds is the perturbation of all weighted samples together, however many.
-        ``sample``: of that of each sample, so that of all it grows as (sum of the weights)^(1/2).
-    forgetting : float
-        lambda in (0, 1]; 1 weighs all samples alike.
-    initial_coef : array_like, shape (features,) or (outputs, features), optional
-        Estimate before the first sample.
-    initial_covariance : float
-        Of the initial estimate, which counts as so many samples more; ``inf`` for no initial estimate.
-    fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
-    coef_ : ndarray, shape (features,) or (outputs, features)
-        The estimate.
-    intercept_ : float or ndarray, shape (outputs,)
-        Output where the features are 0; 0 without `fit_intercept`.
-    n_features_in_ : int
-        Number of features.
-
-    Raises
-    ------
-    InputError
-        When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
-
-    Notes
-    -----
-    What is kept of the samples is a triangle that has their residuals, so that the estimate is exact at every time and
-    loses no digits; it is that of `min_max_solve`. There is nothing to wind up: an estimate without excitation fades to
-    zero where its bound does not fade as well.
-
-    Warns
-    -----
-    ZeroEstimateWarning
-        From `fit`, when the bound is so large that the estimate is zero.
-
-    References
-    ----------
-    Sayed, Garulli, Nascimento, Chandrasekaran, "Exponentially-weighted iterative solutions for worst-case
-    parameter estimation", Theorem 1.
-
-    Examples
-    --------
-    >>> X, y = np.array([[1.0], [1.0], [-1.0]]), [12.0, 11.0, 9.0]
-    >>> least, robust = (estimation.MinMaxRegressor(bound).fit(X, y) for bound in (0.0, 0.5))
-    >>> least.coef_.round(2), robust.coef_.round(2)
-    (array([1.25]), array([1.11]))
-    """
-
-    bound: Any
-    bound_on: Any = "record"
-    forgetting: Any = 1.0
-    initial_coef: Any = None
-    initial_covariance: Any = np.inf
-    fit_intercept: Any = True
-
-    def _warn(self):
-        if self._state[2]:
-            warnings.warn(
-                "the estimate is zero: a perturbation within the bound explains all of the data; give a smaller bound or "
-                "more samples",
-                ZeroEstimateWarning,
-                stacklevel=4,
-            )
-
-    def _start(self, columns, outputs):
-        # the triangle of [X y], the sum of the weights, whether the bound explains all of the data away
-        corner = np.zeros((columns + outputs, columns + outputs))
-        if not (isinstance(self.initial_covariance, float) and self.initial_covariance == np.inf):
-            root = np.full(
-                columns, 1 / np.sqrt(require_number("initial_covariance", self.initial_covariance, above=0.0))
-            )
-            if self.fit_intercept:
-                root[-1] = 0.0  # nothing is known of it
-            corner[:columns, :columns] = np.diag(root)
-            corner[:columns, columns:] = root[:, None] * self._initial(self.initial_coef, columns, outputs).T
-        elif self.initial_coef is not None:
-            raise InputError(
-                "initial_covariance is inf, so that initial_coef does not count; give a finite one"
-            )
-        return corner, 0.0, False
-
-    def _advance(self, state, rows, outputs, weights):
-        corner, mass, _ = state
-        forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
-        fading = forgetting ** np.arange(len(weights) - 1, -1, -1)
-        mass = forgetting ** len(weights) * mass + weights @ fading
-        past = forgetting ** (len(weights) / 2) * corner
-        corner = qr_r(np.vstack([past, np.sqrt(fading)[:, None] * np.hstack([rows, outputs])]))
-        columns = rows.shape[1]
-        bounds = self._bounds(columns)
-        if require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample":
-            bounds = bounds * np.sqrt(mass)
-        solved = [_mixed_solution(corner[:, :columns], target, bounds) for target in corner.T[columns:]]
-        return (corner, mass, any(zero for _, zero in solved)), np.array([coef for coef, _ in solved])
-
-    def _bounds(self, columns):
-        # one a column; an intercept's is known exactly
-        features = columns - bool(self.fit_intercept)
-        bounds = require_array("bound", self.bound)
-        if bounds.shape not in ((), (features,)):
-            raise InputError(
-                f"bound has shape {bounds.shape}; give a number, or one for each of {pluralise(features, 'feature')}"
-            )
-        if np.any(bounds < 0):
-            raise InputError("bound holds a negative number; give bounds on a norm, zero or above")
-        return np.append(np.resize(bounds, features), np.zeros(columns - features))
-
-
-def _mixed_solution(matrix, target, bounds) -> tuple[np.ndarray, bool]:
-    """Min-max solution with a bound a column, and whether a bound made it zero; those of bound 0 are known exactly.
-
-    min over x of |A x - b| + |diag(bounds) x|: what the known columns explain is taken out of the others first.
-    """
-    known = bounds == 0
-    if not known.any() and np.ptp(bounds) == 0:
-        solution = solve_silently(matrix, target, bounds[0])
-        return solution.estimate, solution.case == "zero" and solution.threshold > 0
-    units = np.linalg.norm(matrix[:, known], axis=0)
-    units[units == 0] = 1.0
-    left, sizes, _ = np.linalg.svd(matrix[:, known] / units, full_matrices=False)
-    basis = left[:, sizes > len(matrix) * ROUNDING * np.max(sizes, initial=0.0)]
-    doubtful, aimed = ((part - basis @ (basis.T @ part)) for part in (matrix[:, ~known], target))
-    coef, zero = np.zeros(len(bounds)), False
-    if not known.all():
-        largest = bounds.max()
-        shares = bounds[~known] / largest
-        if shares.min() < 1e-12:
-            raise InputError(
-                "bound holds numbers that differ by more than 1e12; give 0 for a column known so well"
-            )
-        solution = solve_silently(doubtful / shares, aimed, largest)
-        coef[~known] = solution.estimate / shares
-        zero = solution.case == "zero" and solution.threshold > 0
-    if known.any():
-        coef[known] = np.linalg.lstsq(matrix[:, known] / units, target - matrix @ coef)[0] / units
-    return coef, zero
 
 
 def _record(rows, outputs) -> tuple:

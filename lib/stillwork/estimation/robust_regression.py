@@ -1,0 +1,190 @@
+"""Regressors for what least squares is not made for: outliers, and noise of which nothing is known."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stillwork.base.checks import require_number
+from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.linear_fits import huber_estimate
+from stillwork.estimation.regression import RecursiveRegressor, UnweightedRegressor
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+
+MARGIN = 1.1  # level over the smallest that there is
+
+
+@dataclass(eq=False, repr=False)
+class HuberRegressor(RecursiveRegressor):
+    """Huber's regression: errors beyond 1.345 robust deviations count less. There is no recursion.
+
+    Attributes
+    ----------
+    forgetting : float
+        lambda in (0, 1]; 1 weighs all samples alike.
+    fit_intercept : bool
+        Whether a constant is learned, too; without, y is 0 where X is.
+    coef_ : ndarray, shape (features,) or (outputs, features)
+        The estimate.
+    intercept_ : float or ndarray, shape (outputs,)
+        Output where the features are 0; 0 without `fit_intercept`.
+    n_features_in_ : int
+        Number of features.
+
+    Raises
+    ------
+    InputError
+        When a setting is out of its range, or a table does not fit; `fit` says so.
+
+    Notes
+    -----
+    That of scikit-learn gives 0 for features of 1e-6: its search has units.
+
+    References
+    ----------
+    Huber, Robust statistics (1981).
+
+    Examples
+    --------
+    >>> X, y = np.arange(10.0)[:, None], 2 * np.arange(10.0)
+    >>> y[3] = 1000.0
+    >>> estimation.HuberRegressor().fit(X, y).coef_.round(1)
+    array([2.])
+    """
+
+    forgetting: Any = 1.0
+    fit_intercept: Any = True
+
+    def fit(self, X, y, sample_weight=None):
+        """Learn from samples in their order.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+        sample_weight : array_like, shape (samples,), optional
+            Weight of each sample, beside that of forgetting; 0 for a lost sample.
+
+        Returns
+        -------
+        HuberRegressor
+            Itself, with `coef_` and `intercept_`.
+
+        Raises
+        ------
+        InputError
+            When a setting is out of its range, a table does not fit, or no sample is without NaN.
+
+        Examples
+        --------
+        >>> X, y = [[1.0], [2.0], [3.0]], [2.0, 4.0, 99.0]
+        >>> estimation.HuberRegressor(fit_intercept=False).fit(X, y, sample_weight=[1, 1, 0]).coef_.round(3)
+        array([2.])
+        """
+        return self._learn(X, y, sample_weight, anew=True)
+
+    def _start(self, columns, outputs):
+        return None
+
+    def _advance(self, state, rows, outputs, weights):
+        used = weights > 0
+        root = np.sqrt(weights[used])[:, None]
+        rows, outputs = rows[used] / root, outputs[used] / root
+        forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
+        weights = (weights * forgetting ** np.arange(len(weights) - 1, -1, -1))[used]
+        units = np.abs(rows).max(axis=0)
+        units[units == 0] = 1.0
+        return None, np.array([huber_estimate(rows / units, each, weights) for each in outputs.T]) / units
+
+
+@dataclass(eq=False, repr=False)
+class HinfinityRegressor(UnweightedRegressor):
+    """The H-infinity filter of constant coefficients: a bound on their errors' energy over that of all that is unknown.
+
+    Attributes
+    ----------
+    noise : float, optional
+        Standard deviation of the errors of y; without it that of the residuals of least squares on the first call.
+    size : float, optional
+        Norm of the coefficients before the first sample; without it that of least squares on the first call.
+    level : float, optional
+        Bound on (energy of the coefficients' errors over that of errors of y and start, each over its deviation)^(1/2);
+        without it 1.1 times the smallest that the samples of the first call allow.
+    forgetting : float
+        lambda in (0, 1]; 1 weighs all samples alike.
+    fit_intercept : bool
+        Whether a constant is learned, too; without, y is 0 where X is.
+    coef_ : ndarray, shape (features,) or (outputs, features)
+        The estimate.
+    intercept_ : float or ndarray, shape (outputs,)
+        Output where the features are 0; 0 without `fit_intercept`.
+    level_ : float
+        The level that is kept.
+    n_features_in_ : int
+        Number of features.
+
+    Raises
+    ------
+    InputError
+        When no filter keeps the level, a setting is out of its range, or a table does not fit; `fit` and `partial_fit`
+        say so.
+
+    References
+    ----------
+    Hassibi, Sayed and Kailath, Indefinite-quadratic estimation and control (1999), chapter 4.
+
+    Examples
+    --------
+    >>> X = np.random.default_rng(1).standard_normal((200, 2))
+    >>> found = estimation.HinfinityRegressor(noise=0.1, fit_intercept=False).fit(X, X @ [3.0, -5.0])
+    >>> found.coef_.round(1)
+    array([ 3., -5.])
+    """
+
+    noise: Any = None
+    size: Any = None
+    level: Any = None
+    forgetting: Any = 1.0
+    fit_intercept: Any = True
+
+    def _start(self, columns, outputs):
+        # the estimate and its covariance, the variance of the noise, the level; none of them known yet
+        return None
+
+    def _advance(self, state, rows, outputs, weights):
+        forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
+        columns = rows.shape[1]
+        identity, none = np.eye(columns), np.zeros((columns, 1))
+        if state is None:
+            state = (np.zeros((outputs.shape[1], columns)), *self._believed(rows, outputs), self.level)
+        coef, covariance, variance, level = state
+        seen = np.concatenate([np.zeros((1, 1, columns)), rows[:, None]])
+        noise = np.array([[variance]])
+        growth = identity / np.sqrt(forgetting)
+        model = TimeVaryingModel(growth, none, none, seen, np.eye(1), noise, covariance)
+        if level is None:
+            level = MARGIN * smallest_level(model, identity, 1e-6)
+        self.level_ = require_number("level", level, above=0.0)
+        gains = hinfinity_gains(model, identity, float(self.level_))
+        # the coefficients grow as forgetting^(-t/2) beside white noise
+        scale = forgetting ** (-np.arange(model.samples) / 2)
+        found = [
+            estimate(gains, np.zeros((1, model.samples)), (scale * np.append(0.0, each))[None], start)[:, -1]
+            for each, start in zip(outputs.T, coef, strict=True)
+        ]
+        coef = np.array(found) / scale[-1]
+        return (coef, np.array(gains.covariance[-1]), variance, level), coef
+
+    def _believed(self, rows, outputs) -> tuple[np.ndarray, float]:
+        # of the coefficients before, and of the errors of the outputs
+        count, columns = outputs.shape[1], rows.shape[1]
+        least = np.linalg.lstsq(rows, outputs)[0]
+        size, noise = self.size, self.noise
+        if size is None:
+            size = float(np.linalg.norm(least) / np.sqrt(count)) or 1.0
+        if noise is None:
+            left = np.linalg.norm(outputs - rows @ least) / np.sqrt(count * max(1, len(rows) - columns))
+            least_noise = 1e-6 * np.linalg.norm(outputs) / np.sqrt(outputs.size)
+            noise = float(max(left, least_noise)) or 1.0
+        size, noise = require_number("size", size, above=0.0), require_number("noise", noise, above=0.0)
+        return size**2 / columns * np.eye(columns), float(noise) ** 2
