@@ -6,6 +6,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "adaptive": ("FeLms", "FeRls"),
+        "advice": ("advise",),
         "bound_choice": ("choose_bound",),
         "coordinate_filters": ("ExtendedKalman", "LowPass", "UnscentedKalman"),
         "covariance_enclosures": ("enclose_covariance",),

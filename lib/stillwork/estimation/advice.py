@@ -1,0 +1,305 @@
+"""Which estimator of a linear relation to take: held-out errors of the family on the data at hand."""
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+from scipy import stats
+from sklearn.base import clone
+from sklearn.dummy import DummyRegressor
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from stillwork.base.checks import InputError, pluralise, require_array, require_count
+from stillwork.base.validation import by_value, checked
+from stillwork.estimation.min_max import ZeroEstimateWarning
+from stillwork.estimation.regression import RecursiveLeastSquares
+from stillwork.estimation.robust_regression import HinfinityRegressor, HuberRegressor
+from stillwork.estimation.triangle_regression import (
+    BiasCompensatedRegressor,
+    InstrumentalRegressor,
+    MinMaxRegressor,
+    RidgeRegressor,
+    TotalLeastSquares,
+)
+
+IGNORE = "ignoring the features"
+SAFE = "ridge by evidence"
+# Standard errors by which another one must be better than the safe one, and that one than nothing; chosen on the training
+# problems of benchmarks/advice.py.
+SURE, SOME = 1.0, 0.5
+OUTLIER = 4.0  # robust deviations beyond which an output is not scored
+SHARES = (0.0, 0.1, 0.3, 0.5)  # noise over what a feature holds, tried for where the advice turns
+
+
+@by_value
+@dataclass(frozen=True)
+class RankedEstimator:
+    """One estimator of an `Advice`."""
+
+    name: str
+    estimator: Any  # fitted to all samples, a pipeline that scales the features first
+    coef: Float64[np.ndarray, " features"]  # of y per unit of each feature
+    error: float  # held-out root mean square over that of ignoring the features
+    over_first: tuple[float, float]  # 95 % interval of its error over that of the first, paired by folds
+
+
+@by_value
+@dataclass(frozen=True)
+class Advice:
+    """Estimators in the order of their held-out errors, and what this order rests on."""
+
+    ranking: tuple[RankedEstimator, ...]
+    assumed: tuple[str, ...]
+    turns: dict[float, str]  # noise of the features, over what they hold: who would be first if this were so
+
+    @property
+    def best(self) -> Any:
+        """The first one, fitted to all samples."""
+        return self.ranking[0].estimator
+
+    def __str__(self) -> str:
+        rows = [
+            f"{each.name:36s} {each.error:8.3f}   {each.over_first[0]:.3f} to {each.over_first[1]:.3f}"
+            for each in self.ranking
+        ]
+        turns = [f"With noise of {share:g} of each feature: {name}." for share, name in self.turns.items()]
+        return "\n".join([f"{'':36s}    error   over the first", *rows, *self.assumed, *turns])
+
+
+@checked(infinite=True, missing=True)
+def advise(
+    X: ArrayLike,
+    y: ArrayLike,
+    noise: ArrayLike | None = None,
+    instruments: ArrayLike | None = None,
+    *,
+    fit_intercept: bool = True,
+    folds: int = 10,
+) -> Advice:
+    """Rank the estimators of y = coef x + intercept by their errors on parts that are held out in turn.
+
+    Ridge by evidence is what to take without a reason: another one must be better by a standard error to stand before
+    it, and the first one better than ignoring the features by half of one.
+
+    What counts depends on what is known. With nothing but X and y it is the prediction of y from features as noisy as
+    these. With `noise` it is that from the features without noise, as far as its mean square allows; with `instruments`
+    that from what they explain of the features.
+
+    Parameters
+    ----------
+    X : array_like, shape (samples, features)
+        In the order of time.
+    y : array_like, shape (samples,)
+    noise : array_like, shape () or (features,), optional
+        Standard deviation of the white noise of each feature, or one for all, in its unit.
+    instruments : array_like, shape (samples, instruments), optional
+        What goes with the features but not with their noise: a second sensor, older inputs.
+    fit_intercept : bool
+        Whether y has an offset.
+    folds : int
+        Stretches, 3 at least; fewer where there are fewer than twice as many samples.
+
+    Returns
+    -------
+    Advice
+
+    Raises
+    ------
+    InputError
+        When the tables do not fit together, or hold fewer than six samples.
+
+    References
+    ----------
+    Nadeau and Bengio, Inference for the generalization error (2003), of the intervals; Stefanski and Carroll, Conditional
+    scores and optimal scores for generalized linear measurement-error models (1987), of the score with noise.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> X = rng.standard_normal((200, 3))
+    >>> y = X @ [1.0, -2.0, 3.0] + rng.standard_normal(200)
+    >>> y[::10] += 100.0  # a sensor that drops out
+    >>> advice = estimation.advise(X, y)
+    >>> advice.ranking[0].name, advice.ranking[0].coef.round(0)
+    ('Huber', array([ 1., -2.,  3.]))
+    """
+    X, y = require_array("X", X, ndim=2), require_array("y", y, ndim=1)
+    samples, features = X.shape
+    y = require_array("y", y, shape=(samples,))
+    if samples < 6 or not features:
+        raise InputError(f"X has shape {X.shape}; give at least six samples and one feature")
+    folds = min(require_count("folds", folds, at_least=3), samples // 2)
+    given = None
+    if noise is not None:
+        given = require_array("noise", noise)
+        if given.shape not in ((), (features,)) or np.any(given < 0):
+            raise InputError(
+                f"noise is {given}; give a number, or one for each of {features} features, zero or above"
+            )
+        given = np.resize(given, features)
+    if instruments is not None:
+        instruments = require_array("instruments", instruments, shape=(samples, None))
+        if instruments.shape[1] < features:
+            raise InputError(
+                f"instruments has {pluralise(instruments.shape[1], 'column')}; give at least one a feature"
+            )
+    study = _Study(X, y, given, instruments, fit_intercept, folds)
+    ranking, left_out = study.ranking()
+    assumed = [
+        study.purpose(),
+        f"Samples follow one another in time; each of {pluralise(folds, 'part')} held out once.",
+    ]
+    if study.outliers:
+        assumed.append(
+            f"{pluralise(study.outliers, 'output')} beyond {OUTLIER:g} robust deviations not scored."
+        )
+    assumed += left_out
+    turns = {}
+    if instruments is None:
+        size = X.std(axis=0)
+        for share in SHARES:
+            name = _Study(X, y, share * size, None, fit_intercept, folds).order()[0][0]
+            if name != ranking[0].name and name not in turns.values():
+                turns[share] = name
+    return Advice(tuple(ranking), tuple(assumed), turns)
+
+
+class _Study:
+    def __init__(self, X, y, noise, instruments, fit_intercept, folds):
+        # features in units of their own
+        self.raw, self.units = X, np.where(np.ptp(X, axis=0) > 0, X.std(axis=0), 1.0)
+        self.X, self.y, self.instruments = X / self.units, y, instruments
+        self.noise = None if noise is None else noise / self.units
+        self.fit_intercept = fit_intercept
+        self.parts = np.array_split(np.arange(len(y)), folds)
+        left = y - HuberRegressor(fit_intercept=fit_intercept).fit(self.X, y).predict(self.X)
+        scale = np.median(np.abs(left)) / 0.6745
+        self.scored = np.abs(left) <= OUTLIER * scale if scale else np.ones(len(y), bool)
+        self.outliers = int(np.sum(~self.scored))
+
+    def purpose(self) -> str:
+        if self.instruments is not None:
+            return "Judged by the prediction of y from what the instruments explain of the features."
+        if self.noise is not None:
+            return "Judged by the prediction of y from features without their noise, which is white and of the given size."
+        return "Judged by the prediction of y from features as they are measured: the same noise on new ones."
+
+    def candidates(self) -> dict[str, Any]:
+        how = {"fit_intercept": self.fit_intercept}
+
+        found = {
+            IGNORE: DummyRegressor()
+            if self.fit_intercept
+            else DummyRegressor(strategy="constant", constant=0.0),
+            "ridge by evidence": RidgeRegressor("evidence", **how),
+            "ridge by cross-validation": RidgeRegressor("cross-validation", **how),
+            "least squares": RecursiveLeastSquares(**how),
+            "Huber": HuberRegressor(**how),
+            "H-infinity": HinfinityRegressor(**how),
+        }
+        if self.noise is not None and self.noise.any():
+            found |= {
+                "min-max": MinMaxRegressor(self.noise, "sample", **how),
+                "bias compensation": BiasCompensatedRegressor(self.noise, **how),
+                "total least squares": TotalLeastSquares(self.noise, self.output_noise(), **how),
+            }
+        if self.instruments is not None:
+            found["instruments"] = InstrumentalRegressor(**how)
+        return found
+
+    def output_noise(self) -> float:
+        # of the residuals of least squares what is not the features' noise
+        least = RidgeRegressor(0.0, fit_intercept=self.fit_intercept).fit(self.X, self.y)
+        left = np.mean((self.y - least.predict(self.X))[self.scored] ** 2)
+        share = np.sum((self.noise * least.coef_) ** 2)
+        return float(np.sqrt(max(left - share, 0.01 * left))) or 1.0
+
+    def losses(self, estimator) -> np.ndarray:
+        return np.array([self.loss(clone(estimator), part) for part in self.parts])
+
+    def loss(self, estimator, part) -> float:
+        kept = np.ones(len(self.y), bool)
+        kept[part] = False
+        self.fit(estimator, kept)
+        X = self.X[part]
+        if self.instruments is not None:
+            constant = np.ones((len(self.y), 1))
+            given = np.hstack([self.instruments, constant])
+            X = given[part] @ np.linalg.lstsq(given[kept], self.X[kept])[0]
+        scored = self.scored[part]
+        left = np.mean((self.y[part] - estimator.predict(X))[scored] ** 2) if scored.any() else np.nan
+        if self.noise is not None and self.instruments is None:
+            left -= np.sum((self.noise * coefficients(estimator, X.shape[1])) ** 2)
+        return left
+
+    def fit(self, estimator, kept):
+        given = {}
+        if isinstance(estimator, InstrumentalRegressor):
+            given["instruments"] = self.instruments[kept]
+        with warnings.catch_warnings():  # an estimate of zero is a result
+            warnings.simplefilter("ignore", ZeroEstimateWarning)
+            return estimator.fit(self.X[kept], self.y[kept], **given)
+
+    def fitted(self, estimator) -> tuple[Any, np.ndarray]:
+        whole, given = make_pipeline(StandardScaler(with_mean=False), estimator), {}
+        if isinstance(estimator, InstrumentalRegressor):
+            given["instrumentalregressor__instruments"] = self.instruments
+        whole.fit(self.raw, self.y, **given)
+        return whole, coefficients(estimator, len(self.units)) / whole[0].scale_
+
+    def judged(self) -> tuple[dict[str, np.ndarray], list[str]]:
+        losses, left_out = {}, []
+        for name, estimator in self.candidates().items():
+            try:
+                losses[name] = self.losses(estimator)
+            except InputError as error:
+                left_out.append(f"Left out: {name} ({error}).")
+        return losses, left_out
+
+    def order(self) -> tuple[list[str], dict[str, np.ndarray], list[str]]:
+        losses, left_out = self.judged()
+        scores = {name: _upper(own - losses[SAFE], SURE) for name, own in losses.items()}
+        order = sorted(scores, key=scores.__getitem__)
+        if not _upper(losses[order[0]] - losses[IGNORE], SOME) < 0:
+            order.sort(key=lambda name: name != IGNORE)
+        return order, losses, left_out
+
+    def ranking(self) -> tuple[list[RankedEstimator], list[str]]:
+        order, losses, left_out = self.order()
+        candidates = self.candidates()
+        unit = np.nanmean(losses[IGNORE])
+        best = losses[order[0]]
+        return [
+            RankedEstimator(
+                name,
+                *self.fitted(candidates[name]),
+                float(np.sqrt(max(np.nanmean(losses[name]), 0.0) / unit)) if unit > 0 else 1.0,
+                _interval(losses[name] - best, np.nanmean(best)),
+            )
+            for name in order
+        ], left_out
+
+
+def coefficients(estimator, features: int) -> np.ndarray:
+    """Of a fitted linear estimator of one output; zeros of one that ignores the features."""
+    return np.array(getattr(estimator, "coef_", np.zeros(features)))
+
+
+def _upper(differences, errors: float) -> float:
+    """Mean over the folds, which overlap in what they learn from, and so many standard errors more."""
+    differences = differences[np.isfinite(differences)]
+    count = len(differences)
+    return float(differences.mean() + errors * differences.std(ddof=1) * np.sqrt(1 / count + 1 / (count - 1)))
+
+
+def _interval(differences, mean) -> tuple[float, float]:
+    # of the root mean square over the first one's
+    if not mean > 0:
+        return 1.0, 1.0
+    width = stats.t.ppf(0.975, np.isfinite(differences).sum() - 1)
+    low, high = (np.sqrt(max(1 + _upper(differences, end) / mean, 0.0)) for end in (-width, width))
+    return float(low), float(high)

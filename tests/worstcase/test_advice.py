@@ -1,0 +1,89 @@
+"""The advice on an estimator: cases with an answer that anybody knows, and its numbers by hand."""
+
+import numpy as np
+import pytest
+
+from benchmarks import advice as problems
+from stillwork.base.checks import InputError
+from stillwork.estimation import advise
+from stillwork.estimation.advice import IGNORE, SAFE
+
+
+def record(samples=400, noise=0.0, seed=1):
+    rng = np.random.default_rng(seed)
+    clean = rng.standard_normal((samples, 3))
+    y = clean @ [1.0, -2.0, 3.0] + 0.5 * rng.standard_normal(samples)
+    return clean + noise * rng.standard_normal(clean.shape), y, clean, rng
+
+
+def test_each_flaw_has_its_estimator():
+    X, y, clean, rng = record(noise=0.7)
+    other = clean + 0.7 * rng.standard_normal(X.shape)
+    assert advise(X, y, instruments=other).ranking[0].name == "instruments"
+    known = advise(X, y, noise=0.7)
+    assert known.ranking[0].name in ("bias compensation", "total least squares")
+    assert known.ranking[0].coef == pytest.approx([1.0, -2.0, 3.0], abs=0.4)
+    spoiled = y + np.where(rng.random(400) < 0.05, 100.0, 0.0)
+    assert advise(X, spoiled).ranking[0].name == "Huber"
+    nothing = advise(X, rng.standard_normal(400))
+    assert nothing.ranking[0].name == IGNORE
+    assert "noise of 0.3" in str(advise(clean, y))  # then something else than least squares would be right
+
+
+def test_errors_are_those_of_parts_that_are_held_out():
+    X, y, *_ = record(60)
+    ranked = {each.name: each for each in advise(X, y, folds=5, fit_intercept=False).ranking}
+    losses = {"least squares": [], IGNORE: []}
+    for part in np.array_split(np.arange(60), 5):
+        kept = np.setdiff1d(np.arange(60), part)
+        coef = np.linalg.lstsq(X[kept], y[kept])[0]
+        losses["least squares"].append(np.mean((y[part] - X[part] @ coef) ** 2))
+        losses[IGNORE].append(np.mean(y[part] ** 2))
+    expected = np.sqrt(np.mean(losses["least squares"]) / np.mean(losses[IGNORE]))
+    assert ranked["least squares"].error == pytest.approx(expected, rel=1e-5)
+    assert ranked[IGNORE].error == 1.0
+    assert {each.over_first for each in ranked.values() if each.over_first[0] == each.over_first[1]} == {
+        (1.0, 1.0)
+    }
+    low, high = ranked[IGNORE].over_first
+    assert low < 1 / min(each.error for each in ranked.values()) < high
+
+
+def test_advice_is_the_same_in_any_unit():
+    X, y, *_ = record(100, noise=0.3)
+    units = np.array([1e-9, 1.0, 1e6])
+    one, other = advise(X, y, noise=0.3), advise(X * units, 1e-6 * y, noise=0.3 * units)
+    assert [each.name for each in one.ranking] == [each.name for each in other.ranking]
+    for mine, its in zip(one.ranking, other.ranking, strict=True):
+        assert its.error == pytest.approx(mine.error, rel=1e-4)
+    assert one.turns == other.turns
+    assert SAFE in [each.name for each in one.ranking]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"X": np.ones((5, 2)), "y": np.ones(5)}, r"^X\b.*six"),
+        ({"y": np.ones(3)}, r"^y\b"),
+        ({"noise": [0.1, 0.2]}, r"^noise\b.*3 features"),
+        ({"noise": -1.0}, r"^noise\b"),
+        ({"instruments": np.ones((400, 2))}, r"^instruments\b"),
+        ({"folds": 2}, r"^folds\b"),
+    ],
+)
+def test_what_does_not_fit_is_refused(changed, message):
+    X, y, *_ = record()
+    with pytest.raises(InputError, match=message):
+        advise(**{"X": X, "y": y} | changed)
+
+
+@pytest.mark.slow
+def test_advice_holds_on_problems_of_other_kinds():
+    """Two of each kind; `benchmarks/advice.py` has three hundred."""
+    found = [
+        problems.judge(draw(np.random.default_rng([3, number])))
+        for number, draw in enumerate(2 * list(problems.TEST.values()))
+    ]
+    over, ignoring = (np.array([each[place][0] for each in found]) for place in (2, 3))
+    assert np.mean(over < 1.1) >= 0.8
+    assert ignoring.max() < 1.2
