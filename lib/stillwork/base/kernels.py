@@ -2,11 +2,15 @@
 
 import contextlib
 import inspect
+import os
 import sys
+from collections import Counter
 from collections.abc import Callable
 from functools import cache
+from types import FunctionType
 
 import numba
+import numpy as np
 from numba.core.ccallback import CFunc
 from numba.core.sigutils import normalize_signature
 
@@ -66,6 +70,35 @@ def _take_constants_as_numbers(compiled):
         return template_of(plain, {name: numba.types.unliteral(each) for name, each in options.items()})
 
     compiled.get_call_template = get_call_template
+
+
+SHORT = 1e6  # elementary operations, for which Python takes about as long as a kernel takes to compile
+CALL = 100  # of them in a call alone
+_done: Counter = Counter()  # by Python, of each kernel
+
+
+def kernel_for(dispatcher, operations: float):
+    """The kernel; or its Python, until that has taken as long as to compile the kernel, where it is not compiled yet."""
+    if not hasattr(dispatcher, "py_func") or dispatcher.overloads:
+        return dispatcher
+    _done[dispatcher] += CALL + operations
+    if _done[dispatcher] > SHORT:
+        return dispatcher
+    index = getattr(getattr(dispatcher._cache, "_cache_file", None), "_index_path", "")
+    return dispatcher if os.path.exists(index) else _uncompiled(dispatcher)
+
+
+@cache
+def _uncompiled(dispatcher) -> Callable:
+    # the same code, in which kernels are Python functions as well
+    function = dispatcher.py_func
+    names = {
+        name: _uncompiled(value)
+        for name, value in function.__globals__.items()
+        if name in function.__code__.co_names and hasattr(value, "py_func")
+    }
+    python = FunctionType(function.__code__, function.__globals__ | names, closure=function.__closure__)
+    return np.errstate(all="ignore")(python)
 
 
 @cache

@@ -2,15 +2,16 @@
 
 import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Matrix, NonNegative, Vector
+from stillwork.base.checks import require_array
 from stillwork.base.validation import by_value, checked
-from stillwork.estimation.secular import ROUNDING, SecularFunction, decompose
+from stillwork.estimation.secular import CASES, ROUNDING, ZERO, decompose, min_max_root, spectrum
 
 
 class ZeroEstimateWarning(UserWarning):
@@ -103,61 +104,48 @@ def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: NonNegative) -> 
 def solve_sweep(matrix: Matrix, target: Vector, bounds: Iterable[NonNegative]) -> list[MinMaxSolution]:
     """`solve_silently` for several bounds, with one decomposition of the data."""
     bounds = list(bounds)
-    matrix_unit = _size(matrix)
-    target_unit = _size(target)
-    scaled, aimed = matrix / matrix_unit, target / target_unit
-    function, right, rank = decompose(scaled, aimed, 0.0)
-    return [
-        _solution(
-            scaled, aimed, replace(function, bound=bound / matrix_unit), right, rank, matrix_unit, target_unit
-        )
-        for bound in bounds
-    ]
+    if len(matrix) < matrix.shape[1] or not matrix.shape[1]:
+        decompose(matrix, target, 0.0)  # refuses it
+    target = require_array("target", target, shape=(len(matrix),))
+    scaled, aimed, units = _in_units(matrix, target)
+    parts = spectrum(scaled, aimed)
+    return [_solution(scaled, aimed, units, parts, bound) for bound in bounds]
 
 
-def _solution(
-    scaled: np.ndarray,
-    aimed: np.ndarray,
-    function: SecularFunction,
-    right: np.ndarray,
-    rank: int,
-    matrix_unit: float,
-    target_unit: float,
-) -> MinMaxSolution:
+def solve_plain(matrix: np.ndarray, target: np.ndarray, bound: float) -> tuple[np.ndarray, bool]:
+    """The estimate alone of arrays that are known to fit, and whether a bound makes it zero."""
+    scaled, aimed, units = _in_units(matrix, target)
+    case, _, threshold, _, _, estimate = _solved(spectrum(scaled, aimed), len(scaled), bound / units[0])
+    return estimate * (units[1] / units[0]), case == ZERO and threshold > 0
+
+
+def _in_units(matrix, target) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+    units = _size(matrix), _size(target)
+    return matrix / units[0], target / units[1], units
+
+
+def _solved(parts, rows, bound):
+    # in units of the data: what `min_max_root` gives, and the estimate
+    eigenvalues, coefficients, excess, right = parts
+    found = min_max_root(eigenvalues, coefficients, excess, bound, rows * ROUNDING)
+    return *found, right @ (np.sqrt(eigenvalues) * coefficients / (eigenvalues + found[1]))
+
+
+def _solution(scaled, aimed, units, parts, bound) -> MinMaxSolution:
     """Solution of the data, which are given over their units."""
-    bound = function.bound
-    threshold = free = 0.0
-    if np.any(function.coefficients):
-        threshold = function.threshold
-        free = min(function.free_bound, threshold) if function.excess == 0 else 0.0
-    tie = len(scaled) * ROUNDING * threshold
-    evaluations = 0
-    if threshold == 0:
-        case, alpha = "zero", np.inf
-    elif bound == 0:
-        case, alpha = "least squares", 0.0
-    elif function.excess == 0 and abs(threshold - free) <= tie and abs(bound - free) <= tie:
-        case, alpha = "segment", 0.0
-    elif bound >= threshold:
-        case, alpha = "zero", np.inf
-    elif bound <= free:
-        case, alpha = "least squares", 0.0
-    else:
-        case = "regularised"
-        alpha, evaluations = function.root()
-    weights = np.sqrt(function.eigenvalues) * function.coefficients / (function.eigenvalues + alpha)
-    estimate = right @ weights
+    matrix_unit, target_unit = units
+    case, alpha, threshold, free, evaluations, estimate = _solved(parts, len(scaled), bound / matrix_unit)
     residual = scaled @ estimate - aimed
-    worst = np.linalg.norm(residual) + bound * np.linalg.norm(estimate)
+    worst = np.linalg.norm(residual) + bound / matrix_unit * np.linalg.norm(estimate)
     return MinMaxSolution(
         estimate=estimate * (target_unit / matrix_unit),
         alpha=float(alpha * matrix_unit**2),
         worst_case_residual=float(worst * target_unit),
-        perturbation=_worst_perturbation(residual, estimate, bound * matrix_unit),
-        case=case,
+        perturbation=_worst_perturbation(residual, estimate, bound),
+        case=CASES[case],
         threshold=threshold * matrix_unit,
         free_bound=free * matrix_unit,
-        rank=rank,
+        rank=len(parts[0]),
         evaluations=evaluations,
     )
 

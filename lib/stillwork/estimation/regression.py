@@ -4,6 +4,7 @@ A sample with NaN in it (a feature or an output) is lost: time passes, so that f
 A call that is refused changes nothing.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,14 +19,16 @@ from stillwork.base.checks import (
     require_kind,
     require_number,
 )
+from stillwork.base.kernels import kernel_for
 from stillwork.estimation.adaptive import INFLATION, FeLms, FeRls
 from stillwork.estimation.covariance_forms import FORMS, factor_of
 from stillwork.estimation.online import run_felms, run_ferls
-from stillwork.estimation.recursive import require_finite_squares, require_squares, warn_held
+from stillwork.estimation.recursive import LARGEST, require_finite_squares, require_squares, warn_held
 from stillwork.estimation.recursive_kernels import admit_start, believe_start
 from stillwork.estimation.recursive_settings import START
 
 NUMBERS = {"dtype": np.float64, "ensure_all_finite": "allow-nan"}  # what scikit-learn's checks are to return
+ONE = np.ones(1)  # the weight of a sample that needs none
 SHARE = 1e-5  # regularisation of least mean squares over the largest |x|^2, where it follows from the data
 
 
@@ -123,8 +126,7 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         before = vars(self).copy()
         try:
             X, y, weights = self._samples(X, y, sample_weight, anew)
-            lost = _lost(X, y)
-            if lost.any():
+            if weights is not ONE and (lost := _lost(X, y)).any():
                 if anew and lost.all():
                     raise _nothing()
                 X, y, weights = np.nan_to_num(X), np.nan_to_num(y), np.where(lost, 0.0, weights)
@@ -141,8 +143,11 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return self
 
     def _take(self, X, y, weights, anew):
-        root = np.sqrt(weights)[:, None]
-        features, single, outputs = X.shape[1], y.ndim == 1, root * y.reshape(len(y), -1)
+        features, single, outputs = X.shape[1], y.ndim == 1, y.reshape(len(y), -1)
+        root = weights[:, None]
+        if weights is not ONE:
+            root = np.sqrt(root)
+            outputs = root * outputs
         columns = features + bool(require_kind("fit_intercept", self.fit_intercept, (bool, np.bool_)))
         if anew:
             state = self._start(columns, outputs.shape[1])
@@ -158,8 +163,10 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if columns > features:
             if anew:
                 self._size = self._constant(root * X)
-            rows = np.column_stack([X, np.full(len(X), self._size)])
-        self._state, found = self._advance(state, root * rows, outputs, weights)
+            rows = np.empty((len(X), columns))
+            rows[:, :features], rows[:, features] = X, self._size
+        rows = rows if weights is ONE else root * rows
+        self._state, found = self._advance(state, rows, outputs, weights)
         if not np.isfinite(found).all():
             raise InputError("X and y lead to an overflow; give them in other units")
         self._columns = columns
@@ -169,6 +176,8 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _samples(self, X, y, sample_weight, anew):
         # X, y, and a weight for each sample
+        if not anew and sample_weight is None and self._is_next(X, y):
+            return X, y, ONE
         X = self._features(X, anew)
         if y is None:
             raise InputError(
@@ -187,6 +196,18 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if np.any(weights < 0):
             raise InputError("sample_weight holds a negative number; give weights of zero or above")
         return X, y, weights
+
+    def _is_next(self, X, y) -> bool:
+        # one more sample of a stream, whole and as it is calculated with: the checks would take longer than the update
+        return (
+            type(X) is np.ndarray
+            and type(y) is np.ndarray
+            and X.shape == (1, self.n_features_in_)
+            and y.shape == (1, *self.coef_.shape[:-1])
+            and X.dtype == y.dtype == np.float64
+            and math.hypot(*X.ravel().tolist(), *y.ravel().tolist()) <= LARGEST
+            and not hasattr(self, "feature_names_in_")
+        )
 
     def _features(self, X, anew):
         # an array of the shape that was learned from needs none of the checks that take ten times as long as a step
@@ -394,7 +415,8 @@ class LeastMeanSquares(UnweightedRegressor):
             unit = np.sqrt(np.where(largest[1:] > 0, largest[1:], 1.0))[:, None]
             rows, outputs = rows / unit, outputs / unit
         steps = settings.step_size, settings.regularisation, settings.trace_copies(1)
-        run_felms(coef, *steps, *_record(rows, outputs), False)
+        run = kernel_for(run_felms, rows.size * len(coef))
+        run(coef, *steps, *_record(rows, outputs), False)
         return (coef, largest[-1]), coef
 
 
@@ -499,7 +521,9 @@ class RecursiveLeastSquares(WeightedRegressor):
         recursion = state[1].copy()
         if not (isinstance(self.forgetting, float) and self.forgetting == recursion.forgetting):
             recursion = recursion._replace(forgetting=self._settings().forgetting)
-        squares = np.square(rows) / np.where(weights > 0, weights, 1.0)[:, None]
+        squares = np.square(rows)
+        if weights is not ONE:
+            squares /= np.where(weights > 0, weights, 1.0)[:, None]
         while first < len(squares):
             larger = (squares[first:] > largest).any(axis=1)
             if larger[0]:
@@ -510,7 +534,8 @@ class RecursiveLeastSquares(WeightedRegressor):
             ahead = int(larger.argmax())
             last = first + ahead if larger[ahead] else len(squares)
             record = _record(rows[first:last], outputs[first:last])
-            stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False, state[3] + first)
+            run = kernel_for(run_ferls, rows.size * (rows.shape[1] + len(coef)))
+            stopped, _ = run(coef, recursion, *recursion[-2:], *record, False, state[3] + first)
             if stopped < len(record[0]):
                 raise InputError(
                     "initial_covariance, growth_limit and X together make the covariance indefinite; give a smaller "
@@ -527,10 +552,10 @@ class RecursiveLeastSquares(WeightedRegressor):
         for i in np.flatnonzero(rise > 0):
             if largest[i] == 0:
                 covariance[i, i], levels[0, i] = 0.0, np.inf
-            admit_start(covariance, i, rise[i])
+            kernel_for(admit_start, len(rise))(covariance, i, rise[i])
             levels[0, i] = min(levels[0, i], recursion.allowance / INFLATION * START / squares[i])
         for i in np.flatnonzero((rise > 0) & (largest > 0)):
-            share = believe_start(covariance, i, rise[i], gain)
+            share = kernel_for(believe_start, len(rise) ** 2)(covariance, i, rise[i], gain)
             coef += share * np.outer(start[:, i] - coef[:, i], gain)
         return recursion._replace(matrix=factor_of(FORMS[recursion.form], covariance), levels=levels)
 

@@ -1,5 +1,6 @@
 """The secular equation alpha = f(alpha) of Theorem 1, whose root is the min-max regularisation."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ from stillwork.base.validation import by_value, check_fields, checked
 
 # A singular value (or a part of b outside the column space) below this share of the largest is rounding.
 ROUNDING = 10 * np.finfo(float).eps
+CASES = ("regularised", "zero", "least squares", "segment")
+REGULARISED, ZERO, LEAST_SQUARES, SEGMENT = range(4)
 
 
 @kernel
@@ -95,6 +98,55 @@ def secular_root(eigenvalues, c_squared, d_squared, bound, start):
     return alpha, evaluations
 
 
+@kernel
+def spectral_sums(eigenvalues, coefficients, excess):
+    """tau = |A'b| / |b| and the free bound |S^-1 c| / |S^-2 c| of Theorem 1, and where a search from afar begins.
+
+    The last is times (tau / eta - 1): there bound(1/alpha)^-1, linear from alpha = infinity, would meet eta^-1.
+    """
+    lowest = 0.0
+    middle = 0.0
+    highest = 0.0
+    once = 0.0
+    twice = 0.0
+    for i in range(len(eigenvalues)):
+        square = coefficients[i] * coefficients[i]
+        lowest += square
+        middle += square * eigenvalues[i]
+        highest += square * eigenvalues[i] * eigenvalues[i]
+        once += square / eigenvalues[i]
+        twice += square / eigenvalues[i] / eigenvalues[i]
+    whole = lowest + excess * excess
+    return np.sqrt(middle / whole), np.sqrt(once / twice), highest / middle - middle / whole
+
+
+@kernel
+def min_max_root(eigenvalues, coefficients, excess, bound, tolerance):
+    """Case of Theorem 1, alpha, tau, free bound and evaluations; two bounds count as one within `tolerance` of tau."""
+    threshold = 0.0
+    free = 0.0
+    spread = 0.0
+    for i in range(len(coefficients)):
+        if coefficients[i] != 0.0:
+            threshold, free, spread = spectral_sums(eigenvalues, coefficients, excess)
+            free = min(free, threshold) if excess == 0.0 else 0.0
+            break
+    tie = tolerance * threshold
+    if threshold == 0.0:
+        return ZERO, np.inf, threshold, free, 0
+    if bound == 0.0:
+        return LEAST_SQUARES, 0.0, threshold, free, 0
+    if excess == 0.0 and abs(threshold - free) <= tie and abs(bound - free) <= tie:
+        return SEGMENT, 0.0, threshold, free, 0
+    if bound >= threshold:
+        return ZERO, np.inf, threshold, free, 0
+    if bound <= free:
+        return LEAST_SQUARES, 0.0, threshold, free, 0
+    start = spread / (threshold / bound - 1.0)
+    alpha, count = secular_root(eigenvalues, coefficients * coefficients, excess * excess, bound, start)
+    return REGULARISED, alpha, threshold, free, count
+
+
 @by_value
 @dataclass(frozen=True)
 class SecularFunction:
@@ -116,17 +168,17 @@ class SecularFunction:
     @checked
     def threshold(self) -> float:
         """tau = |A'b| / |b|: a bound at or above it makes the estimate zero (Theorem 1)."""
-        return float(
-            np.linalg.norm(np.sqrt(self.eigenvalues) * self.coefficients)
-            / np.hypot(np.linalg.norm(self.coefficients), self.excess)
-        )
+        return float(self._sums[0])
 
     @property
     @checked
     def free_bound(self) -> float:
         """|S^-1 c| / |S^-2 c|: up to it least squares itself is the answer, when b is in the column space."""
-        unscaled = self.coefficients / self.eigenvalues
-        return float(np.linalg.norm(np.sqrt(self.eigenvalues) * unscaled) / np.linalg.norm(unscaled))
+        return float(self._sums[1])
+
+    @property
+    def _sums(self):
+        return spectral_sums(self.eigenvalues, self.coefficients, self.excess)
 
     @checked
     def __call__(self, alpha: float | ArrayLike) -> np.ndarray | float:
@@ -193,15 +245,9 @@ class SecularFunction:
                 f"bound is {self.bound:g}; the secular equation has a positive root only for a bound "
                 f"between {lowest:g} and {self.threshold:g}"
             )
-        start = self._far_start() if start is None else start
+        if start is None:
+            start = float(self._sums[2] / (self.threshold / self.bound - 1))
         return secular_root(self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, start)
-
-    def _far_start(self) -> float:
-        # where bound(1/alpha)^-1, linear from alpha = infinity, would meet eta^-1
-        squares = self.coefficients**2
-        lowest, middle, highest = (squares @ self.eigenvalues**power for power in range(3))
-        spread = highest / middle - middle / (lowest + self.excess**2)
-        return float(spread / (self.threshold / self.bound - 1))
 
     def _terms(self, alpha):
         alpha = require_array("alpha", alpha)[..., None]
@@ -238,15 +284,22 @@ def decompose(
             f"matrix has {pluralise(rows, 'row')} for {pluralise(unknowns, 'unknown')}; give at least as many rows as unknowns"
         )
     target = require_array("target", target, shape=(rows,))
+    eigenvalues, coefficients, excess, right = spectrum(matrix, target)
+    return SecularFunction(eigenvalues, coefficients, excess, bound), right, len(eigenvalues)
+
+
+def spectrum(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """Eigenvalues of A'A that are not rounding, c = U1'b, |d| and the right singular vectors (unknowns x rank)."""
     left, singular, right = np.linalg.svd(matrix, full_matrices=False)
-    rank = int(np.sum(singular > rows * ROUNDING * singular[0]))
+    tolerance = len(matrix) * ROUNDING
+    rank = int(np.count_nonzero(singular > tolerance * singular[0]))
     left, singular, right = left[:, :rank], singular[:rank], right[:rank]
     coefficients = left.T @ target
     # from the difference itself: |b|^2 - |c|^2 would lose half of the digits
-    excess = float(np.linalg.norm(target - left @ coefficients))
-    if excess <= rows * ROUNDING * np.linalg.norm(target):
+    rest = target - left @ coefficients
+    excess, least = math.sqrt(rest @ rest), tolerance * math.sqrt(target @ target)
+    if excess <= least:
         excess = 0.0
-    size = np.linalg.norm(coefficients)
-    if size <= rows * ROUNDING * np.linalg.norm(target):
+    if math.sqrt(coefficients @ coefficients) <= least:
         coefficients = np.zeros(rank)
-    return SecularFunction(singular**2, coefficients, excess, bound), right.T, rank
+    return singular**2, coefficients, excess, right.T

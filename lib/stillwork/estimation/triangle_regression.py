@@ -17,7 +17,7 @@ from stillwork.estimation.linear_fits import (
     instrumental_variables,
     total_least_squares,
 )
-from stillwork.estimation.min_max import ZeroEstimateWarning, qr_r, solve_silently
+from stillwork.estimation.min_max import ZeroEstimateWarning, solve_plain
 from stillwork.estimation.regression import WeightedRegressor
 from stillwork.estimation.secular import ROUNDING
 
@@ -38,13 +38,16 @@ class TriangleRegressor(WeightedRegressor):
     def _advance(self, state, rows, outputs, weights):
         corner, mass = state[:2]
         forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
-        fading = forgetting ** np.arange(len(weights) - 1, -1, -1)
-        mass = forgetting ** len(weights) * mass + weights @ fading
         table = np.hstack([rows, outputs])
         if self._instruments is not None:
             table = np.hstack([np.sqrt(weights)[:, None] * self._instruments, table])
-        past = forgetting ** (len(weights) / 2) * corner
-        corner = qr_r(np.vstack([past, np.sqrt(fading)[:, None] * table]))
+        if len(weights) == 1:
+            mass = forgetting * mass + float(weights[0])
+        else:
+            fading = forgetting ** np.arange(len(weights) - 1, -1, -1)
+            mass = forgetting ** len(weights) * mass + weights @ fading
+            table = np.sqrt(fading)[:, None] * table
+        corner = np.linalg.qr(np.concatenate([forgetting ** (len(weights) / 2) * corner, table]), mode="r")
         return (corner, mass), self._solve(corner, rows.shape[1], outputs.shape[1], mass)
 
     def _solve(self, corner, columns, outputs, mass) -> np.ndarray:
@@ -80,15 +83,20 @@ def solve_around_known(matrix, target, known, estimate: Callable) -> np.ndarray:
     """Estimate of all columns by `estimate` of the others, once what the `known` columns explain is taken out of them."""
     if not known.any():
         return estimate(matrix, target)
-    units = np.linalg.norm(matrix[:, known], axis=0)
+    columns = matrix[:, known]
+    units = np.sqrt((columns**2).sum(axis=0))
     units[units == 0] = 1.0
-    left, sizes, _ = np.linalg.svd(matrix[:, known] / units, full_matrices=False)
-    basis = left[:, sizes > len(matrix) * ROUNDING * np.max(sizes, initial=0.0)]
+    basis = columns / units
+    if basis.shape[1] > 1:
+        left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
+        basis = left[:, sizes > len(matrix) * ROUNDING * np.max(sizes, initial=0.0)]
     doubtful, aimed = ((part - basis @ (basis.T @ part)) for part in (matrix[:, ~known], target))
     coef = np.zeros(len(known))
     if not known.all():
         coef[~known] = estimate(doubtful, aimed)
-    coef[known] = np.linalg.lstsq(matrix[:, known] / units, target - matrix @ coef)[0] / units
+    left = target - matrix @ coef
+    several = basis.shape[1] > 1 or len(units) > 1
+    coef[known] = (np.linalg.lstsq(columns / units, left)[0] if several else basis.T @ left) / units
     return coef
 
 
@@ -197,9 +205,9 @@ class MinMaxRegressor(TriangleRegressor):
                 raise InputError(
                     "bound holds numbers that differ by more than 1e12; give 0 for a column known so well"
                 )
-            solution = solve_silently(matrix / shares, target, largest)
-            self._zero |= solution.case == "zero" and solution.threshold > 0
-            return solution.estimate / shares
+            estimate, zero = solve_plain(matrix / shares, target, largest)
+            self._zero |= zero
+            return estimate / shares
 
         return np.array([solve_around_known(corner[:, :columns], each, known, estimate) for each in targets])
 
