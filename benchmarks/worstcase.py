@@ -27,6 +27,7 @@ sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 import numpy as np  # noqa: E402
 
 from experiments.worstcase import solve_cone_program  # noqa: E402
+from experiments.worstcase.rank_one import FastMinMax  # noqa: E402
 from notebooks.worstcase.time_updates import slope  # noqa: E402
 from stillwork.estimation import LeastSquares, MinMax  # noqa: E402
 from stillwork.estimation.recursive import RecursiveStepper  # noqa: E402
@@ -45,7 +46,7 @@ UPDATES = {
     "approximate 2": MinMax(BOUND, FORGETTING, "approximate", 2),
     "approximate 3": MinMax(BOUND, FORGETTING, "approximate", 3),
     "exact": MinMax(BOUND, FORGETTING, "exact"),
-    "fast": MinMax(BOUND, FORGETTING, "fast"),
+    "fast": FastMinMax(BOUND, FORGETTING),
 }
 
 

@@ -298,7 +298,7 @@ def catalogue() -> dict:
         "run": (e.run, {"estimator": e.MinMax(0.1, 0.9), "regressors": rows, "outputs": signal}),
         "run, least squares": (e.run, {"estimator": e.LeastSquares(0.9), "regressors": rows, "outputs": signal}),
         "run, ridge": (e.run, {"estimator": e.Ridge(0.1, 0.9), "regressors": rows, "outputs": signal}),
-        "run, growing": (e.run, {"estimator": e.GrowingMinMax(0.1, "fast"), "regressors": rows, "outputs": signal}),
+        "run, growing": (e.run, {"estimator": e.GrowingMinMax(0.1), "regressors": rows, "outputs": signal}),
         "secular_function": (e.secular_function, block),
         "steady_covariance": (e.steady_covariance, {"regressors": rows, "forgetting": 0.9}),
         "worst_case_residuals": (e.worst_case_residuals, {"regressors": rows, "outputs": signal, "estimates": rows, "bounds": np.ones(60), "forgetting": 0.9}),

@@ -51,7 +51,8 @@ class Numpy:
         count += a.shape[0] * a.shape[1] * b.shape[1]
         return numbers(np.dot(a.astype(float), b.astype(float)))
 
-from stillwork.estimation import rank_one, secular, recursive_kernels as steps
+from experiments.worstcase import rank_one
+from stillwork.estimation import secular, recursive_kernels as steps
 for module in (rank_one, secular, steps):
     module.np = Numpy()
 

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillwork.estimation.rank_one import update_eigenpairs
+from experiments.worstcase.rank_one import FastMinMax, update_eigenpairs
+from stillwork.estimation import MinMax, run
 
 
 def check(values, vectors, row, forgetting=0.9, tolerance=1e-13):
@@ -52,3 +53,15 @@ def test_a_thousand_updates_stay_orthogonal():
     for _ in range(1000):
         update_eigenpairs(values, vectors, rng.normal(size=30), 0.98)
     assert vectors @ vectors.T == pytest.approx(np.eye(30), abs=1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-60, 1.0, 1e60])
+def test_the_fast_recursion_is_the_exact_one(size):
+    """On a record with a silence, in which all but one eigenvalue drown in rounding, and in any unit."""
+    rng = np.random.default_rng(2)
+    rows = size * rng.normal(size=(4, 120))
+    rows[:, 60:70] = 0.0
+    outputs = rows.sum(axis=0) + 0.3 * size * rng.normal(size=120)
+    fast, exact = (run(kind(0.5 * size, 0.9), rows, outputs) for kind in (FastMinMax, MinMax))
+    assert fast.estimates == pytest.approx(exact.estimates, abs=1e-6)
+    assert np.array_equal(np.isinf(fast.alphas), np.isinf(exact.alphas))

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from experiments.worstcase.rank_one import FastMinMax
 from stillwork.base.checks import require_array, require_number
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
@@ -191,16 +192,16 @@ def recursion_trial(
             batch[:, t], alphas[t] = found.estimate, found.alpha
     sizes = np.linalg.norm(batch, axis=0)
     scale = sizes.max() or 1.0  # where the bound leaves no estimate but zero
-    settings = {"exact": ("exact", 1), "fast": ("fast", 1)}
-    settings |= {f"approximate_{k}": ("approximate", k) for k in (1, 2, 3)}
+    settings = {"exact": MinMax(bound, forgetting), "fast": FastMinMax(bound, forgetting)}
+    settings |= {f"approximate_{k}": MinMax(bound, forgetting, "approximate", k) for k in (1, 2, 3)}
     found = {"alpha": np.where(np.isfinite(alphas), alphas, np.nan), "size": sizes}
-    for name, (update, iterations) in settings.items():
-        track = run_silently(MinMax(bound, forgetting, update, iterations), regressors, outputs)
+    for name, estimator in settings.items():
+        track = run_silently(estimator, regressors, outputs)
         found[name] = np.linalg.norm(track.estimates - batch, axis=0) / scale
         found[f"size_{name}"] = np.linalg.norm(track.estimates, axis=0)
-        if update == "approximate":
+        if estimator.update == "approximate":
             ours = np.where(np.isfinite(track.alphas), track.alphas, np.nan)
-            found[f"alpha_{iterations}"] = np.abs(ours / found["alpha"] - 1)
+            found[f"alpha_{estimator.iterations}"] = np.abs(ours / found["alpha"] - 1)
     for name in ("as_printed", "corrected", "image_as_printed", "image_corrected"):
         found[name] = np.full(samples, np.nan)
     for t in range(unknowns, samples - 1):

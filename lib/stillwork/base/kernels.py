@@ -73,15 +73,15 @@ def _take_constants_as_numbers(compiled):
 
 
 SHORT = 1e6  # elementary operations, for which Python takes about as long as a kernel takes to compile
-CALL = 100  # of them in a call alone
+CALL = 100  # of them that a sample takes beside its own
 _done: Counter = Counter()  # by Python, of each kernel
 
 
-def kernel_for(dispatcher, operations: float):
+def kernel_for(dispatcher, samples: int, operations: float):
     """The kernel; or its Python, until that has taken as long as to compile the kernel, where it is not compiled yet."""
     if not hasattr(dispatcher, "py_func") or dispatcher.overloads:
         return dispatcher
-    _done[dispatcher] += CALL + operations
+    _done[dispatcher] += samples * (CALL + operations)
     if _done[dispatcher] > SHORT:
         return dispatcher
     index = getattr(getattr(dispatcher._cache, "_cache_file", None), "_index_path", "")

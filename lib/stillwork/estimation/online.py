@@ -337,10 +337,10 @@ def _advance(settings, weights, recursion, *inputs, first: int = 0) -> tuple[int
     """Run an algorithm over some samples, `weights` and `recursion` in place; see `run_ferls`."""
     samples, n = inputs[0].shape
     if recursion is not None:
-        run = kernel_for(run_ferls, samples * n * (n + len(weights)))
+        run = kernel_for(run_ferls, samples, n * (n + len(weights)))
         return run(weights, recursion, *recursion[-2:], *inputs, first)
     rates = settings.step_size, settings.regularisation, settings.trace_copies(len(weights))
-    return kernel_for(run_felms, samples * n * len(weights))(weights, *rates, *inputs), True
+    return kernel_for(run_felms, samples, n * len(weights))(weights, *rates, *inputs), True
 
 
 def _not_definite(sample: int) -> UnstableAdaptation:

@@ -9,10 +9,9 @@ from stillwork.base.bounds import Fraction, NonNegative, Positive
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.kernels import kernel_for
 from stillwork.base.validation import by_value, check_fields
-from stillwork.estimation import rank_one
 from stillwork.estimation.recursive_kernels import known_length, run_least_squares, run_min_max, run_ridge
 
-UPDATES = ("exact", "approximate", "fast")
+UPDATES = ("exact", "approximate")
 START = 1e6  # how much more the largest sample of a regressor counts than the start, where that follows from the data
 
 
@@ -126,7 +125,7 @@ class _MinMaxUpdate(_Recursion):
         Returns
         -------
         tuple of ndarray
-            R, s and what the update of alpha keeps; of ``fast`` the eigenvalues and eigenvectors of R.
+            R, s and what the update of alpha keeps.
 
         Examples
         --------
@@ -137,8 +136,6 @@ class _MinMaxUpdate(_Recursion):
         """
         square = np.zeros((unknowns, unknowns))
         state = (square, np.zeros(unknowns), np.array([np.inf, 0.0, 0.0]), np.zeros(unknowns))
-        if self.update == "fast":
-            return (np.zeros(unknowns), np.eye(unknowns), *state[1:])
         return (*state, np.zeros((unknowns, unknowns)), np.zeros(unknowns))
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
@@ -166,13 +163,10 @@ class _MinMaxUpdate(_Recursion):
         >>> bool(0 < estimates[-1, 0] < 2)  # doubt shrinks
         True
         """
-        if self.update == "fast":
-            rank_one.run_fast(rows, outputs, bounds, self._weight, *state, *track)
-        else:
-            iterations = self.iterations if self.update == "approximate" else 0
-            known = known_length(rows.shape[1], len(rows))
-            run = kernel_for(run_min_max, 10 * rows.size * rows.shape[1])
-            run(known, rows, outputs, bounds, self._weight, iterations, *state, *track)
+        iterations = self.iterations if self.update == "approximate" else 0
+        known = known_length(rows.shape[1], len(rows))
+        run = kernel_for(run_min_max, len(rows), 10 * rows.shape[1] ** 2)
+        run(known, rows, outputs, bounds, self._weight, iterations, *state, *track)
 
     def _check(self) -> None:
         require_choice("update", self.update, UPDATES)
@@ -199,7 +193,6 @@ class MinMax(_MinMaxUpdate):
         ``exact``: Theorem 2, one O(n^3) factorisation per step towards alpha; (R + alpha I) x = s is solved
         anew, to which the theorem's correction of h is equal, so that leaving zero needs no special case.
         ``approximate``: algorithm (20).
-        ``fast``: the exact root from rank-one updates of the eigenvectors of R, Section 7.
     iterations : int
         Fixed-point steps of the approximate update; the published algorithm takes 1.
 
@@ -216,7 +209,7 @@ class MinMax(_MinMaxUpdate):
     References
     ----------
     Sayed, Garulli, Nascimento, Chandrasekaran, "Exponentially-weighted iterative solutions for worst-case
-    parameter estimation", Theorem 2, (20), Section 7. With h as printed, (15) and (18) need lam alpha_t.
+    parameter estimation", Theorem 2, (20). With h as printed, (15) and (18) need lam alpha_t.
 
     Examples
     --------
@@ -378,7 +371,7 @@ class LeastSquares(_Recursion):
         array([2.])
         """
         settings = float(self.forgetting), START, float(self.growth_limit)
-        run = kernel_for(run_least_squares, rows.size * rows.shape[1])
+        run = kernel_for(run_least_squares, len(rows), rows.shape[1] ** 2)
         run(rows, outputs, *settings, *state, *track[:2])
 
 
@@ -398,7 +391,7 @@ class Ridge(_Recursion):
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
         settings = float(self.penalty), float(self.forgetting)
-        run = kernel_for(run_ridge, rows.size * rows.shape[1])
+        run = kernel_for(run_ridge, len(rows), rows.shape[1] ** 2)
         run(rows, outputs, *settings, *state, *track[:2])
         track[2][:] = self.penalty
 

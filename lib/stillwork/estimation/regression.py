@@ -415,7 +415,7 @@ class LeastMeanSquares(UnweightedRegressor):
             unit = np.sqrt(np.where(largest[1:] > 0, largest[1:], 1.0))[:, None]
             rows, outputs = rows / unit, outputs / unit
         steps = settings.step_size, settings.regularisation, settings.trace_copies(1)
-        run = kernel_for(run_felms, rows.size * len(coef))
+        run = kernel_for(run_felms, len(rows), coef.size)
         run(coef, *steps, *_record(rows, outputs), False)
         return (coef, largest[-1]), coef
 
@@ -534,7 +534,7 @@ class RecursiveLeastSquares(WeightedRegressor):
             ahead = int(larger.argmax())
             last = first + ahead if larger[ahead] else len(squares)
             record = _record(rows[first:last], outputs[first:last])
-            run = kernel_for(run_ferls, rows.size * (rows.shape[1] + len(coef)))
+            run = kernel_for(run_ferls, len(record[0]), rows.shape[1] ** 2 + coef.size)
             stopped, _ = run(coef, recursion, *recursion[-2:], *record, False, state[3] + first)
             if stopped < len(record[0]):
                 raise InputError(
@@ -552,10 +552,10 @@ class RecursiveLeastSquares(WeightedRegressor):
         for i in np.flatnonzero(rise > 0):
             if largest[i] == 0:
                 covariance[i, i], levels[0, i] = 0.0, np.inf
-            kernel_for(admit_start, len(rise))(covariance, i, rise[i])
+            kernel_for(admit_start, 1, len(rise))(covariance, i, rise[i])
             levels[0, i] = min(levels[0, i], recursion.allowance / INFLATION * START / squares[i])
         for i in np.flatnonzero((rise > 0) & (largest > 0)):
-            share = kernel_for(believe_start, len(rise) ** 2)(covariance, i, rise[i], gain)
+            share = kernel_for(believe_start, 1, len(rise) ** 2)(covariance, i, rise[i], gain)
             coef += share * np.outer(start[:, i] - coef[:, i], gain)
         return recursion._replace(matrix=factor_of(FORMS[recursion.form], covariance), levels=levels)
 

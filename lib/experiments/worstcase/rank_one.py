@@ -5,11 +5,15 @@ eigenproblem" (1994): eigenvalues from their own secular equation, then eigenvec
 that belong exactly to the computed eigenvalues, so that they are orthogonal to rounding.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from stillwork.base.algebra import add_scaled, copy_vector, inner_product, minus_row, set_product
 from stillwork.base.kernels import kernel
+from stillwork.base.validation import by_value
 from stillwork.estimation.recursive_kernels import ALPHA, COUNT, ENERGY
+from stillwork.estimation.recursive_settings import MinMax
 from stillwork.estimation.secular import secular_root
 
 EPSILON = 2.220446049250313e-16
@@ -218,3 +222,16 @@ def run_fast(
         alphas[t] = alpha
         evaluations[t] = count
         copy_vector(estimate, estimates[t])
+
+
+@by_value
+@dataclass(frozen=True)
+class FastMinMax(MinMax):
+    """`MinMax` whose exact root comes from rank-one updates of the eigenvectors of R, Section 7."""
+
+    def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
+        """Eigenvalues and eigenvectors of R, s, and what the update of alpha keeps."""
+        return np.zeros(unknowns), np.eye(unknowns), *super().start(unknowns)[1:4]
+
+    def fill(self, state, bounds, rows, outputs, *track) -> None:
+        run_fast(rows, outputs, bounds, self.forgetting, *state, *track)

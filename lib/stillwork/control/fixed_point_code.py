@@ -1,0 +1,162 @@
+"""C99 of fixed-point control: what `FixedPointStepper` computes, with the model written by its owner."""
+
+import numpy as np
+
+from stillwork.base.checks import InputError, require_choice
+from stillwork.base.validation import checked
+from stillwork.control.c_code import _Numbers
+from stillwork.control.fixed_point import LOSSES, Controller
+from stillwork.control.fixed_point_mechanism import require_alike
+from stillwork.control.mechanism import Mechanism
+from stillwork.estimation.coordinate_filters import (
+    ExtendedKalman,
+    LowPass,
+    MovingWindow,
+    SavitzkyGolay,
+    UnscentedKalman,
+    require_sample_time,
+)
+from stillwork.estimation.filtering import UNIT_MASS
+
+KINDS = {MovingWindow: "w", LowPass: "l", UnscentedKalman: "u", ExtendedKalman: "e"}
+
+
+@checked
+def fixed_point_code(
+    controller: Controller | list[Controller],
+    sample_time: float,
+    name: str,
+    precision: str = "double",
+    *,
+    force_limits: list[float] | None = None,
+    lost: str = "predict",
+) -> dict[str, str]:
+    """C99 of fixed-point control that allocates nothing: text by the name of its file, ``name.h`` and ``name.c``.
+
+    The header declares what its owner writes: the forces of the model, its accelerations under forces at their limits,
+    and, where the filter has a model of its own, the acceleration of that.
+
+    Parameters
+    ----------
+    controller : Controller or list of Controller
+        As of `FixedPointStepper`; with any filter but Savitzky-Golay, and no literal correction.
+    sample_time : float
+        s.
+    name : str
+        What all names in it begin with.
+    precision : str
+        ``double`` or ``single``.
+    force_limits : list of float, optional
+        Largest force of each actuator; by default any.
+    lost : str
+        ``predict`` or ``hold``, as of `FixedPointStepper`.
+
+    Returns
+    -------
+    dict of str to str
+
+    Raises
+    ------
+    InputError
+        When `name` is no name in C, or the controllers do not fit together.
+
+    References
+    ----------
+    Issa, Al-Bkree and Tar, On certain noise filtering techniques in fixed point iteration-based adaptive control.
+
+    Examples
+    --------
+    >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    >>> parts = estimation.LowPass(), control.FlowTransformation(), control.KinematicDesign(10.0), slide
+    >>> files = control.fixed_point_code(control.Controller(*parts), 1e-3, "slide")
+    >>> sorted(files), "slide_step(" in files["slide.c"]
+    (['slide.c', 'slide.h'], True)
+    """
+    write = _Numbers(name, precision)
+    first = controller[0] if isinstance(controller, list) else controller
+    several = isinstance(first.model, Mechanism)
+    count = first.model.coordinates if several else 1
+    controllers = list(controller) if isinstance(controller, list) else [controller] * count
+    require_alike(controllers, count)
+    require_sample_time(first.signal_filter, sample_time)
+    require_choice("lost", lost, LOSSES)
+    own = first.signal_filter
+    if isinstance(own, SavitzkyGolay) or getattr(own, "literal", False):
+        raise InputError(
+            f"signal_filter is {own}; C is written for any but Savitzky-Golay and the literal correction"
+        )
+    kind, packed = KINDS[type(own)], own.packed()
+    kalman = kind in "ue"
+    foreign = kalman and own.plant is not UNIT_MASS
+    limits = [np.inf] * count if force_limits is None else force_limits
+    if len(limits) != count or not all(limit > 0 for limit in limits):
+        raise InputError(f"force_limits is {limits}; give {count} numbers above 0")
+
+    def row(values) -> str:
+        return "{" + ", ".join("INFINITY" if each == np.inf else write(each) for each in values) + "}"
+
+    def table(rows) -> str:
+        return "{" + ", ".join(map(row, rows)) + "}"
+
+    transformations = [each.transformation.packed for each in controllers]
+    parameters = np.append(first.model.parameters, [] if len(first.model.parameters) else 0.0)
+    designed = [
+        table(each.kinematics.gains for each in controllers),
+        "{" + ", ".join(f"{int(each[0])}" for each in transformations) + "}",
+        table(each[1:] for each in transformations),
+        row(limits),
+        row(parameters),
+    ]
+    values = {
+        "title": f"{name}: fixed-point control by {type(own).__name__}, {1 / sample_time:g} samples a second, {precision} precision.",
+        "count": count,
+        "gains": len(first.kinematics.gains),
+        "chain": len(first.kinematics.gains) - 1,
+        "parameters": len(parameters),
+        "sample_time": repr(float(sample_time)),
+        "step": write(sample_time),
+        "sqrt": "sqrt" if precision == "double" else "sqrtf",
+        "millionth": write(1e-6),
+        **{word: write(number) for word, number in (("zero", 0), ("one", 1), ("two", 2), ("three", 3))},
+        "states": packed.work.shape[2],
+        "outputs": len(packed.noise) if kalman else 0,
+        "disturbance": " and disturbance" if kind == "e" else "",
+        "seen": "z" if own.error_from_measurement else "s->estimate[j][0]",
+        "push": "s->deformed[j]" if several else "s->force[j]",
+        "believed": 0,
+    }
+    if kind == "w":
+        values |= {"window": len(packed.options), "weights": row(packed.options)[1:-1]}
+    if kind == "l":
+        designed.append(write(own.bandwidth))
+    if kalman:
+        designed += [table(packed.process), table(packed.noise)]
+    if kind == "u":
+        spread, mean_first, square_first, other = packed.options[:4]
+        values |= {
+            "spread": write(np.sqrt(spread)),
+            "first": write(mean_first),
+            "first_square": write(square_first),
+            "other": write(other),
+            "variance": write(own.initial_variance),
+        }
+    if kind == "e":
+        names = ("initial_position", "initial_velocity", "initial_disturbance")
+        values |= {word: write(each) for word, each in zip(names, packed.options, strict=True)}
+    if foreign:
+        believed = np.append(own.plant.parameters, [] if len(own.plant.parameters) else 0.0)
+        values["believed"] = len(believed)
+        designed.append(row(believed))
+    values["designed"] = "".join(f"    {each},\n" for each in designed)
+    whole = kind == "u" and own.model_acceleration
+    marks = {
+        **{mark: mark == kind for mark in "wlue"},
+        "k": kalman,
+        "b": foreign,
+        "f": kalman and not foreign,
+        "a": whole,
+        "d": kind == "u" and not whole,
+        "h": lost == "hold",
+        "x": lost == "predict" and not kalman,
+    }
+    return write.files("fixed_point", name, values, marks)
