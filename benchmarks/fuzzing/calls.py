@@ -295,6 +295,11 @@ def catalogue() -> dict:
         "LeastMeanSquares": (lambda X, y, **named: e.LeastMeanSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.LeastMeanSquares())}),
         "RecursiveLeastSquares": (lambda X, y, **named: e.RecursiveLeastSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.RecursiveLeastSquares(forgetting=0.9))}),
         "MinMaxRegressor": (lambda X, y, sample_weight, **named: e.MinMaxRegressor(**named).fit(X, y, sample_weight).coef_, {"X": rows.T, "y": signal, "sample_weight": np.ones(60), **fields(e.MinMaxRegressor(0.1))}),
+        **{
+            kind.__name__: (lambda X, y, kind=kind, **named: kind(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(kind())})
+            for kind in (e.BiasCompensatedRegressor, e.HinfinityRegressor, e.HuberRegressor, e.InstrumentalRegressor, e.RidgeRegressor, e.TotalLeastSquares)
+        },
+        "advise": (lambda **named: e.advise(**named).ranking[0].coef, {"X": rows.T, "y": signal, "noise": 0.1, "instruments": None, "fit_intercept": True, "folds": 4}),
         "run": (e.run, {"estimator": e.MinMax(0.1, 0.9), "regressors": rows, "outputs": signal}),
         "run, least squares": (e.run, {"estimator": e.LeastSquares(0.9), "regressors": rows, "outputs": signal}),
         "run, ridge": (e.run, {"estimator": e.Ridge(0.1, 0.9), "regressors": rows, "outputs": signal}),

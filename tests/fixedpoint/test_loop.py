@@ -100,10 +100,15 @@ def van_der_pol_force(position, velocity, acceleration, parameters):
 def test_the_plant_moves_as_a_solver_moves_it_under_the_held_force(mode_hz):
     plant = Plant(van_der_pol, van_der_pol_force, [1.0, (2 * np.pi * mode_hz) ** 2])
     controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), plant)
-    run = simulate(plant, controller, asin_trajectory(amplitude=0.05, duration=0.3))
+    push = np.random.default_rng(1).normal(size=301)
+    loaded = [1.5, plant.parameters[1]]
+    path = asin_trajectory(amplitude=0.05, duration=0.3)
+    run = simulate(plant, controller, path, disturbance=push[: len(path.position)], change=(0.15, loaded))
     for i in range(0, 290, 7):
+        parameters = plant.parameters if i < 150 else np.array(loaded)
+        force = run.force[i] + push[i]
         state = solve_ivp(
-            lambda t, x, i=i: [x[1], van_der_pol(x[0], x[1], run.force[i], plant.parameters)],
+            lambda t, x, force=force, p=parameters: [x[1], van_der_pol(x[0], x[1], force, p)],
             (0, SAMPLE_TIME),
             [run.position[i], run.velocity[i]],
             rtol=1e-11,
@@ -111,6 +116,9 @@ def test_the_plant_moves_as_a_solver_moves_it_under_the_held_force(mode_hz):
         ).y[:, -1]
         assert run.position[i + 1] == pytest.approx(state[0], rel=1e-7, abs=1e-11)
         assert run.velocity[i + 1] == pytest.approx(state[1], rel=1e-7, abs=1e-9)
+    for given, message in (({"disturbance": [1.0]}, "disturbance"), ({"change": (0.1, [1.0])}, "change")):
+        with pytest.raises(InputError, match=message):
+            simulate(plant, controller, path, **given)
 
 
 def test_a_long_euler_step_is_reported(short):

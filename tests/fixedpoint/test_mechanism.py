@@ -475,3 +475,24 @@ def test_each_coordinate_may_have_its_own_controller_noise_and_encoder():
             simulate_mechanism(both, wrong, paths, noise)
     with pytest.raises(InputError, match=r"^resolution\b"):
         simulate_mechanism(both, chosen, paths, noise, resolution=[1e-5] * 3)
+
+
+@pytest.mark.slow
+def test_a_payload_and_disturbances_move_the_arm_as_a_solver_does(arm):
+    path = asin_trajectory(amplitude=0.2, frequency_hz=0.5, duration=0.2)
+    push = np.random.default_rng(1).normal(size=(2, len(path.position)))
+    loaded = Mechanism(arm.exact.inertia, arm.exact.bias, 2, 1.2 * arm.exact.parameters)
+    controller = Controller(LowPass(), FlowTransformation(-0.1, 10.0), KinematicDesign(8.0), arm.approximate)
+    change = 0.1, loaded.parameters
+    runs = simulate_mechanism(arm.exact, controller, [path] * 2, disturbance=push, change=change)
+    motion = np.array([[run.position, run.velocity] for run in runs])
+    for i in range(1, 190, 21):
+        plant, force = loaded if i >= 100 else arm.exact, [run.force[i] for run in runs] + push[:, i]
+        state = solve_ivp(
+            lambda t, x, plant=plant, force=force: np.r_[x[2:], plant.acceleration(x[:2], x[2:], force)],
+            (0, path.sample_time),
+            motion[:, :, i].T.ravel(),
+            rtol=1e-10,
+            atol=1e-13,
+        ).y[:, -1]
+        assert motion[:, :, i + 1].T.ravel() == pytest.approx(state, rel=1e-6, abs=1e-9)

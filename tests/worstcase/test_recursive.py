@@ -470,7 +470,7 @@ def test_a_short_record_is_run_by_python_before_its_kernel_is_compiled(kind, mon
 
     compiled = found()
     for module in (online, recursive_settings):
-        monkeypatch.setattr(module, "kernel_for", lambda dispatcher, *_: kernels._uncompiled(dispatcher))
+        monkeypatch.setattr(module, "kernel_for", lambda dispatcher, *_: kernels.uncompiled(dispatcher))
     assert found() == pytest.approx(compiled, rel=1e-12, abs=1e-12)
     monkeypatch.undo()
     fresh = kernels.numba.njit(lambda x: x)

@@ -85,15 +85,15 @@ def kernel_for(dispatcher, samples: int, operations: float):
     if _done[dispatcher] > SHORT:
         return dispatcher
     index = getattr(getattr(dispatcher._cache, "_cache_file", None), "_index_path", "")
-    return dispatcher if os.path.exists(index) else _uncompiled(dispatcher)
+    return dispatcher if os.path.exists(index) else uncompiled(dispatcher)
 
 
 @cache
-def _uncompiled(dispatcher) -> Callable:
+def uncompiled(dispatcher) -> Callable:
     # the same code, in which kernels are Python functions as well
     function = dispatcher.py_func
     names = {
-        name: _uncompiled(value)
+        name: uncompiled(value)
         for name, value in function.__globals__.items()
         if name in function.__code__.co_names and hasattr(value, "py_func")
     }

@@ -60,7 +60,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     >>> sorted(files), "pid_step(" in files["pid.c"]
     (['pid.c', 'pid.h'], True)
     """
-    write = _Numbers(name, precision)
+    write = Numbers(name, precision)
     controller = without_dead_states(controller)
     m, n = controller.model, len(controller.inputs)
     states, outputs = len(m.a), len(controller.outputs)
@@ -124,10 +124,10 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     return write.files("controller", name, values, marks) | moving
 
 
-def _designed_motion(write: "_Numbers", motion: Motion) -> list[str]:
+def _designed_motion(write: "Numbers", motion: Motion) -> list[str]:
     """Gains, lag and limits as the struct of what may be tuned holds them."""
     gains, limits = asdict(motion.feedforward), motion.limits and asdict(motion.limits)
-    whole = _Numbers(write.name, "double")
+    whole = Numbers(write.name, "double")
     rates = ("velocity", "acceleration", "jerk", "snap")
     reached = [0.0 if not limits or limits[name] == np.inf else limits[name] for name in rates]
     return [f"{write(gains[name])}," for name in (*rates, "coulomb")] + [
@@ -173,7 +173,7 @@ def adaptation_code(
     >>> sorted(control.adaptation_code(estimation.FeRls(1e3), 6, 9, "feed"))
     ['feed.c', 'feed.h']
     """
-    write = _Numbers(name, precision)
+    write = Numbers(name, precision)
     sizes = {
         "actuators": require_count("actuators", actuators),
         "regressors": require_count("regressors", regressors),
@@ -311,7 +311,7 @@ def require_names(name: str, precision: str) -> None:
     require_choice("precision", precision, PRECISIONS)
 
 
-class _Numbers:
+class Numbers:
     """Numbers, sums and files of one piece of C."""
 
     def __init__(self, name: str, precision: str):

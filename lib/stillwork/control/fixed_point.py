@@ -143,6 +143,8 @@ def simulate(
     lost: str = "predict",
     force_limit: float | None = None,
     force_from_estimate: bool = False,
+    disturbance: ArrayLike | None = None,
+    change: tuple[float, ArrayLike] | None = None,
 ) -> ControlledRun:
     """Drive `plant` along `trajectory`.
 
@@ -179,6 +181,11 @@ def simulate(
         acceleration is set back to what the limited force commands of the approximate model.
     force_from_estimate : bool
         Take the force from the model at the filtered position even where the error uses the measured one.
+    disturbance : array_like, shape (samples,), optional
+        Force that acts on the plant beside the commanded one, each held for a sample, N.
+    change : tuple of float and array_like, optional
+        Time in s from which the plant has these other parameters, as of a payload that is picked up. A sensor that changes
+        is in `noise`.
 
     Returns
     -------
@@ -232,7 +239,8 @@ def simulate(
         packed_parts(controller, resolution, grid, lost),
         bool(force_from_estimate),
         plant.compiled[0],
-        plant.parameters,
+        *plants_along(plant.parameters, change, trajectory.sample_time),
+        require_disturbance(disturbance, (samples,)),
         *controller.model.compiled,
         trajectory.sample_time,
         (trajectory.position, trajectory.velocity, trajectory.acceleration),
@@ -296,6 +304,22 @@ def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray
     if np.isnan(noise[..., 0]).any():
         raise InputError("noise is NaN at the first sample; start with one that was measured")
     return np.ascontiguousarray(noise)
+
+
+def require_disturbance(disturbance: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
+    """A disturbance of this shape, zero where none is given."""
+    if disturbance is None:
+        return np.zeros(shape)
+    return np.ascontiguousarray(require_array("disturbance", disturbance, shape=shape))
+
+
+def plants_along(parameters, change, sample_time: float) -> tuple[np.ndarray, int]:
+    """Parameters of a plant before and after a change, a row each, and the first sample after it."""
+    if change is None:
+        return np.array([parameters, parameters]), 0
+    after = require_array("change", change[1], shape=parameters.shape)
+    begins = require_number("change", change[0], at_least=0.0)
+    return np.array([parameters, after]), round(begins / sample_time)
 
 
 @checked
@@ -374,7 +398,9 @@ def run_closed_loop(
     parts,
     force_from_estimate,
     plant_acceleration,
-    plant,
+    plants,
+    changed,
+    disturbance,
     model_acceleration,
     model_force,
     model,
@@ -395,6 +421,7 @@ def run_closed_loop(
     position, velocity = estimate[0], estimate[1]
     force, held, length = 0.0, False, sample_time
     for i in range(len(noise)):
+        plant = plants[0] if i < changed else plants[1]
         now = positions[i], velocities[i], accelerations[i]
         measured = measure_position(
             measurement, position, noise[i], sample_time, estimate[1], memory[MEASURED]
@@ -410,11 +437,12 @@ def run_closed_loop(
         if held:
             force = np.copysign(force_limit, force)
             memory[DEFORMED] = model_acceleration(place, estimate[1], force, model)
-        acceleration = plant_acceleration(position, velocity, force, plant)
+        acting = force + disturbance[i]
+        acceleration = plant_acceleration(position, velocity, acting, plant)
         record_sample(record, i, position, velocity, acceleration, estimate, memory, force)
         if integration == EXACT:
             position, velocity, length = move_held(
-                plant_acceleration, plant, position, velocity, force, sample_time, length
+                plant_acceleration, plant, position, velocity, acting, sample_time, length
             )
         else:
             before = velocity

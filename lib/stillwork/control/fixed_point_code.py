@@ -4,7 +4,7 @@ import numpy as np
 
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.validation import checked
-from stillwork.control.c_code import _Numbers
+from stillwork.control.c_code import Numbers
 from stillwork.control.fixed_point import LOSSES, Controller
 from stillwork.control.fixed_point_mechanism import require_alike
 from stillwork.control.mechanism import Mechanism
@@ -72,7 +72,7 @@ def fixed_point_code(
     >>> sorted(files), "slide_step(" in files["slide.c"]
     (['slide.c', 'slide.h'], True)
     """
-    write = _Numbers(name, precision)
+    write = Numbers(name, precision)
     first = controller[0] if isinstance(controller, list) else controller
     several = isinstance(first.model, Mechanism)
     count = first.model.coordinates if several else 1

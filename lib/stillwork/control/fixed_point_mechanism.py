@@ -26,7 +26,9 @@ from stillwork.control.fixed_point import (
     ending,
     measure_position,
     packed_parts,
+    plants_along,
     record_sample,
+    require_disturbance,
     require_noise,
 )
 from stillwork.control.held_force import HELD_ROWS, move_mechanism_held
@@ -52,6 +54,8 @@ def simulate_mechanism(
     bound: float = 10.0,
     lost: str = "predict",
     force_limits: ArrayLike | None = None,
+    disturbance: ArrayLike | None = None,
+    change: tuple[float, ArrayLike] | None = None,
 ) -> list[ControlledRun]:
     """Drive a plant with several coordinates along a trajectory each, as `control.simulate` drives one with one.
 
@@ -83,6 +87,9 @@ def simulate_mechanism(
     force_limits : array_like, shape (coordinates,), optional
         Largest force or torque of each actuator. Where one is at its limit nothing is integrated in that coordinate, and
         the deformed accelerations are set back to what the limited forces command of the approximate model.
+    disturbance : array_like, shape (coordinates, samples), optional
+    change : tuple of float and array_like, optional
+        As in `control.simulate`.
 
     Returns
     -------
@@ -176,7 +183,9 @@ def simulate_mechanism(
         np.tile(device.work, (count, 1, 1, 1)),
         *model_of(controller.signal_filter),
         parts,
-        *plant.compiled,
+        *plant.compiled[:2],
+        *plants_along(plant.parameters, change, sample_time),
+        require_disturbance(disturbance, (count, samples)),
         *model.compiled,
         sample_time,
         nominal,
@@ -187,7 +196,7 @@ def simulate_mechanism(
         np.vstack([start, nominal[:, 2, 0]]).T.copy(),  # rows in one piece, as for one coordinate
         np.zeros((count, len(controller.kinematics.gains) - 1)),
         np.zeros((count, 4)),
-        np.zeros((2 * count + 7 + HELD_ROWS, count)),
+        np.zeros((2 * count + 8 + HELD_ROWS, count)),
         limits,
         record,
     )
@@ -223,7 +232,9 @@ def _closed_mechanism(
     parts,
     inertia,
     bias,
-    plant,
+    plants,
+    changed,
+    disturbance,
     model_inertia,
     model_bias,
     model,
@@ -246,8 +257,9 @@ def _closed_mechanism(
     from_measurement, transformations, gains, resolutions, grids, loss = parts
     position, velocity = motion[0], motion[1]
     force, acceleration, deformed, seen, speed, held = work[0], work[1], work[2], work[3], work[4], work[5]
-    rows, work, length = work[6 : 6 + HELD_ROWS], work[6 + HELD_ROWS :], sample_time
+    acting, rows, work, length = work[6], work[7 : 7 + HELD_ROWS], work[7 + HELD_ROWS :], sample_time
     for i in range(samples):
+        plant = plants[0] if i < changed else plants[1]
         for j in range(count):
             now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
             measurement = resolutions[j], grids[j], loss
@@ -284,7 +296,9 @@ def _closed_mechanism(
             if not forward_dynamics(model_inertia, model_bias, model, seen, speed, force, work, deformed):
                 return i, NO_INERTIA
             copy_vector(deformed, memory[:, DEFORMED])
-        if not forward_dynamics(inertia, bias, plant, position, velocity, force, work, acceleration):
+        for j in range(count):
+            acting[j] = force[j] + disturbance[j, i]
+        if not forward_dynamics(inertia, bias, plant, position, velocity, acting, work, acceleration):
             return i, NO_INERTIA
         for j in range(count):
             record_sample(
@@ -292,7 +306,7 @@ def _closed_mechanism(
             )
         if integration == EXACT:
             length = move_mechanism_held(
-                inertia, bias, plant, position, velocity, force, sample_time, length, work, rows
+                inertia, bias, plant, position, velocity, acting, sample_time, length, work, rows
             )
             if length == 0.0:
                 return i, NO_INERTIA
