@@ -2,7 +2,7 @@
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -13,7 +13,8 @@ from sklearn.dummy import DummyRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_count
+from stillwork.base.bounds import Matrix, Vector, at_least
+from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.regression import RecursiveLeastSquares
@@ -72,13 +73,13 @@ class Advice:
 
 @checked(infinite=True, missing=True)
 def advise(
-    X: ArrayLike,
-    y: ArrayLike,
+    X: Matrix,
+    y: Vector,
     noise: ArrayLike | None = None,
     instruments: ArrayLike | None = None,
     *,
     fit_intercept: bool = True,
-    folds: int = 10,
+    folds: Annotated[int, at_least(3)] = 10,
 ) -> Advice:
     """Rank the estimators of y = coef x + intercept by their errors on parts that are held out in turn.
 
@@ -127,12 +128,11 @@ def advise(
     >>> advice.ranking[0].name, advice.ranking[0].coef.round(0)
     ('Huber', array([ 1., -2.,  3.]))
     """
-    X, y = require_array("X", X, ndim=2), require_array("y", y, ndim=1)
     samples, features = X.shape
     y = require_array("y", y, shape=(samples,))
     if samples < 6 or not features:
         raise InputError(f"X has shape {X.shape}; give at least six samples and one feature")
-    folds = min(require_count("folds", folds, at_least=3), samples // 2)
+    folds = min(folds, samples // 2)
     given = None
     if noise is not None:
         given = require_array("noise", noise)

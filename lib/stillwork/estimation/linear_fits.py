@@ -4,11 +4,13 @@ All of them but Huber's are the same for any orthogonal transformation of the ro
 decomposition, too.
 """
 
+from typing import Annotated
+
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_number
+from stillwork.base.bounds import Matrix, Vector, within
+from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import checked
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
@@ -20,7 +22,6 @@ PENALTIES = np.geomspace(1e-10, 1e6, 321)  # over the largest squared singular v
 
 def _spectrum(matrix, target) -> tuple[np.ndarray, np.ndarray, float]:
     """Squared singular values, squared coordinates of the target along them, and what of its square lies outside."""
-    matrix = require_array("matrix", matrix, ndim=2)
     target = require_array("target", target, shape=(len(matrix),))
     left, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
     along = (left.T @ target) ** 2
@@ -28,7 +29,7 @@ def _spectrum(matrix, target) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 @checked
-def cross_validated_penalty(matrix: ArrayLike, target: ArrayLike, samples: float) -> float:
+def cross_validated_penalty(matrix: Matrix, target: Vector, samples: float) -> float:
     """Penalty with the smallest generalised cross-validation |A x - b|^2 / (samples - trace)^2, on a grid.
 
     Golub, Heath and Wahba (1979); `samples` counts the rows of weighted data, all of them or the memory.
@@ -41,7 +42,7 @@ def cross_validated_penalty(matrix: ArrayLike, target: ArrayLike, samples: float
 
 
 @checked
-def evidence_penalty(matrix: ArrayLike, target: ArrayLike, samples: float) -> float:
+def evidence_penalty(matrix: Matrix, target: Vector, samples: float) -> float:
     """Penalty with the largest evidence for parameters and noise of unknown variances (MacKay, 1992), on a grid."""
     squares, along, outside = _spectrum(matrix, target)
     penalties = squares[0] * PENALTIES
@@ -52,11 +53,8 @@ def evidence_penalty(matrix: ArrayLike, target: ArrayLike, samples: float) -> fl
 
 
 @checked
-def huber_estimate(
-    matrix: ArrayLike, target: ArrayLike, weights: ArrayLike
-) -> Float64[np.ndarray, " unknowns"]:
+def huber_estimate(matrix: Matrix, target: Vector, weights: Vector) -> Float64[np.ndarray, " unknowns"]:
     """Huber's estimate by reweighting, its scale the weighted median of |residuals| over 0.6745; `weights` of squares."""
-    matrix = require_array("matrix", matrix, ndim=2)
     target = require_array("target", target, shape=(len(matrix),))
     counted = weights = require_array("weights", weights, shape=(len(matrix),))
     for _ in range(20):
@@ -74,10 +72,9 @@ def huber_estimate(
 
 @checked
 def instrumental_variables(
-    matrix: ArrayLike, target: ArrayLike, instruments: ArrayLike
+    matrix: Matrix, target: Vector, instruments: Matrix
 ) -> Float64[np.ndarray, " unknowns"]:
     """Two-stage least squares: rows are replaced by what the instruments say of them (Söderström and Stoica, 1983)."""
-    matrix = require_array("matrix", matrix, ndim=2)
     target = require_array("target", target, shape=(len(matrix),))
     instruments = require_array("instruments", instruments, shape=(len(matrix), None))
     explained = instruments @ np.linalg.lstsq(instruments, matrix, rcond=None)[0]
@@ -85,13 +82,12 @@ def instrumental_variables(
 
 
 @checked
-def total_least_squares(matrix: ArrayLike, target: ArrayLike) -> Float64[np.ndarray, " unknowns"]:
+def total_least_squares(matrix: Matrix, target: Vector) -> Float64[np.ndarray, " unknowns"]:
     """The x for which the smallest correction of [A b] makes (A + dA) x = b + db solvable, by its SVD.
 
     A and b are taken as equally noisy, so scale them to be so. Where the smallest correction lies in A alone there is
     no solution (Golub and Van Loan, Matrix Computations, section 6.3).
     """
-    matrix = require_array("matrix", matrix, ndim=2)
     rows, unknowns = matrix.shape
     target = require_array("target", target, shape=(rows,))
     if rows <= unknowns:
@@ -108,12 +104,11 @@ def total_least_squares(matrix: ArrayLike, target: ArrayLike) -> Float64[np.ndar
 
 
 @checked
-def hinfinity_model(matrix: ArrayLike, variance: float, size: float, forgetting: float) -> TimeVaryingModel:
+def hinfinity_model(matrix: Matrix, variance: float, size: float, forgetting: float) -> TimeVaryingModel:
     """Constant parameters of squared norm `size` as a state that is seen through the rows; sample 0 is the start.
 
     Forgetting is the growth of the state times forgetting^(-t/2) (Sayed and Kailath, 1994).
     """
-    matrix = require_array("matrix", matrix, ndim=2)
     taps = matrix.shape[1]
     identity, none, one = np.eye(taps), np.zeros((taps, 1)), np.ones((1, 1))
     seen = np.concatenate([np.zeros((1, 1, taps)), matrix[:, None]])
@@ -123,19 +118,18 @@ def hinfinity_model(matrix: ArrayLike, variance: float, size: float, forgetting:
 
 @checked
 def hinfinity_estimate(
-    matrix: ArrayLike,
-    target: ArrayLike,
+    matrix: Matrix,
+    target: Vector,
     variance: float,
     size: float,
     forgetting: float = 1.0,
-    margin: float = 1.1,
+    margin: Annotated[float, within(above=1.0)] = 1.1,
 ) -> Float64[np.ndarray, " unknowns"]:
     """The parameters at the end by the a-posteriori H-infinity filter of all of them, near its smallest level.
 
     `variance` is that of the noise, `size` the squared norm of the parameters, `margin` the level over the smallest
     that there is. Hassibi, Sayed and Kailath (1999), chapter 4.
     """
-    require_number("margin", margin, above=1.0)
     model = hinfinity_model(matrix, variance, size, forgetting)
     wanted = np.eye(model.a.shape[1])
     gains = hinfinity_gains(model, wanted, margin * smallest_level(model, wanted, 1e-2))
