@@ -29,7 +29,7 @@ import numpy as np  # noqa: E402
 from experiments.worstcase import solve_cone_program  # noqa: E402
 from experiments.worstcase.rank_one import FastMinMax  # noqa: E402
 from notebooks.worstcase.time_updates import slope  # noqa: E402
-from stillwork.estimation import LeastSquares, MinMax  # noqa: E402
+from stillwork.estimation import LeastSquares, MinMax, MinMaxRegressor, RecursiveLeastSquares  # noqa: E402
 from stillwork.estimation.recursive import RecursiveStepper  # noqa: E402
 from stillwork.estimation.recursive_kernels import FEW, LONG  # noqa: E402
 from stillwork.estimation.recursive_settings import Ridge  # noqa: E402
@@ -72,6 +72,8 @@ def main() -> None:
         ("padasip RLS / RLS, one call a sample", "padasip RLS", "RLS, call", ">= 2.3"),
         ("padasip RLS / approximate, one call a sample", "padasip RLS", "approximate 1, call", ">= 2.3"),
         ("padasip RLS / exact, one call a sample", "padasip RLS", "exact, call", ">= 2.3"),
+        ("RLS, partial_fit / padasip RLS", "RLS, partial_fit", "padasip RLS", "<= 4"),
+        ("min-max, partial_fit / padasip RLS", "min-max, partial_fit", "padasip RLS", "<= 4"),
     ]
     print()
     for name, one, other, target in rows:
@@ -134,6 +136,11 @@ def call_times(n: int, samples: int = 200) -> dict[str, list[float]]:
         f"{name}, call": lambda e=UPDATES[name]: RecursiveStepper(e, n).update
         for name in ("RLS", "approximate 1", "exact", "fast")
     }
+    regressors = {
+        "RLS, partial_fit": RecursiveLeastSquares(forgetting=FORGETTING),
+        "min-max, partial_fit": MinMaxRegressor(BOUND, forgetting=FORGETTING),
+    }
+    steppers |= {name: lambda e=estimator: _partial(e, n) for name, estimator in regressors.items()}
     makers = {**steppers, "padasip RLS": lambda: _padasip(padasip.filters.FilterRLS(n, mu=FORGETTING))}
     times = {name: [] for name in makers}
     for _ in range(REPEATS):
@@ -152,6 +159,11 @@ def _padasip(peer):
         peer.adapt(output, row)
 
     return update
+
+
+def _partial(estimator, n):
+    estimator.partial_fit(np.eye(n + 1, n), np.ones(n + 1))
+    return lambda row, output: estimator.partial_fit(row[None], np.array([output]))
 
 
 def peer_times(n: int, repeats: int = 15) -> dict[str, list[float]]:
