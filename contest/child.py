@@ -1,144 +1,133 @@
-"""The process of a foreign observer: it answers sample by sample and is given nothing but its measurements.
+"""The process of an observer from a file: it answers one scan, sample by sample, in lines of JSON.
 
-It runs as a script of its own and imports nothing of the contest. The limits keep honest mistakes and simple tricks
-out of the result; they are no prison for hostile code.
+It runs as a script of its own, imports nothing of the contest and is given nothing but the file, the nominal model and
+the measurements. `contest.runner` puts it into namespaces of its own.
 """
 
+import base64
+import ctypes
+import json
 import os
 import sys
 import types
 import warnings
-from contextlib import suppress
-from multiprocessing.connection import Connection
 
-MOST_BYTES = 4 << 30  # of address space, of which the numerical libraries take the first gigabyte
-MOST_WRITTEN = 64 << 20  # of any file: a compiler's cache
-# What a process asks for that wants more than its measurements.
-FORBIDDEN = (
-    "subprocess.",
-    "socket.",
-    "os.system",
-    "os.exec",
-    "os.fork",
-    "os.spawn",
-    "os.posix_spawn",
-    "os.kill",
-)
+FILE = os.path.abspath("entrant")  # in the working folder
 
 
-class _Loud:
-    """In place of standard output: whoever writes to it is noted."""
+class Library:
+    """A shared library with `observer_start` and `observer_step` as an ``Observer``; `docs/contest.md` has the header."""
 
-    encoding, errors = "utf-8", "strict"
+    def __init__(self, path: str):
+        self.library = ctypes.CDLL(path)
 
-    def __init__(self, offences: list[str]):
-        self.offences = offences
+    def start(self, model, noise, sample_time, *settings):
+        import numpy as np
 
-    def write(self, text: str) -> int:
-        self.offences.append("prints")
-        return len(text)
+        sizes = (*model.b.shape, len(model.c))
+        arrays = (model.a, model.b, model.c, noise.process, noise.sensor)
+        self.states, self.settings = sizes[0], np.array(settings, dtype=float)
+        self.library.observer_start(
+            *map(ctypes.c_int, sizes),
+            *(each.ctypes.data_as(ctypes.c_void_p) for each in arrays),
+            ctypes.c_double(sample_time),
+            ctypes.c_int(len(settings)),
+            self.settings.ctypes.data_as(ctypes.c_void_p),
+        )
 
-    def flush(self) -> None:
-        """Nothing is kept."""
+    def step(self, input, measurement):
+        import numpy as np
 
-    def isatty(self) -> bool:
-        return False
-
-
-def _limit() -> None:
-    with suppress(ImportError, ValueError, OSError):  # Windows has none, macOS refuses one on memory
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_WRITTEN, MOST_WRITTEN))
-        resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
-
-
-def _watch(offences: list[str], folders: tuple[str, ...], single: tuple[str, ...]) -> None:
-    def hook(event: str, arguments: tuple) -> None:
-        if event in ("open", "os.listdir", "os.scandir") and isinstance(arguments[0], str | bytes):
-            path = os.path.abspath(os.fsdecode(arguments[0]))
-            if not path.startswith(folders) and path not in single:
-                offences.append(f"reads files ({path})")
-                raise PermissionError(path)
-        elif event.startswith(FORBIDDEN):
-            offences.append(f"asks for {event}")
-            raise PermissionError(event)
-
-    sys.addaudithook(hook)
+        estimate = np.empty(self.states)
+        arrays = (input, measurement, estimate)
+        self.library.observer_step(*(each.ctypes.data_as(ctypes.c_void_p) for each in arrays))
+        return estimate
 
 
-def _serve(file: str, requests: Connection, answers: Connection, offences: list[str]) -> None:
+def load(content: bytes, is_library: bool) -> tuple:
+    """A new observer of a file's content, and the knobs that it declares."""
+    with open(FILE, "wb") as file:  # a compiler looks for it, too
+        file.write(content)
+    if is_library:
+        return Library(FILE), ()
+    module = types.ModuleType("entrant")
+    module.__file__ = FILE
+    sys.modules["entrant"] = module
+    exec(compile(content, FILE, "exec"), module.__dict__)
+    return module.Observer(), getattr(module, "KNOBS", ())
+
+
+def checked(estimate, states: int) -> list[float]:
+    """An estimate as a list of so many real numbers."""
     import numpy as np
 
-    module = types.ModuleType("entrant")
-    module.__file__ = file
-    sys.modules["entrant"] = module
-    observers, states = [], 0
-    while True:
-        kind, message = requests.recv()
-        answer = b""
-        if kind == "load":
-            exec(compile(message, file, "exec"), module.__dict__)
-            module.Observer  # noqa: B018 - the name that a file has to define
-        elif kind == "start":
-            states = len(message[0][0]["a"])
-            observers = [module.Observer() for _ in message]
-            for observer, (model, noise, sample_time) in zip(observers, message, strict=True):
-                observer.start(types.SimpleNamespace(**model), types.SimpleNamespace(**noise), sample_time)
-        else:
-            for number, given, measured in zip(*message, strict=True):
-                estimate = observers[number].step(given, measured)
-                if estimate is None:
-                    raise ValueError("step returns nothing; it has to return the estimate")
-                estimate = np.asarray(estimate)
-                if estimate.dtype.kind not in "fiu":
-                    raise ValueError(f"an estimate of {estimate.dtype}, not of real numbers")
-                estimate = estimate.astype(float)
-                if estimate.shape != (states,):
-                    raise ValueError(f"an estimate of shape {estimate.shape}, not ({states},)")
-                answer += estimate.tobytes()
-        if offences:
-            raise PermissionError(offences[0])
-        answers.send_bytes(b"+" + answer)
+    if estimate is None:
+        raise ValueError("step returns nothing; it has to return the estimate")
+    estimate = np.asarray(estimate)
+    if estimate.dtype.kind not in "fiu":
+        raise ValueError(f"an estimate of {estimate.dtype}, not of real numbers")
+    if estimate.shape != (states,):
+        raise ValueError(f"an estimate of shape {estimate.shape}, not ({states},)")
+    if not np.isfinite(estimate).all():
+        raise ValueError("an estimate that is not finite")
+    return estimate.astype(float).tolist()
 
 
-def _place(error: BaseException, file: str) -> str:
+def place(error: BaseException) -> str:
     """Line of the observer's file that the error came through last; the error may be of the observer's answer."""
     lines, step = [], error.__traceback__
     while step:
-        if step.tb_frame.f_code.co_filename == file:
+        if step.tb_frame.f_code.co_filename == FILE:
             lines.append(step.tb_lineno)
         step = step.tb_next
     return f" (line {lines[-1]})" if lines else ""
 
 
-def main() -> int:
-    """Serve one file until the referee closes the pipe."""
-    file, folder, toolbox, *numbers = sys.argv[1:]
-    requests, answers = (Connection(int(number)) for number in numbers)
-    offences: list[str] = []
-    warnings.simplefilter("ignore")  # an overflow on the way is no print
-    import numpy  # noqa: F401 - its libraries are no offence
+def serve(requests, answers) -> None:
+    """One scan: the file, then what is known of the machine, then samples until nothing more comes."""
+    import numpy as np
 
-    sys.stdout = sys.stderr = _Loud(offences)
-    _limit()
-    installed = tuple(os.path.realpath(each) + os.sep for each in (sys.prefix, sys.base_prefix))
-    links = tuple(each + os.sep for each in (sys.prefix, sys.base_prefix, folder, toolbox))
-    # An import lists the folders that it looks in, numba asks for the processor.
-    single = (file, toolbox, *map(os.path.abspath, sys.path), "/dev/urandom", "/dev/null", "/proc/cpuinfo")
-    _watch(offences, (*installed, *links), single)
+    def answer(message) -> None:
+        answers.write(json.dumps(message) + "\n")
+        answers.flush()
+
     try:
-        _serve(file, requests, answers, offences)
-    except EOFError:  # the referee has seen enough
-        return 0
+        first = json.loads(requests.readline())
+        observer, knobs = load(base64.b64decode(first["content"]), first["library"])
+        answer({"knobs": [list(knob) for knob in knobs]})
+        if line := requests.readline():
+            given = json.loads(line)
+            model, noise = (
+                types.SimpleNamespace(
+                    **{
+                        name: np.array(x, dtype=float) if isinstance(x, list) else x
+                        for name, x in given[part].items()
+                    }
+                )
+                for part in ("model", "noise")
+            )
+            observer.start(model, noise, given["sample_time"], *given["settings"])
+            answer({})
+        for line in requests:
+            taken = (
+                np.array(each, dtype=float) for each in json.loads(line)
+            )  # null, where it is lost, is NaN
+            answer(checked(observer.step(*taken), len(model.a)))
     except MemoryError:
-        reason = "allocates more memory than it may"
-    except BaseException as error:  # whatever a stranger's code may raise
-        reason = offences[0] if offences else f"raises {type(error).__name__}: {error}{_place(error, file)}"
-    answers.send_bytes(b"-" + reason.encode(errors="replace")[:500])
-    return 1
+        answer({"error": "allocates more memory than it may"})
+    except BaseException as error:  # whatever an entrant's code may raise
+        answer({"error": f"raises {type(error).__name__}: {error}{place(error)}"[:500]})
+
+
+def main() -> None:
+    """Keep the pipes to the runner apart from what the observer may print, and serve."""
+    requests, answers = os.fdopen(os.dup(0), encoding="ascii"), os.fdopen(os.dup(1), "w", encoding="ascii")
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for standard in range(3):
+        os.dup2(nothing, standard)
+    warnings.simplefilter("ignore")
+    serve(requests, answers)
 
 
 if __name__ == "__main__":
-    os._exit(main())
+    main()

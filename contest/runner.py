@@ -1,118 +1,236 @@
-"""The referee: runs anybody's observer in a process of its own, and shows it to the door by name and reason."""
+"""The runner: anybody's observer on one scan, in a process that holds neither the truth nor any other scan.
 
+Where the machine has them (Linux with ``unshare``), the process gets a root folder, processes, network and users of its
+own: it sees Python, its packages and the toolbox, read-only, and no other process. Elsewhere it is not isolated, and
+the result says so.
+"""
+
+import base64
 import contextlib
+import json
 import os
+import select
+import shutil
+import signal
+import socket
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Sequence
-from dataclasses import asdict
-from multiprocessing.connection import Connection
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from contest.nominal import NominalModel, NominalNoise
+from contest.nominal import NominalModel, NominalNoise, TuningParameter
 from stillwork.base.checks import InputError
 from stillwork.base.kernel_folder import FOLDER_VARIABLE
 
-SCAN_SECONDS = 120.0  # that one seed's scans of a plant may take, with their start
-SERVER = Path(__file__).with_name("child.py")
-# What of the environment an observer's process keeps, what is its folder, and what is "1" there.
-KEPT = ("PATH", "LANG", "SYSTEMROOT", "LD_LIBRARY_PATH")
-OWN = ("HOME", "TMPDIR", "NUMBA_CACHE_DIR", FOLDER_VARIABLE)
-SWITCHED_ON = ("PYTHONDONTWRITEBYTECODE", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+CPU_SECONDS = 60  # that a scan may take, with its start
+PATIENCE = 10  # seconds of the clock for each of them: a busy machine is not the observer's fault
+MOST_MEMORY, MOST_WRITTEN = 4 << 20, 64 << 10  # kB of address space, and of any file
+SYSTEM_PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
+SERVER, LIBRARY = Path(__file__).with_name("child.py"), Path(__file__).parents[1] / "lib"
+PROGRAMS = ("unshare", "mount", "umount", "pivot_root", "setpriv")
+NAMESPACES = (
+    "--user",
+    "--map-root-user",
+    "--mount",
+    "--pid",
+    "--net",
+    "--ipc",
+    "--uts",
+    "--fork",
+    "--kill-child",
+)
+LIMITS = f"ulimit -c 0; ulimit -t $0; ulimit -v {MOST_MEMORY}; ulimit -f {2 * MOST_WRITTEN}; "
+# A root in memory with what is given, read-only, at the paths it has outside; then everything else is let go.
+JAIL = """set -e; root=$1; shift
+mount -t tmpfs -o size=128m none "$root"
+while [ "$1" != -- ]; do
+    if [ -d "$1" ]; then mkdir -p "$root$1"; else mkdir -p "$root${1%/*}"; : > "$root$1"; fi
+    mount --bind "$1" "$root$1"
+    case "$1" in /dev/*) ;; *) mount -o remount,bind,ro,nosuid,nodev "$root$1" ;; esac
+    shift
+done; shift
+for link in /bin /lib /lib64 /sbin; do [ ! -L $link ] || ln -s "$(readlink $link)" "$root$link"; done
+mkdir -p "$root/proc" "$root/tmp" "$root/outside"; mount -t proc none "$root/proc"
+cd "$root"; pivot_root . outside; umount -l /outside; rmdir /outside; cd /tmp
+exec setpriv --no-new-privs --inh-caps=-all --bounding-set=-all "$@" """
 
 
 class Disqualified(Exception):
     """Why an observer is out of the contest."""
 
 
-class ExternalObserver:
-    """An observer from a file: a class ``Observer`` with ``start(model, noise, sample_time)`` and ``step(input, measurement)``.
+def _visible() -> list[str]:
+    """What an observer sees of this machine's files: Python, its packages, the toolbox."""
+    system = [each for each in ("/usr", "/bin", "/lib", "/lib64") if not os.path.islink(each)]
+    # A virtual environment may itself be a link: what it leads to appears at both places.
+    places = [
+        sys.base_prefix,
+        sys.prefix,
+        os.path.realpath(sys.prefix),
+        str(LIBRARY / "stillwork"),
+        str(SERVER),
+    ]
+    kept = [each for each in places if not each.startswith("/usr/")]
+    return [
+        each for each in dict.fromkeys([*system, *kept, "/dev/null", "/dev/urandom"]) if os.path.exists(each)
+    ]
 
-    Use it as a context. The file's process is given the nominal model and the noises at the start of a scan, then
-    one force and one measurement after the other. It holds neither the truth nor what comes. Scans of one seed run
-    side by side, each with noises of its own, so that a pipe is crossed once for all of them.
+
+def _command(isolated: bool, folder: str) -> list[str]:
+    python = [sys.executable, "-P", str(SERVER)]
+    if not isolated:
+        return ["/bin/sh", "-c", LIMITS + 'exec "$@"', str(CPU_SECONDS), *python]
+    jail = ["/bin/sh", "-c", LIMITS + JAIL, str(CPU_SECONDS), folder, *_visible(), "--", *python]
+    return ["unshare", *NAMESPACES, *jail]
+
+
+@cache
+def can_isolate() -> bool:
+    """Whether this machine gives an observer namespaces of its own."""
+    if not all(map(shutil.which, PROGRAMS)):
+        return False
+    with tempfile.TemporaryDirectory() as folder:
+        command = _command(True, folder)[: -len([sys.executable, "-P", SERVER])]
+        return (
+            subprocess.run(
+                [*command, "/usr/bin/env"], capture_output=True, env={"PATH": SYSTEM_PATH}
+            ).returncode
+            == 0
+        )
+
+
+class ExternalObserver:
+    """An observer on one scan: a context whose `start` and `step` are those of the observer.
+
+    `source` is a Python file with a class ``Observer``, a shared library (``.so``), or ``tcp:HOST:PORT``, where a program
+    speaks the same lines of JSON and gets a connection for each scan.
     """
 
-    def __init__(self, file: str | Path, seconds: float = SCAN_SECONDS):
-        self.file, self.seconds = Path(file).resolve(), seconds
-        try:
-            self.text = self.file.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{file} cannot be read ({error}); give a Python file") from None
+    def __init__(self, source: str | Path):
+        self.source, self.remote = str(source), str(source).startswith("tcp:")
+        self.isolated, self.cpu_seconds, self.why = not self.remote and can_isolate(), np.nan, ""
+        if not self.remote:
+            try:
+                self.content = Path(source).read_bytes()
+            except OSError as error:
+                raise InputError(f"{source} cannot be read ({error}); give a file or tcp:HOST:PORT") from None
 
     def __enter__(self) -> "ExternalObserver":
+        self.buffer = b""
+        if self.remote:
+            try:
+                _, host, port = self.source.split(":")
+                self.socket = socket.create_connection((host, int(port)), timeout=10)
+            except (ValueError, OSError) as error:
+                raise InputError(f"{self.source} cannot be reached ({error}); give tcp:HOST:PORT") from None
+            self.reading = self.writing = self.socket.fileno()
+            return self
         self.folder = tempfile.TemporaryDirectory(prefix="observer-")
-        self.said = tempfile.TemporaryFile()
-        down, self.requests = os.pipe()
-        self.answers, up = os.pipe()
-        # The toolbox may be used; the contest's own files may not be read.
-        library = Path(__file__).parents[1] / "lib"
-        environment = {name: os.environ[name] for name in KEPT if name in os.environ}
-        environment |= dict.fromkeys(OWN, self.folder.name) | dict.fromkeys(SWITCHED_ON, "1")
-        environment["PYTHONPATH"] = str(library)
-        told = map(str, (SERVER, self.file, self.folder.name, library / "stillwork", down, up))
+        environment = {"PATH": SYSTEM_PATH, "LANG": "C.UTF-8", "PYTHONPATH": str(LIBRARY)}
+        own = "/tmp" if self.isolated else self.folder.name
+        environment |= dict.fromkeys(("HOME", "TMPDIR", "NUMBA_CACHE_DIR", FOLDER_VARIABLE), own)
+        environment |= dict.fromkeys(
+            ("PYTHONDONTWRITEBYTECODE", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+        )
         self.process = subprocess.Popen(
-            [sys.executable, "-P", *told],
-            pass_fds=(down, up),
-            stdin=subprocess.DEVNULL,
-            stdout=self.said,
-            stderr=self.said,
+            _command(self.isolated, self.folder.name),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
             cwd=self.folder.name,
             env=environment,
+            start_new_session=True,
         )
-        os.close(down)
-        os.close(up)
-        self.requests, self.answers = Connection(self.requests), Connection(self.answers)
-        self.deadline = time.monotonic() + self.seconds
+        self.reading, self.writing = self.process.stdout.fileno(), self.process.stdin.fileno()
         try:
-            self._ask("load", self.text)
-        except Disqualified:
+            message = {
+                "content": base64.b64encode(self.content).decode(),
+                "library": self.source.endswith(".so"),
+            }
+            self.knobs = tuple(TuningParameter(*knob) for knob in self._ask(message)["knobs"])
+        except BaseException:
             self.__exit__()
             raise
         return self
 
     def __exit__(self, *_) -> None:
-        self.process.kill()
-        self.process.wait()
-        for each in (self.requests, self.answers, self.said):
-            each.close()
+        if self.remote:
+            self.socket.close()
+            return
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
+        self._end(0.5)
+        self.process.stdout.close()
         self.folder.cleanup()
 
-    def start(self, told: Sequence[tuple[NominalModel, NominalNoise, float]]) -> None:
-        """Begin scans that run side by side, with an ``Observer`` each."""
-        self.deadline = time.monotonic() + self.seconds
-        self.states = len(told[0][0].a)
-        plain = [
-            (asdict(model) | {"rigid_modes": model.rigid_modes}, asdict(noise), sample_time)
-            for model, noise, sample_time in told
-        ]
-        self._ask("start", plain)
+    def _end(self, patience: float) -> None:
+        """Let the process end by itself, or end it; then its time is known."""
+        if self.process.returncode is None:
+            select.select([self.reading], [], [], patience)  # its end of the pipe closes
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.process.pid, signal.SIGKILL)
+            _, status, usage = os.wait4(self.process.pid, 0)
+            self.process.returncode = os.waitstatus_to_exitcode(status)
+            self.cpu_seconds = usage.ru_utime + usage.ru_stime
 
-    def step(self, numbers: Sequence[int], inputs: np.ndarray, measurements: np.ndarray) -> np.ndarray:
-        """Estimates of one sample of each of these scans."""
-        answer = self._ask("step", (numbers, inputs, measurements))
-        if len(answer) != 8 * len(numbers) * self.states:
-            raise Disqualified("an answer of the wrong size")
-        estimates = np.frombuffer(answer).reshape(len(numbers), self.states)
-        if not np.isfinite(estimates).all():
-            raise Disqualified("estimates that are not finite")
-        return estimates
+    def start(
+        self, model: NominalModel, noise: NominalNoise, sample_time: float, settings: tuple[float, ...] = ()
+    ) -> None:
+        """Give the observer what is known of the machine, and where its knobs stand."""
+        self.states = len(model.a)
+        known = vars(model) | {"rigid_modes": model.rigid_modes}
+        given = {
+            part: {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in values.items()}
+            for part, values in (("model", known), ("noise", vars(noise)))
+        }
+        self._ask(given | {"sample_time": sample_time, "settings": list(settings)})
 
-    def _ask(self, kind: str, message) -> bytes:
-        with contextlib.suppress(BrokenPipeError):
-            self.requests.send((kind, message))
+    def step(self, input: np.ndarray, measurement: np.ndarray, *_) -> np.ndarray:
+        """The estimate at the sample of this measurement."""
+        answer = self._ask([input.tolist(), [None if np.isnan(y) else y for y in measurement.tolist()]])
+        estimate = np.array(answer, dtype=float) if isinstance(answer, list) else np.empty(0)
+        if estimate.shape != (self.states,) or not np.isfinite(estimate).all():
+            raise Disqualified("an answer that is no estimate")
+        return estimate
+
+    def _ask(self, message):
+        with contextlib.suppress(BrokenPipeError, ConnectionError):
+            view = memoryview(json.dumps(message).encode() + b"\n")
+            while view:
+                view = view[os.write(self.writing, view) :]
+        while b"\n" not in self.buffer:
+            if not select.select([self.reading], [], [], PATIENCE * CPU_SECONDS)[0]:
+                raise Disqualified(f"hangs: no answer within {PATIENCE * CPU_SECONDS} s")
+            try:
+                piece = os.read(self.reading, 1 << 16)
+            except ConnectionError:
+                piece = b""
+            if not piece:
+                raise Disqualified(self._reason())
+            self.buffer += piece
+        line, _, self.buffer = self.buffer.partition(b"\n")
         try:
-            if not self.answers.poll(max(self.deadline - time.monotonic(), 0.0)):
-                raise Disqualified(f"hangs: its scans take longer than {self.seconds:.0f} s")
-            answer = self.answers.recv_bytes(1 << 20)
-        except (EOFError, OSError):
-            raise Disqualified("its process ends") from None
-        if answer[:1] != b"+":
-            raise Disqualified(answer[1:].decode(errors="replace"))
-        if os.fstat(self.said.fileno()).st_size:
-            raise Disqualified("prints")
-        return answer[1:]
+            answer = json.loads(line)
+        except ValueError:
+            raise Disqualified("an answer that is not JSON") from None
+        if isinstance(answer, dict) and "error" in answer:
+            raise Disqualified(str(answer["error"])[:500])
+        return answer
+
+    def _reason(self) -> str:
+        if not self.remote:
+            self._end(5.0)
+            if self.cpu_seconds > 0.9 * CPU_SECONDS:
+                return f"takes more than {CPU_SECONDS} s of the processor on one scan"
+        return "its process ends"
+
+
+def declared_knobs(source: str | Path) -> tuple[TuningParameter, ...]:
+    """The knobs ``(name, low, high, default)`` that a Python file lists as ``KNOBS``; none of a library or a socket."""
+    if str(source).startswith("tcp:"):
+        return ()
+    with ExternalObserver(source) as observer:
+        return observer.knobs

@@ -1,0 +1,189 @@
+"""What an observer might try to know more than it is given: each is harmless, or disqualifies it."""
+
+import socket
+import textwrap
+
+import numpy as np
+import pytest
+
+from contest import runner
+from contest.nominal import nominal_of
+from contest.plants import plant_of
+from contest.runner import Disqualified, ExternalObserver, can_isolate, declared_knobs
+from workbook import paths
+
+pytestmark = pytest.mark.slow
+isolated = pytest.mark.skipif("not can_isolate()", reason="this machine has no namespaces for an observer")
+SECRET = "contest/uncertainties.py"
+
+
+@pytest.fixture
+def given():
+    plant = plant_of("drive")
+    return *nominal_of(plant, 1.0), plant.sample_time
+
+
+@pytest.fixture
+def estimate(tmp_path, given):
+    """The estimates of an observer at some samples; `trick` is the body of a function that returns what it gained."""
+
+    def run(trick, samples=1, name="mine.py"):
+        text = textwrap.dedent(trick).strip().replace("\n", "\n    ")
+        file = tmp_path / name
+        file.write_text(
+            f"""
+import ctypes, gc, glob, os, socket, sys, time
+import numpy as np
+ROOT, SECRET = {str(paths.root())!r}, {SECRET!r}
+def trick():
+    {text}
+class Observer:
+    def start(self, model, noise, sample_time):
+        self.states = len(model.a)
+    def step(self, input, measurement):
+        return np.full(self.states, float(trick()))
+"""
+        )
+        with ExternalObserver(file) as observer:
+            observer.start(*given)
+            return [observer.step(np.zeros(1), np.zeros(1)) for _ in range(samples)]
+
+    return run
+
+
+KEEP_COUNT = """
+count = 0
+for place in {*map(os.path.realpath, ("/tmp", ".", "/dev/shm", "/var/tmp", os.path.dirname(np.__file__)))}:
+    try:
+        with open(os.path.join(place, "count"), "a+") as file:
+            file.seek(0)
+            count += len(file.read())
+            file.write("x")
+    except OSError:
+        pass
+return count
+"""
+CHEATS = {
+    "an ancestor's command line": """
+        seen = [open(each, "rb").read() for each in glob.glob("/proc/[0-9]*/cmdline")]
+        return sum(b"child.py" not in each and b"" != each for each in seen)
+    """,
+    "the parent's memory and files": """
+        found = os.getppid()
+        for each in ("root/", "environ", "mem", "cwd/"):
+            found += sum(os.path.exists(f"{place}/{each}{SECRET}") for place in glob.glob("/proc/[0-9]*"))
+        return found
+    """,
+    "objects that the garbage collector knows": """
+        arrays = [each for each in gc.get_objects() if isinstance(each, np.ndarray)]
+        return any(each.size > 1000 for each in arrays) or any(name.startswith("contest") for name in sys.modules)
+    """,
+    "frames and what they close over": """
+        frame, seen = sys._getframe(), []
+        while frame:
+            for value in list(frame.f_locals.values()):
+                cells = getattr(value, "__closure__", None) or ()
+                seen += [value, *(cell.cell_contents for cell in cells)]
+            frame = frame.f_back
+        return any(isinstance(each, np.ndarray) and each.size > 100 for each in seen)
+    """,
+    "the C library's open and system": """
+        libc = ctypes.CDLL(None)
+        opened = libc.open(f"{ROOT}/{SECRET}".encode(), 0)
+        return (opened >= 0) + (libc.system(f"cat {ROOT}/{SECRET}".encode()) == 0)
+    """,
+    "a symbolic link in the working folder": """
+        if not os.path.islink("way"):
+            os.symlink(ROOT, "way")
+        return os.path.exists(f"way/{SECRET}")
+    """,
+    "the environment": """
+        return len(set(os.environ) - {"PATH", "LANG", "PYTHONPATH", "HOME", "TMPDIR", "PYTHONDONTWRITEBYTECODE", "PWD",
+            "NUMBA_CACHE_DIR", "STILLWORK_KERNELS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS",
+            "OLDPWD", "SHLVL", "_"})
+    """,
+    "a table written beside the packages": """
+        written = 0
+        for place in (os.path.dirname(np.__file__), sys.prefix, "/usr/lib", ROOT + "/lib/stillwork"):
+            try:
+                open(place + "/table", "w").close()
+                written += 1
+            except OSError:
+                pass
+        return written
+    """,
+    "another file system mounted": """
+        libc = ctypes.CDLL(None)
+        return libc.mount(b"none", b"/tmp", b"proc", 0, None) == 0
+    """,
+}
+
+
+@isolated
+@pytest.mark.parametrize("cheat", CHEATS)
+def test_a_cheat_gains_nothing(cheat, estimate):
+    assert estimate(CHEATS[cheat])[0].tolist() == [0.0] * 4
+
+
+@isolated
+def test_a_scan_cannot_be_counted(estimate):
+    """What is written on one scan is not there on the next: in no file, in no module."""
+    assert [estimate(KEEP_COUNT)[0][0] for _ in range(2)] == [0.0, 0.0]
+
+
+@isolated
+def test_no_program_of_this_machine_can_be_asked(estimate):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.2)
+        ask = f"""
+        with socket.socket() as s:
+            s.settimeout(1)
+            return s.connect_ex(("127.0.0.1", {server.getsockname()[1]})) == 0
+        """
+        assert estimate(ask)[0][0] == 0.0
+        with pytest.raises(TimeoutError):
+            server.accept()
+
+
+@isolated
+def test_who_imports_the_contest_is_out(estimate):
+    with pytest.raises(Disqualified, match=r"raises (ModuleNotFound|Import)Error: .*contest"):
+        estimate("import contest.uncertainties")
+
+
+@pytest.mark.parametrize(
+    ("trick", "reason"),
+    [
+        ("raise ValueError('no idea')", r"raises ValueError: no idea \(line 6\)"),
+        ("return np.nan", "raises ValueError: an estimate that is not finite"),
+        ("return 1j", "raises TypeError"),
+        ("os._exit(0)", "its process ends"),
+        ("return [np.empty(10**8) for _ in range(1000)]", "allocates more memory"),
+        ("while True: pass", "takes more than 1 s of the processor"),
+        ("time.sleep(60)", "hangs: no answer within 3 s"),
+        ("[os.write(k, b'look\\n') for k in range(3, 9) if os.path.exists(f'/proc/self/fd/{k}') and k != 3]", "JSON"),
+    ],
+)
+def test_who_breaks_the_rules_is_out_by_reason(trick, reason, estimate, monkeypatch):
+    if "processor" in reason or "hangs" in reason:
+        monkeypatch.setattr(runner, "CPU_SECONDS", 1)
+        monkeypatch.setattr(runner, "PATIENCE", 20 if "processor" in reason else 3)
+    with pytest.raises(Disqualified, match=reason):
+        estimate(trick, samples=2)
+
+
+def test_an_observer_may_print_compile_and_look_at_the_clock(estimate):
+    trick = """
+        import numba
+        from stillwork.base.kernels import kernel
+        print("look", file=sys.stderr)
+        return kernel(lambda x: x / 2)(numba.njit(lambda x: 2 * x)(3.0)) * (time.perf_counter() > 0)
+    """
+    assert estimate(trick)[0].tolist() == [3.0] * 4
+
+
+def test_knobs_are_what_a_file_declares(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text("KNOBS = [('size', 0.1, 10.0, 1.0)]\nclass Observer: pass\n")
+    assert declared_knobs(file) == (("size", 0.1, 10.0, 1.0),)
+    assert declared_knobs("tcp:127.0.0.1:1") == ()
