@@ -1,11 +1,11 @@
 r"""The test bench: a machine moves along a scan under its controller, with or without an observer in the loop.
 
 At sample k the observer is given the force that was held since the last sample, and the measurement, NaN where it
-was lost; it answers with the modal states of the nominal model, :math:`(\eta_1, \dot\eta_1, \eta_2, \ldots)`.
+was lost; it returns the modal states of the nominal model, :math:`(\eta_1, \dot\eta_1, \eta_2, \ldots)`.
 """
 
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -19,10 +19,15 @@ from stillwork.lti.discretisation import zoh
 
 SAMPLES = 1200  # of a record
 JUDGED = slice(480, None)  # the machine scans with constant velocity
-BANDWIDTH_RATIO_LOW, BANDWIDTH_RATIO_HIGH = (
-    1 / 16,
-    1 / 2.5,
-)  # bandwidth over the first flexible frequency: without and with an observer
+PUSHED = 840  # sample of a loop's scan from which on an unknown force acts
+PUSH = 0.02  # that force over the move's largest
+LEAD = 5.0  # of the controllers: with the thesis's 3 the rigid body alone has a sensitivity near 6 dB
+# Bandwidth over the first flexible frequency: without and with an observer, and those that are tried.
+BANDWIDTH_RATIO_LOW, BANDWIDTH_RATIO_HIGH = 1 / 16, 1 / 2.5
+BANDWIDTH_RATIOS = 2.0 ** (np.arange(8) / 2) / 8
+PEAK = 2.0  # largest sensitivity that is allowed, 6 dB
+PERIOD = 1024  # samples of the multisine that measures it, on these lines
+LINES = np.unique(np.geomspace(4, 400, 40).astype(int))
 DIVERGENCE_LIMIT = 0.1  # error over the stroke, at which a loop is switched off
 ADDED = 0.05  # damping ratio that active damping is to add to every flexible mode
 
@@ -34,9 +39,12 @@ class Bench:
     truth: Truth
     control: tuple  # sampled controller of one rigid-body coordinate: A, B, C
     directions: tuple  # a row each: rigid-body coordinates of a measurement, forces of their commands
-    setpoint: Float64[np.ndarray, "samples 2"]  # position and acceleration of the first coordinate
+    setpoint: Float64[
+        np.ndarray, "samples 3"
+    ]  # of the first coordinate: position, acceleration, added to the error
     compensation: Float64[np.ndarray, "outputs states"]  # what the flexible modes put into the measurements
     damping: Float64[np.ndarray, "inputs states"]
+    limit: float  # error at which the loop is switched off
 
     @property
     def system(self) -> tuple:
@@ -46,16 +54,16 @@ class Bench:
         return tuple(map(np.ascontiguousarray, (t.a, t.b, t.c, t.process, t.sensor, t.lost, *known)))
 
     def memory(self) -> tuple:
-        """States of machine and controllers, the last measurement and force, all outputs so far."""
+        """States of machine and controllers, the last measurement and force, all outputs and controlled errors so far."""
         t, controllers = self.truth, (len(self.directions[0]), len(self.control[0]))
-        sizes = (t.a.shape[1], controllers, t.sensor.shape[1], t.b.shape[2], t.sensor.shape)
+        sizes = (t.a.shape[1], controllers, t.sensor.shape[1], t.b.shape[2], t.sensor.shape, len(t.sensor))
         return tuple(np.zeros(size) for size in sizes)
 
 
 def assemble(plant: ContestPlant, truth: Truth, ratio: float, estimated: bool) -> Bench:
     """The loop at a bandwidth of `ratio` times the first flexible frequency, open to estimates or not."""
     model, rigid = plant.model, plant.model.rigid_modes
-    control = zoh(PidFamily(1.0)(ratio * plant.lowest_hz).state_space(), plant.sample_time)
+    control = zoh(PidFamily(1.0, lead=LEAD)(ratio * plant.lowest_hz).state_space(), plant.sample_time)
     states = 2 * len(model.frequencies)
     compensation = np.zeros((len(model.output_shapes), states))
     damping = np.zeros((model.input_shapes.shape[1], states))
@@ -70,15 +78,16 @@ def assemble(plant: ContestPlant, truth: Truth, ratio: float, estimated: bool) -
     )
     controller = control.a, control.b[:, 0], control.c[0]
     setpoint = scan_setpoint(plant, len(truth.sensor))
-    return Bench(truth, controller, directions, setpoint, compensation, damping)
+    limit = DIVERGENCE_LIMIT * float(np.abs(setpoint[:, 0]).max())
+    return Bench(truth, controller, directions, setpoint, compensation, damping, limit)
 
 
-def scan_setpoint(plant: ContestPlant, samples: int) -> Float64[np.ndarray, "samples 2"]:
+def scan_setpoint(plant: ContestPlant, samples: int) -> Float64[np.ndarray, "samples 3"]:
     """A raised cosine of acceleration from a twentieth to three tenths of the record, then constant velocity."""
     phase = np.clip((np.arange(samples) / samples - 0.05) / 0.25, 0, 1)
     acceleration = plant.acceleration * (1 - np.cos(2 * np.pi * phase)) / 2
     velocity = np.cumsum(acceleration) * plant.sample_time
-    return np.stack([np.cumsum(velocity) * plant.sample_time, acceleration], axis=1)
+    return np.stack([np.cumsum(velocity) * plant.sample_time, acceleration, np.zeros_like(velocity)], axis=1)
 
 
 @pasted_kernel
@@ -104,8 +113,10 @@ def _actuate(k, system, memory, estimate):
     compensated = held - compensation @ estimate
     copy_vector(-(damping @ estimate), force)
     for r in range(to_rigid.shape[0]):
-        position, acceleration = (setpoint[k, 0], setpoint[k, 1]) if r == 0 else (0.0, 0.0)
-        error = minus_row(position, to_rigid, r, compensated)
+        position, acceleration, added = setpoint[k] if r == 0 else np.zeros(3)
+        error = minus_row(position, to_rigid, r, compensated) + added
+        if r == 0:
+            memory[5][k] = error
         command = plus_row(acceleration, z, r, cc)
         copy_vector(ca @ z[r] + cb * error, z[r])
         add_scaled(command, to_force[r], force)
@@ -113,13 +124,20 @@ def _actuate(k, system, memory, estimate):
 
 
 @kernel
+def _go_on(k, system, delay, memory, estimate, measured):
+    # From the estimate of sample k - 1 to the measurement of sample k.
+    if k > 0:
+        _actuate(k - 1, system, memory, estimate)
+    _observe(k, system, delay, memory, measured)
+
+
+@kernel
 def _record(system, delay, memory, inputs, measurements, states):
     still = np.zeros(system[12].shape[1])
     for k in range(len(states)):
+        _go_on(k, system, delay, memory, still, measurements[k])
         copy_vector(memory[3], inputs[k])
         copy_vector(memory[0], states[k])
-        _observe(k, system, delay, memory, measurements[k])
-        _actuate(k, system, memory, still)
 
 
 @dataclass(frozen=True)
@@ -141,53 +159,90 @@ def record(machine: Bench) -> ScanRecord:
     return done
 
 
-def tracking_errors(machine: Bench, states: np.ndarray) -> Float64[np.ndarray, "2"]:
-    """Root mean square and peak over the scan of the first rigid-body coordinate's error, as the true outputs show it."""
-    if not np.isfinite(states).all():
-        return np.full(2, np.inf)
-    error = machine.setpoint[JUDGED, 0] - states[JUDGED] @ machine.truth.c.T @ machine.directions[0][0]
-    return np.array([np.sqrt(np.mean(error**2)), np.abs(error).max()])
+def loop_errors(machine: Bench, states: np.ndarray) -> Float64[np.ndarray, "2"]:
+    """Root mean square error of the first rigid-body coordinate, as the true outputs show it.
+
+    First of the scan, then from the sample on at which `push` acts. Infinite where the loop has run away before its end.
+    """
+    with np.errstate(invalid="ignore"):  # infinite states
+        error = machine.setpoint[:, 0] - states @ machine.truth.c.T @ machine.directions[0][0]
+    parts = error[JUDGED.start : PUSHED], error[PUSHED:]
+    return np.array([np.sqrt(np.mean(part**2)) if np.isfinite(part).all() else np.inf for part in parts])
 
 
-Scan = Generator[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]
+def push(plant: ContestPlant, truth: Truth) -> Truth:
+    """The same with an unknown force along the first rigid-body coordinate in the scan's last part."""
+    process, shapes = truth.process.copy(), plant.model.input_shapes[: plant.model.rigid_modes]
+    process[PUSHED:] += PUSH * plant.acceleration * np.linalg.pinv(shapes).T[0]
+    return replace(truth, process=process)
+
+
+Scan = Generator[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray, np.ndarray]
 
 
 def open_scan(done: ScanRecord, states: int) -> Scan:
     """Give out what was recorded, sample by sample, for an estimate each; returns the estimates."""
     estimates = np.empty((len(done.inputs), states))
     for k in range(len(estimates)):
-        estimates[k] = yield done.inputs[k].copy(), done.measurements[k].copy()
+        estimates[k] = yield done.inputs[k].copy(), done.measurements[k].copy(), done.states[k]
     return estimates
 
 
-def loop_scan(machine: Bench) -> Scan:
+def loop_scan(machine: Bench, memory: tuple | None = None) -> Scan:
     """The same of a scan with the observer in the loop; returns the true states, infinite once the loop has run away."""
-    t, memory = machine.truth, machine.memory()
+    t, memory = machine.truth, memory or machine.memory()
     system, measured = machine.system, np.zeros(t.sensor.shape[1])
     states = np.full((len(t.sensor), t.a.shape[1]), np.inf)
-    limit = DIVERGENCE_LIMIT * np.abs(machine.setpoint[:, 0]).max()
+    estimate = np.zeros(machine.damping.shape[1])
     for k in range(len(states)):
-        _observe(k, system, t.delay, memory, measured)
-        if not np.abs(machine.directions[0][0] @ memory[2] - machine.setpoint[k, 0]) < limit:
+        _go_on(k, system, t.delay, memory, estimate, measured)
+        if not abs(machine.directions[0][0] @ memory[2] - machine.setpoint[k, 0]) < machine.limit:
             break
         states[k] = memory[0]
-        _actuate(k, system, memory, (yield memory[3].copy(), measured.copy()))
+        estimate = yield memory[3].copy(), measured.copy(), memory[0]
     return states
 
 
-def run_scans(scans: Sequence[Scan], step: Callable) -> list[np.ndarray]:
-    """Run scans side by side: ``step(numbers, inputs, measurements)`` estimates one sample of each that still goes on."""
-    waiting = {number: next(scan) for number, scan in enumerate(scans)}
-    results: dict[int, np.ndarray] = {}
-    while waiting:
-        inputs, measurements = (np.array(each) for each in zip(*waiting.values(), strict=True))
-        for number, estimate in zip(list(waiting), step(list(waiting), inputs, measurements), strict=True):
-            try:
-                waiting[number] = scans[number].send(estimate)
-            except StopIteration as end:
-                results[number] = end.value
-                del waiting[number]
-    return [results[number] for number in range(len(scans))]
+def run_scan(scan: Scan, step: Callable) -> np.ndarray:
+    """Run a scan: ``step(input, measurement, true state)`` estimates each sample."""
+    given = next(scan)
+    while True:
+        try:
+            given = scan.send(step(*given))
+        except StopIteration as end:
+            return end.value
+
+
+def sensitivity_peak(plant: ContestPlant, truth: Truth, ratio: float, run: Callable) -> float:
+    """Largest sensitivity at the first controller's input with the observer in the loop; infinite where that runs away.
+
+    A multisine is added to the error, a period to settle and one that is measured; ``run(scan)`` lets an observer run.
+    """
+    machine = assemble(plant, truth, ratio, estimated=True)
+    phases = np.pi * np.arange(len(LINES)) ** 2 / len(LINES)  # Schroeder's, for a low crest
+    turns = 2 * np.pi * np.outer(np.arange(len(truth.sensor)), LINES) / PERIOD
+    size = 300 * truth.sensor.std() / np.linalg.norm(plant.model.output_shapes[:, 0])
+    added = size * np.cos(turns + phases).sum(axis=1) / np.sqrt(len(LINES) / 2)
+    setpoint = np.zeros_like(machine.setpoint)
+    setpoint[:, 2] = added
+    machine = replace(machine, setpoint=setpoint, limit=100 * size)
+    memory = machine.memory()
+    if not np.isfinite(run(loop_scan(machine, memory))).all():
+        return np.inf
+    errors, added = (np.fft.rfft(each[-PERIOD - 1 : -1])[LINES] for each in (memory[5], added))
+    return float(np.abs(errors / added).max())
+
+
+def allowed_bandwidth(plant: ContestPlant, truth: Truth, run: Callable) -> float:
+    """Largest bandwidth over the first flexible frequency, of those tried by bisection, with sensitivity up to `PEAK`."""
+    low, high = 0, len(BANDWIDTH_RATIOS)  # so many are allowed at least, and at most
+    while low < high:
+        middle = (low + high + 1) // 2
+        if sensitivity_peak(plant, truth, BANDWIDTH_RATIOS[middle - 1], run) <= PEAK:
+            low = middle
+        else:
+            high = middle - 1
+    return float(BANDWIDTH_RATIOS[low - 1]) if low else 0.0
 
 
 def state_errors(record: ScanRecord, estimates: np.ndarray, rigid: int) -> tuple[float, float]:

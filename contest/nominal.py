@@ -1,4 +1,4 @@
-"""What an observer is told before a scan, and what one of the house's own is made of."""
+"""What an observer is given before a scan, and what one of ours is made of."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class NominalNoise:
 
 
 def nominal_of(plant: ContestPlant, noise: float) -> tuple[NominalModel, NominalNoise]:
-    """What all entrants are told of a plant whose sensor is `noise` times as noisy as it comes."""
+    """What all entrants are given of a plant whose sensor is `noise` times as noisy as it comes."""
     m = plant.model
     sampled = zoh_modes(m, plant.sample_time)
     model = NominalModel(
@@ -61,7 +61,7 @@ class TuningParameter(NamedTuple):
     name: str
     low: float
     high: float
-    given: float  # where its paper or habit has it
+    default: float  # where its paper or habit has it
 
 
 class CompiledObserver(NamedTuple):
@@ -76,12 +76,11 @@ class CompiledObserver(NamedTuple):
 
 
 class Baseline(NamedTuple):
-    """One of the house's own: ``design(model, noise, sample_time, *settings)``, its knobs and its source."""
+    """One of ours: ``design(model, noise, sample_time, *settings)``, its knobs and its source."""
 
     design: Callable[..., CompiledObserver]
     knobs: tuple[TuningParameter, ...]
     source: str
-    heavy: bool = False  # many models or points a sample: may run on fewer seeds
 
 
 class OwnObserver:
@@ -91,8 +90,8 @@ class OwnObserver:
         self, entrant: Baseline, settings: tuple[float, ...] | None = None, designs: dict | None = None
     ):
         self.entrant = entrant
-        self.settings = tuple(knob.given for knob in entrant.knobs) if settings is None else settings
-        # Of what it was told of before: many scans are told the same.
+        self.settings = tuple(knob.default for knob in entrant.knobs) if settings is None else settings
+        # Of what it was given before: many scans are given the same.
         self.designs: dict[tuple, CompiledObserver] = {} if designs is None else designs
 
     def start(self, model: NominalModel, noise: NominalNoise, sample_time: float) -> None:
@@ -103,7 +102,7 @@ class OwnObserver:
         self.states, self.made = len(model.a), self.designs[key]
         self.memory = tuple(each.copy() for each in self.made.memory)
 
-    def step(self, input: np.ndarray, measurement: np.ndarray) -> np.ndarray:
+    def step(self, input: np.ndarray, measurement: np.ndarray, *_) -> np.ndarray:
         """The estimate at the sample of this measurement."""
         return self.run(input[None], measurement[None])[0]
 

@@ -1,8 +1,9 @@
-"""One seed of the contest on one plant: every observer on the same scans, open and in the loop."""
+"""One seed of the contest on one plant: every observer on the same scans, one scan at a time."""
 
 import time
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,78 +11,58 @@ import numpy as np
 from contest import bench
 from contest.adaptive import ADAPTIVE
 from contest.fixed_gain import FIXED
+from contest.learned import LEARNED
+from contest.moving_horizon import MOVING
 from contest.multi_model import MULTI_MODEL
 from contest.nominal import Baseline, OwnObserver, nominal_of
 from contest.parametric import PARAMETRIC
-from contest.plants import ContestPlant, sample_plant
+from contest.plants import plant_of
 from contest.runner import Disqualified, ExternalObserver
-from contest.uncertainties import UNCERTAINTIES, hidden_seed, sample_truth
+from contest.uncertainties import UNCERTAINTIES, Truth, hidden_seed, sample_truth
 
-ENTRANTS: Mapping[str, Baseline] = {**FIXED, **PARAMETRIC, **ADAPTIVE, **MULTI_MODEL}
+ENTRANTS: Mapping[str, Baseline] = {**FIXED, **PARAMETRIC, **ADAPTIVE, **MOVING, **MULTI_MODEL, **LEARNED}
+ORACLE = "oracle"  # the true states, in the loop alone
 
 
-SCORES = ("rigid", "flexible", "tracking", "peak")
+class Scan(NamedTuple):
+    """What one scan of the contest is of."""
+
+    track: str  # estimate, loop or bandwidth
+    plant: str
+    uncertainty: str
+    public: str
+    seed: int
+
+    @property
+    def stream(self) -> int:
+        """Its hidden seed: tracks share nothing, so that what one scan shows is of no use on another."""
+        return hidden_seed(self.public, self.track, self.plant, self.uncertainty, self.seed)
+
+    def given(self) -> tuple:
+        """What the observers are given before it."""
+        plant = plant_of(self.plant)
+        return *nominal_of(plant, UNCERTAINTIES[self.uncertainty].noise), plant.sample_time
 
 
 class Scored(NamedTuple):
     """What one observer got on one scan."""
 
     entrant: str
-    plant: str
-    doubt: str
-    seed: int
-    rigid: float  # errors of the states relative to those of the estimate zero
-    flexible: float
-    tracking: float  # rms error in the loop over the cautious loop's; infinite where it runs away
-    peak: float  # the same of the largest error
-    microseconds: float  # a sample, on the scan outside the loop
-    bytes: int  # that the observer holds; 0 for a foreign one
+    scan: Scan
+    score: str
+    value: float
 
 
-def contest_trial(
-    plant: str,
-    seed: int,
-    public: str,
-    settings: Mapping[str, Sequence[float]],
-    files: Mapping[str, str],
-    doubts: Sequence[str] = tuple(UNCERTAINTIES),
-    loops: bool = True,
-) -> tuple[list[Scored], dict[str, str]]:
-    """Scores of all observers on one plant at one hidden seed, and who was shown to the door, with the reason.
+class Oracle:
+    """Knows the true states."""
 
-    `settings` says where the knobs of our entrants stand, `files` holds foreign observers by name.
-    """
-    machine = sample_plant(plant, np.random.default_rng(hidden_seed(public, plant, seed)))
-    prepared = [_prepare(machine, doubt, hidden_seed(public, plant, seed, doubt)) for doubt in doubts]
-    scores: list[Scored] = []
-    out: dict[str, str] = {}
-    for name, knobs in settings.items():
-        own = OwnObserver(ENTRANTS[name], tuple(knobs), _designs(name, tuple(knobs)))
-        scores += _judged(name, plant, seed, prepared, _own_scans(own, prepared, loops))
-    for name, file in files.items():
-        try:
-            scores += _judged(name, plant, seed, prepared, _foreign_scans(file, prepared, loops))
-        except Disqualified as reason:
-            out[name] = str(reason)
-    return scores, out
+    def start(self, model, *_) -> None:
+        """Begin a scan."""
+        self.states = len(model.a)
 
-
-class _Prepared(NamedTuple):
-    """One doubt's scan, and what the observers are told of it."""
-
-    doubt: str
-    cautious: bench.Bench
-    bold: bench.Bench
-    record: bench.ScanRecord
-    told: tuple
-
-
-def _prepare(machine: ContestPlant, doubt: str, stream: int) -> _Prepared:
-    truth = sample_truth(machine, UNCERTAINTIES[doubt], bench.SAMPLES, np.random.default_rng(stream))
-    cautious = bench.assemble(machine, truth, bench.BANDWIDTH_RATIO_LOW, estimated=False)
-    bold = bench.assemble(machine, truth, bench.BANDWIDTH_RATIO_HIGH, estimated=True)
-    told = (*nominal_of(machine, UNCERTAINTIES[doubt].noise), machine.sample_time)
-    return _Prepared(doubt, cautious, bold, bench.record(cautious), told)
+    def step(self, input, measurement, state: np.ndarray) -> np.ndarray:
+        """The true state."""
+        return state[: self.states].copy()
 
 
 @cache  # they serve all seeds, and every thread of a worker
@@ -89,46 +70,98 @@ def _designs(name: str, knobs: tuple[float, ...]) -> dict:
     return {}
 
 
-def _own_scans(observer: OwnObserver, prepared: Sequence[_Prepared], loops: bool) -> list[tuple]:
-    """Estimates, microseconds a sample, states in the loop (None without) and bytes, a scan each."""
-    results = []
-    for each in prepared:
-        observer.start(*each.told)
-        observer.step(each.record.inputs[0], each.record.measurements[0])  # compiles it
-        observer.start(*each.told)
-        began = time.thread_time()  # what else the machine does is not the observer's time
-        estimates = observer.run(each.record.inputs, each.record.measurements)
-        taken = 1e6 * (time.thread_time() - began) / len(estimates)
-        moved = None
-        if loops:
-            observer.start(*each.told)
-            scan = bench.loop_scan(each.bold)
-            [moved] = bench.run_scans([scan], lambda _, u, y: [observer.step(u[0], y[0])])
-        results.append((estimates, taken, moved, observer.bytes))
-    return results
+@contextmanager
+def opened(entrant: str, source: str | None, given: tuple, knobs: tuple[float, ...]) -> Iterator:
+    """An observer at the beginning of a scan: from `source`, or one of ours."""
+    if source is not None:
+        with ExternalObserver(source) as observer:
+            observer.start(*given, knobs)
+            yield observer
+        return
+    own = Oracle() if entrant == ORACLE else OwnObserver(ENTRANTS[entrant], knobs, _designs(entrant, knobs))
+    own.start(*given)
+    yield own
 
 
-def _foreign_scans(file: str, prepared: Sequence[_Prepared], loops: bool) -> list[tuple]:
-    """The same of a foreign observer, all scans side by side; its time is that of an average sample, pipe and all."""
-    states = len(prepared[0].told[0].a)
-    scans = [bench.open_scan(each.record, states) for each in prepared]
-    scans += [bench.loop_scan(each.bold) for each in prepared if loops]
-    with ExternalObserver(file) as observer:
-        observer.start([each.told for each in prepared] * (2 if loops else 1))
-        began = time.perf_counter()
-        results = bench.run_scans(scans, observer.step)
-        taken = 1e6 * (time.perf_counter() - began) / (len(scans) * bench.SAMPLES)
-    moved = results[len(prepared) :] or [None] * len(prepared)
-    return [(results[k], taken, moved[k], 0) for k in range(len(prepared))]
+@lru_cache(maxsize=64)  # all observers run on the same
+def truth_of(scan: Scan) -> Truth:
+    """The machine as it is on a scan, and its noises."""
+    samples = 2 * bench.PERIOD + 1 if scan.track == "bandwidth" else bench.SAMPLES
+    plant, rng = plant_of(scan.plant), np.random.default_rng(scan.stream)
+    truth = sample_truth(plant, UNCERTAINTIES[scan.uncertainty], samples, rng)
+    return bench.push(plant, truth) if scan.track == "loop" else truth
 
 
-def _judged(name, plant, seed, prepared, results) -> list[Scored]:
-    found = []
-    for each, (estimates, taken, moved, held) in zip(prepared, results, strict=True):
-        loop = np.full(2, np.nan)
-        if moved is not None:
-            steady = bench.tracking_errors(each.cautious, each.record.states)
-            loop = bench.tracking_errors(each.bold, moved) / steady
-        errors = bench.state_errors(each.record, estimates, each.told[0].rigid_modes)
-        found.append(Scored(name, plant, each.doubt, seed, *errors, *map(float, loop), taken, held))
-    return found
+@lru_cache(maxsize=64)
+def recorded(scan: Scan) -> bench.ScanRecord:
+    """A scan in the cautious loop, which has no observer."""
+    plant = plant_of(scan.plant)
+    return bench.record(bench.assemble(plant, truth_of(scan), bench.BANDWIDTH_RATIO_LOW, estimated=False))
+
+
+def estimate_scores(
+    entrant: str, source: str | None, scan: Scan, knobs: tuple[float, ...]
+) -> dict[str, float]:
+    """Errors of the rigid-body and the flexible states relative to those of the estimate zero, time and memory.
+
+    Microseconds a sample: of one of ours without its design; of a file all that its process takes, over its samples.
+    """
+    record, given = recorded(scan), scan.given()
+    with opened(entrant, source, given, knobs) as observer:
+        if source is not None:
+            estimates = bench.run_scan(bench.open_scan(record, len(given[0].a)), observer.step)
+        else:
+            observer.step(record.inputs[0], record.measurements[0])  # compiles it
+            observer.start(*given)
+            began = time.thread_time()  # what else the machine does is not the observer's time
+            estimates = observer.run(record.inputs, record.measurements)
+            taken, held = time.thread_time() - began, float(observer.bytes)
+    if source is not None:
+        taken, held = observer.cpu_seconds, np.nan
+    rigid, flexible = bench.state_errors(record, estimates, given[0].rigid_modes)
+    return {"flexible": flexible, "rigid": rigid, "microseconds": 1e6 * taken / len(estimates), "bytes": held}
+
+
+def loop_scores(scan: Scan, run: Callable) -> dict[str, float]:
+    """Errors in the loop, of the scan and under an unknown force, over those of the cautious loop without an observer."""
+    bold = bench.assemble(plant_of(scan.plant), truth_of(scan), bench.BANDWIDTH_RATIO_HIGH, estimated=True)
+    # Machine and setpoint are those of the cautious loop.
+    cautious = bench.loop_errors(bold, recorded(scan).states)
+    ratios = bench.loop_errors(bold, run(bench.loop_scan(bold))) / cautious
+    return {"tracking": float(ratios[0]), "rejection": float(ratios[1])}
+
+
+def scores_of(entrant: str, source: str | None, scan: Scan, knobs: tuple[float, ...]) -> dict[str, float]:
+    """What an observer gets on a scan, by score."""
+    if scan.track == "estimate":
+        return {} if entrant == ORACLE else estimate_scores(entrant, source, scan, knobs)
+
+    def run(task: bench.Scan) -> np.ndarray:
+        with opened(entrant, source, scan.given(), knobs) as observer:
+            return bench.run_scan(task, observer.step)
+
+    if scan.track == "loop":
+        return loop_scores(scan, run)
+    return {"bandwidth": bench.allowed_bandwidth(plant_of(scan.plant), truth_of(scan), run)}
+
+
+def contest_trial(
+    scans: Sequence[Scan], settings: Mapping[str, tuple[float, ...]], sources: Mapping[str, str]
+) -> tuple[list[Scored], dict[str, str]]:
+    """Scores of the entrants of `settings` on these scans, and who was disqualified, with the reason.
+
+    `sources` are those of observers that are not ours, by name.
+    """
+    scores: list[Scored] = []
+    out: dict[str, str] = {}
+    for scan in scans:
+        for name, knobs in settings.items():
+            if name in out:
+                continue
+            try:
+                found = scores_of(name, sources.get(name), scan, knobs)
+            except Disqualified as reason:
+                out[name] = str(reason)
+            else:
+                scores += [Scored(name, scan, score, value) for score, value in found.items()]
+    return scores, out
