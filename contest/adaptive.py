@@ -1,49 +1,15 @@
-"""Entrants that change their covariances with what they see: adaptive process noise, and bounded noise."""
+"""Entrants that do not trust their measurements: bounded noise, clipped innovations, and late samples."""
 
 import numpy as np
 
-from contest.fixed_gain import stationary
+from contest.fixed_gain import fictitious, stationary
 from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise, TuningParameter
 from contest.parametric import predict_modes, propagate
-from stillwork.base.algebra import add_scaled, condition, copy_vector, measure, minus_row
+from stillwork.base.algebra import add_scaled, copy_vector, measure, minus_row
 from stillwork.base.kernels import kernel
 
-MAX_FACTOR = 1e12  # factor on the process noise
+DELAYS, FOLLOWING, FORGETTING = 3, 0.02, 0.98  # delays tried; rate of a size a sample; of scores
 MET = 0.9  # innovation over the reach of ellipsoid and bound together, at which they count as meeting
-
-
-@kernel
-def _advance_adaptive(data, memory, inputs, measurements, estimates):
-    a, b, c, sensor, added, settings = data
-    x, p, factor = memory
-    rate = settings[0]
-    n, outputs = len(x), len(c)
-    cross, alone = np.empty(n), np.empty((n, 0))
-    for k in range(len(inputs)):
-        predict_modes(a, b, inputs[k], x)
-        propagate(a, alone, p)
-        for i in range(n):
-            add_scaled(factor[0], added[i], p[i])
-        if not np.isnan(measurements[k, 0]):
-            surprise = 0.0
-            for o in range(outputs):
-                innovation = minus_row(measurements[k, o], c, o, x)
-                variance = measure(p, c, o, 0.0, cross) + sensor[o]
-                surprise += innovation * innovation / variance / outputs
-                for i in range(n):
-                    x[i] += cross[i] * innovation / variance
-                condition(p, cross, variance)
-            # The innovations should have the variance that the filter expects; the noise follows until they do.
-            factor[0] = min(max(factor[0] * np.exp(rate * (min(surprise, 10.0) - 1)), 1.0), MAX_FACTOR)
-        copy_vector(x, estimates[k])
-
-
-def adaptive(model: NominalModel, noise: NominalNoise, sample_time: float, rate: float) -> CompiledObserver:
-    """Kalman filter whose process noise follows its innovations: by `rate` a sample for each excess variance."""
-    added = model.b @ noise.process @ model.b.T
-    data = (model.a, model.b, model.c, np.diag(noise.sensor).copy(), added, np.array([rate]))
-    memory = (np.zeros(len(model.a)), stationary(model, noise)[1], np.ones(1))
-    return CompiledObserver(_advance_adaptive, data, memory)
 
 
 @kernel
@@ -109,9 +75,70 @@ def set_membership(
     return CompiledObserver(_advance_sets, data, (np.zeros(len(model.a)), sensor**2 * after))
 
 
+@kernel
+def _advance_clipped(data, memory, inputs, measurements, estimates):
+    a, b, c, gain, least, settings = data
+    x, sizes, scores, forces = memory
+    clip, rate, forgetting = settings
+    n, outputs, delays = a.shape[0], len(c), len(x)
+    estimate, weights = np.empty(n), np.empty(delays)
+    for k in range(len(inputs)):
+        for d in range(delays - 1, 0, -1):
+            copy_vector(forces[d - 1], forces[d])
+        copy_vector(inputs[k], forces[0])
+        for d in range(delays):  # x[d] is of sample k - d, which the measurement is of where it is so late
+            predict_modes(a, b, forces[d], x[d])
+            if np.isnan(measurements[k, 0]):
+                continue
+            scores[d] *= forgetting
+            for o in range(outputs):
+                innovation, size = minus_row(measurements[k, o], c, o, x[d]), sizes[d, o]
+                share = min(abs(innovation) / size, clip)
+                # The mean of a normal innovation's size is 0.8 of its deviation.
+                sizes[d, o] = max(size * np.exp(rate * (share - 0.8)), least[o])
+                scores[d] += np.log(size) + share * share / 2
+                for i in range(n):
+                    x[d, i] += gain[i, o] * np.sign(innovation) * share * size
+        best = scores.min()
+        total = 0.0
+        for d in range(delays):
+            weights[d] = np.exp(best - scores[d])
+            total += weights[d]
+        estimates[k] = 0.0
+        for d in range(delays):
+            copy_vector(x[d], estimate)
+            for later in range(d - 1, -1, -1):
+                predict_modes(a, b, forces[later], estimate)
+            add_scaled(weights[d] / total, estimate, estimates[k])
+
+
+def clipped_with_delays(
+    model: NominalModel, noise: NominalNoise, sample_time: float, clip: float, force: float
+) -> CompiledObserver:
+    """Kalman filters with fictitious noise for samples that are 0, 1 or 2 late, weighed by how well each predicts.
+
+    Innovations are clipped at `clip` times their size, which is followed and is never less than a measurement's noise.
+    """
+    gain, least = fictitious(model, noise, sample_time, force).data[2], np.sqrt(np.diag(noise.sensor))
+    data = (model.a, model.b, model.c, gain, least, np.array([clip, FOLLOWING, FORGETTING]))
+    n, inputs = model.b.shape
+    memory = (
+        np.zeros((DELAYS, n)),
+        np.tile(least, (DELAYS, 1)),
+        np.zeros(DELAYS),
+        np.zeros((DELAYS, inputs)),
+    )
+    return CompiledObserver(_advance_clipped, data, memory)
+
+
 ADAPTIVE = {
-    "adaptive process noise": Baseline(
-        adaptive, (TuningParameter("rate a sample", 1e-4, 1.0, 0.01),), "Mehra 1972, covariance matching"
+    "Huber with delays": Baseline(
+        clipped_with_delays,
+        (
+            TuningParameter("clip over the innovation's size", 1.0, 30.0, 3.0),
+            TuningParameter("force on a mode over w", 1e-1, 1e4, 10.0),
+        ),
+        "Masreliez and Martin 1977; a bank of delays after Magill 1965",
     ),
     "set membership": Baseline(
         set_membership,

@@ -3,14 +3,12 @@ r"""Entrants that carry parameters beside the states: three frequencies, the rig
 With :math:`z = (x, \theta)` the model is :math:`x_k = A(\theta) x_{k-1} + B(\theta) (u_{k-1} + w)`, and
 :math:`\theta` walks: relative errors of the frequencies, then of the gains."""
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy.linalg import block_diag
 
 from contest.fixed_gain import stationary
 from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise, TuningParameter
-from stillwork.base.algebra import cholesky_root, minus_row, plus_row
+from stillwork.base.algebra import cholesky_root, measure, minus_row, plus_row
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 
 
@@ -82,12 +80,13 @@ def propagate(a, by, p):
 
 
 NUDGE = 1e-5  # of a relative error, for a central difference of one mode's block
+GATE_RATE = 0.02  # of the level of innovations, a sample
 WIDEST = 0.5  # relative error at which a parameter is held
 
 
 @pasted_kernel
-def _doubted(force, omega, damping, shapes, places, sample_time, z, j, block, lever):
-    """Fill the transition of mode `j` of those in doubt; what pushes it, the same by its gain, its frequency's error."""
+def _uncertain(force, omega, damping, shapes, places, sample_time, z, j, block, lever):
+    """Fill the transition of mode `j` of the uncertain ones; what pushes it, the same by its gain, its frequency's error."""
     push = plus_row(0.0, shapes, j, force)
     frequency, gain = places[j, 0], places[j, 1]
     bent = z[frequency] if frequency >= 0 else 0.0
@@ -108,7 +107,7 @@ def _move(force, data, points):
             if j == len(modes) or 2 * modes[j] != i:
                 predict_mode(a, b, force, i, points[s])
                 continue
-            _, pushed, _ = _doubted(
+            _, pushed, _ = _uncertain(
                 force, omega, damping, shapes, places, settings[0], points[s], j, block, lever
             )
             for r in range(2):
@@ -142,7 +141,7 @@ def measure_in_turn(z, p, c, sensor, measured, considered):
 
 @kernel
 def predict(force, data, omega, z, p, a, by):
-    """Take z and P one sample on, the modes in doubt at these frequencies; A and D are filled on the way."""
+    """Take z and P one sample on, the uncertain modes at these frequencies; A and D are filled on the way."""
     _, b, modes, _, damping, shapes, places, settings, _, _, added = data
     n = len(a)
     block, lever = np.empty((2, 2)), np.empty(2)
@@ -153,7 +152,9 @@ def predict(force, data, omega, z, p, a, by):
             predict_mode(a, b, force, i, z)
             continue
         first, second, frequency, gain = z[i], z[i + 1], places[j, 0], places[j, 1]
-        push, pushed, bent = _doubted(force, omega, damping, shapes, places, settings[0], z, j, block, lever)
+        push, pushed, bent = _uncertain(
+            force, omega, damping, shapes, places, settings[0], z, j, block, lever
+        )
         if frequency >= 0:
             for side in range(2):
                 nudged = omega[j] * (1 + bent + (2 * side - 1) * NUDGE)
@@ -178,13 +179,24 @@ def predict(force, data, omega, z, p, a, by):
 @kernel
 def _advance_extended(data, memory, inputs, measurements, estimates):
     omega, settings, c, sensor = data[3], data[7], data[8], data[9]
-    z, p = memory
-    n, considered = c.shape[1], int(settings[1])
-    a, by = data[0].copy(), np.zeros((n, len(z) - n))
+    z, p, fresh, level = memory
+    n, considered, gate = c.shape[1], int(settings[1]), settings[2]
+    a, by, cross = data[0].copy(), np.zeros((n, len(z) - n)), np.empty(len(z))
     for k in range(len(inputs)):
         predict(inputs[k], data, omega, z, p, a, by)
         if not np.isnan(measurements[k, 0]):
-            measure_in_turn(z, p, c, sensor, measurements[k], considered)
+            for o in range(len(c)):
+                expected = measure(p, c, o, sensor[o], cross)
+                surprise = min(minus_row(measurements[k, o], c, o, z) ** 2 / expected, 100.0)
+                level[0] += GATE_RATE * (surprise - level[0]) / len(c)
+            # Where what it has learnt does not explain the innovations, it forgets that, and considers until it does.
+            doubtful = level[0] > gate
+            if doubtful and level[1] == 0.0:
+                z[n:] = 0.0
+                p[n:] = fresh[n:]
+                p[:, n:] = fresh[:, n:]
+            level[1] = 1.0 if doubtful else 0.0
+            measure_in_turn(z, p, c, sensor, measurements[k], len(z) - n if doubtful else considered)
         _finish(z, n, estimates[k])
 
 
@@ -231,7 +243,9 @@ def _advance_unscented(data, memory, inputs, measurements, estimates):
         _finish(z, n, estimates[k])
 
 
-def parts(model, noise, sample_time, deviation, walk, factor, considered=False, frequencies=True):
+def parts(
+    model, noise, sample_time, deviation, walk, factor, gate=np.inf, *, considered=False, frequencies=True
+):
     """Data and memory of a filter of states, gains and (or) `frequencies`."""
     bent = dominant(model, 3)
     modes = np.concatenate([[0], bent])  # the rigid body's gain, three frequencies, two flexible gains
@@ -251,7 +265,7 @@ def parts(model, noise, sample_time, deviation, walk, factor, considered=False, 
         model.damping[modes],
         model.input_shapes[modes],
         places,
-        np.array([sample_time, size - n if considered else 0.0]),
+        np.array([sample_time, size - n if considered else 0.0, gate]),
         model.c,
         np.diag(noise.sensor).copy(),
         added,
@@ -263,13 +277,24 @@ def considering(
     model: NominalModel, noise: NominalNoise, sample_time: float, deviation: float
 ) -> CompiledObserver:
     """Schmidt-Kalman filter: the parameters are never estimated, but the states know how uncertain they are."""
-    made = parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
-    return CompiledObserver(_advance_extended, *made)
+    data, memory = parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
+    return CompiledObserver(_advance_extended, data, gated(memory))
 
 
-def of_parameters(advance: Callable) -> Callable[..., CompiledObserver]:
-    """Design of a Kalman filter of states and parameters, extended or unscented as it advances."""
-    return lambda *told_and_knobs: CompiledObserver(advance, *parts(*told_and_knobs))
+def gated(memory: tuple) -> tuple:
+    """What a filter remembers that can forget: states, covariance, that at first, level of innovations and what it led to."""
+    return *memory, memory[1].copy(), np.array([1.0, 0.0])
+
+
+def extended(*given_and_knobs) -> CompiledObserver:
+    """Extended Kalman filter of states and parameters; its last knob, where given, is the gate."""
+    data, memory = parts(*given_and_knobs)
+    return CompiledObserver(_advance_extended, data, gated(memory))
+
+
+def unscented(*given_and_knobs) -> CompiledObserver:
+    """Unscented Kalman filter of states and parameters."""
+    return CompiledObserver(_advance_unscented, *parts(*given_and_knobs))
 
 
 KNOBS = (
@@ -281,8 +306,11 @@ PARAMETRIC = {
     "Schmidt-Kalman": Baseline(
         considering, (TuningParameter("deviation of parameters", 1e-4, 0.3, 0.03),), "Schmidt 1966"
     ),
-    "extended Kalman": Baseline(of_parameters(_advance_extended), KNOBS, "Jazwinski 1970, section 8.3"),
-    "unscented Kalman": Baseline(
-        of_parameters(_advance_unscented), KNOBS, "Julier and Uhlmann 2004", heavy=True
+    "extended Kalman": Baseline(extended, KNOBS, "Jazwinski 1970, section 8.3"),
+    "gated extended Kalman": Baseline(
+        extended,
+        (*KNOBS, TuningParameter("gate on the innovations' level", 1.5, 30.0, 4.0)),
+        "the extended Kalman filter, which is Schmidt's where its innovations are too large",
     ),
+    "unscented Kalman": Baseline(unscented, KNOBS, "Julier and Uhlmann 2004"),
 }

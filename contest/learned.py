@@ -1,0 +1,147 @@
+"""A small learned filter: a network sees the innovations of four filters and weighs them; trained on the development set.
+
+``python -m contest.learned`` trains its weights (about two minutes) and writes ``data/motion/contest_learned.csv``.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from contest.fixed_gain import fictitious, stationary
+from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise
+from contest.parametric import predict_modes
+from stillwork.base.algebra import minus_row, plus_column, plus_row
+from stillwork.base.kernels import kernel
+from workbook import paths
+
+FORCES = (1.0, 10.0, 100.0)  # fictitious forces over w of the filters that are mixed with the Kalman filter
+FEATURES, HIDDEN = 4 + len(FORCES) + 1, 6
+SIZE = HIDDEN * (FEATURES + len(FORCES) + 2)  # weights of both layers
+FAST, SLOW = 0.2, 0.02  # rates of the means over innovations, a sample
+FILE = paths.data("motion", "contest_learned.csv")
+
+
+@kernel
+def _advance_learned(data, memory, inputs, measurements, estimates):
+    a, b, c, gains, sizes, first, second = data
+    x, slow, fast, before = memory
+    outputs, n, hidden, filters = len(c), a.shape[0], len(first), len(gains)
+    innovations, seen = np.empty((filters, outputs)), np.empty(first.shape[1])
+    inner, shares = np.empty(hidden), np.full(filters, 1 / filters)
+    for k in range(len(inputs)):
+        now, turned = np.zeros(filters), 0.0
+        for m in range(filters):
+            predict_modes(a, b, inputs[k], x[m])
+            for o in range(outputs):
+                innovations[m, o] = minus_row(measurements[k, o], c, o, x[m])
+                now[m] += (innovations[m, o] / sizes[o]) ** 2 / outputs
+        if not np.isnan(measurements[k, 0]):
+            for o in range(outputs):
+                turned += innovations[0, o] * before[o] / sizes[o] ** 2 / outputs
+                before[o] = innovations[0, o]
+            fast[0] += FAST * (now[0] - fast[0])
+            fast[1] += SLOW * (turned - fast[1])
+            for m in range(filters):
+                slow[m] += SLOW * (now[m] - slow[m])
+                seen[m] = np.log(slow[m] + 1e-3) / 4
+            seen[filters] = np.log(fast[0] / (slow[0] + 1e-9) + 1e-3) / 4
+            seen[filters + 1] = np.log(now[0] / (slow[0] + 1e-9) + 1e-3) / 4
+            seen[filters + 2] = fast[1] / (slow[0] + 1e-9)
+            seen[filters + 3] = 1.0
+            for h in range(hidden):
+                inner[h] = np.tanh(plus_row(0.0, first, h, seen))
+            total = 0.0
+            for m in range(filters):
+                shares[m] = np.exp(plus_row(-4.0 * m, second, m, inner))  # begins near the Kalman filter
+                total += shares[m]
+            # The last output trusts the innovation, less where it is an outlier.
+            trust = 1 / (1 + np.exp(-3 - plus_row(0.0, second, filters, inner)))
+            for m in range(filters):
+                shares[m] /= total
+                for i in range(n):
+                    for o in range(outputs):
+                        x[m, i] += trust * gains[m, i, o] * innovations[m, o]
+        for i in range(n):
+            estimates[k, i] = plus_column(0.0, x, i, shares)
+
+
+def with_weights(
+    weights: np.ndarray, model: NominalModel, noise: NominalNoise, sample_time: float
+) -> CompiledObserver:
+    """The filter of these weights: those of the first layer, row by row, then of the second."""
+    usual, after = stationary(model, noise)
+    gains = [usual, *(fictitious(model, noise, sample_time, force).data[2] for force in FORCES)]
+    before = model.a @ after @ model.a.T + model.b @ noise.process @ model.b.T
+    sizes = np.sqrt(np.diag(model.c @ before @ model.c.T + noise.sensor))
+    first, second = np.split(weights, [HIDDEN * FEATURES])
+    shapes = first.reshape(HIDDEN, FEATURES).copy(), second.reshape(len(gains) + 1, HIDDEN).copy()
+    memory = (
+        np.zeros((len(gains), len(model.a))),
+        np.ones(len(gains)),
+        np.array([1.0, 0.0]),
+        np.zeros(len(model.c)),
+    )
+    return CompiledObserver(
+        _advance_learned, (model.a, model.b, model.c, np.array(gains), sizes, *shapes), memory
+    )
+
+
+@cache
+def _trained() -> np.ndarray:
+    return np.loadtxt(FILE)
+
+
+def learned(model: NominalModel, noise: NominalNoise, sample_time: float) -> CompiledObserver:
+    """The filter as it was trained."""
+    return with_weights(_trained(), model, noise, sample_time)
+
+
+LEARNED = {"learned": Baseline(learned, (), "a small network after Revach and others 2022, KalmanNet")}
+
+
+def evolve(cost, size: int, rounds: int, rng: np.random.Generator, step: float = 0.3) -> np.ndarray:
+    """Weights of small cost by a separable evolution strategy (Ros and Hansen 2008), from zero."""
+    count, best = 16, 8
+    mean, deviation = np.zeros(size), np.full(size, step)
+    shares = np.log(best + 0.5) - np.log(np.arange(1, best + 1))
+    shares /= shares.sum()
+    lowest, kept = np.inf, mean
+    for _ in range(rounds):
+        draws = rng.standard_normal((count, size))
+        costs = np.array([cost(mean + deviation * each) for each in draws])
+        chosen = draws[np.argsort(costs)[:best]]
+        mean = mean + deviation * (shares @ chosen)
+        deviation = deviation * np.exp(0.1 * (shares @ (chosen**2 - 1)))
+        if (now := cost(mean)) < lowest:
+            lowest, kept = now, mean
+    return kept
+
+
+def main() -> None:
+    """Train the weights on the development set's scans of the first tuning and write them."""
+    from contest import bench
+    from contest.plants import PLANTS
+    from contest.scores import recorded
+    from contest.tuning import capped_mean, development_scans
+
+    tasks = [(scan.given(), recorded(scan)) for plant in PLANTS for scan in development_scans(plant, 0)]
+    empty = [with_weights(np.zeros(SIZE), *given) for given, _ in tasks]
+
+    def cost(weights: np.ndarray) -> float:
+        errors = []
+        first, second = np.split(weights, [HIDDEN * FEATURES])
+        shapes = first.reshape(HIDDEN, FEATURES), second.reshape(-1, HIDDEN)
+        for (given, record), made in zip(tasks, empty, strict=True):
+            estimates = np.empty((len(record.inputs), len(given[0].a)))
+            memory = tuple(each.copy() for each in made.memory)
+            made.advance((*made.data[:5], *shapes), memory, record.inputs, record.measurements, estimates)
+            errors.append(bench.state_errors(record, estimates, given[0].rigid_modes)[1])
+        return capped_mean(errors)
+
+    weights = evolve(cost, SIZE, 80, np.random.default_rng(0))
+    print(cost(np.zeros(SIZE)), cost(weights))
+    np.savetxt(FILE, weights, fmt="%.5g")
+
+
+if __name__ == "__main__":
+    main()
