@@ -1,7 +1,9 @@
 """Where a robust observer beats the Kalman filter and the estimate zero: a map over error size and sensor noise.
 
 ``python -m contest.noise_map`` makes ``data/motion/contest_map.csv``: errors of the flexible
-states of the thesis's stage, a row a seed. Every cell has its own settings, tuned on training seeds.
+states of the thesis's stage, a row a seed. Every cell has its own settings, tuned on training seeds, as often as the
+contest is tuned; a judged seed takes one of these. A seed is the same machine, and the same noises but for their size,
+in every cell, so that cells are compared in pairs.
 """
 
 import csv
@@ -13,9 +15,9 @@ import pandas as pd
 
 from contest import bench
 from contest.nominal import OwnObserver, nominal_of
-from contest.plants import ContestPlant, sample_plant
+from contest.plants import ContestPlant, plant_of
 from contest.scores import ENTRANTS
-from contest.tuning import TRAINING, capped_mean, positions
+from contest.tuning import DEVELOPMENT, TUNINGS, capped_mean, positions
 from contest.uncertainties import Uncertainty, hidden_seed, sample_truth
 from stillwork.base.checks import InputError
 from workbook import paths
@@ -24,10 +26,10 @@ from workbook.studies import mean_interval, proportion_interval
 SIZES = (0.005, 0.01, 0.02, 0.05, 0.1)  # of the errors of frequency, damping, gain and shape
 NOISES = (1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)  # factors on the sensor's noise
 ROBUST = ("sensitivity penalised", "regularised least squares")  # the thesis's two
-MAPPED = ("Kalman", *ROBUST, "fictitious noise", "interacting models")
-TRAINED, SEEDS = 6, 40  # seeds a cell is tuned on, and judged on
+MAPPED = ("Kalman", *ROBUST, "fictitious noise")
+TRAINED, SEEDS = 6, 40  # seeds a cell is tuned on, for each tuning, and judged on
 PUBLIC = "20180628"
-SAYING = 0.9  # error over that of the estimate zero, from which on an observer says nothing
+SAYING = 0.9  # error over that of the estimate zero, from which on an estimate is no better than none
 RESAMPLES = 2000
 FILE = paths.data("motion", "contest_map.csv")
 
@@ -37,28 +39,31 @@ def flexible_errors(
     size: float,
     noise: float,
     public: str,
-    seeds: int,
+    seeds: Sequence[int],
     observers: Mapping[str, OwnObserver],
 ) -> dict[str, np.ndarray]:
     """Error of the flexible states of each observer, a seed each, all on the same scans."""
-    doubt = Uncertainty(size, size, size, size, noise=noise)
-    told = (*nominal_of(plant, noise), plant.sample_time)
-    errors = {name: np.empty(seeds) for name in observers}
-    for seed in range(seeds):
-        rng = np.random.default_rng(hidden_seed(public, "map", size, noise, seed))
-        truth = sample_truth(plant, doubt, bench.SAMPLES, rng)
+    uncertainty = Uncertainty(size, size, size, size, noise=noise)
+    given = (*nominal_of(plant, noise), plant.sample_time)
+    errors = {name: np.empty(len(seeds)) for name in observers}
+    for place, seed in enumerate(seeds):
+        rng = np.random.default_rng(hidden_seed(public, "map", seed))
+        truth = sample_truth(plant, uncertainty, bench.SAMPLES, rng)
         record = bench.record(bench.assemble(plant, truth, bench.BANDWIDTH_RATIO_LOW, estimated=False))
         for name, observer in observers.items():
-            observer.start(*told)
+            observer.start(*given)
             estimates = observer.run(record.inputs, record.measurements)
-            errors[name][seed] = bench.state_errors(record, estimates, plant.model.rigid_modes)[1]
+            errors[name][place] = bench.state_errors(record, estimates, plant.model.rigid_modes)[1]
     return errors
 
 
-def tuned(plant: ContestPlant, size: float, noise: float, candidates: Mapping[str, list[OwnObserver]]):
-    """Of each entrant's candidates the one with the least mean error on the training seeds."""
+def tuned(
+    plant: ContestPlant, size: float, noise: float, candidates: Mapping[str, list[OwnObserver]], tuning: int
+) -> dict[str, OwnObserver]:
+    """Of each entrant's candidates the one with the least mean error on the training seeds of a tuning."""
     every = {f"{name}:{k}": each for name, some in candidates.items() for k, each in enumerate(some)}
-    errors = flexible_errors(plant, size, noise, TRAINING, TRAINED, every)
+    seeds = range(tuning * TRAINED, (tuning + 1) * TRAINED)
+    errors = flexible_errors(plant, size, noise, DEVELOPMENT, seeds, every)
     return {
         name: some[int(np.argmin([capped_mean(errors[f"{name}:{k}"]) for k in range(len(some))]))]
         for name, some in candidates.items()
@@ -105,17 +110,24 @@ def ahead_of(one: str | float, other: str | float) -> Callable[[pd.DataFrame], p
 def crossings(errors: pd.DataFrame, lead: Callable[[pd.DataFrame], pd.Series]) -> pd.DataFrame:
     """For each size of the errors the noise above which the mean of ``lead(errors)`` stays positive.
 
-    Its interval of 95 % is from seeds resampled in every cell, and `crosses` the share of them that do cross within
-    the map, on whichever side the others lie.
+    Its interval of 95 % is from resampled tunings, and seeds within each, the same in all cells; `crosses` is the share
+    of them that do cross within the map, on whichever side the others lie.
     """
     rng = np.random.default_rng(0)
+    groups = [np.arange(first, SEEDS, TUNINGS) for first in range(TUNINGS)]
+    draws = np.array(
+        [
+            np.concatenate(
+                [rng.choice(groups[g], len(groups[g])) for g in rng.integers(TUNINGS, size=TUNINGS)]
+            )
+            for _ in range(RESAMPLES)
+        ]
+    )
     cells = errors.assign(lead=lead(errors)).pivot(index="seed", columns=["size", "noise"], values="lead")
     rows = []
     for size in SIZES:
         own = cells[size].to_numpy()
-        draws = rng.integers(len(own), size=(RESAMPLES, *own.shape))
-        again = np.take_along_axis(own[None], draws, axis=1).mean(axis=1)
-        turns = np.array([turning(NOISES, each) for each in again])
+        turns = np.array([turning(NOISES, each) for each in own[draws].mean(axis=1)])
         low, high = np.quantile(turns, [0.025, 0.975], method="inverted_cdf")
         inside = np.mean((turns > 0) & np.isfinite(turns))
         rows.append((size, turning(NOISES, own.mean(axis=0)), low, high, inside))
@@ -147,22 +159,28 @@ def noise_study(*, map_size: float, loud_noise: float, seed: int, lean: bool) ->
 
 def main() -> None:
     """Make the map."""
-    plant = sample_plant("stage", np.random.default_rng(0))
+    plant = plant_of("stage")
     with open(FILE, "w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(("size", "noise", "seed", *MAPPED))
         for noise in NOISES:
-            told = (*nominal_of(plant, noise), plant.sample_time)
+            given = (*nominal_of(plant, noise), plant.sample_time)
             candidates: dict[str, list[OwnObserver]] = {name: [] for name in MAPPED}
             for name in MAPPED:
-                for settings in positions(name):
+                for settings in positions(ENTRANTS[name].knobs):
                     observer = OwnObserver(ENTRANTS[name], tuple(map(float, settings)))
                     with suppress(InputError):  # there may be no such design
-                        observer.start(*told)
+                        observer.start(*given)
                         candidates[name].append(observer)
             for size in SIZES:
-                chosen = tuned(plant, size, noise, candidates)
-                errors = flexible_errors(plant, size, noise, PUBLIC, SEEDS, chosen)
+                errors = {name: np.empty(SEEDS) for name in MAPPED}
+                for tuning in range(TUNINGS):
+                    chosen, seeds = (
+                        tuned(plant, size, noise, candidates, tuning),
+                        range(tuning, SEEDS, TUNINGS),
+                    )
+                    for name, some in flexible_errors(plant, size, noise, PUBLIC, seeds, chosen).items():
+                        errors[name][tuning::TUNINGS] = some
                 for seed in range(SEEDS):
                     writer.writerow((size, noise, seed, *(f"{errors[name][seed]:.4g}" for name in MAPPED)))
                 medians = {name: np.median(values).round(2) for name, values in errors.items()}

@@ -1,7 +1,6 @@
 """Figures of the observer contest, from its two tables."""
 
 from collections.abc import Sequence
-from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -18,23 +17,24 @@ from contest.noise_map import (
     leads,
 )
 from contest.nominal import OwnObserver
-from contest.plants import sample_plant
+from contest.plants import plant_of
 from contest.scores import ENTRANTS
 from contest.tuning import settings_for
 from workbook import figures
 
-INKS = figures.RED, figures.BLUE, figures.GREEN, figures.PURPLE, figures.ORANGE
+INKS = figures.RED, figures.BLUE, figures.GREEN, figures.PURPLE
 COLOURS = dict(zip(MAPPED, INKS, strict=True))
 
 
-def paint_leaderboard(ranked: pd.DataFrame):
-    """Mean error of every entrant with its interval, the best on top; `ranked` holds the rows of the score."""
+def paint_leaderboard(ranks: pd.DataFrame, critical: float):
+    """Mean rank of every entrant with its interval, the best on top; grey: within Nemenyi's difference of the best."""
     figure, axis = figures.new(1, 1, height=3.8)
-    ends = [ranked["median"] - ranked["low"], ranked["high"] - ranked["median"]]
-    style = {"fmt": "o", "color": figures.BLUE, "capsize": 3, "markersize": 4, "label": "mean error"}
-    axis.errorbar(ranked["median"], range(len(ranked)), xerr=ends, **style)
-    _name_rows(axis, ranked["entrant"], " (grey: says nothing)")
-    axis.axvspan(0.9, 1.1, color=figures.GREY, alpha=0.2)
+    ends = [ranks["rank"] - ranks["low"], ranks["high"] - ranks["rank"]]
+    style = {"fmt": "o", "color": figures.BLUE, "capsize": 3, "markersize": 4, "label": "mean rank"}
+    axis.errorbar(ranks["rank"], range(len(ranks)), xerr=ends, **style)
+    axis.set_yticks(range(len(ranks)), ranks.index)
+    axis.axvspan(ranks["rank"].min(), ranks["rank"].min() + critical, color=figures.GREY, alpha=0.2)
+    axis.set_xlabel("mean rank over machines")
     axis.invert_yaxis()
     return figure
 
@@ -46,7 +46,7 @@ def _name_rows(axis, observers: Sequence[str], remark: str = "") -> None:
 
 
 def paint_matrix(table: pd.DataFrame, over: str):
-    """Errors of the entrants, one row each, over plants or uncertainties; beyond twice that of zero the number stands in the cell."""
+    """Errors of the entrants, one row each, over machines or uncertainties; beyond twice that of zero the number stands in the cell."""
     figure, axis = figures.new(1, 1, height=4.6)
     columns, rows = np.arange(table.shape[1]), np.arange(table.shape[0])
     mesh = axis.pcolormesh(columns, rows, np.clip(table.to_numpy(), 0, 2), cmap="coolwarm", vmin=0, vmax=2)
@@ -94,9 +94,9 @@ def paint_noise(errors: pd.DataFrame, size: float):
 
 
 def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
-    """Leads of the robust observers, a column each, over these Kalman filters; a dot where one is sure and says something.
+    """Leads of the robust observers, a column each, over these Kalman filters; a dot where a lead is sure and the error below 0.9.
 
-    The line is where a lead begins, the dashed one where the observer ceases to say something, each with its interval.
+    The line is where a lead begins, the dashed one where the observer's error comes within a tenth of zero's, each with its interval.
     """
     figure, axes = figures.new(len(over), len(ROBUST), height=4.6, sharex=True, sharey=True)
     silent = {name: crossings(errors, ahead_of(SAYING, name)) for name in ROBUST}
@@ -136,16 +136,13 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
     return figure
 
 
-@cache
-def _stage():
-    return sample_plant("stage", np.random.default_rng(0))
-
-
 def paint_cell(size_percent: float, noise_exponent: float):
     """Explorer: errors of the map's observers, with the contest's settings, on eight scans of one cell of the map."""
-    settings = settings_for("stage")
+    settings = settings_for("stage", 0, MAPPED)
     observers = {name: OwnObserver(ENTRANTS[name], tuple(settings[name])) for name in MAPPED}
-    errors = flexible_errors(_stage(), size_percent / 100, 10.0**noise_exponent, "explorer", 8, observers)
+    errors = flexible_errors(
+        plant_of("stage"), size_percent / 100, 10.0**noise_exponent, "explorer", range(8), observers
+    )
     figure, axis = figures.new(1, 1, height=2.8)
     for place, name in enumerate(MAPPED):
         style = {"color": COLOURS[name], "markersize": 5, "alpha": 0.6, "label": name}

@@ -1,30 +1,35 @@
-"""The contest over all plants, doubts and seeds: its command, its table, and its ranking with intervals.
+"""The contest over all machines, uncertainties and seeds: its command, its table and its results.
 
-``python -m stillwork contest`` holds it; ``python -m contest.table`` writes the committed
-table's ranking into ``docs/contest.md``.
+``python -m stillwork contest`` holds it; ``python -m contest.table`` writes the committed table's ranking into
+``docs/contest.md`` and its results beside it.
 """
 
+import hashlib
+import json
+import platform
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
-from scipy import stats
 
-from contest.plants import PLANTS
-from contest.scores import ENTRANTS, SCORES, Scored, contest_trial
-from contest.tuning import capped_mean, settings_for
-from contest.uncertainties import UNCERTAINTIES
+from contest.nominal import nominal_of
+from contest.plants import PLANTS, plant_of
+from contest.ranking import KEYS, block, critical_difference, mean_ranks, standings
+from contest.runner import ExternalObserver, can_isolate, declared_knobs
+from contest.scores import ENTRANTS, ORACLE, Scored, contest_trial
+from contest.tuning import TUNINGS, scans_of, settings_for, tune, write_development_set
+from contest.uncertainties import hidden_seed
 from stillwork.base.checks import InputError, require_choice, require_count
 from workbook import paths
 from workbook.workers import client_of, cores, processes
 
-COLUMNS = ("entrant", "plant", "doubt", "score", "median", "low", "high", "microseconds")
-RESAMPLES = 1000
-OTHERS = {"rigid": "rigid", "loop": "tracking", "peak": "peak"}  # columns of the page and their scores
+EDITION = 2
+PRACTICE = "practice"  # in a public number's place, where none is given
 FILE, GUIDE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "contest.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"  # in the guide
 
@@ -36,184 +41,148 @@ def run_contest(
     *,
     only: Sequence[str] = (),
     plants: Sequence[str] = tuple(PLANTS),
-    doubts: Sequence[str] = tuple(UNCERTAINTIES),
     loops: int | None = None,
-    heavy: int | None = None,
+    tuned: bool = False,
     executor=None,
-) -> tuple[list[Scored], dict[str, str]]:
-    """Run our entrants (`only` these and the Kalman filter) and the observers in these files over `seeds` hidden seeds.
+) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Run our entrants (`only` these and the Kalman filter) and the observers in `files` over `seeds` hidden seeds.
 
-    Returns the scores, and why observers were disqualified, by name.
-    Loops are run for the first `loops` of them, our heavy entrants on the first `heavy`, by default on all.
-    The result does not depend on the executor, on its number of workers or on their order.
+    Returns the table, and why observers were disqualified, by name. Loops are run for the first `loops` of the seeds, by
+    default for all. `tuned` sets the knobs that a file declares by the official tuner first. The result does not depend
+    on the executor, on its number of workers or on their order.
     """
     for name in only:
         require_choice("only", name, ENTRANTS)
-    named = {Path(file).stem: str(Path(file).resolve()) for file in files}
-    if len(named) < len(files):
+    require_count("loops", loops or 0, at_least=0)
+    for file in files:
+        ExternalObserver(file)  # whoever cannot be read is not waited for
+    sources = {
+        Path(file).stem: str(file if str(file).startswith("tcp:") else Path(file).resolve()) for file in files
+    }
+    if len(sources) < len(files):
         raise InputError("two files have one name, by which observers are ranked; give one of them another")
-    if taken := set(named) & set(ENTRANTS):
+    if taken := set(sources) & {*ENTRANTS, ORACLE}:
         raise InputError(f"{taken.pop()!r} is an entrant already; give the file another name")
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
-    light = [name for name in names if not ENTRANTS[name].heavy]
-    settings = {plant: settings_for(plant, names) for plant in plants}
-
-    def trial(plant: str, seed: int) -> tuple:
-        ours = names if heavy is None or seed < heavy else light
-        knobs = {name: settings[plant][name] for name in ours}
-        return plant, seed, public, knobs, named, doubts, loops is None or seed < loops
-
-    trials = [trial(plant, seed) for seed in range(require_count("seeds", seeds)) for plant in plants]
-    # Whoever is out on the first is not waited for on all others.
-    reasons = contest_trial(plants[0], 0, public, {}, named, doubts[:1])[1] if named else {}
-    for name in reasons:
-        del named[name]
-    if executor is None:
-        done = [contest_trial(*each) for each in trials]
-    else:
-        done = [future.result() for future in [executor.submit(contest_trial, *each) for each in trials]]
-    reasons |= {name: reason for _, out in done for name, reason in out.items()}
-    return [each for found, _ in done for each in found if each.entrant not in reasons], reasons
-
-
-def median_interval(values: ArrayLike) -> tuple[float, float, float]:
-    """Median and the interval that holds it with 95 % whatever the law, between two values in order of size.
-
-    Below six values no two of them hold it so surely: their ends are given.
-    """
-    ordered = np.sort(np.asarray(values, dtype=float))
-    low = max(int(stats.binom.ppf(0.025, len(ordered), 0.5)) - 1, 0)
-    return float(np.median(ordered)), float(ordered[low]), float(ordered[-1 - low])
-
-
-def measured(scores: Sequence[Scored]) -> pd.DataFrame:
-    """What was measured: a row an entrant, plant, doubt and score, with the median over the seeds and its interval.
-
-    Over all plants and doubts there are the mean error of each seed and the bytes that the entrant holds at most.
-    """
-    runs = pd.DataFrame(scores)
-    by_entrant = runs.groupby("entrant", sort=False)
-    speed, held = by_entrant["microseconds"].median(), by_entrant["bytes"].max()
-    errors = runs.groupby(["entrant", "seed"], sort=False)["flexible"].agg(capped_mean)
-    table = [
-        (name, "all", f"seed {seed}", "mean error", error, error, error, speed[name])
-        for (name, seed), error in errors.items()
-    ]
-    table += [(name, "all", "all", "bytes", *[held[name]] * 3, speed[name]) for name in held[held > 0].index]
-    for key, own in runs.groupby(["entrant", "plant", "doubt"], sort=False):
-        for score in SCORES:
-            if len(values := own[score].dropna()):
-                table.append((*key, score, *median_interval(values), own["microseconds"].median()))
-    return _rounded(table)
-
-
-def _rounded(rows: list[tuple]) -> pd.DataFrame:
-    """Rows of the table as it is written: four digits a number, two a time."""
-    return pd.DataFrame(
-        [(*row[:4], *(float(f"{each:.4g}") for each in row[4:7]), float(f"{row[7]:.2g}")) for row in rows],
-        columns=COLUMNS,
-    )
-
-
-def of_seeds(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean error of every entrant, a row each, on every seed; NaN where it did not run."""
-    rows = table[table["doubt"].str.startswith("seed ")]
-    found = rows.pivot(index="entrant", columns="doubt", values="median")
-    return found.loc[rows["entrant"].unique()]
-
-
-def level(seen: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Mean over the seeds of each entrant, and the same of resampled seeds.
-
-    Who ran on some of the seeds is compared with the Kalman filter there: its lead is taken off the filter's mean
-    over all. Seeds that all ran on, and the others, are resampled apart.
-    """
-    errors, kalman = seen.to_numpy(), seen.loc["Kalman"].to_numpy()
-    rng, whole = np.random.default_rng(0), np.isfinite(errors).all(axis=0)
-    chosen = np.hstack(
-        [rng.choice(np.flatnonzero(part), (RESAMPLES, part.sum())) for part in (whole, ~whole) if part.any()]
-    )
-    behind = errors - kalman
-    every = np.arange(len(kalman))
-    return tuple(np.nanmean(behind[:, of], axis=-1) + kalman[of].mean(axis=-1) for of in (every, chosen))
-
-
-def ranked(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with its ranking on top, by mean error; intervals of 95 % from resampled seeds.
-
-    For each entrant: its mean error, its rank (ties share one), and its error less the Kalman filter's on the same scans.
-    """
-    seen = of_seeds(table)
-    means, resampled = level(seen)
-    kalman = seen.index.get_loc("Kalman")
-    scores = {
-        "mean error": (means, resampled),
-        "rank": (stats.rankdata(means), stats.rankdata(resampled, axis=0)),
-        "less Kalman": (means - means[kalman], resampled - resampled[kalman]),
+    submit = partial(_now) if executor is None else executor.submit
+    # Whoever is out on the first scan is not waited for on all others.
+    first = scans_of(plants[0], public, 0)[:1]
+    reasons = contest_trial(first, dict.fromkeys(sources, ()), sources)[1]
+    sources = {name: source for name, source in sources.items() if name not in reasons}
+    knobs = {name: declared_knobs(source) for name, source in sources.items()}
+    places = [(plant, name, each) for plant in plants for name in sources for each in range(TUNINGS)]
+    chosen = {
+        place: submit(tune, place[1], sources[place[1]], knobs[place[1]], place[0], place[2])
+        for place in places
+        if tuned and knobs[place[1]]
     }
-    speed = table[table["plant"] == "all"].groupby("entrant")["microseconds"].first()
-    rows = []
-    for place in np.argsort(means, kind="stable"):
-        name = seen.index[place]
-        for score, (values, again) in scores.items():
-            interval = np.quantile(again[place], [0.025, 0.975])
-            rows.append((name, "all", "all", score, values[place], *interval, speed[name]))
-    kept = table[~((table["doubt"] == "all") & table["score"].isin(list(scores)))]
-    return pd.concat([_rounded(rows), kept], ignore_index=True)
+    trials = []
+    for seed in range(require_count("seeds", seeds)):
+        for plant in plants:
+            scans = [
+                each
+                for each in scans_of(plant, public, seed)
+                if each.track == "estimate" or loops is None or seed < loops
+            ]
+            theirs = {
+                name: tuple(chosen[plant, name, seed % TUNINGS].result())
+                if (plant, name, seed % TUNINGS) in chosen
+                else tuple(knob.default for knob in knobs[name])
+                for name in sources
+            }
+            settings = settings_for(plant, seed, names) | {ORACLE: ()} | theirs
+            # In an order that the hidden seed gives: nothing is learnt from when a scan is run.
+            rng = np.random.default_rng(hidden_seed(public, "order", plant, seed))
+            trials.append(([scans[k] for k in rng.permutation(len(scans))], settings, sources))
+    order = np.random.default_rng(hidden_seed(public, "order")).permutation(len(trials))
+    done = [future.result() for future in [submit(contest_trial, *trials[k]) for k in order]]
+    reasons |= {name: reason for _, out in done for name, reason in out.items()}
+    return tabulated([each for found, _ in done for each in found if each.entrant not in reasons]), reasons
+
+
+class _Now:
+    """What an executor gives for what has been done already."""
+
+    def __init__(self, value):
+        self.value = value
+
+    def result(self):
+        return self.value
+
+
+def _now(function, *arguments) -> _Now:
+    return _Now(function(*arguments))
+
+
+def tabulated(scores: Sequence[Scored]) -> pd.DataFrame:
+    """A row for each scan and score, a column for each entrant; four digits."""
+    rows = [
+        (*(each.score, *each.scan[3:4], *each.scan[1:3], each.scan[4]), each.entrant, each.value)
+        for each in scores
+    ]
+    long = pd.DataFrame(rows, columns=[*KEYS, "entrant", "value"])
+    wide = long.pivot(index=KEYS, columns="entrant", values="value").reset_index()
+    ours = [name for name in (*ENTRANTS, ORACLE) if name in wide]
+    others = sorted(set(wide.columns) - {*KEYS, *ours})
+    return wide[[*KEYS, *ours, *others]].rename_axis(columns=None).map(_rounded)
+
+
+def _rounded(value):
+    return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 def joined(before: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
-    """A table with the rows of some entrants in place of those that it had, ranked anew: all ran on the same scans."""
-    old, again = (of_seeds(each).reindex(["Kalman"]) for each in (before, new))
-    if not old.equals(again):
-        raise InputError(
-            "the table to join is of other scans; give the seeds and the public number that made it"
-        )
-    kept = before[~before["entrant"].isin(new["entrant"].unique())]
-    return ranked(pd.concat([kept, new], ignore_index=True))
+    """Two tables in one: other scans, or other entrants on the same ones; what both hold, the new one says.
+
+    Times aside, the Kalman filter has to have the same values on the scans that both hold.
+    """
+    before, new = (each.assign(public=each["public"].astype(str)).set_index(KEYS) for each in (before, new))
+    both = before.index.intersection(new.index)
+    both = both[both.get_level_values("score") != "microseconds"]
+    one, other = (each.loc[both, "Kalman"] for each in (before, new))
+    if not np.array_equal(one, other, equal_nan=True):
+        raise InputError("the table to join was made by another edition of the contest; make it anew")
+    columns = list(dict.fromkeys([*before.columns, *new.columns]))
+    return new.combine_first(before)[columns].reset_index()
 
 
 def write_table(table: pd.DataFrame, file: str | Path) -> None:
-    """The table as CSV."""
+    """The table as CSV, and its results as JSON beside it."""
     table.to_csv(file, index=False, float_format="%.4g", lineterminator="\n")
+    Path(file).with_suffix(".json").write_text(json.dumps(results(table), indent=1) + "\n", encoding="utf-8")
 
 
-def middle_half(rows: pd.DataFrame, score: str) -> str:
-    """Quartiles of a score's medians over machines and doubts, in words; nothing where it was not run."""
-    medians = rows.loc[rows["score"] == score, "median"]
-    if medians.empty:
-        return ""
-    low, high = medians.quantile([0.25, 0.75], interpolation="nearest")
-    return f"{low:.2g} to {high:.2g}"
+def digest_of(plant: str) -> str:
+    """Of what observers are given of a machine, to nine digits: the same wherever it is built."""
+    model, noise = nominal_of(plant_of(plant), 1.0)
+    numbers = np.concatenate([np.ravel(each) for each in (*vars(model).values(), *vars(noise).values())])
+    text = " ".join(
+        f"{each:.9e}" for each in np.where(np.abs(numbers) < 1e-12 * np.abs(numbers).max(), 0.0, numbers)
+    )
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def standings(table: pd.DataFrame) -> pd.DataFrame:
-    """Who stands where, in words: rank and errors as intervals of 95 % over seeds, the other scores as quartiles."""
-    away = table[table["score"] == "tracking"].groupby("entrant")["median"].agg(lambda x: np.isinf(x).mean())
-    whole = table[(table["plant"] == "all") & (table["doubt"] == "all")]
-    scores = {name: of.set_index("entrant") for name, of in whole.groupby("score")}
-    seen, own_rows = of_seeds(table), table[table["plant"] != "all"].set_index("entrant")
-    rows = []
-    for name, each in scores["mean error"].sort_values("median", kind="stable").iterrows():
-        rank, behind = (scores[score].loc[name] for score in ("rank", "less Kalman"))
-        own = ENTRANTS.get(name)
-        rows.append(
-            {
-                "rank": f"{rank['low']:.0f} to {rank['high']:.0f}",
-                "observer": name,
-                "error": f"{each['low']:.2f} to {each['high']:.2f}",
-                "less Kalman": f"{behind['low']:+.2f} to {behind['high']:+.2f}",
-                **{shown: middle_half(own_rows.loc[name], score) for shown, score in OTHERS.items()},
-                "ran away": f"{100 * away[name]:.0f} %" if name in away else "",
-                "seeds": str(seen.loc[name].count()),
-                "µs a sample": f"{each['microseconds']:.2g}",
-                "bytes": f"{scores['bytes'].loc[name, 'median']:.0f}" if own and "bytes" in scores else "",
-                "knobs": str(len(own.knobs)) if own else "",
-                "after": own.source if own else "your file",
-            }
-        )
-    found = pd.DataFrame(rows)
-    return found.loc[:, (found != "").any()]
+def results(table: pd.DataFrame) -> dict:
+    """What the leaderboard's page shows, with edition, environment and the machines' digests."""
+    ranks, (chance, reach) = (
+        mean_ranks(block(table, "flexible")),
+        critical_difference(block(table, "flexible")),
+    )
+    return {
+        "edition": EDITION,
+        "public": sorted(map(str, table["public"].unique())),
+        "environment": {
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "machine": platform.machine(),
+        },
+        "isolated": can_isolate(),
+        "machines": {name: digest_of(name) for name in PLANTS if (table["plant"] == name).any()},
+        "friedman": float(f"{chance:.3g}"),
+        "critical difference": round(reach, 2),
+        "mean ranks": ranks["rank"].round(2).to_dict(),
+        "standings": standings(table).to_dict("records"),
+    }
 
 
 def as_markdown(found: pd.DataFrame) -> str:
@@ -226,7 +195,8 @@ def hold_contest(
     files: list[str],
     *,
     seeds: int,
-    public: str,
+    hidden: bool = False,
+    dev: str | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
     out: str | None = None,
@@ -234,36 +204,44 @@ def hold_contest(
 ) -> int:
     """Run the contest and print who stands where; returns 1 when an observer of the reader's was disqualified.
 
-    `choices` are those of `run_contest`. With `only` some of ours, the rows of all others are those that the file
-    `out` holds, if it is there.
+    `choices` are those of `run_contest`. `hidden` reads the public number from standard input: no process that an
+    observer might see has it on its command line. The rows that the file `out` holds already are kept.
     """
-    began = time.monotonic()
+    if dev:
+        write_development_set(dev)
+        print(f"the development set, with its truth, is in {dev}")
+        return 0
+    began, public = time.monotonic(), sys.stdin.readline().strip() if hidden else PRACTICE
+    if not public:
+        raise InputError(
+            "hidden finds no public number on standard input; give one: echo NUMBER | ... --hidden"
+        )
     jobs = min(jobs or cores(), seeds * len(PLANTS))
     alone = processes(jobs) if jobs > 1 else nullcontext()
     with client_of(scheduler) if scheduler else alone as pool:
         executor = pool.get_executor() if scheduler else pool
-        scores, disqualified = run_contest(public, seeds, files, executor=executor, **choices)
-    table = measured(scores)
-    late = choices.get("only") and out and Path(out).exists()
-    table = joined(pd.read_csv(out), table) if late else ranked(table)
+        table, disqualified = run_contest(public, seeds, files, executor=executor, **choices)
+    if out and Path(out).exists():
+        table = joined(pd.read_csv(out), table)
     print(standings(table).to_string(index=False))
     for name, reason in disqualified.items():
         print(f"{name} is disqualified: {reason}")
-    print(
-        f"{seeds} seeds a plant from the public number {public}, {len(scores)} scans, "
-        f"{time.monotonic() - began:.0f} s. Error: of the flexible states over that of the estimate zero."
-    )
+    open_to_all = [file for file in files if not ExternalObserver(file).isolated]
+    for file in open_to_all:
+        print(f"{file}: not isolated")
+    print(f"edition {EDITION}, {seeds} seeds a machine, {time.monotonic() - began:.0f} s")
     if out:
         write_table(table, out)
     return int(bool(disqualified))
 
 
 def main() -> None:
-    """Write the committed table's ranking into its guide."""
+    """Write the committed table's ranking into its guide, and its results."""
+    table = pd.read_csv(FILE)
+    write_table(table, FILE)
     before, _, rest = GUIDE.read_text(encoding="utf-8").partition(BEGIN)
     after = rest.partition(END)[2]
-    shown = as_markdown(standings(pd.read_csv(FILE)))
-    GUIDE.write_text(f"{before}{BEGIN}\n{shown}\n{END}{after}", encoding="utf-8")
+    GUIDE.write_text(f"{before}{BEGIN}\n{as_markdown(standings(table))}\n{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

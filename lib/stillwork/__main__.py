@@ -157,16 +157,16 @@ COMMANDS = {
         "run observers, yours among them, against hidden seeds and rank them",
         "contest.table:hold_contest",  # in a checkout alone, which it says by itself
         (
-            option("files", nargs="*", metavar="MY_OBSERVER.py", help="each defines a class Observer"),
-            number("seeds", "N", "scans a plant and doubt (default: 2)", default=2),
-            text(
-                "public",
-                "NUMBER",
-                "what the hidden seeds follow from, e.g. a lottery's draw",
-                default="20180628",
+            option(
+                "files",
+                nargs="*",
+                metavar="MY_OBSERVER.py",
+                help="each defines a class Observer; or a library MY_OBSERVER.so, or tcp:HOST:PORT",
             ),
-            number("loops", "N", "seeds of which the loops are run, too (default: all)"),
-            number("heavy", "N", "seeds on which our heavy entrants run (default: all)"),
+            number("seeds", "N", "scans a machine and uncertainty (default: 1)", default=1),
+            flag("hidden", "read the public number that the seeds follow from from standard input"),
+            flag("tuned", "set the knobs that a file declares by the official tuner first"),
+            number("loops", "N", "seeds of which the loops are run, too; 0 for none (default: all)", int),
             option(
                 "--only",
                 action="append",
@@ -174,9 +174,10 @@ COMMANDS = {
                 metavar="NAME",
                 help="of ours this one and the Kalman filter alone; the others' rows are those of the table --out",
             ),
+            text("dev", "FOLDER", "write the development set there, with its truth, and run nothing"),
             PROCESSES,
             SCHEDULER,
-            text("out", "FILE.csv", "write the table there"),
+            text("out", "FILE.csv", "write or extend the table there, with its results as JSON beside it"),
         ),
     ),
 }

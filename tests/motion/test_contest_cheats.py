@@ -13,7 +13,7 @@ from contest.runner import Disqualified, ExternalObserver, can_isolate, declared
 from workbook import paths
 
 pytestmark = pytest.mark.slow
-isolated = pytest.mark.skipif("not can_isolate()", reason="this machine has no namespaces for an observer")
+isolated = pytest.mark.skipif(not can_isolate(), reason="this machine has no namespaces for an observer")
 SECRET = "contest/uncertainties.py"
 
 
@@ -161,7 +161,10 @@ def test_who_imports_the_contest_is_out(estimate):
         ("return [np.empty(10**8) for _ in range(1000)]", "allocates more memory"),
         ("while True: pass", "takes more than 1 s of the processor"),
         ("time.sleep(60)", "hangs: no answer within 3 s"),
-        ("[os.write(k, b'look\\n') for k in range(3, 9) if os.path.exists(f'/proc/self/fd/{k}') and k != 3]", "JSON"),
+        (
+            "[os.write(k, b'look\\n') for k in range(3, 9) if os.path.exists(f'/proc/self/fd/{k}') and k != 3]",
+            "JSON",
+        ),
     ],
 )
 def test_who_breaks_the_rules_is_out_by_reason(trick, reason, estimate, monkeypatch):

@@ -525,7 +525,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path, capsys, name, content, 
         ["export", "a.json", "--out", ""],
         ["claims", "--entry", ""],
         ["choices", "--scheduler", ""],
-        ["contest", "--public", ""],
+        ["contest", "--dev", ""],
         ["contest", "--out", ""],
     ],
 )
