@@ -198,7 +198,7 @@ def variants(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
     return found | {f"tuning {k}": table[table["seed"] % TUNINGS == k] for k in range(TUNINGS)}
 
 
-def _between(value: float, low: float, high: float, form: str) -> str:
+def with_interval(value: float, low: float, high: float, form: str) -> str:
     """A value with its interval, where there is one."""
     return f"{value:{form}}" if np.isnan(low) else f"{value:{form}} [{low:{form}}, {high:{form}}]"
 
@@ -219,10 +219,10 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
             rank, own = ranks.loc[name], robust.loc[name]
             places = sorted({int(rank["best place"]), int(rank["last place"])})
             row |= {
-                "mean rank": _between(rank["rank"], rank["low"], rank["high"], ".1f"),
+                "mean rank": with_interval(rank["rank"], rank["low"], rank["high"], ".1f"),
                 "place without one machine": " to ".join(map(str, places)),
                 "error": f"{errors[name]:.2f}",
-                "less Kalman": _between(*behind.loc[name, ["behind", "low", "high"]], "+.2f"),
+                "less Kalman": with_interval(*behind.loc[name, ["behind", "low", "high"]], "+.2f"),
                 "verdict": behind.loc[name, "verdict"],
                 "worst cell": f"{own['worst cell']:.2g}",
                 "worse than Kalman": f"{100 * own['worse than Kalman']:.0f} %",

@@ -9,11 +9,12 @@ from filterpy.kalman import KalmanFilter
 
 from contest import bench
 from contest.adaptive import DELAYS, FOLLOWING, FORGETTING
-from contest.learned import FAST, FEATURES, FILE, FORCES, HIDDEN, SLOW, evolve
+from contest.learned import FAST, FEATURES, FILE, FORCES, HIDDEN, SLOW
 from contest.moving_horizon import HORIZON
 from contest.nominal import OwnObserver, nominal_of
 from contest.plants import plant_of
 from contest.scores import ENTRANTS
+from contest.training import evolve
 from contest.uncertainties import UNCERTAINTIES, sample_truth
 from naive.fixedpoint import kalman_step, unscented_step
 

@@ -382,7 +382,7 @@ def test_the_interval_is_over_machines_and_there_is_none_of_few():
         found = against(synthetic(few)).loc["a"]
         assert np.isnan(found["low"]) and found["verdict"] == ""
         assert mean_ranks(synthetic(few))[["low", "high"]].isna().all(axis=None)
-    assert ranking._between(1.0, np.nan, np.nan, ".1f") == "1.0"
+    assert ranking.with_interval(1.0, np.nan, np.nan, ".1f") == "1.0"
 
 
 def test_one_machine_that_decides_is_seen():
