@@ -24,10 +24,10 @@ FILE = paths.data("motion", "contest_learned.csv")
 @kernel
 def _advance_learned(data, memory, inputs, measurements, estimates):
     a, b, c, gains, sizes, first, second = data
-    x, slow, fast, before = memory
+    x, slow, fast, before, shares = memory
     outputs, n, hidden, filters = len(c), a.shape[0], len(first), len(gains)
     innovations, seen = np.empty((filters, outputs)), np.empty(first.shape[1])
-    inner, shares = np.empty(hidden), np.full(filters, 1 / filters)
+    inner = np.empty(hidden)
     for k in range(len(inputs)):
         now, turned = np.zeros(filters), 0.0
         for m in range(filters):
@@ -74,12 +74,14 @@ def with_weights(
     before = model.a @ after @ model.a.T + model.b @ noise.process @ model.b.T
     sizes = np.sqrt(np.diag(model.c @ before @ model.c.T + noise.sensor))
     first, second = np.split(weights, [HIDDEN * FEATURES])
-    shapes = first.reshape(HIDDEN, FEATURES).copy(), second.reshape(len(gains) + 1, HIDDEN).copy()
+    shapes = first.reshape(HIDDEN, FEATURES).copy(), second.reshape(-1, HIDDEN).copy()
+    count = len(gains)
     memory = (
-        np.zeros((len(gains), len(model.a))),
-        np.ones(len(gains)),
+        np.zeros((count, len(model.a))),
+        np.ones(count),
         np.array([1.0, 0.0]),
         np.zeros(len(model.c)),
+        np.full(count, 1 / count),
     )
     return CompiledObserver(
         _advance_learned, (model.a, model.b, model.c, np.array(gains), sizes, *shapes), memory
