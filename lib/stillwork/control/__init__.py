@@ -10,6 +10,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "c_code": ("adaptation_code", "controller_code"),
         "decoupling": ("decouple",),
         "digital": ("DigitalController", "as_libraries", "error_driven", "load_controller"),
+        "error_budget": ("Network", "Source", "error_budget", "sensitivities"),
         "feedback": ("damping_gain",),
         "feedforward": (
             "Feedforward",
@@ -23,6 +24,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "fixed_point_code": ("fixed_point_code",),
         "fixed_point_mechanism": ("simulate_mechanism",),
         "fixed_point_stepper": ("FixedPointStepper",),
+        "floor_machine": ("FloorMachine",),
         "kinematics": ("KinematicDesign",),
         "loop_enclosures": ("enclose_margins", "enclose_peaks"),
         "loops": ("closed_loop",),

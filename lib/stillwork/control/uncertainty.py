@@ -141,9 +141,8 @@ def uncertainty_of(machine: Machine, asked: Mapping[str, float]) -> Uncertainty:
 
 
 @checked
-def perturbed_loop(loop: Loop, place: Perturbation) -> Loop:
-    """The same observer and sample time on a plant at a place of the box; two of its frequencies may change places."""
-    plant = loop.plant
+def perturbed_plant(plant: ModalModel, place: Perturbation) -> ModalModel:
+    """The plant at a place of the box."""
     rows = [
         require_array(name, values, shape=plant.frequencies.shape)
         for name, values in zip(Perturbation._fields, place[:3], strict=False)
@@ -151,12 +150,18 @@ def perturbed_loop(loop: Loop, place: Perturbation) -> Loop:
     if not min(row.min() for row in rows) > 0 or not place.gain > 0:
         raise InputError("place must hold factors above 0")
     frequencies, residues, damping = rows
-    plant = replace(
+    return replace(
         plant,
         damping=np.minimum(plant.damping * damping, MOST_DAMPED),
         output_shapes=plant.output_shapes * residues * place.gain,
         feedthrough=plant.feedthrough * place.gain,
     ).moved(frequencies * plant.frequencies)
+
+
+@checked
+def perturbed_loop(loop: Loop, place: Perturbation) -> Loop:
+    """The same observer and sample time on a plant at a place of the box; two of its frequencies may change places."""
+    plant = perturbed_plant(loop.plant, place)
     delay = loop.delay
     if loop.sample_time:
         delay = max(loop.delay + place.delay / loop.sample_time, 0.0)

@@ -1,0 +1,106 @@
+"""Sources of an error budget: white and 1/f noise, quantisers, floors, measured spectra, filters, periodic signals."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.validation import checked
+from stillwork.control.error_budget import KNOWN, Source
+from stillwork.lti.state_space import StateModel
+from stillwork.signals.criteria import criterion_density
+from stillwork.signals.spectra import Spectrum
+
+
+@checked
+def white(name: str, place: str, unit: str, level: float, corner_hz: float = 0.0) -> Source:
+    """White noise of `level` unit/sqrt(Hz), one-sided, with a 1/f part that equals it at `corner_hz`: a sensor, an amplifier."""
+    require_number("level", level, at_least=0.0)
+    require_number("corner_hz", corner_hz, at_least=0.0)
+    return Source(name, (place,), unit, lambda f: level**2 * (1 + corner_hz / np.maximum(f, 1e-12)))
+
+
+@checked
+def quantiser(name: str, place: str, unit: str, step: float, rate_hz: float) -> Source:
+    """Rounding to multiples of `step` at `rate_hz`, as white noise of variance step^2 / 12: an ADC, a DAC, an encoder."""
+    require_number("step", step, above=0.0)
+    return white(name, place, unit, step / np.sqrt(6 * require_number("rate_hz", rate_hz, above=0.0)))
+
+
+@checked
+def criterion_floor(name: str, place: str, criterion: str) -> Source:
+    """A floor that just meets a vibration criterion such as ``VC-D`` in every band, as acceleration (m/s^2)."""
+    return Source(
+        name, (place,), "m/s^2", lambda f: criterion_density(criterion, f), knots_hz=np.array([8.0])
+    )
+
+
+@checked
+def tabulated(
+    name: str, place: str, unit: str, frequencies_hz: ArrayLike, density: ArrayLike, averages: int = 0
+) -> Source:
+    """A density of unit^2/Hz at rising frequencies, straight in between; of Welch's estimate with its number of `averages`.
+
+    The averages are taken as half-overlapping Hann windows, whose squared correlation is 1/36.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    s = require_array("density", density, shape=f.shape)
+    if len(f) < 2 or np.any(np.diff(f) <= 0) or f[0] < 0:
+        raise InputError(f"{name}: frequencies_hz must rise from 0 or above; sort them")
+    if np.any(s < 0):
+        raise InputError(f"{name}: density is negative; give a power spectral density")
+    freedom = 2 * averages / (1 + (averages - 1) / averages / 18) if averages else KNOWN
+    resolution = float(np.diff(f).min()) if averages else 0.0
+    ends = float(f[0]), float(f[-1])
+    return Source(
+        name,
+        (place,),
+        unit,
+        lambda at: np.interp(at, f, s),
+        ends,
+        f,
+        freedom=freedom,
+        resolution_hz=resolution,
+    )
+
+
+@checked
+def measured(name: str, place: str, unit: str, spectrum: Spectrum, channel: int = 0) -> Source:
+    """A channel of an estimated spectrum, with the uncertainty of its averages."""
+    known = spectrum.frequencies_hz > 0
+    f, rows = spectrum.frequencies_hz[known], spectrum.density[:, known]
+    return tabulated(name, place, unit, f, rows[channel], spectrum.averages)
+
+
+@checked
+def shaped(name: str, places: tuple[str, ...], unit: str, filter: StateModel) -> Source:
+    """White noise of unit intensity (one in two-sided unit^2/Hz) through a continuous filter, correlated over several places."""
+
+    def density(f: np.ndarray) -> np.ndarray:
+        response = filter.frequency_response(2 * np.pi * f)
+        return 2 * np.einsum("ikf,jkf->ijf", response, response.conj())
+
+    return Source(name, places, unit, density)
+
+
+@checked
+def periodic(
+    name: str, place: str, unit: str, period: ArrayLike, sample_rate: float, least: float = 1e-12
+) -> Source:
+    """A signal that repeats itself, such as the error of a feedforward over a scan or a ripple, as its Fourier series.
+
+    Its mean is left out, and lines with less than `least` of the power.
+    """
+    signal = require_array("period", period, ndim=1)
+    if len(signal) < 3 or not np.ptp(signal):
+        raise InputError(f"{name}: period is constant or shorter than 3 samples; give one whole period")
+    amplitudes = 2 * np.abs(np.fft.rfft(signal)) / len(signal)
+    if len(signal) % 2 == 0:
+        amplitudes[-1] /= np.sqrt(
+            2
+        )  # half the samples see it at its peak: its power is the amplitude squared
+    amplitudes[0] = 0.0
+    lines = np.flatnonzero(amplitudes**2 > least * np.sum(amplitudes**2))
+    spacing = require_number("sample_rate", sample_rate, above=0.0) / len(signal)
+    return Source(
+        name, (place,), unit, tones=tuple((float(k * spacing), float(amplitudes[k])) for k in lines)
+    )
