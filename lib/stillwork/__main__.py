@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork inspect|report|design|isolate|retest|desk|export|contest``, and the commands of ``python -m workbook``."""
+"""Command line: ``python -m stillwork inspect|report|design|isolate|budget|retest|desk|export|contest``, and the commands of ``python -m workbook``."""
 
 import os
 import sys
@@ -120,6 +120,25 @@ COMMANDS = {
             ),
             number("spread", "SHARE", "how far the isolator may be off; default 0.05", float, default=0.05),
             _band("band-hz", "of the filtered error (default: chosen)"),
+        ),
+    ),
+    "budget": Command(
+        "say how still a machine can be, what limits it, and what to buy next, on one page",
+        "stillwork.design.budget:budget_file",
+        (
+            option("machine", type=named, metavar="MACHINE.toml", help="begin it by: stillwork new budget"),
+            option("--floor", default="", metavar="FILE", help="a record or densities of your floor"),
+            option("--design", default="", metavar="DIR", help="that design wrote: its stage and controller"),
+            option("--out", default="", metavar="DIR", help="of the page, by default here"),
+        ),
+    ),
+    "new": Command(
+        "begin a result of the workbook; `new budget` alone: templates of machines for budget",
+        "stillwork.design.budget:new",
+        (
+            option("topic", metavar="TOPIC"),
+            option("name", nargs="?", default="", metavar="NAME", help="a number and words, e.g. 09-payload"),
+            flag("create", "in a topic that is not there yet"),
         ),
     ),
     "retest": Command(

@@ -17,7 +17,7 @@ from stillwork.control.uncertainty import Perturbation, Uncertainty
 from stillwork.lti.delays import delayed, split_delay
 from stillwork.lti.discretisation import continuous_poles, zoh
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, block_matrix, interconnect
+from stillwork.lti.state_space import StateModel, block_matrix, interconnect, response_between
 from stillwork.signals.moving_average import average_filter
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -230,11 +230,11 @@ class Network:
         """
         omega = 2 * np.pi * require_array("frequencies_hz", frequencies_hz, ndim=1)
         if not self.rate_hz:
-            return self.loop.frequency_response(omega)
+            return response_between(self.loop, omega)
         step = omega / self.rate_hz
         hold = np.exp(-1j * (step / 2 + omega * self.delay)) * np.sinc(step / (2 * np.pi))
         held = hold * self._parts("u", "z").frequency_response(omega)
-        acted = np.einsum("zuf,uif->zif", held, self.loop.frequency_response(omega))
+        acted = np.einsum("zuf,uif->zif", held, response_between(self.loop, omega))
         seen = self._parts("w", "y").frequency_response(omega)
         direct = self._parts("w", "z").frequency_response(omega)
         direct += np.einsum("zyf,ywf->zwf", acted[:, : len(self.measurements)], seen)

@@ -7,6 +7,7 @@ from scipy import signal
 
 from stillwork.base.checks import InputError, require_count, require_number
 from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.control.digital import observed_controller
 from stillwork.control.error_budget import Network
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import tustin
@@ -138,9 +139,7 @@ class FloorMachine:
         pid = self._sampled(self.controller.state_space())
         if self.compensator is None:
             return StateModel(pid.a, pid.b, -pid.c, -pid.d, pid.sample_time)
-        # O from (f, y) to (u_d, y_flex) beside C from e = y_flex - y to u; f = u + u_d.
-        feedback = np.array([[1.0, 0, 1], [0, 0, 0], [0, 1, 0]])
-        return interconnect([self.compensator, pid], feedback, np.array([[0.0], [1], [-1]]), feedback[:1])
+        return force_law(observed_controller(pid, self.compensator))
 
     def _isolator_law(self) -> StateModel:
         """From frame and floor sensors to the isolator's force."""
@@ -190,6 +189,13 @@ class FloorMachine:
             MEASUREMENTS,
             self.delay * self.sample_time,
         )
+
+
+@checked
+def force_law(model: StateModel) -> StateModel:
+    """A controller from (r, y, f), where f is its own output, as one from y alone; see `observed_controller`."""
+    feedback = np.array([[0.0], [1.0]])
+    return interconnect([model.select([1, 2], [0])], feedback, feedback[::-1].copy(), np.ones((1, 1)))
 
 
 @checked

@@ -74,7 +74,7 @@ def retest_file(
     written = _in_the_units_of_the_file(of_reference(written), made)
     observer = about.table("compensator")
     parts = (require_array(f"compensator: {name}", observer[name]) for name in "abcd")
-    designed = _model(about.table("model"))
+    designed = model_of(about.table("model"))
     sample_time = written.model.sample_time
     before = make_loop(
         designed,
@@ -154,7 +154,7 @@ def _observer(a, b, c, d, sample_time: float) -> StateModel:
     return StateModel(a, b, c, d, sample_time)
 
 
-def _model(entries: Table) -> ModalModel:
+def model_of(entries: Table) -> ModalModel:
     """The model that the design was made for, as its file holds it."""
     frequencies, damping, residues = (
         require_array(f"model: {name}", entries[name], ndim=1)

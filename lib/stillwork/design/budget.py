@@ -1,0 +1,417 @@
+"""The command ``budget``: how still a machine can be, what limits it, and what to buy next, on one page."""
+
+import html
+from dataclasses import replace
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.extras import require_package
+from stillwork.base.toml_files import Table, read_toml
+from stillwork.control.budget_sources import criterion_floor, measured, quantiser, tabulated, white
+from stillwork.control.digital import load_controller, of_reference
+from stillwork.control.error_budget import ErrorBudget, Source, UnstableLoop, error_budget, sensitivities
+from stillwork.control.floor_machine import COMMANDS, DISTURBANCES, MEASUREMENTS, FloorMachine, force_law
+from stillwork.control.pid import Pid, PidFamily
+from stillwork.design.html_page import page, picture, table
+from stillwork.design.retest import model_of
+from stillwork.lti.modal import ModalModel
+from stillwork.signals.datafiles import read_columns
+from stillwork.signals.densities import density_unit, frequency_axis, read_densities
+from stillwork.signals.records import is_time, load_record, to_acceleration, unit_factor
+from stillwork.signals.spectra import estimate_spectrum
+from workbook import figures
+
+PLACES = {**DISTURBANCES, **MEASUREMENTS, **COMMANDS}
+EDGE = 0.05  # share of a source's part in a third of an octave at the end of what is known, from which on it is reported
+# What such parts usually have, offered where the file names none; none of these is anybody's machine.
+TYPICAL = {
+    "floor": "VC-A (general laboratory) to VC-G (quiet)",
+    "stage force": "cables, hoses and air: 1e-4 to 1e-2 N/sqrt(Hz)",
+    "frame force": "acoustics and pumps: 1e-3 to 1e-1 N/sqrt(Hz)",
+    "stage sensor": "encoder 0.01 to 1 nm/sqrt(Hz), interferometer 1e-3 to 0.1",
+    "frame sensor": "piezo accelerometer 1e-7 to 1e-5 m/s^2/sqrt(Hz)",
+    "floor sensor": "piezo accelerometer 1e-7 to 1e-5 m/s^2/sqrt(Hz)",
+    "stage drive": "amplifier and DAC: 1e-5 to 1e-3 N/sqrt(Hz)",
+    "isolator drive": "amplifier and DAC: 1e-4 to 1e-2 N/sqrt(Hz)",
+}
+MACHINES = {
+    "wafer-stage": {
+        "name": "a wafer-like stage", "frame": 180.0, "suspension": 4.0, "damping": 0.05, "stage": 20.0,
+        "modes": "[450.0, 700.0]", "shares": "[0.15, -0.1]", "bandwidth": 80.0, "rate": 10000.0, "skyhook": 0.6,
+        "feedforward": 20.0, "floor": "VC-C", "sensor": "0.3 nm/sqrt(Hz)", "exposure": 0.01,
+    },
+    "microscope-stage": {
+        "name": "a microscope stage on a laboratory floor", "frame": 60.0, "suspension": 1.5, "damping": 0.08, "stage": 0.8,
+        "modes": "[300.0]", "shares": "[0.2]", "bandwidth": 25.0, "rate": 2000.0, "skyhook": 0.0, "feedforward": 0.0,
+        "floor": "VC-A", "sensor": "1 nm/sqrt(Hz)", "exposure": 0.1,
+    },
+    "telescope-mirror": {
+        "name": "a telescope mirror on its cell", "frame": 400.0, "suspension": 8.0, "damping": 0.01, "stage": 120.0,
+        "modes": "[60.0, 95.0]", "shares": "[0.1, 0.05]", "bandwidth": 10.0, "rate": 1000.0, "skyhook": 0.3,
+        "feedforward": 0.0, "floor": "VC-B", "sensor": "2 nm/sqrt(Hz)", "exposure": 1.0,
+    },
+}  # fmt: skip
+
+
+def new_budget(folder: str = ".") -> list[str]:
+    """Write the commented template of each machine of `MACHINES`; returns their paths, and what comes next."""
+    template = Template((Path(__file__).parent / "budget.toml").read_text(encoding="utf-8"))
+    files = [Path(folder) / f"{name}.toml" for name in MACHINES]
+    for file, values in zip(files, MACHINES.values(), strict=True):
+        if file.exists():
+            raise InputError(f"{file} exists; move it away, or begin in another folder")
+        file.write_text(template.substitute(values), encoding="utf-8")
+    return [*map(str, files), f"change the numbers to yours, then: python -m stillwork budget {files[0]}"]
+
+
+def new(topic: str, name: str, create: bool) -> list[str]:
+    """``new budget`` alone writes templates of machines; with a name it begins a result of the workbook."""
+    if topic == "budget" and not name:
+        return new_budget()
+    from workbook import commands, paths
+
+    paths.root()  # refuses what is no workbook
+    if not name:
+        raise InputError("name is missing; give a number and words, e.g. 09-payload")
+    return commands.new(topic, name, create)
+
+
+def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") -> list[str]:
+    """Make the error budget of a machine, and write it on one page.
+
+    Parameters
+    ----------
+    machine : str
+        TOML of machine, controllers and sources, as ``stillwork new budget`` begins it.
+    floor : str
+        A record or densities of the floor that take the place of the file's; their columns say the unit.
+    design : str
+        Folder that ``stillwork design`` wrote: its model and controller take the place of the stage and its PID.
+    out : str
+        Folder of the page; empty: here.
+
+    Returns
+    -------
+    list of str
+        Total, parts, what to buy next and what is not known, a line each.
+
+    Raises
+    ------
+    InputError
+        When a source has another unit than its place, a file cannot be used, or the loop is unstable.
+    """
+    require_package("matplotlib")
+    entries = read_toml(machine)
+    built = machine_of(entries, design)
+    band = _band(entries)
+    sources = sources_of(
+        entries, floor, Path(machine).parent, 1 / built.sample_time if built.sample_time else 0.0
+    )
+    target = Path(out or ".") / f"{Path(machine).stem}.budget.html"
+    if target.exists():
+        raise InputError(f"{target} exists; move it away, or give another --out")
+    network = built.network()
+    budget = error_budget(network, sources, band)
+    rows = {
+        "what it is": _summary(entries, budget),
+        "where it comes from": _parts(budget),
+        "what to buy next": purchases(built, sources, band, budget),
+        "what each method gives": waterfall(built, sources, band),
+        "what is not known": _unknown(network, sources, band, budget),
+    }
+    body = [f"<h2>{title.capitalize()}</h2>\n{table([], each)}" for title, each in rows.items() if each]
+    body.insert(2, picture(paint_budget(budget), "spectra and cumulative spectra of the error by source"))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    held = html.escape(Path(machine).read_text(encoding="utf-8"))
+    title = html.escape(str(entries.get("name", Path(machine).stem)))
+    target.write_text(page("report.html", source=title, body="\n".join(body), held=held), encoding="utf-8")
+    return [
+        *(f"{title}: {'; '.join(' '.join(row) for row in each)}" for title, each in rows.items() if each),
+        f"written: {target}",
+    ]
+
+
+def machine_of(entries: Table, design: str = "") -> FloorMachine:
+    """The machine of a file; with a folder of `design`, that stage and controller."""
+    body, law = entries.table("machine"), entries.table("controller")
+    rate = _number(law, "rate_hz", 0.0)
+    settings = {
+        "skyhook": _number(law, "skyhook_damping", 0.0),
+        "feedforward": 1 - 10 ** (-_number(law, "feedforward_db", 0.0) / 20),
+        "integrator_hz": _number(law, "feedforward_from_hz", 2.0),
+        "sample_time": 1 / rate if rate else 0.0,
+        "delay": _number(law, "delay_samples", 1.0) if rate else 0.0,
+    }
+    if design:
+        files = sorted(Path(design).glob("*.json"))
+        if not files:
+            raise InputError(f"{design} holds no controller; give the folder that stillwork design wrote")
+        written = load_controller(files[0])
+        about, controller = Table(dict(written.about), files[0].name), of_reference(written).model
+        stage, law_of_stage = model_of(about.table("model")), force_law(controller)
+        settings["sample_time"] = controller.sample_time
+        settings["delay"] = float(about.table("provenance")["delay_samples_of_the_loop"])
+    else:
+        mass = require_number("machine: stage_mass_kg", body["stage_mass_kg"], above=0.0)
+        modes = require_array("machine: modes_hz", body.get("modes_hz", []), ndim=1)
+        shares = require_array("machine: modes_share", body.get("modes_share", []), shape=modes.shape)
+        stage = ModalModel(
+            np.append(0.0, 2 * np.pi * modes),
+            np.append(0.0, np.full(len(modes), _number(body, "modes_damping", 0.01))),
+            np.sqrt(np.append(1.0, np.abs(shares)) / mass)[:, None],
+            (np.sqrt(np.append(1.0, np.abs(shares)) / mass) * np.sign(np.append(1.0, shares)))[None],
+            np.zeros((1, 1)),
+        )
+        law_of_stage = PidFamily(mass)(
+            require_number("controller: bandwidth_hz", law["bandwidth_hz"], above=0.0)
+        )
+    numbers = [
+        float(require_number(f"machine: {name}", body[name]))
+        for name in ("frame_mass_kg", "suspension_hz", "suspension_damping")
+    ]
+    return FloorMachine(*numbers, stage, law_of_stage, **settings)
+
+
+def _number(entries: Table, name: str, default: float) -> float:
+    return float(require_number(f"{entries.where}: {name}", entries.get(name, default)))
+
+
+def _band(entries: Table) -> tuple[float, float]:
+    low, high = require_array("band_hz", entries.get("band_hz", [0.5, 2000.0]), shape=(2,))
+    return float(low), float(high)
+
+
+def sources_of(entries: Table, floor: str, folder: Path, rate_hz: float) -> list[Source]:
+    """The sources of a file; a file of the floor takes the place of those that act there."""
+    found = [
+        _source(name, entries.table("sources").table(name), folder, rate_hz)
+        for name in entries.table("sources")
+    ]
+    if floor:
+        found = [source for source in found if source.places != ("floor",)] + [
+            floor_of("floor", Path(floor), "")
+        ]
+    return found
+
+
+def _source(name: str, entries: Table, folder: Path, rate_hz: float) -> Source:
+    place = require_choice(f"{name}: place", entries["place"], PLACES)
+    kinds = [kind for kind in ("criterion", "file", "white", "quantiser", "tone_hz") if kind in entries]
+    if len(kinds) != 1:
+        raise InputError(
+            f"{name}: holds {kinds or 'no kind'}; give one of criterion, file, white, quantiser or tone_hz"
+        )
+    kind = kinds[0]
+    if kind in ("criterion", "file") and place != "floor":
+        raise InputError(
+            f"{name}: a {kind} is for the place 'floor', not {place!r}; give white, quantiser or tone_hz"
+        )
+    if kind == "criterion":
+        return criterion_floor(name, place, entries["criterion"])
+    if kind == "file":
+        return floor_of(name, folder / entries["file"], entries.get("unit", ""))
+    if kind == "tone_hz":
+        tone = float(require_number(f"{name}: tone_hz", entries["tone_hz"], above=0.0))
+        return Source(
+            name, (place,), PLACES[place], tones=((tone, _amount(name, entries["amplitude"], place, "")),)
+        )
+    if kind == "quantiser":
+        if not rate_hz:
+            raise InputError(f"{name}: a quantiser needs rate_hz of the controller; give it")
+        return quantiser(name, place, PLACES[place], _amount(name, entries["quantiser"], place, ""), rate_hz)
+    level = _amount(name, entries["white"], place, "/sqrt(Hz)")
+    return white(name, place, PLACES[place], level, _number(entries, "corner_hz", 0.0))
+
+
+def _amount(name: str, text, place: str, density: str) -> float:
+    """A number with its unit, as ``0.3 nm/sqrt(Hz)``, in the unit of a place."""
+    words = str(text).split(maxsplit=1)
+    wanted = f"{PLACES[place]}{density}"
+    try:
+        size = float(words[0])
+    except (ValueError, IndexError):
+        size = np.nan
+    if len(words) < 2 or not np.isfinite(size) or size < 0:
+        raise InputError(f"{name}: is {text!r}; give a number of at least 0 and its unit, as '1.0 {wanted}'")
+    known = density_unit(words[1])
+    if (known is None) == bool(density) or (known and known[1] != 1):
+        raise InputError(f"{name}: unit is {words[1]!r}, and {place!r} takes {wanted}; convert it")
+    factor, unit = unit_factor(known[0] if known else words[1])
+    if unit != PLACES[place]:
+        raise InputError(f"{name}: unit is {words[1]!r}, and {place!r} takes {wanted}; convert it")
+    return size * factor
+
+
+def floor_of(name: str, file: Path, unit: str) -> Source:
+    """A measured floor: densities with a column of frequencies, or a record, as accelerations."""
+    columns = read_columns(file)
+    if frequency_axis(columns) and not any(is_time(each) for each in columns):
+        f, rows = read_densities(file, unit, [], 1)
+        return tabulated(name, "floor", "m/s^2", f, rows[0])
+    record = to_acceleration(load_record(file, unit, most_channels=1))
+    resolution = max(16 / record.duration, 0.25)
+    spectrum = estimate_spectrum(record.signals[:1], record.sample_rate, resolution)
+    return replace(measured(name, "floor", "m/s^2", spectrum), band_hz=(resolution, 0.4 * record.sample_rate))
+
+
+def _summary(entries: Table, budget: ErrorBudget) -> list[list[str]]:
+    rms, (low, high) = budget.rms[0], budget.interval()[:, 0]
+    exposure, duration = (
+        _number(entries, name, default) for name, default in (("exposure_s", 0.01), ("duration_s", 60.0))
+    )
+    average, deviation = budget.moving(exposure)
+    rows = [
+        ["rms", nanometres(rms)],
+        ["3 sigma", nanometres(3 * rms)],
+        [f"peak in {duration:g} s", nanometres(budget.peak(duration)[0])],
+    ]
+    if high - low > 1e-5 * rms:
+        rows.insert(1, ["95 % by the length of the records", f"{nanometres(low)} to {nanometres(high)}"])
+    return [
+        *rows,
+        [f"MA over {exposure:g} s", nanometres(average[0])],
+        [f"MSD over {exposure:g} s", nanometres(deviation[0])],
+    ]
+
+
+def nanometres(metres: float) -> str:
+    return f"{1e9 * metres:.3g} nm"
+
+
+def _parts(budget: ErrorBudget) -> list[list[str]]:
+    order = np.argsort(-budget.powers[:, 0], kind="stable")
+    rows = [
+        [budget.names[k], nanometres(np.sqrt(budget.powers[k, 0])), f"{100 * budget.shares[k, 0]:.1f} %"]
+        for k in order
+    ]
+    edges = budget.edges()
+    for k, side in zip(*np.nonzero(edges > EDGE), strict=True):
+        end = budget.bands_hz[k, side]
+        rows.append(
+            [
+                "warning:",
+                f"{budget.names[k]} ends at {end:.4g} Hz in the band,",
+                f"{100 * edges[k, side]:.0f} % of its part in the last third of an octave; measure further",
+            ]
+        )
+    return rows
+
+
+def purchases(
+    machine: FloorMachine, sources: list[Source], band: tuple[float, float], budget: ErrorBudget
+) -> list[list[str]]:
+    """What saves most, in nanometres: each source at half its level, each number of the machine 10 % the better way."""
+    offers = [
+        (saved, f"{name} at half its level")
+        for name, saved in zip(budget.names, budget.saved()[:, 0], strict=True)
+    ]
+    numbers = {
+        "suspension frequency": machine.suspension_hz,
+        "passive damping": machine.suspension_damping,
+        "skyhook": machine.skyhook,
+        "frame mass": machine.frame_mass,
+        "delay": machine.delay,
+    }
+    pid = isinstance(machine.controller, Pid)
+    if pid:
+        numbers["bandwidth"] = np.sqrt(machine.controller.gain)
+
+    def rms(**values: float) -> float:
+        values = {name.replace("_", " "): value for name, value in values.items()}
+        changed = replace(
+            machine,
+            suspension_hz=values["suspension frequency"],
+            suspension_damping=values["passive damping"],
+            skyhook=values.get("skyhook", 0.0),
+            frame_mass=values["frame mass"],
+            delay=values.get("delay", 0.0),
+        )
+        if pid:
+            ratio = values["bandwidth"] / numbers["bandwidth"]
+            old = machine.controller
+            gains = (
+                old.gain * ratio**2,
+                *(ratio * each for each in (old.integrator, old.differentiator, old.low_pass)),
+            )
+            changed = replace(changed, controller=type(old)(*gains))
+        return float(error_budget(changed.network(), sources, band).rms[0])
+
+    found = sensitivities(rms, {name.replace(" ", "_"): value for name, value in numbers.items() if value})
+    for name, slope in found.items():
+        if name == "delay" and slope < 0:
+            continue  # nobody buys a longer one
+        way = "lower" if slope > 0 else "higher"
+        offers.append(
+            (budget.rms[0] * (1 - np.exp(-0.1 * abs(slope))), f"{name.replace('_', ' ')} 10 % {way}")
+        )
+    order = sorted(offers, key=lambda offer: -offer[0])
+    return [
+        [f"{place + 1}.", words, f"saves {nanometres(saved)}"] for place, (saved, words) in enumerate(order)
+    ]
+
+
+def waterfall(machine: FloorMachine, sources: list[Source], band: tuple[float, float]) -> list[list[str]]:
+    """The error as passive machine with its controller, then with each method that it has, one after the other."""
+    steps = {
+        "passive": {"skyhook": 0.0, "feedforward": 0.0},
+        "skyhook": {"skyhook": machine.skyhook},
+        "feedforward": {"feedforward": machine.feedforward},
+    }
+    rows, chosen = [], {}
+    for name, changed in steps.items():
+        if name == "passive" or any(changed.values()):
+            chosen |= changed
+            try:
+                rms = nanometres(error_budget(replace(machine, **chosen).network(), sources, band).rms[0])
+            except UnstableLoop as error:
+                rms = str(error)
+            rows.append([name if name == "passive" else f"and {name}", rms])
+    return rows if len(rows) > 1 else []
+
+
+def _unknown(
+    network, sources: list[Source], band: tuple[float, float], budget: ErrorBudget
+) -> list[list[str]]:
+    """Places without a source, from what level on each would add as much as all that is known, and typical values."""
+    known = {place for source in sources for place in source.places}
+    missing = [
+        place
+        for place in PLACES
+        if place not in known
+        and np.any(network.paths([np.sqrt(band[0] * band[1])])[0, list(PLACES).index(place)])
+    ]
+    if not missing:
+        return []
+    unit = error_budget(network, [white(place, place, PLACES[place], 1.0) for place in missing], band)
+    levels = budget.rms[0] / np.sqrt(unit.powers[:, 0])
+    return [
+        [
+            f"{place}: no source given;",
+            f"{level:.2g} {PLACES[place]}/sqrt(Hz) would double the power;",
+            f"typical: {TYPICAL[place]}",
+        ]
+        for place, level in zip(missing, levels, strict=True)
+    ]
+
+
+def paint_budget(budget: ErrorBudget):
+    """Density and backward cumulative spectrum of the error, by source."""
+    figure, (left, right) = figures.new(1, 2, height=3.2)
+    f, smooth = budget.frequencies_hz, ~budget.is_tone
+    for name, density, below in zip(
+        budget.names, budget.density[:, 0], budget.cumulative(backward=True)[:, 0], strict=True
+    ):
+        if density[smooth].any():
+            left.loglog(f[smooth], 1e9 * np.sqrt(density[smooth]), linewidth=0.9, label=name)
+        right.semilogx(f, 1e9 * np.sqrt(below), linewidth=0.9, label=name)
+    whole = budget.cumulative(backward=True)[:, 0].sum(axis=0)
+    right.semilogx(f, 1e9 * np.sqrt(whole), color=figures.BLACK, linewidth=1.3, label="all")
+    left.set(
+        xlabel="frequency (Hz)", ylabel="error (nm/√Hz)", ylim=(1e-6 * max(left.get_ylim()[1], 1e-12), None)
+    )
+    right.set(xlabel="frequency (Hz)", ylabel="rms above (nm)")
+    right.legend()
+    return figure

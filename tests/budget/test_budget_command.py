@@ -1,0 +1,139 @@
+"""`stillwork budget`: what its page says, followed, comes true; and what it refuses."""
+
+import re
+
+import numpy as np
+import pytest
+
+from stillwork.__main__ import main
+from stillwork.base.checks import InputError
+from stillwork.base.toml_files import read_toml
+from stillwork.control.error_budget import error_budget
+from stillwork.design.budget import MACHINES, budget_file, machine_of, new, new_budget, sources_of
+
+
+@pytest.fixture
+def files(tmp_path):
+    new_budget(str(tmp_path))
+    return {name: tmp_path / f"{name}.toml" for name in MACHINES}
+
+
+def change(file, *pairs):
+    text = file.read_text()
+    for old, fresh in pairs:
+        assert old in text
+        text = text.replace(old, fresh)
+    file.write_text(text)
+    return str(file)
+
+
+def rms(lines):
+    return float(re.search(r"rms ([\d.e+]+) nm", lines[0])[1])
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_template_gives_a_page_that_says_what_limits(name, files, tmp_path):
+    lines = budget_file(str(files[name]), out=str(tmp_path / "out"))
+    assert [line.split(":")[0] for line in lines[:3]] == [
+        "what it is",
+        "where it comes from",
+        "what to buy next",
+    ]
+    assert any("isolator drive: no source given" in line and "typical" in line for line in lines)
+    text = (tmp_path / "out" / f"{name}.budget.html").read_text()
+    assert "<img" in text and "What to buy next" in text
+    with pytest.raises(InputError, match="exists; move it away"):
+        budget_file(str(files[name]), out=str(tmp_path / "out"))
+
+
+def test_what_the_page_promises_comes_true(files, tmp_path):
+    """The first purchase, a better sensor, and the first number of the machine, bought in the file."""
+    file = files["wafer-stage"]
+    lines = budget_file(str(file), out=str(tmp_path / "1"))
+    sensor = float(re.search(r"stage sensor at half its level saves ([\d.]+) nm", lines[2])[1])
+    way, bandwidth = re.search(r"bandwidth 10 % (lower|higher) saves ([\d.]+) nm", lines[2]).groups()
+    other = float(budget_file(change(file, ("0.3 nm", "0.15 nm")), out=str(tmp_path / "2")) and 0)
+    half = rms(budget_file(str(file), out=str(tmp_path / "3")))
+    assert other == 0 and rms(lines) - half == pytest.approx(sensor, abs=0.01)
+    ratio = 0.9 if way == "lower" else 1.1
+    change(file, ("0.15 nm", "0.3 nm"), ("bandwidth_hz = 80.0", f"bandwidth_hz = {80 * ratio}"))
+    assert rms(lines) - rms(budget_file(str(file), out=str(tmp_path / "4"))) == pytest.approx(
+        float(bandwidth), rel=0.1
+    )
+
+
+def test_the_level_that_is_said_to_matter_doubles_the_power(files, tmp_path):
+    file = files["microscope-stage"]
+    lines = budget_file(str(file), out=str(tmp_path / "1"))
+    level = re.search(r"stage force: no source given; ([\d.e-]+) N", "\n".join(lines))[1]
+    file.write_text(
+        file.read_text() + f'\n[sources.air]\nplace = "stage force"\nwhite = "{level} N/sqrt(Hz)"\n'
+    )
+    louder = rms(budget_file(str(file), out=str(tmp_path / "2")))
+    assert louder**2 == pytest.approx(2 * rms(lines) ** 2, rel=0.1)  # two digits of the level
+
+
+def test_a_floor_of_ones_own_takes_the_place_of_the_files(files, tmp_path):
+    f = np.linspace(0.5, 400, 800)
+    np.savetxt(
+        tmp_path / "floor.csv",
+        np.c_[f, 1e-5 * np.ones(800)],
+        delimiter=",",
+        header="frequency,z (m/s^2/sqrt(Hz))",
+        comments="",
+    )
+    entries = read_toml(files["wafer-stage"])
+    machine = machine_of(entries)
+    (floor,) = [
+        s for s in sources_of(entries, str(tmp_path / "floor.csv"), tmp_path, 1e4) if s.places == ("floor",)
+    ]
+    network = machine.network()
+    budget = error_budget(network, [floor], (0.5, 400.0))
+    path = np.abs(network.paths(f)[0, 0]) ** 2 * 1e-10
+    assert budget.powers[0, 0] == pytest.approx(np.trapezoid(path, f), rel=0.03, abs=0)  # half a hertz apart
+    time = np.arange(8000) / 400
+    record = np.random.default_rng(0).standard_normal(8000) * 1e-3
+    np.savetxt(
+        tmp_path / "record.csv", np.c_[time, record], delimiter=",", header="time,z (m/s^2)", comments=""
+    )
+    lines = budget_file(
+        str(files["wafer-stage"]), floor=str(tmp_path / "record.csv"), out=str(tmp_path / "r")
+    )
+    assert "95 % by the length of the records" in lines[0] and "floor ends at 160 Hz" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("old", "fresh", "message"),
+    [
+        (
+            'white = "0.3 nm/sqrt(Hz)"',
+            'white = "0.3 nm"',
+            r"^stage sensor: unit is 'nm', and 'stage sensor' takes m/sqrt",
+        ),
+        ('white = "0.3 nm/sqrt(Hz)"', 'white = "0.3 mN/sqrt(Hz)"', r"^stage sensor: unit is 'mN/sqrt\(Hz\)'"),
+        (
+            'white = "0.3 nm/sqrt(Hz)"',
+            "white = 0.3",
+            r"^stage sensor: is 0.3; give a number of at least 0 and its unit",
+        ),
+        ('place = "stage drive"', 'place = "stage drve"', r"^amplifier: place.*did you mean 'stage drive'"),
+        ('criterion = "VC-C"', 'criterion = "VC-Z"', "VC-Z"),
+        ('criterion = "VC-C"', "", "^floor: holds no kind"),
+        ("bandwidth_hz = 80.0", "bandwidth_hz = 2000.0", "^the closed loop is unstable"),
+        ("frame_mass_kg = 180.0", "", "'frame_mass_kg' is missing"),
+        ("modes_share = [0.15, -0.1]", "modes_share = [0.15]", "^machine: modes_share"),
+    ],
+)
+def test_bad_files_are_refused_by_name(old, fresh, message, files, tmp_path):
+    with pytest.raises(InputError, match=message):
+        budget_file(change(files["wafer-stage"], (old, fresh)), out=str(tmp_path / "out"))
+
+
+def test_the_command_line_begins_templates_and_refuses_to_overwrite(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "budget"]) == 0 and len(list(tmp_path.glob("*.toml"))) == len(MACHINES)
+    assert main(["new", "budget"]) == 2
+    assert main(["budget", "telescope-mirror.toml"]) == 0
+    assert "what to buy next: 1." in capsys.readouterr().out
+    with pytest.raises(InputError):
+        new("motion", "", False)
