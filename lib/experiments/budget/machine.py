@@ -1,0 +1,134 @@
+"""The machine with each paper's method or without, its floors and sources, and the budget of all of them at once."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.toml_files import Table, read_toml
+from stillwork.control.applications import Application
+from stillwork.control.budget_sources import criterion_floor, measured, tabulated, white
+from stillwork.control.error_budget import ErrorBudget, Source, error_budget
+from stillwork.control.floor_machine import FloorMachine
+from stillwork.control.machine_loops import observing_compensator
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.lti.state_space import StateModel
+from stillwork.signals.records import load_record
+from stillwork.signals.spectra import estimate_spectrum
+from workbook import paths
+
+BAND_HZ = (0.5, 3000.0)
+OBSERVERS = ("PID", "MC", "AD", "MC and AD")
+FLOORS = ("VC-A", "VC-B", "VC-C", "VC-D", "VC-E", "VC-F", "VC-G", "slab under footfall", "LIGO ground")
+SLAB_HZ = (5.0, 150.0)  # where its record can be trusted (its SOURCE.md)
+RESOLUTION_HZ = 0.5  # of the slab's spectrum
+
+
+@cache
+def parameters() -> Table:
+    return read_toml(paths.data("budget", "machine.toml"))
+
+
+@cache
+def stage(damping_ratio: float | None = None) -> ModalModel:
+    """Free stage of the thesis: force on the actuator mass to the position of one other."""
+    p = parameters().table("stage")
+    n = p["masses"] + 1
+    springs = np.array([p["actuator_stiffness"], *[p["stiffness"]] * (n - 2)])
+    difference, places = np.diff(np.eye(n), axis=0), np.eye(n)
+    mass = np.diag([p["actuator_mass"], *[p["mass"]] * (n - 1)])
+    ratio = p["damping_ratio"] if damping_ratio is None else damping_ratio
+    at = p["position"]
+    return modal_model(
+        mass, difference.T @ (springs[:, None] * difference), places[:, :1], places[at : at + 1], ratio
+    )
+
+
+@cache
+def observer(name: str) -> StateModel | None:
+    """Compensator of one use of the thesis's observer; None for the PID alone."""
+    if name == "PID":
+        return None
+    p, retained = parameters().table("observer"), parameters().table("stage")["retained_modes"]
+    noise = NoiseIntensities(p["force_noise"] ** 2, 2 * p["sensor_noise"] ** 2)
+    damped = {"damping": p["added_damping"], "selectivity": p["selectivity"]} if "AD" in name else {}
+    drift = {"MC": p["drift"], "MC and AD": p["drift_with_damping"]}.get(name)
+    return observing_compensator(
+        stage(), Application(compensate="MC" in name, **damped), retained, noise, drift
+    )
+
+
+def machine(
+    used: str = "PID",
+    *,
+    skyhook: bool = False,
+    feedforward: bool = False,
+    bandwidth_hz: float = 0.0,
+    payload: float = 0.0,
+) -> FloorMachine:
+    """The machine with some of the methods; 0 Hz: the bandwidth that the thesis prints for this use of the observer.
+
+    A `payload` (kg) stands on the frame; the springs stay.
+    """
+    p, law = parameters().table("isolator"), parameters().table("bandwidth")
+    vertical = p["struts"] * np.cos(np.radians(p["tilt_deg"])) ** 2
+    stiffness, damping = p["strut_stiffness"] * vertical, p["strut_damping"] * vertical
+    frame = p["frame_mass"] + payload
+    plant = stage()
+    own = float(1 / (plant.input_shapes[0, 0] * plant.output_shapes[0, 0]))
+    omega = np.sqrt(stiffness / (frame + own))
+    return FloorMachine(
+        frame,
+        omega / (2 * np.pi),
+        damping / (2 * omega * (frame + own)),
+        plant,
+        PidFamily(own)(bandwidth_hz or law["design_share"] * law[used]),
+        compensator=observer(used),
+        skyhook=p["skyhook"] if skyhook else 0.0,
+        feedforward=1 - 10 ** (-p["feedforward_db"] / 20) if feedforward else 0.0,
+        integrator_hz=p["integrator_hz"],
+    )
+
+
+@cache
+def floor(name: str) -> Source:
+    """A floor by its name: a criterion, or one of two that were measured."""
+    if name == "slab under footfall":
+        record = load_record(paths.data("isolation", "slab_footfall/slab_vertical.csv"), "m/s^2")
+        spectrum = estimate_spectrum(record.signals[:1], record.sample_rate, RESOLUTION_HZ)
+        return replace(measured(name, "floor", "m/s^2", spectrum), band_hz=SLAB_HZ)
+    if name == "LIGO ground":
+        with np.load(
+            paths.data("isolation", "ligo_llo_ground/ground_velocity_density.npz"), allow_pickle=False
+        ) as ground:
+            f, velocity = ground["frequencies_hz"], ground["velocity_density_Z"].astype(float).mean(axis=0)
+        seen = f > BAND_HZ[0] / 2
+        return tabulated(name, "floor", "m/s^2", f[seen], (velocity * (2 * np.pi * f) ** 2)[seen])
+    return criterion_floor(name, "floor", name)
+
+
+def noises(sensor: float | None = None) -> list[Source]:
+    """What acts beside the floor; of the stage's `sensor` in m/sqrt(Hz)."""
+    p = parameters().table("noise")
+    return [
+        white("stage sensor", "stage sensor", "m", p["sensor"] if sensor is None else sensor),
+        white("stage drive", "stage drive", "N", p["drive"]),
+        white("floor sensor", "floor sensor", "m/s^2", p["floor_sensor"]),
+        white("frame sensor", "frame sensor", "m/s^2", p["frame_sensor"]),
+    ]
+
+
+def budget_of(built: FloorMachine, name: str, sensor: float | None = None) -> ErrorBudget:
+    """The budget on one floor."""
+    return error_budget(built.network(), [floor(name), *noises(sensor)], BAND_HZ)
+
+
+def on_every_floor(
+    built: FloorMachine, floors: tuple[str, ...] = FLOORS
+) -> tuple[Float64[np.ndarray, " floors"], Float64[np.ndarray, "4"]]:
+    """Mean squares of the error by each floor and by each of `noises`, from one pass; all add up."""
+    powers = error_budget(built.network(), [*map(floor, floors), *noises()], BAND_HZ).powers[:, 0]
+    return powers[: len(floors)], powers[len(floors) :]

@@ -1,0 +1,88 @@
+"""The waterfall: the error as built by nobody, with each paper's method alone, and with all, as bars by source."""
+
+import numpy as np
+
+from experiments.budget.machine import budget_of, machine, parameters
+from stillwork.control.error_budget import ErrorBudget, UnstableLoop
+from stillwork.control.floor_machine import FloorMachine
+from workbook import figures
+
+STEPS = {
+    "passive, PID": {},
+    "skyhook": {"skyhook": True},
+    "feedforward": {"feedforward": True},
+    "observer": {"used": "MC and AD"},
+    "all": {"skyhook": True, "feedforward": True, "used": "MC and AD"},
+}
+COLOURS = (figures.BLUE, figures.ORANGE, figures.GREEN, figures.PURPLE, figures.SKY)
+
+
+def waterfall(floor: str, sensor: float | None = None) -> dict[str, ErrorBudget]:
+    """The budget of each of `STEPS` on a floor."""
+    return {name: budget_of(machine(**step), floor, sensor) for name, step in STEPS.items()}
+
+
+def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
+    """Rms of the error by source for each step, all together as a bar, with its interval where the floor was measured."""
+    figure, axes = figures.new(height=3.2)
+    places = np.arange(len(budgets))
+    total = np.array([1e9 * budget.rms[0] for budget in budgets.values()])
+    ends = np.array([1e9 * budget.interval()[:, 0] for budget in budgets.values()])
+    axes.bar(places, total, color=figures.GREY, alpha=0.4, label="all sources")
+    if np.any(ends[:, 1] > 1.001 * total):
+        axes.errorbar(
+            places, total, np.abs(ends.T - total), fmt="none", color=figures.BLACK, capsize=3, label="95 %"
+        )
+    first = next(iter(budgets.values()))
+    parts = np.array([1e9 * np.sqrt(budget.powers[:, 0]) for budget in budgets.values()])
+    for name, row, colour in zip(first.names, parts.T, COLOURS, strict=True):
+        if np.any(row > 1e-4 * total.max()):
+            axes.plot(places, np.maximum(row, 1e-6), "o", markersize=4, color=colour, label=name)
+    low = 10 ** np.floor(np.log10(max(0.03 * total.min(), 1e-3)))
+    axes.set(yscale="log", ylim=(low, 3 * total.max()), ylabel="error, rms (nm)", title=title)
+    axes.set_xticks(places, list(budgets))
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    return figure
+
+
+def explore_waterfall(floor: str, bandwidth_hz: float, sensor_nm: float, feedforward_db: float):
+    """Passive, then with skyhook, then with feedforward, then with the observer, at one bandwidth of the stage."""
+    parts = {
+        "passive": {},
+        "and skyhook": {"skyhook": True},
+        "and feedforward": {"skyhook": True, "feedforward": True},
+        "and observer": {"skyhook": True, "feedforward": True, "used": "MC and AD"},
+    }
+    budgets = {}
+    for name, step in parts.items():
+        built = machine(**step, bandwidth_hz=bandwidth_hz)
+        if built.feedforward:
+            built = with_feedforward(built, feedforward_db)
+        try:
+            budgets[name] = budget_of(built, floor, 1e-9 * sensor_nm)
+        except UnstableLoop:
+            continue
+    return paint_waterfall(
+        budgets, f"{floor}, {bandwidth_hz:.0f} Hz, {sensor_nm:.2g} nm/√Hz, {feedforward_db:.0f} dB"
+    )
+
+
+def with_feedforward(built: FloorMachine, decibels: float) -> FloorMachine:
+    """The machine with a feedforward that takes so much of the floor's path away."""
+    from dataclasses import replace
+
+    return replace(built, feedforward=1 - 10 ** (-decibels / 20))
+
+
+def controls() -> dict:
+    """Sliders of the explorer: the machine of the page."""
+    from experiments.budget.machine import FLOORS
+    from workbook import Choice, Slider
+
+    p = parameters()
+    return {
+        "floor": Choice(FLOORS, "VC-C", basis="assumed"),
+        "bandwidth_hz": Slider(15.0, 100.0, 0.95 * p["bandwidth"]["PID"], "Hz", basis="assumed"),
+        "sensor_nm": Slider(0.01, 30.0, 1e9 * p["noise"]["sensor"], "nm/√Hz", log=True, basis="assumed"),
+        "feedforward_db": Slider(0.0, 50.0, p["isolator"]["feedforward_db"], "dB", basis="assumed"),
+    }

@@ -1,0 +1,320 @@
+"""Which one pays: first and second purchases over floors, sensors and payloads; who tunes the feedforward; who differentiates."""
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+
+import numpy as np
+from scipy import signal
+
+from experiments.budget.machine import BAND_HZ, FLOORS, floor, machine, noises, on_every_floor, parameters
+from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
+from stillwork.control.floor_machine import FloorMachine, weak_integrator
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.min_max import solve_silently
+from stillwork.estimation.online import identify
+from stillwork.lti.discretisation import tustin
+from stillwork.lti.state_space import StateModel
+from workbook import figures
+
+METHODS = ("skyhook", "feedforward", "MC and AD")
+SENSORS = (0.014, 0.14, 1.4, 14.0)  # nm/sqrt(Hz)
+PAYLOADS = (0.0, 20.0, 60.0)  # kg on the frame
+ADVANTAGE = 0.05  # a method pays when it lowers the error by more than this share (chosen)
+
+# === What to buy first ============================================================================================
+
+
+@cache
+def powers_of(bought: frozenset[str], payload: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean squares by floor and by the other sources, of the machine with these methods."""
+    used = "MC and AD" if "MC and AD" in bought else "PID"
+    return on_every_floor(
+        machine(used, skyhook="skyhook" in bought, feedforward="feedforward" in bought, payload=payload)
+    )
+
+
+def error(bought: frozenset[str], place: int, sensor: float, payload: float) -> float:
+    """Rms in m on a floor of `FLOORS` with a sensor in nm/sqrt(Hz)."""
+    by_floor, others = powers_of(bought, payload)
+    scale = np.array([(1e-9 * sensor / parameters()["noise"]["sensor"]) ** 2, 1, 1, 1])
+    return float(np.sqrt(by_floor[place] + others @ scale))
+
+
+def purchases(place: int, sensor: float, payload: float) -> list[str]:
+    """Methods in the order in which each lowers the error most, as long as one lowers it by `ADVANTAGE`."""
+    bought: frozenset[str] = frozenset()
+    order = []
+    while len(order) < len(METHODS):
+        now = error(bought, place, sensor, payload)
+        offers = {
+            name: error(bought | {name}, place, sensor, payload) for name in METHODS if name not in bought
+        }
+        best = min(offers, key=lambda name: offers[name])
+        if offers[best] > (1 - ADVANTAGE) * now:
+            break
+        order.append(best)
+        bought |= {best}
+    return order
+
+
+def purchase_map(payload: float) -> np.ndarray:
+    """Orders of purchase, (sensors, floors)."""
+    found = np.empty((len(SENSORS), len(FLOORS)), object)
+    for (row, sensor), (column, _) in product(enumerate(SENSORS), enumerate(FLOORS)):
+        found[row, column] = purchases(column, sensor, payload)
+    return found
+
+
+def paint_map(payloads=PAYLOADS):
+    """First purchases as colours, the second in words, over floor and sensor, one panel a payload."""
+    shades = {
+        "": figures.GREY,
+        "skyhook": figures.SKY,
+        "feedforward": figures.ORANGE,
+        "MC and AD": figures.GREEN,
+    }
+    short = {"": "none", "skyhook": "sky", "feedforward": "ff", "MC and AD": "obs"}
+    figure, axes = figures.new(len(payloads), 1, height=1.9 * len(payloads) + 0.6, sharex=True)
+    for panel, payload in zip(np.atleast_1d(axes), payloads, strict=True):
+        orders = purchase_map(payload)
+        for name, shade in shades.items():
+            there = [(c, r) for (r, c), order in np.ndenumerate(orders) if (order or [""])[0] == name]
+            if there:
+                panel.plot(
+                    *np.array(there).T,
+                    "s",
+                    markersize=17,
+                    color=shade,
+                    alpha=0.5,
+                    label=f"first {name or 'nothing'}",
+                )
+        for (r, c), order in np.ndenumerate(orders):
+            panel.text(c, r, short[order[1]] if len(order) > 1 else "–", ha="center", va="center", fontsize=7)
+        panel.set_yticks(range(len(SENSORS)), [f"{s:g}" for s in SENSORS])
+        panel.set(
+            ylabel="nm/√Hz",
+            title=f"payload {payload:g} kg; in the square: second purchase",
+            ylim=(-0.6, len(SENSORS) - 0.4),
+        )
+        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    np.atleast_1d(axes)[-1].set_xticks(range(len(FLOORS)), [name.split()[0] for name in FLOORS], rotation=30)
+    return figure
+
+
+# === Who tunes the feedforward ====================================================================================
+
+RATE_HZ = 500.0
+RECORD_S = 60.0
+NOISES = (1e-5, 1e-4, 1e-3)  # m/s^2/sqrt(Hz) of the floor sensor: quiet, ordinary, as loud as the floor
+ALGORITHMS = ("least squares by FeRLS", "FeLMS", "min-max, typical bound", "min-max, guaranteed bound")
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Share of the floor's force that tuned weights leave over what the best weights leave, from the spectra, less 1."""
+
+    excess: dict[str, float]
+    optimum: float  # share of the floor's power that the best weights leave
+
+
+def tuning_trial(place: str, noise: float, seed: int) -> Tuning:
+    """Weights of damper and spring from one record with a noisy floor sensor, judged by the spectra, which are known."""
+    samples = round(RECORD_S * RATE_HZ)
+    f = np.fft.rfftfreq(samples, 1 / RATE_HZ)
+    rng = np.random.default_rng(seed)
+    first = tustin(weak_integrator(2.0, 3), 1 / RATE_HZ).frequency_response(2 * np.pi * f[1:])[0, 0]
+    k, d, _ = machine().suspension
+    basis = np.vstack([d * first, k * first**2])  # N per m/s^2 for weights of one
+    ground = floor(place)._at(f[1:])[0, 0].real
+    spectra = ground, np.full(len(f) - 1, noise**2)
+
+    def draw(density):
+        lines = np.zeros(len(f), complex)
+        lines[1:] = np.sqrt(density * RATE_HZ * samples / 4) * (
+            rng.standard_normal((2, len(f) - 1)).T @ [1, 1j]
+        )
+        return lines
+
+    true, false = (draw(each) for each in spectra)
+    moved = np.zeros((2, len(f)), complex)
+    moved[:, 1:] = basis * (true + false)[1:]
+    seen = np.fft.irfft(moved, samples)
+    wanted = np.fft.irfft(np.concatenate([[0], basis.sum(axis=0) * true[1:]]), samples)
+    # The quadratic form of what is left, exactly: weights w leave |sum of basis - w basis|^2 ground + |w basis|^2 noise.
+    gram = [np.real(basis * s @ basis.conj().T) for s in spectra]
+    best = np.linalg.solve(gram[0] + gram[1], gram[0] @ np.ones(2))
+
+    def left(w):
+        return float((1 - w) @ gram[0] @ (1 - w) + w @ gram[1] @ w)
+
+    size = np.sqrt(np.mean(seen**2, axis=1))
+    forgetting = 1 - 1 / (10 * RATE_HZ)
+    rows = seen / size[:, None]
+    memory = rows[:, -round(10 * RATE_HZ) :]
+    target = wanted[-memory.shape[1] :]
+    spread = np.sqrt(np.diag(gram[1]) / np.diag(gram[0] + gram[1]))  # share of noise in each regressor
+    bounds = {
+        "typical": spread.max() * np.sqrt(memory.shape[1]),
+        "guaranteed": 3 * np.linalg.norm(spread) * np.sqrt(memory.shape[1]),
+    }
+    found = {
+        "least squares by FeRLS": -identify(FeRls(10.0, forgetting=forgetting), rows, wanted[None]).weights[
+            0
+        ],
+        "FeLMS": -identify(FeLms(step_size=2e-3), rows, wanted[None]).weights[0],
+        **{
+            f"min-max, {name} bound": solve_silently(memory.T, target, bound).estimate
+            for name, bound in bounds.items()
+        },
+    }
+    floor_left = left(best)
+    return Tuning(
+        {name: left(w / size) / floor_left - 1 for name, w in found.items()},
+        floor_left / float(np.ones(2) @ gram[0] @ np.ones(2)),
+    )
+
+
+def tuning_study(places: tuple[str, ...], seeds: range) -> dict[tuple[str, float], list[Tuning]]:
+    """Trials of every seed on every floor with every noise."""
+    return {
+        (place, noise): [tuning_trial(place, noise, seed) for seed in seeds]
+        for place, noise in product(places, NOISES)
+    }
+
+
+def paint_tuning(study: dict[tuple[str, float], list[Tuning]]):
+    """Excess over the best weights of each algorithm, one panel a noise; dots are seeds, floors side by side."""
+    figure, axes = figures.new(1, len(NOISES), height=3.0, sharey=True)
+    places = list(dict.fromkeys(place for place, _ in study))
+    colours = (figures.BLUE, figures.ORANGE, figures.GREEN, figures.PURPLE)
+    for panel, noise in zip(axes, NOISES, strict=True):
+        for k, (name, colour) in enumerate(zip(ALGORITHMS, colours, strict=True)):
+            dots = [
+                (i + 0.15 * (k - 1.5), max(trial.excess[name], 1e-6))
+                for i, place in enumerate(places)
+                for trial in study[place, noise]
+            ]
+            panel.semilogy(*np.array(dots).T, "o", markersize=2.5, color=colour, label=name)
+        panel.set_xticks(range(len(places)), [place.split()[0] for place in places])
+        panel.set(title=f"{noise:g} m/s²/√Hz", ylim=(1e-5, None))
+    axes[0].set_ylabel("power left, over the least, less 1")
+    figures.legend_below(axes[0], 2)
+    return figure
+
+
+# === Who differentiates ===========================================================================================
+
+DIFFERENTIATORS = ("quotient", "low pass", "window", "Kalman", "observer of the stage")
+SAMPLE_S = 1 / 5000
+CHOICES = {  # of each one's parameter: rad/s over the bandwidth, samples, and ratio of the Kalman filter's bandwidth
+    "quotient": (0.0,),
+    "low pass": (3.0, 6.0, 12.0, 25.0),
+    "window": (2.0, 4.0, 8.0, 16.0),
+    "Kalman": (2.0, 4.0, 8.0, 16.0),
+    "observer of the stage": (1.0, 2.0, 4.0, 8.0),
+}
+
+
+def differentiator(name: str, setting: float, bandwidth_hz: float, mass: float) -> StateModel:
+    """PID on the stage sensor, sampled, whose velocity comes from a filter: from the sensor to the force.
+
+    Low pass: the third order of the paper's (7), here with the derivative that it holds. Window: a mean of differences.
+    Kalman: position and velocity, driven by the sensor alone, in its steady state with both poles at `setting` times the
+    bandwidth. The observer is the same filter with the controller's own force as input.
+    """
+    w, t = 2 * np.pi * bandwidth_hz, SAMPLE_S
+    kp, kd, ki = mass * w**2 / 3, mass * w, mass * w**3 / 27
+    a, b, c = np.zeros((1, 1)), np.ones((1, 1)), -ki * t * np.ones((1, 1))  # the integral
+    if name in ("quotient", "window"):
+        n = int(setting) or 1
+        taps = np.zeros(n + 1)
+        taps[0], taps[-1] = 1 / (n * t), -1 / (n * t)
+        line = np.eye(n, k=-1)
+        velocity = StateModel(line, np.eye(n, 1), taps[None, 1:], taps[:1, None], t)
+    elif name == "low pass":
+        bw = setting * w
+        fa, fb, fc, fd = signal.tf2ss([1.0, 0.0], np.poly(-np.ones(3)))
+        velocity = tustin(StateModel(fa * bw, fb * bw, fc * bw, fd * bw), t)
+    else:
+        pole = np.exp(-setting * w * t)
+        l1, l2 = 1 - pole**2, (1 - pole) ** 2 / t  # both poles of the filter at `pole`
+        step = np.array([[1.0, t], [0.0, 1.0]])
+        gain = np.array([[l1], [l2]])
+        keep = np.eye(2) - gain @ np.array([[1.0, 0.0]])
+        force = np.array([[t**2 / 2], [t]]) / mass
+        # x = keep (step x + force u) + gain y, with u of the sample before; read its velocity.
+        velocity = StateModel(keep @ step, keep @ step @ gain, np.array([[0.0, 1.0]]), gain[1:], t)
+        if name == "observer of the stage":
+            return _with_own_force(keep, step, force, gain, (kp, kd, ki * t), t)
+    n = len(velocity.a)
+    whole = np.block([[a + 1, np.zeros((1, n))], [np.zeros((n, 1)), velocity.a]])
+    return StateModel(
+        whole,
+        np.vstack([b, velocity.b]),
+        np.hstack([c, -kd * velocity.c]),
+        -(kp + ki * t) - kd * velocity.d,
+        t,
+    )
+
+
+def _with_own_force(keep, step, force, gain, gains, t) -> StateModel:
+    """States: integral, predicted position and velocity; u = -kp y - ki (i + y) - kd v, with v after the correction."""
+    kp, kd, ki = gains
+    # v = [0 1] (keep p + gain y); next p = step (keep p + gain y) + force u
+    row = np.array([[0.0, 1.0]])
+    cu = np.hstack([[[-ki]], -kd * row @ keep])
+    du = -(kp + ki) - kd * row @ gain
+    a = np.block([[np.ones((1, 1)), np.zeros((1, 2))], [np.zeros((2, 1)), step @ keep]])
+    b = np.vstack([np.ones((1, 1)), step @ gain])
+    inputs = np.vstack([np.zeros((1, 1)), force])
+    return StateModel(a + inputs @ cu, b + inputs @ du, cu, du, t)
+
+
+def velocity_machine(name: str, setting: float, bandwidth_hz: float) -> FloorMachine:
+    """A stage of the thesis's mass, rigid, with that law, sampled at 5 kHz and one sample late."""
+    from dataclasses import replace
+
+    built = machine(skyhook=True, feedforward=True)
+    rigid = built.stage.modes([0])
+    law = differentiator(name, setting, bandwidth_hz, built.stage_mass)
+    return replace(built, stage=rigid, controller=law, sample_time=SAMPLE_S, delay=1.0)
+
+
+@cache
+def velocity_powers(name: str, setting: float, bandwidth_hz: float) -> ErrorBudget | None:
+    """The budget on all floors at once; None where the loop is unstable."""
+    try:
+        network = velocity_machine(name, setting, bandwidth_hz).network()
+    except UnstableLoop:
+        return None
+    return error_budget(network, [*map(floor, FLOORS), *noises()], (BAND_HZ[0], 2500.0))
+
+
+def velocity_errors(bandwidth_hz: float, sensor: float) -> dict[str, np.ndarray]:
+    """Least rms on each floor over each differentiator's settings, m; infinite where none is stable."""
+    found = {}
+    for name in DIFFERENTIATORS:
+        rows = [np.full(len(FLOORS), np.inf)]
+        for setting in CHOICES[name]:
+            budget = velocity_powers(name, setting, bandwidth_hz)
+            if budget is not None:
+                powers = budget.powers[:, 0].copy()
+                powers[len(FLOORS)] *= (1e-9 * sensor / parameters()["noise"]["sensor"]) ** 2
+                rows.append(np.sqrt(powers[: len(FLOORS)] + powers[len(FLOORS) :].sum()))
+        found[name] = np.min(rows, axis=0)
+    return found
+
+
+def paint_velocity(errors: dict[float, dict[str, np.ndarray]]):
+    """Error of each differentiator over that of the best, on each floor; one panel a sensor."""
+    figure, axes = figures.new(1, len(errors), height=3.0, sharey=True)
+    for panel, (sensor, found) in zip(np.atleast_1d(axes), errors.items(), strict=True):
+        least = np.min(list(found.values()), axis=0)
+        for name, row in found.items():
+            panel.plot(range(len(FLOORS)), row / least, "o-", markersize=3, linewidth=0.8, label=name)
+        panel.set_xticks(range(len(FLOORS)), [name.split()[0] for name in FLOORS], rotation=60)
+        panel.set(title=f"{sensor:g} nm/√Hz")
+    np.atleast_1d(axes)[0].set_ylabel("error over the least")
+    figures.legend_below(np.atleast_1d(axes)[0], 3)
+    return figure
