@@ -60,7 +60,7 @@ def paint_box(size: float):
                 fontsize=7,
             )
         panel.set_xticks(range(len(DESIGNS)), DESIGNS, fontsize=7)
-        panel.set(title=name, xlim=(-0.5, len(DESIGNS) - 0.5))
+        panel.set(title=name, xlabel="use of the observer", xlim=(-0.5, len(DESIGNS) - 0.5))
         panel.margins(y=0.25)
-    axes[0].set_ylabel("error, rms (nm)")
+    figures.label(axes, y="error, rms (nm)")
     return figure

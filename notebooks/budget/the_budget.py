@@ -58,6 +58,7 @@ def statements(study: list[dict[str, np.ndarray]]) -> dict[str, float]:
         "observer-costs-quiet": float(
             np.mean([np.all(s["observer"][quiet] > s["passive, PID"][quiet]) for s in study])
         ),
+        "observer-costs-quietest": float(np.mean([s["observer"][-1] > s["passive, PID"][-1] for s in study])),
         "together-costs-quiet": float(
             np.mean([np.all(s["all"][quiet] > s["skyhook"][quiet]) for s in study])
         ),

@@ -73,7 +73,7 @@ def explore_own(built: FloorMachine, sources: list[Source], band: tuple[float, f
             budgets[name] = error_budget(network, [criterion_floor("floor", "floor", floor), *louder], band)
         if not budgets:
             figure, axes = figures.new(height=3.2)
-            axes.set_title("unstable; lower the bandwidth")
+            axes.set(title="unstable; lower the bandwidth", xlabel="methods", ylabel="error, rms (nm)")
             return figure
         return paint_waterfall(
             budgets, f"{floor}, {bandwidth:.2g} times the bandwidth, {sensor:.2g} times the sensor's noise"

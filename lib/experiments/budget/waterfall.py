@@ -1,11 +1,14 @@
 """The waterfall: the error as built by nobody, with each paper's method alone, and with all, as bars by source."""
 
+from dataclasses import replace
+from itertools import cycle
+
 import numpy as np
 
-from experiments.budget.machine import budget_of, machine, parameters
+from experiments.budget.machine import FLOORS, budget_of, machine, parameters
 from stillwork.control.error_budget import ErrorBudget, UnstableLoop
 from stillwork.control.floor_machine import FloorMachine
-from workbook import figures
+from workbook import Choice, Slider, figures
 
 STEPS = {
     "passive, PID": {},
@@ -35,12 +38,13 @@ def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
         )
     first = next(iter(budgets.values()))
     parts = np.array([1e9 * np.sqrt(budget.powers[:, 0]) for budget in budgets.values()])
-    for name, row, colour in zip(first.names, parts.T, COLOURS, strict=True):
+    for name, row, colour in zip(first.names, parts.T, cycle(COLOURS), strict=False):
         if np.any(row > 1e-4 * total.max()):
             axes.plot(places, np.maximum(row, 1e-6), "o", markersize=4, color=colour, label=name)
     low = 10 ** np.floor(np.log10(max(0.03 * total.min(), 1e-3)))
     axes.set(yscale="log", ylim=(low, 3 * total.max()), ylabel="error, rms (nm)", title=title)
     axes.set_xticks(places, list(budgets))
+    axes.set_xlabel("methods")
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return figure
 
@@ -69,16 +73,11 @@ def explore_waterfall(floor: str, bandwidth_hz: float, sensor_nm: float, feedfor
 
 def with_feedforward(built: FloorMachine, decibels: float) -> FloorMachine:
     """The machine with a feedforward that takes so much of the floor's path away."""
-    from dataclasses import replace
-
     return replace(built, feedforward=1 - 10 ** (-decibels / 20))
 
 
 def controls() -> dict:
     """Sliders of the explorer: the machine of the page."""
-    from experiments.budget.machine import FLOORS
-    from workbook import Choice, Slider
-
     p = parameters()
     return {
         "floor": Choice(FLOORS, "VC-C", basis="assumed"),
