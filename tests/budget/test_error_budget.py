@@ -466,3 +466,32 @@ def test_unstable_loops_and_misfits_are_refused():
             lti.ModalModel(*map(np.array, ([1.0], [0.1], [[1.0]], [[1.0]], [[0.0]]))),
             control.PidFamily(1.0)(1.0),
         )
+
+
+def test_a_budget_of_pygwinc_is_the_same():
+    """An open loop, which is all that pygwinc 0.6.2 expresses: two noises with calibrations, its `Budget.run().psd`."""
+    f = np.array([0.5, 1.0, 3.0, 10.0, 30.0])
+    theirs = [
+        1.8152923340532417e-07,
+        1.746899663207789e-08,
+        7.531523525692627e-11,
+        4.366204506065857e-15,
+        5.201722761584608e-16,
+    ]
+    w, r = 2 * np.pi * 2, 2 * np.pi * 30
+    a = np.array([[0, 1, 0], [-(w**2), -0.2 * w, 0], [0, 0, -r]])
+    b = np.array([[0.0, 0, 0], [w**2, 0, 0], [0, r, 0]])
+    plant = StateModel(a, b, np.array([[1.0, 0, 1], [0, 0, 0]]), np.zeros((2, 3)))
+    network = control.Network(
+        plant, constant(np.zeros((1, 1))), {"ground": "m", "shot": "m"}, {"u": "N"}, {"e": "m"}, {"y": "m"}
+    )
+    sources = [
+        control.Source("seismic", ("ground",), "m", lambda f: 1e-12 * (1 + (10 / f) ** 4)),
+        control.Source("shot", ("shot",), "m", lambda f: np.full(len(f), 1e-15)),
+    ]
+    budget = control.error_budget(network, sources, (0.4, 40.0))
+    paths = np.abs(network.paths(f)[0, :2]) ** 2
+    total = paths[0] * 1e-12 * (1 + (10 / f) ** 4) + paths[1] * 1e-15
+    np.testing.assert_allclose(total, theirs, rtol=1e-12)
+    ours = np.interp(np.log(f), np.log(budget.frequencies_hz), np.log(budget.density.sum(axis=0)[0]))
+    np.testing.assert_allclose(np.exp(ours), theirs, rtol=0.02)
