@@ -41,7 +41,7 @@ PARTS = ("base", "signals", "lti", "identification", "estimation", "control")
 OTHERS = ("stillwork/design/design.py", "experiments/isolation/loop.py", "experiments/isolation/together.py")
 # Their mutants would change how the tests run, not what they find.
 LEFT_OUT = {"__init__", "kernel_cache", "kernel_folder", "kernel_sources", "kernels", "garbage"}
-TESTS = ("shared", "isolation", "motion", "worstcase", "fixedpoint")
+TESTS = ("shared", "isolation", "motion", "worstcase", "fixedpoint", "budget")
 # They read the library as text.
 READERS = re.compile("test_(dead_code|wording|layers|readme|wheel|types|source_digest|rendering|import)")
 SYMMETRIC = re.compile(
