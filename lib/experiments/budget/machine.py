@@ -21,7 +21,6 @@ from stillwork.signals.spectra import estimate_spectrum
 from workbook import paths
 
 BAND_HZ = (0.5, 3000.0)
-OBSERVERS = ("PID", "MC", "AD", "MC and AD")
 FLOORS = ("VC-A", "VC-B", "VC-C", "VC-D", "VC-E", "VC-F", "VC-G", "slab under footfall", "LIGO ground")
 SLAB_HZ = (5.0, 150.0)  # where its record can be trusted (its SOURCE.md)
 RESOLUTION_HZ = 0.5  # of the slab's spectrum

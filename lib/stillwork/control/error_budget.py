@@ -707,7 +707,7 @@ def sensitivities(
 class BoxBand(NamedTuple):
     """Errors all over a box of uncertainty, as far as places in it were tried."""
 
-    rms: Float64[np.ndarray, " places"]  # where stable
+    rms: Float64[np.ndarray, "places ..."]  # NaN where unstable
     unstable: int  # places at which the loop is unstable
 
 
@@ -734,21 +734,25 @@ def box_places(uncertainty: Uncertainty, plant: ModalModel, count: int, seed: in
     return places
 
 
-@checked
+@checked(missing=True)
 def box_band(rms: Callable[..., Any], places: Sequence[Perturbation]) -> BoxBand:
     """The error at each place of a box, and at how many of them the loop is unstable.
 
     Parameters
     ----------
     rms : callable
-        The error as a function of a `Perturbation`; it raises `UnstableLoop` where the loop is unstable, as `Network` does.
+        The error, a number or several, as a function of a `Perturbation`; it raises `UnstableLoop` where the loop is
+        unstable, as `Network` does.
     places : sequence of Perturbation
         See `box_places` and `corners`.
     """
-    found = []
-    for place in places:
+    found: dict[int, np.ndarray] = {}
+    for number, place in enumerate(places):
         try:
-            found.append(float(user_callback(rms)(place)))
+            found[number] = np.asarray(user_callback(rms)(place), float)
         except UnstableLoop:
             continue
-    return BoxBand(np.array(found), len(places) - len(found))
+    whole = np.full((len(places), *next(iter(found.values()), np.zeros(())).shape), np.nan)
+    for number, values in found.items():
+        whole[number] = values
+    return BoxBand(whole, len(places) - len(found))
