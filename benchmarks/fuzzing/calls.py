@@ -117,6 +117,23 @@ def catalogue() -> dict:
         np.zeros((1, 1)),
     )
     sampled = lti.zoh(state, 0.01)
+    lag = lti.StateModel([[-10.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    holding = lti.StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-5.0]])
+    network = c.Network(lag, holding, {"load": "N"}, {"drive": "N"}, {"error": "m"}, {"sensor": "m"})
+    source = c.Source(
+        "load",
+        ("load",),
+        "N",
+        lambda f: np.full(len(f), 2.0),
+        (0.0, 1e9),
+        np.array([3.0]),
+        ((5.0, 0.1),),
+        20.0,
+        0.5,
+    )
+    afloat = c.FloorMachine(
+        16.0, 5.0, 0.05, lti.ModalModel([0.0], [0.0], [[0.5]], [[0.5]], [[0.0]]), c.PidFamily(4.0)(50.0)
+    )
     digital = c.DigitalController(sampled, ("e (m)",), ("f (N)",), [-1.0], [1.0], np.zeros((2, 1)), 1)
     doubled = lti.StateModel(
         np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[2.0, -2.0]]), 0.01
@@ -411,6 +428,12 @@ def catalogue() -> dict:
         "enclose_peaks": (c.enclose_peaks, {"loop": search, "pid": pid(20.0)}),
         "make_loop": (c.make_loop, {"plant": model, "low_hz": 1.0, "high_hz": 1000.0, "points": 30, "around": 2}),
         "maximise_bandwidth": (c.maximise_bandwidth, {"loops": [search], "family": pid, "constraints": [c.PeakConstraint("input_sensitivity")], "low_hz": 5.0, "high_hz": 100.0, "scan": 10, "tolerance_hz": 0.5}),
+        "Network": (c.Network, fields(network)),
+        "Network.paths": (network.paths, {"frequencies_hz": np.array([1.0, 2.0])}),
+        "Source": (c.Source, fields(source)),
+        "error_budget": (c.error_budget, {"network": network, "sources": [source], "band_hz": (0.1, 100.0)}),
+        "sensitivities": (c.sensitivities, {"rms": lambda mass: 1 / mass, "values": {"mass": 2.0}, "step": 0.01}),
+        "FloorMachine": (c.FloorMachine, fields(afloat)),
         "Uncertainty": (c.Uncertainty, {"frequency": 0.05, "residue": 0.1, "damping": 0.2, "gain": 0.05, "mass": 0.02, "delay": 1e-5}),
         "worst_place": (c.worst_place, {"loop": search, "controller": pid(20.0), "function": "true_tracking", "uncertainty": c.Uncertainty(frequency=0.05, gain=0.1)}),
         "Motion": (c.Motion, {"feedforward": c.Feedforward(1.0), "lag": 0.01, "limits": limits}),
