@@ -1,5 +1,6 @@
 """`stillwork budget`: what its page says, followed, comes true; and what it refuses."""
 
+import json
 import re
 
 import numpy as np
@@ -8,8 +9,11 @@ import pytest
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
+from stillwork.control.digital import DigitalController
 from stillwork.control.error_budget import error_budget
+from stillwork.control.pid import PidFamily
 from stillwork.design.budget import MACHINES, budget_file, machine_of, new, new_budget, sources_of
+from stillwork.lti.discretisation import tustin
 
 
 @pytest.fixture
@@ -99,7 +103,38 @@ def test_a_floor_of_ones_own_takes_the_place_of_the_files(files, tmp_path):
     lines = budget_file(
         str(files["wafer-stage"]), floor=str(tmp_path / "record.csv"), out=str(tmp_path / "r")
     )
-    assert "95 % by the length of the records" in lines[0] and "floor ends at 160 Hz" in lines[1]
+    assert "95 % by the length of the records" in lines[0] and "floor ends at 0.8 Hz" in lines[1]
+
+
+def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
+    """A PID written as `design` writes it, on the stage of the file without its modes: the same machine twice."""
+    text = change(
+        files["wafer-stage"],
+        ("modes_hz = [450.0, 700.0]", "modes_hz = []"),
+        ("modes_share = [0.15, -0.1]", "modes_share = []"),
+    )
+    entries = read_toml(text)
+    model = {
+        "frequencies_rad_s": [0.0],
+        "damping": [0.0],
+        "residues": [1 / 20],
+        "compliance": 0.0,
+        "drag_1_s": 0.0,
+    }
+    about = {"model": model, "provenance": {"delay_samples_of_the_loop": 1.0}}
+    law = tustin(PidFamily(20.0)(80.0).state_space(), 1e-4)
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "c.json").write_text(
+        json.dumps(DigitalController(law, ("e (m)",), ("f (N)",), about=about).as_dict())
+    )
+    sources = sources_of(entries, "", tmp_path, 1e4)
+    totals = [
+        error_budget(machine_of(entries, where).network(), sources, (0.5, 2000.0)).rms[0]
+        for where in ("", str(tmp_path / "made"), str(tmp_path / "made" / "c.json"))
+    ]
+    np.testing.assert_allclose(totals[1:], totals[0], rtol=1e-6)
+    with pytest.raises(InputError, match="holds 0 controllers"):
+        machine_of(entries, str(tmp_path))
 
 
 @pytest.mark.parametrize(

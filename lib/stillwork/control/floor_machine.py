@@ -193,7 +193,9 @@ class FloorMachine:
 
 @checked
 def force_law(model: StateModel) -> StateModel:
-    """A controller from (r, y, f), where f is its own output, as one from y alone; see `observed_controller`."""
+    """A controller from (r, y, f), where f is its own output or left out, as one from y alone; see `observed_controller`."""
+    if model.d.shape[1] == 2:
+        return model.select([1], [0])
     feedback = np.array([[0.0], [1.0]])
     return interconnect([model.select([1, 2], [0])], feedback, feedback[::-1].copy(), np.ones((1, 1)))
 

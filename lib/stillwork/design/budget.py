@@ -89,7 +89,8 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
     floor : str
         A record or densities of the floor that take the place of the file's; their columns say the unit.
     design : str
-        Folder that ``stillwork design`` wrote: its model and controller take the place of the stage and its PID.
+        Folder that ``stillwork design`` wrote, or one controller's JSON file in it: its model and controller take the
+        place of the stage and its PID.
     out : str
         Folder of the page; empty: here.
 
@@ -146,9 +147,11 @@ def machine_of(entries: Table, design: str = "") -> FloorMachine:
         "delay": _number(law, "delay_samples", 1.0) if rate else 0.0,
     }
     if design:
-        files = sorted(Path(design).glob("*.json"))
-        if not files:
-            raise InputError(f"{design} holds no controller; give the folder that stillwork design wrote")
+        files = [Path(design)] if design.endswith(".json") else sorted(Path(design).glob("*.json"))
+        if len(files) != 1:
+            raise InputError(
+                f"{design} holds {len(files)} controllers; give one of those JSON files that stillwork design wrote"
+            )
         written = load_controller(files[0])
         about, controller = Table(dict(written.about), files[0].name), of_reference(written).model
         stage, law_of_stage = model_of(about.table("model")), force_law(controller)
