@@ -425,8 +425,20 @@ def test_a_box_holds_what_lies_in_it():
     band = box_band(rms, box_places(control.Uncertainty(frequency=0.05, gain=0.1, mass=0.1), stage, 8))
     nominal = control.error_budget(network, [floor], (1.0, 300.0)).rms[0]
     assert band.unstable == 0 and band.rms.min() < nominal < band.rms.max() and np.ptp(band.rms) < nominal
-    wild = box_band(rms, box_places(control.Uncertainty(gain=0.99), stage, 8, seed=1))
-    assert 0 < wild.unstable == np.isnan(wild.rms).sum()
+    places = box_places(control.Uncertainty(gain=0.5), stage, 8, seed=1)
+
+    def stable_below(place):  # at twice the bandwidth the modes make a high gain unstable
+        moved = perturbed_plant(stage, place._replace(gain=place.gain**6))
+        return control.error_budget(
+            FloorMachine(24.0, 12.0, 0.04, moved, control.PidFamily(20.0)(90.0)).network(),
+            [floor],
+            (1.0, 300.0),
+        ).rms
+
+    wild = box_band(stable_below, places)
+    assert (
+        0 < wild.unstable < 8 and wild.unstable == np.isnan(wild.rms[:, 0]).sum() and wild.rms.shape == (8, 2)
+    )
 
 
 @pytest.mark.parametrize(
