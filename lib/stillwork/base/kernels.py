@@ -4,7 +4,7 @@ import contextlib
 import inspect
 import os
 import sys
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable
 from functools import cache
 from types import FunctionType
@@ -74,7 +74,7 @@ def _take_constants_as_numbers(compiled):
 
 SHORT = 1e6  # elementary operations, for which Python takes about as long as a kernel takes to compile
 CALL = 100  # of them that a sample takes beside its own
-_done: Counter = Counter()  # by Python, of each kernel
+_done: defaultdict = defaultdict(float)  # by Python, of each kernel
 
 
 def kernel_for(dispatcher, samples: int, operations: float):

@@ -254,7 +254,7 @@ def isolation_code(
     InputError
         When `name` is no name in C.
     """
-    write, wide = _Numbers(name, precision), _Numbers(name, "double")
+    write, wide = Numbers(name, precision), Numbers(name, "double")
     axes, regressors = weights.shape
     sensors = regressors // (POWERS + 1)
     before, modes, after = loop.error
@@ -297,7 +297,7 @@ def isolation_code(
     )
 
 
-def _rows(write: "_Numbers", matrix: np.ndarray) -> str:
+def _rows(write: "Numbers", matrix: np.ndarray) -> str:
     return _lines("{" + ", ".join(map(write, row)) + "}," for row in matrix)
 
 

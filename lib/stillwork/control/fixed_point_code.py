@@ -1,5 +1,7 @@
 """C99 of fixed-point control: what `FixedPointStepper` computes, with the model written by its owner."""
 
+from typing import Any
+
 import numpy as np
 
 from stillwork.base.checks import InputError, require_choice
@@ -75,12 +77,12 @@ def fixed_point_code(
     write = Numbers(name, precision)
     first = controller[0] if isinstance(controller, list) else controller
     several = isinstance(first.model, Mechanism)
-    count = first.model.coordinates if several else 1
+    count = first.model.coordinates if isinstance(first.model, Mechanism) else 1
     controllers = list(controller) if isinstance(controller, list) else [controller] * count
     require_alike(controllers, count)
     require_sample_time(first.signal_filter, sample_time)
     require_choice("lost", lost, LOSSES)
-    own = first.signal_filter
+    own: Any = first.signal_filter
     if isinstance(own, SavitzkyGolay) or getattr(own, "literal", False):
         raise InputError(
             f"signal_filter is {own}; C is written for any but Savitzky-Golay and the literal correction"
@@ -99,7 +101,8 @@ def fixed_point_code(
         return "{" + ", ".join(map(row, rows)) + "}"
 
     transformations = [each.transformation.packed for each in controllers]
-    parameters = np.append(first.model.parameters, [] if len(first.model.parameters) else 0.0)
+    parameters = np.atleast_1d(first.model.parameters)
+    parameters = parameters if len(parameters) else np.zeros(1)
     designed = [
         table(each.kinematics.gains for each in controllers),
         "{" + ", ".join(f"{int(each[0])}" for each in transformations) + "}",

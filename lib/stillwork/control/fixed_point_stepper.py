@@ -99,7 +99,7 @@ class FixedPointStepper:
         self._parts = [packed_parts(each, 0.0, 0.0, lost) for each in controllers]
         self._from_estimate = force_from_estimate
         self.samples = 0
-        self._state = (
+        self._state: tuple[np.ndarray, ...] = (
             np.tile(self._filter.work, (count, 1, 1, 1)),
             np.zeros((count, 3)),
             np.zeros((count, len(first.kinematics.gains) - 1)),

@@ -32,10 +32,14 @@ ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
 class Isolator:
     """Mechanics of an isolator along its actuators, and what its sensors add."""
 
-    mass: ArrayLike  # M (axes, axes), kg: J' f on the body, q = J x; M^-1 = J M_body^-1 J'
-    damping: ArrayLike  # C, N s/m
-    stiffness: ArrayLike  # K, N/m
-    floor: ArrayLike  # G (axes, sensors): motion of each axis's foot per motion of each floor sensor
+    mass: Float64[
+        np.ndarray, "axes axes"
+    ]  # M (axes, axes), kg: J' f on the body, q = J x; M^-1 = J M_body^-1 J'
+    damping: Float64[np.ndarray, "axes axes"]  # C, N s/m
+    stiffness: Float64[np.ndarray, "axes axes"]  # K, N/m
+    floor: Float64[
+        np.ndarray, "axes sensors"
+    ]  # G (axes, sensors): motion of each axis's foot per motion of each floor sensor
     actuator_pole: float  # w_a, rad/s
     delay: float  # s, from sample to force, without the hold
     floor_noise: float  # m/s^2/sqrt(Hz), of each floor sensor

@@ -158,7 +158,7 @@ def advise(
             f"{pluralise(study.outliers, 'output')} beyond {OUTLIER:g} robust deviations not scored."
         )
     assumed += left_out
-    turns = {}
+    turns: dict[float, str] = {}
     if instruments is None:
         size = X.std(axis=0)
         for share in SHARES:
