@@ -5,7 +5,7 @@ import pytest
 
 from stillwork.base.checks import InputError
 from stillwork.estimation import h2_lmi, h2_riccati, hinf_riccati
-from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm
+from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm, tustin
 from tests.motion.test_published_synthesis import SB10ED, SB10HD, matrices, responses
 
 # SLICOT library, example data and results of SB10FD (A, B and C are those of SB10HD) and SB10DD (the plant of SB10ED).
@@ -190,3 +190,25 @@ def test_what_has_no_controller_is_refused():
         hinf_riccati(GeneralisedPlant(unseen, 3, 3))
     with pytest.raises(InputError, match="discrete"):
         h2_lmi(drawn(0, sample_time=0.1), 0.0, 0.0)
+
+
+@pytest.mark.parametrize("factor", [1.001, 1.05, 3.0, 100.0, 1e6])
+@pytest.mark.parametrize("sample_time", [0.0, 0.1])
+@pytest.mark.parametrize("seed", range(4))
+def test_where_a_riccati_solution_is_zero_every_level_above_the_smallest_is_kept(seed, sample_time, factor):
+    """Model matching: (3.6 s + 1.8) / (s + 1) less (2 - s) / (s + 4) times anything is 3 at s = 2, and need not be more.
+
+    Controls and performances are as many, and so are noises and measurements; the solution left at zero has rounding
+    of either sign.
+    """
+    rng = np.random.default_rng(seed)
+    turn, (drive, sensor) = rng.normal(size=(3, 3)), 10 ** rng.uniform(-5, 5, 2)
+    a, b = np.diag([-1.0, -4.0, -3.0]), [[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]
+    c = [[-1.8, 6.0, 0.0], [0.0, 0.0, 2.0]]
+    back, into, seen = np.linalg.inv(turn), np.diag([1.0, drive]), np.diag([1.0, sensor])
+    d = seen @ [[3.6, -1.0], [1.0, 0.0]] @ into
+    model = StateModel(turn @ a @ back, turn @ b @ into, seen @ c @ back, d)
+    plant = GeneralisedPlant(tustin(model, sample_time) if sample_time else model, 1, 1)
+    assert hinf_riccati(plant, level=3 * factor).norm <= 3 * factor * (1 + 1e-6)
+    if factor == 3.0:
+        assert hinf_riccati(plant).level == pytest.approx(3.0, rel=2e-4)

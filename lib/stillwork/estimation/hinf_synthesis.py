@@ -15,7 +15,7 @@ from stillwork.lti.norms import hinf_norm, to_bilinear
 from stillwork.lti.state_space import StateModel, state_scale
 
 SEARCHES = 200  # levels that a search may try
-SEMIDEFINITE = 1e-7  # eigenvalues of a solution this far below zero, relative to the largest, are rounding
+SEMIDEFINITE = 1e-7  # a solution's eigenvalues this far below zero are rounding, of the largest or of 1
 EXCEEDED = 1e-6  # by how much, relative, a loop's norm may exceed its level by rounding
 
 
@@ -203,8 +203,10 @@ def _stabilising(hamiltonian: np.ndarray) -> np.ndarray | None:
         return None
     solution = np.linalg.solve(upper.T, lower.T).T
     solution = (solution + solution.T) / 2
-    values = linalg.eigvalsh(solution)
-    return solution if values[0] >= -SEMIDEFINITE * max(abs(values[-1]), 1e-300) else None
+    # In balanced states the rounding of a solution of zero, of square D12 or D21, is that of 1.
+    unit = np.sqrt(scale[n:] / scale[:n])
+    values = linalg.eigvalsh(solution / unit / unit[:, None])
+    return solution if values[0] >= -SEMIDEFINITE * max(abs(values[-1]), 1.0) else None
 
 
 def _central(normal: _Normal, level: float) -> StateModel | None:
