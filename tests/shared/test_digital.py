@@ -68,6 +68,14 @@ def test_biquads_filter_as_scipy_does(sections):
         assert again == pytest.approx(wanted, abs=1e-5 * np.abs(wanted).max())
 
 
+def test_a_biquad_of_first_order_has_one_state():
+    sections = np.array([[287.2, -287.0, 0.0, 1.0, -1.0, 0.0], [0.1, 0.0, -0.1, 1.0, -1.97, 0.972]])
+    model = from_biquads(sections, SAMPLE_TIME)
+    assert len(model.a) == 3
+    wanted = signal.sosfilt(sections, INPUTS[0])
+    assert simulate(model, INPUTS)[0] == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.abs(wanted).max())
+
+
 @pytest.mark.slow
 def test_libraries_answer_as_the_controller_does():
     import control

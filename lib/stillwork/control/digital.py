@@ -536,7 +536,9 @@ def from_biquads(sections: ArrayLike, sample_time: float) -> StateModel:
     models = []
     for b0, b1, b2, _, a1, a2 in sections:
         n1, n0, square = b1 - a1 * b0, b2 - a2 * b0, a1 * a1 / 4 - a2
-        if square < 0:
+        if a2 == b2 == 0:  # of first order: one state, and none that only delays
+            a, c = [[-a1]], [[n1]]
+        elif square < 0:
             turn, middle = np.sqrt(-square), -a1 / 2
             a = [[middle, turn], [-turn, middle]]
             c = [[(n0 + n1 * middle) / turn, n1]]
@@ -545,7 +547,7 @@ def from_biquads(sections: ArrayLike, sample_time: float) -> StateModel:
             inner = a2 / outer if outer else 0.0
             a, c = [[outer, 1.0], [0.0, inner]], [[n0 + n1 * outer, n1]]
         models.append(
-            StateModel(np.array(a), np.array([[0.0], [1.0]]), np.array(c), np.array([[b0]]), sample_time)
+            StateModel(np.array(a), np.eye(len(a))[:, -1:], np.array(c), np.array([[b0]]), sample_time)
         )
     return series(models)
 
