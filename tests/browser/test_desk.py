@@ -1,5 +1,6 @@
 """The desk in Chromium: mouse, keyboard, a dropped file, the way out to C, and that all of it has a name."""
 
+import base64
 import json
 import re
 import shutil
@@ -217,6 +218,18 @@ def test_a_design_waits_for_its_dropped_file_and_an_observer_for_a_model(desk):
     desk.browser.run(DROP, "slide.csv", table)
     desk.wait(lambda: "with the design of the address" in desk.by("message").text)
     assert desk.value("0-gain") == 2000
+    desk.type("0-gain", 2500)
+    number = table.splitlines()[5].split(",")[1]
+    desk.browser.run(DROP, "slide.csv", table.replace(number, "nan"))  # measured again: what is shown stays
+    desk.wait(lambda: "a line without a number left out" in desk.by("notes").text)
+    assert desk.value("0-gain") == 2500
+    for block in (None, {"kind": "constructor"}):  # no design at all: the page begins without it
+        held = json.dumps({"machine": "slide.csv", "design": {"blocks": [block]}})
+        desk.driver.get("about:blank")
+        desk.browser.open(
+            f"{desk.page.as_uri()}#d={base64.urlsafe_b64encode(held.encode()).decode().rstrip('=')}"
+        )
+        desk.wait(lambda: desk.bandwidth > 0)
 
 
 def test_an_observer_leaves_as_c_and_a_picture_as_svg(desk):
@@ -244,6 +257,23 @@ def test_the_best_of_a_structure_holds_all_constraints(desk):
     assert len(desk.lights) == 4 and all(
         re.fullmatch(r"✓ \d\.\d\d dB at .* Hz", each) for each in desk.lights
     )
+
+
+def test_a_search_ends_where_something_else_is_changed(desk):
+    for change in ("desk-machine", "desk-0-gain"):
+        desk.browser.run(
+            """
+            document.getElementById("desk-best").click();
+            const field = document.getElementById(arguments[0]);
+            if (field.id === "desk-machine") field.selectedIndex = 1;
+            else field.value = "1234";
+            for (const kind of ["input", "change"]) field.dispatchEvent(new Event(kind));
+            """,
+            change,
+        )
+        desk.wait(lambda: "something else was changed" in desk.by("message").text)
+        assert desk.by("best").text == "Best for this structure"
+    assert desk.value("0-gain") == 1234
 
 
 def test_the_guide_leads_to_six_decibels(desk):

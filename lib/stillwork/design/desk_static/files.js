@@ -108,6 +108,8 @@ export function machineOfTable(text, name, units = {}) {
   const drive = units.drive || stated.drive || (position === "rad" ? "N m" : "N");
   const [force, driveUnit] = unitFactor(drive) ?? [];
   if (!DRIVES.includes(driveUnit)) throw new Error(`${drive} is no force, torque, current or voltage`);
+  const lost = values.filter(([re, im]) => !Number.isFinite(re + im)).length;
+  if (lost) notes.push(`${lost === 1 ? "a line" : `${lost} lines`} without a number left out`);
   if (!(units.response || stated.response)) notes.push(`the file does not say its units; taken for ${response} over ${drive}`);
   const measured = { hz: [], re: [], im: [] };
   hz.forEach((f, k) => {

@@ -47,7 +47,7 @@ export function startDesk(root, machines) {
   const kept = fromAddress(location.hash);
   let machine = machines.find((each) => each.name === kept?.machine) ?? machines[0];
   const usable = (design) =>
-    design.blocks.every((block) => BLOCKS[block.kind] && Object.keys(BLOCKS[block.kind].numbers).every((name) => Number.isFinite(block[name])));
+    design.blocks.every((block) => Object.hasOwn(BLOCKS, block?.kind) && Object.keys(BLOCKS[block.kind].numbers).every((name) => Number.isFinite(block[name])));
   const whole = (found) => (found && usable(found.design) ? found : null);
   let history = makeHistory(kept?.machine === machine.name && usable(kept.design) ? kept.design : firstDesign(machine));
   // A design whose machine is not on the page: it waits for its file.
@@ -368,6 +368,7 @@ export function startDesk(root, machines) {
   // --- changes ---
 
   function remember() {
+    if (waiting?.machine === machine.name) waiting = { ...waiting, design: history.now }; // its file is here: dropped again, it gets what is shown
     try {
       globalThis.history.replaceState(null, "", toAddress(machine.name, history.now));
     } catch {
@@ -728,12 +729,13 @@ export function startDesk(root, machines) {
       warn(error.message);
       return;
     }
-    const mine = search, button = by("best");
+    const mine = search, own = machine, button = by("best");
     button.textContent = "Stop";
     const slice = () => {
-      let done = mine.stopped;
+      const changed = machine !== own || history.now !== before;
+      let done = mine.stopped || changed;
       try {
-        done = mine.step(14) || done;
+        done = done || mine.step(14);
       } catch (error) {
         warn(error.message);
         done = true;
@@ -745,6 +747,10 @@ export function startDesk(root, machines) {
       }
       search = null;
       button.textContent = "Best for this structure";
+      if (changed) {
+        say("the search has stopped: something else was changed");
+        return;
+      }
       const { design, holds, seconds } = mine.results();
       if (mine.stopped && !holds) {
         say("stopped; nothing was changed");
@@ -800,7 +806,10 @@ export function startDesk(root, machines) {
     by("ghost").setAttribute("aria-pressed", String(Boolean(pinned)));
     request();
   });
-  by("machine").addEventListener("change", () => useMachine(machines.find((each) => each.name === by("machine").value)));
+  by("machine").addEventListener("change", () => {
+    useMachine(machines.find((each) => each.name === by("machine").value));
+    say(`${machine.name} is on the desk, with a first design`);
+  });
   by("open").addEventListener("click", () => by("file").click());
   by("file").addEventListener("change", () => {
     const [file] = by("file").files;
