@@ -5,7 +5,7 @@
        once, with the drive off          t = ${name}_designed;
        to close the loop, also moving    ${name}_enable(&m, &t, position, velocity, force);
        to move, outside of the loop      ${name}_plan(&plan, &t, target - ${name}_rest(&m));
-       when it rests                     ${name}_go(&m, &plan);
+       when it rests                     ${name}_go(&m, &t, &plan);
        each sample                       flags = ${name}_run(&m, &t, measured, &force); */
 
 #ifndef ${guard}_MOTION_H
