@@ -50,6 +50,7 @@ ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
 USES = 5  # that are searched
 CHANGES = 4  # of the machine or its processor, of which each is tried for what it would help
 SHOWN_FROM = 0.01  # %, of what the box holds
+WITHOUT_BIQUADS = "left out: in sections the whole controller would not respond as closely as its matrices do, or not hold the model by itself"
 WORTH = 0.01  # relative gain of bandwidth below which a change of the machine is none
 
 
@@ -243,6 +244,8 @@ def design_file(
     facts = [*zip(("rate", "delay of the loop", "limit of the output"), (*rates, most), strict=True)]
     if own_units != taken.units:
         facts.append(("the controller's own units", f"{own_units[0]} in, {own_units[1]} out"))
+    if any(each.about["biquads"] is None for each in written):
+        facts.append(("biquads for a drive", WITHOUT_BIQUADS))
     if made.others:
         facts.append(("other responses", ", ".join(each.source for each in made.others)))
     held = box_table(machine, spread, margins)
@@ -261,6 +264,7 @@ def design_file(
         f"the written controller over {pluralise(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, proven))}",
         f"taken: {best}, stopped by {reached.summary['stopped by']}",
         f"the promise holds for {'; '.join(map(' '.join, held))}",
+        *(f"biquads for a drive: {value}" for _, value in facts if value == WITHOUT_BIQUADS),
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
         f"{folder}: {', '.join(sorted([*code, 'report.html']))}",
     ]
