@@ -455,6 +455,13 @@ def test_a_delay_without_a_rate_is_obeyed(node, tmp_path):
     assert numbers["delay"]["delay_us"] == pytest.approx(2.5e6 / numbers["sampling"]["rate_hz"])
 
 
+def test_a_loop_below_0_db_has_no_bandwidth_in_words(node):
+    asked = [
+        ("export.js", "bandwidthText", bandwidth, 1) for bandwidth in (None, 12.34)
+    ]  # JSON's NaN is null
+    assert values(node(asked)) == ["none (no crossing)", "12.3 Hz"]
+
+
 def test_jupyter_shows_the_same_page_in_a_frame():
     shown = show_desk(height=700, rate=5e3).data
     assert "height: 700px" in shown and shown.startswith("<div><iframe") and shown.endswith("</iframe></div>")

@@ -184,6 +184,9 @@ ${clamp}    }
 `;
 }
 
+// A bandwidth in words: a loop that stays below 0 dB has none.
+export const bandwidthText = (value, digits) => (value > 0 ? `${value.toFixed(digits)} Hz` : "none (no crossing)");
+
 // The design in words and numbers.
 export function designText(machine, design, result) {
   const lines = [machine.name, `mass ${machine.mass.toPrecision(4)} ${machine.mass_unit}`];
@@ -193,7 +196,7 @@ export function designText(machine, design, result) {
     if (block.kind === "observer") values.unshift(block.compensate ? "MC" : "no MC");
     lines.push(`${title}: ${values.join(", ")}`);
   }
-  lines.push(`bandwidth ${result.bandwidth.toFixed(2)} Hz, ${result.stable ? "stable" : "unstable"}`);
+  lines.push(`bandwidth ${bandwidthText(result.bandwidth, 2)}, ${result.stable ? "stable" : "unstable"}`);
   for (const name of FUNCTIONS) {
     const own = result.nominal[name], box = result.box?.[name];
     const there = box ? `, in the box ${toDb(box.size).toFixed(2)} dB at ${box.hz.toFixed(1)} Hz` : "";

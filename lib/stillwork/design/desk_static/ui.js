@@ -1,6 +1,6 @@
 // The page: blocks to add, drag and type, and everything that follows from them, live.
 import { toDb } from "./complex.js";
-import { biquadCode, controllerToml, designText } from "./export.js";
+import { bandwidthText, biquadCode, controllerToml, designText } from "./export.js";
 import { BELOW, DRIVE_UNITS, RESPONSE_UNITS, designOfController, machineOfJson, machineOfTable, measuredAlone } from "./files.js";
 import { FUNCTIONS, SHOWN, addPlace, boxSearch, judge, makeLoop } from "./loop.js";
 import { makeSearch } from "./optimise.js";
@@ -759,7 +759,7 @@ export function startDesk(root, machines) {
       settle(design);
       refresh();
       const to = result.bandwidth;
-      say(holds ? `${from > 0 ? `${from.toFixed(1)} to ` : ""}${to.toFixed(1)} Hz in ${seconds.toFixed(1)} s; all constraints hold` : "nothing was found that holds all constraints: another structure may");
+      say(holds ? `${from > 0 ? `${from.toFixed(1)} to ` : ""}${bandwidthText(to, 1)} in ${seconds.toFixed(1)} s; all constraints hold` : "nothing was found that holds all constraints: another structure may");
     };
     setTimeout(slice);
   }
