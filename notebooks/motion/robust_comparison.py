@@ -10,6 +10,7 @@ import pandas as pd
 from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
+from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.intervals import Values, central, key, share
 from experiments.motion.machines import stage
 from experiments.motion.perturbed_tracking import CASES, MEASURED, published_blocks, tracking_trial
@@ -752,6 +753,24 @@ def proven_peak(case: str, size: float, seed: int, plants: int = 40) -> tuple[fl
     model, uncertain = uncertain_channel(plant, *blocks, "u_ff", "u", frequency=size)
     levels = sampled * 1.005 ** np.arange(1, 40)
     return sampled, next((level for level in levels if prove_gain(model, uncertain, level).proven), np.inf)
+
+
+def sampled_masses(case: str, size: float, seed: int, plants: int = 24) -> dict[int, tuple[float, float]]:
+    """A loop of `CASES` with each measured mass and the observer for it, all frequencies up to `size` off.
+
+    By mass: the fraction of sampled plants with a stable loop, and the largest S_I of these.
+    """
+    observer, controller = CASES[case]
+    blocks = stage_bandwidth(controller).controller.state_space()
+    frequency_alone, found = np.array([1.0, 0.0, 0.0, 0.0]), {}
+    for mass in range(1, 8):
+        plant, rng = stage().at([0], [mass - 1]), np.random.default_rng(seed)
+        off = [frequency_alone * sample_errors(rng, plant, size, "ends", False) for _ in range(plants)]
+        used = stage_compensator(mass, DESIGNS[observer]), blocks
+        loops = [channel(closed_loop(perturbed(plant, each), *used), "u_ff", "u") for each in off]
+        stable = [hinf_norm(loop).magnitude for loop in loops if loop.is_stable]
+        found[mass] = len(stable) / plants, max(stable, default=np.inf)
+    return found
 
 
 # --- The order and Table 5.2 under each law, stored ----------------------------------------------------------------
