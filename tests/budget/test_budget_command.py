@@ -172,3 +172,28 @@ def test_the_command_line_begins_templates_and_refuses_to_overwrite(tmp_path, mo
     assert "what to buy next: 1." in capsys.readouterr().out
     with pytest.raises(InputError):
         new("motion", "", False)
+
+
+@pytest.mark.parametrize(
+    "old, fresh, said",
+    [
+        ("skyhook_damping", "skyhok_damping", "skyhok_damping.*did you mean 'skyhook_damping'"),
+        ('place = "stage drive"', 'place = "stage drive"\ncorner = 9.0', "corner.*did you mean 'corner_hz'"),
+        ('"10 mN"', '"10 kg"', "mains: unit is 'kg'"),
+        ("feedforward_db = 20.0", "feedforward_db = -20.0", "feedforward_db is -20"),
+        ("rate_hz = 10000.0", "rate_hz = -1.0", "rate_hz is -1"),
+    ],
+)
+def test_what_would_pass_unseen_or_unnamed_is_refused_by_its_name(old, fresh, said, files, tmp_path):
+    with pytest.raises(InputError, match=said):
+        budget_file(change(files["wafer-stage"], (old, fresh)), out=str(tmp_path / "out"))
+
+
+def test_ten_percent_more_of_a_number_saves_what_is_said(files, tmp_path):
+    """The bandwidth against a loud tone on the frame: the error follows a power of it over the whole step."""
+    file = files["wafer-stage"]
+    change(file, ('"10 mN"', '"10 N"'), ("tone_hz = 50.0", "tone_hz = 15.0"))
+    lines = budget_file(str(file), out=str(tmp_path / "1"))
+    saved = float(re.search(r"bandwidth 10 % higher saves ([\d.e+]+) nm", lines[2])[1])
+    more = budget_file(change(file, ("bandwidth_hz = 80.0", "bandwidth_hz = 88.0")), out=str(tmp_path / "2"))
+    assert saved == pytest.approx(rms(lines) - rms(more), rel=0.03)

@@ -25,6 +25,19 @@ from stillwork.signals.spectra import estimate_spectrum
 from workbook import figures
 
 PLACES = {**DISTURBANCES, **MEASUREMENTS, **COMMANDS}
+# What a file may hold; a name beside these is refused, since a misspelt one would count as not given.
+FIELDS = {
+    "file": ("name", "band_hz", "exposure_s", "duration_s", "machine", "controller", "sources"),
+    "machine": (
+        *("frame_mass_kg", "suspension_hz", "suspension_damping"),
+        *("stage_mass_kg", "modes_hz", "modes_share", "modes_damping"),
+    ),
+    "controller": (
+        *("bandwidth_hz", "rate_hz", "delay_samples"),
+        *("skyhook_damping", "feedforward_db", "feedforward_from_hz"),
+    ),
+    "source": ("place", "criterion", "file", "unit", "white", "corner_hz", "quantiser", "tone_hz", "amplitude"),
+}
 EDGE = 0.05  # share of a source's part in a third of an octave at the end of what is known, from which on it is reported
 # What such parts usually have, offered where the file names none; none of these is anybody's machine.
 TYPICAL = {
@@ -138,6 +151,10 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
 def machine_of(entries: Table, design: str = "") -> FloorMachine:
     """The machine of a file; with a folder of `design`, that stage and controller."""
     body, law = entries.table("machine"), entries.table("controller")
+    for name, table in (("file", entries), ("machine", body), ("controller", law)):
+        _require_fields(name, table)
+    for name in ("rate_hz", "delay_samples", "feedforward_db"):
+        require_number(f"controller: {name}", law.get(name, 0.0), at_least=0.0)
     rate = _number(law, "rate_hz", 0.0)
     settings = {
         "skyhook": _number(law, "skyhook_damping", 0.0),
@@ -182,6 +199,11 @@ def _number(entries: Table, name: str, default: float) -> float:
     return float(require_number(f"{entries.where}: {name}", entries.get(name, default)))
 
 
+def _require_fields(name: str, entries: Table) -> None:
+    for each in entries:
+        require_choice(f"{entries.where}: entry", each, FIELDS[name])
+
+
 def _band(entries: Table) -> tuple[float, float]:
     low, high = require_array("band_hz", entries.get("band_hz", [0.5, 2000.0]), shape=(2,))
     return float(low), float(high)
@@ -201,6 +223,7 @@ def sources_of(entries: Table, floor: str, folder: Path, rate_hz: float) -> list
 
 
 def _source(name: str, entries: Table, folder: Path, rate_hz: float) -> Source:
+    _require_fields("source", entries)
     place = require_choice(f"{name}: place", entries["place"], PLACES)
     kinds = [kind for kind in ("criterion", "file", "white", "quantiser", "tone_hz") if kind in entries]
     if len(kinds) != 1:
@@ -242,7 +265,10 @@ def _amount(name: str, text, place: str, density: str) -> float:
     known = density_unit(words[1])
     if (known is None) == bool(density) or (known and known[1] != 1):
         raise InputError(f"{name}: unit is {words[1]!r}, and {place!r} takes {wanted}; convert it")
-    factor, unit = unit_factor(known[0] if known else words[1])
+    try:
+        factor, unit = unit_factor(known[0] if known else words[1])
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
     if unit != PLACES[place]:
         raise InputError(f"{name}: unit is {words[1]!r}, and {place!r} takes {wanted}; convert it")
     return size * factor
@@ -347,9 +373,8 @@ def purchases(
         if name == "delay" and slope < 0:
             continue  # nobody buys a longer one
         way = "lower" if slope > 0 else "higher"
-        offers.append(
-            (budget.rms[0] * (1 - np.exp(-0.1 * abs(slope))), f"{name.replace('_', ' ')} 10 % {way}")
-        )
+        saved = budget.rms[0] * (1 - (0.9 if slope > 0 else 1.1) ** slope)
+        offers.append((saved, f"{name.replace('_', ' ')} 10 % {way}"))
     order = sorted(offers, key=lambda offer: -offer[0])
     return [
         [f"{place + 1}.", words, f"saves {nanometres(saved)}"] for place, (saved, words) in enumerate(order)
