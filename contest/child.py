@@ -8,6 +8,7 @@ import base64
 import ctypes
 import json
 import os
+import platform
 import sys
 import types
 import warnings
@@ -119,6 +120,13 @@ def serve(requests, answers) -> None:
         answer({"error": f"raises {type(error).__name__}: {error}{place(error)}"[:500]})
 
 
+def leave_keyring() -> None:
+    """Leave the session's keyring of the kernel, in which one scan could note something for another."""
+    number = {"x86_64": 250, "aarch64": 219}.get(platform.machine())
+    if sys.platform == "linux" and number:
+        ctypes.CDLL(None).syscall(number, 1, None)  # keyctl: join a new one
+
+
 def main() -> None:
     """Keep the pipes to the runner apart from what the observer may print, and serve."""
     requests, answers = os.fdopen(os.dup(0), encoding="ascii"), os.fdopen(os.dup(1), "w", encoding="ascii")
@@ -126,6 +134,7 @@ def main() -> None:
     for standard in range(3):
         os.dup2(nothing, standard)
     warnings.simplefilter("ignore")
+    leave_keyring()
     serve(requests, answers)
 
 

@@ -28,6 +28,7 @@ from stillwork.base.kernel_folder import FOLDER_VARIABLE
 CPU_SECONDS = 60  # that a scan may take, with its start
 PATIENCE = 10  # seconds of the clock for each of them: a busy machine is not the observer's fault
 MOST_MEMORY, MOST_WRITTEN = 4 << 20, 64 << 10  # kB of address space, and of any file
+MOST_ANSWERED = 1 << 20  # bytes of a line
 SYSTEM_PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
 SERVER, LIBRARY = Path(__file__).with_name("child.py"), Path(__file__).parents[1] / "lib"
 PROGRAMS = ("unshare", "mount", "umount", "pivot_root", "setpriv")
@@ -53,7 +54,7 @@ while [ "$1" != -- ]; do
     shift
 done; shift
 for link in /bin /lib /lib64 /sbin; do [ ! -L $link ] || ln -s "$(readlink $link)" "$root$link"; done
-mkdir -p "$root/proc" "$root/tmp" "$root/outside"; mount -t proc none "$root/proc"
+mkdir -p "$root/proc" "$root/tmp" "$root/outside"; mount -t proc -o ro none "$root/proc"
 cd "$root"; pivot_root . outside; umount -l /outside; rmdir /outside; cd /tmp
 exec setpriv --no-new-privs --inh-caps=-all --bounding-set=-all "$@" """
 
@@ -150,13 +151,13 @@ class ExternalObserver:
                 "content": base64.b64encode(self.content).decode(),
                 "library": self.source.endswith(".so"),
             }
-            self.knobs = tuple(TuningParameter(*knob) for knob in self._ask(message)["knobs"])
-        except BaseException:
-            self.__exit__()
+            self.knobs = knobs_of(self._ask(message))
+        except BaseException as error:
+            self.__exit__(error)
             raise
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, error=None, *_) -> None:
         if self.remote:
             self.socket.close()
             return
@@ -165,16 +166,30 @@ class ExternalObserver:
         self._end(0.5)
         self.process.stdout.close()
         self.folder.cleanup()
+        if (
+            error is None and self.cpu_seconds > CPU_SECONDS
+        ):  # the limit of a process is none of its children's
+            raise Disqualified(_too_long())
 
     def _end(self, patience: float) -> None:
         """Let the process end by itself, or end it; then its time is known."""
         if self.process.returncode is None:
             select.select([self.reading], [], [], patience)  # its end of the pipe closes
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self.process.pid, signal.SIGKILL)
+            self._kill()
             _, status, usage = os.wait4(self.process.pid, 0)
             self.process.returncode = os.waitstatus_to_exitcode(status)
             self.cpu_seconds = usage.ru_utime + usage.ru_stime
+
+    def _kill(self) -> None:
+        """End the first process of its namespace, and with it all others; its time is then that of who waits for it."""
+        pid = self.process.pid
+        if self.isolated:
+            with contextlib.suppress(OSError):
+                for first in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+                    os.kill(int(first), signal.SIGKILL)
+                    os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(pid, signal.SIGKILL)
 
     def start(
         self, model: NominalModel, noise: NominalNoise, sample_time: float, settings: tuple[float, ...] = ()
@@ -191,7 +206,10 @@ class ExternalObserver:
     def step(self, input: np.ndarray, measurement: np.ndarray, *_) -> np.ndarray:
         """The estimate at the sample of this measurement."""
         answer = self._ask([input.tolist(), [None if np.isnan(y) else y for y in measurement.tolist()]])
-        estimate = np.array(answer, dtype=float) if isinstance(answer, list) else np.empty(0)
+        try:
+            estimate = np.array(answer if isinstance(answer, list) else [], dtype=float)
+        except (ValueError, TypeError, OverflowError):
+            raise Disqualified("an answer that is no estimate") from None
         if estimate.shape != (self.states,) or not np.isfinite(estimate).all():
             raise Disqualified("an answer that is no estimate")
         return estimate
@@ -211,10 +229,12 @@ class ExternalObserver:
             if not piece:
                 raise Disqualified(self._reason())
             self.buffer += piece
+            if len(self.buffer) > MOST_ANSWERED:
+                raise Disqualified(f"an answer of more than {MOST_ANSWERED} bytes")
         line, _, self.buffer = self.buffer.partition(b"\n")
         try:
             answer = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             raise Disqualified("an answer that is not JSON") from None
         if isinstance(answer, dict) and "error" in answer:
             raise Disqualified(str(answer["error"])[:500])
@@ -224,8 +244,23 @@ class ExternalObserver:
         if not self.remote:
             self._end(5.0)
             if self.cpu_seconds > 0.9 * CPU_SECONDS:
-                return f"takes more than {CPU_SECONDS} s of the processor on one scan"
+                return _too_long()
         return "its process ends"
+
+
+def _too_long() -> str:
+    return f"takes more than {CPU_SECONDS} s of the processor on one scan"
+
+
+def knobs_of(answer) -> tuple[TuningParameter, ...]:
+    """The knobs that an observer's process says its file declares."""
+    try:
+        knobs = tuple(TuningParameter(str(name), *map(float, rest)) for name, *rest in answer["knobs"])
+    except (TypeError, KeyError, ValueError, OverflowError):
+        knobs = None
+    if knobs is None or not all(0 < knob.low <= knob.default <= knob.high < np.inf for knob in knobs):
+        raise Disqualified("KNOBS that are not (name, low, high, default), numbers above zero in order")
+    return knobs
 
 
 def declared_knobs(source: str | Path) -> tuple[TuningParameter, ...]:

@@ -1,5 +1,7 @@
 """What an observer might try to know more than it is given: each is harmless, or disqualifies it."""
 
+import ctypes
+import os
 import socket
 import textwrap
 
@@ -112,6 +114,17 @@ CHEATS = {
                 pass
         return written
     """,
+    "a setting of the kernel": """
+        files = [*glob.glob("/proc/sys/kernel/*"), *glob.glob("/proc/sys/vm/*"), *glob.glob("/proc/*")]
+        written = 0
+        for each in filter(os.path.isfile, files):
+            try:
+                os.close(os.open(each, os.O_WRONLY))
+                written += 1
+            except OSError:
+                pass
+        return written
+    """,
     "another file system mounted": """
         libc = ctypes.CDLL(None)
         return libc.mount(b"none", b"/tmp", b"proc", 0, None) == 0
@@ -129,6 +142,13 @@ def test_a_cheat_gains_nothing(cheat, estimate):
 def test_a_scan_cannot_be_counted(estimate):
     """What is written on one scan is not there on the next: in no file, in no module."""
     assert [estimate(KEEP_COUNT)[0][0] for _ in range(2)] == [0.0, 0.0]
+
+
+@isolated
+def test_a_scan_leaves_no_key_in_the_session(estimate):
+    # As after a login, where all scans would have one keyring.
+    ctypes.CDLL(None).syscall({"x86_64": 250, "aarch64": 219}[os.uname().machine], 1, None)
+    assert [estimate(KEEP_KEY)[0][0] for _ in range(2)] == [0.0, 0.0]
 
 
 @isolated
@@ -165,6 +185,9 @@ def test_who_imports_the_contest_is_out(estimate):
             "[os.write(k, b'look\\n') for k in range(3, 9) if os.path.exists(f'/proc/self/fd/{k}') and k != 3]",
             "JSON",
         ),
+        ("os.write(4, b'[[1], [2, 3]]\\n')", "no estimate"),
+        ("os.write(4, b'[' * 100000 + b'\\n')", "JSON"),
+        ("[os.write(4, bytes(1 << 16)) for _ in range(100)]", "more than"),
     ],
 )
 def test_who_breaks_the_rules_is_out_by_reason(trick, reason, estimate, monkeypatch):
@@ -173,6 +196,33 @@ def test_who_breaks_the_rules_is_out_by_reason(trick, reason, estimate, monkeypa
         monkeypatch.setattr(runner, "PATIENCE", 20 if "processor" in reason else 3)
     with pytest.raises(Disqualified, match=reason):
         estimate(trick, samples=2)
+
+
+BUSY = """
+import atexit
+ctypes.CDLL(None).prctl(1, 0)  # it would die with its parent
+atexit.register(time.sleep, 1000)
+while time.process_time() < 1.2:
+    pass
+return 0
+"""
+KEEP_KEY = """
+libc, session = ctypes.CDLL(None), -3
+add, control = {"x86_64": (248, 250), "aarch64": (217, 219)}[os.uname().machine]
+found = libc.syscall(control, 10, session, b"user", b"scans", 0) > 0
+libc.syscall(add, b"user", b"scans", b"x", ctypes.c_size_t(1), session)
+return found
+"""
+
+
+@isolated
+def test_who_does_not_end_is_ended_and_its_time_counts(estimate, monkeypatch):
+    opened, end = [], ExternalObserver._end
+    monkeypatch.setattr(
+        ExternalObserver, "_end", lambda self, patience: [opened.append(self), end(self, patience)]
+    )
+    estimate(BUSY)
+    assert opened[0].cpu_seconds > 1.2
 
 
 def test_an_observer_may_print_compile_and_look_at_the_clock(estimate):
@@ -190,3 +240,9 @@ def test_knobs_are_what_a_file_declares(tmp_path):
     file.write_text("KNOBS = [('size', 0.1, 10.0, 1.0)]\nclass Observer: pass\n")
     assert declared_knobs(file) == (("size", 0.1, 10.0, 1.0),)
     assert declared_knobs("tcp:127.0.0.1:1") == ()
+
+
+@pytest.mark.parametrize("answer", [5, {}, {"knobs": 3}, {"knobs": [["a"]]}, {"knobs": [["a", -1, 2, 1]]}])
+def test_knobs_that_are_none_are_out(answer):
+    with pytest.raises(Disqualified, match="KNOBS"):
+        runner.knobs_of(answer)
