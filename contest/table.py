@@ -56,9 +56,9 @@ def run_contest(
     require_count("loops", loops or 0, at_least=0)
     for file in files:
         ExternalObserver(file)  # whoever cannot be read is not waited for
-    sources = {
-        Path(file).stem: str(file if str(file).startswith("tcp:") else Path(file).resolve()) for file in files
-    }
+    remote = {str(file): str(file) for file in files if str(file).startswith("tcp:")}
+    here = {Path(file).stem: str(Path(file).resolve()) for file in files if str(file) not in remote}
+    sources = remote | here
     if len(sources) < len(files):
         raise InputError("two files have one name, by which observers are ranked; give one of them another")
     if taken := set(sources) & {*ENTRANTS, ORACLE}:

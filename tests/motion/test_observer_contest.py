@@ -162,6 +162,8 @@ def test_a_file_that_is_not_there_and_a_name_that_is_taken_are_reported(written)
         run_contest("a test", 1, ["nowhere.py"])
     with pytest.raises(InputError, match="'Kalman'"):
         run_contest("a test", 1, [str(written(KALMAN, "Kalman.py"))])
+    with pytest.raises(InputError, match="cannot be reached"):  # two ports of a host are two observers
+        run_contest("a test", 1, ["tcp:127.0.0.1:1", "tcp:127.0.0.1:2"])
     with pytest.raises(InputError, match="one name"):
         run_contest("a test", 1, [str(written(KALMAN)), str(written(KALMAN))])
 
