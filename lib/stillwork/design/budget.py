@@ -36,7 +36,17 @@ FIELDS = {
         *("bandwidth_hz", "rate_hz", "delay_samples"),
         *("skyhook_damping", "feedforward_db", "feedforward_from_hz"),
     ),
-    "source": ("place", "criterion", "file", "unit", "white", "corner_hz", "quantiser", "tone_hz", "amplitude"),
+    "source": (
+        "place",
+        "criterion",
+        "file",
+        "unit",
+        "white",
+        "corner_hz",
+        "quantiser",
+        "tone_hz",
+        "amplitude",
+    ),
 }
 EDGE = 0.05  # share of a source's part in a third of an octave at the end of what is known, from which on it is reported
 # What such parts usually have, offered where the file names none; none of these is anybody's machine.
