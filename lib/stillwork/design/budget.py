@@ -161,8 +161,8 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
 def machine_of(entries: Table, design: str = "") -> FloorMachine:
     """The machine of a file; with a folder of `design`, that stage and controller."""
     body, law = entries.table("machine"), entries.table("controller")
-    for name, table in (("file", entries), ("machine", body), ("controller", law)):
-        _require_fields(name, table)
+    for name, fields in (("file", entries), ("machine", body), ("controller", law)):
+        _require_fields(name, fields)
     for name in ("rate_hz", "delay_samples", "feedforward_db"):
         require_number(f"controller: {name}", law.get(name, 0.0), at_least=0.0)
     rate = _number(law, "rate_hz", 0.0)
