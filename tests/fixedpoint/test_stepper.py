@@ -19,7 +19,7 @@ from stillwork.control import (
     simulate_mechanism,
 )
 from stillwork.control.transformation import RobustTransformation
-from stillwork.estimation import ExtendedKalman, LowPass, UnscentedKalman
+from stillwork.estimation import ExtendedKalman, LowPass, Plant, UnscentedKalman
 from stillwork.estimation.coordinate_filters import MovingWindow, SavitzkyGolay
 from stillwork.estimation.filtering import UNIT_MASS
 
@@ -198,3 +198,26 @@ def test_what_cannot_be_stepped_leaves_everything_as_it_was(approximate):
             fixed_point_code(
                 Controller(filters, FlowTransformation(), KinematicDesign(10.0), approximate), DT, "c"
             )
+
+
+def test_a_limited_force_that_gives_no_acceleration_leaves_everything_as_it_was(tmp_path):
+    slide = Plant(lambda q, v, f, p: f / p[0] if q < 1.0 else np.nan, lambda q, v, a, p: p[0] * a, [2.0])
+    controller = Controller(LowPass(), FlowTransformation(), KinematicDesign(10.0), slide)
+    nominal, measured = np.repeat([[[0.0], [0.0], [1.0]]], 2, axis=0), np.array([[0.0], [2.0]])
+    stepper = FixedPointStepper(controller, DT, force_limits=[0.5])
+    assert stepper.step(nominal[0], measured[0]) == 0.5
+    before = stepper.deformed
+    with pytest.raises(InputError, match="acceleration under the limited force"):
+        stepper.step(nominal[1], measured[1])
+    assert before == stepper.deformed == 0.25
+    model = """
+void c_model_force(const real *q, const real *v, const real *a, const real *p, real *f) { (void)q; (void)v; f[0] = p[0] * a[0]; }
+void c_model_acceleration(const real *q, const real *v, const real *f, const real *p, real *a) { (void)v; a[0] = q[0] < 1 ? f[0] / p[0] : 0.0 / 0.0; }
+"""
+    library = compiled(fixed_point_code(controller, DT, "c", force_limits=[0.5]), tmp_path, DRIVER % model)
+    force = np.zeros((2, 1))
+    given = [np.ascontiguousarray(each) for each in (nominal, measured, nominal[0, :2])]
+    assert (
+        library.run(ctypes.c_long(2), *map(pointer, given), pointer(force)) == 1 + 4
+    )  # limited, then invalid
+    assert np.all(force == 0.5)

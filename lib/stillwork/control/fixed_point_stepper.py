@@ -135,8 +135,8 @@ class FixedPointStepper:
         Raises
         ------
         InputError
-            For numbers that do not fit, a filter whose covariance is no longer positive definite, or a force that is not
-            finite.
+            For numbers that do not fit, a filter whose covariance is no longer positive definite, or a force, or an
+            acceleration under it, that is not finite.
 
         Examples
         --------
@@ -178,6 +178,8 @@ class FixedPointStepper:
         if held.any():
             force = np.clip(force, -self.force_limits, self.force_limits)
             memory[:, DEFORMED] = self._acceleration(place, estimate[:, 1], force)
+            if not np.isfinite(memory[:, DEFORMED]).all():  # it would stay so
+                raise InputError("the model's acceleration under the limited force is not finite; check it")
         push[:] = memory[:, DEFORMED] if isinstance(self.model, Mechanism) else force
         self._state = state
         self.samples += 1

@@ -458,6 +458,9 @@ x|            z = s->measured[j] + (dt * s->estimate[j][1]);
         ${name}_model_acceleration(seen, speed, s->force, t->model, s->deformed);
     }
     for (j = 0; j < N; j++) {
+        if (!is_number(s->deformed[j])) {
+            return ${guard}_INVALID;
+        }
         s->push[j] = $push;
     }
     s->samples = 1;
