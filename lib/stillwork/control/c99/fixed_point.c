@@ -14,7 +14,7 @@ typedef ${name}_real real;
 #define GAINS ${guard}_GAINS
 #define INTEGRALS (GAINS - 2)
 w|#define WINDOW $window
-k|#define STATES $states
+e|#define STATES $states
 u|#define POINTS 5
 
 static const real dt = $step;
