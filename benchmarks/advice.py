@@ -1,9 +1,13 @@
-"""How good `estimation.advise` is: problems drawn at random, each with its truth, `python benchmarks/advice.py [COUNT] [--train]`.
+"""How good `estimation.advise` is: problems drawn at random, each with its truth.
 
-The advice was designed on the kinds of `TRAINING` alone; what is printed without ``--train`` is of the other kinds and of
-other seeds. An error is that of predictions of y at 4000 new rows, of features as they were measured where nothing was
-known, else of features without their noise; once with the noise of new outputs in it, which nobody can predict, and once
-without it.
+`python benchmarks/advice.py [COUNT] [--train | --second]`. The advice was designed on the kinds of `TRAINING` alone; what is
+printed without ``--train`` is of the other kinds and of other seeds, with ``--second`` of kinds that somebody else wrote. An
+error is that of predictions of y at 4000 new rows, of features as they were measured where nothing was known, else of features
+without their noise; once with the noise of new outputs in it, which nobody can predict, and once without it.
+
+Measured: on 300 of the former kinds within 10 % of the best in 91 %, at worst 9 % worse than ignoring the features, before a
+mean square below zero counted as zero, which changes no choice in the first 60. On 100 of the second kinds (0 to 79, 160 to
+179) 84 % and 23 %; before, 83 % and 67 %, and it was one of these problems that showed the fault.
 """
 
 import os
@@ -239,6 +243,199 @@ TEST = {
 }
 
 
+# --- kinds that somebody else wrote, who knew what the advice should do and not the kinds above ---------------------
+
+
+def drawn(rng, rows, clean, errors, noise=0.0, given=None, instruments=None):
+    """Those to learn from first, as many as there are errors of y; `given` is the noise of which the advice knows."""
+    n = len(errors)
+    measured = rows + noise * rng.standard_normal(rows.shape)
+    new = measured if given is None and instruments is None else rows
+    deviation = float(np.median(np.abs(errors)) / 0.6745)
+    return Problem(measured[:n], clean[:n] + errors, new[n:], clean[n:], deviation, given, instruments)
+
+
+def lagged(u, taps):
+    return np.column_stack([np.roll(u, k) for k in range(taps)])[taps:]
+
+
+def slow(rng, n, p, pole):
+    return np.column_stack([filtered(rng, n + FRESH, pole) for _ in range(p)]) * np.sqrt(1 - pole**2)
+
+
+def resonance(rng):
+    n, taps = rng.integers(60, 400), rng.integers(5, 30)
+    rows = lagged(filtered(rng, n + FRESH + taps, rng.uniform(0, 0.97)), taps)
+    t = np.arange(taps)
+    clean = rows @ (np.exp(-t / rng.uniform(2, 10)) * np.sin(t * rng.uniform(0.2, 2) + 1))
+    return drawn(rng, rows, clean, rng.uniform(0.05, 2) * clean.std() * rng.standard_normal(n))
+
+
+def sensor_curve(rng):
+    n, degree, low = rng.integers(12, 60), rng.integers(3, 8), rng.uniform(-2, 5)
+    x = rng.uniform(low, low + rng.uniform(0.5, 5), n + FRESH)
+    clean = 3 * np.tanh(rng.uniform(0.3, 2) * x) + 0.2 * x
+    return drawn(
+        rng, x[:, None] ** np.arange(1, degree + 1), clean, rng.uniform(0.02, 1) * rng.standard_normal(n)
+    )
+
+
+def wide(rng):
+    n, p = rng.integers(25, 60), rng.integers(15, 50)
+    rows, truth = rng.standard_normal((n + FRESH, p)), np.zeros(p)
+    truth[rng.choice(p, 3)] = 2 * rng.standard_normal(3)
+    return drawn(rng, rows, rows @ truth, rng.uniform(0.1, 3) * rng.standard_normal(n))
+
+
+def plain(rng, pole, errors, most=8, offset=0.0, least=40):
+    n, p = int(rng.integers(least, 400)), int(rng.integers(1, most))
+    rows = slow(rng, n, p, pole)
+    clean = rows @ rng.standard_normal(p) + offset
+    return drawn(rng, rows, clean, errors(rows[:n], clean))
+
+
+def heavy_tails(rng):
+    return plain(
+        rng, 0.5, lambda rows, _: rng.uniform(0.1, 1.5) * rng.standard_t(rng.uniform(0.9, 4), len(rows))
+    )
+
+
+def at_the_rail(rng):
+    def errors(rows, _):
+        found, begin = 0.2 * rng.standard_normal(len(rows)), rng.integers(0, len(rows) // 2)
+        found[begin : begin + rng.integers(2, len(rows) // 5)] = rng.choice([-1, 1]) * rng.uniform(5, 50)
+        return found
+
+    return plain(rng, 0.8, errors)
+
+
+def growing(rng):
+    def errors(rows, _):
+        by_time = rng.random() < 0.5
+        size = np.linspace(0.05, 4, len(rows)) if by_time else np.linalg.norm(rows, axis=1) ** 2
+        return rng.uniform(0.1, 1) * size * rng.standard_normal(len(rows))
+
+    return plain(rng, 0.0, errors)
+
+
+def weak(rng):
+    def errors(rows, clean):
+        return clean.std() * rng.uniform(0.01, 0.1) ** -0.5 * rng.standard_normal(len(rows))
+
+    return plain(rng, rng.uniform(0, 0.7), errors, most=12)
+
+
+def unrelated(rng):
+    n, p = rng.integers(20, 300), rng.integers(1, 15)
+    rows = slow(rng, n, p, rng.uniform(0, 0.99))
+    return drawn(rng, rows, np.full(n + FRESH, 2.0), filtered(rng, n, rng.uniform(0, 0.9)))
+
+
+def measured(rng, n, p, share, pole=0.0, given=1.0, units=1.0, offset=0.0):
+    """Features with noise, of which `given` times the size is known."""
+    rows = slow(rng, n, p, pole) * units
+    noise = share * units * np.ones(p)
+    clean = rows / units @ rng.standard_normal(p) + offset
+    return drawn(rng, rows, clean, rng.uniform(0.05, 1) * rng.standard_normal(n), noise, given * noise)
+
+
+def own_units(rng):
+    p = rng.integers(1, 7)
+    share, pole, scale = rng.uniform(0.05, 1.2, p), rng.uniform(0, 0.9), 10.0 ** rng.uniform(-6, 3, p)
+    return measured(rng, rng.integers(40, 1000), p, share, pole, units=scale)
+
+
+def part_noisy(rng):
+    p = rng.integers(2, 7)
+    share = np.where(rng.random(p) < 0.5, 0.0, rng.uniform(0.3, 2, p))
+    return measured(rng, rng.integers(40, 600), p, share, 0.6, offset=1.0)
+
+
+def off_by_half(rng):
+    share, given = rng.uniform(0.1, 0.8), rng.uniform(0.5, 1.5)
+    return measured(rng, rng.integers(60, 600), rng.integers(1, 5), share, given=given)
+
+
+def drowned(rng):
+    return measured(rng, rng.integers(50, 800), rng.integers(1, 5), rng.uniform(1, 6))
+
+
+def seen_twice(rng, gain, other, own, pole=0.0):
+    n, p = rng.integers(50, 600), rng.integers(1, 5)
+    rows = slow(rng, n, p, pole)
+    seen = rows[:n] @ gain(p) + other * rng.standard_normal((n, p))
+    errors = rng.uniform(0.05, 1) * rng.standard_normal(n)
+    return drawn(rng, rows, rows @ rng.standard_normal(p) - 3, errors, own, instruments=seen)
+
+
+def cross_talk(rng):
+    def gain(p):
+        return np.eye(p) + 0.3 * rng.standard_normal((p, p))
+
+    return seen_twice(rng, gain, rng.uniform(0.1, 1.5), rng.uniform(0.1, 1.5), rng.uniform(0, 0.9))
+
+
+def hardly_seen(rng):
+    return seen_twice(rng, lambda p: rng.uniform(0.02, 0.2) * np.eye(p), 1.0, rng.uniform(0.2, 1))
+
+
+def going_on(rng):
+    # trends, judged where nothing was learned
+    n, p = rng.integers(60, 300), rng.integers(2, 6)
+    rows = np.cumsum(rng.standard_normal((2 * n, p)), axis=0)
+    return drawn(rng, rows, rows @ rng.standard_normal(p) + 10, rng.uniform(0.1, 5) * rng.standard_normal(n))
+
+
+def alike(rng):
+    n, p = rng.integers(30, 200), rng.integers(2, 5)
+    rows = rng.standard_normal((n + FRESH, p))
+    near = rows[:, 1:2] + 10.0 ** rng.uniform(-6, -2) * rng.standard_normal((n + FRESH, 1))
+    clean = rows @ rng.standard_normal(p)
+    rows = np.column_stack([rows, rows[:, 0], np.full(n + FRESH, 3.0), near])
+    return drawn(rng, rows, clean, rng.uniform(0.1, 1) * rng.standard_normal(n))
+
+
+def tones_in_taps(rng):
+    n, taps = rng.integers(80, 300), rng.integers(8, 25)
+    t = np.arange(n + FRESH + taps)
+    pitch = rng.uniform(0.05, 2.5, rng.integers(1, 5))
+    rows = lagged((rng.uniform(0.3, 1, len(pitch)) * np.sin(t[:, None] * pitch + 1)).sum(axis=1), taps)
+    clean = rows @ (rng.standard_normal(taps) * 0.8 ** np.arange(taps))
+    return drawn(rng, rows, clean, rng.uniform(0.1, 2) * clean.std() * rng.standard_normal(n), 1e-3)
+
+
+def hardly_moved(rng):
+    n, taps = rng.integers(80, 400), rng.integers(3, 10)
+    rows = lagged(np.repeat(rng.standard_normal((n + FRESH + taps) // 20 + 1), 20)[: n + FRESH + taps], taps)
+    return drawn(rng, rows, rows @ 0.7 ** np.arange(taps), rng.uniform(0.1, 2) * rng.standard_normal(n))
+
+
+def walking(rng):
+    # coefficients that walk; judged with the last ones
+    n, p = rng.integers(60, 300), rng.integers(1, 6)
+    rows, step = rng.standard_normal((n + FRESH, p)), rng.uniform(0.01, 0.1)
+    truth = rng.standard_normal(p) + np.cumsum(step * rng.standard_normal((n, p)), axis=0)
+    clean = np.concatenate([(rows[:n] * truth).sum(axis=1), rows[n:] @ truth[-1]])
+    return drawn(rng, rows, clean, rng.uniform(0.1, 1) * rng.standard_normal(n))
+
+
+def own_past(rng):
+    n, w, z = rng.integers(80, 500), rng.uniform(0.1, 1), rng.uniform(0.01, 0.2)
+    poles = [1.0, -2 * np.exp(-z * w) * np.cos(w * np.sqrt(1 - z * z)), np.exp(-2 * z * w)]
+    u = rng.standard_normal(n + FRESH + 102)
+    y = signal.lfilter([0.0, 1.0], poles, u)
+    y += rng.uniform(0.02, 0.5) * y.std() * rng.standard_normal(len(y))
+    rows = np.column_stack([y[1:-1], y[:-2], u[1:-1]])[100:]
+    return drawn(rng, rows, y[102:], np.zeros(n))
+
+
+SECOND = [
+    resonance, sensor_curve, wide, heavy_tails, at_the_rail, growing, weak, unrelated, own_units, part_noisy,
+    off_by_half, drowned, cross_talk, hardly_seen, going_on, alike, tones_in_taps, hardly_moved, walking, own_past,
+]  # fmt: skip
+SECOND = {each.__name__.replace("_", " "): each for each in SECOND}
+
+
 def judge(problem: Problem) -> tuple[str, str, np.ndarray, np.ndarray]:
     """Who is advised, who is best, and over the best and over ignoring the features: (with the noise of y, without)."""
     with warnings.catch_warnings():
@@ -258,13 +455,17 @@ def judge(problem: Problem) -> tuple[str, str, np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    training = "--train" in sys.argv
+    kinds, seed = TEST, 2
+    if "--train" in sys.argv:
+        kinds, seed = TRAINING, 1
+    if "--second" in sys.argv:
+        kinds, seed = SECOND, 4
     counts = [int(each) for each in sys.argv[1:] if each.isdigit()]
-    kinds = list((TRAINING if training else TEST).items())
+    kinds = list(kinds.items())
     count, rows = counts[0] if counts else 300, []
     for number in range(count):
         name, draw = kinds[number % len(kinds)]
-        rng = np.random.default_rng([1 if training else 2, number])
+        rng = np.random.default_rng([seed, number])
         rows.append((name, *judge(draw(rng))))
     print(f"{'':34s} within 10 % of the best   at worst over ignoring   advised most")
     for kind in [name for name, _ in kinds] + ["all"]:

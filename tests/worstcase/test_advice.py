@@ -1,5 +1,7 @@
 """The advice on an estimator: cases with an answer that anybody knows, and its numbers by hand."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from benchmarks import advice as problems
 from stillwork.base.checks import InputError
 from stillwork.estimation import advise
 from stillwork.estimation.advice import IGNORE, SAFE
+from workbook import paths
 
 
 def record(samples=400, noise=0.0, seed=1):
@@ -30,6 +33,13 @@ def test_each_flaw_has_its_estimator():
     assert "noise of 0.3" in str(advise(clean, y))  # then something else than least squares would be right
 
 
+def test_a_mean_square_below_zero_is_no_merit():
+    # of a single feature whose noise is above what it holds: bias compensation, 1.7 times the error of ignoring it
+    name, _, _, ignoring = problems.judge(problems.SECOND["drowned"](np.random.default_rng([4, 11])))
+    assert name != "bias compensation"
+    assert ignoring[0] < 1.0
+
+
 def test_errors_are_those_of_parts_that_are_held_out():
     X, y, *_ = record(60)
     ranked = {each.name: each for each in advise(X, y, folds=5, fit_intercept=False).ranking}
@@ -47,6 +57,13 @@ def test_errors_are_those_of_parts_that_are_held_out():
     }
     low, high = ranked[IGNORE].over_first
     assert low < 1 / min(each.error for each in ranked.values()) < high
+
+
+def test_the_guide_runs(capsys):
+    guide = (paths.root() / "docs" / "estimators.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", guide, re.DOTALL | re.MULTILINE)
+    exec(block, {})
+    assert capsys.readouterr().out.splitlines()[1].startswith("Huber")
 
 
 def test_advice_is_the_same_in_any_unit():

@@ -262,9 +262,9 @@ class _Study:
 
     def order(self) -> tuple[list[str], dict[str, np.ndarray], list[str]]:
         losses, left_out = self.judged()
-        scores = {name: _upper(own - losses[SAFE], SURE) for name, own in losses.items()}
+        scores = {name: _excess(own, losses[SAFE], SURE) for name, own in losses.items()}
         order = sorted(scores, key=scores.__getitem__)
-        if not _upper(losses[order[0]] - losses[IGNORE], SOME) < 0:
+        if not _excess(losses[order[0]], losses[IGNORE], SOME) < 0:
             order.sort(key=lambda name: name != IGNORE)
         return order, losses, left_out
 
@@ -294,6 +294,11 @@ def _upper(differences, errors: float) -> float:
     differences = differences[np.isfinite(differences)]
     count = len(differences)
     return float(differences.mean() + errors * differences.std(ddof=1) * np.sqrt(1 / count + 1 / (count - 1)))
+
+
+def _excess(own, other, errors: float) -> float:
+    """Upper end of a mean square over another one. None is below zero: what noise taken out leaves there is no merit."""
+    return _upper(own - other, errors) + max(-float(np.nanmean(own)), 0.0)
 
 
 def _interval(differences, mean) -> tuple[float, float]:
