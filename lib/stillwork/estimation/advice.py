@@ -162,7 +162,7 @@ def advise(
     if instruments is None:
         size = X.std(axis=0)
         for share in SHARES:
-            name = _Study(X, y, share * size, None, fit_intercept, folds).order()[0][0]
+            name = _Study(X, y, share * size, None, fit_intercept, folds).order(least=-np.inf)[0][0]
             if name != ranking[0].name and name not in turns.values():
                 turns[share] = name
     return Advice(tuple(ranking), tuple(assumed), turns)
@@ -260,11 +260,12 @@ class _Study:
                 left_out.append(f"Left out: {name} ({error}).")
         return losses, left_out
 
-    def order(self) -> tuple[list[str], dict[str, np.ndarray], list[str]]:
+    def order(self, least: float = 0.0) -> tuple[list[str], dict[str, np.ndarray], list[str]]:
+        # noise that is only tried may be more than there is, so that any mean square may come out
         losses, left_out = self.judged()
-        scores = {name: _excess(own, losses[SAFE], SURE) for name, own in losses.items()}
+        scores = {name: _excess(own, losses[SAFE], SURE, least) for name, own in losses.items()}
         order = sorted(scores, key=scores.__getitem__)
-        if not _excess(losses[order[0]], losses[IGNORE], SOME) < 0:
+        if not _excess(losses[order[0]], losses[IGNORE], SOME, least) < 0:
             order.sort(key=lambda name: name != IGNORE)
         return order, losses, left_out
 
@@ -296,9 +297,9 @@ def _upper(differences, errors: float) -> float:
     return float(differences.mean() + errors * differences.std(ddof=1) * np.sqrt(1 / count + 1 / (count - 1)))
 
 
-def _excess(own, other, errors: float) -> float:
-    """Upper end of a mean square over another one. None is below zero: what noise taken out leaves there is no merit."""
-    return _upper(own - other, errors) + max(-float(np.nanmean(own)), 0.0)
+def _excess(own, other, errors: float, least: float) -> float:
+    """Upper end of a mean square over another one; one below the `least` is no merit: noise taken out may leave it."""
+    return _upper(own - other, errors) + max(least - float(np.nanmean(own)), 0.0)
 
 
 def _interval(differences, mean) -> tuple[float, float]:
