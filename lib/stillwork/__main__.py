@@ -113,11 +113,12 @@ COMMANDS = {
             option("--name", default="isolator", help="what all names in C begin with"),
             option("--precision", default="double", metavar="double|single"),
             option("--unit", default="", help="of the floor, by default what the file says"),
+            option(
+                "--channel", action="append", default=[], metavar="NAME", help="of the floor; again for more"
+            ),
             number("limit", "N", "of each force", float, default=float("inf")),
             option("--algorithm", default="FeRls", metavar="FeRls|FeLms"),
-            number(
-                "variance", "SHARE", "that the weights' scatter may add; default 0.05", float, default=0.05
-            ),
+            number("variance", "SHARE", "that the weights' scatter may add; default 0.1", float, default=0.1),
             number("spread", "SHARE", "how far the isolator may be off; default 0.05", float, default=0.05),
             _band("band-hz", "of the filtered error (default: chosen)"),
         ),
@@ -133,7 +134,7 @@ COMMANDS = {
         ),
     ),
     "new": Command(
-        "begin a result of the workbook; `new budget` alone: templates of machines for budget",
+        "begin a result of the workbook; `new budget` alone: templates of machines for budget; `new isolate FILE`: of an isolator",
         "stillwork.design.budget:new",
         (
             option("topic", metavar="TOPIC"),

@@ -35,6 +35,7 @@ from stillwork.signals.densities import (
     read_densities,
     stated_density,
 )
+from stillwork.signals.floor_checks import HEARD_HZ, SLOW_HZ, sensor_faults, slow_ratio
 from stillwork.signals.records import PASS_SHARE, is_time, load_record
 from stillwork.signals.spectra import band_power, estimate_spectrum
 from workbook import figures
@@ -200,9 +201,6 @@ RESOLUTION_HZ = 0.25
 WINDOW = 10  # kept values that the picture of the adaptation summarises
 SAME = 0.1  # a change of the motion by less is called none: chosen
 OTHER = 2.0  # so many times louder or quieter, a floor is called another one: chosen
-CREST = 20.0  # peak over rms from which on it may be a spike: footsteps on the slab reach 15 (chosen)
-STUCK_S = 0.25  # s of one value, of a sensor that sticks (chosen)
-SLOW_HZ, HEARD_HZ = (0.5, 1.0), (6.0, 100.0)  # what may break the adaptation, and what it learns from
 SLOW_RATIO = 5.0  # of the densities there: at 10 every adaptation tried broke, at 7 none (chosen)
 LESS_DAMPING = (5.0,)  # N s/m: 1 % of critical in z
 _GRID = np.unique(np.concatenate([np.geomspace(0.02, 2400, 600), np.arange(1.0, 300.0, 0.5)]))
@@ -400,27 +398,9 @@ def advice(trials: list[Trial]) -> Iterator[str]:
 
 def warnings(floor: RecordedFloor) -> Iterator[str]:
     """What may spoil the adaptation, seen in the record before anything runs, and what to do about it."""
-    size = floor.acceleration.std(axis=1)
-    for k, row in enumerate(floor.acceleration):
-        name = f"Floor sensor {k + 1}"
-        crest = np.abs(row).max() / size[k]
-        if crest > CREST:
-            at = np.abs(row).argmax() / floor.sample_rate
-            yield (
-                f"{name} peaks at {crest:.0f} times its rms, at {at:.3g} s: if nothing hit the floor there, "
-                "it is a spike of the sensor; cut it out of the record."
-            )
-        length, at = _longest_still(row, 1e-6 * size[k])
-        if length > STUCK_S * floor.sample_rate:
-            yield (
-                f"{name} gives one value for {length / floor.sample_rate:.2g} s, from {at / floor.sample_rate:.3g} s "
-                "on: it sticks; leave the channel out, or cut that part out."
-            )
+    yield from sensor_faults(floor.acceleration, floor.sample_rate)
     spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, RESOLUTION_HZ)
-    f, density = spectrum.frequencies_hz, spectrum.density
-    slow = density[:, (f >= SLOW_HZ[0]) & (f <= SLOW_HZ[1])].mean(axis=1)
-    heard = np.median(density[:, (f >= HEARD_HZ[0]) & (f <= HEARD_HZ[1])], axis=1)
-    ratio = np.sqrt((slow / heard).max())
+    ratio = slow_ratio(spectrum.frequencies_hz, spectrum.density)
     if ratio > SLOW_RATIO:
         yield (
             f"At {SLOW_HZ[0]:g} to {SLOW_HZ[1]:g} Hz the floor's acceleration per √Hz is {ratio:.2g} times that at "
@@ -428,14 +408,6 @@ def warnings(floor: RecordedFloor) -> Iterator[str]:
             "adaptation breaks although its mean converges. Take a high-pass of 2 Hz over the record; a smaller start "
             "does not help."
         )
-
-
-def _longest_still(row: np.ndarray, within: float) -> tuple[int, int]:
-    """Samples of the longest stretch in which a signal keeps its value, and where it begins."""
-    moving = np.flatnonzero(np.abs(np.diff(row)) > within)
-    ends = np.concatenate([[-1], moving, [len(row) - 1]])
-    longest = int(np.argmax(np.diff(ends)))
-    return int(np.diff(ends)[longest]), int(ends[longest] + 1)
 
 
 def described(floor: RecordedFloor) -> Iterator[str]:

@@ -18,7 +18,8 @@ from stillwork.control.c_code import isolation_code
 from stillwork.control.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
 from stillwork.control.isolation_design import CUTOFFS_HZ, DRAWS, LONGEST_S, RATIOS
 from stillwork.control.isolation_filters import NoiseShaping
-from stillwork.design.isolate import isolate_file
+from stillwork.design.inspect import inspect_file
+from stillwork.design.isolate import isolate_file, new_file
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Responses, mean_adaptation, scatter
 from stillwork.identification.path_fit import fit_path
@@ -309,11 +310,63 @@ def test_a_file_that_cannot_be_used_says_why(tmp_path, change, message):
         isolate_file(str(tmp_path / "m.toml"), str(tmp_path / "f.npz"), str(tmp_path / "out"), RATE)
 
 
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("quiet", ()),
+        ("spike", ("Floor sensor 2 peaks", "at 6 s", "cut it out")),
+        ("stuck", ("Floor sensor 1 gives one value for 1 s, from 10 s", "leave the channel out")),
+        ("slow", ("At 0.5 to 1 Hz", "high-pass")),
+        ("spectra", ("At 0.5 to 1 Hz", "high-pass")),
+    ],
+)
+def test_a_floor_that_may_spoil_the_adaptation_is_reported_before_a_design(tmp_path, capsys, kind, words):
+    rows = np.random.default_rng(1).standard_normal((2, 20_000)) * 1e-3
+    if kind == "spike":
+        rows[1, 6000] = 0.1
+    if kind == "stuck":
+        rows[0, 10_000:11_000] = rows[0, 10_000]
+    if kind == "slow":
+        rows += 1e-3 * np.sin(2 * np.pi * 0.75 * np.arange(20_000) / RATE)
+    columns = {"fs": RATE, "x (m/s^2)": rows[0], "y (m/s^2)": rows[1], "drive (V)": rows[0]}
+    if kind == "spectra":
+        columns = {"frequency (Hz)": GRID, "x (m/s^2/sqrt(Hz))": np.where(GRID < 1, 1e-3, 1e-4)}
+    np.savez(tmp_path / "floor.npz", **columns)
+    (tmp_path / "m.toml").write_text(draw_isolator(np.random.default_rng(0), 2, RATE).toml())
+    *_, command = [
+        line for line in inspect_file(str(tmp_path / "floor.npz")).split("\n") if " isolate " in line
+    ]
+    channels = re.findall(r"'--channel=(.+?)'", command)
+    assert channels == ([] if kind == "spectra" else ["x (m/s^2)", "y (m/s^2)"])
+    with pytest.raises(InputError, match="algorithm"):
+        isolate_file(
+            str(tmp_path / "m.toml"), str(tmp_path / "floor.npz"), str(tmp_path / "out"), RATE,
+            channel=channels, algorithm="none",
+        )  # fmt: skip
+    said = capsys.readouterr().err
+    assert all(each in said for each in words) and len(said.splitlines()) == bool(words)
+
+
+def test_inspect_proposes_the_command_for_an_isolator_and_for_its_response(tmp_path):
+    true = draw_isolator(np.random.default_rng(4), 2, RATE)
+    for change, message in (("", "an isolator of 2 actuators"), ("dely_s = 1\n[noise]", "'dely_s'")):
+        (tmp_path / "m.toml").write_text(true.toml().replace("[noise]", change or "[noise]"))
+        report = inspect_file(str(tmp_path / "m.toml"))
+        assert message in report and (f"isolate {tmp_path / 'm.toml'} FLOOR" in report) != bool(change)
+    f = np.linspace(2, 300, 600)
+    h = {f"h{i}{j} (m/s^2/N)": true.response(f)[:, i, j] for i in (0, 1) for j in (0, 1)}
+    for count in (4, 3):
+        np.savez(tmp_path / "h.npz", **{"frequency (Hz)": f, **dict(list(h.items())[:count])})
+        assert (f"isolate {tmp_path / 'h.npz'} FLOOR" in inspect_file(str(tmp_path / "h.npz"))) == (
+            count == 4
+        )
+
+
 @pytest.mark.slow
 def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
     guide = (paths.root() / "docs" / "isolate.md").read_text(encoding="utf-8")
-    text = re.search(r"```toml\n(.+?)```", guide, re.DOTALL)[1]
-    (tmp_path / "m.toml").write_text("\n".join(text.splitlines()[1:]))  # without the response
+    new_file(str(tmp_path / "m.toml"))
+    assert re.search(r"```toml\n(.+?)```", guide, re.DOTALL)[1] == (tmp_path / "m.toml").read_text()
     lines = isolate_file(str(tmp_path / "m.toml"), write_floor(tmp_path, flat()), str(tmp_path / "out"), RATE)
     assert set(os.listdir(tmp_path / "out")) == {
         "isolator.c", "isolator.h", "isolator_adapt.c", "isolator_adapt.h", "isolator.json", "report.html",

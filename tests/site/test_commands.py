@@ -252,6 +252,7 @@ def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
             assert found["fixedpoint/09-your-plant"]["trajectory_channel"] == name
         else:
             assert [line.partition(":")[0] for line in lines if "rename it and ask again" in line] == [
+                "no command for a feedforward in C",
                 "no command for isolation/08-your-floor",
                 "no command for worstcase/07-your-record",
                 "no command for fixedpoint/09-your-plant",

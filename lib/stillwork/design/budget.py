@@ -91,9 +91,13 @@ def new_budget(folder: str = ".") -> list[str]:
 
 
 def new(topic: str, name: str, create: bool) -> list[str]:
-    """``new budget`` alone writes templates of machines; with a name it begins a result of the workbook."""
+    """``new budget`` alone writes templates of machines, ``new isolate FILE`` that of an isolator; else a result begins."""
     if topic == "budget" and not name:
         return new_budget()
+    if topic == "isolate" and name:
+        from stillwork.design.isolate import new_file
+
+        return new_file(name)
     from workbook import commands, paths
 
     paths.root()  # refuses what is no workbook

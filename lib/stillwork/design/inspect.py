@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stillwork.base.checks import InputError, one_line, pluralise, short_repr
+from stillwork.base.toml_files import read_toml
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import DENSITIES_SAID, frequency_axis, spectra_of
 from stillwork.signals.records import (
@@ -37,7 +38,7 @@ def inspect_file(file: str) -> str:
         if os.path.isdir(path):
             raise InputError(f"{file}: this is a folder; name a file in it")
         raise InputError(f"{short_repr(file)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
-    kinds = {".toml": model_file, ".py": _plant}
+    kinds = {".toml": _toml, ".py": _plant}
     own = own_file(path)
     with np.errstate(all="ignore"):  # what is not finite, a line says
         lines = [f"{path.name}: {own}"] if own else list(kinds.get(path.suffix.lower(), _data)(path))
@@ -66,20 +67,48 @@ def _data(path: Path) -> Iterator[str]:
         yield from _record(path)
 
 
+def _toml(path: Path) -> Iterator[str]:
+    table = read_toml(path)
+    if not {"isolator", "response"} & table.keys():
+        yield from model_file(path)
+        return
+    if "isolator" not in table:
+        yield f"{path.name}: the measured response {one_line(str(table['response']))} of an isolator"
+    else:
+        from stillwork.design.isolate import read_isolator
+
+        try:
+            isolator, *_ = read_isolator(str(path), 1000.0)  # of the rate nothing here depends on
+        except InputError as error:
+            yield f"{path.name}: not an isolator as it stands: {error}"
+            return
+        modes = ", ".join(f"{hertz:.4g}" for hertz in isolator.frequencies_hz)
+        yield f"{path.name}: an isolator of {pluralise(isolator.axes, 'actuator')}, modes at {modes} Hz"
+    yield _isolate(str(path.resolve()), "FLOOR")
+
+
+def _isolate(machine: str, floor: str, unit: str = "", channels: Collection[str] = ()) -> str:
+    """The command for the feedforward, with what is not known in capitals."""
+    words = [machine, floor, "--rate", "HZ", "--out", "my_isolator"]
+    words += ["--unit", unit] if unit else []
+    return command("a feedforward in C", ["isolate", *words, *(f"--channel={name}" for name in channels)])
+
+
 def _spectra(path: Path) -> Iterator[str]:
     """What takes spectra of a motion."""
     columns = read_columns(path)
     hertz, spectra = columns[frequency_axis(columns)], spectra_of(columns)
     unit = next(iter(spectra.values()))
-    alike = [name for name, other in spectra.items() if other == unit][:FLOOR_SENSORS]
+    alike = [name for name, other in spectra.items() if other == unit]
     yield f"spectra over {len(hertz)} frequencies up to {hertz.max():.4g} Hz: {', '.join(spectra)}"
     if not unit:
         yield f"it does not say the unit of its densities; put one of these for UNIT: {DENSITIES_SAID}"
     unit = unit or "UNIT"
     yield command("one page about it", ["report", str(path.resolve()), "--unit", unit])
+    yield _isolate("MACHINE", str(path.resolve()), unit, alike if len(alike) < len(spectra) else ())
     settings = {"floor_record": path.resolve(), "floor_unit": unit}
     if len(spectra) > 1:
-        settings["floor_channels"] = json.dumps(alike, ensure_ascii=False)
+        settings["floor_channels"] = json.dumps(alike[:FLOOR_SENSORS], ensure_ascii=False)
     yield figures_command("isolation/08-your-floor", settings)
 
 
@@ -103,10 +132,13 @@ def _record(path: Path) -> Iterator[str]:
     motions = measuring(MOTION_UNITS)
     if motions and record.duration >= SHORTEST_FLOOR_S:
         unit = motions[0][1]
-        alike = [name for name, other in motions if other == unit][:FLOOR_SENSORS]
+        alike = [name for name, other in motions if other == unit]
+        yield _isolate(
+            "MACHINE", str(path.resolve()), unit or "UNIT", alike if len(alike) < len(record.names) else ()
+        )
         settings = {"floor_record": path.resolve(), "floor_unit": unit or "UNIT"}
         if len(record.names) > 1:
-            settings["floor_channels"] = json.dumps(alike, ensure_ascii=False)
+            settings["floor_channels"] = json.dumps(alike[:FLOOR_SENSORS], ensure_ascii=False)
         yield figures_command("isolation/08-your-floor", settings)
     if len(record.names) >= 2:
         settings = {"record_file": path.resolve()}
@@ -165,6 +197,9 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             words += [f"--{name.replace('_', '-')}", settings[name]]
     yield command("a controller in C", ["design", *words, "--rate", "HZ", "--out", "my_controller"])
     yield command("one page about it", ["report", *words])
+    count = max(len(several), 1)  # of an isolator one of each actuator to each sensor
+    if kind == "frequency response" and file.units == ("m", "N") and round(count**0.5) ** 2 == count:
+        yield _isolate(str(path.resolve()), "FLOOR")
     yield command("a loop shaped by hand", ["desk", *words])
     yield figures_command("motion/29-your-machine", settings)
 

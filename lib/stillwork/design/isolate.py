@@ -2,6 +2,8 @@
 
 import html
 import json
+import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,14 +36,18 @@ from stillwork.identification.path_fit import fit_path
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import density_unit, read_densities, stated_density
+from stillwork.signals.floor_checks import HEARD_HZ, SLOW_HZ, sensor_faults, slow_ratio
 from stillwork.signals.records import PASS_SHARE, load_record, to_acceleration
+from stillwork.signals.spectra import estimate_spectrum
 from workbook import figures
 
 QUIET = 1e-5  # m/s^2/sqrt(Hz): noise of a sensor of which nothing is said
 MAINS_WIDTH = 0.1  # of a notch, bandwidth over frequency
 LINE_HZ = 0.25
+SLOW_RATIO = 5.0  # of slow motion per root Hz over that in band, from which on it is reported (chosen)
 LISTENED_S = 60.0  # over which the motion is judged that spectra foresee
 PAUSES = 5.0  # of the band's slowest time constant, for which the weights are kept after the limit acted
+TEMPLATE = Path(__file__).with_name("isolate.toml")
 MECHANICS = ("mass", "damping", "stiffness", "actuator_pole_hz", "delay_s", "floor")
 
 
@@ -52,6 +58,7 @@ def isolate_file(
     rate: float,
     *,
     unit: str = "",
+    channel: Sequence[str] = (),
     limit: float = np.inf,
     algorithm: str = "FeRls",
     variance: float = 0.1,
@@ -75,6 +82,8 @@ def isolate_file(
         Samples a second of the controller, Hz.
     unit : str
         Of the floor's channels; empty: as the file says.
+    channel : sequence of str
+        Those of the floor to take; empty: all.
     limit : float
         Of each command, N.
     algorithm : str
@@ -107,7 +116,9 @@ def isolate_file(
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
     isolator, estimate, measured, notches, notes = read_isolator(machine, rate)
-    spectra, said = read_floor(floor, unit, isolator.sensors, rate)
+    spectra, said, seen = read_floor(floor, unit, isolator.sensors, rate, list(channel))
+    for each in seen:  # a design takes a minute, and may be refused for just that
+        print(f"{Path(floor).name}: {each}", file=sys.stderr, flush=True)
     correction = None if measured is None else unmodelled(isolator, measured, rate)
     design, around = design_isolation(
         isolator,
@@ -142,7 +153,8 @@ def isolate_file(
             f"raises the power of the filtered error by {100 * design.variance:.2g} %",
         ],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
-        *([["taken", each] for each in (*notes, *said)]),
+        *(["taken", each] for each in (*notes, *said)),
+        *(["look at the floor", each] for each in seen),
     ]
     checks = certificate_rows(design, around)
     remains = remains_rows(found, spectra)
@@ -189,6 +201,13 @@ def isolate_file(
         *(f"  axis {row[0]}: {row[4]} to {row[5]}, without control {row[1]}; {row[6]}" for row in remains),
         f"{folder}: {', '.join(sorted([*files, 'report.html']))}",
     ]
+
+
+def new_file(file: str) -> list[str]:
+    """Write the commented TOML of an isolator, to fill in, to a `file` that is not there yet."""
+    with Path(file).open("x", encoding="utf-8") as out:
+        out.write(TEMPLATE.read_text(encoding="utf-8"))
+    return [f"{file}: fill it in, then python -m stillwork isolate {file} FLOOR --rate HZ --out DIR"]
 
 
 def read_isolator(file: str, rate: float):
@@ -294,20 +313,25 @@ def unmodelled(isolator: Isolator, measured, rate: float):
     return more
 
 
-def read_floor(file: str, unit: str, sensors: int, rate: float) -> tuple[FloorSpectra, list[str]]:
-    """Cross spectra of the floor sensors below nine tenths of half the rate, and notes."""
+def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[str]):
+    """Cross spectra of the floor sensors below nine tenths of half the rate, notes, and what may spoil the adaptation."""
     path = Path(file)
     spectral = density_unit(unit) if unit else any(map(stated_density, read_columns(path)))
     notes = []
     if spectral:
-        f, rows = read_densities(path, unit, [], sensors)
+        f, rows = read_densities(path, unit, channels, sensors)
         lines = np.arange(LINE_HZ, min(f[-1], 0.45 * rate), LINE_HZ)
         rows = np.array([np.interp(lines, f, row, left=0.0) for row in rows])
         density = rows.T[:, :, None] * np.eye(len(rows))
         notes.append("the floor sensors as independent of one another")
+        if f[0] > SLOW_HZ[0]:
+            notes.append(
+                f"the floor as at rest below {f[0]:.3g} Hz, where its spectra begin: slow motion is not judged"
+            )
         spectra = binned(lines, density, LISTENED_S, f"spectra of {path.name}")
+        seen, slow = [], slow_ratio(lines, rows)
     else:
-        record = to_acceleration(load_record(path, unit, most_channels=sensors))
+        record = to_acceleration(load_record(path, unit, channels=channels or None, most_channels=sensors))
         spectra = floor_spectra(record.signals, record.sample_rate, record.source, LINE_HZ)
         top = min(0.45 * rate, PASS_SHARE * record.sample_rate / 2)
         kept = spectra.frequencies_hz < top
@@ -315,6 +339,15 @@ def read_floor(file: str, unit: str, sensors: int, rate: float) -> tuple[FloorSp
             spectra, frequencies_hz=spectra.frequencies_hz[kept], widths_hz=spectra.widths_hz[kept],
             density=spectra.density[kept],
         )  # fmt: skip
+        seen = list(sensor_faults(record.signals, record.sample_rate))
+        whole = estimate_spectrum(record.signals, record.sample_rate, LINE_HZ)
+        slow = slow_ratio(whole.frequencies_hz, whole.density)
+    if slow > SLOW_RATIO:
+        seen.append(
+            f"At {SLOW_HZ[0]:g} to {SLOW_HZ[1]:g} Hz the floor's acceleration per √Hz is {slow:.2g} times that at "
+            f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, so the adaptation is made slow, or "
+            "refused; a high-pass between the floor sensors and the controller, and over the record, takes it away."
+        )
     channels = spectra.density.shape[1]
     if channels == 1 < sensors:
         notes.append(f"every one of the {sensors} floor sensors as shaken like this one, independently")
@@ -323,7 +356,7 @@ def read_floor(file: str, unit: str, sensors: int, rate: float) -> tuple[FloorSp
         raise InputError(
             f"{path.name} holds {pluralise(channels, 'channel')}, the isolator has {pluralise(sensors, 'floor sensor')}; give as many, or one"
         )
-    return spectra, notes
+    return spectra, notes, seen
 
 
 def _step(design: IsolationDesign, algorithm: str) -> str:
