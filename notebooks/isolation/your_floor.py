@@ -13,7 +13,6 @@ from experiments.isolation.performance import DIRECTIONS, central_axes, expected
 from experiments.isolation.plant import plant_of_rig
 from experiments.isolation.power import BAND_HZ
 from experiments.isolation.recorded_floors import (
-    LOUDEST,
     RecordedFloor,
     SpectralFloor,
     ground_floor,
@@ -35,7 +34,13 @@ from stillwork.signals.densities import (
     read_densities,
     stated_density,
 )
-from stillwork.signals.floor_checks import HEARD_HZ, SLOW_HZ, sensor_faults, slow_ratio
+from stillwork.signals.floor_checks import (
+    HEARD_HZ,
+    SLOW_HZ,
+    require_floor_level,
+    sensor_faults,
+    slow_ratio,
+)
 from stillwork.signals.records import PASS_SHARE, is_time, load_record
 from stillwork.signals.spectra import band_power, estimate_spectrum
 from workbook import figures
@@ -47,7 +52,6 @@ from workbook import figures
 SHORTEST_S = 15.0  # two thirds of it are the adaptation's own time constant of 10 s
 FADE_S = 1.0  # at the beginning of a record; the first 5 s are judged by nobody
 FARTHEST = 0.1  # m rms: no floor travels so far, a drifting sensor seems to (chosen)
-QUIETEST = 1e-8  # m/s^2 rms: the quietest ground on Earth (Peterson's low noise model) has that at 1-10 Hz
 
 
 TABLES = (".csv", ".txt", ".tsv", ".npz", ".mat")  # files of columns by name
@@ -119,16 +123,7 @@ def open_floor(
     else:
         floor, measured = _recorded(floor_record, unit, rate_hz, channels, twin, highest), True
     peak, rms = np.abs(floor.acceleration).max(), floor.acceleration.std(axis=1).max()
-    if peak > LOUDEST:
-        raise InputError(
-            f"{floor.source}: the floor accelerates by up to {peak:.3g} m/s^2, beyond 1 g, where nothing stays on it; "
-            f"check the unit{unit and f' {unit!r}'}, or cut out what shook the sensor alone"
-        )
-    if rms < QUIETEST:
-        raise InputError(
-            f"{floor.source}: the floor accelerates by {rms:.1g} m/s^2 rms, less than the quietest ground on Earth; "
-            f"check the unit{unit and f' {unit!r}'}"
-        )
+    require_floor_level(floor.source, unit, float(peak), float(rms))
     return _from_rest(floor) if measured else floor  # a wrong unit travels far, too, and is no drift
 
 

@@ -282,13 +282,13 @@ def test_slow_motion_that_is_refused_would_have_broken_the_loop(tmp_path, monkey
     """Let pass, with the time constant that the band alone asks for, the weights run away."""
     true = draw_isolator(np.random.default_rng(0), 1, RATE)
     (tmp_path / "m.toml").write_text(true.toml())
-    floor = write_floor(tmp_path, flat(3e4))
+    floor = write_floor(tmp_path, 0.05 * flat(3e4))
     with pytest.raises(InputError, match="slow motion"):
         isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE)
     monkeypatch.setattr(isolation_design, "RED_LIMIT", 1e9)
     monkeypatch.setattr(isolation_design, "JITTER", 0.0)
     isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE, variance=1.0, limit=true.limit)
-    _, high, found, _ = judge(tmp_path / "out", true, flat(3e4))
+    _, high, found, _ = judge(tmp_path / "out", true, 0.05 * flat(3e4))
     assert np.any(found > 3 * high)
 
 
@@ -298,6 +298,8 @@ def test_slow_motion_that_is_refused_would_have_broken_the_loop(tmp_path, monkey
         (("mass = [[", "mess = [["), "mass"),
         (("delay_s", "dely_s"), "dely_s"),
         (("actuator_pole_hz = ", "actuator_pole_hz = -"), "actuator_pole_hz"),
+        (("[noise]", "[noise]\nflor = 1.0"), "'flor'"),
+        (("[isolator]", "mas = 1.0\n[isolator]"), "'mas'"),
         (("", ""), "holds 3 spectra"),
     ],
 )
@@ -345,6 +347,25 @@ def test_a_floor_that_may_spoil_the_adaptation_is_reported_before_a_design(tmp_p
         )  # fmt: skip
     said = capsys.readouterr().err
     assert all(each in said for each in words) and len(said.splitlines()) == bool(words)
+
+
+@pytest.mark.parametrize(
+    ("top", "level", "message"),
+    [
+        (450.0, 1e9, "beyond 1 g"),
+        (450.0, 1e-15, "quietest"),
+        (450.0, 1.0, ""),
+        (15.0, 1.0, "known up to 14"),
+    ],
+)
+def test_a_floor_of_a_wrong_unit_or_that_ends_within_the_modes_is_refused(tmp_path, top, level, message):
+    kept = GRID <= top
+    f, density = np.append(GRID[kept], top), level * np.append(flat()[kept], 1e-9)
+    np.savez(tmp_path / "f.npz", **{"frequency (Hz)": f, "x ((m/s^2)^2/Hz)": density})
+    new_file("isolate", str(tmp_path / "m.toml"))
+    files = [str(tmp_path / name) for name in ("m.toml", "f.npz", "out")]
+    with pytest.raises(InputError, match=message or "variance"):
+        isolate_file(*files, RATE, variance=0.1 if message else 2.0)
 
 
 def test_inspect_proposes_the_command_for_an_isolator_and_for_its_response(tmp_path):

@@ -32,7 +32,9 @@ ALGORITHMS = ("FeRls", "FeLms")
 HIGHEST_SENSITIVITY_DB = 6.0  # of the skyhook loop
 HIGHEST_PHASE = 90.0  # degrees
 SLOWEST = 0.1  # of the mean update's eigenvalues, of FeRLS: a mode takes ten time constants at most
-RED_LIMIT = 4.0  # see `red_number`: of ten random isolators the weights scattered more from 7 on, and ran away from 14 on
+# See `red_number`: chosen after ten random isolators were driven to where they break (benchmarks/isolators.py slow): the
+# weights scattered 1.5 times as much as expected from 1.7 on in the first, 16 times at 3.1 in the next.
+RED_LIMIT = 1.5
 PERIODS = 10.0  # of the band's lower end that a time constant holds for each regressor: fewer leave R unknown
 # How much more than expected weights may move within the band: seen up to 7 times, with a lightly damped mode under
 # footfalls.
@@ -388,6 +390,14 @@ def design_isolation(
         rate, 0.4 * mass * omega, 2.0, 1.0, NoiseShaping(1.0, rate / 8, 3, notches), estimate
     )
     low, high = band_hz if any(band_hz) else choose_band(first, own, estimate.frequencies_hz)
+    top = float(floor.frequencies_hz[-1])
+    if not any(band_hz) and top > isolator.frequencies_hz[-1]:
+        high = min(high, top)
+    if high > top:
+        raise InputError(
+            f"{floor.source} is known up to {top:.4g} Hz, the band ends at {high:.4g} Hz, and what lies between could not be "
+            "certified; measure the floor further, or end the band there"
+        )
     shaping = replace(first.shaping, highpass_hz=float(low), lowpass_hz=float(high))
     tried = []
     for ratio in RATIOS:
@@ -403,7 +413,8 @@ def design_isolation(
         )
     safe = [each for each in tried if not each.certificate.problems]
     if not safe:
-        best = min(tried, key=lambda each: len(each.certificate.problems))
+        # What speaks against the loop without a skyhook no smaller gain cures.
+        best = min(tried, key=lambda each: (each.loop.gain, len(each.certificate.problems)))
         raise InputError("not to be switched on: " + "; ".join(best.certificate.problems))
     quick = [each for each in safe if each.time_constant <= LONGEST_S]
     if not quick:

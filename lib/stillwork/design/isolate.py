@@ -36,7 +36,13 @@ from stillwork.identification.path_fit import fit_path
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import density_unit, read_densities, stated_density
-from stillwork.signals.floor_checks import HEARD_HZ, SLOW_HZ, sensor_faults, slow_ratio
+from stillwork.signals.floor_checks import (
+    HEARD_HZ,
+    SLOW_HZ,
+    require_floor_level,
+    sensor_faults,
+    slow_ratio,
+)
 from stillwork.signals.records import PASS_SHARE, load_record, to_acceleration
 from stillwork.signals.spectra import estimate_spectrum
 from workbook import figures
@@ -233,7 +239,9 @@ def read_isolator(file: str, rate: float):
         )  # fmt: skip
         return own, own, (f, seen), (), notes
     whole = read_toml(file)
-    noise = whole.table("noise") if "noise" in whole else {}
+    _require_known(whole, ("response", "notches_hz", "isolator", "estimate", "noise", "floor"))
+    noise = whole.table("noise") if "noise" in whole else Table({}, whole.where)
+    _require_known(noise, ("floor", "platform"))
     notes, measured = [], None
     if "response" in whole:
         f, seen, notes = read_response(path.parent / str(whole["response"]))
@@ -260,10 +268,14 @@ def read_isolator(file: str, rate: float):
     return isolator, estimate, measured, tuple(notches), notes
 
 
-def _mechanics(given: Table, noise: dict, rate: float) -> Isolator:
+def _require_known(given: Table, names: Sequence[str]) -> None:
     for each in given:
-        if each not in MECHANICS:
-            raise InputError(f"{given.where}: unknown name {each!r}; known: {', '.join(MECHANICS)}")
+        if each not in names:
+            raise InputError(f"{given.where}: unknown name {each!r}; known: {', '.join(names)}")
+
+
+def _mechanics(given: Table, noise: dict, rate: float) -> Isolator:
+    _require_known(given, MECHANICS)
     matrices = []
     for each in MECHANICS[:3]:
         value = require_array(each, given[each])
@@ -328,10 +340,14 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
             notes.append(
                 f"the floor as at rest below {f[0]:.3g} Hz, where its spectra begin: slow motion is not judged"
             )
+        rms = float(np.sqrt(LINE_HZ * rows.sum(axis=1).max()))
+        require_floor_level(path.name, unit, rms, rms)
         spectra = binned(lines, density, LISTENED_S, f"spectra of {path.name}")
         seen, slow = [], slow_ratio(lines, rows)
     else:
         record = to_acceleration(load_record(path, unit, channels=channels or None, most_channels=sensors))
+        peak, rms = np.abs(record.signals).max(), record.signals.std(axis=1).max()
+        require_floor_level(record.source, unit, float(peak), float(rms))
         spectra = floor_spectra(record.signals, record.sample_rate, record.source, LINE_HZ)
         top = min(0.45 * rate, PASS_SHARE * record.sample_rate / 2)
         kept = spectra.frequencies_hz < top

@@ -81,7 +81,8 @@ def fit_path(frequencies_hz: ArrayLike, response: ArrayLike, sample_rate: float)
     residual = float(np.sqrt(np.sum(found.fun**2) / len(kept)))
     if residual > WORST_FIT or min(np.linalg.eigvalsh(each)[0] for each in (mass, stiffness)) <= 0:
         raise InputError(
-            f"response is no isolator on springs (the best fit is off by {100 * residual:.0f} %); give the acceleration per force "
+            f"response is no isolator on springs (the best fit is off by {100 * residual:.0f} %, its mass or stiffness may be "
+            "negative: check the sign); give the acceleration per force "
             "of every actuator, around the suspension's modes"
         )
     return PathFit(mass, damping, stiffness, float(pole), float(max(delay, 0.0)), residual)

@@ -5,9 +5,27 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float64
 
+from stillwork.base.checks import InputError
+
 CREST = 20.0  # peak over rms from which on it may be a spike: footsteps on a slab reach 15 (chosen)
 STUCK_S = 0.25  # s of one value, of a sensor that sticks (chosen)
 SLOW_HZ, HEARD_HZ = (0.5, 1.0), (6.0, 100.0)  # what may break an adaptation, and what it learns from
+LOUDEST = 9.80665  # m/s^2: beyond 1 g nothing stays on a floor
+QUIETEST = 1e-8  # m/s^2 rms: the quietest ground on Earth (Peterson's low noise model) has that at 1-10 Hz
+
+
+def require_floor_level(source: str, unit: str, peak: float, rms: float) -> None:
+    """Refuse a floor (m/s^2) that is louder than a floor can be, or quieter: its unit is wrong."""
+    said = f"check the unit{unit and f' {unit!r}'}"
+    if peak > LOUDEST:
+        raise InputError(
+            f"{source}: the floor accelerates by up to {peak:.3g} m/s^2, beyond 1 g, where nothing stays on it; "
+            f"{said}, or cut out what shook the sensor alone"
+        )
+    if rms < QUIETEST:
+        raise InputError(
+            f"{source}: the floor accelerates by {rms:.1g} m/s^2 rms, less than the quietest ground on Earth; {said}"
+        )
 
 
 def sensor_faults(acceleration: Float64[np.ndarray, "sensors samples"], sample_rate: float) -> Iterator[str]:
