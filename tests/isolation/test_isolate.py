@@ -362,7 +362,7 @@ def test_a_floor_of_a_wrong_unit_or_that_ends_within_the_modes_is_refused(tmp_pa
     kept = GRID <= top
     f, density = np.append(GRID[kept], top), level * np.append(flat()[kept], 1e-9)
     np.savez(tmp_path / "f.npz", **{"frequency (Hz)": f, "x ((m/s^2)^2/Hz)": density})
-    new_file("isolate", str(tmp_path / "m.toml"))
+    new_file(str(tmp_path / "m.toml"))
     files = [str(tmp_path / name) for name in ("m.toml", "f.npz", "out")]
     with pytest.raises(InputError, match=message or "variance"):
         isolate_file(*files, RATE, variance=0.1 if message else 2.0)
