@@ -45,6 +45,9 @@ PARTS = {
     *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
     *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
     *("require_covariance", "require_squares", "require_finite_squares"),  # checks themselves
+    *("solve_plain", "spectrum"),  # of a triangle that a regressor has made
+    *("Numbers.terms", "Numbers.files"),  # of the functions that write C
+    *("WeightedRegressor", "UnweightedRegressor"),  # abstract: `fit` is called of those that are derived
 }
 # Calls whose good arguments stand for a file or a machine that is not there.
 REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
@@ -205,6 +208,15 @@ def catalogue() -> dict:
     )
     regular = lti.GeneralisedPlant(posed, 2, 2)
     tracked = lti.StateModel(0.9 * np.eye(2), np.ones((2, 1)), np.array([[1.0, 2.0]]), np.zeros((1, 1)), 0.1)
+    isolator = c.Isolator([[10.0]], [[20.0]], [[4e4]], [[1.0]], 900.0, 1e-3, 1e-5, 1e-5)
+    lines_hz = np.linspace(0.5, 125.0, 250)
+    ground = c.binned(lines_hz, np.full((250, 1, 1), 1e-6), 60.0, "record.csv")
+    feedforward = c.FeedforwardLoop(1000.0, 200.0, 1.0, 100.0, c.NoiseShaping(4.0, 60.0, 3), isolator)
+
+    def isolator_paths(f):
+        return isolator.paths(f, 1e-3)
+
+    isolated = c.try_loop(feedforward, isolator, isolator_paths, ground, "FeRls", 0.1)
     noises = e.NoiseCovariances(np.eye(2), np.eye(1), np.full((2, 1), 0.1))
     two = {"u": rows[:1, :20], "y": rows[1:2, :20]}
     impulse = {"force": noise((2, 128)), "response": noise((2, 128)), "rate": 100.0}
@@ -312,6 +324,10 @@ def catalogue() -> dict:
         "LeastMeanSquares": (lambda X, y, **named: e.LeastMeanSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.LeastMeanSquares())}),
         "RecursiveLeastSquares": (lambda X, y, **named: e.RecursiveLeastSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.RecursiveLeastSquares(forgetting=0.9))}),
         "MinMaxRegressor": (lambda X, y, sample_weight, **named: e.MinMaxRegressor(**named).fit(X, y, sample_weight).coef_, {"X": rows.T, "y": signal, "sample_weight": np.ones(60), **fields(e.MinMaxRegressor(0.1))}),
+        "RecursiveRegressor.predict": (lambda X: e.LeastMeanSquares().fit(rows.T, signal).predict(X), {"X": rows.T}),
+        "RecursiveRegressor.score": (lambda X, y, sample_weight: e.RecursiveLeastSquares().fit(rows.T, signal).score(X, y, sample_weight), {"X": rows.T, "y": signal, "sample_weight": np.ones(60)}),
+        "WeightedRegressor.partial_fit": (lambda X, y, sample_weight: e.RecursiveLeastSquares().partial_fit(rows.T, signal).partial_fit(X, y, sample_weight).coef_, {"X": rows.T, "y": signal, "sample_weight": np.ones(60)}),
+        "UnweightedRegressor.partial_fit": (lambda X, y: e.LeastMeanSquares().partial_fit(rows.T, signal).partial_fit(X, y).coef_, {"X": rows.T, "y": signal}),
         **{
             kind.__name__: (lambda X, y, kind=kind, **named: kind(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(kind())})
             for kind in (e.BiasCompensatedRegressor, e.HinfinityRegressor, e.HuberRegressor, e.InstrumentalRegressor, e.RidgeRegressor, e.TotalLeastSquares)
@@ -453,6 +469,22 @@ def catalogue() -> dict:
         "stiffness_gain": (c.stiffness_gain, {"model": model, "factor": np.array([1.5, 1.2])}),
         "strongest_oscillation": (c.strongest_oscillation, {"values": signal, "sample_time": 0.1}),
         "plan_move": (c.plan_move, {"distance": 0.1, "limits": limits, "start": 0.0}),
+        "FixedPointStepper": (lambda **named: c.FixedPointStepper(**named).estimate, {"controller": controller, "sample_time": 1e-3, "start": np.zeros((2, 1)), "force_limits": [5.0], "lost": "hold", "force_from_estimate": True}),
+        "FixedPointStepper.step": (lambda nominal, measured: c.FixedPointStepper(controller, 1e-3).step(nominal, measured), {"nominal": np.array([[0.0], [0.0], [1.0]]), "measured": np.zeros(1)}),
+        "fixed_point_code": (c.fixed_point_code, {"controller": controller, "sample_time": 1e-3, "name": "slide", "precision": "single", "force_limits": [5.0], "lost": "hold"}),
+        "isolation_code": (c.isolation_code, {"loop": feedforward, "settings": isolated.settings, "weights": isolated.steady.weights, "limit": 50.0, "pause_s": 0.1, "name": "iso", "precision": "single"}),
+        "FeedforwardLoop": (c.FeedforwardLoop, fields(feedforward)),
+        "FeedforwardLoop.responses": (feedforward.responses, dict(zip(("primary", "secondary", "frequencies_hz"), (*isolator_paths(lines_hz)[::2], lines_hz), strict=True))),
+        "Isolator": (c.Isolator, fields(isolator)),
+        "FloorSpectra": (c.FloorSpectra, fields(ground)),
+        "binned": (c.binned, {"f": lines_hz, "density": np.full((250, 1, 1), 1e-6 + 0j), "duration": 60.0, "source": "record.csv", "bursts": (1.0, 1.0)}),
+        "floor_spectra": (c.floor_spectra, {"acceleration": noise((1, 600)), "sample_rate": 100.0, "source": "record.csv", "resolution_hz": 1.0}),
+        "choose_beta": (c.choose_beta, {"loop": feedforward, "floor": ground}),
+        "try_loop": (c.try_loop, {"loop": feedforward, "isolator": isolator, "paths_of": isolator_paths, "floor": ground, "algorithm": "FeLms", "variance": 0.1, "step": 1e-4}),
+        "design_isolation": (lambda **named: c.design_isolation(**named)[0], {"isolator": isolator, "floor": ground, "rate": 1000.0, "band_hz": (4.0, 60.0), "notches": (), "algorithm": "FeRls", "variance": 0.1, "spread": 0.01, "seed": 1}),
+        "predict": (c.predict, {"design": isolated, "around": [isolated], "isolator": isolator, "floor": ground, "seed": 1}),
+        "noise_shaping": (c.noise_shaping, {"shaping": feedforward.shaping, "path": feedforward.path, "sample_time": 1e-3}),
+        "inverse_secondary_shaping": (c.inverse_secondary_shaping, {"shaping": feedforward.shaping, "path": feedforward.path, "sample_time": 1e-3, "estimate": feedforward.path}),
         "tracking_error": (c.tracking_error, {"loop": c.error_loop(loop), "setpoint": setpoint, "feedforward": c.Feedforward(1.0)}),
         "trapezoid_trajectory": (c.trapezoid_trajectory, {"amplitude": 1.0, "rounding": 0.5, "frequency_hz": 2.0, "duration": 0.1, "sample_time": 1e-3}),
     }  # fmt: skip

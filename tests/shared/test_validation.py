@@ -412,12 +412,14 @@ def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
 
 # What asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
 OWN_DOORS = re.compile(
-    r"from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares)|(Adaptation|Recursive)Stepper\.update|LeastMeanSquares\.(partial_)?fit"
+    r"from_control|require_(noise|disturbance|covariance|per_sample|sample_time|squares|finite_squares)|(Adaptation|Recursive)Stepper\.update|(\w+Regressor|LeastMeanSquares)\.((partial_)?fit|predict|score)"
 )
 # What hands the parts of a recursion to its kernels, a sample at a time: `run` and the steppers have asked before.
 PARTS = {
     *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
     *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
+    *("solve_plain", "spectrum"),  # by the regressor that holds the fitting triangle
+    *("Numbers.terms", "Numbers.files"),  # by the functions that write C
 }
 FOLDERS = ("signals", "lti", "identification", "estimation", "control")
 

@@ -401,7 +401,11 @@ def _sequence(origin, parts: tuple) -> Callable | None:
     fixed = origin is tuple and parts[-1] is not ...
     # Of a dict's names one may ask, but they are no sequence.
     refused = (str, bytes, Path) if origin is Iterable else (str, bytes, Path, dict)
-    found: list[Any] = [_check(part) for part in parts if part is not ...]
+    found: list[Any] = [
+        (lambda _, value: value) if OPEN & {part, *typing.get_args(part)} else _check(part)
+        for part in parts
+        if part is not ...
+    ]
     if not found or None in found:
         return None
 

@@ -4,12 +4,21 @@ import re
 from dataclasses import asdict
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, pluralise, require_choice, require_count, short_repr
+from stillwork.base.bounds import NonNegative
+from stillwork.base.checks import (
+    InputError,
+    pluralise,
+    require_array,
+    require_choice,
+    require_count,
+    require_number,
+    short_repr,
+)
 from stillwork.base.validation import checked
 from stillwork.control.digital import DigitalController, without_dead_states
 from stillwork.control.feedforward import Motion
@@ -216,12 +225,17 @@ def adaptation_code(
     return write.files(("adaptation", "ferls"), name, values)
 
 
+def _limit(name: str, value) -> float:
+    return np.inf if isinstance(value, float) and value == np.inf else require_number(name, value, above=0.0)
+
+
+@checked
 def isolation_code(
     loop: FeedforwardLoop,
     settings: FeLms | FeRls,
     weights: Float64[np.ndarray, "axes regressors"],
-    limit: float,
-    pause_s: float,
+    limit: Annotated[float, _limit],
+    pause_s: NonNegative,
     name: str,
     precision: str = "double",
 ) -> dict[str, str]:
@@ -255,8 +269,9 @@ def isolation_code(
         When `name` is no name in C.
     """
     write, wide = Numbers(name, precision), Numbers(name, "double")
-    axes, regressors = weights.shape
-    sensors = regressors // (POWERS + 1)
+    axes, sensors = loop.estimate.axes, loop.estimate.sensors
+    regressors = sensors * (POWERS + 1)
+    require_array("weights", weights, shape=(axes, regressors))
     before, modes, after = loop.error
     unlimited = limit == np.inf
     recursive = isinstance(settings, FeRls)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.base.validation import by_value, check_fields, checked
@@ -313,7 +314,10 @@ def require_disturbance(disturbance: ArrayLike | None, shape: tuple[int, ...]) -
     return np.ascontiguousarray(require_array("disturbance", disturbance, shape=shape))
 
 
-def plants_along(parameters, change, sample_time: float) -> tuple[np.ndarray, int]:
+@checked
+def plants_along(
+    parameters: np.ndarray, change: tuple[float, ArrayLike] | None, sample_time: Positive
+) -> tuple[np.ndarray, int]:
     """Parameters of a plant before and after a change, a row each, and the first sample after it."""
     if change is None:
         return np.array([parameters, parameters]), 0

@@ -10,10 +10,11 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from numpy.typing import ArrayLike
 from scipy import linalg, signal
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.bounds import NonNegative, Positive
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.isolation_filters import (
     NoiseShaping,
     SecondaryPath,
@@ -28,6 +29,7 @@ IMAGES = 20  # of a sampled response at multiples of the rate, on either side
 ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
 
 
+@by_value
 @dataclass(frozen=True)
 class Isolator:
     """Mechanics of an isolator along its actuators, and what its sensors add."""
@@ -40,13 +42,14 @@ class Isolator:
     floor: Float64[
         np.ndarray, "axes sensors"
     ]  # G (axes, sensors): motion of each axis's foot per motion of each floor sensor
-    actuator_pole: float  # w_a, rad/s
-    delay: float  # s, from sample to force, without the hold
-    floor_noise: float  # m/s^2/sqrt(Hz), of each floor sensor
-    platform_noise: float  # likewise, of each platform sensor
+    actuator_pole: Positive  # w_a, rad/s
+    delay: NonNegative  # s, from sample to force, without the hold
+    floor_noise: NonNegative  # m/s^2/sqrt(Hz), of each floor sensor
+    platform_noise: NonNegative  # likewise, of each platform sensor
 
     def __post_init__(self):
-        axes = len(require_array("mass", self.mass, ndim=2))
+        check_fields(self)
+        axes = len(self.mass)
         for name in ("mass", "damping", "stiffness"):
             matrix = require_array(name, getattr(self, name), shape=(axes, axes))
             size = np.abs(matrix).max()
@@ -54,11 +57,7 @@ class Isolator:
                 raise InputError(f"{name} is not symmetric; give a physical matrix")
             if np.linalg.eigvalsh(matrix)[0] <= (-1e-9 * size if name == "damping" else 0):
                 raise InputError(f"{name} is not positive definite; give a physical matrix")
-            object.__setattr__(self, name, matrix)
-        object.__setattr__(self, "floor", require_array("floor", self.floor, shape=(axes, None)))
-        require_number("actuator_pole", self.actuator_pole, above=0.0)
-        for name in ("delay", "floor_noise", "platform_noise"):
-            require_number(name, getattr(self, name), at_least=0.0)
+        require_array("floor", self.floor, shape=(axes, None))
 
     @property
     def axes(self) -> int:
@@ -81,8 +80,9 @@ class Isolator:
         """Undamped frequencies, rising."""
         return self.modes[0] / (2 * np.pi)
 
+    @checked
     def paths(
-        self, frequencies_hz: ArrayLike, sample_time: float
+        self, frequencies_hz: Float64[np.ndarray, " frequencies"], sample_time: Positive
     ) -> tuple[
         Complex128[np.ndarray, "frequencies axes sensors"],
         Complex128[np.ndarray, "frequencies axes axes"],
@@ -93,7 +93,7 @@ class Isolator:
         The steps of a held command shake the platform at multiples of the rate, too, which a sampler folds back to low
         frequencies, where the acceleration itself is small.
         """
-        f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+        f = frequencies_hz
         s = 2j * np.pi * f[:, None, None]
         suspended = s * self.damping + self.stiffness
         whole = np.linalg.inv(s * s * self.mass + suspended)
@@ -109,16 +109,20 @@ class Isolator:
         return self.actuator_pole / (s + self.actuator_pole) * late
 
 
+@by_value
 @dataclass(frozen=True)
 class FeedforwardLoop:
     """The filters of the loop; what is asked of them is their sections, and their responses on an isolator."""
 
-    rate: float  # samples a second
-    gain: float  # k_v, N s/m, of the skyhook on every axis
-    cutoff_hz: float  # alpha, of the weak integrators
-    beta: float  # 1/s: the weak integrator's normalisation
+    rate: Positive  # samples a second
+    gain: NonNegative  # k_v, N s/m, of the skyhook on every axis
+    cutoff_hz: Positive  # alpha, of the weak integrators
+    beta: Positive  # 1/s: the weak integrator's normalisation
     shaping: NoiseShaping
     estimate: Isolator  # what the path is taken for
+
+    def __post_init__(self):
+        check_fields(self)
 
     @property
     def sample_time(self) -> float:
@@ -166,6 +170,7 @@ class FeedforwardLoop:
         ]
         return np.linalg.inv(shapes), np.array(sections), np.linalg.inv(shapes.T)
 
+    @checked
     def responses(
         self,
         primary: Complex128[np.ndarray, "frequencies axes sensors"],
@@ -194,6 +199,7 @@ class FeedforwardLoop:
         )
 
 
+@by_value
 @dataclass(frozen=True)
 class FloorSpectra:
     """Cross-spectral densities of the floor sensors on bands of frequency, (m/s^2)^2/Hz, one-sided."""
@@ -201,12 +207,18 @@ class FloorSpectra:
     frequencies_hz: Float64[np.ndarray, " frequencies"]
     widths_hz: Float64[np.ndarray, " frequencies"]
     density: Complex128[np.ndarray, "frequencies sensors sensors"]
-    duration: float  # s, of what was measured
+    duration: Positive  # s, of what was measured
     source: str
     # E[p^2] / E[p]^2 and E[p^3] / E[p]^3 of the power p of half a second: 1 of a floor that keeps its strength
     bursts: tuple[float, float]
 
+    def __post_init__(self):
+        check_fields(self)
+        if not (self.frequencies_hz[:1] > 0).all() or (np.diff(self.frequencies_hz) <= 0).any():
+            raise InputError("frequencies_hz does not rise from above 0; give rising frequencies")
 
+
+@by_value
 @dataclass(frozen=True)
 class Certificate:
     """Whether the adaptation may be switched on; `problems` says in words what speaks against it."""
@@ -219,6 +231,7 @@ class Certificate:
     problems: tuple[str, ...]
 
 
+@checked
 def path_angle(error: Complex128[np.ndarray, "frequencies axes axes"]) -> Float64[np.ndarray, " frequencies"]:
     """Largest angle of x' E x over all x, in degrees: of one axis the phase error; 180 where it passes 90."""
     found = np.full(len(error), 180.0)
@@ -232,14 +245,16 @@ def path_angle(error: Complex128[np.ndarray, "frequencies axes axes"]) -> Float6
     return found
 
 
+@checked
 def encirclements(loop: Complex128[np.ndarray, "frequencies axes axes"]) -> int:
     """How often det(I + L) of a stable L turns about 0 from the first frequency to the last; 0: the loop is stable."""
     turned = np.unwrap(np.angle(np.linalg.det(np.eye(loop.shape[1]) + loop)))
     return int(np.rint((turned[-1] - turned[0]) / np.pi))
 
 
+@checked
 def red_number(
-    paths: Responses, floor: FloorSpectra, sensor_noise: float, steady: Steady, low_hz: float
+    paths: Responses, floor: FloorSpectra, sensor_noise: NonNegative, steady: Steady, low_hz: Positive
 ) -> float:
     """Slow motion over motion in band: what breaks an adaptation whose mean converges.
 

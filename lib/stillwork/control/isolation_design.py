@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import signal
 
-from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.bounds import Natural, Positive, within
+from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.isolation import (
     Certificate,
     FeedforwardLoop,
@@ -20,6 +23,7 @@ from stillwork.control.isolation import (
 from stillwork.control.isolation_filters import FrequencyNotch, NoiseShaping
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import (
+    ALGORITHMS,
     Responses,
     Scatter,
     Steady,
@@ -28,7 +32,6 @@ from stillwork.estimation.mean_adaptation import (
     sum_kronecker,
 )
 
-ALGORITHMS = ("FeRls", "FeLms")
 HIGHEST_SENSITIVITY_DB = 6.0  # of the skyhook loop
 HIGHEST_PHASE = 90.0  # degrees
 SLOWEST = 0.1  # of the mean update's eigenvalues, of FeRLS: a mode takes ten time constants at most
@@ -52,14 +55,16 @@ WIDE = 3.0  # standard deviations over the draws that the band takes in
 # How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
 SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
 
-Paths = Callable[[Float64[np.ndarray, " frequencies"]], tuple[np.ndarray, np.ndarray, np.ndarray]]
+Responding = Complex128[np.ndarray, "frequencies axes inputs"]
+Paths = Callable[[Float64[np.ndarray, " frequencies"]], tuple[Responding, Responding, Responding]]
 
 
+@checked
 def floor_spectra(
     acceleration: Float64[np.ndarray, "sensors samples"],
-    sample_rate: float,
+    sample_rate: Positive,
     source: str,
-    resolution_hz: float = 0.25,
+    resolution_hz: Positive = 0.25,
 ) -> FloorSpectra:
     """Cross spectra of a record by Welch's method, on bands of one per cent where the lines lie closer."""
     length = round(sample_rate / resolution_hz)
@@ -83,10 +88,11 @@ def _bursts(acceleration, sample_rate) -> tuple[float, float]:
     return float(np.mean(power**2) / mean**2), float(np.mean(power**3) / mean**3)
 
 
+@checked
 def binned(
     f: Float64[np.ndarray, " lines"],
-    density: np.ndarray,
-    duration: float,
+    density: Complex128[np.ndarray, "lines sensors sensors"],
+    duration: Positive,
     source: str,
     bursts: tuple[float, float] = (1.0, 1.0),
 ) -> FloorSpectra:
@@ -102,6 +108,7 @@ def binned(
     return FloorSpectra(centres, counts * step, mean.astype(complex), duration, source, bursts)
 
 
+@checked
 def choose_beta(loop: FeedforwardLoop, floor: FloorSpectra) -> float:
     """For which beta H neither raises nor lowers the power of the shaped floor."""
     f = floor.frequencies_hz
@@ -111,12 +118,13 @@ def choose_beta(loop: FeedforwardLoop, floor: FloorSpectra) -> float:
     return float(np.sqrt(shaped.sum() / (shaped * through).sum()))
 
 
+@by_value
 @dataclass(frozen=True)
 class IsolationDesign:
     """A loop on one isolator and floor: what its adaptation is, whether it converges, and where it ends."""
 
     loop: FeedforwardLoop
-    paths: "MovingPaths"
+    paths: "_MovingPaths"
     steady: Steady
     step: float  # 1 - lambda of FeRLS, mu of FeLMS
     scatter: Scatter | None  # of the weights about those of `steady`; none with a given step
@@ -126,21 +134,26 @@ class IsolationDesign:
     certificate: Certificate
     motion: float  # mean square of the remaining acceleration of all axes with it, (m/s^2)^2
 
+    def __post_init__(self):
+        check_fields(self)
 
+
+@checked
 def try_loop(
     loop: FeedforwardLoop,
     isolator: Isolator,
     paths_of: Paths,
     floor: FloorSpectra,
     algorithm: str,
-    variance: float,
-    step: float | None = None,
+    variance: Positive,
+    step: Positive | None = None,
 ) -> IsolationDesign:
     """A loop with the fastest adaptation that keeps the `variance` and survives the floor's slow motion, or with `step`."""
+    require_choice("algorithm", algorithm, ALGORITHMS)
     f, widths = floor.frequencies_hz, floor.widths_hz
     primary, held, sampled = paths_of(f)
     responses = loop.responses(primary, sampled, f)
-    moving = MovingPaths(responses, primary, held, signal.freqz_sos(loop.skyhook, f, fs=loop.rate)[1])
+    moving = _MovingPaths(responses, primary, held, signal.freqz_sos(loop.skyhook, f, fs=loop.rate)[1])
     noises = isolator.floor_noise, isolator.platform_noise
     steady = mean_adaptation(responses, widths, floor.density, *noises, 0.0)
     power = float(np.trace(steady.correlation))
@@ -148,7 +161,7 @@ def try_loop(
     share = 1.0 if algorithm == "FeRls" else float(np.linalg.eigvalsh(steady.correlation)[-1]) / power
     red = red_number(responses, floor, noises[0], steady, loop.shaping.highpass_hz)
     inside = (f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz)
-    left = motion_density(moving, steady.weights, floor, noises)
+    left = _motion_density(moving, steady.weights, floor, noises)
     motion = float((left * widths)[:, inside].sum())
     moves = None
     if step is None:
@@ -175,7 +188,7 @@ def try_loop(
         settings=settings,
         time_constant=float(time_constant),
         variance=float(added / motion),
-        certificate=certify(loop, responses, paths_of, steady, algorithm, red / time_constant),
+        certificate=_certify(loop, responses, paths_of, steady, algorithm, red / time_constant),
         motion=float(motion + added),
     )
 
@@ -194,13 +207,13 @@ def _added_motion(
     plain = psi @ seen @ np.conj(psi.transpose(0, 2, 1)) * widths
     driven = np.conj(paths.secondary.transpose(0, 2, 1)) @ paths.secondary
     slow = np.sum(sum_kronecker(driven[inside], plain[inside]) * moves.covariance)
-    force = jitter_density(moves, plain.sum(axis=0).real, rate)
+    force = _jitter_density(moves, plain.sum(axis=0).real, rate)
     f = paths.frequencies_hz
     fast = np.sum(driven.real * force * widths / f[:, None, None] ** 2, where=inside[:, None, None])
     return float(floor.bursts[0] * slow), float(JITTER * floor.bursts[1] * fast)
 
 
-def jitter_density(moves: Scatter, power: np.ndarray, rate: float) -> Float64[np.ndarray, "axes axes"]:
+def _jitter_density(moves: Scatter, power: np.ndarray, rate: float) -> Float64[np.ndarray, "axes axes"]:
     """Density of the force by weights that move within the band, times f^2 and per step squared."""
     n = len(power)
     axes = len(moves.drive) // n
@@ -208,8 +221,9 @@ def jitter_density(moves: Scatter, power: np.ndarray, rate: float) -> Float64[np
     return 2 * rate / (2 * np.pi) ** 2 * each
 
 
+@by_value
 @dataclass(frozen=True)
-class MovingPaths:
+class _MovingPaths:
     """What the platform truly does, beside what its sampled sensors show."""
 
     seen: Responses
@@ -218,6 +232,9 @@ class MovingPaths:
         np.ndarray, "frequencies axes axes"
     ]  # likewise, from a held command, between samples, too
     skyhook: Complex128[np.ndarray, "frequencies"]
+
+    def __post_init__(self):
+        check_fields(self)
 
     def transmissibility(self, weights: np.ndarray) -> Complex128[np.ndarray, "frequencies axes sensors"]:
         """From the floor to the platform, with frozen weights."""
@@ -235,8 +252,8 @@ class MovingPaths:
         return self.skyhook[:, None, None] * seen
 
 
-def motion_density(
-    paths: MovingPaths, weights: np.ndarray, floor: FloorSpectra, noises: tuple[float, float]
+def _motion_density(
+    paths: _MovingPaths, weights: np.ndarray, floor: FloorSpectra, noises: tuple[float, float]
 ) -> Float64[np.ndarray, "axes frequencies"]:
     """Density of the platform's true acceleration with frozen weights, (m/s^2)^2/Hz."""
     whole = paths.transmissibility(weights)
@@ -245,7 +262,7 @@ def motion_density(
     return own + sum(level**2 * np.sum(np.abs(each) ** 2, axis=2).T for level, each in heard)
 
 
-def certify(
+def _certify(
     loop: FeedforwardLoop, responses: Responses, paths_of: Paths, steady: Steady, algorithm: str, red: float
 ) -> Certificate:
     """Whether an adaptation may be switched on, from the loop's responses on the floor's frequencies and on a fine grid."""
@@ -282,7 +299,7 @@ def certify(
     )
 
 
-def perturbed(isolator: Isolator, spread: float, rng: np.random.Generator) -> Isolator:
+def _perturbed(isolator: Isolator, spread: float, rng: np.random.Generator) -> Isolator:
     """An isolator of the box: every mode's mass, stiffness and damping and the actuators' pole, each by itself."""
     omega, shapes = isolator.modes
     back = np.linalg.inv(shapes)
@@ -306,7 +323,7 @@ def perturbed(isolator: Isolator, spread: float, rng: np.random.Generator) -> Is
     )
 
 
-def choose_band(loop: FeedforwardLoop, paths_of: Paths, frequencies_hz: np.ndarray) -> tuple[float, float]:
+def _choose_band(loop: FeedforwardLoop, paths_of: Paths, frequencies_hz: np.ndarray) -> tuple[float, float]:
     """From below the lowest mode to where the path's phase may no longer be trusted, or beyond the highest."""
     low = LOW_SHARE * float(frequencies_hz[0])
     high = min(HIGH_SHARE * float(frequencies_hz[-1]), loop.rate / 8)
@@ -318,19 +335,20 @@ def choose_band(loop: FeedforwardLoop, paths_of: Paths, frequencies_hz: np.ndarr
     return low, float(f[over[0]] if len(over) else high)
 
 
+@checked
 def design_isolation(
     isolator: Isolator,
     floor: FloorSpectra,
-    rate: float,
+    rate: Positive,
     *,
     estimate: Isolator | None = None,
     correction: Callable | None = None,
     band_hz: tuple[float, float] = (0.0, 0.0),
     notches: tuple[FrequencyNotch, ...] = (),
     algorithm: str = "FeRls",
-    variance: float = 0.1,
-    spread: float = 0.05,
-    seed: int = 0,
+    variance: Annotated[float, within(above=0.0, at_most=1.0)] = 0.1,
+    spread: Annotated[float, within(at_least=0.0, below=0.2)] = 0.05,
+    seed: Natural = 0,
 ) -> tuple[IsolationDesign, list[IsolationDesign]]:
     """Choose skyhook gain, integrator cut-off, beta and adaptation, certified on the isolator and over its box.
 
@@ -371,14 +389,14 @@ def design_isolation(
         When no loop that was tried may be switched on; it says why.
     """
     require_choice("algorithm", algorithm, ALGORITHMS)
-    require_number("variance", variance, above=0.0, at_most=1.0)
-    require_number("spread", spread, at_least=0.0, below=0.2)
     estimate = isolator if estimate is None else estimate
 
     def paths_of(model: Isolator) -> Paths:
         def paths(f):
             primary, held, sampled = model.paths(f, 1 / rate)
-            more = 0.0 if correction is None else correction(f)
+            more = np.zeros(1)
+            if correction is not None:
+                more = require_array("what correction returns", correction(f), dtype=complex)
             return primary, held + more, sampled + more
 
         return paths
@@ -389,7 +407,7 @@ def design_isolation(
     first = FeedforwardLoop(
         rate, 0.4 * mass * omega, 2.0, 1.0, NoiseShaping(1.0, rate / 8, 3, notches), estimate
     )
-    low, high = band_hz if any(band_hz) else choose_band(first, own, estimate.frequencies_hz)
+    low, high = band_hz if any(band_hz) else _choose_band(first, own, estimate.frequencies_hz)
     top = float(floor.frequencies_hz[-1])
     if not any(band_hz) and top > isolator.frequencies_hz[-1]:
         high = min(high, top)
@@ -424,7 +442,7 @@ def design_isolation(
             f"more than {LONGEST_S:g} s is too slow: take a high-pass over the floor sensors, or begin the band higher"
         )
     rng = np.random.default_rng(seed)
-    box = [perturbed(isolator, spread, rng) for _ in range(DRAWS)]
+    box = [_perturbed(isolator, spread, rng) for _ in range(DRAWS)]
     reasons = ()
     for design in sorted(quick, key=lambda each: each.motion):
         step = design.step
@@ -440,6 +458,7 @@ def design_isolation(
     )
 
 
+@by_value
 @dataclass(frozen=True)
 class IsolationPrediction:
     """What a design leaves on its floor: lowest, expected and highest over the box, the weights' scatter and the record."""
@@ -454,12 +473,13 @@ class IsolationPrediction:
     density: Float64[np.ndarray, "axes frequencies"]  # of the remaining acceleration, expected, (m/s^2)^2/Hz
 
 
+@checked
 def predict(
     design: IsolationDesign,
     around: list[IsolationDesign],
     isolator: Isolator,
     floor: FloorSpectra,
-    seed: int = 0,
+    seed: Natural = 0,
 ) -> IsolationPrediction:
     """Motion and transmissibility of a design and of the same loop around, each with weights drawn from their scatter."""
     if design.scatter is None:
@@ -482,7 +502,7 @@ def predict(
     seen = floor.density + noises[0] ** 2 * np.eye(isolator.sensors)
     psi = design.paths.seen.regressors
     power = np.einsum("f,fis,fst,fjt->ij", widths, psi, seen, np.conj(psi), optimize=True).real
-    force = design.step**2 * floor.bursts[1] * jitter_density(design.scatter, power, design.loop.rate)
+    force = design.step**2 * floor.bursts[1] * _jitter_density(design.scatter, power, design.loop.rate)
 
     def jitter(paths):
         return (
@@ -499,9 +519,9 @@ def predict(
             weights = weights + rng.uniform() * (design.steady.weights - weights)
         weights = weights + (root @ rng.standard_normal(weights.size)).reshape(weights.shape)
         strength = JITTER ** rng.uniform(0, 1.5)
-        sizes.append(rms(motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
+        sizes.append(rms(_motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
         gains.append(gain(each.paths.transmissibility(weights)))
-    density = motion_density(design.paths, design.steady.weights, floor, noises) + jitter(design.paths)
+    density = _motion_density(design.paths, design.steady.weights, floor, noises) + jitter(design.paths)
     # Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines; bursts
     # make the time shorter.
     varies = WIDE / 2 * np.sqrt(density**2 @ counted * floor.bursts[0] / floor.duration) / (density @ counted)
@@ -510,8 +530,8 @@ def predict(
     return IsolationPrediction(
         band_hz=band,
         remains=_banded(np.array(sizes), rms(density), varies),
-        without=rms(motion_density(bare, silent, floor, noises)),
-        feedback=rms(motion_density(design.paths, silent, floor, noises)),
+        without=rms(_motion_density(bare, silent, floor, noises)),
+        feedback=rms(_motion_density(design.paths, silent, floor, noises)),
         transmissibility=_banded(
             np.array(gains), gain(design.paths.transmissibility(design.steady.weights)), np.zeros(1)
         ),

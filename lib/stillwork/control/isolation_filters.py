@@ -5,43 +5,45 @@ and zeros in continuous time, before Tustin's rule: what cancels on paper never 
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 from scipy import signal
 
-from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.bounds import Count, NonNegative, Positive, within
+from stillwork.base.checks import InputError, require_number
+from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.discretisation import prewarped, tustin_sections
 
 Sections = Float64[np.ndarray, "sections 6"]
 
 
+@by_value
 @dataclass(frozen=True)
 class FrequencyNotch:
     """Notch (s² + depth width w s + w²) / (s² + width w s + w²)."""
 
-    frequency_hz: float
-    width: float = 1.0  # bandwidth over frequency
-    depth: float = 0.01  # gain at the frequency
+    frequency_hz: Positive
+    width: Positive = 1.0  # bandwidth over frequency
+    depth: Annotated[float, within(at_least=0.0, at_most=1.0)] = 0.01  # gain at the frequency
 
     def __post_init__(self):
-        require_number("frequency_hz", self.frequency_hz, above=0.0)
-        require_number("width", self.width, above=0.0)
-        require_number("depth", self.depth, at_least=0.0, at_most=1.0)
+        check_fields(self)
 
 
+@by_value
 @dataclass(frozen=True)
 class SecondaryPath:
     """One axis of the secondary path from actuator to platform acceleration."""
 
-    mass: float  # m, kg
-    damping: float  # d, N s/m
-    stiffness: float  # k, N/m
-    actuator_pole: float  # w_a, rad/s
+    mass: Positive  # m, kg
+    damping: Positive  # d, N s/m
+    stiffness: Positive  # k, N/m
+    actuator_pole: Positive  # w_a, rad/s
 
     def __post_init__(self):
-        for name in ("mass", "damping", "stiffness", "actuator_pole"):
-            require_number(name, getattr(self, name), above=0.0)
+        check_fields(self)
 
     @property
     def suspension(self) -> list[float]:
@@ -49,49 +51,50 @@ class SecondaryPath:
         return [self.mass, self.damping, self.stiffness]
 
 
+@by_value
 @dataclass(frozen=True)
 class NoiseShaping:
     """Band of interest N: Butterworth high-pass and low-pass with notches."""
 
-    highpass_hz: float
+    highpass_hz: Positive
     lowpass_hz: float
-    order: int
+    order: Count
     notches: tuple[FrequencyNotch, ...] = ()
 
     def __post_init__(self):
-        require_number("highpass_hz", self.highpass_hz, above=0.0)
+        check_fields(self)
         require_number("lowpass_hz", self.lowpass_hz, above=self.highpass_hz)
-        require_count("order", self.order)
 
 
-def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) -> Sections:
+@checked
+def weak_integrator(order: Count, cutoff: Positive, beta: Positive, sample_time: Positive) -> Sections:
     """Normalised weak integrator beta H with H = (1 - (a / (s + a))^n) / s.
 
     Below the cut-off a (rad/s) the transmissibility is left alone with the order n. Powers of beta H are the same filter again on its own output.
     """
-    require_count("order", order)
-    require_number("cutoff", cutoff, above=0.0)
-    require_number("beta", beta, above=0.0)
     # (s + a)^n = a^n has the roots a (w - 1) with w the n-th roots of unity; the one at s = 0 is the integrator.
     unity = np.exp(2j * np.pi * np.arange(1, order) / order)
     return tustin_sections(cutoff * (unity - 1), -cutoff * np.ones(order), beta, sample_time)
 
 
-def secondary_path(path: SecondaryPath, sample_time: float) -> Sections:
+@checked
+def secondary_path(path: SecondaryPath, sample_time: Positive) -> Sections:
     """Secondary path s² / (m s² + d s + k) w_a / (s + w_a), without delay."""
     poles = [*np.roots(path.suspension), -path.actuator_pole]
     return tustin_sections([0, 0], poles, path.actuator_pole / path.mass, sample_time)
 
 
-def noise_shaping(shaping: NoiseShaping, path: SecondaryPath, sample_time: float) -> Sections:
+@checked
+def noise_shaping(shaping: NoiseShaping, path: SecondaryPath, sample_time: Positive) -> Sections:
     """Noise shaping N = band x notches x s² / (m s² + d s + k) of the path."""
     zeros, poles, gain = _band(shaping, sample_time)
     poles = [*poles, *np.roots(path.suspension)]
     return tustin_sections([*zeros, 0, 0], poles, gain / path.mass, sample_time)
 
 
+@checked
 def inverse_secondary_shaping(
-    shaping: NoiseShaping, path: SecondaryPath, sample_time: float, estimate: SecondaryPath | None = None
+    shaping: NoiseShaping, path: SecondaryPath, sample_time: Positive, estimate: SecondaryPath | None = None
 ) -> Sections:
     """Filter N P2^-1 from platform acceleration to the filtered error.
 
@@ -113,24 +116,23 @@ def inverse_secondary_shaping(
     return tustin_sections(zeros, poles, gain, sample_time)
 
 
-def conditioning(sample_time: float, highpass_hz: float, lowpass_hz: float) -> Sections:
+@checked
+def conditioning(sample_time: Positive, highpass_hz: Positive, lowpass_hz: float) -> Sections:
     """Signal conditioner of the accelerometers: second-order high-pass and low-pass.
 
     An analogue low-pass may lie above half the sampling rate, so its corner cannot be prewarped.
     """
-    require_number("highpass_hz", highpass_hz, above=0.0)
     require_number("lowpass_hz", lowpass_hz, above=highpass_hz)
     high = signal.buttap(2)[1] * 2 * np.pi * highpass_hz
     low = signal.buttap(2)[1] * 2 * np.pi * lowpass_hz
     return tustin_sections([0, 0], [*high, *low], (2 * np.pi * lowpass_hz) ** 2, sample_time)
 
 
+@checked
 def skyhook(
-    gain: float, sample_time: float, cutoff: float = 1.0, notch: FrequencyNotch | None = None
+    gain: NonNegative, sample_time: Positive, cutoff: Positive = 1.0, notch: FrequencyNotch | None = None
 ) -> Sections:
     """Skyhook damping k_v / (s + w_i), with a notch; the actuator gets minus its output. The gain is in N s/m whatever the cut-off."""
-    require_number("gain", gain, at_least=0.0)
-    require_number("cutoff", cutoff, above=0.0)
     zeros, poles = _notches(() if notch is None else (notch,), sample_time)
     return tustin_sections(zeros, [-cutoff, *poles], gain, sample_time)
 
@@ -155,8 +157,8 @@ def _notches(notches: tuple[FrequencyNotch, ...], sample_time: float) -> tuple[l
     return zeros, poles
 
 
-def prewarped_corner(name: str, frequency_hz: float, sample_time: float) -> float:
+@checked
+def prewarped_corner(name: str, frequency_hz: float, sample_time: Positive) -> float:
     """Frequency, rad/s, that Tustin's rule moves to `frequency_hz`."""
-    require_number("sample_time", sample_time, above=0.0)
     require_number(name, frequency_hz, below=0.5 / sample_time)
     return prewarped(np.array([2 * np.pi * frequency_hz]), sample_time).item()

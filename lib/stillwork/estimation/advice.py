@@ -233,7 +233,7 @@ class _Study:
         scored = self.scored[part]
         left = np.mean((self.y[part] - estimator.predict(X))[scored] ** 2) if scored.any() else np.nan
         if self.noise is not None and self.instruments is None:
-            left -= np.sum((self.noise * coefficients(estimator, X.shape[1])) ** 2)
+            left -= np.sum((self.noise * _coefficients(estimator, X.shape[1])) ** 2)
         return left
 
     def fit(self, estimator, kept):
@@ -249,7 +249,7 @@ class _Study:
         if isinstance(estimator, InstrumentalRegressor):
             given["instrumentalregressor__instruments"] = self.instruments
         whole.fit(self.raw, self.y, **given)
-        return whole, coefficients(estimator, len(self.units)) / whole[0].scale_
+        return whole, _coefficients(estimator, len(self.units)) / whole[0].scale_
 
     def judged(self) -> tuple[dict[str, np.ndarray], list[str]]:
         losses, left_out = {}, []
@@ -285,7 +285,7 @@ class _Study:
         ], left_out
 
 
-def coefficients(estimator, features: int) -> np.ndarray:
+def _coefficients(estimator, features: int) -> np.ndarray:
     """Of a fitted linear estimator of one output; zeros of one that ignores the features."""
     return np.array(getattr(estimator, "coef_", np.zeros(features)))
 

@@ -5,18 +5,23 @@ In the mean, FeLMS and FeRLS stop where the filtered error has nothing in common
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array
+from stillwork.base.bounds import NonNegative, Positive, within
+from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.base.validation import by_value, check_fields, checked
 
+ALGORITHMS = ("FeRls", "FeLms")
 # Beyond this condition of the scaled correlation a combination of regressors counts as silent.
 SILENT = 1e12
 
 
+@by_value
 @dataclass(frozen=True)
 class Responses:
     """Frequency responses of a sampled loop with a self-tuned feedforward, frequencies along the first axis.
@@ -36,17 +41,22 @@ class Responses:
     error: Complex128[np.ndarray, "frequencies actuators outputs"]  # N P2hat^-1
     conditioning: Complex128[np.ndarray, "frequencies"]
 
+    def __post_init__(self):
+        check_fields(self)
+
     @property
     def path_error(self) -> Complex128[np.ndarray, "frequencies actuators actuators"]:
         """P2hat^-1 P2: the identity for a perfect estimate; a positive definite Hermitian part converges."""
         return self.error @ self.secondary / self.shaping[:, None, None]
 
+    @checked
     def feedforward(self, weights: ArrayLike | None) -> Complex128[np.ndarray, "frequencies outputs sensors"]:
         """P2 W B: what frozen `weights` W make of the floor sensors' readings; nothing without them."""
         shape = (self.secondary.shape[2], self.regressors.shape[1])
         given = require_array("weights", np.zeros(shape) if weights is None else weights, shape=shape)
         return self.secondary @ (given @ self.regressors)
 
+    @checked
     def transmissibility(
         self, weights: ArrayLike | None = None
     ) -> Complex128[np.ndarray, "frequencies outputs sensors"]:
@@ -54,6 +64,7 @@ class Responses:
         return (self.primary + self.feedforward(weights)) / self.conditioning[:, None, None]
 
 
+@by_value
 @dataclass(frozen=True)
 class Steady:
     """Mean behaviour of the adaptation on a stationary floor."""
@@ -73,15 +84,19 @@ class Steady:
     # of A over the trace of R: a mode settles in 1 / (mu eigenvalue) samples (trace over the regressors)
     lms_eigenvalues: Complex128[np.ndarray, "modes"]
 
+    def __post_init__(self):
+        check_fields(self)
 
+
+@checked
 def mean_adaptation(
     paths: Responses,
     quadrature: Float64[np.ndarray, " frequencies"],
     floor: Float64[np.ndarray, "frequencies sensors sensors"]
     | Complex128[np.ndarray, "frequencies sensors sensors"],
-    sensor_noise: float,
-    platform_noise: float,
-    forgetting: float,
+    sensor_noise: NonNegative,
+    platform_noise: NonNegative,
+    forgetting: Annotated[float, within(at_least=0.0, at_most=1.0)],
 ) -> Steady:
     """Fixed point, covariance and mean convergence of FeLMS and FeRLS.
 
@@ -150,13 +165,14 @@ def mean_adaptation(
     )
 
 
+@checked
 def error_spectra(
     paths: Responses,
     weights: Float64[np.ndarray, "actuators regressors"],
     floor: Float64[np.ndarray, "frequencies sensors sensors"]
     | Complex128[np.ndarray, "frequencies sensors sensors"],
-    sensor_noise: float,
-    platform_noise: float,
+    sensor_noise: NonNegative,
+    platform_noise: NonNegative,
 ) -> tuple[
     Complex128[np.ndarray, "frequencies actuators actuators"],
     Complex128[np.ndarray, "frequencies actuators regressors"],
@@ -171,6 +187,7 @@ def error_spectra(
     return own.astype(complex), ((driven + heard) @ _hermitian(shaped)).astype(complex)
 
 
+@by_value
 @dataclass(frozen=True)
 class Scatter:
     """How weights move about the fixed point under a slow adaptation of one unit of step: 1 - lambda, or mu.
@@ -182,19 +199,24 @@ class Scatter:
     drive: Float64[np.ndarray, "modes modes"]
     covariance: Float64[np.ndarray, "modes modes"]  # S of B S + S B' = C O C'
 
+    def __post_init__(self):
+        check_fields(self)
 
+
+@checked
 def scatter(
     paths: Responses,
     steady: Steady,
     quadrature: Float64[np.ndarray, " frequencies"],
     floor: Float64[np.ndarray, "frequencies sensors sensors"]
     | Complex128[np.ndarray, "frequencies sensors sensors"],
-    sensor_noise: float,
-    platform_noise: float,
-    sample_rate: float,
+    sensor_noise: NonNegative,
+    platform_noise: NonNegative,
+    sample_rate: Positive,
     algorithm: str = "FeRls",
 ) -> Scatter:
     """Scatter of the weights of `FeRls` or `FeLms` on Gaussian signals, of which O is a sum over frequency."""
+    require_choice("algorithm", algorithm, ALGORITHMS)
     own, mixed = error_spectra(paths, steady.weights, floor, sensor_noise, platform_noise)
     shaped = paths.shaping[:, None, None] * paths.regressors
     seen = floor + sensor_noise**2 * np.eye(floor.shape[1])
@@ -223,6 +245,7 @@ def _mean(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.einsum("fis,fjs->ij", left, np.conj(right), optimize=True).real
 
 
+@checked
 def sum_kronecker(
     left: Complex128[np.ndarray, "frequencies rows rows"], right: Complex128[np.ndarray, "frequencies n n"]
 ) -> Float64[np.ndarray, "modes modes"]:

@@ -57,7 +57,7 @@ class TriangleRegressor(WeightedRegressor):
             return self._estimate(matrix, target, max(mass - known.sum(), 0.0))
 
         matrix, targets = corner[:, :columns], corner.T[columns:]
-        return np.array([solve_around_known(matrix, target, known, estimate) for target in targets])
+        return np.array([_solve_around_known(matrix, target, known, estimate) for target in targets])
 
     def _known(self, columns) -> np.ndarray:
         # which columns are known exactly, or are not to be shrunk
@@ -79,7 +79,7 @@ class TriangleRegressor(WeightedRegressor):
         return np.append(np.resize(values, features), np.zeros(columns - features))
 
 
-def solve_around_known(matrix, target, known, estimate: Callable) -> np.ndarray:
+def _solve_around_known(matrix, target, known, estimate: Callable) -> np.ndarray:
     """Estimate of all columns by `estimate` of the others, once what the `known` columns explain is taken out of them."""
     if not known.any():
         return estimate(matrix, target)
@@ -209,7 +209,7 @@ class MinMaxRegressor(TriangleRegressor):
             self._zero |= zero
             return estimate / shares
 
-        return np.array([solve_around_known(corner[:, :columns], each, known, estimate) for each in targets])
+        return np.array([_solve_around_known(corner[:, :columns], each, known, estimate) for each in targets])
 
 
 @dataclass(eq=False, repr=False)
@@ -522,4 +522,4 @@ class InstrumentalRegressor(TriangleRegressor):
             return np.append(np.zeros(given), own)
 
         matrix, targets = corner[:, : given + columns], corner.T[given + columns :]
-        return np.array([solve_around_known(matrix, each, known, estimate)[given:] for each in targets])
+        return np.array([_solve_around_known(matrix, each, known, estimate)[given:] for each in targets])

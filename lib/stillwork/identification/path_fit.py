@@ -7,7 +7,9 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import optimize
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.bounds import Positive
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.validation import by_value, checked
 
 MOST_LINES = 250  # of the refinement; more are thinned
 START_LINES = 60  # of the trial of each start
@@ -16,6 +18,7 @@ DELAYS = np.array([0.0, 1.0, 2.0, 4.0])  # samples, likewise
 WORST_FIT = 0.3  # relative residual from which on it is no isolator of this kind
 
 
+@by_value
 @dataclass(frozen=True)
 class PathFit:
     """Acceleration per command s² (M s² + C s + K)^-1 w_a / (s + w_a) exp(-s (delay + T / 2)) sinc of a measurement."""
@@ -28,7 +31,8 @@ class PathFit:
     residual: float  # rms over the lines, of the response's size at each
 
 
-def fit_path(frequencies_hz: ArrayLike, response: ArrayLike, sample_rate: float) -> PathFit:
+@checked
+def fit_path(frequencies_hz: ArrayLike, response: ArrayLike, sample_rate: Positive) -> PathFit:
     """Fit an isolator to its acceleration along every actuator per command of every actuator.
 
     Parameters
@@ -53,7 +57,6 @@ def fit_path(frequencies_hz: ArrayLike, response: ArrayLike, sample_rate: float)
     seen = require_array("response", response, dtype=complex)
     axes = seen.shape[-1]
     seen = require_array("response", seen, shape=(len(f), axes, axes), dtype=complex)
-    require_number("sample_rate", sample_rate, above=0.0)
     entries_each = axes * (axes + 1) // 2
     if len(f) * axes**2 < 6 * entries_each + 4:
         raise InputError(f"frequencies_hz holds {len(f)} lines, too few for a fit; give more")
