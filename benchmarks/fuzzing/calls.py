@@ -120,8 +120,8 @@ def catalogue() -> dict:
         np.zeros((1, 1)),
     )
     sampled = lti.zoh(state, 0.01)
-    lag = lti.StateModel([[-10.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
-    holding = lti.StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-5.0]])
+    lag = lti.StateModel(np.array([[-10.0]]), np.ones((1, 2)), np.ones((2, 1)), np.zeros((2, 2)))
+    holding = lti.StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[-5.0]]))
     network = c.Network(lag, holding, {"load": "N"}, {"drive": "N"}, {"error": "m"}, {"sensor": "m"})
     source = c.Source(
         "load",
@@ -135,7 +135,13 @@ def catalogue() -> dict:
         0.5,
     )
     afloat = c.FloorMachine(
-        16.0, 5.0, 0.05, lti.ModalModel([0.0], [0.0], [[0.5]], [[0.5]], [[0.0]]), c.PidFamily(4.0)(50.0)
+        16.0,
+        5.0,
+        0.05,
+        lti.ModalModel(
+            np.zeros(1), np.zeros(1), np.full((1, 1), 0.5), np.full((1, 1), 0.5), np.zeros((1, 1))
+        ),
+        c.PidFamily(4.0)(50.0),
     )
     digital = c.DigitalController(sampled, ("e (m)",), ("f (N)",), [-1.0], [1.0], np.zeros((2, 1)), 1)
     doubled = lti.StateModel(
@@ -208,7 +214,9 @@ def catalogue() -> dict:
     )
     regular = lti.GeneralisedPlant(posed, 2, 2)
     tracked = lti.StateModel(0.9 * np.eye(2), np.ones((2, 1)), np.array([[1.0, 2.0]]), np.zeros((1, 1)), 0.1)
-    isolator = c.Isolator([[10.0]], [[20.0]], [[4e4]], [[1.0]], 900.0, 1e-3, 1e-5, 1e-5)
+    isolator = c.Isolator(
+        np.array([[10.0]]), np.array([[20.0]]), np.array([[4e4]]), np.eye(1), 900.0, 1e-3, 1e-5, 1e-5
+    )
     lines_hz = np.linspace(0.5, 125.0, 250)
     ground = c.binned(lines_hz, np.full((250, 1, 1), 1e-6), 60.0, "record.csv")
     feedforward = c.FeedforwardLoop(1000.0, 200.0, 1.0, 100.0, c.NoiseShaping(4.0, 60.0, 3), isolator)
@@ -448,6 +456,8 @@ def catalogue() -> dict:
         "Network.paths": (network.paths, {"frequencies_hz": np.array([1.0, 2.0])}),
         "Source": (c.Source, fields(source)),
         "error_budget": (c.error_budget, {"network": network, "sources": [source], "band_hz": (0.1, 100.0)}),
+        "ErrorBudget.edges": (c.error_budget(network, [source], (0.1, 100.0)).edges, {}),
+        "box_band": (c.box_band, {"rms": lambda place: 1.0, "places": c.box_places(c.Uncertainty(frequency=0.05), model, 2)}),
         "sensitivities": (c.sensitivities, {"rms": lambda mass: 1 / mass, "values": {"mass": 2.0}, "step": 0.01}),
         "FloorMachine": (c.FloorMachine, fields(afloat)),
         "Uncertainty": (c.Uncertainty, {"frequency": 0.05, "residue": 0.1, "damping": 0.2, "gain": 0.05, "mass": 0.02, "delay": 1e-5}),

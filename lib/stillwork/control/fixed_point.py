@@ -307,6 +307,7 @@ def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray
     return np.ascontiguousarray(noise)
 
 
+@checked
 def require_disturbance(disturbance: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
     """A disturbance of this shape, zero where none is given."""
     if disturbance is None:

@@ -68,6 +68,10 @@ def floor_spectra(
 ) -> FloorSpectra:
     """Cross spectra of a record by Welch's method, on bands of one per cent where the lines lie closer."""
     length = round(sample_rate / resolution_hz)
+    if length < 2:
+        raise InputError(
+            f"resolution_hz is {resolution_hz:g} at {sample_rate:g} samples a second; give half of that at most"
+        )
     if acceleration.shape[1] < 2 * length:
         raise InputError(f"{source} is too short; give at least {2 / resolution_hz:g} s")
     f, density = signal.csd(

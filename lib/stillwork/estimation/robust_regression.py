@@ -8,6 +8,7 @@ import numpy as np
 from stillwork.base.checks import require_number
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.linear_fits import huber_estimate
+from stillwork.estimation.recursive import LARGEST
 from stillwork.estimation.regression import RecursiveRegressor, UnweightedRegressor
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 
@@ -186,5 +187,6 @@ class HinfinityRegressor(UnweightedRegressor):
             left = np.linalg.norm(outputs - rows @ least) / np.sqrt(count * max(1, len(rows) - columns))
             least_noise = 1e-6 * np.linalg.norm(outputs) / np.sqrt(outputs.size)
             noise = float(max(left, least_noise)) or 1.0
-        size, noise = require_number("size", size, above=0.0), require_number("noise", noise, above=0.0)
+        size = require_number("size", size, above=0.0, at_most=LARGEST)
+        noise = require_number("noise", noise, above=0.0, at_most=LARGEST)
         return size**2 / columns * np.eye(columns), float(noise) ** 2
