@@ -44,7 +44,12 @@ PARTS = {
     "Designed.lines",
     *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
     *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
-    *("require_covariance", "require_squares", "require_finite_squares"),  # checks themselves
+    *(
+        "require_covariance",
+        "require_squares",
+        "require_finite_squares",
+        "require_floor_level",
+    ),  # checks themselves
     *("solve_plain", "spectrum"),  # of a triangle that a regressor has made
     *("Numbers.terms", "Numbers.files"),  # of the functions that write C
     *("WeightedRegressor", "UnweightedRegressor"),  # abstract: `fit` is called of those that are derived

@@ -7,6 +7,7 @@ import sys
 for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+from stillwork.base.checks import InputError  # noqa: E402
 from stillwork.base.command_line import Command, Option, flag, named, number, option, run, text  # noqa: E402
 from workbook.__main__ import COMMANDS as OF_THE_WORKBOOK  # noqa: E402
 from workbook.__main__ import PROCESSES, RENAMED, SCHEDULER  # noqa: E402
@@ -15,6 +16,24 @@ from workbook.__main__ import PROCESSES, RENAMED, SCHEDULER  # noqa: E402
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
     return run("stillwork", OF_THE_WORKBOOK | COMMANDS, arguments, RENAMED)
+
+
+def new(topic: str, name: str, create: bool) -> list[str]:
+    """``new budget`` alone writes templates of machines, ``new isolate FILE`` that of an isolator; else a result begins."""
+    if topic == "budget" and not name:
+        from stillwork.design.budget import new_budget
+
+        return new_budget()
+    if topic == "isolate" and name:
+        from stillwork.design.isolate import new_file
+
+        return new_file(name)
+    from workbook import commands, paths
+
+    paths.root()  # refuses what is no workbook
+    if not name:
+        raise InputError("name is missing; give a number and words, e.g. 09-payload")
+    return commands.new(topic, name, create)
 
 
 def _file(help: str) -> Option:
@@ -135,7 +154,7 @@ COMMANDS = {
     ),
     "new": Command(
         "begin a result of the workbook; `new budget` alone: templates of machines for budget; `new isolate FILE`: of an isolator",
-        "stillwork.design.budget:new",
+        "stillwork.__main__:new",
         (
             option("topic", metavar="TOPIC"),
             option("name", nargs="?", default="", metavar="NAME", help="a number and words, e.g. 09-payload"),

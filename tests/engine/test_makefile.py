@@ -256,7 +256,7 @@ def test_bench_runs_what_measures_speed_beside_peers_alone(checkout):
     """The other files of the folder want a wheel, a seed or hours, and say themselves how they are called."""
     shutil.copytree(ROOT / "benchmarks", checkout / "benchmarks")
     assert make(checkout, OWN, "bench", "ARGS=--write").returncode == 0
-    run = ("export", "fixedpoint", "isolation", "motion", "worstcase")
+    run = ("export", "fixedpoint", "isolation", "motion", "synthesis", "worstcase")
     assert calls(checkout) == [f"benchmarks/{name}.py --write" for name in run]
 
 

@@ -412,7 +412,7 @@ def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
 
 # What asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
 OWN_DOORS = re.compile(
-    r"from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares)|(Adaptation|Recursive)Stepper\.update|(\w+Regressor|LeastMeanSquares)\.((partial_)?fit|predict|score)"
+    r"from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares|floor_level)|(Adaptation|Recursive)Stepper\.update|(\w+Regressor|LeastMeanSquares)\.((partial_)?fit|predict|score)"
 )
 # What hands the parts of a recursion to its kernels, a sample at a time: `run` and the steppers have asked before.
 PARTS = {

@@ -562,11 +562,11 @@ def test_a_command_by_its_old_name_prints_the_new_one(capsys):
     [
         (
             ["figures", "--out", "x"],
-            "unknown '--out'; it is an option of report, design, isolate, retest, desk, export, contest",
+            "unknown '--out'; it is an option of report, design, isolate, budget, retest, desk, export, contest",
         ),
         (
             ["figures", "--out=x"],
-            "unknown '--out=x'; it is an option of report, design, isolate, retest, desk, export, contest",
+            "unknown '--out=x'; it is an option of report, design, isolate, budget, retest, desk, export, contest",
         ),
         (["doctor", "--sedes", "3"], "unknown '--sedes'"),  # near the contest's --seeds alone
         (["contest", "--sedes", "3"], "unknown '--sedes'; did you mean '--seeds'?"),

@@ -302,7 +302,7 @@ def checks_of(owner) -> dict[str, Callable]:
 def bounds_of(function: Callable) -> dict[str, Callable]:
     """The checks of those parameters whose annotation says more than a type: they are made of calls from inside, too."""
     hints = _hints(function)
-    return {name: check for name, check in checks_of(function).items() if _is_bounded(hints[name])}
+    return {name: check for name, check in checks_of(function).items() if _is_bounded(hints.get(name))}
 
 
 def _hints(owner) -> dict[str, Any]:

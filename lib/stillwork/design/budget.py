@@ -90,22 +90,6 @@ def new_budget(folder: str = ".") -> list[str]:
     return [*map(str, files), f"change the numbers to yours, then: python -m stillwork budget {files[0]}"]
 
 
-def new(topic: str, name: str, create: bool) -> list[str]:
-    """``new budget`` alone writes templates of machines, ``new isolate FILE`` that of an isolator; else a result begins."""
-    if topic == "budget" and not name:
-        return new_budget()
-    if topic == "isolate" and name:
-        from stillwork.design.isolate import new_file
-
-        return new_file(name)
-    from workbook import commands, paths
-
-    paths.root()  # refuses what is no workbook
-    if not name:
-        raise InputError("name is missing; give a number and words, e.g. 09-payload")
-    return commands.new(topic, name, create)
-
-
 def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") -> list[str]:
     """Make the error budget of a machine, and write it on one page.
 
