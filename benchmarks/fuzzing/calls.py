@@ -462,7 +462,7 @@ def catalogue() -> dict:
         "Source": (c.Source, fields(source)),
         "error_budget": (c.error_budget, {"network": network, "sources": [source], "band_hz": (0.1, 100.0)}),
         "ErrorBudget.edges": (c.error_budget(network, [source], (0.1, 100.0)).edges, {}),
-        "box_band": (c.box_band, {"rms": lambda place: 1.0, "places": c.box_places(c.Uncertainty(frequency=0.05), model, 2)}),
+        "box_band": (c.box_band, {"rms": lambda place: 1.0, "places": tuple(c.box_places(c.Uncertainty(frequency=0.05), model, 2))}),
         "sensitivities": (c.sensitivities, {"rms": lambda mass: 1 / mass, "values": {"mass": 2.0}, "step": 0.01}),
         "FloorMachine": (c.FloorMachine, fields(afloat)),
         "Uncertainty": (c.Uncertainty, {"frequency": 0.05, "residue": 0.1, "damping": 0.2, "gain": 0.05, "mass": 0.02, "delay": 1e-5}),

@@ -488,6 +488,8 @@ def predict(
     """Motion and transmissibility of a design and of the same loop around, each with weights drawn from their scatter."""
     if design.scatter is None:
         raise InputError("design has a given step, of which no scatter is known; give one that was searched")
+    if not around:
+        raise InputError("around is empty; give the loops on isolators of the box")
     f, widths = floor.frequencies_hz, floor.widths_hz
     band = LOWEST_HZ, design.loop.shaping.lowpass_hz
     # A band of frequency that an end of the judged one cuts counts in part.

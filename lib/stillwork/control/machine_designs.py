@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from inspect import signature
 from typing import NamedTuple
 
 import numpy as np
@@ -209,6 +210,9 @@ def _prompt(machine: Machine, delay: float, rate: float) -> tuple[Machine, float
 def reach_one(machine: Machine, settings: DesignSettings, how: Mapping) -> AchievableBandwidth:
     """`reach` for one use; `how` are its other arguments."""
     own = {each.name: getattr(settings, each.name) for each in fields(settings) if each.name != "application"}
+    known = signature(reach).parameters.keys() - own.keys() - {"machine", "applications"}
+    if unknown := sorted(map(str, set(how) - known)):
+        raise InputError(f"how holds {', '.join(unknown)}; give some of {', '.join(sorted(known))}")
     return reach(machine, {"": settings.application}, **own, **how)[""]
 
 
