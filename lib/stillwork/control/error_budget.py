@@ -716,7 +716,10 @@ def box_places(uncertainty: Uncertainty, plant: ModalModel, count: int, seed: in
     """Places that fill the box around a plant evenly, a scrambled Sobol sequence; the rigid body's mass among them."""
     box = uncertainty._of_modes(plant)
     n = len(plant.frequencies)
-    draws = qmc.Sobol(3 * n + 3, seed=seed).random(require_count("count", count)) * 2 - 1
+    whole = (
+        1 << (require_count("count", count) - 1).bit_length()
+    )  # of other numbers than powers of 2 scipy warns
+    draws = qmc.Sobol(3 * n + 3, seed=seed).random(whole)[:count] * 2 - 1
     places = []
     for draw in draws:
         frequency, residue, damping = (

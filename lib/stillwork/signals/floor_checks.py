@@ -5,7 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float64
 
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError
+from stillwork.base.validation import checked
 
 CREST = 20.0  # peak over rms from which on it may be a spike: footsteps on a slab reach 15 (chosen)
 STUCK_S = 0.25  # s of one value, of a sensor that sticks (chosen)
@@ -14,6 +16,7 @@ LOUDEST = 9.80665  # m/s^2: beyond 1 g nothing stays on a floor
 QUIETEST = 1e-8  # m/s^2 rms: the quietest ground on Earth (Peterson's low noise model) has that at 1-10 Hz
 
 
+@checked
 def require_floor_level(source: str, unit: str, peak: float, rms: float) -> None:
     """Refuse a floor (m/s^2) that is louder than a floor can be, or quieter: its unit is wrong."""
     said = f"check the unit{unit and f' {unit!r}'}"
@@ -28,7 +31,10 @@ def require_floor_level(source: str, unit: str, peak: float, rms: float) -> None
         )
 
 
-def sensor_faults(acceleration: Float64[np.ndarray, "sensors samples"], sample_rate: float) -> Iterator[str]:
+@checked
+def sensor_faults(
+    acceleration: Float64[np.ndarray, "sensors samples"], sample_rate: Positive
+) -> Iterator[str]:
     """Sensors that spike or stick, a sentence each, and what to do about it."""
     for k, row in enumerate(acceleration):
         name, size = f"Floor sensor {k + 1}", row.std()
@@ -47,6 +53,7 @@ def sensor_faults(acceleration: Float64[np.ndarray, "sensors samples"], sample_r
             )
 
 
+@checked
 def slow_ratio(
     frequencies_hz: Float64[np.ndarray, " frequencies"],
     density: Float64[np.ndarray, "sensors frequencies"],
