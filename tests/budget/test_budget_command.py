@@ -6,13 +6,13 @@ import re
 import numpy as np
 import pytest
 
-from stillwork.__main__ import main
+from stillwork.__main__ import main, new
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 from stillwork.control.digital import DigitalController
 from stillwork.control.error_budget import error_budget
 from stillwork.control.pid import PidFamily
-from stillwork.design.budget import MACHINES, budget_file, machine_of, new, new_budget, sources_of
+from stillwork.design.budget import MACHINES, budget_file, machine_of, new_budget, sources_of
 from stillwork.lti.discretisation import tustin
 
 
