@@ -480,6 +480,7 @@ def scatter_of(seed: int, low_pass_hz: float, literal: bool = False) -> dict:
         covariance = steady.covariance * memory_ratio(forgetting)
         settled["FeRLS", memory] = FeRls(covariance, forgetting, growth_limit=np.inf)
     settled["FeRLS", 0.0] = FeRls(steady.covariance, 1.0, growth_limit=np.inf)
+    names = {f"{algorithm} {setting:g}": (algorithm, setting) for algorithm, setting in settled}
     study = run_study(
         con.steady_trial,
         TOGETHER,
@@ -489,10 +490,10 @@ def scatter_of(seed: int, low_pass_hz: float, literal: bool = False) -> dict:
         twin=twin,
         floor=floor,
         steady=steady,
-        settled=settled,
+        settled={name: settled[key] for name, key in names.items()},
         duration_s=120.0,
     )
-    return dict(study.values)
+    return {names[name]: values for name, values in study.values.items()}
 
 
 def memory_ratio(forgetting: float) -> float:

@@ -39,11 +39,12 @@ def move_actuators(
     taper: float = 0.0,
 ) -> Moved:
     """Both actuators at eleven places along `travel`."""
+    actuators, sensors = np.array(actuators), np.array(sensors)
     retained, rows = 2 + settings.damped, []
     built = damping_gain(truncate(beam(actuators, sensors, taper=taper), retained), settings.increase)
     shifts = np.linspace(*travel, 11)
     for shift in shifts:
-        there = beam(np.array(actuators) + shift, sensors, taper=taper)
+        there = beam(actuators + shift, sensors, taper=taper)
         follows = damping_gain(truncate(there, retained), settings.increase)
         systems = [decoupled_plant(there, decouple(there), gain) for gain in (follows, built)]
         rows.append([added_damping(there, system)[0][: settings.damped] for system in systems])
@@ -66,12 +67,13 @@ def move_sensors(
     taper: float = 0.0,
 ) -> Seen:
     """Both sensors at six places along `travel`, with the C_f of each."""
+    actuators, sensors = np.array(actuators), np.array(sensors)
     slow, found = (0.03, 0.3), []  # Hz
     plant = beam(actuators, sensors, taper=taper)
     modes = plant.frequencies[2 : 2 + settings.damped]
     idle, built = np.zeros((2, 2 * len(plant.frequencies[: 2 + settings.damped]))), decouple(plant)
     for shift in np.linspace(*travel, 6):
-        there = beam(actuators, np.array(sensors) + shift, taper=taper)
+        there = beam(actuators, sensors + shift, taper=taper)
         bare, seen = decoupled_plant(there, decouple(there), idle), with_compensation(there, settings)
         lowered = np.abs(seen.frequency_response(modes)) < np.abs(bare.frequency_response(modes))
         stale = low_frequency_slopes(decoupled_plant(there, built, idle), *slow)[0, 1]
