@@ -125,7 +125,7 @@ def filtered(matrix, outputs, deviation, level):
 
 def test_hinfinity_keeps_its_level_and_nothing_keeps_less():
     matrix = record(rows=9).matrix
-    model = hinfinity_model(matrix, 0.49, 1.0, FORGETTING)
+    model = hinfinity_model(matrix, 0.49, np.eye(3) / 3, FORGETTING)
     smallest = smallest_level(model, np.eye(3), 1e-3)
     target = np.random.default_rng(3).standard_normal(9)
     level = 1.3 * smallest_level(model, np.eye(3), 1e-2)

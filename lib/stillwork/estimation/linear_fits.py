@@ -8,12 +8,13 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Matrix, Vector, within
 from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import checked
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
-from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel, estimate
 
 # Deviations, beyond which an error counts less: 95 % as good as least squares in Gaussian noise.
 HUBER = 1.345
@@ -104,16 +105,29 @@ def total_least_squares(matrix: Matrix, target: Vector) -> Float64[np.ndarray, "
 
 
 @checked
-def hinfinity_model(matrix: Matrix, variance: float, size: float, forgetting: float) -> TimeVaryingModel:
-    """Constant parameters of squared norm `size` as a state that is seen through the rows; sample 0 is the start.
+def hinfinity_model(
+    matrix: Matrix, variance: float, covariance: Matrix, forgetting: float
+) -> TimeVaryingModel:
+    """Constant parameters of a `covariance` as a state that is seen through the rows; sample 0 is the start.
 
     Forgetting is the growth of the state times forgetting^(-t/2) (Sayed and Kailath, 1994).
     """
     taps = matrix.shape[1]
-    identity, none, one = np.eye(taps), np.zeros((taps, 1)), np.ones((1, 1))
+    none, one = np.zeros((taps, 1)), np.ones((1, 1))
     seen = np.concatenate([np.zeros((1, 1, taps)), matrix[:, None]])
-    growth = identity / np.sqrt(forgetting)
-    return TimeVaryingModel(growth, none, none, seen, one, variance * one, size * identity / taps)
+    growth = np.eye(taps) / np.sqrt(forgetting)
+    return TimeVaryingModel(growth, none, none, seen, one, variance * one, covariance)
+
+
+@checked
+def last_estimate(
+    gains: FilterGains, target: Vector, forgetting: float, start: ArrayLike | None = None
+) -> Float64[np.ndarray, " unknowns"]:
+    """The parameters of a `hinfinity_model` after its last row: its state, which has grown, taken back."""
+    samples = len(target) + 1
+    scale = forgetting ** (-np.arange(samples) / 2)
+    outputs = scale * np.append(0.0, target)
+    return estimate(gains, np.zeros((1, samples)), outputs[None], start)[:, -1] / scale[-1]
 
 
 @checked
@@ -130,9 +144,7 @@ def hinfinity_estimate(
     `variance` is that of the noise, `size` the squared norm of the parameters, `margin` the level over the smallest
     that there is. Hassibi, Sayed and Kailath (1999), chapter 4.
     """
-    model = hinfinity_model(matrix, variance, size, forgetting)
-    wanted = np.eye(model.a.shape[1])
+    wanted = np.eye(matrix.shape[1])
+    model = hinfinity_model(matrix, variance, size * wanted / len(wanted), forgetting)
     gains = hinfinity_gains(model, wanted, margin * smallest_level(model, wanted, 1e-2))
-    scale = forgetting ** (-np.arange(model.samples) / 2)
-    outputs = scale * np.concatenate([[0.0], target])
-    return estimate(gains, np.zeros((1, model.samples)), outputs[None])[:, -1] / scale[-1]
+    return last_estimate(gains, target, forgetting)

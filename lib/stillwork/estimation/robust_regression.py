@@ -7,10 +7,9 @@ import numpy as np
 
 from stillwork.base.checks import require_number
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
-from stillwork.estimation.linear_fits import huber_estimate
+from stillwork.estimation.linear_fits import hinfinity_model, huber_estimate, last_estimate
 from stillwork.estimation.recursive import LARGEST
 from stillwork.estimation.regression import RecursiveRegressor, UnweightedRegressor
-from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 
 MARGIN = 1.1  # level over the smallest that there is
 
@@ -155,25 +154,21 @@ class HinfinityRegressor(UnweightedRegressor):
     def _advance(self, state, rows, outputs, weights):
         forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         columns = rows.shape[1]
-        identity, none = np.eye(columns), np.zeros((columns, 1))
+        identity = np.eye(columns)
         if state is None:
             state = (np.zeros((outputs.shape[1], columns)), *self._believed(rows, outputs), self.level)
         coef, covariance, variance, level = state
-        seen = np.concatenate([np.zeros((1, 1, columns)), rows[:, None]])
-        noise = np.array([[variance]])
-        growth = identity / np.sqrt(forgetting)
-        model = TimeVaryingModel(growth, none, none, seen, np.eye(1), noise, covariance)
+        model = hinfinity_model(rows, variance, covariance, forgetting)
         if level is None:
             level = MARGIN * smallest_level(model, identity, 1e-6)
         self.level_ = require_number("level", level, above=0.0)
         gains = hinfinity_gains(model, identity, float(self.level_))
-        # the coefficients grow as forgetting^(-t/2) beside white noise
-        scale = forgetting ** (-np.arange(model.samples) / 2)
-        found = [
-            estimate(gains, np.zeros((1, model.samples)), (scale * np.append(0.0, each))[None], start)[:, -1]
-            for each, start in zip(outputs.T, coef, strict=True)
-        ]
-        coef = np.array(found) / scale[-1]
+        coef = np.array(
+            [
+                last_estimate(gains, each, forgetting, start)
+                for each, start in zip(outputs.T, coef, strict=True)
+            ]
+        )
         return (coef, np.array(gains.covariance[-1]), variance, level), coef
 
     def _believed(self, rows, outputs) -> tuple[np.ndarray, float]:
