@@ -1,6 +1,7 @@
 """TOML files of people's own: what is missing or of another kind is an `InputError` that names it."""
 
 import tomllib
+from collections.abc import Collection
 from pathlib import Path
 
 from stillwork.base.checks import InputError, nearest, require_array, require_number, short_repr
@@ -15,6 +16,14 @@ class Table(dict):
 
     def __missing__(self, name: str):
         raise InputError(f"{self.where}: {name!r} is missing{nearest(name, self)}; add it")
+
+    def require_known(self, names: Collection[str]) -> None:
+        """Refuse a name beside these: a misspelt one would count as not given."""
+        for name in self:
+            if name not in names:
+                raise InputError(
+                    f"{self.where}: unknown name {name!r}{nearest(name, names)}; known: {', '.join(names)}"
+                )
 
     def table(self, name: str) -> "Table":
         """The entry `name`, which must be a table."""

@@ -150,7 +150,7 @@ def machine_of(entries: Table, design: str = "") -> FloorMachine:
     """The machine of a file; with a folder of `design`, that stage and controller."""
     body, law = entries.table("machine"), entries.table("controller")
     for name, fields in (("file", entries), ("machine", body), ("controller", law)):
-        _require_fields(name, fields)
+        fields.require_known(FIELDS[name])
     for name in ("rate_hz", "delay_samples", "feedforward_db"):
         require_number(f"controller: {name}", law.get(name, 0.0), at_least=0.0)
     rate = _number(law, "rate_hz", 0.0)
@@ -197,11 +197,6 @@ def _number(entries: Table, name: str, default: float) -> float:
     return float(require_number(f"{entries.where}: {name}", entries.get(name, default)))
 
 
-def _require_fields(name: str, entries: Table) -> None:
-    for each in entries:
-        require_choice(f"{entries.where}: entry", each, FIELDS[name])
-
-
 def _band(entries: Table) -> tuple[float, float]:
     low, high = require_array("band_hz", entries.get("band_hz", [0.5, 2000.0]), shape=(2,))
     return float(low), float(high)
@@ -221,7 +216,7 @@ def sources_of(entries: Table, floor: str, folder: Path, rate_hz: float) -> list
 
 
 def _source(name: str, entries: Table, folder: Path, rate_hz: float) -> Source:
-    _require_fields("source", entries)
+    entries.require_known(FIELDS["source"])
     place = require_choice(f"{name}: place", entries["place"], PLACES)
     kinds = [kind for kind in ("criterion", "file", "white", "quantiser", "tone_hz") if kind in entries]
     if len(kinds) != 1:

@@ -458,6 +458,7 @@ def report(
     return page(
         "design.html",
         source=html.escape(machine.source),
+        kind=": a controller",
         taken=html.escape(best),
         stopped=html.escape(reached.summary["stopped by"]),
         facts=table([], facts),

@@ -3,14 +3,19 @@
 import base64
 import html
 import io
+from collections.abc import Mapping
 from pathlib import Path
 from string import Template
 
 
-def page(template: str, **parts: str) -> str:
-    """A page of this folder with its parts, in HTML, in place."""
-    text = (Path(__file__).parent / template).read_text(encoding="utf-8")
-    return Template(text).substitute(parts)
+def page(template: str, source: str, kind: str = "", **parts: str) -> str:
+    """A page about `source`, which its title says to be of a `kind`: a template of this folder with its parts in place."""
+    content = _filled(template, parts)
+    return _filled("page.html", {"source": source, "kind": kind, "content": content})
+
+
+def _filled(template: str, parts: Mapping[str, str]) -> str:
+    return Template((Path(__file__).parent / template).read_text(encoding="utf-8")).substitute(parts)
 
 
 def picture(figure, words: str) -> str:

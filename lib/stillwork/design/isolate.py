@@ -32,7 +32,7 @@ from stillwork.design.export import require_free, write_folder
 from stillwork.design.html_page import page, picture, table
 from stillwork.estimation.adaptive import FeRls
 from stillwork.identification.machine_files import complex_responses, load_machine
-from stillwork.identification.path_fit import fit_path
+from stillwork.identification.path_fit import PathFit, fit_path
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import density_unit, read_densities, stated_density
@@ -185,6 +185,7 @@ def isolate_file(
     text = page(
         "isolate.html",
         source=html.escape(Path(machine).name),
+        kind=": a feedforward",
         floor=html.escape(spectra.source),
         facts=table([], facts),
         remains=table(
@@ -228,8 +229,7 @@ def read_isolator(file: str, rate: float):
     path = Path(file)
     if path.suffix.lower() != ".toml":
         f, seen, notes = read_response(path)
-        fitted = fit_path(f, seen, rate)
-        notes.append(f"fitted to {len(f)} lines, off by {100 * fitted.residual:.2g} % of the response")
+        fitted = _fitted(f, seen, rate, notes)
         notes.append(
             f"each axis on a floor sensor of its own, with sensors of {QUIET:g} m/s^2/sqrt(Hz); a TOML says otherwise"
         )
@@ -239,18 +239,15 @@ def read_isolator(file: str, rate: float):
         )  # fmt: skip
         return own, own, (f, seen), (), notes
     whole = read_toml(file)
-    _require_known(whole, ("response", "notches_hz", "isolator", "estimate", "noise", "floor"))
+    whole.require_known(("response", "notches_hz", "isolator", "estimate", "noise", "floor"))
     noise = whole.table("noise") if "noise" in whole else Table({}, whole.where)
-    _require_known(noise, ("floor", "platform"))
+    noise.require_known(("floor", "platform"))
     notes, measured = [], None
     if "response" in whole:
         f, seen, notes = read_response(path.parent / str(whole["response"]))
         measured = f, seen
     if "isolator" not in whole and measured:
-        fitted = fit_path(*measured, rate)
-        notes.append(
-            f"fitted to {len(measured[0])} lines, off by {100 * fitted.residual:.2g} % of the response"
-        )
+        fitted = _fitted(*measured, rate, notes)
         given: dict = {name: getattr(fitted, name) for name in ("mass", "damping", "stiffness")}
         given |= {"actuator_pole_hz": fitted.actuator_pole / (2 * np.pi), "delay_s": fitted.delay}
         table_of = Table(given | ({"floor": whole["floor"]} if "floor" in whole else {}), whole.where)
@@ -268,14 +265,15 @@ def read_isolator(file: str, rate: float):
     return isolator, estimate, measured, tuple(notches), notes
 
 
-def _require_known(given: Table, names: Sequence[str]) -> None:
-    for each in given:
-        if each not in names:
-            raise InputError(f"{given.where}: unknown name {each!r}; known: {', '.join(names)}")
+def _fitted(f: np.ndarray, seen: np.ndarray, rate: float, notes: list[str]) -> PathFit:
+    """The mechanics that a measured response shows; how near they come is noted."""
+    fitted = fit_path(f, seen, rate)
+    notes.append(f"fitted to {len(f)} lines, off by {100 * fitted.residual:.2g} % of the response")
+    return fitted
 
 
-def _mechanics(given: Table, noise: dict, rate: float) -> Isolator:
-    _require_known(given, MECHANICS)
+def _mechanics(given: Table, noise: Table, rate: float) -> Isolator:
+    given.require_known(MECHANICS)
     matrices = []
     for each in MECHANICS[:3]:
         value = require_array(each, given[each])
