@@ -54,7 +54,9 @@ from stillwork.estimation.robust import (
     step_data,
 )
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel, estimate
+from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import hinf_norm
+from stillwork.lti.state_space import StateModel
 from stillwork.lti.structured import prove_gain
 from workbook import figures, paths
 from workbook.studies import Study, run_study
@@ -746,9 +748,7 @@ def proven_peak(case: str, size: float, seed: int, plants: int = 40) -> tuple[fl
     The bound is that of `lti.prove_gain`, at the first level that it proves, in steps of 0.5 % from the sampled one.
     """
     plant, blocks = stage().at([0], [MEASURED - 1]), published_blocks()[case]
-    rng, frequency_alone = np.random.default_rng(seed), np.array([1.0, 0.0, 0.0, 0.0])
-    off = [frequency_alone * sample_errors(rng, plant, size, "ends", False) for _ in range(plants)]
-    loops = [channel(closed_loop(perturbed(plant, each), *blocks), "u_ff", "u") for each in off]
+    loops = _off_in_frequency(plant, blocks, size, seed, plants)
     sampled = max(hinf_norm(loop).magnitude if loop.is_stable else np.inf for loop in loops)
     model, uncertain = uncertain_channel(plant, *blocks, "u_ff", "u", frequency=size)
     levels = sampled * 1.005 ** np.arange(1, 40)
@@ -761,16 +761,22 @@ def sampled_masses(case: str, size: float, seed: int, plants: int = 24) -> dict[
     By mass: the fraction of sampled plants with a stable loop, and the largest S_I of these.
     """
     observer, controller = CASES[case]
-    blocks = stage_bandwidth(controller).controller.state_space()
-    frequency_alone, found = np.array([1.0, 0.0, 0.0, 0.0]), {}
+    law, found = stage_bandwidth(controller).controller.state_space(), {}
     for mass in range(1, 8):
-        plant, rng = stage().at([0], [mass - 1]), np.random.default_rng(seed)
-        off = [frequency_alone * sample_errors(rng, plant, size, "ends", False) for _ in range(plants)]
-        used = stage_compensator(mass, DESIGNS[observer]), blocks
-        loops = [channel(closed_loop(perturbed(plant, each), *used), "u_ff", "u") for each in off]
+        blocks = stage_compensator(mass, DESIGNS[observer]), law
+        loops = _off_in_frequency(stage().at([0], [mass - 1]), blocks, size, seed, plants)
         stable = [hinf_norm(loop).magnitude for loop in loops if loop.is_stable]
         found[mass] = len(stable) / plants, max(stable, default=np.inf)
     return found
+
+
+def _off_in_frequency(
+    plant: ModalModel, blocks: tuple, size: float, seed: int, plants: int
+) -> list[StateModel]:
+    """Input sensitivities of a loop on sampled plants, each frequency `size` too high or too low."""
+    rng, frequency_alone = np.random.default_rng(seed), np.array([1.0, 0.0, 0.0, 0.0])
+    off = [frequency_alone * sample_errors(rng, plant, size, "ends", False) for _ in range(plants)]
+    return [channel(closed_loop(perturbed(plant, each), *blocks), "u_ff", "u") for each in off]
 
 
 # --- The order and Table 5.2 under each law, stored ----------------------------------------------------------------
