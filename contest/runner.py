@@ -82,10 +82,14 @@ def _visible() -> list[str]:
 
 def _command(isolated: bool, folder: str) -> list[str]:
     python = [sys.executable, "-P", str(SERVER)]
-    if not isolated:
-        return ["/bin/sh", "-c", LIMITS + 'exec "$@"', str(CPU_SECONDS), *python]
-    jail = ["/bin/sh", "-c", LIMITS + JAIL, str(CPU_SECONDS), folder, *_visible(), "--", *python]
-    return ["unshare", *NAMESPACES, *jail]
+    if isolated:
+        return [*_jail(folder), *python]
+    return ["/bin/sh", "-c", LIMITS + 'exec "$@"', str(CPU_SECONDS), *python]
+
+
+def _jail(folder: str) -> list[str]:
+    shell = ["/bin/sh", "-c", LIMITS + JAIL, str(CPU_SECONDS), folder, *_visible(), "--"]
+    return ["unshare", *NAMESPACES, *shell]
 
 
 @cache
@@ -94,13 +98,8 @@ def can_isolate() -> bool:
     if not all(map(shutil.which, PROGRAMS)):
         return False
     with tempfile.TemporaryDirectory() as folder:
-        command = _command(True, folder)[: -len([sys.executable, "-P", SERVER])]
-        return (
-            subprocess.run(
-                [*command, "/usr/bin/env"], capture_output=True, env={"PATH": SYSTEM_PATH}
-            ).returncode
-            == 0
-        )
+        command = [*_jail(folder), "/usr/bin/env"]
+        return subprocess.run(command, capture_output=True, env={"PATH": SYSTEM_PATH}).returncode == 0
 
 
 class ExternalObserver:

@@ -386,7 +386,7 @@ class ErrorBudget:
     ) -> tuple[Float64[np.ndarray, " errors"], Float64[np.ndarray, " errors"]]:
         """Rms of the moving average, and of the moving standard deviation, over `exposure` seconds; exact.
 
-        See `stillwork.signals.moving`; the average passes sinc^2, the deviation what is left.
+        See `stillwork.signals.moving_average`; the average passes sinc^2, the deviation what is left.
 
         Parameters
         ----------

@@ -124,7 +124,7 @@ class FloorMachine:
         b = np.zeros((n + 2, 5))
         b[1] = -1, 0, 1 / mass, -1 / mass, 1 / mass
         b[2:, [1, 3]] = stage.b
-        b[3, 0] = -1 / stage.c[0, 2 * 0]  # of the rigid body alone: the others do not feel a shift of all
+        b[3, 0] = -1 / stage.c[0, 0]  # of the rigid body alone: the others do not feel a shift of all
         apart = np.concatenate([[-1.0, 0.0], stage.c[0]])
         frame = a[1].copy()
         c = np.array([apart, frame, apart, frame, np.zeros(n + 2)])

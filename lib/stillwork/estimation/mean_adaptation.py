@@ -17,6 +17,9 @@ from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.base.validation import by_value, check_fields, checked
 
 ALGORITHMS = ("FeRls", "FeLms")
+CrossSpectra = (
+    Float64[np.ndarray, "frequencies sensors sensors"] | Complex128[np.ndarray, "frequencies sensors sensors"]
+)
 # Beyond this condition of the scaled correlation a combination of regressors counts as silent.
 SILENT = 1e12
 
@@ -92,8 +95,7 @@ class Steady:
 def mean_adaptation(
     paths: Responses,
     quadrature: Float64[np.ndarray, " frequencies"],
-    floor: Float64[np.ndarray, "frequencies sensors sensors"]
-    | Complex128[np.ndarray, "frequencies sensors sensors"],
+    floor: CrossSpectra,
     sensor_noise: NonNegative,
     platform_noise: NonNegative,
     forgetting: Annotated[float, within(at_least=0.0, at_most=1.0)],
@@ -169,8 +171,7 @@ def mean_adaptation(
 def error_spectra(
     paths: Responses,
     weights: Float64[np.ndarray, "actuators regressors"],
-    floor: Float64[np.ndarray, "frequencies sensors sensors"]
-    | Complex128[np.ndarray, "frequencies sensors sensors"],
+    floor: CrossSpectra,
     sensor_noise: NonNegative,
     platform_noise: NonNegative,
 ) -> tuple[
@@ -208,8 +209,7 @@ def scatter(
     paths: Responses,
     steady: Steady,
     quadrature: Float64[np.ndarray, " frequencies"],
-    floor: Float64[np.ndarray, "frequencies sensors sensors"]
-    | Complex128[np.ndarray, "frequencies sensors sensors"],
+    floor: CrossSpectra,
     sensor_noise: NonNegative,
     platform_noise: NonNegative,
     sample_rate: Positive,
