@@ -23,10 +23,11 @@ def check(function):
     def checked(*arguments, **named):
         _calls[function] += 1
         if _calls[function] == FIRST:
-            # What jaxtyping checks by `function`, which it made for that.
-            called = sys._getframe(1).f_locals["fn"]
-            called.__no_type_check__ = True
-            _trusted.add(called)
+            # The function around, which jaxtyping made to check by `function`. The function itself keeps its
+            # annotations: the front door reads them at its own first call.
+            around = sys._getframe(2).f_locals["wrapped_fn_holder"][0]()
+            around.__no_type_check__ = True
+            _trusted.add(around)
         return compiled(function)(*arguments, **named)
 
     return checked
@@ -34,9 +35,6 @@ def check(function):
 
 def begin_again():
     """Check every function's calls again, as a test does that begins."""
-    door = sys.modules.get("stillwork.base.validation")
-    if _trusted and door:  # one that was first opened meanwhile found no annotations
-        door.checks_of.cache_clear()
     for function in _trusted:
         del function.__no_type_check__
     _trusted.clear()

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from jaxtyping import Float, TypeCheckError, jaxtyped
+from jaxtyping import Float64, TypeCheckError, jaxtyped
 
 import typecheck
+from stillwork.base.validation import checked
 from stillwork.estimation.recursive_kernels import known_length
 
 
 @jaxtyped(typechecker=typecheck.check)
-def doubled(values: Float[np.ndarray, " n"], times: float = 2.0) -> Float[np.ndarray, " n"]:
+def doubled(values: Float64[np.ndarray, " n"], times: float = 2.0) -> Float64[np.ndarray, " n"]:
     return values if times < 0 else times * values if times else times * values[1:]
 
 
@@ -33,3 +34,11 @@ def test_a_function_is_trusted_after_its_first_calls_and_checked_again_in_the_ne
         for _ in range(typecheck.FIRST):
             doubled(np.ones(3))
         assert doubled([1.0], -1.0) == [1.0]
+
+
+def test_the_front_door_still_reads_the_annotations_of_a_trusted_function():
+    """It opens at its own first call, which may come after those that the library made itself."""
+    typecheck.begin_again()
+    for _ in range(typecheck.FIRST):
+        doubled(np.ones(3))
+    assert checked(doubled)([1.0], 2).tolist() == [2.0]
