@@ -106,8 +106,13 @@ for (const figure of document.querySelectorAll("figure[data-states]")) {
       return drawn();
     });
     if (pictures.every((each) => each === home)) faults.push(`${control.id} moves nothing`);
-    figure.querySelector(".controls button").click();
+    figure.querySelector(".controls button:not(.presets *)").click();
     if (drawn() !== home) faults.push(`${control.id} does not come back`);
+  }
+  for (const preset of figure.querySelectorAll(".presets button")) {
+    preset.click();
+    if (preset.getAttribute("aria-pressed") !== "true") faults.push(`${preset.textContent}: not shown as chosen`);
+    if (/NaN|undefined|Infinity/.test(drawn())) faults.push(`${preset.textContent}: no number`);
   }
 }
 return faults;
