@@ -228,7 +228,7 @@ class Bench:
             shutil.rmtree(root / shelf, ignore_errors=True)
             if (self.home / saved / shelf).is_dir():
                 shutil.copytree(self.home / saved / shelf, root / shelf, symlinks=True)
-        for each in [*self.toy.temporary.iterdir(), *root.glob(".accepting*")]:
+        for each in [*self.toy.temporary.iterdir(), root / "build/accepting"]:
             shutil.rmtree(each, ignore_errors=True)
 
     def save(self, saved: str, root: Path | None = None, shelves: tuple[str, ...] = CHANGED) -> None:
@@ -437,107 +437,6 @@ def disturbed(
         return start(lambda: None).wait()
 
 
-def many_files(bench: Bench, draw: random.Random) -> tuple[Path, Files, Files, dict]:
-    """A folder, what stands on its shelves, what shall, and what differs."""
-    place = bench.root / "bench"
-    shutil.rmtree(place, ignore_errors=True)
-    old = {
-        f"{shelf}/{name}": text
-        for shelf in ("notebooks", "data", "figures")
-        for name, text in random_files(draw, "old").items()
-    }
-    new = {
-        f"{shelf}/{name}": text
-        for shelf in ("notebooks", "data", "figures/x")
-        for name, text in random_files(draw, "newer").items()
-    }
-    for name, text in old.items():
-        (place / name).parent.mkdir(parents=True, exist_ok=True)
-        (place / name).write_bytes(text)
-    names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
-    return place, old, new, {name: (old.get(name), new.get(name)) for name in names}
-
-
-def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
-    """Many files as one, cut."""
-    from stillwork.base.checks import InputError
-    from workbook.publish import finish, replace_all
-
-    place, old, new, changed = many_files(bench, draw)
-
-    def call() -> int:
-        try:
-            replace_all(place, changed)
-        except OSError:
-            return 1
-        except InputError:  # decided, not yet done
-            return 2
-        return 0
-
-    code = disturbed(
-        bench, draw, way, lambda install: bench.fork_call(call, install), place, 20 + 4 * len(changed)
-    )
-    if code in (0, 1) and shelves(place) != (old if code else new):
-        raise Broken(f"exit code {code}, and something else stands")
-    finish(place)
-    if code == 2 and shelves(place) != new:
-        raise Broken("said to be accepted, but is not")
-    stands = {True: "old", False: "new" if shelves(place) == new else "half"}[shelves(place) == old]
-    if stands == "half":
-        raise Broken("half of the files")
-    if left := [each.name for each in place.glob(".*")]:
-        raise Broken(f"left behind: {left}")
-    shutil.rmtree(place)
-    return stands
-
-
-def harmed_journal(bench: Bench, draw: random.Random) -> str:
-    """The journal of a change that was killed, harmed before the next command; half may stand where it is set aside."""
-    from stillwork.base.checks import InputError
-    from workbook.publish import finish, replace_all, unfinished
-
-    place, old, new, changed = many_files(bench, draw)
-
-    def call() -> int:
-        replace_all(place, changed)
-        return 0
-
-    places = step_hook(place / ".accepting/new", draw.randint(1, len(changed)), killer(signal.SIGKILL), [0])
-    bench.fork_call(call, places).wait()
-    half, journal, old_file = shelves(place), place / ".accepting", ""
-    if journal.is_dir():
-        manifest = journal / "manifest.json"
-        file = draw.choice([manifest, *sorted(p for p in journal.rglob("*") if p.is_file())])
-        text = file.read_bytes()
-        harms = [b"", b"null", b"[]", b"{}", text[: len(text) // 2], text[:-1], b"\xff" + text[1:], None]
-        file.unlink()  # what is kept of the old has two names
-        if file.is_relative_to(journal / "old"):  # as if somebody had written to it: it is put back as it is
-            old_file = file.relative_to(journal / "old").as_posix()
-        if (harm := draw.choice(harms)) is not None:
-            file.write_bytes(harm)
-        if draw.random() < 0.1:
-            shutil.rmtree(journal)
-            journal.mkdir()
-    said = ""
-    try:
-        finish(place)
-    except InputError as error:
-        said = str(error)
-        if "set aside" in said and shelves(place) != half:
-            raise Broken(f"set aside, but files were changed: {said}") from error
-    finish(place)
-    aside = list(place.glob(".accepting.damaged"))
-    if len(aside) != ("set aside" in said) or unfinished(place):
-        raise Broken(f"{[each.name for each in place.glob('.*')]} is left, and it was said: {said}")
-    now = shelves(place)
-    if f"changed since: {old_file};" in said:
-        now[old_file] = old[old_file]
-    if not aside and now not in (old, new):
-        raise Broken(f"half of the files: {said}")
-    shutil.rmtree(place)
-    return "new" if now == new else "old"
-
-
 def shelves(root: Path) -> Files:
     return {
         n: t
@@ -584,12 +483,12 @@ def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
     said = run.said()
     if NOISE.search(said):
         raise Broken(said[-500:])
-    at_once, decided = shelves(root), "stillwork: accepted, but not all" in said
+    at_once, in_part = shelves(root), "stillwork: accepted in part" in said
     if code >= 0:
         right = {
             0: at_once == new and "accepted 2" in said,
             1: at_once == old and "nothing accepted" in said,
-            2: decided or (at_once == old and "stillwork: " in said),
+            2: in_part or (at_once == old and "stillwork: " in said),
         }.get(code, at_once in (old, new) and code - 128 in SIGNALS)
         if not right:
             what = "old" if at_once == old else "new" if at_once == new else "half"
@@ -598,71 +497,48 @@ def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
     if code or not said.startswith("nothing to do"):
         raise Broken(f"the next build: {said[-300:]}")
     now = shelves(root)
-    if now not in (old, new) or (now == old and decided):
-        raise Broken("half accepted")
-    if left := [p.name for p in root.glob(".accepting*")]:
-        raise Broken(f"left behind: {left}")
-    code, said = bench.run("accept", root=root)
+    code, said = bench.run("accept", root=root)  # after a kill among the renames it writes the rest
     if code or shelves(root) != new:
         raise Broken(f"the next accept: {code} {said[-300:]}")
+    if (root / "build/accepting").exists():
+        raise Broken("left behind: build/accepting")
     return "old" if now == old else "new"
 
 
 def edited_accept(bench: Bench, draw: random.Random) -> str:
     """Somebody changes, adds or removes a file at a step of an accept; what they leave must stay.
 
-    A file that comes in the moment between the last look at its place and the accept's own rename is left out, and
-    what is written to a file that was opened before, when the accept is done.
+    The moment between the last look at a place and the accept's own rename is left out.
     """
     root, old, new = accept_again(bench)
     if "edits" not in bench.steps:  # those after the tree has been read
-        count_steps(
-            bench, "edits", lambda hook: bench.fork("accept", before=hook, root=root), root / ".accepting"
-        )
+        count_steps(bench, "edits", lambda hook: bench.fork("accept", before=hook, root=root), root)
         root, old, new = accept_again(bench)
     steps = bench.steps["edits"]
     name = draw.choice(
         [*(n for n in {**old, **new} if old.get(n) != new.get(n)), "data/motion/rig.toml", "data/own"]
     )
-    way = draw.choice(["in place", "in place", "by a rename", "removed", "held open"])
+    way = draw.choice(["in place", "in place", "by a rename", "removed"])
     file, note, mine = root / name, bench.home / "edited", b"\n"
     note.unlink(missing_ok=True)
-    opened = []
 
     def edit(event: str, *paths: Path) -> None:
         base = file.read_bytes() if file.exists() else None
-        safe = event not in ("os.rename", "os.remove") or file not in paths
-        if way == "removed" and (base is None or not safe):
+        if (event in ("os.rename", "os.remove") and file in paths) or (way == "removed" and base is None):
             return
         if way == "removed":
             file.unlink()
         elif way == "in place" and base is not None:
             with file.open("ab") as stream:
                 stream.write(mine)
-        elif safe:
+        else:
             beside = file.with_name("~")
             beside.write_bytes((base or b"") + mine)
             beside.rename(file)
-        else:
-            return
         note.write_bytes(pickle.dumps((base, None if way == "removed" else (base or b"") + mine)))
 
-    def hold(_event: str, *_paths: Path) -> None:
-        if file.exists():
-            opened.append(file.open("r+b", buffering=0))
-
-    def write(event: str, *paths: Path) -> None:
-        journal = root / ".accepting"
-        stands = opened and file.exists() and file.samefile(f"/dev/fd/{opened[0].fileno()}")
-        if stands or (opened and journal.exists() and (event, paths[:1]) != ("os.rename", (journal,))):
-            base = opened[0].read()
-            opened[0].write(mine)
-            note.write_bytes(pickle.dumps((base, base + mine)))
-
     at = draw.choice([draw.randint(1, steps), draw.randint(steps // 2, steps)])  # the places come late
-    hooks = [(at, edit)] if way != "held open" else [(at, hold), (at + draw.randint(1, 60), write)]
-    installs = [step_hook(root / ".accepting", step, act, [0]) for step, act in hooks]
-    run = bench.fork("accept", before=lambda: [install() for install in installs], root=root)
+    run = bench.fork("accept", before=step_hook(root, at, edit, [0]), root=root)
     code, said, now = run.wait(), run.said(), shelves(root)
     if NOISE.search(said):
         raise Broken(said[-500:])
@@ -682,8 +558,6 @@ def edited_accept(bench: Bench, draw: random.Random) -> str:
         raise Broken(f"accepted beside an older file: {what}")
     if code and "changed while accepting: " + name not in said and "stale: " not in said and code != 2:
         raise Broken(f"refused for another reason: {what}")
-    if left := [p.name for p in root.glob(".accepting*")]:
-        raise Broken(f"left behind: {left}: {what}")
     return "new" if code == 0 else "old"
 
 
@@ -1057,11 +931,6 @@ KINDS: dict[str, tuple[int, Callable[[Bench, random.Random], str]]] = {
     "publish: killed in a write": (150, lambda b, d: publish_fault(b, d, "half")),
     "publish: a step finds no room": (150, lambda b, d: publish_fault(b, d, "fails")),
     "publish: disk full": (100, lambda b, d: publish_fault(b, d, "full")),
-    "journal: killed at a step": (200, lambda b, d: journal_fault(b, d, "killed")),
-    "journal: killed in a write": (100, lambda b, d: journal_fault(b, d, "half")),
-    "journal: a step finds no room": (100, lambda b, d: journal_fault(b, d, "fails")),
-    "journal: disk full": (100, lambda b, d: journal_fault(b, d, "full")),
-    "journal: harmed after a kill": (100, harmed_journal),
     "accept: signal at a step": (100, lambda b, d: accept_fault(b, d, "signal")),
     "accept: killed in a write": (50, lambda b, d: accept_fault(b, d, "half")),
     "accept: a step finds no room": (50, lambda b, d: accept_fault(b, d, "fails")),

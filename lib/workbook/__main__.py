@@ -21,7 +21,6 @@ def _minutes(text: str) -> float:
 
 RENAMED = {"readings": "choices"}  # by their old names, for this version
 IN_A_WORKBOOK = ("workbook.paths:root",)  # who has none misses no package
-SETTLED = (*IN_A_WORKBOOK, "workbook.lock:recover")  # an accept that was killed is finished first
 _TARGETS = option("targets", nargs="*", metavar="TOPIC[/NOTEBOOK]", help="by default everything")
 _TOPIC = option("topic", nargs="?", metavar="TOPIC")
 _KERNELS = number("jobs", "N", "kernels at once (default: one a core)")
@@ -78,7 +77,7 @@ COMMANDS = {
             flag("json", "as JSON"),
             flag("built", "with what the last build found, accepted or not"),
         ),
-        before=SETTLED,
+        before=IN_A_WORKBOOK,
     ),
     "portable": Command(
         "build under other processors' settings and compare",
@@ -100,16 +99,18 @@ COMMANDS = {
         "workbook.commands:accept",
         before=IN_A_WORKBOOK,
     ),
-    "site": Command("write the static site to build/site", "workbook.site.build:build_site", before=SETTLED),
+    "site": Command(
+        "write the static site to build/site", "workbook.site.build:build_site", before=IN_A_WORKBOOK
+    ),
     "release": Command(
         "write wheel, site and archive to build/release, and try the wheel",
         "workbook.site.release:release",
-        before=SETTLED,
+        before=IN_A_WORKBOOK,
     ),
     "refresh": Command(
         "rewrite what follows from ledger and notebooks: README tables, index, manifests",
         "workbook.commands:refresh",
-        before=SETTLED,
+        before=IN_A_WORKBOOK,
     ),
     "init": Command(
         "begin a workbook for a paper of yours, in a new folder",

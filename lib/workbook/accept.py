@@ -19,7 +19,7 @@ from workbook.durations import FILE, durations, updated
 from workbook.lock import exclusive_lock, interrupts, unwound
 from workbook.notebooks import cleaned, notebook_text, select
 from workbook.provenance import commit, is_traceable, with_commit
-from workbook.publish import RECORD, Edited, read_record, replace_all, replace_file, seconds_taken, trial
+from workbook.publish import RECORD, Edited, read_record, replace_all, replace_file, seconds_taken
 from workbook.tasks import Task, tasks
 
 SHELVES = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
@@ -100,7 +100,7 @@ def committed_copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
 
     No file of it is one that stands in the tree, since an editor may write into that at any time.
     """
-    root, copy = paths.root(), trial(paths.root())
+    root, copy = paths.root(), paths.root() / "build" / "accepting"
     last, before = {}, _committed(root)
     for _ in range(READINGS):  # until nobody is in the midst of writing one
         last, before = before, _committed(root)
@@ -108,6 +108,7 @@ def committed_copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
             break
     else:
         raise Edited(_differing(last, before))
+    shutil.rmtree(copy, ignore_errors=True)  # of one that was killed
     try:
         for name, content in before.items():
             (copy / name).parent.mkdir(parents=True, exist_ok=True)

@@ -14,7 +14,7 @@ from workbook.durations import durations
 from workbook.execution import Failure, Job, Outcome, execute, sweep
 from workbook.inputs import ENVIRONMENT, changes, environment_inputs, still, with_ledger
 from workbook.jupyter_kernel import stop
-from workbook.lock import exclusive_lock, interrupts, recover
+from workbook.lock import exclusive_lock, interrupts
 from workbook.pinned import EMULATOR, environment
 from workbook.progress import Progress
 from workbook.provenance import commit, modified, provenance
@@ -52,7 +52,6 @@ def build_figures(
     why : bool
         Only say what would be built, and why.
     """
-    recover()
     wanted = tasks(*targets, settings=settings)
     if why:
         for task in wanted:

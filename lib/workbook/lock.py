@@ -8,23 +8,19 @@ from collections.abc import Callable, Iterator
 
 from stillwork.base.checks import InputError
 from workbook import paths
-from workbook.publish import finish, leftovers, unfinished
 
 
 @contextlib.contextmanager
 def exclusive_lock() -> Iterator[None]:
     """Hold the checkout's lock; two writers would swap the same files.
 
-    What an accept had decided when it was killed is done first (`workbook.publish.finish`).
-
     Raises
     ------
     InputError
-        When another command holds it, or a killed accept had to be taken back.
+        When another command holds it.
     """
     refusal = "another build or accept of this checkout is running; wait for it or stop it"
     with held("lock", refusal):
-        finish(paths.root())
         yield
 
 
@@ -45,16 +41,6 @@ def held(name: str, refusal: str) -> Iterator[None]:
         except BlockingIOError:
             raise InputError(refusal) from None
         yield
-
-
-def recover() -> None:
-    """Do what an accept had decided when it was killed, so that nobody reads half of it."""
-    if unfinished(paths.root()):
-        with exclusive_lock():
-            pass
-    elif leftovers(paths.root()):
-        with contextlib.suppress(InputError), exclusive_lock():  # or they are those of an accept at work
-            pass
 
 
 @contextlib.contextmanager

@@ -6,15 +6,13 @@ import hashlib
 import json
 import os
 import shutil
-import stat
 import uuid
-from itertools import count
 from pathlib import Path
 from typing import NoReturn
 
 from stillwork.base.checks import InputError
 
-RECORD, MANIFEST = "record.json", "manifest.json"
+RECORD = "record.json"
 
 # What an error says of a path that holds no file. Any other (too many open files, a disk that fails) says nothing of it.
 NO_FILE = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
@@ -156,14 +154,10 @@ def replace_file(target: Path, content: bytes) -> None:
 def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]]) -> None:
     """Change many files below `root` as one, unless somebody else has changed one of them.
 
-    All are written beside, and are on the disk, before the first is put in its place. A kill before that leaves
-    everything as it was. After it, `finish` does the rest; whoever reads or writes these files calls it first
-    (`workbook.lock`).
-
-    What stands in a place is looked at until just before it is replaced, and kept until all is done: where it is not
-    what it should be, all that was put in its place is taken back, and what somebody wrote is left, or put back.
-    What remains: a file that an editor makes or renames into a place in the microseconds between the last look and
-    our own rename is replaced unseen, and one that an editor opened before may be written to when all is done.
+    All are written beside their places before the first is put in its own, so that a full disk changes nothing. What
+    stands in a place is looked at until just before it is replaced; where that is not what it should be, or an error
+    comes, all is taken back. Only a kill within the milliseconds of the renames leaves some old and some new: the same
+    change again writes the rest, and `git restore` takes it back.
 
     Parameters
     ----------
@@ -174,170 +168,65 @@ def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]
     Raises
     ------
     OSError
-        When nothing was changed.
+        When the disk refuses; nothing was changed.
     Edited
-        When somebody else changed a file, and nothing of this stands.
+        When somebody else changed a file; nothing else was.
     InputError
-        When it was decided, but not all could be put in its place.
+        When the disk refuses to take back, too.
     """
-    new, decided = _journal(root)
-    planned = {name: [_digest(before), _digest(after)] for name, (before, after) in sorted(changed.items())}
-    if others := [name for name, (before, _) in planned.items() if _state(root / name) != before]:
+    if others := [name for name, (before, _) in sorted(changed.items()) if _content(root / name) != before]:
         raise Edited(others)
+    new = {
+        name: _beside(root / name, "accepting") for name, (_, after) in changed.items() if after is not None
+    }
+    done: list[str] = []
     try:
-        shutil.rmtree(new, ignore_errors=True)
-        for name, (before, after) in changed.items():
-            if after is not None:
-                _write(new / "new" / name, after)
-                with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-                    shutil.copymode(root / name, new / "new" / name)
-            if before is not None:
-                _keep(root, name, new / "old")
-        _write(new / MANIFEST, _sealed({"files": planned}))
-        for place, _, names in os.walk(new, onerror=_raise):
-            for each in (*names, "."):
-                _flush(Path(place, each))
-        new.rename(decided)
-    except BaseException as error:
-        if not isinstance(error, OSError) or not unfinished(
-            root
-        ):  # else it is decided, whatever the rename says
-            shutil.rmtree(new, ignore_errors=True)
-            raise
-    if others := _carry_out(root):
-        raise Edited(others)
+        for name, beside in new.items():
+            _write(beside, changed[name][1])
+            with contextlib.suppress(FileNotFoundError):
+                shutil.copymode(root / name, beside)
+        for name, (before, _) in changed.items():
+            if _content(root / name) != before:
+                raise Edited([name])
+            done.append(name)
+            if name in new:
+                os.replace(new[name], root / name)
+            else:
+                (root / name).unlink()
+    except BaseException:
+        try:
+            for name in done:
+                _take_back(root, name, *changed[name])
+        except OSError as error:
+            raise InputError(
+                f"accepted in part, as the disk refuses more ({error}): `make accept` writes the rest, "
+                "`git restore` takes it back"
+            ) from None
+        finally:
+            for name, beside in new.items():
+                with contextlib.suppress(OSError):  # a folder that holds something stays
+                    beside.unlink(missing_ok=True)
+                    for folder in [*Path(name).parents][:-1]:
+                        (root / folder).rmdir()
+        raise
+
+
+def _take_back(root: Path, name: str, before: bytes | None, after: bytes | None) -> None:
+    """Put back what stood in a place, unless others have put something there since."""
+    if _content(root / name) != after:
+        return
+    if before is not None:
+        replace_file(root / name, before)
+    elif after is not None:
+        (root / name).unlink()
 
 
 class Edited(InputError):
     """Somebody else changed what was to be replaced."""
 
     def __init__(self, names: list[str]):
-        super().__init__(f"changed while accepting: {_listed(names)}; nothing was written, repeat")
-
-
-def finish(root: Path) -> None:
-    """Do what is left of a `replace_all` that was decided and then cut short; remove one that was not decided.
-
-    Raises
-    ------
-    InputError
-        When a file cannot be put in its place (the next call tries again); when one was changed since, for which
-        all is taken back; when the journal is damaged, which is then set aside.
-    """
-    if unfinished(root) and (others := _carry_out(root)):
-        raise InputError(
-            f"an accept that was cut short is taken back, as these were changed since: {_listed(others)}; "
-            "repeat the command, and the accept when you want it"
-        )
-    for left in (_journal(root)[0], trial(root)):
-        shutil.rmtree(left, ignore_errors=True)
-
-
-def _carry_out(root: Path) -> list[str]:
-    """Put what was decided in its place, or take it back for what others changed; returns the names of that."""
-    new, decided = _journal(root)
-    try:
-        _flush(root)
-        record = _unsealed(_content(decided / MANIFEST), "files")
-        if record is None:
-            _set_aside(decided, MANIFEST)
-        if others := _put(root, record["files"]):
-            _take_back(root, record["files"])
-        for folder in {folder for name in record["files"] for folder in Path(name).parents}:
-            _flush(root / folder)
-        shutil.rmtree(new, ignore_errors=True)
-        decided.rename(new)  # done: what is removed piece by piece must not be taken for a journal
-        shutil.rmtree(new, ignore_errors=True)
-    except OSError as error:
-        raise InputError(
-            f"accepted, but not all of it is in its place ({error}); repair that and repeat the command"
-        ) from None
-    return others
-
-
-def _put(root: Path, planned: dict[str, list]) -> list[str]:
-    """Put all in its place; returns the names of what stands in the way, or came in between."""
-    decided = _journal(root)[1]
-    others = [
-        name
-        for name, (before, after) in planned.items()
-        if (state := _state(root / name)) not in (before, after)
-        or (state == before and after not in (None, _state(decided / "new" / name)))
-    ]
-    if others:
-        return others
-    for name, (before, after) in planned.items():
-        target = root / name
-        try:
-            if after is not None:
-                target.parent.mkdir(parents=True, exist_ok=True)
-        except FileExistsError:  # somebody's file in the place of a folder
-            return [name]
-        seen = _stamp(target)
-        if (state := _state(target)) == after:
-            continue
-        if state != before or _stamp(target) != seen:
-            return [name]
-        if after is None:
-            target.unlink()
-        else:
-            os.replace(decided / "new" / name, target)
-    kept = {name: before for name, (before, _) in planned.items() if before is not None}
-    return [name for name, before in kept.items() if _state(decided / "old" / name) not in (before, None)]
-
-
-def _take_back(root: Path, planned: dict[str, list]) -> None:
-    """Put back what stood in each place, apart from what others have put there since."""
-    decided = _journal(root)[1]
-    for name, (before, after) in planned.items():
-        if before is not None and _state(root / name) == after and _state(decided / "old" / name) is None:
-            _set_aside(decided, f"old/{name}")
-    for name, (before, after) in planned.items():
-        if _state(root / name) != after:
-            continue
-        if before is not None:
-            (root / name).parent.mkdir(parents=True, exist_ok=True)
-            os.replace(decided / "old" / name, root / name)
-            continue
-        (root / name).unlink()
-        with contextlib.suppress(OSError):  # not empty
-            for folder in Path(name).parents:
-                (root / folder).rmdir()
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-
-
-def _set_aside(decided: Path, lacking: str) -> NoReturn:
-    names = (decided.with_name(f"{decided.name}.damaged{number or ''}") for number in count())
-    aside = next(name for name in names if not name.exists())
-    decided.rename(aside)
-    raise InputError(
-        f"an accept was cut short, and its journal is damaged ({lacking}): it is set aside as {aside.name}/. `git "
-        "status` shows what the accept wrote: `make accept` writes all of it, `git restore` takes it back. Then "
-        f"remove {aside.name}/, and repeat the command"
-    )
-
-
-def trial(root: Path) -> Path:
-    """Folder where accepting tries the change; `finish` removes it."""
-    return root / ".accepting.trial"
-
-
-def unfinished(root: Path) -> bool:
-    """Whether a `replace_all` was decided and then cut short."""
-    mode = _mode(_journal(root)[1])
-    return mode is not None and stat.S_ISDIR(mode)
-
-
-def leftovers(root: Path) -> bool:
-    """Whether something lies about that `finish` removes."""
-    return _journal(root)[0].exists() or trial(root).exists()
-
-
-def _journal(root: Path) -> tuple[Path, Path]:
-    return root / ".accepting.new", root / ".accepting"  # not below build/, which may be on another disk
+        shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+        super().__init__(f"changed while accepting: {shown}; nothing was written, repeat")
 
 
 def digest(content: bytes) -> str:
@@ -377,42 +266,9 @@ def _state(file: Path) -> str | None:
     return None if _mode(file) is None else _digest(_content(file)) or ""
 
 
-def _stamp(file: Path) -> tuple[int, ...] | None:
-    """What changes with every change of a file."""
-    try:
-        found = os.stat(file)
-    except OSError as error:
-        if error.errno in NO_FILE:
-            return None
-        raise
-    return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
-
-
 def _write(file: Path, content: bytes) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(content)
-
-
-def _keep(root: Path, name: str, folder: Path) -> None:
-    """Give a file a second name, through which what is written to it later is seen, too."""
-    beside = folder / name
-    beside.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        os.link(os.path.realpath(root / name), beside)
-    except FileNotFoundError:
-        raise Edited([name]) from None
-    except OSError:  # a file system without links
-        beside.write_bytes((root / name).read_bytes())
-
-
-def _flush(place: Path) -> None:
-    """Wait until a file, or which names a folder holds, is on the disk."""
-    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-        descriptor = os.open(place, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def _beside(target: Path, suffix: str) -> Path:

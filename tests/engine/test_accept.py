@@ -10,10 +10,9 @@ import sys
 import pytest
 
 from engine import toy as toys
-from engine.toy import LEDGER, cell
+from engine.toy import cell
 from workbook import accept, durations, publish
 from workbook.notebooks import cleaned
-from workbook.publish import replace_all
 
 pytestmark = pytest.mark.slow
 
@@ -188,9 +187,8 @@ raise SystemExit(main(["accept"]))
     )
     assert done.returncode == (-number if number == signal.SIGKILL else 128 + number)
     assert "Traceback" not in done.stderr
-    assert number == signal.SIGKILL or not list(toy.root.glob(".accepting*"))
+    assert number == signal.SIGKILL or toy.leftovers() == []
     assert toy.run("claims").returncode == 0
-    assert not list(toy.root.glob(".accepting*"))
     assert toy.stamps("notebooks", "data", "figures", "README.md") == before
 
 
@@ -246,53 +244,6 @@ def test_a_full_disk_leaves_everything_as_it_was(built):
     assert done.stderr == ""
     assert toy.stamps("notebooks", "data", "figures") == before
     assert toy.leftovers() == []
-
-
-def cut_short(toy: toys.Toy, monkeypatch, entry: bytes) -> None:
-    """An accept of another ledger that was killed before the first of its files was in its place."""
-    names = {"data/isolation/published.toml": entry, "figures/isolation/00-gone/a.csv": None}
-    toy.write("figures/isolation/00-gone/a.csv", "")
-    toy.write(".accepting.trial/figures/x", "")
-
-    def killed(*_arguments):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(os, "replace", killed)
-        replace_all(
-            toy.root, {name: ((toy.root / name).read_bytes(), after) for name, after in names.items()}
-        )
-
-
-def test_an_accept_that_was_killed_is_finished_before_anybody_reads(toy, monkeypatch):
-    """What is decided stands beside; what was only tried goes."""
-    cut_short(toy, monkeypatch, LEDGER.format(topic="isolation").replace("= 2.0", "= 7.0").encode())
-    done = toy.run("claims", "isolation", "--json")
-    assert json.loads(done.stdout)[0]["published"] == 7.0
-    assert not list((toy.root / "figures").rglob("a.csv"))
-    assert toy.leftovers() == []
-
-
-def test_an_accept_that_was_killed_does_not_undo_what_was_written_since(toy, monkeypatch):
-    cut_short(toy, monkeypatch, LEDGER.format(topic="isolation").replace("= 2.0", "= 7.0").encode())
-    toy.replace("data/isolation/published.toml", "published = 2.0", "published = 3.0")
-    done = toy.run("claims", "isolation", "--json")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "data/isolation/published.toml" in done.stderr
-    assert json.loads(toy.run("claims", "isolation", "--json").stdout)[0]["published"] == 3.0
-    assert (toy.root / "figures/isolation/00-gone/a.csv").exists()
-
-
-@pytest.mark.parametrize("harm", ["", "null", "[]", "{}", '{"files":', None])
-def test_a_damaged_journal_is_named_and_set_aside_once(toy, harm):
-    toy.write(".accepting/manifest.json", harm or "")
-    if harm is None:
-        (toy.root / ".accepting/manifest.json").unlink()
-    refused = toy.run("claims", "isolation")
-    assert (refused.returncode, refused.stdout) == (2, "")
-    assert "(manifest.json)" in refused.stderr and ".accepting.damaged/" in refused.stderr
-    assert "Traceback" not in refused.stderr
-    assert toy.run("claims", "isolation").returncode == 0
 
 
 EDITS = {

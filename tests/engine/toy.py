@@ -192,8 +192,8 @@ class Toy:
 
     def leftovers(self) -> list[str]:
         """What a run left behind: processes, temporary files, half-written results."""
-        hidden = [path for path in self.root.rglob("*") if path.name.endswith((".new", ".old"))]
-        hidden += [path for path in self.root.glob(".accepting*")]
+        hidden = [path for path in self.root.rglob("*") if path.name.endswith((".new", ".old", ".accepting"))]
+        hidden += [path for path in self.root.glob("build/accepting")]
         for shelf in ("figures", "variants"):
             for home in (self.root / "build" / shelf).glob("*/.*/"):
                 shown = os.readlink(home.with_name(home.name[1:]))

@@ -27,7 +27,7 @@ from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness
 from workbook.choices.results import Outcomes, read_results, results_text
 from workbook.choices.running import Journal, calls_of, compute, design, run_combinations
 from workbook.claims import ledger, load_entries
-from workbook.lock import held, interrupts, recover
+from workbook.lock import held, interrupts
 from workbook.publish import replace_file
 from workbook.report import screen, table
 from workbook.workers import client_of, cores, processes
@@ -84,7 +84,6 @@ def compute_choices(
     topics = paths.topics() if topic is None else [paths.require_topic(topic)]
     end = time.monotonic() + 60 * budget_min if budget_min is not None else math.inf
     whole = True
-    recover()
     with held("choices/lock", RUNNING), interrupts() as caught, contextlib.ExitStack() as stack:
         executor, at_once = _executor(stack, jobs, scheduler)
         for each in topics:
