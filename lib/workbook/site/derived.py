@@ -1,4 +1,4 @@
-"""Committed files that follow from others: README blocks, the index notebook, manifests."""
+"""Committed files that follow from others: README blocks, the index notebook, the manifest."""
 
 import json
 from collections import Counter
@@ -17,10 +17,9 @@ from workbook.report import (
     readme_with_summary,
     tally,
 )
-from workbook.site import metadata
 from workbook.site.metadata import about, project
 from workbook.site.pages import NotebookPage, read_page
-from workbook.site.papers import cited, papers
+from workbook.site.papers import papers
 from workbook.tasks import tasks
 
 GALLERY_BEGIN, GALLERY_END = "<!-- gallery:begin -->", "<!-- gallery:end -->"
@@ -43,14 +42,9 @@ def derived_files() -> dict[str, str]:
         "README.md": _readme,
         "notebooks/index.ipynb": _index,
         "codecheck.yml": _codecheck,
-        "codemeta.json": lambda _pages, _claims: metadata.codemeta(cited()),
-        ".zenodo.json": lambda _pages, _claims: metadata.zenodo(cited()),
-        "ro-crate-metadata.json": lambda pages, _claims: metadata.crate(cited(), pages),
     }
     if _present("README.md") is None:  # a workbook may do without
         del makers["README.md"]
-    if _present("CITATION.cff") is None:  # and one that is not published
-        del makers[".zenodo.json"], makers["ro-crate-metadata.json"]
     return {name: make(pages, claims) for name, make in makers.items()}
 
 

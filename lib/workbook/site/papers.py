@@ -33,11 +33,6 @@ def papers() -> dict[str, dict]:
     return {topic: _paper(topic) for topic in paths.topics()}
 
 
-def cited() -> dict[str, dict]:
-    """Those that say where they were published."""
-    return {topic: paper for topic, paper in papers().items() if paper["source"]}
-
-
 def _paper(topic: str) -> dict:
     file = paths.data(topic, "paper.toml")
     given = dict(read_toml(file)) if file.is_file() else {}

@@ -189,7 +189,7 @@ def left_to_do(version: str) -> list[str]:
     manifest = yaml.safe_load((paths.root() / "codecheck.yml").read_text(encoding="utf-8"))
     lines = [
         f"git tag -a v{version}, and push it",
-        "upload the archive and the site; .zenodo.json describes them",
+        "upload the archive and the site; CITATION.cff describes them",
     ]
     if "unreleased" in (paths.root() / "CHANGELOG.md").read_text(encoding="utf-8").partition("\n- ")[0]:
         lines.append("CHANGELOG.md still says 'unreleased': put the day there and into CITATION.cff")
