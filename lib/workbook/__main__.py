@@ -88,7 +88,7 @@ COMMANDS = {
                 "--processor",
                 default="",
                 metavar="NAME",
-                help="part of a stand-in's name, e.g. 2004; qemu emulates one",
+                help="part of a stand-in's name, e.g. 2004",
             ),
             flag("sample", "a few notebooks under two of them"),
         ),

@@ -15,7 +15,6 @@ from workbook.execution import Failure, Job, Outcome, execute, sweep
 from workbook.inputs import ENVIRONMENT, changes, environment_inputs, still, with_ledger
 from workbook.jupyter_kernel import stop
 from workbook.lock import exclusive_lock, interrupts
-from workbook.pinned import EMULATOR, environment
 from workbook.progress import Progress
 from workbook.provenance import commit, modified, provenance
 from workbook.publish import read_record, replace_record, tidy
@@ -69,8 +68,7 @@ def build_figures(
                 _print_summary(wanted)
             return 0
         sweep()
-        # An emulator stands before a kernel's own program: nothing is forked under it.
-        warm = len(stale) >= WARM_FROM and EMULATOR not in environment()
+        warm = len(stale) >= WARM_FROM
         workers = _cluster(scheduler) if scheduler else _threads(jobs or cores(), warm)
         with workers as (submit, halt):
             failures, caught = _build(stale, submit, halt)

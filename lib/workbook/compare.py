@@ -100,7 +100,7 @@ def compare(task: Task) -> Comparison:
         len(names),
         max((each for each in off.values() if each is not None), default=0.0),
         apart,
-        tuple(_cells(task)),
+        tuple(cells_apart(task)),
         claims,
         moved,
         verdicts,
@@ -331,7 +331,7 @@ def _noted(figure: Path) -> dict[str, str]:
     return json.loads(file.read_text(encoding="utf-8")).get(figure.name, {}) if file.is_file() else {}
 
 
-def _cells(task: Task) -> list[str]:
+def cells_apart(task: Task) -> list[str]:
     """Ids of the code cells whose printed text is not the committed one."""
     notebook = json.loads(task.notebook.source)
     executed = cleaned(notebook, json.loads(task.executed.read_text(encoding="utf-8")))

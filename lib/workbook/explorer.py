@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Callable, Mapping
-from dataclasses import InitVar, dataclass
+from dataclasses import dataclass
 
 from stillwork.base.checks import InputError, nearest, require_choice, require_number
 from workbook.paths import in_batch
@@ -45,8 +45,6 @@ class Slider:
         What the start is: ``printed`` in the paper, ``assumed``, ``our result``, or a ``default`` of ours.
     place : str
         Where it is printed.
-    published : float, optional
-        The start by its old name, for this version.
     """
 
     low: float
@@ -57,11 +55,8 @@ class Slider:
     log: bool = False
     basis: str = "default"
     place: str = ""
-    published: InitVar[float | None] = None
 
-    def __post_init__(self, published: float | None):
-        if published is not None:
-            object.__setattr__(self, "start", published)
+    def __post_init__(self):
         require_number("start", self.start, at_least=self.low, at_most=self.high)
         _require_basis(self.basis, self.place)
         if self.log:
@@ -120,11 +115,8 @@ class Choice:
     start: str = ""
     basis: str = "default"
     place: str = ""
-    published: InitVar[str | None] = None
 
-    def __post_init__(self, published: str | None):
-        if published is not None:
-            object.__setattr__(self, "start", published)
+    def __post_init__(self):
         if self.start not in self.options:
             raise InputError(f"start is {self.start!r}, not an option{nearest(self.start, self.options)}")
         _require_basis(self.basis, self.place)

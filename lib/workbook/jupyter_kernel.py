@@ -9,7 +9,7 @@ from pathlib import Path
 import stillwork
 from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
 from workbook import paths
-from workbook.pinned import EMULATOR, environment
+from workbook.pinned import environment
 from workbook.warm import PROGRAM, ForkServer
 
 _lock = threading.Lock()
@@ -79,8 +79,6 @@ def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Fo
 
     variables, connection = kernel_environment(folder, output), folder / "kernel"
     command = [sys.executable, "-P", str(PROGRAM), "kernel", str(reads), "-f", "{connection_file}"]
-    if emulator := variables.get(EMULATOR):
-        command.insert(0, emulator)
 
     class Provisioner(LocalProvisioner):
         async def launch_kernel(self, cmd, **options):

@@ -17,9 +17,6 @@ VARIABLES = Path(__file__).with_name("variables.toml")
 # Other processors' settings in place of some pins, as ``NAME=VALUE`` words: what `make portable` turns.
 OTHER = "STILLWORK_PROCESSOR"
 
-# Among these: a program that the kernels' Python runs under, in place of the processor itself.
-EMULATOR = "STILLWORK_EMULATOR"
-
 
 @cache
 def pins() -> dict[str, str]:
@@ -40,7 +37,7 @@ def settings() -> dict[str, str]:
     for word in words:
         if not word.partition("=")[0].isidentifier() or "=" not in word:
             raise InputError(
-                f"{OTHER} holds {short_repr(word)}; give NAME=VALUE words, of {', '.join(pins())}, {EMULATOR} and others, "
+                f"{OTHER} holds {short_repr(word)}; give NAME=VALUE words, of {', '.join(pins())} and others, "
                 "or name a stand-in: python -m stillwork portable --processor NAME"
             )
     return {**pins(), **dict(word.split("=", 1) for word in words)}

@@ -2,11 +2,10 @@
 
 Each stand-in processor puts its own choices in the place of the pins (`workbook.pinned`): numpy's kernels,
 OpenBLAS's, the C library's, and the instructions that numba may use. What then still agrees, agrees on a machine
-that is not pinned at all. One more is emulated, which keeps the pins: whether they hold on an old processor.
+that is not pinned at all.
 """
 
 import os
-import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from workbook import paths
 from workbook.compare import Comparison, compare
 from workbook.lock import run_whole
 from workbook.notebooks import select
-from workbook.pinned import EMULATOR, OTHER
+from workbook.pinned import OTHER
 from workbook.tasks import BUILT, tasks
 
 NUMPY, BLAS, LIBC = "NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE", "GLIBC_TUNABLES"
@@ -65,10 +64,6 @@ PROCESSORS = (
     Processor("this machine, nothing held", {BLAS: "", NUMPY: "", LIBC: ""}),
 )
 
-# Instructions that the named processor lacks end the kernel. Emulation takes some fifteen times as long, so it runs only
-# where it and the notebooks are named.
-EMULATED = Processor("qemu, 2008 (Nehalem)", {EMULATOR: "qemu-x86_64", "QEMU_CPU": "Nehalem"})
-
 SAMPLED = ("2011, AVX (Sandy Bridge)", "2013, AVX2 (Haswell)")
 
 
@@ -87,31 +82,23 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
     targets : sequence of str
         Topics and notebooks; all without any.
     processor : str
-        Of the stand-ins those with this in their name; the emulated one by ``qemu``, with notebooks named.
+        Of the stand-ins those with this in their name.
     sample : bool
         Where nothing else is said, a few notebooks under two stand-ins.
 
     Raises
     ------
     InputError
-        When there is no such stand-in, topic or notebook, or no emulator.
+        When there is no such stand-in, topic or notebook.
     """
-    known = (*PROCESSORS, EMULATED) if "qemu" in processor else PROCESSORS
     chosen = [
-        each for each in known if processor in each.name and (processor or not sample or each.name in SAMPLED)
+        each
+        for each in PROCESSORS
+        if processor in each.name and (processor or not sample or each.name in SAMPLED)
     ]
     if not chosen:
-        names = "; ".join(each.name for each in (*PROCESSORS, EMULATED))
+        names = "; ".join(each.name for each in PROCESSORS)
         raise InputError(f"no stand-in is named {processor!r}; there are: {names}")
-    if EMULATED in chosen:
-        if not targets:
-            raise InputError(
-                f"{EMULATED.name} runs what is named, some fifteen times slower; give TOPIC/NOTEBOOK"
-            )
-        if not shutil.which(EMULATED.settings[EMULATOR]):
-            raise InputError(
-                f"there is no {EMULATED.settings[EMULATOR]}; install qemu-user (Debian's package)"
-            )
     names = tuple(each.name for each in select(*(targets or (sampled() if sample else ()))))
     flags = _flags()
     rows, moved, failed = [], [], False

@@ -8,8 +8,10 @@ import pytest
 
 from workbook import paths
 from workbook.claims import load_entries
+from workbook.compare import cells_apart
 from workbook.notebooks import notebook_text, select
 from workbook.site.explorers import statements
+from workbook.tasks import Task
 
 NOTEBOOKS = select()
 FORBIDDEN = ("image/png", "text/html", "papermill", "injected-parameters", "widget-view", str(paths.root()))
@@ -41,6 +43,9 @@ class TestNotebook:
             assert output.get("name") != "stderr", output
         dumped = json.dumps(outputs) + json.dumps([cell["metadata"] for cell in code])
         assert not [word for word in FORBIDDEN if word in dumped]
+
+    def test_a_fresh_run_prints_what_is_committed(self, notebook):
+        assert cells_apart(Task(notebook, {}, {})) == []
 
     def test_its_page_is_named_after_its_file(self, notebook):
         named = re.findall(r"Page\(['\"](.+?)['\"]\)", "\n".join(map(text, cells(notebook))))

@@ -12,9 +12,7 @@ from engine.toy import set_signals
 from stillwork.base.checks import InputError
 from workbook import portable as module
 from workbook.compare import Comparison
-from workbook.jupyter_kernel import kernel_environment, kernel_manager
 from workbook.notebooks import select
-from workbook.pinned import OTHER
 
 BUILD = module._build
 
@@ -75,32 +73,6 @@ def test_what_is_not_there_is_refused_before_anything_is_built(built, wrong):
 def test_a_stand_in_that_does_not_run_here_is_no_agreement(built, capsys):
     assert module.portable(processor="Skylake") == 1
     assert "0 of 1 stand-ins ran: nothing was compared" in capsys.readouterr().out and not built
-
-
-def test_the_emulated_processor_runs_where_it_and_notebooks_are_named(built, monkeypatch):
-    monkeypatch.setattr(module.shutil, "which", lambda name: f"/usr/bin/{name}")
-    assert module.portable(["motion/02-model-reduction"], processor="qemu") == 0
-    assert list(built) == [module.EMULATED.name]
-    with pytest.raises(InputError, match=r"^qemu\b.*TOPIC/NOTEBOOK"):
-        module.portable(processor="qemu")
-
-
-def test_an_emulator_that_is_missing_is_named_with_its_package(built, monkeypatch):
-    monkeypatch.setattr(module.shutil, "which", lambda _: None)
-    with pytest.raises(InputError, match="qemu-user"):
-        module.portable(["motion/02-model-reduction"], processor="qemu")
-    assert not built
-
-
-@pytest.mark.parametrize("emulator", ["", "qemu-x86_64"])
-def test_a_kernel_runs_under_the_emulator_and_as_its_processor(monkeypatch, tmp_path, emulator):
-    monkeypatch.setenv("STILLWORK_KERNELS", str(tmp_path))
-    monkeypatch.setenv(OTHER, f"STILLWORK_EMULATOR={emulator} QEMU_CPU=Nehalem")
-    kernel = kernel_manager("", tmp_path, tmp_path, tmp_path)()
-    command = kernel.kernel_spec.argv
-    assert command[: len(command) - 7] == [emulator] * bool(emulator)
-    assert command[-7] == sys.executable
-    assert kernel_environment(tmp_path, tmp_path)["QEMU_CPU"] == "Nehalem"
 
 
 # Tidies for longer than a Ctrl-C is usually given, and notes which interrupts came.
