@@ -1,4 +1,4 @@
-"""What the workbook has to do with a file of one's own: whether it wrote it, and the commands that take it."""
+"""What the workbook has to do with a file of one's own: the commands that take it."""
 
 import re
 import shlex
@@ -10,33 +10,8 @@ from pathlib import Path
 from stillwork.base.checks import InputError, pluralise
 from stillwork.base.toml_files import read_toml
 from workbook import paths
-from workbook.figures import HEADER, read_table
 from workbook.notebook_source import comments
 from workbook.notebooks import select
-
-
-def own_file(path: Path) -> str:
-    """What a file that the workbook itself wrote or reads is, in a sentence; empty for other files."""
-    if path.suffix.lower() == ".csv":
-        with path.open(encoding="utf-8", errors="replace") as file:
-            first = file.readline().strip()
-        if tuple(first.split(",")) == HEADER:
-            table = read_table(path)
-            panels, points = len({panel for panel, _ in table}), sum(map(len, table.values()))
-            held = f"{pluralise(points, 'point')} of {len(table)} series in {pluralise(panels, 'panel')}"
-            notebook = "/".join(path.resolve().parts[-3:-1])
-            known = in_checkout() and notebook in {each.name for each in select()}
-            again = f"; to build it anew: python -m stillwork figures {notebook} --force" if known else ""
-            return f"the numbers that the picture {path.stem}.png shows, {held}{again}"
-        if first.startswith("# study "):
-            return "what the ledger's entries come to under each combination; see python -m stillwork claims --entry ID"
-    if path.name in ("published.toml", "choices.toml") and len(table := read_toml(path)) > 0:
-        topic = next(iter(table))
-        if path.name == "choices.toml" and "studies" in table:
-            return f"the {len(table[topic])} choices that the work of the topic {topic} leaves open; to try them: python -m stillwork choices {topic}"
-        if paths.is_topic(topic):
-            return f"the published numbers of the topic {topic}; how they stand: python -m stillwork claims {topic}"
-    return ""
 
 
 def machines() -> dict[str, tuple[str, str]]:

@@ -2,13 +2,11 @@
 
 import json
 import os
-import pty
 import py_compile
 import re
 import shutil
 import subprocess
 import sys
-import termios
 
 import numpy as np
 import pytest
@@ -129,23 +127,6 @@ def forget_state(toy):
 def test_a_change_makes_exactly_its_dependents_stale(toy, change, stale, reason):
     change(toy)
     assert reasons(toy) == dict.fromkeys(stale, reason)
-
-
-@pytest.mark.parametrize("text", ["{}", "[]", "null", "", '{"inputs": {}, "outputs": {}, "seal": ""}', "\0"])
-def test_a_damaged_record_is_built_again_not_believed(toy, text):
-    toy.write(f"build/figures/{FIRST}/record.json", text)
-    assert reasons(toy) == {FIRST: "its record is damaged"}
-
-
-def test_a_record_that_was_edited_by_hand_is_not_believed(toy):
-    change_library(toy)
-    record = toy.root / f"build/figures/{FIRST}/record.json"
-    kept = json.loads(record.read_text())
-    kept["inputs"]["lib/experiments/isolation/model.py"] = publish.digest(
-        b"def gain(level):\n    return 2.5 * level\n"
-    )
-    record.write_text(json.dumps(kept))
-    assert reasons(toy)[FIRST] == "its record is damaged"
 
 
 def test_what_cannot_change_a_result_makes_nothing_stale(toy):
@@ -616,32 +597,6 @@ def test_provenance_names_the_commit_and_whether_inputs_differ_from_it(toy):
     assert {record["commit"] for record in records.values()} == {git("rev-parse", "HEAD")}
     assert not records[FIRST]["dirty"]
     assert records[OTHER]["dirty"]
-
-
-@pytest.mark.slow
-def test_a_terminal_shows_a_bar_with_the_time_left(toy):
-    toy.add(SECOND, "import time\ntime.sleep(1)")
-    screen, terminal = pty.openpty()
-    termios.tcsetwinsize(terminal, (24, 80))
-    process = subprocess.Popen(
-        toy.command("figures"),
-        cwd=toy.root,
-        env=toy.environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=terminal,
-    )
-    os.close(terminal)
-    shown = b""
-    while True:
-        try:
-            shown += os.read(screen, 4096)
-        except OSError:  # the runner has closed its end
-            break
-    assert process.wait() == 0
-    os.close(screen)
-    assert b"figures:" in shown
-    assert b"<" in shown  # elapsed<left
-    assert b"cell" in shown
 
 
 @pytest.mark.slow

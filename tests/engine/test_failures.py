@@ -141,32 +141,12 @@ def test_a_kernel_that_is_killed_and_had_children(built):
     assert_only_second_was_built(built, good)
 
 
-def test_a_kernel_that_is_killed_from_outside(built):
-    good = end_with(built, WAIT.format("begun"))
-    process = built.start("figures", "--jobs", "2")
-    built.wait_for("begun")
-    os.kill(int((built.root / "begun").read_text()), signal.SIGKILL)
-    printed = process.communicate(timeout=60)[0]
-    assert process.returncode == 1
-    assert "cell [4] import os, time" in printed
-    assert_only_second_was_built(built, good)
-
-
 LARGE = "written = (folder / 'large.csv').write_bytes(bytes(3_000_000))"
 
 
 def limit_files():
     """Files of this process and its children end at 2 MB, as on a full disk; a child may lift it."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, resource.RLIM_INFINITY))
-
-
-def test_a_disk_that_is_full_for_the_notebook(built):
-    good = end_with(built, LARGE)
-    done = built.run("figures", preexec_fn=limit_files)
-    assert done.returncode == 1
-    assert "File too large" in done.stdout.splitlines()[-2]
-    assert "cell [4]" in done.stdout.splitlines()[-2]
-    assert_only_second_was_built(built, good)
 
 
 def test_a_disk_that_is_full_for_the_results(built):
@@ -213,17 +193,6 @@ def test_a_build_goes_on_through_signals_that_it_was_started_to_ignore(toy):
     assert process.returncode == 0
 
 
-def test_an_interrupt_while_kernels_start(toy):
-    toy.add("isolation/01-first")
-    toy.add("isolation/02-second")
-    process = toy.start("figures", "--jobs", "2")
-    until(lambda: len(toy.processes()) > 1)
-    toy.interrupt(process, signal.SIGINT)
-    assert process.returncode == 130
-    assert not (toy.root / "build/figures").exists()
-    assert toy.leftovers() == []
-
-
 def test_kernels_die_with_a_runner_that_is_killed_and_the_next_build_tidies_up(toy):
     toy.add("isolation/01-first", WAIT.format("begun"))
     process = toy.start("figures")
@@ -237,17 +206,6 @@ def test_kernels_die_with_a_runner_that_is_killed_and_the_next_build_tidies_up(t
     toy.add("isolation/01-first")
     assert toy.run("figures").returncode == 0
     assert toy.leftovers() == []
-
-
-def test_results_that_are_harmed_in_mid_build_are_not_compared(built):
-    harm = "file = paths.root() / 'build/figures/isolation/02-second/02-second.ipynb'\nwritten = file.write_text('')"
-    built.add("isolation/01-first", harm)
-    done = built.run("figures")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert (
-        "isolation/02-second: output 02-second.ipynb was changed by hand"
-        in built.run("figures", "--why").stdout
-    )
 
 
 def test_a_warmed_process_whose_driver_was_killed_ends_without_a_word():

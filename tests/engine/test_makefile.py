@@ -157,14 +157,6 @@ def documented() -> list[str]:
 DOCUMENTED = documented()
 
 
-def test_each_way_of_calling_the_two_commands_is_found():
-    variants = [
-        line for line in DOCUMENTED if line.startswith('make figures ARGS="isolation/02-convergence -p')
-    ]
-    assert variants and {"make figures", "make test", 'make figures ARGS="--why"'} <= set(DOCUMENTED)
-    assert {"make PYTHON=python3.12 test", "make ENVIRONMENT=/path/to/it figures"} <= set(DOCUMENTED)
-
-
 @pytest.mark.parametrize("line", DOCUMENTED)
 def test_what_is_documented_runs_as_it_is_typed(checkout, line):
     """By a shell, in a folder whose name has blanks; what `ARGS` says arrives in words as a shell parts them."""
@@ -180,14 +172,6 @@ def test_what_is_documented_runs_as_it_is_typed(checkout, line):
         words = shlex.split(text.removeprefix("ARGS=").replace("$PWD", str(checkout)))
         assert (checkout / "last").read_text().split("\0")[-len(words) - 1 : -1] == words
     assert (checkout / ".venv" / "complete").exists() == (asked is None and not re.search("help|clean", line))
-
-
-def test_what_an_outer_make_hands_down_reaches_no_make_of_these_tests(checkout, monkeypatch):
-    """`make test ENVIRONMENT=/path` hands the variable to all that it runs, and so to these tests."""
-    for name in ("MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "ENVIRONMENT", "PYTHON", "ARGS", "BIN", "READY"):
-        monkeypatch.setenv(name, "n -- ENVIRONMENT=/nowhere" if name == "MAKEFLAGS" else "/nowhere")
-    assert make(checkout, "figures").returncode == 0
-    assert short(calls(checkout)) == [*MADE, "-m stillwork figures"]
 
 
 def test_help_lists_every_target(checkout):

@@ -1,19 +1,10 @@
 """The ledger as text: what a terminal shows, and what is counted where."""
 
-import fcntl
-import os
-import pty
-import struct
-import subprocess
-import sys
-import termios
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from stillwork.base.checks import InputError
-from workbook import paths
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.report import (
     column,
@@ -46,26 +37,6 @@ def test_a_table_fits_and_keeps_every_letter(rows, width):
     assert sorted("".join(line for line in lines if set(line) != {"-"}).replace(" ", "")) == letters or any(
         set(cell) == {"-"} for row in rows for cell in row
     )
-
-
-def test_a_table_that_fits_has_a_line_a_row():
-    assert table([("claim", "ours"), ("motion.gain", "2")], 80) == [
-        "claim        ours",
-        "-----------------",
-        "motion.gain  2",
-    ]
-
-
-def test_a_table_that_does_not_fit_puts_the_first_cell_above():
-    lines = table([("claim", "place", "ours"), ("motion.a.long.name", "section 2 and section 3", "2")], 24)
-    assert lines == [
-        "claim",
-        "  place             ours",
-        "------------------------",
-        "motion.a.long.name",
-        "  section 2 and     2",
-        "  section 3",
-    ]
 
 
 def test_reasons_are_wrapped_and_those_of_what_agrees_left_out():
@@ -172,30 +143,3 @@ def test_a_verdict_is_shown_with_what_keeps_it_from_being_evidence():
         "deviates (calibrated, counterfactual)",
     ]
     assert "replicated (fitted)" in ledger_text(judged, 200)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("arguments", [[], ["--entry", "isolation.fig-7.lower-end"]])
-@pytest.mark.parametrize("width", [80, 120])
-def test_the_ledger_fits_a_terminal_of_that_width(arguments, width):
-    driver, terminal = pty.openpty()
-    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, width, 0, 0))
-    around = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES")}
-    command = [sys.executable, "-m", "stillwork", "claims", *arguments]
-    with subprocess.Popen(
-        command, cwd=paths.root(), env=around, stdout=terminal, stderr=subprocess.DEVNULL
-    ) as running:
-        os.close(terminal)
-        shown = b""
-        while True:
-            try:
-                part = os.read(driver, 65536)
-            except OSError:  # the other end is closed
-                break
-            if not part:
-                break
-            shown += part
-    os.close(driver)
-    assert running.returncode == 0
-    lengths = list(map(len, shown.decode().splitlines()))
-    assert 0.75 * width < max(lengths) <= width

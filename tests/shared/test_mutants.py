@@ -2,9 +2,6 @@
 
 import ast
 import importlib.util
-import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -84,46 +81,6 @@ def test_area():
 def test_volume():
     assert Box(2).volume() == 8
 """
-
-
-@pytest.mark.slow
-def test_the_forks_run_the_tests_that_reach_a_fault_and_nothing_else(mutants, tmp_path):
-    """Each fault against a small library: which test notices, where one does, and how many tried."""
-    for name, text in (("lib/library.py", LIBRARY), ("tests/part/test_library.py", TESTS)):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
-    source, test = tmp_path / "lib/library.py", tmp_path / "tests/part/test_library.py"
-    faults = list(mutants.mutants_of("library.py", LIBRARY.encode()))
-    told = [
-        {"mutant": f"{each.line} {each.kind}", "path": str(source), "near": [str(test)]}
-        | {"text": each.applied(LIBRARY.encode()).decode()}
-        | {name: getattr(each, name) for name in ("file", "lines", "function", "outermost")}
-        for each in faults
-    ]
-    (tmp_path / "tried.json").write_text(json.dumps(told))
-    variables = {
-        "TRIED": tmp_path / "tried.json",
-        "ANSWERS": tmp_path / "answers",
-        "RECORDS": tmp_path / "known",
-    }
-    variables = {f"FAULTS_{name}": str(each) for name, each in (variables | {"LIMIT": 9}).items()}
-    variables |= {"PYTHONPATH": f"{tmp_path / 'lib'}:{FILE.with_name('mutating')}"}
-    plugins = [f"-p{name}" for name in ("forked_tests", "no:nbval", "no:anyio", "no:cacheprovider")]
-    command = [sys.executable, "-m", "pytest", "-q", "-s", *plugins, str(test)]
-    done = subprocess.run(command, cwd=tmp_path, env=os.environ | variables, capture_output=True, text=True)
-    found = [json.loads(line) for line in (tmp_path / "answers").read_text().splitlines()]
-    ends = {each["mutant"]: (each["end"], each["by"].rpartition("::")[2], each["tests"]) for each in found}
-    assert ends == {
-        "3 operator": ("killed", "test_area", 1),
-        "8 operator": ("survived", "", 1),
-        "8 constant": ("killed", "test_volume", 1),
-        "8 statement": ("killed", "test_volume", 1),
-        "12 constant": ("killed", "test_volume", 1),
-        "13 operator": ("killed", "test_volume", 1),
-        "13 constant": ("killed", "test_volume", 1),
-        "16 operator": ("not reached", "", 0),
-        "16 constant": ("not reached", "", 0),
-    }, done.stdout
 
 
 def test_what_is_said_to_change_nothing_is_a_mutant_and_says_why(mutants):

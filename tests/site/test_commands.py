@@ -85,109 +85,25 @@ def test_the_numbers_of_a_column_are_those_of_the_file(tmp_path):
 
 def hostile_names():
     """Names that a shell, a terminal or the reader of ``-p`` could take for something else."""
-    names = [
-        "$(touch X)",
-        "`touch X`",
-        "${HOME}",
-        "$HOME",
-        "; touch X",
-        "&& touch X",
-        "| tee X",
-        "> X",
-        "& touch X",
-    ]
+    names = ["$(touch X)", "`touch X`", "$HOME", "; touch X", "> X", "'; touch X; '", '"; touch X; "', "a'b"]
     names += [
-        "'; touch X; '",
-        '"; touch X; "',
-        "a'b",
-        'a"b',
         "\\",
-        "a\\",
         "a\\nb",
-        "'",
-        '"',
-        "''",
         "$'\\n'",
-        "\\'",
-    ]
-    names += [
-        "-p",
-        "--force",
-        "-",
-        "--",
         "-p seed=3",
-        "=",
-        "==ls",
         "a=b",
         "~",
-        "~root",
         "*",
-        "?",
-        "[ab]",
         "{a,b}",
-    ]
-    names += [
-        "!",
         "!!",
-        "!$",
-        "#",
         "# a",
-        "a # b",
         " a",
-        "a ",
-        "a  b",
-        "(a)",
-        "<X",
-        "%s",
-        "%",
-        "^",
-        "a,b",
-        ",",
         "a,",
-    ]
-    names += [
-        "1",
-        "1.5",
         "-3",
-        "1e3",
         "none",
-        "None",
-        "true",
-        "False",
-        "[]",
-        "['a']",
-        "('a', 1)",
-        "{}",
-        "UNIT",
-        "...",
     ]
-    names += [
-        "'a'",
-        '"a"',
-        "b'a'",
-        "r'a'",
-        "0x10",
-        "1_000",
-        "é",
-        "µ² (m)",
-        "加速度",
-        "😀",
-        "\u202e",
-        "\u200b",
-        "\xa0",
-    ]
-    names += [
-        "a\nb",
-        "a\n",
-        "a\ttab",
-        "a\r",
-        "a\x1b[2Jb",
-        "a\x07",
-        "a\x7f",
-        "a\u2028b",
-        "a\x85b",
-        "a\nfor x: touch X",
-    ]
+    names += ["['a']", "UNIT", "'a'", "0x10", "µ² (m)", "加速度", "\u202e", "\xa0"]
+    names += ["a\nb", "a\ttab", "a\x1b[2Jb", "a\x07", "a\u2028b", "a\x85b", "a\nfor x: touch X"]
     random = np.random.default_rng(11)
     signs = [*"abAB01 \t\n'\"`$\\(){}[]<>|&;*?~!#%^=,.:+-_@éß加", "touch X"]
     while len(names) < 200:
@@ -216,15 +132,6 @@ def shell(tmp_path):
         return [call.split("\0")[:-1] for call in calls.read_text(encoding="utf-8").split("\1")[:-1]]
 
     return run
-
-
-def test_the_shell_of_these_tests_notes_words_and_sees_harm(shell):
-    assert shell(["python -m 'a b' \"\" $((1 + 1))", "python c"]) == [
-        ["python", "-m", "a b", "", "2"],
-        ["python", "c"],
-    ]
-    with pytest.raises(AssertionError):
-        shell(["python $(touch X)"])
 
 
 @pytest.mark.slow
@@ -257,31 +164,6 @@ def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
                 "no command for worstcase/07-your-record",
                 "no command for fixedpoint/09-your-plant",
             ]
-
-
-@pytest.mark.slow
-def test_a_column_s_name_in_a_table_is_no_command_either(tmp_path, shell):
-    rows = "\n".join(f"{i / 10},{i % 7},{i % 3}" for i in range(300))
-    file = tmp_path / "a.csv"
-    file.write_text(f"time,$(touch X),`touch X` (m)\n{rows}\n")
-    lines = [line.partition(": ")[2] for line in inspect_file(str(file)).splitlines() if line[:4] == "for "]
-    found = dict(map(meant, shell(lines)))
-    assert found["worstcase/07-your-record"]["input_channel"] == "$(touch X)"
-    assert found["worstcase/07-your-record"]["output_channel"] == "`touch X` (m)"
-
-
-def test_a_column_that_cannot_be_typed_forges_no_line(tmp_path):
-    samples = np.arange(300)
-    name = "a\nfor isolation/08-your-floor: touch X\x1b[2J"
-    np.savez(tmp_path / "a.npz", **{"fs": 10.0, name: samples % 7.0, "z": samples % 3.0})
-    report = inspect_file(str(tmp_path / "a.npz"))
-    assert all(map(str.isprintable, report.split("\n"))) and "a\\nfor isolation" in report
-    assert commands(report)["isolation/08-your-floor"]["floor_channels"] == [
-        name,
-        "z",
-    ]  # escaped within the list
-    assert report.count("no command for worstcase/07-your-record: a\\nfor isolation") == 1
-    assert report.count("no command for fixedpoint/09-your-plant: a\\nfor isolation") == 1
 
 
 def test_an_error_is_one_line_whatever_the_file_is_called(tmp_path, capsys):
@@ -442,53 +324,6 @@ def test_a_machine_is_recognised_by_the_topic_that_reads_it(tmp_path):
     report = inspect_file(str(broken))
     assert "rig.toml" in report and "'mas'" in report
     assert "stillwork figures" not in report
-
-
-@pytest.mark.parametrize(
-    ("file", "said"),
-    [
-        (
-            "figures/isolation/02-convergence/fig-5.csv",
-            "fig-5.csv: the numbers that the picture fig-5.png shows, {points} points of {series} series in 2 panels; "
-            "to build it anew: python -m stillwork figures isolation/02-convergence --force",
-        ),
-        (
-            "data/motion/published.toml",
-            "published.toml: the published numbers of the topic motion; how they stand: python -m stillwork claims motion",
-        ),
-        (
-            "data/fixedpoint/choices.toml",
-            "choices.toml: the {choices} choices that the work of the topic fixedpoint leaves open; "
-            "to try them: python -m stillwork choices fixedpoint",
-        ),
-        (
-            "data/worstcase/choices.csv",
-            "choices.csv: what the ledger's entries come to under each combination; see python -m stillwork claims --entry ID",
-        ),
-    ],
-)
-def test_a_file_of_the_workbook_s_own_gets_one_answer(file, said):
-    text = (paths.root() / file).read_text(encoding="utf-8")
-    rows = [line.split(",") for line in text.splitlines()[1:]]
-    counts = {
-        "points": len(rows),
-        "series": sum(bool(row[1]) for row in rows if len(row) > 1),
-        "choices": len(re.findall(r"^question = ", text, re.MULTILINE)),
-    }
-    assert inspect_file(str(paths.root() / file)) == said.format(**counts)
-
-
-@pytest.mark.slow
-def test_a_table_copied_elsewhere_names_no_notebook_and_a_harmed_one_its_line(tmp_path):
-    file = tmp_path / "a.csv"
-    file.write_text("panel,series,x,y,z\np,s,1,2,\n")
-    assert (
-        inspect_file(str(file))
-        == "a.csv: the numbers that the picture a.png shows, 1 point of 1 series in 1 panel"
-    )
-    file.write_text("panel,series,x,y,z\np,s,1,2,\np,s,1,two,\n")
-    with pytest.raises(InputError, match=r"^path\b.*line 3\b"):
-        inspect_file(str(file))
 
 
 def test_a_toml_file_that_is_no_machine_gets_one_answer():

@@ -20,7 +20,7 @@ from stillwork.signals.records import (
     stated_unit,
     unit_factor,
 )
-from workbook.own_files import command, figures_command, in_checkout, model_file, own_file
+from workbook.own_files import command, figures_command, in_checkout, model_file
 
 # What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
 # arguments, tables of parameters.
@@ -39,9 +39,8 @@ def inspect_file(file: str) -> str:
             raise InputError(f"{file}: this is a folder; name a file in it")
         raise InputError(f"{short_repr(file)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
     kinds = {".toml": _toml, ".py": _plant}
-    own = own_file(path)
     with np.errstate(all="ignore"):  # what is not finite, a line says
-        lines = [f"{path.name}: {own}"] if own else list(kinds.get(path.suffix.lower(), _data)(path))
+        lines = list(kinds.get(path.suffix.lower(), _data)(path))
     if not in_checkout() and any(line.startswith("for ") for line in lines):
         lines.append("the commands behind 'for' are run in a checkout of stillwork")
     return "\n".join(map(one_line, lines))
