@@ -141,8 +141,8 @@ def summary_of(notebook: str) -> Summary:
 
     topic = notebook.partition("/")[0]
     source = "\n".join(read_notebook(notebook).cells.values())
-    ids = notebook_source.checked(source, list(load_entries(topic)))
+    ids = notebook_source.claims_checked(source, list(load_entries(topic)))
     mine = [claim for claim in ledger(topic=topic) if claim.notebook == notebook or claim.entry.id in ids]
     found = judged(topic) if mine else {}
-    first = next(iter(notebook_source.saved(source, [claim.entry.id.split(".")[1] for claim in mine])), "")
+    first = next(iter(notebook_source.figures_saved(source, [claim.entry.id.split(".")[1] for claim in mine])), "")
     return Summary(tuple(headlines(mine, found, said_first(topic), first)))

@@ -10,12 +10,12 @@ from workbook.notebooks import Notebook
 PACKAGES = ("stillwork", "workbook", "experiments", "notebooks")  # and those of the workbook's own
 
 
-def saved(source: str, available: list[str]) -> list[str]:
+def figures_saved(source: str, available: list[str]) -> list[str]:
     """Names of the figures that a cell saves, of those `available`."""
     return _named(source, "save", available)
 
 
-def checked(source: str, available: list[str]) -> list[str]:
+def claims_checked(source: str, available: list[str]) -> list[str]:
     """Ids of the claims that a cell makes, of those `available`."""
     return _named(source, "check", available)
 

@@ -116,27 +116,19 @@ def _shows(target: Path, version: Path) -> bool:
 
 
 def replace_folder(target: Path, files: dict[str, bytes]) -> None:
-    """Make `target` a plain folder of exactly `files`, for what is copied elsewhere as it stands.
-
-    Between two renames a kill may leave no folder there: the next call, whatever becomes of it, puts the old one back.
+    """Make `target` a plain folder of exactly `files`, for what is copied elsewhere as it stands; the old one stands until
+    all is written.
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    new, old = _beside(target, "new"), _beside(target, "old")
-    if old.exists() and not target.exists():
-        old.rename(target)
-    for left in (new, old):
-        if left.exists():
-            shutil.rmtree(left)
+    new = _beside(target, "new")
+    shutil.rmtree(new, ignore_errors=True)
     try:
         for name, content in files.items():
             _write(new / name, content)
     except BaseException:
         shutil.rmtree(new, ignore_errors=True)
         raise
-    if target.exists():
-        target.rename(old)
+    shutil.rmtree(target, ignore_errors=True)
     new.rename(target)
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def replace_file(target: Path, content: bytes) -> None:

@@ -64,45 +64,6 @@ def test_an_error_while_writing_leaves_the_old(tmp_path, monkeypatch):
     assert content(tmp_path) == {"notebook/a.csv": b"old"}
 
 
-@pytest.mark.parametrize("cut", range(4))
-def test_a_cut_swap_ends_with_one_whole_version(tmp_path, monkeypatch, cut):
-    """Stop after each of: nothing, the first rename, the second, part of the old folder's removal."""
-    target = tmp_path / "notebook"
-    replace_folder(target, {**OLD, "c.csv": b"old"})
-    steps = []
-    rename = Path.rename
-
-    class Killed(BaseException):
-        pass
-
-    def counted(self, *arguments):
-        if len(steps) == cut:
-            raise Killed
-        steps.append(self)
-        return rename(self, *arguments)
-
-    def removal(folder, **_options):
-        if cut == 3:
-            (folder / "c.csv").unlink()
-        if cut >= 2:
-            raise Killed
-
-    monkeypatch.setattr(Path, "rename", counted)
-    monkeypatch.setattr("workbook.publish.shutil.rmtree", removal)
-    with pytest.raises(Killed):
-        replace_folder(target, NEW)
-    monkeypatch.undo()
-
-    def full(self, data):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as without_space, pytest.raises(OSError, match="No space"):
-        without_space.setattr(Path, "write_bytes", full)
-        replace_folder(target, NEW)
-    assert content(target) == ({**OLD, "c.csv": b"old"} if cut < 2 else NEW)
-    assert os.listdir(tmp_path) == ["notebook"]
-    replace_folder(target, NEW)
-    assert content(target) == NEW
 
 
 class Killed(BaseException):

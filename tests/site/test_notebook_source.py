@@ -29,17 +29,17 @@ def test_a_page_has_the_texts_of_now_and_the_outputs_of_the_build():
 
 def test_claims_and_figures_are_found_in_their_order():
     source = 'page.check("topic.table-2.a", 1)\nother.check("topic.fig-1.a")\npage.check("topic.fig-1.b", 2)'
-    assert notebook_source.checked(source, IDS) == ["topic.table-2.a", "topic.fig-1.b"]
-    assert notebook_source.saved('page.save("fig-5", figure)', ["fig-5", "fig-55"]) == ["fig-5"]
+    assert notebook_source.claims_checked(source, IDS) == ["topic.table-2.a", "topic.fig-1.b"]
+    assert notebook_source.figures_saved('page.save("fig-5", figure)', ["fig-5", "fig-55"]) == ["fig-5"]
 
 
 def test_a_name_made_up_in_a_loop_finds_all_that_it_can_mean():
-    assert notebook_source.checked('for x in y: page.check(f"topic.fig-1.{x}", 0)', IDS) == IDS[:2]
-    assert notebook_source.checked("for x in y: page.check(x, 0)", IDS) == IDS
+    assert notebook_source.claims_checked('for x in y: page.check(f"topic.fig-1.{x}", 0)', IDS) == IDS[:2]
+    assert notebook_source.claims_checked("for x in y: page.check(x, 0)", IDS) == IDS
 
 
 def test_a_cell_that_is_not_python_draws_nothing():
-    assert notebook_source.saved("%time page.save('a')", ["a"]) == []
+    assert notebook_source.figures_saved("%time page.save('a')", ["a"]) == []
 
 
 def test_used_functions_carry_their_full_names():

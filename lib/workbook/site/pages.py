@@ -212,8 +212,8 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             heading = next(iter(re.findall(r"^#+ (.+)$", source, re.MULTILINE)), heading)
             cells.append(PageCell(name, anchor, False, source))
         elif cell["cell_type"] == "code":
-            here = [each for each in notebook_source.saved(source, pictures) if each not in drawn]
-            ids = [each for each in notebook_source.checked(source, list(by_id)) if each not in judged]
+            here = [each for each in notebook_source.figures_saved(source, pictures) if each not in drawn]
+            ids = [each for each in notebook_source.claims_checked(source, list(by_id)) if each not in judged]
             drawn |= set(here)
             judged |= set(ids)
             figures = [_saved_figure(name, each, heading, folder) for each in here]
