@@ -26,9 +26,8 @@ UNDER_PINS = env $(shell grep -v '^\#' $(PINNED))
 # Files go to the workers whole, for their tests share what is dear to make, and in the order of tests/order.py.
 UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/browser \
 	-n logical --dist loadfile --no-loadscope-reorder
-# How many notebooks nbval executes although an earlier run built them, others each day.
+# How many notebooks nbval executes again, others each day.
 RERUN ?= 3
-BEGUN := build/test-begun
 DAY := $(shell date +%Y%m%d)
 
 # A part of `make test`, $(1) in words and $(2) to run, whatever became of those before it. How long each took and
@@ -59,7 +58,7 @@ contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py -
 	@$(BIN)/python -m stillwork contest $(ARGS)
 
 test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
-	@mkdir -p build && rm -f $(PARTS) && touch $(BEGUN)
+	@mkdir -p build && rm -f $(PARTS)
 	$(call part,style,$(BIN)/ruff check . && $(BIN)/ruff format --check .)
 	$(call part,types,$(BIN)/python -m mypy)
 	$(call part,unit tests,$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT))
@@ -68,7 +67,7 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 	$(call part,notebooks,rm -rf build/nbval && $(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" \
 		$(BIN)/python -m pytest notebooks \
 		-p no:nbval -p workbook.nbval_check --jaxtyping-packages= --nbval --nbval-rerun $(RERUN) \
-		--nbval-begun $(BEGUN) --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
+		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
 	$(call part,what is committed,$(UNDER_PINS) $(BIN)/python -m pytest tests/committed \
 		-p no:nbval -p no:anyio -n logical --dist worksteal)
 	@awk '{ all += $$(NF - 2); print } END { printf "%-20s%6d s\n", "all of them", all }' $(PARTS) && ! grep -q FAILED $(PARTS)

@@ -144,5 +144,7 @@ def summary_of(notebook: str) -> Summary:
     ids = notebook_source.claims_checked(source, list(load_entries(topic)))
     mine = [claim for claim in ledger(topic=topic) if claim.notebook == notebook or claim.entry.id in ids]
     found = judged(topic) if mine else {}
-    first = next(iter(notebook_source.figures_saved(source, [claim.entry.id.split(".")[1] for claim in mine])), "")
+    first = next(
+        iter(notebook_source.figures_saved(source, [claim.entry.id.split(".")[1] for claim in mine])), ""
+    )
     return Summary(tuple(headlines(mine, found, said_first(topic), first)))

@@ -3,8 +3,7 @@
 A plugin of pytest in the place of nbval's own (``-p no:nbval -p workbook.nbval_check``): its options, its
 checks and its reports. Two things are added. An output that differs from the committed one in nothing but the last
 digits of its numbers passes (`workbook.compare.same_text`). And ``--nbval-rerun N`` executes N of the notebooks, others
-on each day, where the rest is left to what compares their builds (`tests/committed`). A notebook whose build is
-younger than the file ``--nbval-begun`` was executed a moment ago: it needs no other turn.
+on each day, where the rest is left to what compares their builds (`tests/committed`).
 """
 
 import datetime
@@ -14,11 +13,8 @@ import sys
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from workbook.compare import printed, same_text
 from workbook.notebooks import notebook_file, select
-from workbook.tasks import built
 
 # As in `stillwork.base.command_line`: a second or two of every process that loads nbformat, as nbval does.
 sys.modules.setdefault("rfc3987_syntax", None)
@@ -31,7 +27,6 @@ def pytest_addoption(parser):
     group.addoption(
         "--nbval-rerun", type=int, default=None, help="execute N of the notebooks, others each day"
     )
-    group.addoption("--nbval-begun", type=Path, help="but none whose build is younger than this file")
 
 
 def pytest_configure(config):
@@ -44,37 +39,20 @@ def pytest_collect_file(file_path, parent):
         return ComparedNotebook.from_parent(parent, path=file_path)
 
 
-def pytest_sessionfinish(session, exitstatus):
-    """No notebook has its turn where this run has built them all."""
-    if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED and session.config.option.nbval_begun:
-        session.exitstatus = pytest.ExitCode.OK
-
-
 def _has_turn(file: Path, config) -> bool:
-    count, begun = config.option.nbval_rerun, config.option.nbval_begun
-    return count is None or file.resolve() in _chosen(count, begun, datetime.date.today().toordinal())
+    count = config.option.nbval_rerun
+    return count is None or file.resolve() in _chosen(count, datetime.date.today().toordinal())
 
 
 @cache
-def _chosen(count: int, begun: Path | None, day: int) -> set[Path]:
-    names = older_than(begun, [notebook.name for notebook in select()])
+def _chosen(count: int, day: int) -> set[Path]:
+    names = [notebook.name for notebook in select()]
     return {notebook_file(name).resolve() for name in chosen_to_run(count, names, day)}
 
 
 def chosen_to_run(count: int, names: list[str], day: int) -> set[str]:
     """The notebooks that are executed again on a day: each has its turn before the first comes again."""
     return {names[(day * count + offset) % len(names)] for offset in range(min(count, len(names)))}
-
-
-def older_than(file: Path | None, names: list[str]) -> list[str]:
-    """Those whose build was put in its place before the file was written; all without a file."""
-    if file is None:
-        return names
-    begun = file.stat().st_mtime_ns
-    links = {name: built() / name for name in names}
-    return [
-        name for name, link in links.items() if not (link.is_symlink() and link.lstat().st_mtime_ns > begun)
-    ]
 
 
 class ComparedNotebook(nbval.IPyNbFile):

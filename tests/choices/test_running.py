@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from choices import toy_work
-from choices.toy_work import SEEDS, A, B, axis, study
+from choices.toy_work import SEEDS, A, B, study
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from workbook.choices.command import robustness_of
@@ -188,25 +188,6 @@ def test_another_checkout_on_a_worker_is_refused(workbook, tmp_path, monkeypatch
         run(multiverses, tmp_path)
 
 
-def test_studies_advance_at_the_same_pace(workbook, tmp_path):
-    short = study("one", entries='["motion.order"]')
-    long = study("other", entries='["motion.always"]').replace("studies.toy", "studies.long")
-    _, multiverses = workbook(short + axis("a", [0, 1, 2], 0, touches='["motion.always"]') + long)
-    order = []
-
-    @contextmanager
-    def watched():
-        with ThreadPoolExecutor(1) as pool:
-            submit = pool.submit
-            pool.submit = lambda function, given: (order.append(given.function), submit(function, given))[1]
-            yield pool
-
-    run(multiverses, tmp_path, watched, at_once=1)
-    names = [name.partition(":")[2] for name in order]
-    assert sorted(names[:2]) == ["one", "other"]
-    assert names[2:] == ["other", "other"]
-
-
 @contextmanager
 def command(root, *arguments):
     """``python -m stillwork choices`` on the toy, ended at the end with all it started."""
@@ -293,16 +274,3 @@ def test_axes_that_changed_since_are_told_and_not_judged(workbook, outcomes, tmp
     workbook(A.replace("[0, 1, 2]", "[0, 1]") + B + study() + study("one", "[]").replace("toy", "other"))
     assert robustness_of("motion") == {}
     assert "the axes of toy, other changed: run `make choices`" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("budget", ["-1", "soon", "0"])
-def test_a_budget_is_a_time(budget, capsys):
-    with pytest.raises(SystemExit):
-        main(["choices", "--budget", budget])
-    assert repr(budget) in capsys.readouterr().err
-
-
-def test_a_topic_that_does_not_exist_is_named(capsys):
-    assert main(["choices", "moton"]) == 2
-    said = capsys.readouterr().err
-    assert "topic is 'moton'" in said and "did you mean 'motion'" in said

@@ -64,8 +64,6 @@ def test_an_error_while_writing_leaves_the_old(tmp_path, monkeypatch):
     assert content(tmp_path) == {"notebook/a.csv": b"old"}
 
 
-
-
 class Killed(BaseException):
     """Stands for SIGKILL: no handler of the code under test may take it for an error."""
 

@@ -101,20 +101,6 @@ def test_only_a_whole_figure_is_saved(workbook, wrong):
         Page("motion/01-x").save("fig-1", wrong)
 
 
-@pytest.mark.parametrize(
-    ("claim", "value", "interval", "message"),
-    [
-        ("n" * 300, 1.0, None, r"^topic\b"),
-        ("motion.order", 1.5, None, r"^motion\.order\b"),
-        ("motion.order", 1.0, (-0.1, 1.0), r"^motion\.order\b.*-0\.1\b"),
-        ("motion.order", 1.0, (0.9, 1.1), r"^motion\.order\b.*\b1\.1\b"),
-    ],
-)
-def test_a_claim_that_cannot_be_is_refused(workbook, claim, value, interval, message):
-    with pytest.raises(InputError, match=message):
-        Page("motion/01-x").check(claim, value, interval)
-
-
 def test_series_that_are_rounding_are_noted_with_the_reason(workbook):
     page = Page("motion/01-x")
     page.save("fig-1", drawing())

@@ -14,7 +14,6 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-import yaml
 from PIL import Image
 
 from engine import toy as toys
@@ -155,12 +154,6 @@ def test_an_explorer_of_which_no_settings_are_kept_shows_its_picture(toy):
     file.write_text(json.dumps(notebook), encoding="utf-8")
     page = site_files()["notebooks/isolation/01-first.html"].decode()
     assert "The explorer at its start; it moves in Jupyter" in page
-
-
-def test_the_manifest_lists_files_that_are_there():
-    manifest = yaml.safe_load((paths.root() / "codecheck.yml").read_text(encoding="utf-8"))["manifest"]
-    assert all((paths.root() / each["file"]).is_file() and each["comment"] for each in manifest)
-    assert len(manifest) == len({each["file"] for each in manifest}) > 100
 
 
 def test_what_a_work_says_first_is_judged_by_an_entry_of_its_own_ledger():

@@ -93,17 +93,6 @@ def test_a_zipped_folder_has_the_same_bytes_whenever_its_files_were_written(tmp_
     assert zipfile.ZipFile(io.BytesIO(first)).read("toy/a/b.html") == b"text"
 
 
-def test_it_tells_what_is_left_to_a_person(workbook):
-    lines = release.left_to_do("0.1.0")
-    assert any("still says 'unreleased'" in line for line in lines)
-    assert any("codecheck.yml lacks paper.reference, an ORCID for each author" in line for line in lines)
-    assert any("codechecker, report, summary, certificate" in line for line in lines)
-    (workbook / "CHANGELOG.md").write_text(
-        "# Changelog\n\n## 0.1.0 (2026-11-30)\n\n- An unreleased thought.\n"
-    )
-    assert not any("still says" in line for line in release.left_to_do("0.1.0"))
-
-
 @pytest.mark.slow
 def test_a_stranger_installs_the_wheel_and_runs_its_tests():
     ((name, content),) = release.wheel(paths.root()).items()

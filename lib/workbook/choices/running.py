@@ -239,7 +239,7 @@ def run_combinations(
     """
     plans = [(multiverse, runs_of(multiverse)) for multiverse in multiverses]
     missing = {run.key: run for _, runs in plans for run in runs.values() if run.key not in journal.found}
-    waiting = deque(_spread([list(runs.values()) for _, runs in plans], missing))
+    waiting = deque(missing.values())
     end = time.monotonic() + budget_s
     with Progress(len(missing), task="choices", unit="combination", tell=True) as progress:
 
@@ -262,12 +262,6 @@ def run_combinations(
         for multiverse, runs in plans
         if all(run.key in journal.found for run in runs.values())
     ]
-
-
-def _spread(plans: list[list[Call]], missing: dict[str, Call]) -> list[Call]:
-    """Missing runs of all studies, each study advancing at the same pace."""
-    placed = [(k / len(runs), run) for runs in plans for k, run in enumerate(runs) if run.key in missing]
-    return [run for _, run in sorted(placed, key=lambda each: each[0])]
 
 
 class _Interrupted(Exception):

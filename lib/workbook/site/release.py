@@ -22,12 +22,10 @@ from stillwork.base.checks import InputError
 from workbook import paths, publish
 from workbook.provenance import commit, modified
 from workbook.site.build import build_site
-from workbook.site.metadata import address, project
+from workbook.site.metadata import project
 
 # Tests of the toolbox that need nothing of a checkout but themselves.
 STRANGER = ("algebra", "checks", "criteria", "digital", "examples", "records", "rounding", "spectra")
-# What CODECHECK 2.0 wants in codecheck.yml beside what is generated: the author's part, then the codechecker's.
-AUTHORS, CODECHECKERS = ("reference",), ("codechecker", "report", "summary", "certificate")
 
 
 def release() -> int:
@@ -59,9 +57,7 @@ def release() -> int:
     print(f"{target}:")
     for name, content in files.items():
         print(f"  {name}  {len(content) / 1e6:.1f} MB")
-    print(f"of commit {of}. What a person does:")
-    for line in left_to_do(version):
-        print(f"  - {line}")
+    print(f"of commit {of}; what is left to a person stands in CONTRIBUTING.md under Release")
     return 0
 
 
@@ -182,25 +178,3 @@ def _lend(python: Path, environment: dict[str, str]) -> None:
     # By a link: Python reads the file in the locale's encoding, which may not know the letters of the path.
     (packages / "lent").symlink_to(sysconfig.get_path("purelib"))
     (packages / "lent.pth").write_text("lent\n")
-
-
-def left_to_do(version: str) -> list[str]:
-    """What no program can do for a release, or may."""
-    manifest = yaml.safe_load((paths.root() / "codecheck.yml").read_text(encoding="utf-8"))
-    lines = [
-        f"git tag -a v{version}, and push it",
-        "upload the archive and the site; CITATION.cff describes them",
-    ]
-    if "unreleased" in (paths.root() / "CHANGELOG.md").read_text(encoding="utf-8").partition("\n- ")[0]:
-        lines.append("CHANGELOG.md still says 'unreleased': put the day there and into CITATION.cff")
-    if not address():
-        lines.append(
-            "pyproject.toml has no Repository under [project.urls]: with it the pages get links to Binder"
-        )
-    wanted = [f"paper.{name}" for name in AUTHORS if name not in manifest["paper"]]
-    wanted += ["an ORCID for each author"] * any("ORCID" not in each for each in manifest["paper"]["authors"])
-    if wanted:
-        lines.append(f"codecheck.yml lacks {', '.join(wanted)}")
-    if checkers := [name for name in CODECHECKERS if name not in manifest]:
-        lines.append(f"a codechecker adds to it {', '.join(checkers)}")
-    return lines
