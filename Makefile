@@ -108,7 +108,7 @@ portable: $(READY) ## Build under other processors' settings and compare; ARGS="
 accept: $(READY) ## Copy a build into notebooks/ and figures/, and into what follows from them
 	@$(BIN)/python -m stillwork accept
 
-release: $(READY) ## Write wheel, site and archive to build/release, and try the wheel in an environment of its own
+release: $(READY) ## Write wheel, site and archive to build/release
 	@$(BIN)/python -m stillwork release
 
 doctor: $(READY) ## Compare the environment with environment.txt

@@ -103,7 +103,7 @@ COMMANDS = {
         "write the static site to build/site", "workbook.site.build:build_site", before=IN_A_WORKBOOK
     ),
     "release": Command(
-        "write wheel, site and archive to build/release, and try the wheel",
+        "write wheel, site and archive to build/release",
         "workbook.site.release:release",
         before=IN_A_WORKBOOK,
     ),

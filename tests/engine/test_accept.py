@@ -11,7 +11,7 @@ import pytest
 
 from engine import toy as toys
 from engine.toy import cell
-from workbook import accept, durations, publish
+from workbook import durations
 from workbook.notebooks import cleaned
 
 pytestmark = pytest.mark.slow
@@ -127,25 +127,6 @@ def test_how_long_a_notebook_took_is_noted_and_makes_nothing_stale(accepted):
     assert accepted.run("figures", "--why").stdout == "isolation/01-first: up to date\n"
     assert accepted.run("accept").returncode == 0
     assert accepted.stamps("notebooks", "data", "figures", "README.md") == before
-
-
-def test_a_file_that_somebody_writes_all_the_time_is_named(accepted, monkeypatch):
-    monkeypatch.chdir(accepted.root)
-    monkeypatch.setenv("STILLWORK_ROOT", str(accepted.root))
-    read = accept._committed
-
-    def growing(folder):
-        log = folder / "data/isolation/log.csv"
-        log.write_text(log.read_text() + "1" if log.exists() else "")
-        return read(folder)
-
-    monkeypatch.setattr(accept, "_committed", growing)
-    with (
-        pytest.raises(publish.Edited, match=r"data/isolation/log\.csv\b"),
-        accept.committed_copy(),
-    ):
-        pass
-    assert accepted.leftovers() == []
 
 
 def test_what_no_build_wrote_is_named_and_stays_as_it_is(accepted):

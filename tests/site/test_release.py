@@ -1,4 +1,4 @@
-"""What a release refuses and holds, and that a stranger can install its wheel."""
+"""What a release refuses and holds."""
 
 import io
 import shutil
@@ -9,7 +9,6 @@ import zipfile
 import pytest
 
 from stillwork.base.checks import InputError
-from workbook import paths
 from workbook.site import release
 
 
@@ -48,7 +47,6 @@ def test_a_tree_that_changes_while_the_release_is_made_is_not_released(workbook,
     monkeypatch.setattr(release, "build_site", lambda: change["now"]())
     monkeypatch.setattr(release, "wheel", lambda root: {"toy.whl": b""})
     monkeypatch.setattr(release, "zipped", lambda folder, name: b"")
-    monkeypatch.setattr(release, "try_wheel", lambda *files: 0)
     git = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "-C", str(workbook)]
     change["now"] = lambda: subprocess.run([*git, "commit", "-q", "--allow-empty", "-m", "more"]).returncode
     with pytest.raises(InputError, match=r"[0-9a-f]{40}.*[0-9a-f]{40}"):
@@ -91,15 +89,3 @@ def test_a_zipped_folder_has_the_same_bytes_whenever_its_files_were_written(tmp_
     (tmp_path / "site/a/b.html").touch()
     assert release.zipped(tmp_path / "site", "toy") == first
     assert zipfile.ZipFile(io.BytesIO(first)).read("toy/a/b.html") == b"text"
-
-
-@pytest.mark.slow
-def test_a_stranger_installs_the_wheel_and_runs_its_tests():
-    ((name, content),) = release.wheel(paths.root()).items()
-    archive = io.BytesIO()  # as `release.archive` makes one, of the files that stand here
-    with tarfile.open(fileobj=archive, mode="w") as whole:
-        for each in ("pyproject.toml", "tests"):
-            whole.add(paths.root() / each, f"stillwork-0.1.0/{each}")
-    with release.installed(name, content, archive.getvalue()) as tested:
-        assert tested(("rounding",)) == 0
-        assert tested(("house",)) != 0  # asks for the checkout, which is not there

@@ -1,18 +1,12 @@
-"""``make release``: wheel, site and archive in ``build/release``, the wheel tried as a stranger would."""
+"""``make release``: wheel, site and archive in ``build/release``; `make test` tries the wheel as a stranger would."""
 
-import contextlib
 import hashlib
 import io
-import os
 import re
 import subprocess
 import sys
-import sysconfig
-import tarfile
 import tempfile
-import venv
 import zipfile
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import yaml
@@ -24,12 +18,9 @@ from workbook.provenance import commit, modified
 from workbook.site.build import build_site
 from workbook.site.metadata import project
 
-# Tests of the toolbox that need nothing of a checkout but themselves.
-STRANGER = ("algebra", "checks", "criteria", "digital", "examples", "records", "rounding", "spectra")
-
 
 def release() -> int:
-    """Write the release of the commit at hand; returns 1 when a test of the wheel failed or a link is broken.
+    """Write the release of the commit at hand; returns 1 when a link is broken.
 
     Raises
     ------
@@ -45,12 +36,8 @@ def release() -> int:
         f"stillwork-{version}.tar.gz": archive(version),
         f"stillwork-{version}-site.zip": zipped(paths.root() / "build/site", f"stillwork-{version}-site"),
     }
-    (name,) = (name for name in files if name.endswith(".whl"))
     if committed() != of:
         raise InputError(f"{of} was checked out when the release began, {commit()} is now; begin again")
-    print(f"{name}: installed beside nothing of the checkout, its tests:", flush=True)
-    if failed := try_wheel(name, files[name], files[f"stillwork-{version}.tar.gz"]):
-        return failed
     sums = "".join(f"{hashlib.sha256(content).hexdigest()}  {name}\n" for name, content in files.items())
     target = paths.root() / "build/release"
     publish.replace_folder(target, {**files, "SHA256SUMS": sums.encode()})
@@ -118,63 +105,3 @@ def zipped(folder: Path, name: str) -> bytes:
             path = f"{name}/{file.relative_to(folder).as_posix()}"
             whole.writestr(zipfile.ZipInfo(path), file.read_bytes(), zipfile.ZIP_DEFLATED)
     return content.getvalue()
-
-
-def try_wheel(name: str, content: bytes, source: bytes) -> int:
-    """Install a wheel into a fresh environment and run its tests there; returns pytest's exit code."""
-    with installed(name, content, source) as tested:
-        return tested(STRANGER)
-
-
-@contextlib.contextmanager
-def installed(name: str, content: bytes, source: bytes) -> Iterator[Callable[[tuple[str, ...]], int]]:
-    """A fresh environment with a wheel; runs tests of `tests/shared` there, by name, and returns pytest's exit code.
-
-    Its requirements are lent by the environment at hand, so that this needs no network; of the checkout it sees a
-    copy of the tests alone.
-
-    Parameters
-    ----------
-    name : str
-        Of the wheel.
-    content, source : bytes
-        The wheel, and the archive that the tests come from.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        (place / name).write_bytes(content)
-        venv.create(place / "venv", with_pip=True)
-        python = place / "venv" / ("Scripts" if os.name == "nt" else "bin") / "python"
-        alone = {
-            key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "STILLWORK_"))
-        }
-        install = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(place / name)]
-        subprocess.run([python, *install], check=True, env=alone)
-        _lend(python, alone)
-        with tarfile.open(fileobj=io.BytesIO(source)) as whole:
-            inside = [
-                each
-                for each in whole.getmembers()
-                if each.name.partition("/")[2] == "pyproject.toml" or "/tests/" in each.name
-            ]
-            whole.extraction_filter = getattr(tarfile, "data_filter", None)  # none before Python 3.11.4
-            whole.extractall(place / "source", inside)
-        (checkout,) = (place / "source").iterdir()
-        quiet = [f"-pno:{each}" for each in ("nbval", "anyio", "cacheprovider")]
-
-        def tested(names: tuple[str, ...]) -> int:
-            tests = [f"tests/shared/test_{each}.py" for each in names]
-            command = [python, "-P", "-m", "pytest", *tests, *quiet]
-            return subprocess.run(command, cwd=checkout, env=alone).returncode
-
-        yield tested
-
-
-def _lend(python: Path, environment: dict[str, str]) -> None:
-    """Let a fresh environment see the packages of this one, behind its own, without the library of the checkout."""
-    ask = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
-    done = subprocess.run(ask, check=True, env=environment, stdout=subprocess.PIPE, text=True)
-    packages = Path(done.stdout.strip())
-    # By a link: Python reads the file in the locale's encoding, which may not know the letters of the path.
-    (packages / "lent").symlink_to(sysconfig.get_path("purelib"))
-    (packages / "lent.pth").write_text("lent\n")
