@@ -83,6 +83,9 @@ OUTLINE = """
 const levels = [...document.querySelectorAll("h1, h2, h3, h4, h5")].map((each) => Number(each.tagName[1]));
 const faults = [];
 if (levels.filter((level) => level === 1).length !== 1) faults.push(`h1: ${levels}`);
+if (levels.some((level, at) => at && level > levels[at - 1] + 1)) faults.push(`a level left out: ${levels}`);
+for (const link of document.querySelectorAll("a[href]"))
+  if (!link.textContent.trim() && !link.ariaLabel && !link.querySelector("img[alt]:not([alt=''])")) faults.push(link.outerHTML);
 if (!document.title || document.documentElement.lang !== "en") faults.push("title or language");
 if (document.querySelector("[onclick], [onchange], [onload], [style], script:not([src])")) faults.push("inline");
 const ids = [...document.querySelectorAll("[id]")].map((each) => each.id);

@@ -68,7 +68,7 @@ def test_every_name_of_a_module_has_a_place():
 def test_an_example_stands_as_it_was_typed():
     html = reference.doc_html("Sum.\n\nExamples\n--------\n>>> rows(2)\narray([[1.],\n       [2.]])\n")
     shown = "&gt;&gt;&gt; rows(2)\narray([[1.],\n       [2.]])"
-    assert html == f'<p>Sum.</p><h4>Examples</h4><pre tabindex="0">{shown}</pre>'
+    assert html == f'<p>Sum.</p><h2 class="part">Examples</h2><pre tabindex="0">{shown}</pre>'
 
 
 def test_a_docstring_becomes_paragraphs_definitions_and_blocks():
@@ -77,8 +77,8 @@ def test_a_docstring_becomes_paragraphs_definitions_and_blocks():
     )
     assert html == (
         '<p>Sum &lt;up&gt;.</p><p>Of <code>x</code>:</p><pre tabindex="0">a &lt; b</pre>'
-        "<h4>Parameters</h4><dl><dt><code>x</code> <span>array_like, shape (n,)</span></dt><dd><p>In m.</p></dd></dl>"
-        "<h4>Raises</h4><dl><dt><code>InputError</code></dt><dd><p>When not.</p></dd></dl>"
+        '<h2 class="part">Parameters</h2><dl><dt><code>x</code> <span>array_like, shape (n,)</span></dt><dd><p>In m.</p></dd></dl>'
+        '<h2 class="part">Raises</h2><dl><dt><code>InputError</code></dt><dd><p>When not.</p></dd></dl>'
     )
 
 

@@ -298,8 +298,8 @@ def _title(text: str) -> str:
     raise InputError(f"a guide begins with {text[:40]!r}; begin it with '# ' and its title")
 
 
-def _doc(text: str) -> Markup:
-    return Markup(reference.doc_html(text))
+def _doc(text: str, level: int = 2) -> Markup:
+    return Markup(reference.doc_html(text, level))
 
 
 @cache
@@ -309,4 +309,4 @@ def _source(text: str) -> Markup:
     from pygments.formatters import HtmlFormatter
     from pygments.lexers import PythonLexer
 
-    return Markup(highlight(text, PythonLexer(), HtmlFormatter(lineanchors="line", anchorlinenos=False)))
+    return Markup(highlight(text, PythonLexer(), HtmlFormatter(linespans="line")))

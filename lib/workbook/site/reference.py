@@ -218,9 +218,13 @@ def _signature(read: griffe.Object) -> str:
 
 
 @cache
-def doc_html(doc: str) -> str:
-    """HTML of a numpydoc docstring: paragraphs, indented blocks and sections of definitions."""
+def doc_html(doc: str, level: int = 2) -> str:
+    """HTML of a numpydoc docstring: paragraphs, indented blocks and sections of definitions, headed at a level."""
     html = []
+
+    def head(title: str) -> None:
+        html.append(f'<h{level} class="part">{escape(title)}</h{level}>')
+
     for section in griffe.Docstring(inspect.cleandoc(doc)).parse("numpy", warnings=False):
         kind, value = section.kind.value, section.value
         if kind == "text":
@@ -230,13 +234,14 @@ def doc_html(doc: str) -> str:
                 f'<pre tabindex="0">{escape(text)}</pre>' if part.value == "examples" else _blocks(text)
                 for part, text in value
             )
-            html.append(f"<h4>Examples</h4>{''.join(blocks)}")
+            head("Examples")
+            html.append("".join(blocks))
         elif kind == "admonition":
-            html.append(f"<h4>{escape(section.title)}</h4>{_blocks(value.contents)}")
+            head(section.title)
+            html.append(_blocks(value.contents))
         else:
-            html.append(
-                f"<h4>{kind.capitalize()}</h4><dl>{''.join(_definition(each) for each in value)}</dl>"
-            )
+            head(kind.capitalize())
+            html.append(f"<dl>{''.join(_definition(each) for each in value)}</dl>")
     return "".join(html)
 
 
