@@ -21,7 +21,7 @@ from stillwork.base.checks import InputError  # noqa: E402
 from workbook import explorer as explorers  # noqa: E402
 from workbook.notebooks import select  # noqa: E402
 
-LIMIT_MS = 200.0
+LIMIT_MS = 100.0
 
 
 def needed(cells: list[str]) -> list[str]:
@@ -83,7 +83,7 @@ def main() -> None:
     explorers.explore = lambda draw, **controls: caught.append((draw, controls))
     slow = []
     print(f"{'explorer':34} {'start':>10} {'slowest':>10}   ms; slowest at")
-    for notebook in select(sys.argv[1] if len(sys.argv) > 1 else None):
+    for notebook in select(*sys.argv[1:]):
         cells = [
             "".join(cell["source"])
             for cell in json.loads(notebook.source)["cells"]
