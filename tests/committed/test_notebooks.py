@@ -3,10 +3,12 @@
 import ast
 import json
 import re
+import tomllib
 
 import pytest
 
 from workbook import paths
+from workbook.choices.axes import load_axes
 from workbook.claims import load_entries
 from workbook.compare import cells_apart
 from workbook.notebooks import notebook_text, select
@@ -90,10 +92,35 @@ def printed_starts() -> list[tuple[str, str, float, str]]:
     return found
 
 
-def test_what_a_slider_calls_printed_is_what_the_ledger_has_from_that_place():
+def is_printed(topic: str, start: float, place: str) -> bool:
+    """Whether the ledger, an open choice or the settings of a machine have this number from this place."""
+    if any(each.published == start and each.place.startswith(place) for each in load_entries(topic).values()):
+        return True
+    if any(
+        place in each.source and start in numbers_in(each.source) for each in load_axes(topic)[0].values()
+    ):
+        return True
+    for file in paths.data(topic, "").glob("*.toml"):
+        published = tomllib.loads(file.read_text("utf-8")).get("published")
+        if isinstance(published, dict) and start in published.values() and place in file.read_text("utf-8"):
+            return True
+    return False
+
+
+def numbers_in(words: str) -> list[float]:
+    return [float(each) for each in re.findall(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]\w)", words)]
+
+
+def test_what_a_slider_calls_printed_is_what_the_ledger_or_the_settings_have_from_that_place():
     wrong = []
     for notebook, control, start, place in printed_starts():
-        entries = load_entries(notebook.partition("/")[0]).values()
-        if not any(entry.published == start and entry.place.startswith(place) for entry in entries):
+        if not is_printed(notebook.partition("/")[0], start, place):
             wrong.append(f"{notebook}: {control} starts at {start:g}, which {place} does not print")
     assert wrong == []
+
+
+@pytest.mark.parametrize(
+    ("start", "place"), [(0.031, "section 3.2.2"), (0.03, "section 3.2.9"), (0.05, "section 6.3")]
+)
+def test_another_number_or_place_is_not_printed(start, place):
+    assert not is_printed("motion", start, place)
