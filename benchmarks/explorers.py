@@ -1,4 +1,4 @@
-"""Redraw times of every explorer: at the start, and with each control at its ends and in its middle.
+"""Redraw times of every explorer: at the start, with each control at its ends and in its middle, and at each preset.
 
 Processor time, which other programs disturb less than the clock. `ARGS="TOPIC/NOTEBOOK"` chooses one.
 """
@@ -80,7 +80,11 @@ def redraw_ms(redraw: Callable, one: dict) -> float | None:
 
 def main() -> None:
     caught = []
-    explorers.explore = lambda draw, **controls: caught.append((draw, controls))
+
+    def explore(draw, presets=None, **controls):
+        caught.append((draw, controls, explorers.whole_settings(presets or {}, controls)))
+
+    explorers.explore = explore
     slow = []
     print(f"{'explorer':34} {'start':>10} {'slowest':>10}   ms; slowest at")
     for notebook in select(*sys.argv[1:]):
@@ -96,9 +100,9 @@ def main() -> None:
         for source in needed(cells):
             with contextlib.redirect_stdout(None):  # the notebook's own tables
                 exec(compile(source, notebook.name, "exec"), space)
-        [(draw, controls)] = caught
+        [(draw, controls, designs)] = caught
         redraw = explorers.Redraw(draw)
-        times = [(redraw_ms(redraw, one), one) for one in settings(controls)]
+        times = [(redraw_ms(redraw, one), one) for one in [*settings(controls), *designs.values()]]
         longest, worst = max((span, repr(one), one) for span, one in times if span is not None)[::2]
         start = times[0][1]
         where = ", ".join(
