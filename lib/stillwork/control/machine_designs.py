@@ -9,6 +9,7 @@ import numpy as np
 
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.validation import checked
+from stillwork.control.loop_noise import USUAL, NoiseBound
 from stillwork.control.machine_loops import (
     AchievableBandwidth,
     Intensities,
@@ -17,7 +18,7 @@ from stillwork.control.machine_loops import (
     reach,
     search_range,
 )
-from stillwork.control.machine_tuning import DesignSettings, tuned
+from stillwork.control.machine_tuning import DesignSettings, tuned, varied
 from stillwork.control.uncertainty import NAMES, Uncertainty, require_shares, uncertainty_of
 from stillwork.identification.machine import Machine, remove_delay
 
@@ -29,6 +30,7 @@ UNCERTAINTY = {"frequency": 0.05, "gain": 0.05}  # of a machine of which nothing
 DELAY = 1.0  # samples from a measurement to the force that follows from it
 OVER_FIRST, OVER_LAST = 20.0, 4.0  # a rate that nobody gave, over the first resonance and over the last
 STEPS = (1, 2, 5)  # of rates that nobody gave, times powers of ten
+DEAFER = 4  # decades of the sensor's noise that an observer is made for, where its own asks for too much
 EACH = 2  # searches a use: with the first settings, and with those that are tuned
 
 
@@ -45,6 +47,7 @@ class Designed(NamedTuple):
     settings: dict[str, DesignSettings]
     found: dict[str, AchievableBandwidth]  # by use
     notes: tuple[str, ...]  # what the search is for, in words
+    noise: NoiseBound = USUAL
 
     @property
     def how(self) -> dict:
@@ -55,6 +58,7 @@ class Designed(NamedTuple):
             "sample_time": 1 / self.rate,
             "delay": self.delay,
             "others": others,
+            "noise": self.noise,
         }
 
     @property
@@ -126,6 +130,7 @@ def search_designs(
     retained: int = RETAINED,
     added_damping: float = ADDED_DAMPING,
     selectivity: float = SELECTIVITY,
+    noise: NoiseBound = USUAL,
     on_step: Callable[[str], None] | None = None,
 ) -> Designed:
     """How far PID, PID with notches, MC, AD, and MC and AD get, each with its settings tuned.
@@ -147,6 +152,8 @@ def search_designs(
         See `reach`.
     intensities, retained, added_damping, selectivity
         Where the settings of an observer begin.
+    noise : NoiseBound
+        How much of the sensor's noise may be in the output.
     on_step : callable, optional
         Called with the name of each use before it is searched, `EACH` times.
 
@@ -187,8 +194,9 @@ def search_designs(
         f"the force {late[0]:.4g} samples late and held, all over a box of {said or 'nothing: no uncertainty'}"
         f"{', beside the intervals of the fit' * bool(said and machine.fit)}",
         "S_I and S_O, which is also r to e since the controller runs on the error, at most 6 dB",
+        *noise.words(machine.units),
     )
-    made = Designed(prompt[0], prompt[1:], rate, late[0], late[1:], shares, spreads, {}, {}, notes)
+    made = Designed(prompt[0], prompt[1:], rate, late[0], late[1:], shares, spreads, {}, {}, notes, noise)
     for use, application in ({"PID": None, NOTCHED: None} | applications(added_damping, selectivity)).items():
         first = DesignSettings(application, retained, intensities, use == NOTCHED)
         beside = {"loop_hz": loop_hz, "search_hz": search_hz}
@@ -222,6 +230,14 @@ def _furthest(
     """The settings, tuned where that leads further, and how far they get."""
     on_step()
     found = reach_one(made.machine, settings, made.how | beside)
+    trial, other = settings, found
+    for _ in range(DEAFER):
+        trial = varied(trial, "sensor", 10.0)  # an observer for a noisier sensor
+        if trial is None or not other.stopped_by_noise:
+            break
+        other = reach_one(made.machine, trial, made.how | beside)
+        if crossing(other) > crossing(found):
+            settings, found = trial, other
     on_step()
     lowest, _ = search_range(made.machine, 1 / made.rate)
     design_hz = found.recommended.design_hz if found.recommended else lowest

@@ -19,6 +19,7 @@ from stillwork.control.bandwidth import (
     maximise_bandwidth,
 )
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
+from stillwork.control.loop_noise import NOISE, UNBOUNDED, NoiseBound
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.uncertainty import (
     Perturbation,
@@ -245,6 +246,12 @@ class AchievableBandwidth:
         first = max(self.on_model.lowest_hz, self.on_measurement.lowest_hz)
         return lower if lower.design_hz >= first else None
 
+    @property
+    def stopped_by_noise(self) -> bool:
+        """Whether more of the sensor's noise than is allowed stops it, or leaves nothing."""
+        stop = self.recommended
+        return NOISE in self.reason if stop is None else stop.function == NOISE
+
     def peaks_db(self) -> dict[str, tuple[float, float | None]]:
         """Largest peak of each loop function over the sensors for what is recommended: on the model, on the measurement."""
         if self.recommended is None:
@@ -271,7 +278,10 @@ class AchievableBandwidth:
             if 1 <= moved <= len(self.elsewhere):
                 where = f" of response {moved + 1}"
             name = SHOWN.get(stop.function, stop.function)
-            row["stopped by"] = f"{name}{place} at {in_hertz(stop.peak.omega / (2 * np.pi), 0)} Hz{where}"
+            if name == NOISE:
+                row["stopped by"] = f"{name}: more is not allowed"
+            else:
+                row["stopped by"] = f"{name}{place} at {in_hertz(stop.peak.omega / (2 * np.pi), 0)} Hz{where}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
         if self.encirclement_difference is not None:
             row["extra turns"] = str(self.encirclement_difference)
@@ -294,6 +304,7 @@ def reach(
     notches: bool = False,
     lead: float = 3.0,
     others: Sequence[tuple[Machine, float]] = (),
+    noise: NoiseBound = UNBOUNDED,
 ) -> dict[str, AchievableBandwidth]:
     """Largest bandwidth of every use below which, and at which, all constraints hold at every sensor.
 
@@ -329,6 +340,8 @@ def reach(
     others : sequence of (Machine, float)
         The same machine elsewhere, and the delay there in samples: the same controller and observer keep the
         constraints there, too, and in the box around it. Of one sensor each.
+    noise : NoiseBound
+        Of a sampled loop: how much of the sensor's noise may be in the output, on the models.
 
     Raises
     ------
@@ -373,8 +386,15 @@ def reach(
             loops = tuple(seen)
             on_data, other = search(loops, low=low, high=high, refine=False)
             reason = reason or other
-        for count in range(ROUNDS if boxed else 0):
-            if on_model is None:
+        quiet = partial(noise.lowered, (*modelled, *elsewhere), family)
+        if on_data is not None:
+            on_data, other = quiet(on_data)
+            reason = reason or other
+        for count in range(ROUNDS if boxed else 1):
+            if on_model is not None:
+                on_model, other = quiet(on_model)
+                reason = reason or other
+            if on_model is None or not boxed:
                 break
             pid = _lower(on_model, on_data).controller
             harm: list[list[Perturbation]] = []

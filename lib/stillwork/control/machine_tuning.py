@@ -8,6 +8,7 @@ from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, PeakConstraint, is_feasible, make_loop
+from stillwork.control.loop_noise import UNBOUNDED, NoiseBound
 from stillwork.control.machine_loops import (
     OF_ERROR,
     Intensities,
@@ -54,8 +55,9 @@ def tuned(
     delay: float,
     constraints: Sequence[PeakConstraint] = OF_ERROR,
     others: Sequence[tuple[Machine, float]] = (),
+    noise: NoiseBound = UNBOUNDED,
 ) -> DesignSettings:
-    """Settings that hold the constraints on all models at a higher bandwidth than those given do at `design_hz`."""
+    """Settings that hold the constraints and the bound of the noise on all models at a higher bandwidth than those given do at `design_hz`."""
 
     def loops_of(each: DesignSettings) -> list[Loop]:
         chosen = observer_settings(machine, each.application, each.retained, each.intensities)
@@ -76,6 +78,7 @@ def tuned(
         while (
             PUSH * reached < highest
             and is_feasible(loops, pid := family(PUSH * reached), limits)
+            and max(noise.excess(loop, pid) for loop in loops) <= 1
             and not harmful_places(loops, pid, limits, boxes, 1, answers, first=True)
         ):
             reached *= PUSH

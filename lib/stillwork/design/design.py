@@ -25,6 +25,7 @@ from stillwork.control.digital import (
 )
 from stillwork.control.feedforward import motion_of
 from stillwork.control.loop_enclosures import proven_numbers
+from stillwork.control.loop_noise import SHARE
 from stillwork.control.machine_designs import (
     DELAY,
     EACH,
@@ -38,6 +39,7 @@ from stillwork.control.machine_tuning import DesignSettings
 from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box
 from stillwork.design.export import require_free, write_folder
+from stillwork.design.hardware import noise_rows, sensor_noise
 from stillwork.design.html_page import page, picture, table
 from stillwork.identification.machine import TURNED, Machine, build_machine
 from stillwork.identification.machine_files import load_machine
@@ -70,6 +72,9 @@ def design_file(
     uncertainty: str | Mapping[str, float] = "",
     counts: float = 0.0,
     motor_constant: float = 0.0,
+    noise: float = 0.0,
+    noise_share: float = SHARE,
+    noise_ratio: float = 0.0,
     **reading,
 ) -> list[str]:
     """Design a controller for the machine in `files` and write it, in C and otherwise, into a new folder.
@@ -108,6 +113,13 @@ def design_file(
         unit itself.
     motor_constant : float
         N/A or N m/A: the controller then sets a current, A. 0: it sets what drives the machine in the file.
+    noise : float
+        Root mean square of the sensor's noise in one sample, white, in the unit of the controller's position. 0: of
+        counts the rounding to whole ones, else not known.
+    noise_share : float
+        How much of `limit` that noise may take at the output, root mean square.
+    noise_ratio : float
+        See `NoiseBound`; 0: `RATIO` where the noise or the limit is not known.
     **reading
         Other arguments of `load_machine`.
 
@@ -149,6 +161,7 @@ def design_file(
         )
     own_units = "count" if counts else position, "A" if motor_constant else drive
     scales = counts or 1.0, 1 / motor_constant if motor_constant else 1.0
+    heard = sensor_noise(own_units[0], limit, noise, noise_share, noise_ratio)
     machines = [
         build_machine(each, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor) for each in every
     ]
@@ -167,6 +180,7 @@ def design_file(
             delay=delay,
             uncertainty=shares,
             loop_hz=loop_hz,
+            noise=heard.bound(*scales),
             on_step=lambda _: progress.step(),
         )
         if not made.ranking:
@@ -233,6 +247,7 @@ def design_file(
         replace(each, about=about | retest_data(loop) | {"biquads": checked_biquads(each, loop, *scales)})
         for each, loop in zip(written, loops, strict=True)
     ]
+    noises = noise_rows(heard, written, loops, pid, own_units, scales)
     code = {}
     for number, controller in enumerate(written, 1):
         own = name if len(written) == 1 else f"{name}_{number}"
@@ -242,6 +257,7 @@ def design_file(
     rates = f"{rate:g} Hz", f"{delay:.4g} samples ({1e6 * delay / rate:.4g} us) and the hold"
     most = f"{limit:g} {own_units[1]}" if np.isfinite(limit) else "none: give --limit"
     facts = [*zip(("rate", "delay of the loop", "limit of the output"), (*rates, most), strict=True)]
+    facts += noises
     if own_units != taken.units:
         facts.append(("the controller's own units", f"{own_units[0]} in, {own_units[1]} out"))
     if any(each.about["biquads"] is None for each in written):
@@ -264,6 +280,7 @@ def design_file(
         f"the written controller over {pluralise(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, proven))}",
         f"taken: {best}, stopped by {reached.summary['stopped by']}",
         f"the promise holds for {'; '.join(map(' '.join, held))}",
+        *(f"{name}: {words}" for name, words in noises),
         *(f"biquads for a drive: {value}" for _, value in facts if value == WITHOUT_BIQUADS),
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
         f"{folder}: {', '.join(sorted([*code, 'report.html']))}",
@@ -442,7 +459,7 @@ def report(
     proven: list[tuple[str, str]],
     helps: list[list[str]],
     box: list[list[str]],
-    about: list[tuple[str, str]],
+    about: list,
     files: list[str],
 ) -> str:
     """One page: the machine, how far each use of an observer gets, what was taken, its peaks, and how to run it."""

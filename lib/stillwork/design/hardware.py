@@ -1,0 +1,103 @@
+"""What a controller meets on its machine beside the model: the noise of its sensor, and the digits of its processor."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from stillwork.base.checks import InputError, require_number
+from stillwork.control.bandwidth import Loop
+from stillwork.control.digital import DigitalController
+from stillwork.control.loop_noise import RATIO, SHARE, NoiseBound, crossing_noise, written_noise
+from stillwork.control.pid import Pid
+
+QUANTISED = 1 / np.sqrt(12)  # rms of the rounding to whole counts
+OF_CROSSING = "what the gain at the crossing makes of the noise below it"
+ROUNDED = 1.02  # times a bound: what is written is judged by another method than what is searched
+
+
+class SensorNoise(NamedTuple):
+    """What is known of a sensor's noise, and what is allowed of it at the output, in the controller's own units."""
+
+    rms: float  # of one sample; 0: not known
+    basis: str  # of that number, in words
+    limit: float  # of the output
+    share: float  # of the limit, allowed
+    ratio: float  # see `NoiseBound`
+
+    def bound(self, position: float, drive: float) -> NoiseBound:
+        """For a machine in other units: a unit of its position and of its drive hold so many of the controller's."""
+        gain = np.inf
+        if self.judged_by_limit:
+            gain = self.share * self.limit / self.rms * position / drive
+        return NoiseBound(float(gain), self.ratio)
+
+    @property
+    def judged_by_limit(self) -> bool:
+        """Whether noise and limit are both known."""
+        return self.rms > 0 and bool(np.isfinite(self.limit))
+
+
+def sensor_noise(unit: str, limit: float, noise: float, share: float, ratio: float) -> SensorNoise:
+    """From what was asked for; `ratio` 0: `RATIO` where noise or limit are not known, else no bound."""
+    for name, value in (("noise", noise), ("noise_ratio", ratio)):
+        require_number(name, value, at_least=0.0)
+    require_number("noise_share", share, above=0.0)
+    basis = f"{noise:g} {unit} rms a sample, given" if noise else "not known: give --noise or --counts"
+    if not noise and unit == "count":
+        noise, basis = QUANTISED, "rounding to whole counts, 0.289 count rms, white: an assumption"
+    found = SensorNoise(noise, basis, limit, share, np.inf)
+    ratio = ratio or (np.inf if found.judged_by_limit else RATIO)
+    return found._replace(ratio=ratio)
+
+
+def noise_rows(
+    noise: SensorNoise,
+    controllers: Sequence[DigitalController],
+    loops: Sequence[Loop],
+    pid: Pid,
+    units: tuple[str, str],
+    scales: tuple[float, float],
+) -> list[list[str]]:
+    """What the written controllers, in their own `units`, make of noise in the closed loop, and what was allowed.
+
+    A unit of the loops' position and drive hold so many of the controllers' as `scales` says; shown is the controller
+    with most.
+
+    Raises
+    ------
+    InputError
+        When it is more than what was allowed.
+    """
+    position, drive = scales
+    found = []
+    for controller, loop in zip(controllers, loops, strict=True):
+        plant = loop.sampled_plant
+        plant = replace(plant, b=plant.b / drive, c=plant.c * position, d=plant.d * position / drive)
+        gain, largest = written_noise(controller.linear, plant)
+        ratio = gain * position / drive / crossing_noise(loop, pid)
+        found.append((gain, largest, ratio, abs(float(controller.linear.d[0, 0]))))
+    gain, largest, ratio, jump = max(found)
+    unit = f"{units[1]}/{units[0]}"
+    makes = f"{gain:.3g} {unit} rms over rms; {ratio:.3g} times {OF_CROSSING}"
+    rows = [["noise of the sensor", noise.basis], ["white noise to the output", makes]]
+    rows.append(["largest gain", f"{largest:.3g} {unit} at any frequency, {jump:.3g} {unit} within a sample"])
+    share = None
+    if noise.rms:
+        share = gain * noise.rms / noise.limit
+        size = f"{gain * noise.rms:.3g} {units[1]} rms"
+        rows.append(["noise at the output", size + (f", {100 * share:.2g} % of the limit" if share else "")])
+    allowed = []
+    if noise.judged_by_limit:
+        allowed.append(f"{100 * noise.share:g} % of the limit (--noise-share)")
+    if noise.ratio < np.inf:
+        allowed.append(f"{noise.ratio:g} times {OF_CROSSING} (--noise-ratio)")
+    rows.append(["allowed of it, an assumption", " and ".join(allowed)])
+    if (noise.judged_by_limit and share > ROUNDED * noise.share) or ratio > ROUNDED * noise.ratio:
+        raise InputError(
+            f"noise: the written controller makes {makes}; allowed are {' and '.join(allowed)}: allow more, or sample faster"
+        )
+    if (share or 0.0) > ROUNDED * SHARE or ratio > ROUNDED * RATIO:
+        rows.append(["warning", "this is much noise for an actuator: heat, sound and wear"])
+    return rows

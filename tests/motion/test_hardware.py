@@ -1,0 +1,192 @@
+"""What a written controller makes of its sensor's noise and of single precision: predicted, and simulated sample by sample."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.bandwidth import make_loop
+from stillwork.control.digital import error_driven, load_controller, runnable, tied_to_error
+from stillwork.control.loop_noise import NOISE, NoiseBound, crossing_noise, noise_gain, written_noise
+from stillwork.control.machine_loops import Intensities, observed_loops, observer_settings, reach
+from stillwork.control.pid import PidFamily
+from stillwork.design.design import design_file
+from stillwork.design.hardware import QUANTISED, noise_rows, sensor_noise
+from stillwork.identification.machine import build_machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.lti.modal import modal_model
+
+RATE = 2e3
+INERTIA, FRICTION, HERTZ, DAMPING, SHARE = (
+    3e-3,
+    2.0,
+    31.0,
+    0.012,
+    0.4,
+)  # kg m^2, 1/s; of the mode: its share of 1/J
+
+
+def sampled(delay):
+    """A, b, c of an inertia on friction with one mode, force late by 0 to 1 samples: by SciPy, from poles and residues."""
+    parts = [
+        ([1.0], [1.0, FRICTION, 0.0]),
+        ([SHARE], [1.0, 4 * np.pi * DAMPING * HERTZ, (2 * np.pi * HERTZ) ** 2]),
+    ]
+    found = []
+    for top, bottom in parts:
+        a, b, c, _ = signal.tf2ss(np.array(top) / INERTIA, bottom)
+        full = signal.cont2discrete((a, b, c, [[0.0]]), (1 - delay) / RATE)
+        late = signal.cont2discrete((a, b, c, [[0.0]]), delay / RATE) if delay else (np.eye(len(a)), 0 * b)
+        found.append((full[0] @ late[0], full[1], full[0] @ late[1], c))
+    size = 2 * len(found) + 1  # the last state: the force before
+    a, b, c = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    for k, (turn, new, old, out) in enumerate(found):
+        place = slice(2 * k, 2 * k + 2)
+        a[place, place], b[place], c[place] = turn, new[:, 0], out[0]
+        a[place, -1] = old[:, 0]
+    b[-1] = 1.0
+    return a, b, c
+
+
+def write_machine(folder):
+    """The same as matrices in the coordinates of its modes, turned by some angle."""
+    turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
+    stiffness = np.diag([0.0, (2 * np.pi * HERTZ) ** 2])
+    loss = np.diag([FRICTION, 4 * np.pi * DAMPING * HERTZ])
+    shape = np.sqrt(np.array([1.0, SHARE]) / INERTIA)
+    file = folder / "arm.npz"
+    arrays = {"M": np.eye(2), "K": turn @ stiffness @ turn.T, "D": turn @ loss @ turn.T}
+    np.savez(file, **arrays, input=turn @ shape, output=(turn @ shape)[None])
+    return file
+
+
+def simulated(controller, plant, noise):
+    """Output of the loop, sample by sample, for numbers of noise on the measurement."""
+    a, b, c = plant
+    model = controller.linear
+    x, s = np.zeros(len(a)), np.zeros(len(model.a))
+    found = np.empty(len(noise))
+    for k, each in enumerate(noise):
+        error = -(c @ x + each)
+        found[k] = model.c[0] @ s + model.d[0, 0] * error
+        s = model.a @ s + model.b[:, 0] * error
+        x = a @ x + b * found[k]
+    return found
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    file = write_machine(tmp_path_factory.mktemp("noise"))
+    reading = {"response_unit": "rad", "force_unit": "N m"}
+    return file, build_machine(
+        load_machine(file, **reading), modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False
+    )
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.37])
+@pytest.mark.parametrize("observed", [False, True])
+def test_the_noise_at_the_output_is_that_of_a_simulation(machine, delay, observed):
+    application = Application(compensate=True) if observed else None
+    settings = observer_settings(machine[1], application, 2, Intensities(8e-4, 1e-8, 2e-4))
+    (loop,) = observed_loops(machine[1].sensors, application, *settings, 1 / RATE, delay)
+    pid = PidFamily(INERTIA)(4.0)
+    controller = error_driven(tied_to_error(runnable(pid, loop.compensator, np.inf, {}, ("rad", "N m"))))
+    rms, largest = written_noise(controller.linear, loop.sampled_plant)
+    assert noise_gain(loop, pid) == pytest.approx(rms, rel=5e-3)
+    rng = np.random.default_rng(5)
+    noise = rng.uniform(-0.5, 0.5, 40_000)
+    seen = simulated(controller, sampled(delay), noise)[2000:]
+    assert seen.std() == pytest.approx(rms * QUANTISED, rel=0.04)
+    # At one frequency: what comes through is never more than the largest gain, and at its own it is that.
+    omega = 2 * np.pi * np.geomspace(0.5, 990, 3000)
+    response = loop.at(pid, omega)
+    sizes = np.abs(response.output_controller * response.output_sensitivity)
+    assert sizes.max() == pytest.approx(largest, rel=0.03) and sizes.max() <= 1.001 * largest
+
+
+def test_the_ratio_of_noise_is_that_of_every_rate():
+    """A PID far below both rates: the rms of white samples falls by the root of the rate, the ratio stays."""
+    mass = modal_model(np.array([[1.0]]), np.array([[0.0]]), [[1.0]], [[1.0]])
+    pid = PidFamily(1.0)(20.0)
+    loops = [make_loop(mass, sample_time=1 / rate) for rate in (1e4, 4e4)]
+    slow, fast = (noise_gain(loop, pid) for loop in loops)
+    assert slow == pytest.approx(2 * fast, rel=0.02)
+    ratios = [noise_gain(loop, pid) / crossing_noise(loop, pid) for loop in loops]
+    assert ratios[0] == pytest.approx(ratios[1], rel=0.02) and 5 < ratios[0] < 10
+    with pytest.raises(InputError, match="continuous time"):
+        noise_gain(make_loop(mass), pid)
+
+
+@pytest.mark.parametrize("uncertainty", [{}, {"frequency": 0.05}])
+def test_a_bound_of_the_noise_stops_a_search(machine, uncertainty):
+    """What is allowed is what is reached, and the peaks hold there; a bound that nothing meets is a reason."""
+    settings = {"retained": 2, "intensities": Intensities(8e-4, 1e-8, 2e-4)}
+    settings |= {"sample_time": 1 / RATE, "delay": 1.0, "uncertainty": uncertainty}
+    free = reach(machine[1], {"": None}, **settings)[""]
+    loop, most = free.model_loops[0], free.recommended
+    allowed = noise_gain(loop, most.controller) / 3
+    held = reach(machine[1], {"": None}, **settings, noise=NoiseBound(gain=allowed))[""]
+    found = held.recommended
+    assert held.stopped_by_noise and found.function == NOISE and "noise" in held.summary["stopped by"]
+    assert noise_gain(loop, found.controller) == pytest.approx(allowed, rel=1e-3)
+    assert found.design_hz < most.design_hz and max(size for size, _ in held.peaks_db().values()) < 6
+    ratio = noise_gain(loop, most.controller) / crossing_noise(loop, most.controller)
+    assert not reach(machine[1], {"": None}, **settings, noise=NoiseBound(ratio=1.01 * ratio))[
+        ""
+    ].stopped_by_noise
+    none = reach(machine[1], {"": None}, **settings, noise=NoiseBound(ratio=0.1))[""]
+    assert none.recommended is None and none.stopped_by_noise and "times what is allowed" in none.reason
+
+
+@pytest.mark.slow
+def test_a_design_says_what_noise_does_and_obeys_the_limit(machine, tmp_path):
+    """4 s of CPU: 600 counts a rad and 0.15 A; the encoder's rounding may take 5 % of it, rms, and does in the loop."""
+    file, _ = machine
+    said = design_file(
+        str(file), str(tmp_path / "out"), RATE, limit=0.15, counts=600.0, motor_constant=0.2,
+        response_unit="rad", force_unit="N m",
+    )  # fmt: skip
+    line = next(each for each in said if each.startswith("noise at the output"))
+    rms, share = map(float, re.search(r": ([\d.e-]+) A rms, ([\d.]+) % of the limit", line).groups())
+    assert 4.5 < share <= 5.1 and rms == pytest.approx(0.15 * share / 100, rel=0.02)
+    controller = load_controller(tmp_path / "out" / "controller.json")
+    a, b, c = sampled(0.0)
+    late = np.zeros((len(a) + 1, len(a) + 1))
+    late[:-1, :-1], late[:-1, -1] = a, b
+    plant = late, np.append(np.zeros(len(a)), 1.0), np.append(c, 0.0)
+    noise = np.random.default_rng(3).uniform(-0.5, 0.5, 40_000)
+    in_counts = plant[0], plant[1] * 0.2, plant[2] * 600.0
+    seen = simulated(controller, in_counts, noise)[4000:]
+    assert seen.std() == pytest.approx(rms, rel=0.06)
+    assert "noise at the output" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"noise": -1.0}, r"^noise\b"),
+        ({"noise_share": 0.0}, r"^noise_share\b"),
+        ({"noise_ratio": -2.0}, r"^noise_ratio\b"),
+    ],
+)
+def test_a_noise_that_is_none_is_refused_before_anything_is_computed(machine, tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        design_file(str(machine[0]), str(tmp_path / "out"), RATE, **change)
+
+
+def test_more_noise_than_is_allowed_is_not_written(machine):
+    (loop,) = observed_loops(
+        machine[1].sensors, None, *observer_settings(machine[1], None, 2, Intensities(1, 1, 1)), 1 / RATE, 1.0
+    )
+    pid = PidFamily(INERTIA)(4.0)
+    controller = error_driven(tied_to_error(runnable(pid, loop.compensator, np.inf, {}, ("rad", "N m"))))
+    arguments = [controller], [loop], pid, ("rad", "N m"), (1.0, 1.0)
+    rows = dict(noise_rows(sensor_noise("rad", np.inf, 0.0, 0.05, 0.0), *arguments))
+    assert "not known" in rows["noise of the sensor"] and "warning" not in rows
+    wide = dict(noise_rows(sensor_noise("rad", 0.02, 0.05, 10.0, 0.0), *arguments))
+    assert "of the limit" in wide["noise at the output"] and "wear" in wide["warning"]
+    with pytest.raises(InputError, match=r"^noise: .* allow more"):
+        noise_rows(sensor_noise("rad", 0.02, 0.05, 0.05, 0.0), *arguments)
