@@ -41,6 +41,8 @@ LOWEST_HZ, BELOW_RESONANCE = (
 class Infeasible(InputError):
     """No design within the range of a search is stable and below every constraint."""
 
+    stopped: "Violation | None" = None  # what the lowest one exceeds, of a search from below
+
 
 class _Unseen(InputError):
     """A design that a scan found feasible, its closed-loop poles unseen, and that is not."""
@@ -661,11 +663,13 @@ def _lowest(
         function, number, peak = stopped
         which = f" of loop {number + 1}" if len(loops) > 1 else ""
         size = "" if np.isinf(peak.magnitude) else f" of {20 * np.log10(peak.magnitude):.1f} dB"
-        raise Infeasible(
+        error = Infeasible(
             f"no bandwidth from {low_hz:g} to {high_hz:g} Hz is stable and below every constraint; at {low_hz:g} Hz "
             f"{function.replace('_', ' ')}{which} fails at {peak.omega / (2 * np.pi):.4g} Hz"
             f"{f' with a peak{size}' if size else ''}"
         )
+        error.stopped = stopped
+        raise error
     if stopped is None:
         stopped = ("the end of the search", 0, Peak(np.inf, 2 * np.pi * high_hz))
         good = bad = grid[-1]

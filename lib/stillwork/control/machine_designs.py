@@ -1,7 +1,7 @@
 """One search for the controller of a machine: `design`, `report` and the notebook print what it finds."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from inspect import signature
 from typing import NamedTuple
 
@@ -31,6 +31,11 @@ DELAY = 1.0  # samples from a measurement to the force that follows from it
 OVER_FIRST, OVER_LAST = 20.0, 4.0  # a rate that nobody gave, over the first resonance and over the last
 STEPS = (1, 2, 5)  # of rates that nobody gave, times powers of ten
 DEAFER = 4  # decades of the sensor's noise that an observer is made for, where its own asks for too much
+ABOUT_SUSPENSION = (
+    1.0,
+    0.5,
+)  # of a suspension: where bandwidths are sought from, if none is safe well above it
+LEAD_ABOUT_SUSPENSION = 16 / 3  # there: a crossing above the resonance needs more phase than a free body's
 EACH = 2  # searches a use: with the first settings, and with those that are tuned
 
 
@@ -227,7 +232,29 @@ def reach_one(machine: Machine, settings: DesignSettings, how: Mapping) -> Achie
 def _furthest(
     made: Designed, settings: DesignSettings, beside: dict, on_step
 ) -> tuple[DesignSettings, AchievableBandwidth]:
-    """The settings, tuned where that leads further, and how far they get."""
+    """The settings, tuned where that leads further, and how far they get.
+
+    Of a machine on springs that has no safe loop well above its suspension, those about it are sought.
+    """
+    lowest, high = search_range(made.machine, 1 / made.rate)
+    suspension = float(made.machine.sensors[0].frequencies[0]) / (2 * np.pi)
+    first = _tuned_from(made, settings, beside, lowest, on_step)
+    if first[1].recommended is not None or not suspension or any(beside["search_hz"]):
+        return first
+    for share in ABOUT_SUSPENSION:
+        low = share * suspension
+        if low < high:
+            wide = replace(settings, lead=LEAD_ABOUT_SUSPENSION)
+            other = _tuned_from(made, wide, beside | {"search_hz": (low, high)}, low)
+            if other[1].recommended is not None:
+                return other
+    return first
+
+
+def _tuned_from(
+    made: Designed, settings: DesignSettings, beside: dict, lowest: float, on_step=lambda: None
+) -> tuple[DesignSettings, AchievableBandwidth]:
+    """Likewise from a lowest bandwidth on."""
     on_step()
     found = reach_one(made.machine, settings, made.how | beside)
     trial, other = settings, found
@@ -239,7 +266,6 @@ def _furthest(
         if crossing(other) > crossing(found):
             settings, found = trial, other
     on_step()
-    lowest, _ = search_range(made.machine, 1 / made.rate)
     design_hz = found.recommended.design_hz if found.recommended else lowest
     trial = tuned(made.machine, settings, design_hz, **made.how)
     further = found if trial == settings else reach_one(made.machine, trial, made.how | beside)

@@ -13,6 +13,7 @@ from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import (
     FUNCTIONS,
     Bandwidth,
+    Infeasible,
     Loop,
     PeakConstraint,
     make_loop,
@@ -283,6 +284,11 @@ class AchievableBandwidth:
             else:
                 row["stopped by"] = f"{name}{place} at {in_hertz(stop.peak.omega / (2 * np.pi), 0)} Hz{where}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
+            suspension = float(self.model_loops[0].plant.frequencies[0]) / (2 * np.pi)
+            if stop.design_hz < (1 - 1e-9) * ABOVE_SUSPENSION * suspension:
+                row["feasible"] += (
+                    ", about the suspension: below it the springs hold the machine, not the loop"
+                )
         if self.encirclement_difference is not None:
             row["extra turns"] = str(self.encirclement_difference)
         return row
@@ -374,7 +380,9 @@ def reach(
             [] if spread.is_empty else [make_box(loop, spread) for loop in group]
             for group, spread in zip(groups, spreads, strict=True)
         ]
-        search = partial(_search, family=family, limits=limits, refine=True)
+        search = partial(
+            _search, family=family, limits=limits, refine=True, sizes=(len(modelled), len(elsewhere))
+        )
         on_model, reason = search((*loops, *perturbed), low=low, high=high)
         seen = [
             on_measurement(loop, each.measured, 1.0, band, mirror)
@@ -384,7 +392,7 @@ def reach(
         ]
         if seen:
             loops = tuple(seen)
-            on_data, other = search(loops, low=low, high=high, refine=False)
+            on_data, other = search(loops, low=low, high=high, refine=False, sizes=None)
             reason = reason or other
         quiet = partial(noise.lowered, (*modelled, *elsewhere), family)
         if on_data is not None:
@@ -424,9 +432,6 @@ def reach(
         if on_model is not None:
             crossings = [loop.crossing_hz(on_model.controller) for loop in modelled]
             on_model = replace(on_model, crossing_hz=np.array(crossings))
-        elif perturbed:
-            place = "at another response, or somewhere in the box" if elsewhere else "somewhere in the box"
-            reason += f" (loops from {len(modelled) + 1} on: {place})"
         if on_data is not None:
             lower = _lower(on_model, on_data)
             turns = sum(abs(encirclement_difference(loop, lower.controller)) for loop in loops)
@@ -476,13 +481,29 @@ def pid_family(machine: Machine, lead: float, modes: int, sample_time: float) ->
     return PidFamily(machine.mass, tuple(omega.tolist()), lead)
 
 
-def _search(loops, *, family, limits, low, high, refine) -> tuple[Bandwidth | None, str]:
+def _search(loops, *, family, limits, low, high, refine, sizes) -> tuple[Bandwidth | None, str]:
     try:
         return maximise_bandwidth(
             loops, family, limits, low, high, tolerance_hz=1e-4 * low, refine=refine, lowest=True
         ), ""
+    except Infeasible as error:
+        function, number, peak = error.stopped
+        name, size = SHOWN.get(function, function), 20 * np.log10(peak.magnitude)
+        what = f"{name} peaks at {size:.1f} dB" if np.isfinite(size) else f"{name} fails"
+        at = f"{peak.omega / (2 * np.pi):.3g} Hz {_place(number, sizes)}"
+        return None, f"none from {low:.3g} to {high:.3g} Hz: at {low:.3g} Hz {what}, at {at}"
     except InputError as error:
         return None, str(error)
+
+
+def _place(number: int, sizes: tuple[int, int] | None) -> str:
+    """Where a loop is, of which there are so many on the model and at other responses; None: all are measured."""
+    if sizes is None:
+        return f"of measurement {number + 1}"
+    modelled, elsewhere = sizes
+    if number < modelled:
+        return "on the model"
+    return "at another response" if number < modelled + elsewhere else "somewhere in the box"
 
 
 def _lower(first: Bandwidth | None, second: Bandwidth | None) -> Bandwidth:
