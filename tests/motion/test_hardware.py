@@ -6,15 +6,26 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from shared.compiled import run_controller
 from stillwork.base.checks import InputError
+from stillwork.control import single_precision
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import make_loop
+from stillwork.control.c_code import controller_code
 from stillwork.control.digital import error_driven, load_controller, runnable, tied_to_error
 from stillwork.control.loop_noise import NOISE, NoiseBound, crossing_noise, noise_gain, written_noise
 from stillwork.control.machine_loops import Intensities, observed_loops, observer_settings, reach
 from stillwork.control.pid import PidFamily
-from stillwork.design.design import design_file
-from stillwork.design.hardware import QUANTISED, noise_rows, sensor_noise
+from stillwork.control.single_precision import (
+    LOST_LITTLE,
+    _balanced,
+    _by_modes,
+    in_single_precision,
+    rounding_error,
+)
+from stillwork.design.design import checked_biquads, design_file
+from stillwork.design.hardware import QUANTISED, noise_rows, sensor_noise, single_rows
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.lti.modal import modal_model
@@ -190,3 +201,67 @@ def test_more_noise_than_is_allowed_is_not_written(machine):
     assert "of the limit" in wide["noise at the output"] and "wear" in wide["warning"]
     with pytest.raises(InputError, match=r"^noise: .* allow more"):
         noise_rows(sensor_noise("rad", 0.02, 0.05, 0.05, 0.0), *arguments)
+
+
+def slow_controller(limit=np.inf):
+    """Of a machine with its first mode at 1.3 Hz, at 1 kHz: an observer whose states nearly cancel."""
+    mass, stiffness = np.diag([3.0, 1.0]), 50.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    plant = modal_model(mass, stiffness, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.01)
+    noise = NoiseIntensities(8e-4**2 * 16, 1.41e-10**2)
+    (loop,) = observed_loops([plant], Application(compensate=True), 2, noise, (2e-4 * 16) ** 2, 1e-3, 1.37)
+    return loop, PidFamily(4.0)(0.2), runnable(PidFamily(4.0)(0.2), loop.compensator, limit, {})
+
+
+@pytest.mark.parametrize("limit", [np.inf, 0.05])
+def test_single_precision_takes_the_form_that_it_holds(tmp_path, limit):
+    """As designed the output errs by more than 1e-5 of itself; the C that is written does not, at a limit either."""
+    _, _, whole = slow_controller(limit)
+    controller = error_driven(whole)
+    held = in_single_precision(controller)
+    assert rounding_error(controller) > 1e-5 and held.error < LOST_LITTLE and held.form != "as designed"
+    rng = np.random.default_rng(2)
+    given = 1e-3 * (rng.standard_normal((1, 20_000)) + np.cumsum(rng.standard_normal(20_000)) / 50).astype(
+        np.float32
+    )
+    flags = np.zeros(given.shape[1], np.int32)
+    found = run_controller(
+        controller_code(controller, "slow", "single"), tmp_path, given, 1, np.float32, flags=flags
+    )
+    wanted = controller.run(given.astype(float))
+    if limit == np.inf:
+        assert np.std(found - wanted) < 5 * LOST_LITTLE * np.std(wanted)
+    else:
+        assert np.mean(flags & 1) > 0.02 and np.abs(found - wanted).max() < 1e-4 * limit
+    # Each form is the same controller, in double precision.
+    omega = np.geomspace(0.1, 3000, 200)
+    for form in (_by_modes, _balanced):
+        other = form(controller)
+        ours, theirs = (each.linear.frequency_response(omega)[0, 0] for each in (controller, other))
+        assert theirs == pytest.approx(ours, rel=1e-7)
+        assert other.run(given[:, :500].astype(float)) == pytest.approx(
+            wanted[:, :500], abs=1e-7 * np.abs(wanted).max()
+        )
+
+
+def test_single_precision_is_refused_where_no_form_holds_the_output(monkeypatch):
+    loop, _, whole = slow_controller()
+    written = error_driven(whole)
+    rows = dict(single_rows([written], [[(loop, whole)]], (1.0, 1.0)))
+    assert "errs by" in rows["single precision"]
+    with pytest.raises(InputError, match=r"^precision: .* peaks at .* write double"):
+        single_rows([written], [[(loop, whole)]], (1.0, 40.0))
+    monkeypatch.setattr(single_precision, "LOST_MOST", 1e-12)
+    with pytest.raises(InputError, match=r"^precision: in single precision .* write double"):
+        controller_code(written, "slow", "single")
+
+
+def test_biquads_are_judged_by_what_the_loop_makes_of_them():
+    """At 10 kHz a PID of 0.5 Hz loses digits in its sections, and keeps its peaks; with a mode it would ring it is none."""
+    mass = modal_model(np.array([[2.0]]), np.array([[0.0]]), [[1.0]], [[1.0]])
+    loop, pid = make_loop(mass, sample_time=1e-4, delay=1.0), PidFamily(2.0)(0.3)
+    whole = tied_to_error(runnable(pid, loop.compensator, np.inf, {}))
+    found = checked_biquads(error_driven(whole), [(loop, whole)])
+    assert 1e-9 < found["relative_error"] < 1e-3
+    peak = 20 * np.log10(loop.peak(pid, "output_sensitivity").magnitude)
+    assert found["peak_db"] == pytest.approx(peak, abs=1e-3)
+    assert checked_biquads(error_driven(whole), [(loop, whole)], drive=0.2) is None

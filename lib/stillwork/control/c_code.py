@@ -24,12 +24,12 @@ from stillwork.control.digital import DigitalController, without_dead_states
 from stillwork.control.feedforward import Motion
 from stillwork.control.isolation import POWERS, FeedforwardLoop
 from stillwork.control.setpoint import HALVINGS
+from stillwork.control.single_precision import in_single_precision, kept_states
 from stillwork.estimation.adaptive import FeLms, FeRls
 
 TEMPLATES = Path(__file__).parent / "c99"
 PRECISIONS: dict[str, Any] = {"double": np.float64, "single": np.float32}
 PATIENCE_S = 0.01  # for which the loop of an isolator holds a missing sensor
-HOLDS = 0.5  # a state whose own coefficient is larger changes by little: it is summed up, the others are set
 
 
 @checked
@@ -56,7 +56,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     Raises
     ------
     InputError
-        When `name` is no name in C.
+        When `name` is no name in C, or single precision does not hold the controller, see `in_single_precision`.
 
     References
     ----------
@@ -70,10 +70,11 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     (['pid.c', 'pid.h'], True)
     """
     write = Numbers(name, precision)
-    controller = without_dead_states(controller)
+    single = precision == "single"
+    controller = in_single_precision(controller).controller if single else without_dead_states(controller)
     m, n = controller.model, len(controller.inputs)
     states, outputs = len(m.a), len(controller.outputs)
-    sums = np.diag(m.a) > HOLDS
+    sums = kept_states(controller)
     winds = bool(controller.anti_windup.any())
     rows = np.hstack([m.a - np.diag(sums.astype(float)), m.b])
     names = {"x": states, "e": n, "f": controller.fed_back}

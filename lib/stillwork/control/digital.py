@@ -50,7 +50,7 @@ INTERFACE = {
     "motion": "u = velocity v + acceleration a + jerk j + snap s + coulomb sign(v) of the setpoint, lag_s before its position",
     "call_order": "once start; then each sample: measure, setpoint, e and u, step, output",
 }
-ALIKE = 1e-9  # to which sections must respond like the controller that they stand for
+ALIKE = 1e-3  # to which sections must respond like the controller that they stand for: 0.009 dB of a peak
 SAME = 1e-6  # to which biquads must agree with their model, or they are left out
 
 

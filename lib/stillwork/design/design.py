@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import stillwork
-from stillwork.base.checks import InputError, pluralise, require_number
+from stillwork.base.checks import InputError, one_line, pluralise, require_number
 from stillwork.base.extras import require_package
 from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.c_code import controller_code, require_names
@@ -39,7 +39,15 @@ from stillwork.control.machine_tuning import DesignSettings
 from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box
 from stillwork.design.export import require_free, write_folder
-from stillwork.design.hardware import noise_rows, sensor_noise
+from stillwork.design.hardware import (
+    ALLOWED_DB,
+    noise_rows,
+    own_functions,
+    peak_with,
+    section_response,
+    sensor_noise,
+    single_rows,
+)
 from stillwork.design.html_page import page, picture, table
 from stillwork.identification.machine import TURNED, Machine, build_machine
 from stillwork.identification.machine_files import load_machine
@@ -48,11 +56,12 @@ from stillwork.lti.modal import ModalModel
 from workbook import figures
 from workbook.progress import Progress
 
-ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
 USES = 5  # that are searched
 CHANGES = 4  # of the machine or its processor, of which each is tried for what it would help
 SHOWN_FROM = 0.01  # %, of what the box holds
-WITHOUT_BIQUADS = "left out: in sections the whole controller would not respond as closely as its matrices do, or not hold the model by itself"
+WITHOUT_BIQUADS = (
+    "left out: in sections the whole controller would not keep 6 dB, or not hold the model by itself"
+)
 WORTH = 0.01  # relative gain of bandwidth below which a change of the machine is none
 
 
@@ -184,12 +193,7 @@ def design_file(
             on_step=lambda _: progress.step(),
         )
         if not made.ranking:
-            reasons = "; ".join(
-                f"{use}: {each.reason or 'unstable on the measurement'}" for use, each in made.found.items()
-            )
-            raise InputError(
-                f"{source.name}: no safe loop at {rate:g} Hz ({reasons}); sample faster or add damping"
-            )
+            raise NoSafeLoop(source.name, rate, made)
         machine, delay, found, spread = made.machine, made.delay, made.found, made.spreads[0]
         best = made.ranking[0]
         reached = found[best]
@@ -243,10 +247,14 @@ def design_file(
         error_driven(each, motion_of(sensor, lag, *scales, moves))
         for each, sensor in zip(owned, machine.sensors, strict=True)
     ]
+    judged = [*loops, *reached.perturbed, *(reached.loops if reached.loops is not loops else ())]
+    pairs = [(loop, controllers[k % len(controllers)]) for k, loop in enumerate(judged)]
+    of_each = [pairs[k :: len(controllers)] for k in range(len(controllers))]
     written = [
-        replace(each, about=about | retest_data(loop) | {"biquads": checked_biquads(each, loop, *scales)})
-        for each, loop in zip(written, loops, strict=True)
+        replace(each, about=about | retest_data(loop) | {"biquads": checked_biquads(each, own, *scales)})
+        for each, loop, own in zip(written, loops, of_each, strict=True)
     ]
+    rounded = single_rows(written, of_each, scales) if precision == "single" else []
     noises = noise_rows(heard, written, loops, pid, own_units, scales)
     code = {}
     for number, controller in enumerate(written, 1):
@@ -257,7 +265,7 @@ def design_file(
     rates = f"{rate:g} Hz", f"{delay:.4g} samples ({1e6 * delay / rate:.4g} us) and the hold"
     most = f"{limit:g} {own_units[1]}" if np.isfinite(limit) else "none: give --limit"
     facts = [*zip(("rate", "delay of the loop", "limit of the output"), (*rates, most), strict=True)]
-    facts += noises
+    facts += [*noises, *rounded]
     if own_units != taken.units:
         facts.append(("the controller's own units", f"{own_units[0]} in, {own_units[1]} out"))
     if any(each.about["biquads"] is None for each in written):
@@ -280,11 +288,24 @@ def design_file(
         f"the written controller over {pluralise(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, proven))}",
         f"taken: {best}, stopped by {reached.summary['stopped by']}",
         f"the promise holds for {'; '.join(map(' '.join, held))}",
-        *(f"{name}: {words}" for name, words in noises),
+        *(f"{name}: {words}" for name, words in (*noises, *rounded)),
         *(f"biquads for a drive: {value}" for _, value in facts if value == WITHOUT_BIQUADS),
         f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
         f"{folder}: {', '.join(sorted([*code, 'report.html']))}",
     ]
+
+
+class NoSafeLoop(InputError):
+    """Why none was found, a short line for uses that share a reason, and what to do."""
+
+    def __init__(self, name: str, rate: float, made: Designed):
+        uses: dict[str, list[str]] = {}
+        for use, each in made.found.items():
+            uses.setdefault(each.reason.partition(";")[0] or "unstable on the measurement", []).append(use)
+        rows = [f"  {', '.join(names)}: {reason}" for reason, names in uses.items()]
+        advice = "sample faster, add damping, or ask for less by --uncertainty"
+        lines = [f"{name}: no safe loop at {rate:g} Hz; {advice}", *rows]
+        ValueError.__init__(self, "\n".join(map(one_line, lines)))
 
 
 def _move_limits(limits: Sequence[float]) -> MoveLimits | None:
@@ -391,7 +412,7 @@ def improvements(
         changes = how | settled | {"others": tuple(zip(others, late, strict=True))}
         low, high = search_range(changed, changes["sample_time"])
         if reached.on_model:  # what leads no further is none
-            low = max(low, min(reached.on_model.design_hz, 0.99 * high))
+            low = min(reached.on_model.design_hz, 0.99 * high)
         found = reach_one(changed, settings, changes | {"search_hz": (low, high)}).on_model
         if found is not None and found.crossing_hz.min() > (1 + WORTH) * before:
             gains.append([float(found.crossing_hz.min()), words])
@@ -417,14 +438,25 @@ def recheck(
 
 
 def checked_biquads(
-    controller: DigitalController, loop: Loop, position: float = 1.0, drive: float = 1.0
+    controller: DigitalController,
+    judged: Sequence[tuple[Loop, DigitalController]],
+    position: float = 1.0,
+    drive: float = 1.0,
 ) -> dict | None:
-    """The sections of the whole controller as its file holds them; None unless they alone stabilise the model.
+    """The sections of the whole controller as its file holds them; None unless they alone hold the model and keep 6 dB.
 
-    A unit of the loop's position and of its force hold so many of the controller's.
+    `judged` are the loops, the model's first, each with the controller in the loop's units, of which a unit of position
+    and of force hold so many of the written controller's.
     """
     found = equivalent_biquads(controller)
     if found is None:
+        return None
+    loop = judged[0][0]
+    peak = max(
+        peak_with(each, own, section_response(found.feedback, each) * position / drive)
+        for each, own in judged
+    )
+    if peak > ALLOWED_DB:
         return None
     own = from_biquads(found.feedback, loop.sample_time)
     plant = loop.sampled_plant
@@ -438,17 +470,9 @@ def checked_biquads(
         "feedback": found.feedback.tolist(),
         "reference": None if found.reference is None else found.reference.tolist(),
         "relative_error": found.error,
+        "peak_db": peak,
         "spectral_radius_with_the_model": radius,
     }
-
-
-def own_functions(loop: Loop, controller: DigitalController) -> np.ndarray:
-    """S_I and S_O with a controller's own matrices, on the loop's grid: shape (2, frequencies)."""
-    _, k_y, k_f = controller.model.frequency_response(loop.omega)[0]
-    (o_uu, o_uy), _ = loop.compensator_response
-    plant = loop.plant_response
-    turn = 1 - k_f - k_y * plant  # f = K_r r + K_y y + K_f f + u_ff
-    return np.array([1 - o_uu - o_uy * plant, 1 - k_f]) / turn
 
 
 def report(

@@ -5,13 +5,16 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import signal
 
 from stillwork.base.checks import InputError, require_number
 from stillwork.control.bandwidth import Loop
 from stillwork.control.digital import DigitalController
 from stillwork.control.loop_noise import RATIO, SHARE, NoiseBound, crossing_noise, written_noise
 from stillwork.control.pid import Pid
+from stillwork.control.single_precision import in_single_precision
 
+ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
 QUANTISED = 1 / np.sqrt(12)  # rms of the rounding to whole counts
 OF_CROSSING = "what the gain at the crossing makes of the noise below it"
 ROUNDED = 1.02  # times a bound: what is written is judged by another method than what is searched
@@ -101,3 +104,53 @@ def noise_rows(
     if (share or 0.0) > ROUNDED * SHARE or ratio > ROUNDED * RATIO:
         rows.append(["warning", "this is much noise for an actuator: heat, sound and wear"])
     return rows
+
+
+def single_rows(
+    written: Sequence[DigitalController],
+    judged: Sequence[Sequence[tuple[Loop, DigitalController]]],
+    scales: tuple[float, float],
+) -> list[list[str]]:
+    """What single precision changes of the written controllers, each in its own units, and of the peaks of its loops.
+
+    Raises
+    ------
+    InputError
+        When a peak is then above 6 dB, or the output errs by too much.
+    """
+    position, drive = scales
+    found = [in_single_precision(each) for each in written]
+    peaks = [
+        peak_with(loop, own, each.rounded.frequency_response(loop.omega)[0, 0] * position / drive)
+        for each, pairs in zip(found, judged, strict=True)
+        for loop, own in pairs
+    ]
+    if not max(peaks) <= ALLOWED_DB:
+        raise InputError(
+            f"precision: with coefficients in single precision the loop peaks at {max(peaks):.3f} dB; write double"
+        )
+    worst = max(found, key=lambda each: each.error)
+    words = f"the output errs by {worst.error:.1e} of its rms (states {worst.form}); peaks at most {max(peaks):.3f} dB"
+    return [["single precision", words]]
+
+
+def own_functions(loop: Loop, controller: DigitalController) -> np.ndarray:
+    """S_I and S_O with a controller's own matrices, on the loop's grid: shape (2, frequencies)."""
+    _, k_y, k_f = controller.model.frequency_response(loop.omega)[0]
+    (o_uu, o_uy), _ = loop.compensator_response
+    plant = loop.plant_response
+    turn = 1 - k_f - k_y * plant  # f = K_r r + K_y y + K_f f + u_ff
+    return np.array([1 - o_uu - o_uy * plant, 1 - k_f]) / turn
+
+
+def peak_with(loop: Loop, controller: DigitalController, response: np.ndarray) -> float:
+    """Larger peak of both on the loop's grid, dB, were the controller's response from the error to the output another."""
+    _, k_y, k_f = controller.model.frequency_response(loop.omega)[0]
+    turn = 1 - k_y / (1 - k_f) * loop.plant_response
+    changed = turn / (1 + response * loop.plant_response)
+    return float(20 * np.log10(np.abs(own_functions(loop, controller) * changed).max()))
+
+
+def section_response(sections: np.ndarray, loop: Loop) -> np.ndarray:
+    """Response of biquads on the loop's grid."""
+    return signal.sosfreqz(sections, loop.omega * loop.sample_time)[1]

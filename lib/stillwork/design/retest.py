@@ -14,7 +14,7 @@ from stillwork.control.bandwidth import SIX_DB, Loop, make_loop
 from stillwork.control.digital import DigitalController, in_units, load_controller, of_reference
 from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference, on_measurement
 from stillwork.control.pid import Notch, Pid
-from stillwork.design.design import ALLOWED_DB, own_functions
+from stillwork.design.hardware import ALLOWED_DB, own_functions
 from stillwork.design.html_page import page, picture, table
 from stillwork.design.inspect import inspect_file
 from stillwork.identification.frequency_response import Identified
