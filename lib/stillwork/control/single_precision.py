@@ -97,7 +97,13 @@ def _coefficients(controller: DigitalController, precision) -> tuple[np.ndarray,
     m = controller.model
     keeps = kept_states(controller).astype(float)
     arrays = np.hstack([m.a - np.diag(keeps), m.b]), np.hstack([m.c, m.d[:, : len(controller.inputs)]]), keeps
-    return tuple(each.astype(precision) for each in arrays)
+    with np.errstate(over="ignore"):
+        found = tuple(each.astype(precision) for each in arrays)
+    for exact, each in zip(arrays, found, strict=True):
+        if not np.all(np.isfinite(each)):
+            size = float(exact[~np.isfinite(each)][0])
+            raise InputError(f"{size:g} is beyond single precision; take another unit, or double")
+    return found
 
 
 def _run(rows: np.ndarray, outputs: np.ndarray, keeps: np.ndarray, given: np.ndarray) -> np.ndarray:
