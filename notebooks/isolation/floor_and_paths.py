@@ -8,10 +8,9 @@ from numpy.typing import ArrayLike
 from scipy import optimize, signal
 
 from experiments.isolation.floors import ShapedFloor, colored_floor, flat_floor
-from experiments.isolation.one_rig import equal_struts
 from experiments.isolation.responses import control_paths, responses, series, thinned
 from experiments.isolation.rig import Rig
-from experiments.isolation.twin import Twin
+from experiments.isolation.twin import Twin, equal_struts
 from stillwork.base.checks import InputError, require_number
 from stillwork.control.isolation_filters import secondary_path
 from stillwork.signals.criteria import criterion_density, criterion_velocity, one_third_octave_velocity

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from scipy import linalg
 
 from experiments.isolation.plant import Platform, plant_of_rig
-from experiments.isolation.rig import Rig, build, require_names, require_table, rig_from_table
+from experiments.isolation.rig import Lines, Rig, build, require_names, require_table, rig_from_table
 from experiments.isolation.settings import Instruments, SelfTunedFeedforward, Skyhook
 from stillwork.base.checks import InputError, require_array, require_choice, require_number, short_repr
 from stillwork.base.toml_files import read_toml
@@ -210,3 +210,48 @@ def _feedforward_from_table(table: dict) -> SelfTunedFeedforward:
         "path": build(SecondaryPath, path, "feedforward.path"),
     }
     return build(SelfTunedFeedforward, {**table, **parts}, "feedforward")
+
+
+MASS, STIFFNESS = 5.4, 60e3  # kg, N/m: sections 2 and 2.1
+STRUT_RADIUS, SENSOR_AZIMUTH = 0.1, -70.5  # m, degrees: as in rigid_body.toml
+
+
+def equal_struts(
+    *,
+    strut_damping: float,
+    actuator_pole: float,
+    strut_tilt: float = 31.08,
+    pair_angle: float = 15.0,
+    rotations: float = 40.0,
+    output_noise: float = 1.8e-4,
+    sensor_radius: float = 0.0648,
+) -> Twin:
+    """The rigid body of six equal struts with another geometry.
+
+    `strut_tilt` and `pair_angle` in degrees, from the vertical and half of what is between the struts of a pair;
+    `rotations` in Hz, of all three; `sensor_radius` in m, of the floor sensors.
+    """
+    pair, tilt = np.radians([pair_angle, strut_tilt])
+    angles = np.radians([0, 0, 120, 120, 240, 240]) + pair * np.array([1, -1, 1, -1, 1, -1])
+    # Numbered and tilted along the ring as in rigid_body.toml: a pair leans towards each other.
+    angles = angles[[0, 1, 2, 3, 5, 4]]
+    side = np.array([1, -1, 1, -1, -1, 1])
+    radial = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    tangent = side[:, None] * np.stack([-np.sin(angles), np.cos(angles), 0 * angles], axis=1)
+    struts = Lines(STRUT_RADIUS * radial, np.sin(tilt) * tangent - np.cos(tilt) * np.array([0.0, 0.0, 1.0]))
+    # The inertia puts the rotations at their frequency, the third by the flatness of the body.
+    moment = STIFFNESS * np.sum(struts.jacobian[:, 3] ** 2) / (2 * np.pi * rotations) ** 2
+    azimuth = np.radians(SENSOR_AZIMUTH + np.array([0, 120, 240]))
+    feet = sensor_radius * np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
+    rig = Rig(
+        mass=MASS,
+        inertia=moment * np.diag([1.0, 1.0, 2 * np.tan(tilt) ** 2]),
+        struts=struts,
+        stiffness=STIFFNESS,
+        damping=strut_damping,
+        floor_sensors=Lines(feet, np.tile([0.0, 0.0, 1.0], (3, 1))),
+        actuators=struts,
+        platform_sensors=struts,
+    )
+    twin = replace(load_twin("rigid_body"), name="equal struts", rig=rig, plant=plant_of_rig(rig))
+    return twin.varied(actuator_pole_hz=actuator_pole, platform_noise=output_noise)
