@@ -1,6 +1,7 @@
 """Transmissibility: what this notebook alone needs."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -19,10 +20,8 @@ from experiments.isolation.performance import (
 )
 from experiments.isolation.responses import responses
 from experiments.isolation.simulation import TOGETHER
-from experiments.isolation.twin import Twin, twin_from_table
-from stillwork.base.toml_files import read_toml
+from experiments.isolation.twin import Twin, load_twin
 from stillwork.signals.spectra import band_power
-from workbook import paths
 from workbook.studies import proportion_interval
 
 RESOLUTION_HZ = 0.25
@@ -155,10 +154,8 @@ def share_over(misses: np.ndarray) -> tuple[float, tuple[float, float]]:
 
 def rigid_body(strut_damping: float, actuator_pole: float) -> Twin:
     """The rigid body with other struts and actuators."""
-    table = read_toml(paths.data("isolation", "rigid_body.toml"))
-    table["struts"]["damping"] = strut_damping
-    table["instruments"]["actuator_pole_hz"] = actuator_pole
-    return twin_from_table(table)
+    twin = load_twin("rigid_body")
+    return twin.on_rig(replace(twin.rig, damping=strut_damping)).varied(actuator_pole_hz=actuator_pole)
 
 
 @lru_cache(maxsize=64)  # combinations that differ in the record alone share the tuning

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
-from experiments.isolation.plant import plant_of_rig
 from experiments.isolation.power import BAND_HZ
 from experiments.isolation.recorded_floors import (
     RecordedFloor,
@@ -361,7 +360,7 @@ def try_damping(twin: Twin, floor: RecordedFloor, seed: int, start: float, isola
         rig, changed = twin.rig, twin
         if found:
             rig = replace(rig, damping=each)
-            changed = replace(twin, rig=rig, plant=plant_of_rig(rig))
+            changed = twin.on_rig(rig)
             isolated = isolate(changed, floor, seed, start)
         weights = isolated.adaptation.final_weights
         heard, _ = select_floor_sensors(changed.varied(gain=0.0), floor.channels)

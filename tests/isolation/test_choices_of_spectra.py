@@ -8,7 +8,6 @@ import pytest
 from choices.defaults import require_accepted
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.performance import central_axes, expected_density
-from experiments.isolation.plant import plant_of_rig
 from experiments.isolation.responses import responses
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import equal_struts, load_twin
@@ -39,8 +38,8 @@ def test_unequal_struts_leave_the_weights_in_proportion():
     rng = np.random.default_rng(5)
     twin = equal_struts(strut_damping=65.0, actuator_pole=300.0)
     stiffness, damping = (each * rng.uniform(0.6, 1.0, 6) for each in (twin.rig.stiffness, twin.rig.damping))
-    rig = replace(twin.rig, stiffness=stiffness, damping=damping)
-    weights = steady_state(replace(twin, rig=rig, plant=plant_of_rig(rig)), flat_floor(80.0)).weights[0]
+    other = twin.on_rig(replace(twin.rig, stiffness=stiffness, damping=damping))
+    weights = steady_state(other, flat_floor(80.0)).weights[0]
     parts = weights[3:6] / weights[6:]
     assert parts.max() / parts.min() < 1.02  # printed: 2.2
 

@@ -82,6 +82,10 @@ class Twin:
             parts[part] = replace(record, **{name: changes[name] for name in names[part] if name in changes})
         return replace(self, **parts)
 
+    def on_rig(self, rig: Rig) -> "Twin":
+        """Copy with another rigid body on struts."""
+        return replace(self, rig=rig, plant=plant_of_rig(rig))
+
     @cached_property
     def integrator(self) -> np.ndarray:
         """Sections of the normalised weak integrator beta H."""
@@ -253,5 +257,5 @@ def equal_struts(
         actuators=struts,
         platform_sensors=struts,
     )
-    twin = replace(load_twin("rigid_body"), name="equal struts", rig=rig, plant=plant_of_rig(rig))
+    twin = replace(load_twin("rigid_body"), name="equal struts").on_rig(rig)
     return twin.varied(actuator_pole_hz=actuator_pole, platform_noise=output_noise)
