@@ -14,7 +14,7 @@ from experiments.isolation.floors import ShapedFloor, flat_floor
 from experiments.isolation.simulation import Run, simulate
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.base.algebra import inner_product, plus_row, set_product
+from stillwork.base.algebra import inner_product, plus_row
 from stillwork.base.checks import (
     InputError,
     pluralise,
@@ -315,14 +315,12 @@ def _both_products(matrix, regressors, forgetting, column, row):
 # The loop is the smallest one that has what matters: one actuator, a secondary path that is known exactly but for
 # its sample of delay, and weights w that cancel the floor perfectly:
 #
-#     e(k) = N [ (W(k-1) - w) psi(k-1) + n(k) ]
+#     e(k) = N (W(k-1) - w) psi(k-1)
 
 
-CURES = ("none", "trace bound", "leakage", "limit", "directional", "no forgetting", "variable", "resetting")
-NONE, TRACE_BOUND, LEAKAGE, LIMIT, DIRECTIONAL, NO_FORGETTING, VARIABLE, RESETTING = range(8)
+CURES = ("none", "leakage", "limit", "no forgetting")
+NONE, LEAKAGE, LIMIT, NO_FORGETTING = range(4)
 
-FASTEST = 10.0  # times the printed 1 - lambda: as fast as variable forgetting may forget (chosen)
-RESET_SHARE = 0.01  # of its start, to which resetting lets P fall at most (chosen)
 # A command this many times the largest one that the right weights would give has left every actuator's range.
 OVERLOAD = 1e3
 
@@ -382,33 +380,21 @@ def run_cure(
     forgetting: float,
     *,
     growth: float = 10.0,
-    noise: ArrayLike | float = 0.0,
-    noise_power: float = 1.0,
     keep_every: int = 1000,
 ) -> CureRun:
     """Adapt in closed loop from zero weights.
 
-    Of the cures, ``limit`` is the library's: the diagonal of P stays below `growth` times its start;
-    ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
-    silent one settles at `growth`; ``directional`` after Kulhavy: only what the regressor says anew is forgotten,
-    R + (lambda - (1 - lambda) / psi' P psi) psi psi'; ``no forgetting``: lambda = 1; ``trace bound``: P is
-    scaled down as a whole when its trace exceeds `growth` times its start; ``variable`` after Fortescue,
-    Kershenbaum and Ydstie: 1 - lambda grows with the error, (1 - lambda) e² / (noise (1 + psi' P psi)), at
-    most `FASTEST` times, noise being `noise_power` (N²), the error's when all is learnt; ``resetting`` after Salgado,
-    Goodwin and Middleton, in units of the start D, P / lambda - P psi psi' P / (1 + psi' P psi) + b D - d P D^-1 P, which
-    without excitation settles at `growth`. `covariance` is the diagonal of P(-1), steady values; `noise` runs over all
-    segments together (N).
+    Of the cures, ``limit`` is the library's: the diagonal of P stays below `growth` times its start; ``leakage`` after
+    Levenberg and Marquardt: every sample adds information along every axis, so that a silent one settles at `growth`;
+    ``no forgetting``: lambda = 1. `covariance` is the diagonal of P(-1), steady values.
     """
     code = CURES.index(require_choice("cure", cure, CURES))
     start = require_array("covariance", covariance, shape=loop.optima.shape[1:])
     forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     growth = require_number("growth", growth, above=1.0)
     every = require_count("keep_every", keep_every)
-    noise_power = require_number("noise_power", noise_power, above=0.0)
-    samples = len(loop.segment)
-    noise = np.broadcast_to(require_array("noise", noise), samples).astype(float)
-    kept = np.full((samples // every, len(start) + 2), np.nan)
-    _cure_run(code, loop, noise, start, forgetting, growth, noise_power, every, kept)
+    kept = np.full((len(loop.segment) // every, len(start) + 2), np.nan)
+    _cure_run(code, loop, start, forgetting, growth, every, kept)
     return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1])
 
 
@@ -424,66 +410,20 @@ def _cascade(sections, state, value):
 
 
 @kernel
-def _leverage(covariance, psi, gain):
-    """P psi into `gain`; returns psi' P psi."""
-    set_product(covariance, psi, gain)
-    return inner_product(gain, psi)
-
-
-@kernel
-def _reset(weights, covariance, psi, error, forgetting, growth, start, gain, spare):
-    """One sample of exponential resetting and forgetting."""
-    n, power = len(psi), _leverage(covariance, psi, gain)
-    grow = 1.0 / forgetting - 1.0
-    for i in range(n):
-        weights[0, i] -= error * gain[i] / (1.0 + power)
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(n):
-                total += covariance[i, k] * covariance[k, j] / start[k]
-            spare[i, j] = (
-                covariance[i, j] / forgetting - gain[i] * gain[j] / (1.0 + power) - grow / growth * total
-            )
-        spare[i, i] += grow * RESET_SHARE * start[i]
-    for i in range(n):
-        for j in range(i + 1):
-            covariance[i, j] = covariance[j, i] = spare[i, j]
-
-
-@kernel
-def _forget_along(weights, covariance, psi, error, forgetting, gain):
-    """One sample of directional forgetting: the information of directions that are not excited stays."""
-    n, power = len(psi), _leverage(covariance, psi, gain)
-    if not power > 0.0:
-        return
-    for i in range(n):
-        weights[0, i] -= error * gain[i] / (1.0 + power)
-    share = forgetting - (1.0 - forgetting) / power
-    share = share / (1.0 + share * power)
-    for i in range(n):
-        for j in range(i + 1):
-            covariance[i, j] -= share * gain[i] * gain[j]
-            covariance[j, i] = covariance[i, j]
-
-
-@kernel
-def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, kept):
+def _cure_run(cure, loop, start, forgetting, growth, every, kept):
     regressors, filtered, optima, segment, shaping = loop
     n, memory = len(start), np.zeros((len(shaping), 2))
     weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((4, n))
-    bound = 0.0
     for i in range(n):
         covariance[i, i] = start[i]
         levels[0, i] = growth * start[i] if cure == LIMIT else np.inf
-        bound += growth * start[i]
-    gain, spare = np.empty(n), np.empty((n, n))
-    error = np.empty(1)
+    gain, error = np.empty(n), np.empty(1)
     command, wanted, squares, largest, first = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         first += optima[0, i] ** 2 / start[i]
-    for k in range(len(noise)):
+    for k in range(len(segment)):
         psi, shaped = regressors[k], filtered[k]
-        error[0] = _cascade(shaping, memory, command - wanted + noise[k])
+        error[0] = _cascade(shaping, memory, command - wanted)
         squares += error[0] * error[0]
         optimum = optima[segment[k]]
         command, wanted = plus_row(0.0, weights, 0, psi), inner_product(optimum, psi)
@@ -491,17 +431,8 @@ def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, 
         if not abs(command) <= OVERLOAD * largest:
             return
 
-        reached = False
-        if cure == DIRECTIONAL:
-            _forget_along(weights, covariance, shaped, error[0], forgetting, gain)
-        elif cure == RESETTING:
-            _reset(weights, covariance, shaped, error[0], forgetting, growth, start, gain, spare)
-        else:
-            kept_share = 1.0 if cure == NO_FORGETTING else forgetting
-            if cure == VARIABLE:
-                surprise = error[0] ** 2 / noise_power / (1.0 + _leverage(covariance, shaped, gain))
-                kept_share = 1.0 - (1.0 - forgetting) * min(surprise, FASTEST)
-            _, reached = ferls_update(weights, covariance, kept_share, levels, np.inf, gain, shaped, error)
+        kept_share = 1.0 if cure == NO_FORGETTING else forgetting
+        _, reached = ferls_update(weights, covariance, kept_share, levels, np.inf, gain, shaped, error)
         if reached:
             hold_triangle(covariance, forgetting, levels, gain)
         if cure == LEAKAGE:
@@ -509,15 +440,6 @@ def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, 
             axis = k % n
             information = n * (1 - forgetting) / (growth * start[axis])
             add_triangle_information(covariance, axis, information, gain)
-        elif cure == TRACE_BOUND:
-            trace = 0.0
-            for i in range(n):
-                trace += covariance[i, i]
-            excess = trace / bound
-            if excess > 1.0:
-                for i in range(n):
-                    for j in range(n):
-                        covariance[i, j] /= excess
         if (k + 1) % every == 0:
             row, distance = k // every, 0.0
             for i in range(n):
@@ -671,9 +593,7 @@ def paint_cures(
 ):
     """Growth of P, misalignment and error of the cures."""
     figure, (top, middle, bottom) = figures.new(3, 1, height=6.4, sharex=True)
-    styles = ("-", "--", "-.", "-", "--", ":", "-.", "--")
-    colors = (*COLOURS, figures.GREY)
-    for style, color, (name, run) in zip(styles, colors, runs.items(), strict=False):
+    for style, color, (name, run) in zip(("-", "--", "-.", ":"), COLOURS, runs.items(), strict=False):
         t = run.samples / samples_per_constant
         top.semilogy(t, run.growth.max(axis=1), style, color=color, label=f"{name}, largest")
         top.semilogy(t, run.growth.min(axis=1), style, color=color, lw=0.7, label=f"{name}, smallest")

@@ -6,7 +6,7 @@ from scipy import signal
 from naive.adaptation import limited
 
 
-def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, growth, noise, noise_power):
+def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, growth):
     """Weights, covariance and error of every sample; the filters run over the whole past each time."""
     sensors, samples = floor.shape
     n = len(start)
@@ -19,34 +19,17 @@ def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, gr
     before, history, errors = [], [], []
     arriving = 0.0
     for k in range(samples):
-        before.append(arriving + noise[k])
+        before.append(arriving)
         e = signal.sosfilt(shaping, before)[-1]
         arriving = (weights - optimum) @ psi[:, k]
         x = shaped[:, k]
-        if cure == "directional":
-            power = x @ p @ x
-            weights = weights - e * p @ x / (1 + power)
-            share = forgetting - (1 - forgetting) / power
-            p = np.linalg.inv(np.linalg.inv(p) + share * np.outer(x, x))
-        elif cure == "resetting":
-            power = x @ p @ x
-            weights = weights - e * p @ x / (1 + power)
-            grow = (1 - forgetting) / forgetting
-            square = p @ np.diag(1 / start) @ p
-            update = np.outer(p @ x, p @ x) / (1 + power)
-            p = p / forgetting - update + 0.01 * grow * np.diag(start) - grow / growth * square
-        else:
-            share = 1.0 if cure == "no forgetting" else forgetting
-            if cure == "variable":
-                share = 1 - (1 - forgetting) * min(e**2 / noise_power / (1 + x @ p @ x), 10)
-            p = np.linalg.inv(share * np.linalg.inv(p) + np.outer(x, x))
-            weights = weights - e * p @ x
+        share = 1.0 if cure == "no forgetting" else forgetting
+        p = np.linalg.inv(share * np.linalg.inv(p) + np.outer(x, x))
+        weights = weights - e * p @ x
         if cure == "leakage":
             axis = np.eye(n)[k % n]
             amount = n * (1 - forgetting) / (growth * start[k % n])
             p = np.linalg.inv(np.linalg.inv(p) + amount * np.outer(axis, axis))
-        elif cure == "trace bound":
-            p = p * min(1, growth * start.sum() / np.trace(p))
         elif cure == "limit":
             p = limited(p, growth * start)
         errors.append(e)
