@@ -300,6 +300,7 @@ def test_slow_motion_that_is_refused_would_have_broken_the_loop(tmp_path, monkey
         (("actuator_pole_hz = ", "actuator_pole_hz = -"), "actuator_pole_hz"),
         (("[noise]", "[noise]\nflor = 1.0"), "'flor'"),
         (("[isolator]", "mas = 1.0\n[isolator]"), "'mas'"),
+        (("[noise]", "[estimate]\ndelay_s = 0.01\n[noise]"), "'delay_s'"),
         (("", ""), "holds 3 spectra"),
     ],
 )

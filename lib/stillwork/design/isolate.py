@@ -223,8 +223,8 @@ def read_isolator(file: str, rate: float):
     TOML with [isolator] (``mass`` in kg, ``damping`` in N s/m and ``stiffness`` in N/m along the actuators, a number or a
     matrix; ``actuator_pole_hz``; ``delay_s`` from sample to force, by default a sample; ``floor``, the motion of each axis's
     foot per floor sensor, by default each its own), perhaps [noise] (``floor`` and ``platform``, m/s^2/sqrt(Hz)),
-    [estimate] (the same mechanics, where the controller is to take others), ``response`` (a file, beside it, of the measured
-    response) and ``notches_hz``. Or that response alone: then the mechanics are fitted to it.
+    [estimate] (of the same mechanics all but delay and floor, where the controller is to take others), ``response`` (a file,
+    beside it, of the measured response) and ``notches_hz``. Or that response alone: then the mechanics are fitted to it.
     """
     path = Path(file)
     if path.suffix.lower() != ".toml":
@@ -256,7 +256,9 @@ def read_isolator(file: str, rate: float):
     isolator = _mechanics(table_of, noise, rate)
     estimate = isolator
     if "estimate" in whole:
-        estimate = _mechanics(Table({**table_of, **whole.table("estimate")}, whole.where), noise, rate)
+        other = whole.table("estimate")
+        other.require_known(MECHANICS[:4])  # the filters invert no delay, and the floor's way is learnt
+        estimate = _mechanics(Table({**table_of, **other}, whole.where), noise, rate)
     notches = require_array("notches_hz", whole.get("notches_hz", []), ndim=1).tolist()
     if measured is not None and measured[1].shape[1] != isolator.axes:
         raise InputError(
