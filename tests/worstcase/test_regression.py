@@ -193,6 +193,7 @@ SCALED = [
     RecursiveLeastSquares(forgetting=0.9, form="UD", fit_intercept=False),
     MinMaxRegressor(0.0, fit_intercept=False),
     MinMaxRegressor(0.3, forgetting=0.9, fit_intercept=False),
+    MinMaxRegressor([0.3, 0.0, 0.1], "sample"),
     RidgeRegressor(),
     RidgeRegressor("cross-validation", forgetting=0.9),
     TotalLeastSquares([0.1, 0.0, 0.2], 0.3),
@@ -203,22 +204,34 @@ SCALED = [
 ]
 
 
+def learn(estimator, X, y, stream):
+    """At once, or a few samples and then one at a time; what least means is found in the first ones, they are many."""
+    if not stream:
+        return estimator.fit(X, y)
+    for part, target in zip(np.split(X, range(30, len(X))), np.split(y, range(30, len(X))), strict=True):
+        estimator.partial_fit(part, target)
+    return estimator
+
+
 @pytest.mark.parametrize("fit_intercept", [False, True])
 @pytest.mark.parametrize("estimator", SCALED, ids=repr)
 def test_a_prediction_is_the_same_in_any_unit(estimator, fit_intercept):
     X, y = record(20)
     estimator = clone(estimator).set_params(fit_intercept=fit_intercept)
-    expected = estimator.fit(X, y).predict(X)
-    for size in (1e-9, 1e-4, 1e-3, 1e3, 1e9):
-        given = estimator.get_params()
-        own = {
-            name: np.multiply(given[name], size) for name in ("bound", "noise") if given.get(name) is not None
-        }
-        again = clone(estimator).set_params(**own)
-        assert again.fit(X * size, y).predict(X * size) == pytest.approx(expected, rel=1e-7)
-        own = {"output_noise": given["output_noise"] * size} if "output_noise" in given else {}
-        again = clone(estimator).set_params(**own)
-        assert again.fit(X, y * size).predict(X) / size == pytest.approx(expected, rel=1e-7)
+    given = estimator.get_params()
+    for stream in (False, True)[: 1 + hasattr(estimator, "partial_fit")]:
+        expected = learn(clone(estimator), X, y, stream).predict(X)
+        for size in (1e-9, 1e-4, 1e-3, 1e3, 1e9):
+            own = {
+                name: np.multiply(given[name], size)
+                for name in ("bound", "noise")
+                if given.get(name) is not None
+            }
+            again = learn(clone(estimator).set_params(**own), X * size, y, stream)
+            assert again.predict(X * size) == pytest.approx(expected, rel=1e-7)
+            own = {"output_noise": given["output_noise"] * size} if "output_noise" in given else {}
+            again = learn(clone(estimator).set_params(**own), X, y * size, stream)
+            assert again.predict(X) / size == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("estimator", SCALED[1:4], ids=repr)
@@ -279,6 +292,36 @@ def test_min_max_without_options_is_theorem_one():
     assert MinMaxRegressor(0.7, fit_intercept=False).fit(X, y).coef_ == pytest.approx(
         naive.min_max(X, y, 0.7)[0], rel=1e-9
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40))
+def test_min_max_of_one_sample_at_a_time_is_that_of_all(seed):
+    # the kernel of a row against the singular values of the whole record
+    rng = np.random.default_rng([11, seed])
+    features, outputs = rng.integers(1, 9), rng.integers(1, 4)
+    X = rng.standard_normal((40, features)) * 10 ** (rng.uniform(-6, 6, features) * rng.integers(0, 2))
+    if seed % 5 == 0:
+        X = X[:, :1] + 1e-3 * X  # nearly one column
+    size = np.abs(X).max(axis=0)
+    bound = 10 ** rng.uniform(-3, 1) * size * np.append(1.0, rng.random(features - 1) < 0.7)
+    y = X @ rng.standard_normal((features, outputs)) / size.mean()
+    y += 10 ** rng.uniform(-6, 1) * rng.standard_normal(y.shape)
+    how = {
+        "bound": bound if seed % 2 else float(bound.mean()),
+        "bound_on": ("record", "sample")[rng.integers(2)],
+        "forgetting": (0.9, 1.0)[rng.integers(2)],
+        "fit_intercept": bool(rng.integers(2)),
+    }
+    stream = MinMaxRegressor(**how)
+    for k in range(len(X)):
+        stream.partial_fit(X[k : k + 1], y[k : k + 1])
+        if k % 8 == 7:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ZeroEstimateWarning)
+                whole = MinMaxRegressor(**how).fit(X[: k + 1], y[: k + 1])
+            least = 1e-12 * np.abs(whole.coef_ * size).max() + 1e-15 * np.abs(y).max()
+            assert np.abs((stream.coef_ - whole.coef_) * size).max() <= 10 * least
 
 
 def test_min_max_keeps_the_digits_of_data_that_fit():

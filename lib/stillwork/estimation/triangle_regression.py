@@ -3,14 +3,16 @@
 A triangle has the residuals of all weighted rows, so that a stream ends where its batch does, and loses no digits.
 """
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
+from stillwork.base.kernels import kernel_for
 from stillwork.estimation.linear_fits import (
     cross_validated_penalty,
     evidence_penalty,
@@ -20,6 +22,7 @@ from stillwork.estimation.linear_fits import (
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_plain
 from stillwork.estimation.regression import WeightedRegressor
 from stillwork.estimation.secular import ROUNDING
+from stillwork.estimation.triangle_kernels import advance_min_max
 
 PENALTIES = {"evidence": evidence_penalty, "cross-validation": cross_validated_penalty}
 
@@ -100,6 +103,22 @@ def _solve_around_known(matrix, target, known, estimate: Callable) -> np.ndarray
     return coef
 
 
+class _Bounds:
+    """Bounds of columns as a kernel takes them: those known exactly first, the others over the largest."""
+
+    def __init__(self, bound, values):
+        self.bound, self.values, self.columns = bound, values, len(values)
+        self.largest = float(np.max(values, initial=0.0))
+        free = np.flatnonzero(values)
+        self.known = len(values) - len(free)
+        self.order = np.concatenate([np.flatnonzero(values == 0), free])
+        self.shares = values[free] / (self.largest or 1.0)
+        if np.min(self.shares, initial=1.0) < 1e-12:
+            raise InputError(
+                "bound holds numbers that differ by more than 1e12; give 0 for a column known so well"
+            )
+
+
 @dataclass(eq=False, repr=False)
 class MinMaxRegressor(TriangleRegressor):
     """Least squares for features that are off by a bounded error: the smallest of the largest residuals.
@@ -159,6 +178,8 @@ class MinMaxRegressor(TriangleRegressor):
     (array([1.25]), array([1.11]))
     """
 
+    _bounds: ClassVar[Any] = None  # those of the last call
+
     bound: Any
     bound_on: Any = "record"
     forgetting: Any = 1.0
@@ -177,6 +198,7 @@ class MinMaxRegressor(TriangleRegressor):
 
     def _start(self, columns, outputs):
         corner, _ = super()._start(columns, outputs)
+        self._bounds = None
         if not (isinstance(self.initial_covariance, float) and self.initial_covariance == np.inf):
             root = np.full(
                 columns, 1 / np.sqrt(require_number("initial_covariance", self.initial_covariance, above=0.0))
@@ -191,20 +213,50 @@ class MinMaxRegressor(TriangleRegressor):
             )
         return corner, 0.0
 
-    def _solve(self, corner, columns, outputs, mass):
-        bounds = self._per_column("bound", columns)
+    def _advance(self, state, rows, outputs, weights):
+        # a row of a stream takes one kernel, which begins where the one before it ended
+        columns, bounds = rows.shape[1], self._bounds
+        same = bounds is not None and bounds.bound is self.bound and bounds.columns == columns
+        if not (same and isinstance(self.bound, float | int)):
+            bounds = self._bounds = _Bounds(self.bound, self._per_column("bound", columns))
+        alphas = state[2] if len(state) > 2 else np.zeros(outputs.shape[1])
+        if len(rows) == 1 and bounds.largest > 0:
+            corner, mass, alphas = state[0].copy(), state[1], alphas.copy()
+            forgetting = self.forgetting
+            if not (isinstance(forgetting, float) and 0.0 < forgetting <= 1.0):
+                forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
+            mass, coef = forgetting * mass + float(weights[0]), np.empty((outputs.shape[1], columns))
+            row, bound = np.concatenate([rows[0], outputs[0]]), bounds.largest * self._growth(mass)
+            run = kernel_for(advance_min_max, 1, 60 * columns**3)
+            if run(
+                corner,
+                row,
+                math.sqrt(forgetting),
+                bounds.order,
+                bounds.known,
+                bounds.shares,
+                bound,
+                coef,
+                alphas,
+            ):
+                self._zero = math.isinf(max(alphas.tolist()))
+                return (corner, mass, alphas), coef
+            return (corner, mass, alphas), self._solve(corner, columns, outputs.shape[1], mass)
+        state, coef = super()._advance(state, rows, outputs, weights)
+        return (*state, alphas), coef
+
+    def _growth(self, mass) -> float:
+        # of the bound over that of one sample, or of all
         if require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample":
-            bounds = bounds * np.sqrt(mass)
+            return math.sqrt(mass)
+        return 1.0
+
+    def _solve(self, corner, columns, outputs, mass):
+        largest, shares = self._bounds.largest * self._growth(mass), self._bounds.shares
         self._zero = False  # whether the bound explains all of the data away
-        known, targets = bounds == 0, corner.T[columns:]
+        known, targets = self._bounds.values == 0, corner.T[columns:]
 
         def estimate(matrix, target):
-            largest = bounds.max()
-            shares = bounds[~known] / largest
-            if shares.min() < 1e-12:
-                raise InputError(
-                    "bound holds numbers that differ by more than 1e12; give 0 for a column known so well"
-                )
             estimate, zero = solve_plain(matrix / shares, target, largest)
             self._zero |= zero
             return estimate / shares
