@@ -13,9 +13,9 @@ EVALUATIONS = 60
 @kernel
 def add_row(triangle, row, root):
     """The triangle of `root` times the rows that it stands for and one row more, in place; `row` is used up."""
+    if root != 1.0:
+        triangle *= root
     for k in range(len(row)):
-        for j in range(k, len(row)):
-            triangle[k, j] *= root
         if row[k] == 0.0:
             continue
         length = np.hypot(triangle[k, k], row[k])
