@@ -93,7 +93,7 @@ def families() -> dict[str, Family]:
             LOW_PASS,
             {"bandwidth": (60.0, 1500.0)},
             # Euler's rule diverges at 2 / sample_time.
-            lambda model, sample_time, bandwidth: LowPass(min(bandwidth, 1.9 / sample_time)),
+            lambda model, sample_time, bandwidth: LowPass(min(bandwidth, 1.9 / sample_time), True),
         ),
         Family(
             KALMAN,

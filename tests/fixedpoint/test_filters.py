@@ -19,6 +19,7 @@ from stillwork.estimation.coordinate_filters import (
     SavitzkyGolay,
     UnscentedKalman,
 )
+from stillwork.estimation.filter_step import filter_step
 from stillwork.estimation.filtering import filter_record, model_of
 from stillwork.estimation.unscented import SigmaPoints
 from stillwork.estimation.windows import end_point_weights
@@ -43,7 +44,8 @@ def twins(approximate):
     return {
         "window": (MovingWindow(), naive.MovingWindow(12, SAMPLE_TIME)),
         "short window": (MovingWindow(1), naive.MovingWindow(1, SAMPLE_TIME)),
-        "low pass": (LowPass(), naive.LowPass(350.0, SAMPLE_TIME)),
+        "low pass": (LowPass(), naive.LowPass(350.0, SAMPLE_TIME, past=1000)),
+        "low pass from zero": (LowPass(from_zero=True), naive.LowPass(350.0, SAMPLE_TIME)),
         "Savitzky-Golay": (SavitzkyGolay(15, 3, SAMPLE_TIME), naive.SavitzkyGolay(15, 3, SAMPLE_TIME)),
         "UKF": (kalman, naive.PlantUnscented(p, kalman.process, kalman.noise, 1e-3, SAMPLE_TIME)),
         "literal UKF": (
@@ -54,7 +56,16 @@ def twins(approximate):
     }
 
 
-NAMES = ["window", "short window", "low pass", "Savitzky-Golay", "UKF", "literal UKF", "EKF"]
+NAMES = [
+    "window",
+    "short window",
+    "low pass",
+    "low pass from zero",
+    "Savitzky-Golay",
+    "UKF",
+    "literal UKF",
+    "EKF",
+]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -116,8 +127,23 @@ def test_steady_motion_passes_every_filter_that_presumes_it(position, velocity):
         assert found.acceleration == pytest.approx(np.zeros(100), abs=2e-5)
 
 
+@pytest.mark.parametrize("acceleration", [0.0, 3.0])
+def test_the_low_pass_starts_from_what_is_presumed(acceleration):
+    """As after a long past of that motion; in a loop, too, whatever its coordinate is at first."""
+    time = np.arange(300) * SAMPLE_TIME
+    measured = 2.0 - 0.7 * time + acceleration * time**2 / 2
+    twin, device = naive.LowPass(90.0, SAMPLE_TIME, past=2000), LowPass(90.0).packed()
+    estimate = np.array([5.0, -0.7, acceleration])
+    found, expected = [], []
+    for z in measured:
+        assert filter_step(device, *model_of(LowPass()), SAMPLE_TIME, z, 0.0, estimate)
+        found.append(estimate.copy())
+        expected.append(twin(z, 0.0, np.array([2.0, -0.7, acceleration])))
+    assert np.abs(np.array(found) - expected).max() < 1e-9
+
+
 def test_low_pass_settles_at_one():
-    found = filter_signal(LowPass(), np.ones(500))
+    found = filter_signal(LowPass(from_zero=True), np.ones(500))
     assert found.position[-1] == pytest.approx(1.0, abs=1e-12)
     assert abs(found.velocity[-1]) < 1e-9
 

@@ -20,7 +20,7 @@ def twin_filter(controller, parameters):
     if isinstance(signal_filter, MovingWindow):
         return naive.MovingWindow(signal_filter.length, SAMPLE_TIME)
     if isinstance(signal_filter, LowPass):
-        return naive.LowPass(signal_filter.bandwidth, SAMPLE_TIME)
+        return naive.LowPass(signal_filter.bandwidth, SAMPLE_TIME, 0 if signal_filter.from_zero else 1000)
     if isinstance(signal_filter, SavitzkyGolay):
         return naive.SavitzkyGolay(signal_filter.samples, signal_filter.degree, SAMPLE_TIME)
     packed = signal_filter.packed()
@@ -73,7 +73,7 @@ def test_any_order_of_kinematics(integrals, exact, approximate, short):
     controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0, integrals), approximate)
     run = simulate(exact, controller, short, resolution=1e-4, integration="semi-implicit")
     expected = naive.closed_loop(
-        naive.LowPass(350.0, SAMPLE_TIME),
+        naive.LowPass(350.0, SAMPLE_TIME, past=1000),
         naive.robust(4e7, -1.05, 9e-2 / 4e7),
         controller.kinematics.gains,
         True,

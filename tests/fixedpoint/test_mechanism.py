@@ -195,12 +195,16 @@ def test_the_arm_runs_as_its_naive_twin(arm, short, rng):
     noise = 1e-5 * rng.standard_normal((2, len(short.position)))
     controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), arm.approximate)
     runs = simulate_mechanism(arm.exact, controller, [short] * 2, noise, integration="semi-implicit")
-    devices, transform = [naive.LowPass(350.0, 1e-3) for _ in range(2)], naive.robust(4e7, -1.05, 9e-2 / 4e7)
+    devices, transform = (
+        [naive.LowPass(350.0, 1e-3, past=1000) for _ in range(2)],
+        naive.robust(4e7, -1.05, 9e-2 / 4e7),
+    )
     gains, integral, deformed = controller.kinematics.gains, np.zeros(2), None
+    presumed = short.position[0], short.velocity[0], short.acceleration[0]
     q, v, rows = np.full(2, short.position[0]), np.full(2, short.velocity[0]), []
     for i in range(len(short.position)):
         measured = q + noise[:, i]
-        filtered = np.array([device(z, 0.0, None) for device, z in zip(devices, measured, strict=True)])
+        filtered = np.array([device(z, 0.0, presumed) for device, z in zip(devices, measured, strict=True)])
         error = short.position[i] - measured
         integral = integral + 1e-3 * error
         desired = short.acceleration[i] + gains @ [integral, error, short.velocity[i] - filtered[:, 1]]
@@ -341,7 +345,7 @@ def test_what_stands_for_a_lost_sample_is_what_the_filter_gets(number, lost, exa
 
 def test_a_limited_force_does_not_wind_up(exact, approximate, short):
     """Off the trajectory at the start: the force stays at its limit, and the loop comes back without a swing."""
-    controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), approximate)
+    controller = Controller(LowPass(from_zero=True), RobustTransformation(), KinematicDesign(16.0), approximate)
     long = asin_trajectory(duration=3.0)
     free, limited = (
         simulate(exact, controller, long, start=(0.15, 0.0), force_limit=f) for f in (None, 160.0)

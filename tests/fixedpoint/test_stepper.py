@@ -81,6 +81,7 @@ int run(long samples, real *nominal, const real *measured, const real *start, re
 FILTERS = {
     "window": lambda model: MovingWindow(5),
     "low pass": lambda model: LowPass(400.0),
+    "low pass from zero": lambda model: LowPass(400.0, from_zero=True),
     "unscented": lambda model: UnscentedKalman(model),
     "unscented, model's acceleration": lambda model: UnscentedKalman(model, model_acceleration=True),
     "extended": lambda model: ExtendedKalman(model),

@@ -71,15 +71,18 @@ class SavitzkyGolay:
 
 
 class LowPass:
-    """(7) in companion form, Euler's rule."""
+    """(7) in companion form, Euler's rule; `past`: so many samples of what is presumed went through it, else it starts at zero."""
 
-    def __init__(self, bandwidth, sample_time):
+    def __init__(self, bandwidth, sample_time, past=0):
         w = bandwidth
         self.A = np.array([[0, 1, 0], [0, 0, 1], [-(w**3), -3 * w**2, -3 * w]])
         self.B = np.array([0, 0, w**3])
-        self.x, self.sample_time = np.zeros(3), sample_time
+        self.x, self.sample_time, self.past = np.zeros(3), sample_time, past
 
-    def __call__(self, measured, _force, _presumed):
+    def __call__(self, measured, _force, presumed):
+        for time in -self.sample_time * np.arange(self.past, 0, -1):
+            self.past = 0
+            self(measured + presumed[1] * time + presumed[2] * time**2 / 2, 0.0, presumed)
         self.x = self.x + self.sample_time * (self.A @ self.x + self.B * measured)
         return self.x
 

@@ -40,7 +40,10 @@ def paint_noise_free(frequency_hz: float, sharpness: float, window_length: int, 
     """Tracking error without noise of the three filters, with other settings of two of them."""
     chosen = published_controllers(_approximate())
     del chosen[LITERAL]
-    for name, other in ((WINDOW, MovingWindow(int(window_length))), (LOW_PASS, LowPass(bandwidth))):
+    for name, other in (
+        (WINDOW, MovingWindow(int(window_length))),
+        (LOW_PASS, LowPass(bandwidth, from_zero=True)),
+    ):
         chosen[name] = replace(chosen[name], signal_filter=other)
     trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
     return _paint_error_lines(chosen, trajectory, Noise(), "without noise")
@@ -56,7 +59,9 @@ def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: s
 def paint_low_pass(exponent: float, bandwidth: float, strength: float):
     """The low pass with other settings than the paper's, in large Gaussian noise."""
     transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
-    chosen = Controller(LowPass(bandwidth), transformation, KinematicDesign(exponent), _approximate())
+    chosen = Controller(
+        LowPass(bandwidth, from_zero=True), transformation, KinematicDesign(exponent), _approximate()
+    )
     noise = Noise("gaussian", 1e-4)
     return _paint_error_lines({LOW_PASS: chosen}, asin_trajectory(), noise, "large Gaussian noise")
 

@@ -35,7 +35,7 @@ def published_controllers(model: Plant) -> dict[str, Controller]:
     kalman = Controller(UnscentedKalman(model), RobustTransformation(), KinematicDesign(36.0), model)
     return {
         WINDOW: Controller(MovingWindow(), FlowTransformation(), KinematicDesign(24.0), model),
-        LOW_PASS: Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), model),
+        LOW_PASS: Controller(LowPass(from_zero=True), RobustTransformation(), KinematicDesign(16.0), model),
         KALMAN: kalman,
         LITERAL: replace(kalman, signal_filter=replace(kalman.signal_filter, literal=True)),
     }

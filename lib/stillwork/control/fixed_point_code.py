@@ -160,6 +160,7 @@ def fixed_point_code(
         "a": whole,
         "d": kind == "u" and not whole,
         "h": lost == "hold",
+        "p": kind == "l" and not own.from_zero,
         "x": lost == "predict" and not kalman,
     }
     return write.files("fixed_point", name, values, marks)

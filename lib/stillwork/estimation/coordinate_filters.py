@@ -47,12 +47,15 @@ class MovingWindow:
 @by_value
 @dataclass(frozen=True)
 class LowPass:
-    """Section II.B: (bandwidth + d/dt)^3 filtered = bandwidth^3 measured, by Euler's rule, from zero.
+    """Section II.B: (bandwidth + d/dt)^3 filtered = bandwidth^3 measured, by Euler's rule.
 
     Attributes
     ----------
     bandwidth : float
         lambda of (7), rad/s.
+    from_zero : bool
+        Start from zero, whatever is measured first; else from the first measurement, at what velocity and acceleration
+        are presumed then.
 
     Raises
     ------
@@ -66,12 +69,13 @@ class LowPass:
 
     Examples
     --------
-    >>> held = estimation.filter_signal(estimation.LowPass(100.0), np.ones(1000), sample_time=1e-3)
-    >>> bool(held.position[10] < 0.1 and abs(held.position[-1] - 1) < 1e-6)  # from zero, to what is measured
-    True
+    >>> held = [estimation.filter_signal(estimation.LowPass(100.0, zero), np.ones(1000)) for zero in (False, True)]
+    >>> [each.position[10].round(2) for each in held], [each.position[-1].round(6) for each in held]
+    ([np.float64(1.0), np.float64(0.06)], [np.float64(1.0), np.float64(1.0)])
     """
 
     bandwidth: Positive = 350.0
+    from_zero: bool = False
     error_from_measurement = True
 
     def __post_init__(self):
@@ -88,10 +92,10 @@ class LowPass:
 
         Examples
         --------
-        >>> estimation.LowPass(100.0).packed().options  # rad/s
-        array([100.])
+        >>> estimation.LowPass(100.0).packed().options  # rad/s, and whether from zero
+        array([100.,   0.])
         """
-        return _packed(LOW_PASS, [self.bandwidth], (1, 1, 3))
+        return _packed(LOW_PASS, [self.bandwidth, self.from_zero], (1, 1, 4))
 
 
 @by_value

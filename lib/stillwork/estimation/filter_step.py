@@ -31,7 +31,7 @@ def filter_step(device, acceleration, plant, sample_time, measured, force, estim
         moving_window_step(options, work, sample_time, measured, estimate)
         return True
     if kind == LOW_PASS:
-        low_pass_step(options[0], work, sample_time, measured, estimate)
+        low_pass_step(options, work, sample_time, measured, estimate)
         return True
     if kind == SAVITZKY_GOLAY:
         savitzky_golay_step(options, work, sample_time, measured, estimate)

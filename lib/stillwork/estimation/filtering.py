@@ -51,7 +51,7 @@ def filter_signal(
     sample_time : float
         s.
     start_velocity : float
-        Velocity that the filter presumes before the first sample, m/s (the low pass starts from zero).
+        Velocity that the filter presumes before the first sample, m/s.
 
     Returns
     -------

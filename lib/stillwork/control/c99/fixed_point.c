@@ -74,9 +74,15 @@ l|static bool filter(${name}_state *s, const ${name}_tuning *t, int j, real meas
 l|{
 l|    real *x = s->low_pass[j];
 l|    const real b = t->bandwidth;
-l|    const real jerk = (b * b * b * (measured - x[0])) - ($three * b * b * x[1]) - ($three * b * x[2]);
+l|    real jerk;
 l|    int i;
 l|
+p|    if (s->samples == 0) {
+p|        x[2] = s->estimate[j][2];
+p|        x[1] = s->estimate[j][1] + (x[2] * ((dt / $two) - ($three / b)));
+p|        x[0] = measured - ($three * (x[1] + (x[2] / b)) / b);
+p|    }
+l|    jerk = (b * b * b * (measured - x[0])) - ($three * b * b * x[1]) - ($three * b * x[2]);
 l|    x[0] += dt * x[1];
 l|    x[1] += dt * x[2];
 l|    x[2] += dt * jerk;
