@@ -95,6 +95,14 @@ def _bias(position, velocity, parameters, out):
     out[0], out[1] = position[0], velocity[1]
 
 
+def _linear_inertia(position, parameters, out):
+    out[0, 0], out[0, 1], out[1, 0], out[1, 1] = parameters[0], 0.0, 0.0, parameters[0]
+
+
+def _linear_bias(position, velocity, parameters, out):
+    out[0], out[1] = parameters[0] * position[0], parameters[0] * velocity[1]
+
+
 def _whole(package: ModuleType) -> SimpleNamespace:
     """What all modules of a folder define, handed out by its face or not; a face decides between equal names."""
     names: dict = {}
@@ -168,6 +176,10 @@ def catalogue() -> dict:
     trajectory = c.sine_trajectory(duration=0.1)
     arm = c.Mechanism(_inertia, _bias, 2, np.array([2.0]))
     arms = c.Controller(e.LowPass(), c.FlowTransformation(), c.KinematicDesign(10.0), arm)
+    linear_arm = c.Mechanism(_linear_inertia, _linear_bias, 2, np.array([2.0]))
+    adaptive = c.SlotineLi(
+        e.LowPass(), c.KinematicDesign(10.0, order=1), linear_arm, np.array([5.0, 5.0]), np.array([0.1])
+    )
     near = c.linear_loop(plant, controller, 1e-3)
     setpoint = c.point_to_point(1e4, 100.0, 2.0, 0.1, 0.02, 0.005, 1e-3)
     pid = c.PidFamily(11.0)
@@ -399,10 +411,13 @@ def catalogue() -> dict:
         "DiscreteObserver": (c.DiscreteObserver, fields(sampled_observer)),
         "DiscreteObserver.estimator": (sampled_observer.estimator, {"rows": np.eye(6), "form": "predictor", "delay": 1}),
         "DiscreteObserver.read": (sampled_observer.read, {"flexible": np.eye(2), "quantity": "velocity"}),
+        "DisturbanceObserver": (c.DisturbanceObserver, fields(c.DisturbanceObserver(0.1))),
         "error_driven": (c.error_driven, {"controller": c.DigitalController(doubled, ("r (m)", "y (m)"), ("f (N)",)), "motion": c.Motion(c.Feedforward(1.0), 0.01, limits)}),
         "Feedforward": (c.Feedforward, fields(c.Feedforward(1.0, 1.0, 1.0, 1.0))),
         "Feedforward.force": (c.Feedforward(1.0).force, {"setpoint": setpoint}),
         "FlowTransformation": (c.FlowTransformation, fields(c.FlowTransformation())),
+        "JointKalman": (c.JointKalman, fields(c.JointKalman(arm))),
+        "JointKalman.packed": (lambda **named: c.JointKalman(**named).packed(), fields(c.JointKalman(arm))),
         "KinematicDesign": (c.KinematicDesign, fields(c.KinematicDesign(10.0))),
         "KinematicDesign.gains": (lambda **named: c.KinematicDesign(**named).gains, fields(c.KinematicDesign(10.0))),
         "Loop.at": (search.at, {"controller": pid(10.0), "omega": omega}),
@@ -484,6 +499,9 @@ def catalogue() -> dict:
         "stiffness_gain": (c.stiffness_gain, {"model": model, "factor": np.array([1.5, 1.2])}),
         "strongest_oscillation": (c.strongest_oscillation, {"values": signal, "sample_time": 0.1}),
         "plan_move": (c.plan_move, {"distance": 0.1, "limits": limits, "start": 0.0}),
+        "SlotineLi": (c.SlotineLi, fields(adaptive)),
+        "regressor": (c.regressor, {"mechanism": arm, "position": np.zeros(2), "velocity": np.ones(2), "reference": np.ones(2), "acceleration": np.ones(2)}),
+        "simulate_adaptive": (c.simulate_adaptive, {"plant": arm, "law": adaptive, "trajectories": [trajectory] * 2, "noise": 1e-6 * np.array([noise(100), noise(100)]), "start": np.zeros((2, 2)), "bound": 10.0, "disturbance": np.ones((2, 100)), "change": (0.05, np.array([3.0]))}),
         "FixedPointStepper": (lambda **named: c.FixedPointStepper(**named).estimate, {"controller": controller, "sample_time": 1e-3, "start": np.zeros((2, 1)), "force_limits": [5.0], "lost": "hold", "force_from_estimate": True}),
         "FixedPointStepper.step": (lambda nominal, measured: c.FixedPointStepper(controller, 1e-3).step(nominal, measured), {"nominal": np.array([[0.0], [0.0], [1.0]]), "measured": np.zeros(1)}),
         "fixed_point_code": (c.fixed_point_code, {"controller": controller, "sample_time": 1e-3, "name": "slide", "precision": "single", "force_limits": [5.0], "lost": "hold"}),

@@ -5,6 +5,7 @@ from stillwork.base.lazy_exports import lazy_exports
 __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
+        "adaptive_control": ("SlotineLi", "regressor", "simulate_adaptive"),
         "applications": ("Application", "compensator"),
         "bandwidth": ("PeakConstraint", "make_loop", "maximise_bandwidth"),
         "c_code": ("adaptation_code", "controller_code"),
@@ -25,6 +26,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "fixed_point_mechanism": ("simulate_mechanism",),
         "fixed_point_stepper": ("FixedPointStepper",),
         "floor_machine": ("FloorMachine",),
+        "joint_kalman": ("JointKalman",),
         "kinematics": ("KinematicDesign",),
         "loop_enclosures": ("enclose_margins", "enclose_peaks"),
         "loops": ("closed_loop",),
@@ -32,7 +34,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "pid": ("PidFamily",),
         "setpoint": ("MoveLimits", "plan_move", "point_to_point"),
         "trajectory": ("asin_trajectory",),
-        "transformation": ("FlowTransformation",),
+        "transformation": ("DisturbanceObserver", "FlowTransformation"),
         "uncertain_modes": ("uncertain_channel",),
         "uncertainty": ("Uncertainty", "worst_place"),
     },

@@ -13,6 +13,7 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.held_force import move_held
+from stillwork.control.joint_kalman import JointKalman
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism
 from stillwork.control.trajectory import Trajectory
@@ -48,10 +49,10 @@ class Controller:
 
     Attributes
     ----------
-    signal_filter : Filter
-        Makes position, velocity and acceleration of the noisy coordinate.
+    signal_filter : Filter or JointKalman
+        Makes position, velocity and acceleration of the noisy coordinate, or of all of them together.
     transformation : Transformation
-        (6) or (8).
+        (6) or (8), or a `DisturbanceObserver`.
     kinematics : KinematicDesign
         (1).
     model : Plant or Mechanism
@@ -75,7 +76,7 @@ class Controller:
     10.0
     """
 
-    signal_filter: Filter
+    signal_filter: Filter | JointKalman
     transformation: Transformation
     kinematics: KinematicDesign
     model: Plant | Mechanism
@@ -221,6 +222,10 @@ def simulate(
     """
     if not isinstance(controller.model, Plant):
         raise InputError("the controller's model is a Mechanism; drive one with simulate_mechanism")
+    if isinstance(controller.signal_filter, JointKalman):
+        raise InputError(
+            "the controller's filter is a JointKalman; use ExtendedKalman, or simulate_mechanism"
+        )
     samples = len(trajectory.position)
     noise = require_noise(noise, (samples,))
     require_number("grid", grid)
@@ -330,7 +335,7 @@ def plants_along(
 @checked
 def packed_parts(controller: Controller, resolution: float, grid: float, lost: str) -> tuple:
     """What `command_step` takes beside the filter itself."""
-    predicts = isinstance(controller.signal_filter, UnscentedKalman | ExtendedKalman)
+    predicts = isinstance(controller.signal_filter, UnscentedKalman | ExtendedKalman | JointKalman)
     if require_choice("lost", lost, LOSSES) == "hold":
         loss = HOLD
     else:
@@ -376,7 +381,11 @@ def command_step(parts, sample_time, nominal, measured, first, held, chain, esti
             chain[j] += sample_time * chain[j - 1]
         desired += gains[integrals - j] * chain[j]
     deformed = memory[DEFORMED]
-    memory[DEFORMED] = desired if first else deform_packed(transformation, deformed, estimate[2], desired)
+    before = memory[DESIRED]
+    if first:
+        memory[DEFORMED] = desired
+    else:
+        memory[DEFORMED] = deform_packed(transformation, deformed, estimate[2], desired, before)
     memory[SEEN], memory[MEASURED], memory[DESIRED] = seen, measured, desired
 
 

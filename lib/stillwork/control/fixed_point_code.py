@@ -9,7 +9,9 @@ from stillwork.base.validation import checked
 from stillwork.control.c_code import Numbers
 from stillwork.control.fixed_point import LOSSES, Controller
 from stillwork.control.fixed_point_mechanism import require_alike
+from stillwork.control.joint_kalman import JointKalman
 from stillwork.control.mechanism import Mechanism
+from stillwork.control.transformation import DisturbanceObserver
 from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
     LowPass,
@@ -83,10 +85,12 @@ def fixed_point_code(
     require_sample_time(first.signal_filter, sample_time)
     require_choice("lost", lost, LOSSES)
     own: Any = first.signal_filter
-    if isinstance(own, SavitzkyGolay) or getattr(own, "literal", False):
+    if isinstance(own, SavitzkyGolay | JointKalman) or getattr(own, "literal", False):
         raise InputError(
-            f"signal_filter is {own}; C is written for any but Savitzky-Golay and the literal correction"
+            f"signal_filter is {own}; C is written for any of one coordinate but Savitzky-Golay and the literal correction"
         )
+    if any(isinstance(each.transformation, DisturbanceObserver) for each in controllers):
+        raise InputError("controller deforms by a DisturbanceObserver; C is written for (6) and (8)")
     kind, packed = KINDS[type(own)], own.packed()
     kalman = kind in "ue"
     foreign = kalman and own.plant is not UNIT_MASS

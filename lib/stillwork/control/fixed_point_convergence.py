@@ -32,7 +32,7 @@ def iterate(
     sequence, packed = np.empty(steps), transformation.packed
     for i in range(steps):
         sequence[i] = value
-        value = deform_packed(packed, value, response_gain * value + response_offset, desired)
+        value = deform_packed(packed, value, response_gain * value + response_offset, desired, desired)
     return sequence
 
 

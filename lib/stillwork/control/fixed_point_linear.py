@@ -11,7 +11,9 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.fixed_point import INTEGRATIONS, Controller
 from stillwork.control.fixed_point_mechanism import require_alike
+from stillwork.control.joint_kalman import JointKalman
 from stillwork.control.mechanism import Mechanism
+from stillwork.control.transformation import DisturbanceObserver
 from stillwork.estimation.coordinate_filters import (
     Filter,
     LowPass,
@@ -265,6 +267,14 @@ def linear_loop(
     controllers = list(controller) if isinstance(controller, list) else [controller] * count
     require_alike(controllers, count)
     controller = controllers[0]
+    if isinstance(controller.transformation, DisturbanceObserver):
+        raise InputError(
+            "controller deforms by a DisturbanceObserver; the linear loop is written for (6) and (8)"
+        )
+    if isinstance(controller.signal_filter, JointKalman):
+        raise InputError(
+            "controller filters by a JointKalman; the linear loop is written for filters of one coordinate"
+        )
     place, speed = (
         require_array(name, np.atleast_1d(values), shape=(count,))
         for name, values in (("position", position), ("velocity", velocity))

@@ -32,12 +32,13 @@ from stillwork.control.fixed_point import (
     require_noise,
 )
 from stillwork.control.held_force import HELD_ROWS, move_mechanism_held
+from stillwork.control.joint_kalman import JOINT, JointKalman, joint_extended_step
 from stillwork.control.mechanism import Mechanism, forward_dynamics, inverse_dynamics, response_gains
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import warn_outside_contraction
 from stillwork.estimation.coordinate_filters import require_sample_time
 from stillwork.estimation.filter_step import Packed, filter_step
-from stillwork.estimation.filtering import model_of
+from stillwork.estimation.filtering import UNIT_MASS, model_of
 
 
 @checked(missing=True)
@@ -61,7 +62,7 @@ def simulate_mechanism(
 
     Filter, (1) and the transformation work in every coordinate by itself; the models couple them. A Kalman filter's
     plant is pushed by its coordinate's deformed acceleration, which is what the approximate model commands: give the
-    filter `estimation.filtering.UNIT_MASS`.
+    filter `estimation.filtering.UNIT_MASS`. `JointKalman` filters all coordinates together, with the forces.
 
     Parameters
     ----------
@@ -178,10 +179,20 @@ def simulate_mechanism(
     )
     record = np.full((count, len(COLUMNS), samples), np.nan)
     device = controller.signal_filter.packed()
+    believed, own_model = model, (UNIT_MASS.compiled[0], UNIT_MASS.parameters)
+    if not isinstance(controller.signal_filter, JointKalman):
+        own_model = model_of(controller.signal_filter)
+    else:
+        believed = controller.signal_filter.model
+        if believed.coordinates != count:
+            raise InputError(
+                f"the filter's model has {believed.coordinates} coordinates; give one of {count}"
+            )
     done, status = _closed_mechanism(
         device,
-        np.tile(device.work, (count, 1, 1, 1)),
-        *model_of(controller.signal_filter),
+        np.tile(device.work, (1 if device.kind == JOINT else count, 1, 1, 1)),
+        *believed.compiled,
+        *own_model,
         parts,
         *plant.compiled[:2],
         *plants_along(plant.parameters, change, sample_time),
@@ -196,7 +207,7 @@ def simulate_mechanism(
         np.vstack([start, nominal[:, 2, 0]]).T.copy(),  # rows in one piece, as for one coordinate
         np.zeros((count, len(controller.kinematics.gains) - 1)),
         np.zeros((count, 4)),
-        np.zeros((2 * count + 8 + HELD_ROWS, count)),
+        np.zeros((2 * count + 12 + HELD_ROWS, count)),
         limits,
         record,
     )
@@ -227,6 +238,9 @@ def require_alike(controllers: list[Controller], count: int) -> None:
 def _closed_mechanism(
     device,
     devices_work,
+    believed_inertia,
+    believed_bias,
+    believed_plant,
     filter_acceleration,
     filter_plant,
     parts,
@@ -258,24 +272,42 @@ def _closed_mechanism(
     position, velocity = motion[0], motion[1]
     force, acceleration, deformed, seen, speed, held = work[0], work[1], work[2], work[3], work[4], work[5]
     acting, rows, work, length = work[6], work[7 : 7 + HELD_ROWS], work[7 + HELD_ROWS :], sample_time
+    measured = rows[0]
     for i in range(samples):
         plant = plants[0] if i < changed else plants[1]
         for j in range(count):
-            now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
             measurement = resolutions[j], grids[j], loss
-            measured = measure_position(
+            measured[j] = measure_position(
                 measurement, position[j], noise[j, i], sample_time, estimate[j, 1], memory[j, MEASURED]
             )
-            own = Packed(kind, options, process, sensor, devices_work[j])
-            if not filter_step(
-                own, filter_acceleration, filter_plant, sample_time, measured, deformed[j], estimate[j]
-            ):
-                return i, NOT_DEFINITE
+            if kind != JOINT:
+                own = Packed(kind, options, process, sensor, devices_work[j])
+                if not filter_step(
+                    own, filter_acceleration, filter_plant, sample_time, measured[j], deformed[j], estimate[j]
+                ):
+                    return i, NOT_DEFINITE
+        if kind == JOINT and not joint_extended_step(
+            options,
+            process,
+            sensor,
+            devices_work[0],
+            believed_inertia,
+            believed_bias,
+            believed_plant,
+            sample_time,
+            measured,
+            force,
+            estimate,
+            work,
+        ):
+            return i, NOT_DEFINITE
+        for j in range(count):
+            now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
             command_step(
-                (from_measurement, transformations[j], gains[j], measurement),
+                (from_measurement, transformations[j], gains[j], (resolutions[j], grids[j], loss)),
                 sample_time,
                 now,
-                measured,
+                measured[j],
                 i == 0,
                 held[j] > 0.0,
                 chain[j],

@@ -17,6 +17,7 @@ from stillwork.control.fixed_point import (
     packed_parts,
 )
 from stillwork.control.fixed_point_mechanism import require_alike
+from stillwork.control.joint_kalman import JointKalman
 from stillwork.control.mechanism import Mechanism
 from stillwork.estimation.coordinate_filters import require_sample_time
 from stillwork.estimation.filter_step import filter_step
@@ -85,6 +86,10 @@ class FixedPointStepper:
     ):
         first = controller[0] if isinstance(controller, list) else controller
         self.model = first.model
+        if isinstance(first.signal_filter, JointKalman):
+            raise InputError(
+                "controller filters by a JointKalman; the stepper takes filters of one coordinate"
+            )
         count = self.model.coordinates if isinstance(self.model, Mechanism) else 1
         controllers = list(controller) if isinstance(controller, list) else [controller] * count
         require_alike(controllers, count)

@@ -1,4 +1,4 @@
-"""Fixed point transformations (6) and (8): from what happened and what is desired to the next command."""
+"""From what happened and what is desired to the next command: (6) and (8), and a disturbance observer beside them."""
 
 import warnings
 from dataclasses import dataclass
@@ -93,7 +93,55 @@ class RobustTransformation:
         return np.array([1.0, self.offset, self.factor, self.slope])
 
 
-Transformation = FlowTransformation | RobustTransformation
+@by_value
+@dataclass(frozen=True)
+class DisturbanceObserver:
+    """Command less the disturbance, as a first-order filter of response minus command sees it; no part of the paper.
+
+    deformed = desired - d, where d += gain (response - deformed - d). With gain 0 it is computed torque: the command is the
+    desired acceleration. It differs from an iteration of that gain in one term: what the desired acceleration changes by is
+    commanded at once.
+
+    Attributes
+    ----------
+    gain : float
+        Share of what is missing in d that is taken over each sample, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        When the gain is not between 0 and 1.
+
+    References
+    ----------
+    Ohnishi, Shibata and Murakami, Motion control for advanced mechatronics, IEEE/ASME Trans. Mechatronics 1 (1996).
+
+    Examples
+    --------
+    >>> control.DisturbanceObserver(gain=0.05).local_gain
+    -0.05
+    """
+
+    gain: float = 0.0
+
+    def __post_init__(self):
+        check_fields(self)
+        require_number("gain", self.gain, at_least=0.0, at_most=1.0)
+
+    @property
+    @checked
+    def local_gain(self) -> float:
+        """Change of the command per m/s^2 of error."""
+        return -self.gain
+
+    @property
+    @checked
+    def packed(self) -> Float64[np.ndarray, "4"]:
+        """What the kernels take."""
+        return np.array([2.0, self.gain, 0.0, 0.0])
+
+
+Transformation = FlowTransformation | RobustTransformation | DisturbanceObserver
 
 
 @checked
@@ -114,7 +162,7 @@ def contraction_range(response_gain: float) -> tuple[float, float]:
 def warn_outside_contraction(transformation: Transformation, response_gain: float) -> None:
     """Warn when a transformation cannot converge on a plant, even with perfect measurements."""
     low, high = contraction_range(response_gain)
-    if not low < transformation.local_gain < high:
+    if transformation.local_gain and not low < transformation.local_gain < high:
         warnings.warn(
             f"{type(transformation).__name__} has local gain {transformation.local_gain:.4g}, outside the "
             f"contraction range ({low:.4g}, {high:.4g}) of this plant; the iteration will not converge",
@@ -125,12 +173,16 @@ def warn_outside_contraction(transformation: Transformation, response_gain: floa
 
 @checked
 def deform(transformation: Transformation, previous: float, response: float, desired: float) -> float:
-    """Next deformed acceleration from the previous one, its response and the desired one, m/s^2."""
-    return float(deform_packed(transformation.packed, float(previous), float(response), float(desired)))
+    """Next deformed acceleration from the previous one, its response and the desired one, which stays, m/s^2."""
+    numbers = float(previous), float(response), float(desired), float(desired)
+    return float(deform_packed(transformation.packed, *numbers))
 
 
 @pasted_kernel
-def deform_packed(packed, previous, response, desired):
+def deform_packed(packed, previous, response, desired, before):
+    """`before`: what was desired when `previous` was commanded."""
+    if packed[0] == 2.0:
+        return previous + (desired - before) - packed[1] * (response - before)
     if packed[0] == 0.0:  # (6)
         x = (response - desired) / packed[2]
         return previous + packed[1] * x / (1.0 + abs(x))
