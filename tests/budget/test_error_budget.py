@@ -16,6 +16,7 @@ from stillwork.control.budget_sources import (
     measured,
     periodic,
     quantiser,
+    setpoint,
     shaped,
     tabulated,
     white,
@@ -117,7 +118,7 @@ def test_a_sampled_loop_has_the_variance_of_its_lifted_covariance(delay):
     plant, k = network.plant, network.controller
     n, m = len(plant.a), len(colour.a)
     a = np.block([[plant.a, plant.b[:, :1] @ colour.c], [np.zeros((m, n)), colour.a]])
-    bu = np.vstack([plant.b[:, 3:], np.zeros((m, 2))])
+    bu = np.vstack([plant.b[:, 4:], np.zeros((m, 2))])
     bw = np.vstack([np.zeros((n, 1)), colour.b])
     c = np.hstack([plant.c, plant.d[:, :1] @ colour.c])
     s = linalg.matrix_balance(a, permute=False, separate=True)[1][0]
@@ -139,7 +140,7 @@ def test_a_sampled_loop_has_the_variance_of_its_lifted_covariance(delay):
     state = np.eye(size)
     xs, xk = state[:np_], state[np_ : np_ + nk]
     pasts = [state[np_ + nk + 2 * i : np_ + nk + 2 * i + 2] for i in range(lines)]  # newest first
-    y = c[2:] @ xs + plant.d[2:, 3:] @ pasts[-1]  # before a command changes
+    y = c[2:] @ xs + plant.d[2:, 4:] @ pasts[-1]  # before a command changes
     u_now, v_u = k.c @ xk + k.d @ y, k.d[:, :1]
     acts, acts_v = (pasts[whole - 1], np.zeros((2, 1))) if whole else (u_now, v_u)
 
@@ -188,7 +189,7 @@ def test_python_control_and_quad_give_the_same():
     points = np.abs(loop.poles().imag) / (2 * np.pi)
     points = sorted(points[(points > 0.1) & (points < 3000)])
     edges = np.unique(np.concatenate([np.geomspace(0.1, 3000, 40), points]))
-    for row, (place, density) in enumerate([(0, level), (3, lambda f: 1e-18)]):
+    for row, (place, density) in enumerate([(0, level), (4, lambda f: 1e-18)]):
 
         def power(f, place=place, density=density):
             return abs(response(f, place)) ** 2 * density(f)
@@ -203,8 +204,8 @@ def test_python_control_and_quad_give_the_same():
 
 def _connected(plant, law):
     """u = K (y + v) + n around the plant by hand, from floor, forces, sensors and drives to the errors."""
-    bw, bu, cz, cy = plant.B[:, :3], plant.B[:, 3:], plant.C[:2], plant.C[2:]
-    dzw, dzu, dyw, dyu = plant.D[:2, :3], plant.D[:2, 3:], plant.D[2:, :3], plant.D[2:, 3:]
+    bw, bu, cz, cy = plant.B[:, :4], plant.B[:, 4:], plant.C[:2], plant.C[2:]
+    dzw, dzu, dyw, dyu = plant.D[:2, :4], plant.D[:2, 4:], plant.D[2:, :4], plant.D[2:, 4:]
     assert not np.any(law.D)
     a = np.block([[plant.A, bu @ law.C], [law.B @ cy, law.A + law.B @ dyu @ law.C]])
     b = np.block([[bw, np.zeros((len(bw), 3)), bu], [law.B @ dyw, law.B, law.B @ dyu]])
@@ -219,7 +220,7 @@ def simulate(network, floor: np.ndarray, noise: np.ndarray, step: float, every: 
     x, z, u, new = (np.zeros((size, runs)) for size in (len(a), len(law.a), 2, 2))
     error = np.empty(floor.shape)
     for k in range(floor.shape[1]):
-        shake = np.vstack([floor[:, k], np.zeros((2, runs))])
+        shake = np.vstack([floor[:, k], np.zeros((3, runs))])
         if k % every == 0:
             y = plant.c[2:] @ x + plant.d[2:] @ np.vstack([shake, u])
             y[0] += noise[:, k // every]
@@ -329,6 +330,59 @@ def test_a_tone_through_a_sampled_loop_leaves_its_images():
     assert np.mean(error**2) == pytest.approx(
         budget.rms[0] ** 2, rel=0.02, abs=0
     )  # the simulation holds the floor
+
+
+def there_and_back(samples: int) -> np.ndarray:
+    """A stroke of 10 mm by a polynomial of seventh degree, a rest, and back."""
+    way = np.clip(np.arange(samples // 2) / (0.35 * samples), 0, 1)
+    stroke = 0.01 * way**4 * (35 - 84 * way + 70 * way**2 - 20 * way**3)
+    return np.concatenate([stroke, stroke[-1] - stroke])
+
+
+@pytest.mark.parametrize("advance", [0.0, 1.5])
+def test_a_setpoint_leaves_what_a_simulation_leaves(advance):
+    """A feedforward of 95 % of the mass, held and a sample late: the waveform between the samples, and its mean square."""
+    rate, every, samples = 500.0, 8, 400
+    network = machine(1, sample_time=1 / rate, delay=1.0, feedforward=0.0).network()
+    period = there_and_back(samples)
+    scan = setpoint("scan", period, rate, 19.0, advance / rate)
+    lines = np.fft.rfft(period)
+    lines[0] = 0  # a constant offset leaves nothing
+    fine = np.fft.irfft(lines, samples * every) * every
+    omega = 2 * np.pi * np.arange(len(lines)) * rate / samples
+    lines[-1] = 0  # half the rate, whose phase is not known
+    push = np.fft.irfft(-19.0 * omega**2 * lines * np.exp(1j * omega * advance / rate), samples)
+    plant, law, step = network.plant, network.controller, 1 / (rate * every)
+    a, b = held(plant.a, plant.b, step)
+    x, z, u, new = np.zeros(len(a)), np.zeros(len(law.a)), np.zeros(2), np.zeros(2)
+    error = np.zeros(12 * samples * every)
+    for k in range(len(error)):
+        r = fine[k % len(fine)]
+        if k % every == 0:
+            y = plant.c[2:] @ x + plant.d[2:, 4:] @ u - [r, 0, 0]
+            u = new
+            new = law.c @ z + law.d @ y + [push[k // every % samples], 0]
+            z = law.a @ z + law.b @ y
+        error[k] = plant.c[0] @ x + plant.d[0, 4:] @ u - r
+        x = a @ x + b @ np.concatenate([np.zeros(4), u])
+    last = error[-samples * every :]
+    band = (0.1, 2000.0)
+    found = control.tone_response(network, scan, np.arange(samples * every) * step, band)[0]
+    assert np.ptp(last) > 1e-6 and np.abs(found - last).max() < 3e-3 * np.abs(last).max()
+    rms = control.error_budget(network, [scan], band).rms[0]
+    assert rms == pytest.approx(last.std(), rel=1e-3, abs=0)
+
+
+def test_a_perfect_feedforward_of_a_rigid_stage_leaves_the_reaction_of_the_frame():
+    """In continuous time, without modes: nothing is left but what the frame does, which the relative position holds."""
+    rigid = lti.ModalModel(*map(np.array, ([0.0], [0.0], [[20**-0.5]], [[20**-0.5]], [[0.0]])))
+    heavy = FloorMachine(24e9, 12.0, 0.04, rigid, control.PidFamily(20.0)(30.0)).network()
+    period = there_and_back(400)
+    left = [
+        control.error_budget(heavy, [setpoint("scan", period, 500.0, mass)], (0.1, 200.0)).rms[0]
+        for mass in (20.0, 19.0, 0.0)
+    ]
+    assert left[0] < 1e-6 * left[2] and left[1] == pytest.approx(0.05 * left[2], rel=1e-6)
 
 
 def test_six_axes_forty_modes_ten_sources_take_less_than_a_second_and_grow_linearly():
@@ -449,6 +503,10 @@ def test_a_box_holds_what_lies_in_it():
         (lambda: control.Source("x", ("floor",), "m/s^2", lambda f: -f), "^x: density is negative"),
         (lambda: control.Source("x", ("floor",), "m/s^2", lambda f: f[:2]), "^x: density returned"),
         (lambda: control.Source("x", (), "m/s^2", lambda f: f), "^x: no place"),
+        (lambda: control.Source("x", ("floor",), "m/s^2", tones=((1.0, 2.0, 3.0),)), "^x: tones need"),
+        (lambda: control.Source("x", ("floor",), "m/s^2", tones=((-1.0, 2.0),)), "^x: tones hold"),
+        (lambda: control.Source("x", ("setpoint", "stage drive"), "m", tones=((1.0, 2.0, 3.0),)), "^x: unit is"),
+        (lambda: setpoint("x", np.ones(9), 1.0, 1.0), "^x: period is constant"),
         (
             lambda: tabulated("x", "floor", "m/s^2", np.array([3.0, 2.0]), np.ones(2)),
             "^x: frequencies_hz must rise",

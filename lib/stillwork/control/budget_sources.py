@@ -104,3 +104,40 @@ def periodic(
     return Source(
         name, (place,), unit, tones=tuple((float(k * spacing), float(amplitudes[k])) for k in lines)
     )
+
+
+@checked
+def setpoint(
+    name: str, period: ArrayLike, sample_rate: float, mass: float, advance: float = 0.0
+) -> Source:
+    """A setpoint that repeats itself, and the force mass x acceleration that is fed forward, at the two places of a machine.
+
+    It acts at ``setpoint`` and ``stage drive`` of a `FloorMachine`: what it leaves in the error is what the feedforward does
+    not know, a wrong `mass`, the delay of the command, the stage's modes and the reaction on the frame.
+
+    Parameters
+    ----------
+    name : str
+    period : array_like, shape (samples,)
+        Positions over one whole period, m, so that the last sample is followed by the first.
+    sample_rate : float
+        Hz.
+    mass : float
+        kg, what the feedforward takes for the stage's; 0: no feedforward.
+    advance : float
+        s, by which the feedforward is ahead of the setpoint, to make up for the delay.
+    """
+    positions = require_array("period", period, ndim=1)
+    if len(positions) < 3 or not np.ptp(positions):
+        raise InputError(f"{name}: period is constant or shorter than 3 samples; give one whole period")
+    require_number("mass", mass, at_least=0.0)
+    spacing = require_number("sample_rate", sample_rate, above=0.0) / len(positions)
+    lines = np.arange(1, (len(positions) + 1) // 2)
+    sizes = 2 * np.fft.rfft(positions)[lines] / len(positions)
+    omega = 2 * np.pi * spacing * lines
+    forces = -mass * omega**2 * sizes * np.exp(1j * omega * require_number("advance", advance))
+    tones = tuple(
+        (float(f), complex(size), complex(force))
+        for f, size, force in zip(spacing * lines, sizes, forces, strict=True)
+    )
+    return Source(name, ("setpoint", "stage drive"), "m, N", tones=tones)

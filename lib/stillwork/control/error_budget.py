@@ -43,15 +43,15 @@ class Source:
     places : tuple of str
         Inputs of the network at which it acts; several where the inputs are correlated.
     unit : str
-        Of its amplitude, such as ``m/s^2``; it must be the unit of its places.
+        Of its amplitude, such as ``m/s^2``; it must be the unit of its places, ``m, N`` where these differ.
     density : callable, optional
         Frequencies (Hz) to unit^2/Hz, shape (f,), or (places, places, f) as a cross-spectral matrix.
     band_hz : tuple of float
         Where the density is known; it counts as zero outside.
     knots_hz : array_like
         Frequencies at which the density has corners.
-    tones : tuple of (float, float)
-        Frequency (Hz) and amplitude (peak) of each tone.
+    tones : tuple of (float, complex, ...)
+        Frequency (Hz) of each tone, and its amplitude (peak) at each place, complex where its phase matters.
     freedom, resolution_hz : float
         Of an estimated density: degrees of freedom of a line, and the distance of the lines.
 
@@ -71,7 +71,7 @@ class Source:
     density: Callable[..., Any] | None = None
     band_hz: tuple[float, float] = (0.0, KNOWN)
     knots_hz: Float64[np.ndarray, " knots"] = field(default_factory=lambda: np.zeros(0))
-    tones: tuple[tuple[float, float], ...] = ()
+    tones: tuple[tuple[float | complex, ...], ...] = ()
     freedom: float = KNOWN
     resolution_hz: float = 0.0
 
@@ -81,8 +81,16 @@ class Source:
             raise InputError(
                 f"{self.name}: no place, or neither density nor tones; give both a place and one of these"
             )
-        if self.tones and len(self.places) > 1:
-            raise InputError(f"{self.name}: tones act at one place; give one source a place")
+        if any(len(tone) != 1 + len(self.places) for tone in self.tones):
+            raise InputError(f"{self.name}: tones need a frequency and an amplitude at each of {len(self.places)} places")
+        if not np.isfinite(self.tones).all() or any(tone[0].imag or tone[0].real < 0 for tone in self.tones):
+            raise InputError(f"{self.name}: tones hold a frequency that is below 0 or no number, or an infinite amplitude")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of each place."""
+        known = tuple(self.unit.split(", "))
+        return known * len(self.places) if len(known) == 1 else known
 
     def _at(self, frequencies_hz: np.ndarray) -> Complex128[np.ndarray, "places places f"]:
         """Cross-spectral matrix, zero outside the band."""
@@ -580,12 +588,7 @@ def error_budget(network: Network, sources: Sequence[Source], band_hz: tuple[flo
         raise InputError("sources is empty, or two have one name; give each its own")
     places = network.places
     for source in sources:
-        for place in source.places:
-            require_choice(f"{source.name}: place", place, places)
-            if source.unit != places[place]:
-                raise InputError(
-                    f"{source.name}: unit is {source.unit!r}, and {place!r} takes {places[place]}; convert it"
-                )
+        _require_units(network, source)
     knots = np.concatenate([source.knots_hz for source in sources])
     f, weights = _quadrature(low, high, network._poles_hz(low, high), knots)
     density = np.zeros((len(sources), len(network.errors), len(f)))
@@ -602,14 +605,18 @@ def error_budget(network: Network, sources: Sequence[Source], band_hz: tuple[flo
             chosen = paths[:, [order.index(place) for place in source.places]][..., inside]
             spectrum = source._at(_folded(f, network.rate_hz) if of_samples else seen[inside])
             row[:, inside] += np.einsum("zif,ijf,zjf->zf", chosen, spectrum, chosen.conj()).real
-    lines = [(k, *line) for k, source in enumerate(sources) for line in _lines(network, source, low, high)]
-    if lines:
-        extra = np.zeros((*density.shape[:2], len(lines)))
-        for column, (k, _, power) in enumerate(lines):
-            extra[k, :, column] = power
-        f, weights = np.append(f, [line[1] for line in lines]), np.append(weights, np.ones(len(lines)))
+    lines = [_lines(network, source, low, high) for source in sources]
+    count = sum(len(at) for at, _ in lines)
+    if count:
+        extra = np.zeros((*density.shape[:2], count))
+        first = 0
+        for k, (at, sizes) in enumerate(lines):
+            extra[k, :, first : first + len(at)] = np.abs(sizes) ** 2 / 2
+            first += len(at)
+        f = np.concatenate([f, *(at for at, _ in lines)])
+        weights = np.append(weights, np.ones(count))
         density = np.concatenate([density, extra], axis=2)
-    is_tone = np.arange(len(f)) >= len(f) - len(lines)
+    is_tone = np.arange(len(f)) >= len(f) - count
     rising = np.argsort(f, kind="stable")
     return ErrorBudget(
         names,
@@ -629,19 +636,83 @@ def _folded(f: np.ndarray, rate: float) -> np.ndarray:
     return np.abs((f + rate / 2) % rate - rate / 2) if rate else f
 
 
-def _lines(network: Network, source: Source, low: float, high: float):
-    """Frequency and power, by error, of every line that a tone leaves in the errors."""
-    for frequency, amplitude in source.tones:
-        column = list(network.places).index(source.places[0])
-        folds = range(-network._folds(high), network._folds(high) + 1)
-        for fold in folds:
-            at = frequency - fold * network.rate_hz
-            if low <= abs(at) <= high:  # a negative frequency is the positive one, conjugated
-                here = np.array([abs(at)])
-                path = network.paths(here)
-                if fold and source.places[0] in network.disturbances:
-                    path = network._folded(path, here, fold if at > 0 else -fold)
-                yield abs(at), np.abs(path[:, column, 0] * amplitude) ** 2 / 2
+def _require_units(network: Network, source: Source) -> None:
+    places = network.places
+    for place in source.places:
+        require_choice(f"{source.name}: place", place, places)
+    wanted = tuple(places[place] for place in source.places)
+    if source.units != wanted:
+        raise InputError(
+            f"{source.name}: unit is {source.unit!r}, and {', '.join(map(repr, source.places))} takes "
+            f"{', '.join(wanted)}; convert it"
+        )
+
+
+def _lines(
+    network: Network, source: Source, low: float, high: float
+) -> tuple[Float64[np.ndarray, " lines"], Complex128[np.ndarray, "errors lines"]]:
+    """Frequency and complex size, by error, of every line that the tones of a source leave in the errors."""
+    tones = np.array(source.tones, complex).reshape(-1, 1 + len(source.places))
+    order = list(network.places)
+    columns = [order.index(place) for place in source.places]
+    acts_between = np.array([place in network.disturbances for place in source.places])
+    found = [(np.zeros(0), np.zeros((len(network.errors), 0), complex))]
+    for fold in range(-network._folds(high), network._folds(high) + 1):
+        at = tones[:, 0].real - fold * network.rate_hz
+        inside = (np.abs(at) >= low) & (np.abs(at) <= high)
+        if not inside.any():
+            continue
+        at, amplitudes = at[inside], tones[inside, 1:].T
+        here = np.abs(at)
+        direct = network.paths(here)
+        path = direct[:, columns]
+        if fold:
+            for k in np.flatnonzero(acts_between):
+                up, down = (network._folded(direct, here, way)[:, columns[k]] for way in (fold, -fold))
+                path[:, k] = np.where(at > 0, up, down)
+        # A negative frequency is the positive one, conjugated.
+        found.append((here, np.einsum("zif,if->zf", path, np.where(at > 0, amplitudes, amplitudes.conj()))))
+    return np.concatenate([at for at, _ in found]), np.concatenate([sizes for _, sizes in found], axis=1)
+
+
+@checked
+def tone_response(
+    network: Network, source: Source, time: ArrayLike, band_hz: tuple[float, float]
+) -> Float64[np.ndarray, "errors samples"]:
+    """The errors over time that the tones of a source make, such as a setpoint's, once the start is forgotten.
+
+    Parameters
+    ----------
+    network : Network
+    source : Source
+        Its density is left out.
+    time : array_like, shape (samples,)
+        s.
+    band_hz : tuple of float
+        From where to where lines count.
+
+    Returns
+    -------
+    ndarray, shape (errors, samples)
+
+    Examples
+    --------
+    >>> spring = lti.StateModel([[-10.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+    >>> gain = lti.StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-5.0]])
+    >>> net = control.Network(spring, gain, {"load": "N"}, {"drive": "N"}, {"error": "m"}, {"sensor": "m"})
+    >>> hum = control.Source("hum", ("load",), "N", tones=((1e-3, 3.0),))
+    >>> control.tone_response(net, hum, [0.0], (1e-4, 1.0)).round(3)  # 3 N over 15 N/m
+    array([[0.2]])
+    """
+    _require_units(network, source)
+    require_number("band_hz[0]", band_hz[0], above=0.0)
+    require_number("band_hz[1]", band_hz[1], above=band_hz[0])
+    t = require_array("time", time, ndim=1)
+    at, sizes = _lines(network, source, *band_hz)
+    found = np.zeros((len(network.errors), len(t)))
+    for hertz, size in zip(at, sizes.T, strict=True):
+        found += (size[:, None] * np.exp(2j * np.pi * hertz * t)).real
+    return found
 
 
 def _quadrature(

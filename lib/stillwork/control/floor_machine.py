@@ -14,9 +14,9 @@ from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, interconnect
 
-DISTURBANCES = {"floor": "m/s^2", "stage force": "N", "frame force": "N"}
+DISTURBANCES = {"floor": "m/s^2", "stage force": "N", "frame force": "N", "setpoint": "m"}
 COMMANDS = {"stage drive": "N", "isolator drive": "N"}
-ERRORS = {"stage to frame": "m", "frame": "m/s^2"}
+ERRORS = {"stage to frame": "m", "frame": "m/s^2"}  # the first less the setpoint
 MEASUREMENTS = {"stage sensor": "m", "frame sensor": "m/s^2", "floor sensor": "m/s^2"}
 
 
@@ -121,16 +121,16 @@ class FloorMachine:
         n = len(stage.a)
         a = np.zeros((n + 2, n + 2))
         a[0, 1], a[1, :2], a[2:, 2:] = 1, (-k / mass, -d / mass), stage.a
-        b = np.zeros((n + 2, 5))
-        b[1] = -1, 0, 1 / mass, -1 / mass, 1 / mass
-        b[2:, [1, 3]] = stage.b
+        b = np.zeros((n + 2, 6))
+        b[1] = -1, 0, 1 / mass, 0, -1 / mass, 1 / mass
+        b[2:, [1, 4]] = stage.b
         b[3, 0] = -1 / stage.c[0, 0]  # of the rigid body alone: the others do not feel a shift of all
         apart = np.concatenate([[-1.0, 0.0], stage.c[0]])
         frame = a[1].copy()
         c = np.array([apart, frame, apart, frame, np.zeros(n + 2)])
-        felt = b[1] + [1, 0, 0, 0, 0]  # the frame's own acceleration, not relative to the floor's
-        compliance = float(stage.d[0, 0]) * np.array([0, 1, 0, 1, 0])
-        return StateModel(a, b, c, np.array([compliance, felt, compliance, felt, [1, 0, 0, 0, 0]]))
+        felt = b[1] + [1, 0, 0, 0, 0, 0]  # the frame's own acceleration, not relative to the floor's
+        apart_at_once = float(stage.d[0, 0]) * np.array([0, 1, 0, 0, 1, 0]) - [0, 0, 0, 1, 0, 0]
+        return StateModel(a, b, c, np.array([apart_at_once, felt, apart_at_once, felt, [1, 0, 0, 0, 0, 0]]))
 
     def _stage_law(self) -> StateModel:
         """From the stage sensor to the force on the stage."""
