@@ -10,7 +10,7 @@ from stillwork.__main__ import main, new
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 from stillwork.control.digital import DigitalController
-from stillwork.control.error_budget import error_budget
+from stillwork.control.error_budget import error_budget, tone_response
 from stillwork.control.pid import PidFamily
 from stillwork.design.budget import MACHINES, budget_file, machine_of, new_budget, sources_of
 from stillwork.lti.discretisation import tustin
@@ -69,9 +69,9 @@ def test_what_the_page_promises_comes_true(files, tmp_path):
 def test_the_level_that_is_said_to_matter_doubles_the_power(files, tmp_path):
     file = files["microscope-stage"]
     lines = budget_file(str(file), out=str(tmp_path / "1"))
-    level = re.search(r"stage force: no source given; ([\d.e-]+) N", "\n".join(lines))[1]
+    level = re.search(r"isolator drive: no source given; ([\d.e-]+) N", "\n".join(lines))[1]
     file.write_text(
-        file.read_text() + f'\n[sources.air]\nplace = "stage force"\nwhite = "{level} N/sqrt(Hz)"\n'
+        file.read_text() + f'\n[sources.coils]\nplace = "isolator drive"\nwhite = "{level} N/sqrt(Hz)"\n'
     )
     louder = rms(budget_file(str(file), out=str(tmp_path / "2")))
     assert louder**2 == pytest.approx(2 * rms(lines) ** 2, rel=0.1)  # two digits of the level
@@ -182,6 +182,9 @@ def test_the_command_line_begins_templates_and_refuses_to_overwrite(tmp_path, mo
         ('"10 mN"', '"10 kg"', "mains: unit is 'kg'"),
         ("feedforward_db = 20.0", "feedforward_db = -20.0", "feedforward_db is -20"),
         ("rate_hz = 10000.0", "rate_hz = -1.0", "rate_hz is -1"),
+        ('quantiser = "2 mN"', 'move = "2 mm"', "^DAC: move is not for the place 'stage drive'; give file"),
+        ('criterion = "VC-C"', 'file = "none.csv"', "none.csv"),
+        ('quantiser = "2 mN"', 'periodic = "none.csv"', "none.csv"),
     ],
 )
 def test_what_would_pass_unseen_or_unnamed_is_refused_by_its_name(old, fresh, said, files, tmp_path):
@@ -197,3 +200,82 @@ def test_ten_percent_more_of_a_number_saves_what_is_said(files, tmp_path):
     saved = float(re.search(r"bandwidth 10 % higher saves ([\d.e+]+) nm", lines[2])[1])
     more = budget_file(change(file, ("bandwidth_hz = 80.0", "bandwidth_hz = 88.0")), out=str(tmp_path / "2"))
     assert saved == pytest.approx(rms(lines) - rms(more), rel=0.03)
+
+
+def add(file, *lines):
+    file.write_text(file.read_text() + "\n" + "\n".join(lines) + "\n")
+    entries = read_toml(file)
+    machine = machine_of(entries)
+    return machine.network(), sources_of(entries, "", file.parent, 1e4, machine.stage_mass)
+
+
+def scan(file, **more):
+    fields = [f"{name} = {value!r}".replace("'", '"') for name, value in more.items()]
+    return add(file, "[sources.scan]", 'place = "setpoint"', *fields)
+
+
+def test_a_move_is_the_setpoint_that_a_file_holds_and_its_feedforward_takes_the_stages_mass(files, tmp_path):
+    network, sources = scan(files["wafer-stage"], move="20 mm", move_s=0.2, rest_s=0.1)
+    way = np.clip(np.arange(1500) / 1000, 0, 1)
+    there = 0.02 * way**4 * (35 - 84 * way + 70 * way**2 - 20 * way**3)
+    period = np.concatenate([there, 0.02 - there])
+    np.savetxt(
+        tmp_path / "scan.csv", np.c_[np.arange(3000) / 5000, period * 1e3], delimiter=",",
+        header="time,x (mm)", comments="",
+    )  # fmt: skip
+    _, held = scan(files["telescope-mirror"], setpoint="scan.csv", feedforward_mass_kg=20.0)
+    totals = [error_budget(network, [one[-1]], (0.5, 2000.0)).rms[0] for one in (sources, held)]
+    assert totals[1] == pytest.approx(totals[0], rel=1e-6) and totals[0] > 1e-9
+    lines = budget_file(str(files["wafer-stage"]), out=str(tmp_path / "out"))
+    (said,) = [line for line in lines if line.startswith("while it moves")]
+    waveform = tone_response(network, sources[-1], np.linspace(0, 0.6, 5000, endpoint=False), (0.5, 2000.0))[
+        0
+    ]
+    numbers = [float(n) * 1e-9 for n in re.findall(r"([\d.e+]+) nm", said)]
+    assert (
+        numbers[:2] == pytest.approx([waveform.std(), np.abs(waveform).max()], rel=6e-3) and len(numbers) == 3
+    )
+    assert any("scan: half of what its feedforward leaves" in line for line in lines)
+
+
+def test_a_periodic_file_is_its_tone_and_noise_may_come_from_a_file_or_as_a_power(files, tmp_path):
+    t = np.arange(4000) / 4000
+    ripple = np.c_[t, 3.0 * np.sin(2 * np.pi * 24 * t)]
+    np.savetxt(tmp_path / "ripple.csv", ripple, delimiter=",", header="time,f (mN)", comments="")
+    f = np.arange(1.0, 3000.0)
+    np.savetxt(
+        tmp_path / "sensor.csv", np.c_[f, 0.3 * np.ones_like(f)], delimiter=",",
+        header="frequency,s (nm/sqrt(Hz))", comments="",
+    )  # fmt: skip
+    network, sources = add(
+        files["wafer-stage"],
+        '[sources.a]\nplace = "stage drive"\nperiodic = "ripple.csv"',
+        '[sources.b]\nplace = "stage drive"\ntone_hz = 24.0\namplitude = "3 mN"',
+        '[sources.c]\nplace = "stage sensor"\nfile = "sensor.csv"',
+        '[sources.d]\nplace = "stage sensor"\nwhite = "0.09 nm^2/Hz"',
+        '[sources.e]\nplace = "stage sensor"\nwhite = "300 pm/√Hz"',
+    )
+    found = dict(
+        zip("abcde", error_budget(network, sources[-5:], (1.0, 2000.0)).rms_by_source[:, 0], strict=True)
+    )
+    assert found["a"] == pytest.approx(found["b"], rel=1e-6)
+    np.testing.assert_allclose([found["c"], found["d"]], found["e"], rtol=1e-5)
+
+
+def test_a_stage_elsewhere_has_its_own_error(files, tmp_path):
+    """One position is the file's own shares, the other has modes that the loop does not bear."""
+    file = files["wafer-stage"]
+    text = file.read_text().replace(
+        "[controller]",
+        "[machine.modes_share_at]\nhere = [0.15, -0.1]\nthere = [-60.0, -0.1]\n[controller]",
+        1,
+    )
+    file.write_text(text)
+    lines = budget_file(str(file), out=str(tmp_path / "out"))
+    (said,) = [line for line in lines if line.startswith("over the stage's positions")]
+    assert f"here {rms(lines):.3g} nm" in said and "there the closed loop is unstable" in said
+
+
+def test_only_what_has_a_path_is_asked_for(files, tmp_path):
+    lines = budget_file(str(files["microscope-stage"]), out=str(tmp_path / "out"))
+    assert "floor sensor" not in "\n".join(lines) and "hardly counts" in "\n".join(lines)

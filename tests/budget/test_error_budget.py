@@ -505,7 +505,10 @@ def test_a_box_holds_what_lies_in_it():
         (lambda: control.Source("x", (), "m/s^2", lambda f: f), "^x: no place"),
         (lambda: control.Source("x", ("floor",), "m/s^2", tones=((1.0, 2.0, 3.0),)), "^x: tones need"),
         (lambda: control.Source("x", ("floor",), "m/s^2", tones=((-1.0, 2.0),)), "^x: tones hold"),
-        (lambda: control.Source("x", ("setpoint", "stage drive"), "m", tones=((1.0, 2.0, 3.0),)), "^x: unit is"),
+        (
+            lambda: control.Source("x", ("setpoint", "stage drive"), "m", tones=((1.0, 2.0, 3.0),)),
+            "^x: unit is",
+        ),
         (lambda: setpoint("x", np.ones(9), 1.0, 1.0), "^x: period is constant"),
         (
             lambda: tabulated("x", "floor", "m/s^2", np.array([3.0, 2.0]), np.ones(2)),

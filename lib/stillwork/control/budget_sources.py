@@ -107,9 +107,7 @@ def periodic(
 
 
 @checked
-def setpoint(
-    name: str, period: ArrayLike, sample_rate: float, mass: float, advance: float = 0.0
-) -> Source:
+def setpoint(name: str, period: ArrayLike, sample_rate: float, mass: float, advance: float = 0.0) -> Source:
     """A setpoint that repeats itself, and the force mass x acceleration that is fed forward, at the two places of a machine.
 
     It acts at ``setpoint`` and ``stage drive`` of a `FloorMachine`: what it leaves in the error is what the feedforward does

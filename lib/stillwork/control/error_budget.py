@@ -82,9 +82,13 @@ class Source:
                 f"{self.name}: no place, or neither density nor tones; give both a place and one of these"
             )
         if any(len(tone) != 1 + len(self.places) for tone in self.tones):
-            raise InputError(f"{self.name}: tones need a frequency and an amplitude at each of {len(self.places)} places")
+            raise InputError(
+                f"{self.name}: tones need a frequency and an amplitude at each of {len(self.places)} places"
+            )
         if not np.isfinite(self.tones).all() or any(tone[0].imag or tone[0].real < 0 for tone in self.tones):
-            raise InputError(f"{self.name}: tones hold a frequency that is below 0 or no number, or an infinite amplitude")
+            raise InputError(
+                f"{self.name}: tones hold a frequency that is below 0 or no number, or an infinite amplitude"
+            )
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -323,6 +327,11 @@ class ErrorBudget:
     def powers(self) -> Float64[np.ndarray, "sources errors"]:
         """Mean squares."""
         return self.density @ self.weights_hz
+
+    @property
+    def rms_by_source(self) -> Float64[np.ndarray, "sources errors"]:
+        """Of each source alone."""
+        return np.sqrt(self.powers)
 
     @property
     def rms(self) -> Float64[np.ndarray, " errors"]:

@@ -10,17 +10,33 @@ import numpy as np
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table, read_toml
-from stillwork.control.budget_sources import criterion_floor, measured, quantiser, tabulated, white
+from stillwork.control.budget_sources import (
+    criterion_floor,
+    measured,
+    periodic,
+    quantiser,
+    setpoint,
+    tabulated,
+    white,
+)
 from stillwork.control.digital import load_controller, of_reference
-from stillwork.control.error_budget import ErrorBudget, Source, UnstableLoop, error_budget, sensitivities
+from stillwork.control.error_budget import (
+    ErrorBudget,
+    Network,
+    Source,
+    UnstableLoop,
+    error_budget,
+    sensitivities,
+    tone_response,
+)
 from stillwork.control.floor_machine import COMMANDS, DISTURBANCES, MEASUREMENTS, FloorMachine, force_law
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.design.html_page import page, picture, table
 from stillwork.design.retest import model_of
 from stillwork.lti.modal import ModalModel
 from stillwork.signals.datafiles import read_columns
-from stillwork.signals.densities import density_unit, frequency_axis, read_densities
-from stillwork.signals.records import is_time, load_record, to_acceleration, unit_factor
+from stillwork.signals.densities import density_unit, frequency_axis, read_densities, stated_density
+from stillwork.signals.records import Record, is_time, load_record, to_acceleration, unit_factor
 from stillwork.signals.spectra import estimate_spectrum
 from workbook import figures
 
@@ -30,51 +46,48 @@ FIELDS = {
     "file": ("name", "band_hz", "exposure_s", "duration_s", "machine", "controller", "sources"),
     "machine": (
         *("frame_mass_kg", "suspension_hz", "suspension_damping"),
-        *("stage_mass_kg", "modes_hz", "modes_share", "modes_damping"),
+        *("stage_mass_kg", "modes_hz", "modes_share", "modes_damping", "modes_share_at"),
     ),
     "controller": (
         *("bandwidth_hz", "rate_hz", "delay_samples"),
         *("skyhook_damping", "feedforward_db", "feedforward_from_hz"),
     ),
     "source": (
-        "place",
-        "criterion",
-        "file",
-        "unit",
-        "white",
-        "corner_hz",
-        "quantiser",
-        "tone_hz",
-        "amplitude",
+        *("place", "criterion", "file", "unit", "white", "corner_hz", "quantiser", "tone_hz", "amplitude"),
+        *("periodic", "setpoint", "move", "move_s", "rest_s", "feedforward_mass_kg", "feedforward_advance_s"),
     ),
 }
+KINDS = ("criterion", "file", "white", "quantiser", "tone_hz", "periodic", "setpoint", "move")
+CALM = 0.01  # of its largest acceleration, below which a setpoint counts as not accelerating
+MOVE_SAMPLES = 500  # in a stroke and in a rest
 EDGE = 0.05  # share of a source's part in a third of an octave at the end of what is known, from which on it is reported
-# What such parts usually have, offered where the file names none; none of these is anybody's machine.
+# What such parts usually have, as words and as the upper end; none of these is anybody's machine.
 TYPICAL = {
-    "floor": "VC-A (general laboratory) to VC-G (quiet)",
-    "stage force": "cables, hoses and air: 1e-4 to 1e-2 N/sqrt(Hz)",
-    "frame force": "acoustics and pumps: 1e-3 to 1e-1 N/sqrt(Hz)",
-    "stage sensor": "encoder 0.01 to 1 nm/sqrt(Hz), interferometer 1e-3 to 0.1",
-    "frame sensor": "piezo accelerometer 1e-7 to 1e-5 m/s^2/sqrt(Hz)",
-    "floor sensor": "piezo accelerometer 1e-7 to 1e-5 m/s^2/sqrt(Hz)",
-    "stage drive": "amplifier and DAC: 1e-5 to 1e-3 N/sqrt(Hz)",
-    "isolator drive": "amplifier and DAC: 1e-4 to 1e-2 N/sqrt(Hz)",
+    "floor": ("VC-A (general laboratory) to VC-G (quiet)", 1e-3),
+    "stage force": ("cables, hoses and air: 1e-4 to 1e-2 N/sqrt(Hz)", 1e-2),
+    "frame force": ("acoustics and pumps: 1e-3 to 1e-1 N/sqrt(Hz)", 1e-1),
+    "stage sensor": ("encoder 0.01 to 1 nm/sqrt(Hz), interferometer 1e-3 to 0.1", 1e-9),
+    "frame sensor": ("piezo accelerometer 1e-7 to 1e-5 m/s^2/sqrt(Hz)", 1e-5),
+    "floor sensor": ("piezo accelerometer 1e-7 to 1e-5 m/s^2/sqrt(Hz)", 1e-5),
+    "stage drive": ("amplifier and DAC: 1e-5 to 1e-3 N/sqrt(Hz)", 1e-3),
+    "isolator drive": ("amplifier and DAC: 1e-4 to 1e-2 N/sqrt(Hz)", 1e-2),
 }
+COUNTS, NOTHING = 7.0, 1e6  # times the usual level: adds 2 % of the power; no path at all but rounding
 MACHINES = {
     "wafer-stage": {
         "name": "a wafer-like stage", "frame": 180.0, "suspension": 4.0, "damping": 0.05, "stage": 20.0,
         "modes": "[450.0, 700.0]", "shares": "[0.15, -0.1]", "bandwidth": 80.0, "rate": 10000.0, "skyhook": 0.6,
-        "feedforward": 20.0, "floor": "VC-C", "sensor": "0.3 nm/sqrt(Hz)", "exposure": 0.01,
+        "feedforward": 20.0, "floor": "VC-C", "sensor": "0.3 nm/sqrt(Hz)", "exposure": 0.01, "dac": "2 mN", "air": "0.2 mN/sqrt(Hz)",
     },
     "microscope-stage": {
         "name": "a microscope stage on a laboratory floor", "frame": 60.0, "suspension": 1.5, "damping": 0.08, "stage": 0.8,
         "modes": "[300.0]", "shares": "[0.2]", "bandwidth": 25.0, "rate": 2000.0, "skyhook": 0.0, "feedforward": 0.0,
-        "floor": "VC-A", "sensor": "1 nm/sqrt(Hz)", "exposure": 0.1,
+        "floor": "VC-A", "sensor": "1 nm/sqrt(Hz)", "exposure": 0.1, "dac": "0.1 mN", "air": "20 uN/sqrt(Hz)",
     },
     "telescope-mirror": {
         "name": "a telescope mirror on its cell", "frame": 400.0, "suspension": 8.0, "damping": 0.01, "stage": 120.0,
         "modes": "[60.0, 95.0]", "shares": "[0.1, 0.05]", "bandwidth": 10.0, "rate": 1000.0, "skyhook": 0.3,
-        "feedforward": 0.0, "floor": "VC-B", "sensor": "2 nm/sqrt(Hz)", "exposure": 1.0,
+        "feedforward": 0.0, "floor": "VC-B", "sensor": "2 nm/sqrt(Hz)", "exposure": 1.0, "dac": "5 mN", "air": "5 mN/sqrt(Hz)",
     },
 }  # fmt: skip
 
@@ -119,9 +132,8 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
     entries = read_toml(machine)
     built = machine_of(entries, design)
     band = _band(entries)
-    sources = sources_of(
-        entries, floor, Path(machine).parent, 1 / built.sample_time if built.sample_time else 0.0
-    )
+    rate_hz = 1 / built.sample_time if built.sample_time else 0.0
+    sources = sources_of(entries, floor, Path(machine).parent, rate_hz, built.stage_mass)
     target = Path(out or ".") / f"{Path(machine).stem}.budget.html"
     if target.exists():
         raise InputError(f"{target} exists; move it away, or give another --out")
@@ -130,6 +142,8 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
     rows = {
         "what it is": _summary(entries, budget),
         "where it comes from": _parts(budget),
+        "while it moves": _moving(network, sources, band),
+        "over the stage's positions": [] if design else _positions(entries, sources, band),
         "what to buy next": purchases(built, sources, band, budget),
         "what each method gives": waterfall(built, sources, band),
         "what is not known": _unknown(network, sources, band, budget),
@@ -146,8 +160,8 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
     ]
 
 
-def machine_of(entries: Table, design: str = "") -> FloorMachine:
-    """The machine of a file; with a folder of `design`, that stage and controller."""
+def machine_of(entries: Table, design: str = "", position: str = "") -> FloorMachine:
+    """The machine of a file, at one of its positions; with a folder of `design`, that stage and controller."""
     body, law = entries.table("machine"), entries.table("controller")
     for name, fields in (("file", entries), ("machine", body), ("controller", law)):
         fields.require_known(FIELDS[name])
@@ -175,7 +189,10 @@ def machine_of(entries: Table, design: str = "") -> FloorMachine:
     else:
         mass = require_number("machine: stage_mass_kg", body["stage_mass_kg"], above=0.0)
         modes = require_array("machine: modes_hz", body.get("modes_hz", []), ndim=1)
-        shares = require_array("machine: modes_share", body.get("modes_share", []), shape=modes.shape)
+        seen = body.table("modes_share_at")[position] if position else body.get("modes_share", [])
+        shares = require_array(
+            f"machine: modes_share{'_at: ' * bool(position)}{position}", seen, shape=modes.shape
+        )
         stage = ModalModel(
             np.append(0.0, 2 * np.pi * modes),
             np.append(0.0, np.full(len(modes), _number(body, "modes_damping", 0.01))),
@@ -202,36 +219,44 @@ def _band(entries: Table) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def sources_of(entries: Table, floor: str, folder: Path, rate_hz: float) -> list[Source]:
-    """The sources of a file; a file of the floor takes the place of those that act there."""
+def sources_of(entries: Table, floor: str, folder: Path, rate_hz: float, mass: float = 0.0) -> list[Source]:
+    """The sources of a file; a file of the floor takes the place of those that act there.
+
+    A feedforward of the setpoint takes `mass` (kg) for the stage's where the file does not say its own.
+    """
     found = [
-        _source(name, entries.table("sources").table(name), folder, rate_hz)
+        _source(name, entries.table("sources").table(name), folder, rate_hz, mass)
         for name in entries.table("sources")
     ]
     if floor:
         found = [source for source in found if source.places != ("floor",)] + [
-            floor_of("floor", Path(floor), "")
+            measured_at("floor", Path(floor), "", "floor")
         ]
     return found
 
 
-def _source(name: str, entries: Table, folder: Path, rate_hz: float) -> Source:
+def _source(name: str, entries: Table, folder: Path, rate_hz: float, mass: float) -> Source:
     entries.require_known(FIELDS["source"])
     place = require_choice(f"{name}: place", entries["place"], PLACES)
-    kinds = [kind for kind in ("criterion", "file", "white", "quantiser", "tone_hz") if kind in entries]
+    kinds = [kind for kind in KINDS if kind in entries]
     if len(kinds) != 1:
-        raise InputError(
-            f"{name}: holds {kinds or 'no kind'}; give one of criterion, file, white, quantiser or tone_hz"
-        )
+        raise InputError(f"{name}: holds {kinds or 'no kind'}; give one of {', '.join(KINDS)}")
     kind = kinds[0]
-    if kind in ("criterion", "file") and place != "floor":
-        raise InputError(
-            f"{name}: a {kind} is for the place 'floor', not {place!r}; give white, quantiser or tone_hz"
+    moves = kind in ("setpoint", "move")
+    if (kind == "criterion" and place != "floor") or moves != (place == "setpoint"):
+        suits = {"floor": "criterion or file", "setpoint": "setpoint or move"}.get(
+            place, "file, white, quantiser, tone_hz or periodic"
         )
+        raise InputError(f"{name}: {kind} is not for the place {place!r}; give {suits}")
     if kind == "criterion":
         return criterion_floor(name, place, entries["criterion"])
     if kind == "file":
-        return floor_of(name, folder / entries["file"], entries.get("unit", ""))
+        return measured_at(name, folder / entries["file"], entries.get("unit", ""), place)
+    if kind == "periodic":
+        record = _one_record(name, folder / entries["periodic"], entries.get("unit", ""), place)
+        return periodic(name, place, PLACES[place], record.signals[0], record.sample_rate)
+    if moves:
+        return _setpoint(name, entries, folder, mass)
     if kind == "tone_hz":
         tone = float(require_number(f"{name}: tone_hz", entries["tone_hz"], above=0.0))
         return Source(
@@ -246,7 +271,7 @@ def _source(name: str, entries: Table, folder: Path, rate_hz: float) -> Source:
 
 
 def _amount(name: str, text, place: str, density: str) -> float:
-    """A number with its unit, as ``0.3 nm/sqrt(Hz)``, in the unit of a place."""
+    """A number with its unit, as ``0.3 nm/sqrt(Hz)`` or ``0.09 nm^2/Hz``, in the unit of a place."""
     words = str(text).split(maxsplit=1)
     wanted = f"{PLACES[place]}{density}"
     try:
@@ -256,27 +281,87 @@ def _amount(name: str, text, place: str, density: str) -> float:
     if len(words) < 2 or not np.isfinite(size) or size < 0:
         raise InputError(f"{name}: is {text!r}; give a number of at least 0 and its unit, as '1.0 {wanted}'")
     known = density_unit(words[1])
-    if (known is None) == bool(density) or (known and known[1] != 1):
+    if (known is None) == bool(density):
         raise InputError(f"{name}: unit is {words[1]!r}, and {place!r} takes {wanted}; convert it")
+    factor = _factor(name, known[0] if known else words[1], place, words[1], wanted)
+    return factor * (np.sqrt(size) if known and known[1] == 2 else size)
+
+
+def _factor(name: str, unit: str, place: str, said: str, wanted: str) -> float:
     try:
-        factor, unit = unit_factor(known[0] if known else words[1])
+        factor, known = unit_factor(unit)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-    if unit != PLACES[place]:
-        raise InputError(f"{name}: unit is {words[1]!r}, and {place!r} takes {wanted}; convert it")
-    return size * factor
+    if known != PLACES[place]:
+        raise InputError(f"{name}: unit is {said!r}, and {place!r} takes {wanted}; convert it")
+    return factor
 
 
-def floor_of(name: str, file: Path, unit: str) -> Source:
-    """A measured floor: densities with a column of frequencies, or a record, as accelerations."""
+def measured_at(name: str, file: Path, unit: str, place: str) -> Source:
+    """What was measured at a place: densities with a column of frequencies, or a record; of floors in any unit of motion."""
     columns = read_columns(file)
-    if frequency_axis(columns) and not any(is_time(each) for each in columns):
+    axis = frequency_axis(columns)
+    if not axis or any(is_time(each) for each in columns):
+        record = _one_record(name, file, unit, place)
+        resolution = max(16 / record.duration, 0.25)
+        spectrum = estimate_spectrum(record.signals, record.sample_rate, resolution)
+        return replace(
+            measured(name, place, PLACES[place], spectrum), band_hz=(resolution, 0.4 * record.sample_rate)
+        )
+    if PLACES[place] == "m/s^2":
         f, rows = read_densities(file, unit, [], 1)
-        return tabulated(name, "floor", "m/s^2", f, rows[0])
-    record = to_acceleration(load_record(file, unit, most_channels=1))
-    resolution = max(16 / record.duration, 0.25)
-    spectrum = estimate_spectrum(record.signals[:1], record.sample_rate, resolution)
-    return replace(measured(name, "floor", "m/s^2", spectrum), band_hz=(resolution, 0.4 * record.sample_rate))
+        return tabulated(name, place, "m/s^2", f, rows[0])
+    f = columns.pop(axis)
+    if len(columns) != 1:
+        raise InputError(
+            f"{name}: {file.name} holds {len(columns)} columns beside {axis!r}; keep the one that acts here"
+        )
+    ((column, row),) = columns.items()
+    said = unit or stated_density(column)
+    known, wanted = density_unit(said) if said else None, f"{PLACES[place]}/sqrt(Hz)"
+    if known is None:
+        raise InputError(
+            f"{name}: {file.name} gives {column!r} no unit of a density; write it in brackets, as ({wanted})"
+        )
+    level = _factor(name, known[0], place, said, wanted) ** 2 * (row**2 if known[1] == 1 else row)
+    return tabulated(name, place, PLACES[place], f[f > 0], level[f > 0])
+
+
+def _one_record(name: str, file: Path, unit: str, place: str) -> Record:
+    """One channel over time, in the unit of its place."""
+    record = load_record(file, unit, most_channels=1)
+    if PLACES[place] == "m/s^2":
+        return to_acceleration(record)
+    if record.unit != PLACES[place]:
+        raise InputError(
+            f"{name}: {file.name} is in {record.unit}, and {place!r} takes {PLACES[place]}; convert it"
+        )
+    return record
+
+
+def _setpoint(name: str, entries: Table, folder: Path, mass: float) -> Source:
+    """A setpoint from a file of one period, or a stroke there and back, with the feedforward of mass and acceleration."""
+    if "move" in entries:
+        stroke = _amount(name, entries["move"], "setpoint", "")
+        seconds, rest = (
+            float(require_number(f"{name}: {field}", entries[field], above=0.0))
+            for field in ("move_s", "rest_s")
+        )
+        rate = max(MOVE_SAMPLES / seconds, MOVE_SAMPLES / rest)
+        way = np.clip(np.arange(round((seconds + rest) * rate)) / (seconds * rate), 0.0, 1.0)
+        there = stroke * way**4 * (35 - 84 * way + 70 * way**2 - 20 * way**3)  # jerk begins and ends at 0
+        period = np.concatenate([there, stroke - there])
+    else:
+        record = _one_record(name, folder / entries["setpoint"], entries.get("unit", ""), "setpoint")
+        period, rate = record.signals[0], record.sample_rate
+    believed = _number(entries, "feedforward_mass_kg", mass)
+    return setpoint(
+        name,
+        period,
+        rate,
+        require_number(f"{name}: feedforward_mass_kg", believed, at_least=0.0),
+        _number(entries, "feedforward_advance_s", 0.0),
+    )
 
 
 def _summary(entries: Table, budget: ErrorBudget) -> list[list[str]]:
@@ -299,6 +384,38 @@ def _summary(entries: Table, budget: ErrorBudget) -> list[list[str]]:
     ]
 
 
+def _moving(network: Network, sources: list[Source], band: tuple[float, float]) -> list[list[str]]:
+    """What each periodic setpoint leaves: over the whole period, at most, and where it does not accelerate."""
+    rows = []
+    for source in sources:
+        if source.places[0] != "setpoint":
+            continue
+        lines = np.array(source.tones)
+        period = 1 / lines[0, 0].real
+        t = np.linspace(0.0, period, 4 * len(lines), endpoint=False)
+        error = tone_response(network, source, t, band)[0]
+        waves = np.exp(2j * np.pi * np.outer(t, lines[:, 0].real))
+        pull = np.abs((waves @ (-((2 * np.pi * lines[:, 0]) ** 2) * lines[:, 1])).real)
+        calm = pull < CALM * pull.max()
+        rows.append([f"{source.name}: rms over the period", nanometres(error.std())])
+        rows.append(["at most", nanometres(np.abs(error).max())])
+        if calm.any():
+            rows.append(["rms while it does not accelerate", nanometres(np.sqrt(np.mean(error[calm] ** 2)))])
+    return rows
+
+
+def _positions(entries: Table, sources: list[Source], band: tuple[float, float]) -> list[list[str]]:
+    """The error with the stage elsewhere, where its modes have other shares."""
+    rows, body = [], entries.table("machine")
+    for position in body.table("modes_share_at") if "modes_share_at" in body else []:
+        try:
+            network = machine_of(entries, position=position).network()
+            rows.append([position, nanometres(error_budget(network, sources, band).rms[0])])
+        except UnstableLoop as error:
+            rows.append([position, str(error)])
+    return rows
+
+
 def nanometres(metres: float) -> str:
     return f"{1e9 * metres:.3g} nm"
 
@@ -306,7 +423,7 @@ def nanometres(metres: float) -> str:
 def _parts(budget: ErrorBudget) -> list[list[str]]:
     order = np.argsort(-budget.powers[:, 0], kind="stable")
     rows = [
-        [budget.names[k], nanometres(np.sqrt(budget.powers[k, 0])), f"{100 * budget.shares[k, 0]:.1f} %"]
+        [budget.names[k], nanometres(budget.rms_by_source[k, 0]), f"{100 * budget.shares[k, 0]:.1f} %"]
         for k in order
     ]
     edges = budget.edges()
@@ -326,9 +443,14 @@ def purchases(
     machine: FloorMachine, sources: list[Source], band: tuple[float, float], budget: ErrorBudget
 ) -> list[list[str]]:
     """What saves most, in nanometres: each source at half its level, each number of the machine 10 % the better way."""
+    moving = {source.name for source in sources if source.places[0] == "setpoint"}
     offers = [
-        (saved, f"{name} at half its level")
-        for name, saved in zip(budget.names, budget.saved()[:, 0], strict=True)
+        (
+            saved,
+            f"{name}: half of what its feedforward leaves" if name in moving else f"{name} at half its level",
+            share,
+        )
+        for name, saved, share in zip(budget.names, budget.saved()[:, 0], budget.shares[:, 0], strict=True)
     ]
     numbers = {
         "suspension frequency": machine.suspension_hz,
@@ -367,10 +489,11 @@ def purchases(
             continue  # nobody buys a longer one
         way = "lower" if slope > 0 else "higher"
         saved = budget.rms[0] * (1 - (0.9 if slope > 0 else 1.1) ** slope)
-        offers.append((saved, f"{name.replace('_', ' ')} 10 % {way}"))
+        offers.append((saved, f"{name.replace('_', ' ')} 10 % {way}", slope))
     order = sorted(offers, key=lambda offer: -offer[0])
     return [
-        [f"{place + 1}.", words, f"saves {nanometres(saved)}"] for place, (saved, words) in enumerate(order)
+        [f"{place + 1}.", words, f"saves {nanometres(saved)}", f"sensitivity {slope:+.2g}"]
+        for place, (saved, words, slope) in enumerate(order)
     ]
 
 
@@ -402,20 +525,20 @@ def _unknown(
         place
         for place in PLACES
         if place not in known
+        and place in TYPICAL
         and np.any(network.paths([np.sqrt(band[0] * band[1])])[0, list(PLACES).index(place)])
     ]
     if not missing:
         return []
     unit = error_budget(network, [white(place, place, PLACES[place], 1.0) for place in missing], band)
-    levels = budget.rms[0] / np.sqrt(unit.powers[:, 0])
-    return [
-        [
-            f"{place}: no source given;",
-            f"{level:.2g} {PLACES[place]}/sqrt(Hz) would double the power;",
-            f"typical: {TYPICAL[place]}",
-        ]
-        for place, level in zip(missing, levels, strict=True)
-    ]
+    rows = []
+    for place, power in zip(missing, unit.powers[:, 0], strict=True):
+        level, (typical, high) = budget.rms[0] / np.sqrt(power), TYPICAL[place]
+        if level < NOTHING * high:
+            found = "so it may count" if level < COUNTS * high else "so it hardly counts"
+            said = f"{level:.2g} {PLACES[place]}/sqrt(Hz) would double the power;"
+            rows.append([f"{place}: no source given;", said, f"typical: {typical}; {found}"])
+    return rows
 
 
 def paint_budget(budget: ErrorBudget):

@@ -13,7 +13,7 @@ from stillwork.signals.records import MOTION_UNITS, unit_factor
 DENSITIES_SAID = "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), say, with m, u or n before a unit"
 # What a column beside a frequency is called when it is a part of a response, and no density.
 _PARTS = re.compile(r"\b(re|real|im|imag|imaginary|mag|magnitude|amplitude|gain|phase|angle|coherence|coh)\b")
-_SUFFIX = re.compile(r"_([munk]?[mg])(_s2|_s)?_(rthz|sqrthz|2_hz)$")
+_SUFFIX = re.compile(r"_([munpk]?[mg])(_s2|_s)?_(rthz|sqrthz|2_hz)$")
 _FREQUENCY_WORDS = ("frequency", "frequencies", "freq", "f", "hz")
 
 

@@ -39,14 +39,14 @@ _QUANTITIES = (
     "count/s^2",
 )
 SI_UNITS = (*_QUANTITIES, "1")
-_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
+_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "k": 1e3}
 # What a unit means: factor to SI, and the SI unit.
 UNITS = {
     **{f"{p}{q}": (factor, q) for q in _QUANTITIES for p, factor in _PREFIXES.items()},
     **{f"{p}g": (factor * STANDARD_GRAVITY, "m/s^2") for p, factor in _PREFIXES.items() if p != "k"},
     "1": (1.0, "1"),
 }
-UNITS_SAID = f"{', '.join(_QUANTITIES)} or 1, with m, u, n or k in front, or g, mg, ug, ng"
+UNITS_SAID = f"{', '.join(_QUANTITIES)} or 1, with m, u, n, p or k in front, or g, mg, ug, ng"
 
 # A step of time may differ from the period by this share: printed times are often that coarse. An instant off by
 # d seconds falsifies a component at f by at most 2 pi f d of its size, 6 % at a tenth of the sample rate.
@@ -242,7 +242,7 @@ def load_unscaled(
 def unit_factor(unit: str) -> tuple[float, str]:
     """Factor to SI and the SI unit of `unit`; an unknown one raises `InputError` that names the nearest."""
     plain = unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "^2").replace("s2", "s^2")
-    plain = re.sub(r"^([munk]?)N[-*· ]?m$", r"\1N m", plain.replace("counts", "count"))
+    plain = re.sub(r"^([munpk]?)N[-*· ]?m$", r"\1N m", plain.replace("counts", "count"))
     if plain not in UNITS:
         raise InputError(f"unit is {unit!r}; use {UNITS_SAID}{nearest(plain, UNITS)}")
     return UNITS[plain]
