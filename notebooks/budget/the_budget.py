@@ -1,68 +1,86 @@
 """The budget: in which order the methods stand over floors and open choices, and the spectra of one waterfall."""
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
-from experiments.budget.machine import BAND_HZ, FLOORS, floor, machine, noises
+from experiments.budget.machine import BAND_HZ, FLOORS, Assumed, machine, on_every_floor, parameters
 from experiments.budget.waterfall import STEPS
-from stillwork.control.error_budget import ErrorBudget, error_budget
+from stillwork.control.budget_sources import setpoint
+from stillwork.control.error_budget import ErrorBudget, Source, UnstableLoop, tone_response
 from workbook import figures
 
-SCALES = (0.5, 2.0)  # of what is assumed: drive and sensors of the isolator, mass of the frame
+SCALES = (
+    0.5,
+    2.0,
+)  # of what is assumed: frame, damper of the struts, noise of drives and of the isolator's sensors
+LOUD, QUIET = ("VC-A", "VC-B", "slab under footfall"), ("VC-F", "VC-G", "LIGO ground")
+STATEMENTS = {
+    "feedforward-first-loud": lambda e: e["feedforward"] < np.minimum(e["skyhook"], e["observer"]),
+    "observer-costs-quiet": lambda e: e["observer"] > e["passive, PID"],
+    "observer-costs-quietest": lambda e: e["observer"] > e["passive, PID"],
+    "together-best-loud": lambda e: e["all"] <= np.min(list(e.values()), axis=0),
+    "together-costs-quiet": lambda e: e["all"] > e["skyhook"],
+}
+ON = {
+    "feedforward-first-loud": LOUD,
+    "observer-costs-quiet": QUIET,
+    "observer-costs-quietest": QUIET[-1:],
+    "together-best-loud": LOUD,
+    "together-costs-quiet": QUIET,
+}
 
 
-def open_points() -> list[dict[str, float]]:
-    """Corners of what the machine's file assumes: frame, damper of the struts, and noise of the assumed parts."""
-    names = ("frame", "damper", "noise")
-    return [dict(zip(names, scales, strict=True)) for scales in product(SCALES, repeat=len(names))]
+def open_points() -> list[Assumed]:
+    """Corners of what the machine's file assumes."""
+    return [Assumed(*scales) for scales in product(SCALES, repeat=3)]
 
 
-def step_errors(point: dict[str, float]) -> dict[str, np.ndarray]:
-    """Rms of each step on every floor, m, at a corner of what is assumed."""
+def step_errors(assumed: Assumed, share: float = 1.0, position: int = 0) -> dict[str, np.ndarray]:
+    """Rms of each step on every floor, m; `share` of each bandwidth, the stage measured at a `position`."""
     found = {}
     for name, step in STEPS.items():
-        built = machine(**step)
-        built = replace(
-            built,
-            frame_mass=built.frame_mass * point["frame"],
-            suspension_hz=built.suspension_hz
-            * np.sqrt(
-                (built.frame_mass + built.stage_mass) / (built.frame_mass * point["frame"] + built.stage_mass)
-            ),
-            suspension_damping=built.suspension_damping * point["damper"],
-        )
-        powers = error_budget(built.network(), [*map(floor, FLOORS), *noises()], BAND_HZ).powers[:, 0]
-        others = powers[len(FLOORS) :] * np.array([1.0, *[point["noise"] ** 2] * 3])
-        found[name] = np.sqrt(powers[: len(FLOORS)] + others.sum())
+        built = machine(**step, assumed=assumed, position=position)
+        if share != 1.0:
+            used = step.get("used", "PID")
+            law = parameters()["bandwidth"]
+            built = machine(
+                **step,
+                assumed=assumed,
+                position=position,
+                bandwidth_hz=share * law["design_share"] * law[used],
+            )
+        by_floor, others = on_every_floor(built, FLOORS, assumed.noise)
+        found[name] = np.sqrt(by_floor + others.sum())
     return found
 
 
 def statements(study: list[dict[str, np.ndarray]]) -> dict[str, float]:
-    """Shares of corners at which each statement on floors holds."""
-    loud = [FLOORS.index(name) for name in ("VC-A", "VC-B", "slab under footfall")]
-    quiet = [FLOORS.index(name) for name in ("VC-F", "VC-G", "LIGO ground")]
+    """Shares of corners at which each statement holds on all of its floors."""
     return {
-        "together-best-loud": float(
-            np.mean([np.all(s["all"][loud] <= np.min(list(s.values()), axis=0)[loud]) for s in study])
-        ),
-        "feedforward-first-loud": float(
-            np.mean(
-                [
-                    np.all(s["feedforward"][loud] < np.minimum(s["skyhook"], s["observer"])[loud])
-                    for s in study
-                ]
-            )
-        ),
-        "observer-costs-quiet": float(
-            np.mean([np.all(s["observer"][quiet] > s["passive, PID"][quiet]) for s in study])
-        ),
-        "observer-costs-quietest": float(np.mean([s["observer"][-1] > s["passive, PID"][-1] for s in study])),
-        "together-costs-quiet": float(
-            np.mean([np.all(s["all"][quiet] > s["skyhook"][quiet]) for s in study])
-        ),
+        name: float(np.mean([all(holds(s)[FLOORS.index(floor)] for floor in ON[name]) for s in study]))
+        for name, holds in STATEMENTS.items()
     }
+
+
+def waterfall_study(
+    frame: float,
+    struts_damping: float,
+    assumed_noise: float,
+    feedforward_decibels: float,
+    bandwidth_share: float,
+    measured_mass: int,
+    *,
+    seed: int = 0,
+    lean: bool = False,
+) -> dict[str, float]:
+    """Whether each statement holds at one combination."""
+    assumed = Assumed(frame, struts_damping, assumed_noise, feedforward_decibels)
+    try:
+        errors = step_errors(assumed, bandwidth_share, measured_mass)
+    except UnstableLoop:
+        return {f"budget.waterfall.{name}": np.nan for name in STATEMENTS}
+    return {f"budget.waterfall.{name}": share for name, share in statements([errors]).items()}
 
 
 def paint_spectra(budgets: dict[str, ErrorBudget]):
@@ -88,3 +106,45 @@ def table_of(budgets: dict[str, ErrorBudget], exposure: float) -> list[str]:
             f"{average:7.3g} {deviation:7.3g}"
         )
     return lines
+
+
+# === A machine that moves =========================================================================================
+
+RATE_HZ = 2e4  # of the controllers of the machine that moves
+
+
+def there_and_back(stroke: float, seconds: float, rest: float) -> np.ndarray:
+    """Positions of one period at `RATE_HZ`: a stroke by a polynomial of seventh degree, a rest, back, and a rest (m)."""
+    way = np.clip(np.arange(round((seconds + rest) * RATE_HZ)) / round(seconds * RATE_HZ), 0.0, 1.0)
+    there = stroke * way**4 * (35 - 84 * way + 70 * way**2 - 20 * way**3)
+    return np.concatenate([there, stroke - there])
+
+
+def moving_sources(period: np.ndarray, mass_share: float, force: float, force_hz: float) -> list[Source]:
+    """The setpoint whose feedforward takes a share of the stage's mass, 1.5 samples ahead, and a pump on the frame."""
+    mass = mass_share * machine().stage_mass
+    return [
+        setpoint("setpoint", period, RATE_HZ, mass, 1.5 / RATE_HZ),
+        Source("pump", ("frame force",), "N", tones=((force_hz, force),)),
+    ]
+
+
+def moving_errors(period: np.ndarray, mass_share: float, force: float, force_hz: float) -> dict[str, np.ndarray]:
+    """Error over one period and a hundred times of it, m, by step: of the setpoint alone and of the pump alone."""
+    found = {}
+    for name, step in STEPS.items():
+        network = machine(**step, sample_time=1 / RATE_HZ, delay=1.0).network()
+        time = np.arange(0, len(period), 10) / RATE_HZ
+        found[name] = np.array(
+            [
+                tone_response(network, source, time, BAND_HZ)[0]
+                for source in moving_sources(period, mass_share, force, force_hz)
+            ]
+        )
+    return found
+
+
+def resting(period: np.ndarray) -> np.ndarray:
+    """Which of the drawn samples lie in a rest."""
+    moves = np.abs(np.gradient(period)) > 1e-12 * np.ptp(period)
+    return ~moves[::10]

@@ -1,6 +1,6 @@
 """The machine with each paper's method or without, its floors and sources, and the budget of all of them at once."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -26,38 +26,45 @@ SLAB_HZ = (5.0, 150.0)  # where its record can be trusted (its SOURCE.md)
 RESOLUTION_HZ = 0.5  # of the slab's spectrum
 
 
+@dataclass(frozen=True)
+class Assumed:
+    """What no paper prints: factors on the frame's mass, the struts' damping and the noise beside the stage's sensor."""
+
+    frame: float = 1.0
+    damper: float = 1.0
+    noise: float = 1.0
+    feedforward_db: float = 0.0  # 0: the file's
+
+
 @cache
 def parameters() -> Table:
     return read_toml(paths.data("budget", "machine.toml"))
 
 
 @cache
-def stage(damping_ratio: float | None = None) -> ModalModel:
-    """Free stage of the thesis: force on the actuator mass to the position of one other."""
+def stage(position: int = 0) -> ModalModel:
+    """Free stage of the thesis: force on the actuator mass to the position of one other, 0: the file's."""
     p = parameters().table("stage")
     n = p["masses"] + 1
     springs = np.array([p["actuator_stiffness"], *[p["stiffness"]] * (n - 2)])
     difference, places = np.diff(np.eye(n), axis=0), np.eye(n)
     mass = np.diag([p["actuator_mass"], *[p["mass"]] * (n - 1)])
-    ratio = p["damping_ratio"] if damping_ratio is None else damping_ratio
-    at = p["position"]
-    return modal_model(
-        mass, difference.T @ (springs[:, None] * difference), places[:, :1], places[at : at + 1], ratio
-    )
+    at = position or p["position"]
+    stiffness = difference.T @ (springs[:, None] * difference)
+    return modal_model(mass, stiffness, places[:, :1], places[at : at + 1], p["damping_ratio"])
 
 
 @cache
-def observer(name: str) -> StateModel | None:
-    """Compensator of one use of the thesis's observer; None for the PID alone."""
+def observer(name: str, position: int = 0, sample_time: float = 0.0, delay: float = 0.0) -> StateModel | None:
+    """Compensator of one use of the thesis's observer, which knows a `delay` in samples; None for the PID alone."""
     if name == "PID":
         return None
     p, retained = parameters().table("observer"), parameters().table("stage")["retained_modes"]
     noise = NoiseIntensities(p["force_noise"] ** 2, 2 * p["sensor_noise"] ** 2)
     damped = {"damping": p["added_damping"], "selectivity": p["selectivity"]} if "AD" in name else {}
     drift = {"MC": p["drift"], "MC and AD": p["drift_with_damping"]}.get(name)
-    return observing_compensator(
-        stage(), Application(compensate="MC" in name, **damped), retained, noise, drift
-    )
+    use = Application(compensate="MC" in name, **damped)
+    return observing_compensator(stage(position), use, retained, noise, drift, sample_time, delay)
 
 
 def machine(
@@ -67,6 +74,10 @@ def machine(
     feedforward: bool = False,
     bandwidth_hz: float = 0.0,
     payload: float = 0.0,
+    position: int = 0,
+    sample_time: float = 0.0,
+    delay: float = 0.0,
+    assumed: Assumed = Assumed(),
 ) -> FloorMachine:
     """The machine with some of the methods; 0 Hz: the bandwidth that the thesis prints for this use of the observer.
 
@@ -75,20 +86,23 @@ def machine(
     p, law = parameters().table("isolator"), parameters().table("bandwidth")
     vertical = p["struts"] * np.cos(np.radians(p["tilt_deg"])) ** 2
     stiffness, damping = p["strut_stiffness"] * vertical, p["strut_damping"] * vertical
-    frame = p["frame_mass"] + payload
-    plant = stage()
+    frame = assumed.frame * p["frame_mass"] + payload
+    plant = stage(position)
     own = float(1 / (plant.input_shapes[0, 0] * plant.output_shapes[0, 0]))
     omega = np.sqrt(stiffness / (frame + own))
+    decibels = assumed.feedforward_db or p["feedforward_db"]
     return FloorMachine(
         frame,
         omega / (2 * np.pi),
-        damping / (2 * omega * (frame + own)),
+        assumed.damper * damping / (2 * omega * (frame + own)),
         plant,
         PidFamily(own)(bandwidth_hz or law["design_share"] * law[used]),
-        compensator=observer(used),
+        compensator=observer(used, position, sample_time, delay),
         skyhook=p["skyhook"] if skyhook else 0.0,
-        feedforward=1 - 10 ** (-p["feedforward_db"] / 20) if feedforward else 0.0,
+        feedforward=1 - 10 ** (-decibels / 20) if feedforward else 0.0,
         integrator_hz=p["integrator_hz"],
+        sample_time=sample_time,
+        delay=delay,
     )
 
 
@@ -109,14 +123,14 @@ def floor(name: str) -> Source:
     return criterion_floor(name, "floor", name)
 
 
-def noises(sensor: float | None = None) -> list[Source]:
-    """What acts beside the floor; of the stage's `sensor` in m/sqrt(Hz)."""
+def noises(sensor: float | None = None, factor: float = 1.0) -> list[Source]:
+    """What acts beside the floor; of the stage's `sensor` in m/sqrt(Hz), the others by a factor on what is assumed."""
     p = parameters().table("noise")
     return [
         white("stage sensor", "stage sensor", "m", p["sensor"] if sensor is None else sensor),
-        white("stage drive", "stage drive", "N", p["drive"]),
-        white("floor sensor", "floor sensor", "m/s^2", p["floor_sensor"]),
-        white("frame sensor", "frame sensor", "m/s^2", p["frame_sensor"]),
+        white("stage drive", "stage drive", "N", factor * p["drive"]),
+        white("floor sensor", "floor sensor", "m/s^2", factor * p["floor_sensor"]),
+        white("frame sensor", "frame sensor", "m/s^2", factor * p["frame_sensor"]),
     ]
 
 
@@ -126,8 +140,8 @@ def budget_of(built: FloorMachine, name: str, sensor: float | None = None) -> Er
 
 
 def on_every_floor(
-    built: FloorMachine, floors: tuple[str, ...] = FLOORS
+    built: FloorMachine, floors: tuple[str, ...] = FLOORS, factor: float = 1.0
 ) -> tuple[Float64[np.ndarray, " floors"], Float64[np.ndarray, "4"]]:
     """Mean squares of the error by each floor and by each of `noises`, from one pass; all add up."""
-    powers = error_budget(built.network(), [*map(floor, floors), *noises()], BAND_HZ).powers[:, 0]
+    powers = error_budget(built.network(), [*map(floor, floors), *noises(None, factor)], BAND_HZ).powers[:, 0]
     return powers[: len(floors)], powers[len(floors) :]
