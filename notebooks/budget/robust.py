@@ -100,9 +100,9 @@ def statements(rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0) ->
     }
 
 
-def robust_study(control_rate: float, box_places: int, *, seed: int, lean: bool = False) -> dict[str, float]:
-    """The statements at another rate, with more places, elsewhere in the box."""
-    return statements(control_rate, box_places, seed)
+def robust_study(control_rate: float, *, seed: int, lean: bool = False) -> dict[str, float]:
+    """The statements at another rate, elsewhere in the box."""
+    return statements(control_rate, PLACES, seed)
 
 
 def paint_box(size: float):

@@ -4,10 +4,10 @@ from itertools import product
 
 import numpy as np
 
-from experiments.budget.machine import BAND_HZ, FLOORS, Assumed, machine, on_every_floor, parameters
+from experiments.budget.machine import AS_FILED, BAND_HZ, FLOORS, Assumed, machine, on_every_floor, parameters
 from experiments.budget.waterfall import STEPS
 from stillwork.control.budget_sources import setpoint
-from stillwork.control.error_budget import ErrorBudget, Source, UnstableLoop, tone_response
+from stillwork.control.error_budget import ErrorBudget, Source, UnstableLoop, error_budget, tone_response
 from workbook import figures
 
 SCALES = (
@@ -129,11 +129,13 @@ def moving_sources(period: np.ndarray, mass_share: float, force: float, force_hz
     ]
 
 
-def moving_errors(period: np.ndarray, mass_share: float, force: float, force_hz: float) -> dict[str, np.ndarray]:
-    """Error over one period and a hundred times of it, m, by step: of the setpoint alone and of the pump alone."""
+def moving_errors(
+    period: np.ndarray, mass_share: float, force: float, force_hz: float, assumed: Assumed = AS_FILED
+) -> dict[str, np.ndarray]:
+    """Error over one period, m, by step: of the setpoint alone and of the pump alone, (2, samples)."""
     found = {}
     for name, step in STEPS.items():
-        network = machine(**step, sample_time=1 / RATE_HZ, delay=1.0).network()
+        network = machine(**step, sample_time=1 / RATE_HZ, delay=1.0, assumed=assumed).network()
         time = np.arange(0, len(period), 10) / RATE_HZ
         found[name] = np.array(
             [
@@ -148,3 +150,58 @@ def resting(period: np.ndarray) -> np.ndarray:
     """Which of the drawn samples lie in a rest."""
     moves = np.abs(np.gradient(period)) > 1e-12 * np.ptp(period)
     return ~moves[::10]
+
+
+def moving_statements(errors: dict[str, np.ndarray], rest: np.ndarray) -> dict[str, float]:
+    """What the setpoint leaves, by the ledger's names."""
+    left = {name: float(np.sqrt(np.mean(one[0, rest] ** 2))) for name, one in errors.items()}
+    order = left["observer"] < left["skyhook"] < left["passive, PID"]
+    return {
+        "budget.moving.observer-first": float(order),
+        "budget.moving.floor-feedforward-nothing": abs(left["feedforward"] / left["passive, PID"] - 1),
+        "budget.moving.passive": 1e9 * left["passive, PID"],
+        "budget.moving.together": 1e9 * left["all"],
+    }
+
+
+def moving_study(
+    frame: float, stroke_time: float, mass_share: float, *, seed: int = 0, lean: bool = False
+) -> dict[str, float]:
+    """The statements on a moving machine with another frame, setpoint and feedforward."""
+    period = there_and_back(0.02, stroke_time, 0.1)
+    try:
+        errors = moving_errors(period, mass_share, 0.01, 24.0, Assumed(frame=frame))
+    except UnstableLoop:
+        return dict.fromkeys(
+            moving_statements({name: np.ones((2, 1)) for name in STEPS}, np.ones(1, bool)), np.nan
+        )
+    return moving_statements(errors, resting(period))
+
+
+def paint_moving(errors: dict[str, np.ndarray], period: np.ndarray):
+    """Error over one period by step, and the rests of the setpoint shaded."""
+    figure, axes = figures.new(height=2.8)
+    time = 10 * np.arange(next(iter(errors.values())).shape[1]) / RATE_HZ
+    for name, (scan, _) in errors.items():
+        axes.plot(
+            1e3 * time,
+            1e6 * scan,
+            linewidth=0.8,
+            label=name,
+            linestyle="--" if name == "feedforward" else "-",
+        )
+    axes.fill_between(
+        1e3 * time, 0, 1, where=resting(period), transform=axes.get_xaxis_transform(), color=figures.GREY, alpha=0.2,
+        label="setpoint rests",
+    )  # fmt: skip
+    axes.set(xlabel="time (ms)", ylabel="error (µm)")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    return figure
+
+
+def parseval_distance(period: np.ndarray) -> float:
+    """Relative distance of the waveform's mean square from what the budget gives the setpoint."""
+    network = machine(**STEPS["all"], sample_time=1 / RATE_HZ, delay=1.0).network()
+    source = moving_sources(period, 0.99, 0.01, 24.0)[0]
+    wave = tone_response(network, source, np.arange(len(period)) / RATE_HZ, BAND_HZ)[0]
+    return abs(np.mean(wave**2) / error_budget(network, [source], BAND_HZ).powers[0, 0] - 1)

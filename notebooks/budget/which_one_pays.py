@@ -7,7 +7,17 @@ from itertools import product
 import numpy as np
 from scipy import signal
 
-from experiments.budget.machine import BAND_HZ, FLOORS, floor, machine, noises, on_every_floor, parameters
+from experiments.budget.machine import (
+    AS_FILED,
+    BAND_HZ,
+    FLOORS,
+    Assumed,
+    floor,
+    machine,
+    noises,
+    on_every_floor,
+    parameters,
+)
 from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.floor_machine import FloorMachine, weak_integrator
 from stillwork.estimation.adaptive import FeLms, FeRls
@@ -26,44 +36,73 @@ ADVANTAGE = 0.05  # a method pays when it lowers the error by more than this sha
 
 
 @cache
-def powers_of(bought: frozenset[str], payload: float) -> tuple[np.ndarray, np.ndarray]:
+def powers_of(
+    bought: frozenset[str], payload: float, assumed: Assumed = AS_FILED
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean squares by floor and by the other sources, of the machine with these methods."""
     used = "MC and AD" if "MC and AD" in bought else "PID"
+    skyhook, feedforward = "skyhook" in bought, "feedforward" in bought
     return on_every_floor(
-        machine(used, skyhook="skyhook" in bought, feedforward="feedforward" in bought, payload=payload)
+        machine(used, skyhook=skyhook, feedforward=feedforward, payload=payload, assumed=assumed)
     )
 
 
-def error(bought: frozenset[str], place: int, sensor: float, payload: float) -> float:
+def error(
+    bought: frozenset[str], place: int, sensor: float, payload: float, assumed: Assumed = AS_FILED
+) -> float:
     """Rms in m on a floor of `FLOORS` with a sensor in nm/sqrt(Hz)."""
-    by_floor, others = powers_of(bought, payload)
+    by_floor, others = powers_of(bought, payload, assumed)
     scale = np.array([(1e-9 * sensor / parameters()["noise"]["sensor"]) ** 2, 1, 1, 1])
     return float(np.sqrt(by_floor[place] + others @ scale))
 
 
-def purchases(place: int, sensor: float, payload: float) -> list[str]:
-    """Methods in the order in which each lowers the error most, as long as one lowers it by `ADVANTAGE`."""
+def purchases(
+    place: int, sensor: float, payload: float, assumed: Assumed = AS_FILED, advantage: float = ADVANTAGE
+) -> list[str]:
+    """Methods in the order in which each lowers the error most, as long as one lowers it by `advantage`."""
     bought: frozenset[str] = frozenset()
     order = []
     while len(order) < len(METHODS):
-        now = error(bought, place, sensor, payload)
+        now = error(bought, place, sensor, payload, assumed)
         offers = {
-            name: error(bought | {name}, place, sensor, payload) for name in METHODS if name not in bought
+            name: error(bought | {name}, place, sensor, payload, assumed)
+            for name in METHODS
+            if name not in bought
         }
         best = min(offers, key=lambda name: offers[name])
-        if offers[best] > (1 - ADVANTAGE) * now:
+        if offers[best] > (1 - advantage) * now:
             break
         order.append(best)
         bought |= {best}
     return order
 
 
-def purchase_map(payload: float) -> np.ndarray:
+def purchase_map(payload: float, assumed: Assumed = AS_FILED, advantage: float = ADVANTAGE) -> np.ndarray:
     """Orders of purchase, (sensors, floors)."""
     found = np.empty((len(SENSORS), len(FLOORS)), object)
     for (row, sensor), (column, _) in product(enumerate(SENSORS), enumerate(FLOORS)):
-        found[row, column] = purchases(column, sensor, payload)
+        found[row, column] = purchases(column, sensor, payload, assumed, advantage)
     return found
+
+
+def map_statements(assumed: Assumed = AS_FILED, advantage: float = ADVANTAGE) -> dict[str, float]:
+    """What the map shows, by the ledger's names."""
+    maps = [purchase_map(payload, assumed, advantage) for payload in PAYLOADS]
+    poor, good = (
+        [order for orders in maps for order in orders[SENSORS.index(sensor)]] for sensor in (14.0, 0.014)
+    )
+    firsts = [(order or ["nothing"])[0] for orders in maps for order in orders.ravel()]
+    return {
+        "budget.pays.noisy-sensor-no-observer": float(np.mean(["MC and AD" not in order for order in poor])),
+        "budget.pays.good-sensor-observer": float(np.mean(["MC and AD" in order for order in good])),
+        "budget.pays.first-purchases": float(len(set(firsts))),
+        "budget.pays.feedforward-first": firsts.count("feedforward") / len(firsts),
+    }
+
+
+def map_study(frame: float, advantage: float, *, seed: int = 0, lean: bool = False) -> dict[str, float]:
+    """The map's statements with another frame and least advantage."""
+    return map_statements(Assumed(frame=frame), advantage)
 
 
 def paint_map(payloads=PAYLOADS):
@@ -119,9 +158,14 @@ class Tuning:
     optimum: float  # share of the floor's power that the best weights leave
 
 
-def tuning_trial(place: str, noise: float, seed: int) -> Tuning:
-    """Weights of damper and spring from one record with a noisy floor sensor, judged by the spectra, which are known."""
-    samples = round(RECORD_S * RATE_HZ)
+def tuning_trial(
+    place: str, noise: float, seed: int, record_s: float = RECORD_S, memory_s: float = 10.0
+) -> Tuning:
+    """Weights of damper and spring from one record with a noisy floor sensor, judged by the spectra, which are known.
+
+    FeRLS forgets within `memory_s`, and the window of the min-max estimate is as long.
+    """
+    samples = round(record_s * RATE_HZ)
     f = np.fft.rfftfreq(samples, 1 / RATE_HZ)
     rng = np.random.default_rng(seed)
     first = tustin(weak_integrator(2.0, 3), 1 / RATE_HZ).frequency_response(2 * np.pi * f[1:])[0, 0]
@@ -150,9 +194,9 @@ def tuning_trial(place: str, noise: float, seed: int) -> Tuning:
         return float((1 - w) @ gram[0] @ (1 - w) + w @ gram[1] @ w)
 
     size = np.sqrt(np.mean(seen**2, axis=1))
-    forgetting = 1 - 1 / (10 * RATE_HZ)
+    forgetting = 1 - 1 / (memory_s * RATE_HZ)
     rows = seen / size[:, None]
-    memory = rows[:, -round(10 * RATE_HZ) :]
+    memory = rows[:, -round(memory_s * RATE_HZ) :]
     target = wanted[-memory.shape[1] :]
     spread = np.sqrt(np.diag(gram[1]) / np.diag(gram[0] + gram[1]))  # share of noise in each regressor
     bounds = {
@@ -160,9 +204,9 @@ def tuning_trial(place: str, noise: float, seed: int) -> Tuning:
         "guaranteed": 3 * np.linalg.norm(spread) * np.sqrt(memory.shape[1]),
     }
     found = {
-        "least squares by FeRLS": -identify(FeRls(10.0, forgetting=forgetting), rows, wanted[None]).weights[
-            0
-        ],
+        "least squares by FeRLS": -identify(
+            FeRls(memory_s, forgetting=forgetting), rows, wanted[None]
+        ).weights[0],
         **{
             f"min-max, {name} bound": solve_silently(memory.T, target, bound).estimate
             for name, bound in bounds.items()
@@ -174,12 +218,36 @@ def tuning_trial(place: str, noise: float, seed: int) -> Tuning:
     return Tuning({name: left(found[name] / size) / least - 1 for name in ALGORITHMS}, least / whole)
 
 
-def tuning_study(places: tuple[str, ...], seeds: range) -> dict[tuple[str, float], list[Tuning]]:
+TUNED = ("VC-A", "VC-D", "slab under footfall", "LIGO ground")  # where the feedforward is tuned
+
+
+def tuning_study(
+    places: tuple[str, ...], seeds: range, record_s: float = RECORD_S, memory_s: float = 10.0
+) -> dict[tuple[str, float], list[Tuning]]:
     """Trials of every seed on every floor with every noise."""
     return {
-        (place, noise): [tuning_trial(place, noise, seed) for seed in seeds]
+        (place, noise): [tuning_trial(place, noise, seed, record_s, memory_s) for seed in seeds]
         for place, noise in product(places, NOISES)
     }
+
+
+def tuning_statements(study: dict[tuple[str, float], list[Tuning]]) -> dict[str, float]:
+    """What the trials show, by the ledger's names; NaN where no trial is of the kind."""
+    trials = [trial for case in study.values() for trial in case]
+    first, others = ALGORITHMS[0], ALGORITHMS[1:]
+    heard = [t for t in trials if t.optimum < 0.5]
+    deaf = [t for t in trials if t.optimum > 0.95]
+    nearest = [all(t.excess[first] < t.excess[name] for name in others) for t in heard]
+    no_more = [min(t.excess[name] for name in ALGORITHMS[2:]) <= t.excess[first] for t in deaf]
+    return {
+        "budget.pays.rls-nearest": float(np.mean(nearest)) if nearest else np.nan,
+        "budget.pays.min-max-deaf": float(np.mean(no_more)) if no_more else np.nan,
+    }
+
+
+def tuning_choices(memory: float, *, seed: int, lean: bool = False) -> dict[str, float]:
+    """The statements on who tunes, with memories of other lengths and other draws."""
+    return tuning_statements(tuning_study(TUNED, range(seed, seed + 4), RECORD_S, memory))
 
 
 def paint_tuning(study: dict[tuple[str, float], list[Tuning]]):
@@ -206,6 +274,7 @@ def paint_tuning(study: dict[tuple[str, float], list[Tuning]]):
 
 DIFFERENTIATORS = ("quotient", "low pass", "window", "Kalman", "observer of the stage")
 SAMPLE_S = 1 / 5000
+BANDWIDTHS_HZ = (40.0, 60.0, 80.0)  # of the stage where the velocity is filtered (chosen)
 CHOICES = {  # of each one's parameter: rad/s over the bandwidth, samples, and ratio of the Kalman filter's bandwidth
     "quotient": (0.0,),
     "low pass": (3.0, 6.0, 12.0, 25.0),
@@ -215,14 +284,16 @@ CHOICES = {  # of each one's parameter: rad/s over the bandwidth, samples, and r
 }
 
 
-def differentiator(name: str, setting: float, bandwidth_hz: float, mass: float) -> StateModel:
+def differentiator(
+    name: str, setting: float, bandwidth_hz: float, mass: float, sample_s: float = SAMPLE_S
+) -> StateModel:
     """PID on the stage sensor, sampled, whose velocity comes from a filter: from the sensor to the force.
 
     Low pass: the third order of the paper's (7), here with the derivative that it holds. Window: a mean of differences.
     Kalman: position and velocity, driven by the sensor alone, in its steady state with both poles at `setting` times the
     bandwidth. The observer is the same filter with the controller's own force as input.
     """
-    w, t = 2 * np.pi * bandwidth_hz, SAMPLE_S
+    w, t = 2 * np.pi * bandwidth_hz, sample_s
     kp, kd, ki = mass * w**2 / 3, mass * w, mass * w**3 / 27
     a, b, c = np.zeros((1, 1)), np.ones((1, 1)), -ki * t * np.ones((1, 1))  # the integral
     if name in ("quotient", "window"):
@@ -270,37 +341,72 @@ def _with_own_force(keep, step, force, gain, gains, t) -> StateModel:
     return StateModel(a + inputs @ cu, b + inputs @ du, cu, du, t)
 
 
-def velocity_machine(name: str, setting: float, bandwidth_hz: float) -> FloorMachine:
-    """A stage of the thesis's mass, rigid, with that law, sampled at 5 kHz and one sample late."""
+def velocity_machine(
+    name: str, setting: float, bandwidth_hz: float, sample_s: float = SAMPLE_S, delay: float = 1.0
+) -> FloorMachine:
+    """A stage of the thesis's mass, rigid, with that law, sampled and late."""
     built = machine(skyhook=True, feedforward=True)
     rigid = built.stage.modes([0])
-    law = differentiator(name, setting, bandwidth_hz, built.stage_mass)
-    return replace(built, stage=rigid, controller=law, sample_time=SAMPLE_S, delay=1.0)
+    law = differentiator(name, setting, bandwidth_hz, built.stage_mass, sample_s)
+    return replace(built, stage=rigid, controller=law, sample_time=sample_s, delay=delay)
 
 
 @cache
-def velocity_powers(name: str, setting: float, bandwidth_hz: float) -> ErrorBudget | None:
+def velocity_powers(
+    name: str, setting: float, bandwidth_hz: float, sample_s: float = SAMPLE_S, delay: float = 1.0
+) -> ErrorBudget | None:
     """The budget on all floors at once; None where the loop is unstable."""
     try:
-        network = velocity_machine(name, setting, bandwidth_hz).network()
+        network = velocity_machine(name, setting, bandwidth_hz, sample_s, delay).network()
     except UnstableLoop:
         return None
     return error_budget(network, [*map(floor, FLOORS), *noises()], (BAND_HZ[0], 2500.0))
 
 
-def velocity_errors(bandwidth_hz: float, sensor: float) -> dict[str, np.ndarray]:
+def velocity_errors(
+    bandwidth_hz: float, sensor: float, sample_s: float = SAMPLE_S, delay: float = 1.0
+) -> dict[str, np.ndarray]:
     """Least rms on each floor over each differentiator's settings, m; infinite where none is stable."""
     found = {}
     for name in DIFFERENTIATORS:
         rows = [np.full(len(FLOORS), np.inf)]
         for setting in CHOICES[name]:
-            budget = velocity_powers(name, setting, bandwidth_hz)
+            budget = velocity_powers(name, setting, bandwidth_hz, sample_s, delay)
             if budget is not None:
                 powers = budget.powers[:, 0].copy()
                 powers[len(FLOORS)] *= (1e-9 * sensor / parameters()["noise"]["sensor"]) ** 2
                 rows.append(np.sqrt(powers[: len(FLOORS)] + powers[len(FLOORS) :].sum()))
         found[name] = np.min(rows, axis=0)
     return found
+
+
+def velocity_statements(
+    bandwidths_hz: tuple[float, ...] = BANDWIDTHS_HZ, sample_s: float = SAMPLE_S, delay: float = 1.0
+) -> dict[str, float]:
+    """Who differentiates best, by the ledger's names."""
+    observer, filters = DIFFERENTIATORS[-1], DIFFERENTIATORS[1:-1]
+    loud = [FLOORS.index("VC-A"), FLOORS.index("slab under footfall")]
+    found = {
+        (hertz, sensor): velocity_errors(hertz, sensor, sample_s, delay)
+        for hertz, sensor in product(bandwidths_hz, (0.14, 1.4, 14.0))
+    }
+    best = {case: np.min([errors[name] for name in filters], axis=0) for case, errors in found.items()}
+    worst = {case: np.max([errors[name] for name in filters], axis=0) for case, errors in found.items()}
+    gains = [np.max(1 - best[case] / errors["quotient"]) for case, errors in found.items()]
+    noisy = [found[hertz, 14.0][observer] < best[hertz, 14.0] for hertz in bandwidths_hz]
+    quiet = [np.all((found[hertz, 0.14][observer] > worst[hertz, 0.14])[loud]) for hertz in bandwidths_hz]
+    return {
+        "budget.pays.filters-level": float(max(gains)),
+        "budget.pays.observer-velocity-noisy": float(np.mean(noisy)),
+        "budget.pays.observer-velocity-quiet": float(np.mean(quiet)),
+    }
+
+
+def velocity_choices(
+    velocity_rate: float, velocity_delay: float, *, seed: int = 0, lean: bool = False
+) -> dict[str, float]:
+    """The statements on the velocity at another rate and delay."""
+    return velocity_statements(BANDWIDTHS_HZ, 1 / velocity_rate, velocity_delay)
 
 
 def paint_velocity(errors: dict[float, dict[str, np.ndarray]]):

@@ -26,7 +26,11 @@ def open_machine(
     built = machine_of(entries)
     low, high = entries["band_hz"]
     rate = 1 / built.sample_time if built.sample_time else 0.0
-    return built, sources_of(entries, floor, Path(file).parent, rate), (float(low), float(high))
+    return (
+        built,
+        sources_of(entries, floor, Path(file).parent, rate, built.stage_mass),
+        (float(low), float(high)),
+    )
 
 
 def promised_and_kept(built: FloorMachine, sources: list[Source], band: tuple[float, float]) -> float:
@@ -37,7 +41,8 @@ def promised_and_kept(built: FloorMachine, sources: list[Source], band: tuple[fl
     for k, source in enumerate(sources):
         better = [*sources]
         if source.density is None:
-            better[k] = replace(source, tones=tuple((hertz, size / 2) for hertz, size in source.tones))
+            tones = tuple((tone[0], *(size / 2 for size in tone[1:])) for tone in source.tones)
+            better[k] = replace(source, tones=tones)
         else:
             better[k] = replace(source, density=lambda f, old=source.density: old(f) / 4)
         kept = budget.rms[0] - error_budget(network, better, band).rms[0]

@@ -36,6 +36,9 @@ class Assumed:
     feedforward_db: float = 0.0  # 0: the file's
 
 
+AS_FILED = Assumed()
+
+
 @cache
 def parameters() -> Table:
     return read_toml(paths.data("budget", "machine.toml"))
@@ -77,7 +80,7 @@ def machine(
     position: int = 0,
     sample_time: float = 0.0,
     delay: float = 0.0,
-    assumed: Assumed = Assumed(),
+    assumed: Assumed = AS_FILED,
 ) -> FloorMachine:
     """The machine with some of the methods; 0 Hz: the bandwidth that the thesis prints for this use of the observer.
 
