@@ -339,7 +339,7 @@ def test_simulations_with_an_adaptive_feedforward_running_lie_in_the_stated_inte
 
 @pytest.mark.slow
 def test_simulations_lie_in_the_stated_interval():
-    """100 records of 4 s, sample by sample: at least 90 in the interval of 95 % (fewer by chance: 2.8 %)."""
+    """100 records of 4 s, sample by sample: at least 90 in the interval of 95 % (fewer by chance: 1.1 %)."""
     rate, every, seconds = 500.0, 4, 4.0
     network = machine(2, sample_time=1 / rate, delay=1.0, feedforward=0.9).network()
     fine = rate * every

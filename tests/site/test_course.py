@@ -103,8 +103,16 @@ SPOT_CHECKS = {
     ("doubt", 1): lambda: optimize.minimize_scalar(lambda x: np.hypot(x - 2, x - 1) + 0.5 * abs(x), (0, 2)).x,
     ("doubt", 8): lambda: SEEN.sum(0) @ SEEN[0] / (SEEN.sum(0) @ SEEN.sum(0)),
     ("noise", 4): lambda: np.sqrt(np.linalg.inv(sum(np.outer(t, t) for t in WINDOW))[1, 1] / 2),
+    ("budget", 1): lambda: np.sqrt(
+        integrate.quad(lambda w: 1e8 / abs(RING**2 - w**2 + 0.08j * RING * w) ** 2, 0, 1e4, points=[RING])[0]
+        / (2 * np.pi)
+    ),
+    ("budget", 7): lambda: (
+        optimize.minimize_scalar(lambda b: 676 * (83 / b) ** 4 + 625 * b / 83, (50, 200)).x
+    ),
     ("noise", 7): lambda: optimize.brentq(lambda a: harmonic(a) - 0.5, 0.1, 10),
 }
+RING = 2 * np.pi * 12.3
 WINDOW = np.vander(np.arange(-11.0, 1), 3, increasing=True)
 
 
