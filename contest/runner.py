@@ -1,8 +1,8 @@
 """The runner: anybody's observer on one scan, in a process that holds neither the truth nor any other scan.
 
 Where the machine has them (Linux with ``unshare``), the process gets a root folder, processes, network and users of its
-own: it sees Python, its packages and the toolbox, read-only, and no other process. Elsewhere it is not isolated, and
-the result says so.
+own: it sees Python, its packages and the toolbox, read-only, and no other process; and it may start threads, but no
+process. Elsewhere it is not isolated, and the result says so.
 """
 
 import base64
@@ -94,11 +94,11 @@ def _jail(folder: str) -> list[str]:
 
 @cache
 def can_isolate() -> bool:
-    """Whether this machine gives an observer namespaces of its own."""
+    """Whether this machine gives an observer namespaces of its own, and can forbid it to start processes."""
     if not all(map(shutil.which, PROGRAMS)):
         return False
     with tempfile.TemporaryDirectory() as folder:
-        command = [*_jail(folder), "/usr/bin/env"]
+        command = [*_command(True, folder), "--probe"]
         return subprocess.run(command, capture_output=True, env={"PATH": SYSTEM_PATH}).returncode == 0
 
 

@@ -215,6 +215,59 @@ return found
 """
 
 
+FORKS = {
+    "of Python": "os.fork()",
+    "of the C library": "libc.fork()",
+    "of the kernel": "libc.syscall({'x86_64': 57, 'aarch64': 220}[os.uname().machine], 17, 0, 0, 0, 0)",
+    "that shares its memory": "libc.syscall({'x86_64': 58, 'aarch64': 220}[os.uname().machine], 0x4111, 0, 0, 0, 0)",
+    "as a clone": "libc.syscall({'x86_64': 56, 'aarch64': 220}[os.uname().machine], 17, 0, 0, 0, 0)",
+    "as a clone of another numbering": "libc.syscall(0x40000000 + 56, 17, 0, 0, 0, 0)",
+    "as a clone by structure": "libc.syscall(435, ctypes.byref((ctypes.c_uint64 * 11)(0, 0, 0, 0, 17)), 88)",
+    "spawned": "os.posix_spawn(sys.executable, [sys.executable, '-c', 'pass'], {})",
+    "of a program": "__import__('subprocess').Popen([sys.executable, '-c', 'pass']).pid",
+    "in namespaces of its own": "libc.unshare(0x10000000)",
+}
+FORK = """
+import signal
+signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits, so nobody is charged
+libc, mine = ctypes.CDLL(None), os.getpid()
+try:
+    started = {}
+except OSError:
+    started = -1
+if os.getpid() != mine:
+    while time.process_time() < 20:
+        pass
+    os._exit(0)
+return started >= 0
+"""
+
+
+@isolated
+@pytest.mark.parametrize("way", FORKS)
+def test_no_process_can_be_started_whose_time_would_not_count(way, estimate):
+    assert estimate(FORK.replace("{}", FORKS[way], 1))[0].tolist() == [0.0] * 4
+
+
+@isolated
+def test_threads_may_run_and_their_time_counts(estimate, monkeypatch):
+    opened, end = [], ExternalObserver._end
+    monkeypatch.setattr(
+        ExternalObserver, "_end", lambda self, patience: [opened.append(self), end(self, patience)]
+    )
+    spend = """
+        import threading
+        def work():
+            while time.thread_time() < 0.7:
+                pass
+        both = [threading.Thread(target=work) for _ in range(2)]
+        [each.start() for each in both], [each.join() for each in both]
+        return 1
+    """
+    assert estimate(spend)[0].tolist() == [1.0] * 4
+    assert opened[0].cpu_seconds > 1.4
+
+
 @isolated
 def test_who_does_not_end_is_ended_and_its_time_counts(estimate, monkeypatch):
     opened, end = [], ExternalObserver._end
