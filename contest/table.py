@@ -9,18 +9,19 @@ import json
 import platform
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import scipy
 
 from contest.nominal import nominal_of
 from contest.plants import PLANTS, plant_of
 from contest.ranking import KEYS, block, critical_difference, mean_ranks, standings
-from contest.runner import ExternalObserver, can_isolate, declared_knobs
+from contest.runner import ExternalObserver, declared_knobs
 from contest.scores import ENTRANTS, ORACLE, Scored, contest_trial
 from contest.tuning import TUNINGS, scans_of, settings_for, tune, write_development_set
 from contest.uncertainties import hidden_seed
@@ -56,9 +57,10 @@ def run_contest(
     require_count("loops", loops or 0, at_least=0)
     for file in files:
         ExternalObserver(file)  # whoever cannot be read is not waited for
-    remote = {str(file): str(file) for file in files if str(file).startswith("tcp:")}
-    here = {Path(file).stem: str(Path(file).resolve()) for file in files if str(file) not in remote}
-    sources = remote | here
+    sources = {
+        name_of(file): str(file) if name_of(file) == str(file) else str(Path(file).resolve())
+        for file in files
+    }
     if len(sources) < len(files):
         raise InputError("two files have one name, by which observers are ranked; give one of them another")
     if taken := set(sources) & {*ENTRANTS, ORACLE}:
@@ -146,10 +148,38 @@ def joined(before: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
     return new.combine_first(before)[columns].reset_index()
 
 
-def write_table(table: pd.DataFrame, file: str | Path) -> None:
-    """The table as CSV, and its results as JSON beside it."""
+def write_table(table: pd.DataFrame, file: str | Path, entered: Mapping[str, dict] | None = None) -> None:
+    """The table as CSV, and its results as JSON beside it; there stands what was `entered` before, too."""
     table.to_csv(file, index=False, float_format="%.4g", lineterminator="\n")
-    Path(file).with_suffix(".json").write_text(json.dumps(results(table), indent=1) + "\n", encoding="utf-8")
+    beside = Path(file).with_suffix(".json")
+    before = json.loads(beside.read_text(encoding="utf-8")).get("entered", {}) if beside.exists() else {}
+    text = json.dumps(results(table, before | (entered or {})), indent=1)
+    beside.write_text(text + "\n", encoding="utf-8")
+
+
+def name_of(file: str | Path) -> str:
+    """The name under which an observer of this source is ranked."""
+    return str(file) if str(file).startswith("tcp:") else Path(file).stem
+
+
+def entries(files: Sequence[str | Path]) -> dict[str, dict]:
+    """What ran under each name: the digest of its file, and whether it was isolated."""
+    observers = {name_of(file): ExternalObserver(file) for file in files}
+    return {
+        name: {
+            "sha256": None if each.remote else hashlib.sha256(each.content).hexdigest(),
+            "isolated": each.isolated,
+        }
+        for name, each in observers.items()
+    }
+
+
+@cache
+def digest_of_code() -> str:
+    """Of the contest's programs and data, the numbers of its machines among them; the tables are none of it."""
+    data = sorted(paths.data("motion", "contest").parent.glob("contest_*.*"))
+    files = [*sorted(Path(__file__).parent.glob("*.py")), *(each for each in data if each.suffix != ".csv")]
+    return hashlib.sha256(b"".join(each.read_bytes() for each in files)).hexdigest()[:12]
 
 
 def digest_of(plant: str) -> str:
@@ -162,21 +192,29 @@ def digest_of(plant: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def results(table: pd.DataFrame) -> dict:
-    """What the leaderboard's page shows, with edition, environment and the machines' digests."""
+def results(table: pd.DataFrame, entered: Mapping[str, dict] | None = None) -> dict:
+    """What the leaderboard's page shows, with edition, environment and digests.
+
+    `entered` holds what is known of the observers that are not ours; of whom nothing is known, nothing vouches.
+    """
+    unknown = {"sha256": None, "isolated": False}
+    others = [name for name in table.columns if name not in (*KEYS, *ENTRANTS, ORACLE)]
     ranks, (chance, reach) = (
         mean_ranks(block(table, "flexible")),
         critical_difference(block(table, "flexible")),
     )
     return {
         "edition": EDITION,
+        "code": digest_of_code(),
         "public": sorted(map(str, table["public"].unique())),
         "environment": {
             "python": platform.python_version(),
             "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "system": platform.system(),
             "machine": platform.machine(),
         },
-        "isolated": can_isolate(),
+        "entered": {name: (entered or {}).get(name, unknown) for name in others},
         "machines": {name: digest_of(name) for name in PLANTS if (table["plant"] == name).any()},
         "friedman": float(f"{chance:.3g}"),
         "critical difference": round(reach, 2),
@@ -226,12 +264,13 @@ def hold_contest(
     print(standings(table).to_string(index=False))
     for name, reason in disqualified.items():
         print(f"{name} is disqualified: {reason}")
-    open_to_all = [file for file in files if not ExternalObserver(file).isolated]
-    for file in open_to_all:
-        print(f"{file}: not isolated")
+    entered = entries(files)
+    for name, entry in entered.items():
+        if not entry["isolated"]:
+            print(f"{name}: not isolated")
     print(f"edition {EDITION}, {seeds} seeds a machine, {time.monotonic() - began:.0f} s")
     if out:
-        write_table(table, out)
+        write_table(table, out, entered)
     return int(bool(disqualified))
 
 

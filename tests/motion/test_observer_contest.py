@@ -1,5 +1,6 @@
 """The contest of observers: what an observer is given, what the scores mean, how ranks and their intervals are made."""
 
+import hashlib
 import json
 import re
 import shutil
@@ -42,6 +43,7 @@ from contest.ranking import (
     robustness,
     standings,
 )
+from contest.runner import can_isolate
 from contest.scores import ENTRANTS, ORACLE, Scan, opened, recorded, scores_of, truth_of
 from contest.table import FILE, as_markdown, digest_of, joined, run_contest, tabulated
 from contest.tuning import TUNINGS, scans_of, settings_for
@@ -454,6 +456,24 @@ def test_the_contest_goes_on_without_the_disqualified(written, monkeypatch, caps
     assert (
         out == {"hopeless": "raises ValueError: an estimate that is not finite"} and "hopeless" not in table
     )
+
+
+def test_the_results_say_what_ran_and_who_was_isolated(written, tmp_path):
+    table = pd.read_csv(FILE)
+    table = table.assign(mine=table["Kalman"], older=table["Kalman"])
+    table["tcp:127.0.0.1:5"] = table["Kalman"]
+    file = written(MODEL_ALONE)
+    tables.write_table(table, tmp_path / "out.csv", tables.entries([file, "tcp:127.0.0.1:5"]))
+    found = json.loads((tmp_path / "out.json").read_text())
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    assert found["entered"] == {
+        "mine": {"sha256": digest, "isolated": can_isolate()},
+        "older": {"sha256": None, "isolated": False},
+        "tcp:127.0.0.1:5": {"sha256": None, "isolated": False},
+    }
+    assert found["edition"] == tables.EDITION and len(found["code"]) == 12 and "scipy" in found["environment"]
+    tables.write_table(table, tmp_path / "out.csv")  # another run without it
+    assert json.loads((tmp_path / "out.json").read_text())["entered"] == found["entered"]
 
 
 def test_the_number_is_read_from_standard_input(monkeypatch, capsys):
