@@ -18,9 +18,18 @@ from contest.nominal import Baseline, OwnObserver, nominal_of
 from contest.parametric import PARAMETRIC
 from contest.plants import plant_of
 from contest.runner import Disqualified, ExternalObserver
+from contest.structured import STRUCTURED
 from contest.uncertainties import UNCERTAINTIES, Truth, hidden_seed, sample_truth
 
-ENTRANTS: Mapping[str, Baseline] = {**FIXED, **PARAMETRIC, **ADAPTIVE, **MOVING, **MULTI_MODEL, **LEARNED}
+ENTRANTS: Mapping[str, Baseline] = {
+    **FIXED,
+    **STRUCTURED,
+    **PARAMETRIC,
+    **ADAPTIVE,
+    **MOVING,
+    **MULTI_MODEL,
+    **LEARNED,
+}
 ORACLE = "oracle"  # the true states, in the loop alone
 
 
