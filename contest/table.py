@@ -32,6 +32,8 @@ from workbook.workers import client_of, cores, processes
 EDITION = 2
 PRACTICE = "practice"  # in a public number's place, where none is given
 FILE, GUIDE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "contest.md"
+MACHINES = paths.data("motion", "contest_plants.json")
+SHEET = ("frequencies", "damping", "input_shapes", "output_shapes")
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"  # in the guide
 
 
@@ -223,6 +225,18 @@ def results(table: pd.DataFrame, entered: Mapping[str, dict] | None = None) -> d
     }
 
 
+def machine_numbers(plant: str) -> dict:
+    """All that the data sheet needs of a machine: modes, how many of them are given, sampling, move and noises."""
+    built = plant_of(plant)
+    machine = {name: x.tolist() for name, x in vars(built.machine).items() if name in SHEET}
+    given = {"given_modes": len(built.model.frequencies), "sample_time": built.sample_time}
+    return (
+        given
+        | machine
+        | {each: float(getattr(built, each)) for each in ("acceleration", "process", "sensor")}
+    )
+
+
 def as_markdown(found: pd.DataFrame) -> str:
     """A ranking as a page of the site shows it."""
     lines = [f"| {' | '.join(line)} |" for line in (found.columns, *found.to_numpy())]
@@ -278,6 +292,8 @@ def main() -> None:
     """Write the committed table's ranking into its guide, and its results."""
     table = pd.read_csv(FILE)
     write_table(table, FILE)
+    lines = [f'"{name}": {json.dumps(machine_numbers(name))}' for name in PLANTS]
+    MACHINES.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     before, _, rest = GUIDE.read_text(encoding="utf-8").partition(BEGIN)
     after = rest.partition(END)[2]
     GUIDE.write_text(f"{before}{BEGIN}\n{as_markdown(standings(table))}\n{END}{after}", encoding="utf-8")
