@@ -248,10 +248,11 @@ def parts(
 ):
     """Data and memory of a filter of states, gains and (or) `frequencies`."""
     bent = dominant(model, 3)
-    modes = np.concatenate([[0], bent])  # the rigid body's gain, three frequencies, two flexible gains
+    stiff = min(model.rigid_modes, 1)  # of these only one gain is learnt
+    modes = np.concatenate([np.zeros(stiff, int), bent])  # three frequencies, three gains
     n, count = len(model.a), len(modes)
     places = np.full((count, 2), -1)
-    places[1:, 0] = n + np.arange(count - 1) if frequencies else -1
+    places[stiff:, 0] = n + np.arange(count - stiff) if frequencies else -1
     places[: min(count, 3), 1] = max(n - 1, places.max()) + 1 + np.arange(min(count, 3))
     size = places.max() + 1
     fair = NominalNoise(factor * noise.process, noise.sensor)

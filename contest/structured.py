@@ -12,23 +12,26 @@ from scipy.optimize import minimize
 
 from contest.fixed_gain import fixed, stationary
 from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise, TuningParameter
+from contest.parametric import sampled_mode
 from stillwork.estimation.riccati import discrete_gain
-from stillwork.lti.discretisation import zoh_modes
 
 LINES = 32  # frequencies of the bound
-ERRORS = np.linspace(-1, 1, 5)  # of a frequency that are tried, over the largest
+ERRORS = np.linspace(-1, 1, 5)  # of a frequency that are tried everywhere, over the largest
 EVALUATIONS = 60  # of the bound in a search
 DOUBLINGS = 40  # at most
 LOGARITHMS = -7.0, 12.0  # of forces over w, that are tried
 
 
-def mode_responses(model: NominalModel, sample_time: float, z: np.ndarray, error: float) -> np.ndarray:
-    """States over forces at `z` of every mode with frequencies that err by so much: line, mode, state of it, input."""
-    moved = zoh_modes(model.machine.moved(model.frequencies * (1 + error)), sample_time)
-    modes = np.arange(len(model.frequencies))
-    blocks = moved.a.reshape(len(modes), 2, len(modes), 2)[modes, :, modes]
-    levers = moved.b.reshape(len(modes), 2, -1)
-    return np.linalg.solve(z[:, None, None, None] * np.eye(2) - blocks, levers + 0j)
+def mode_responses(model: NominalModel, sample_time: float, z: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """States over forces at each of `z`, the frequencies with these errors there, a row each: line, mode, state, input."""
+    lines, modes = errors.shape
+    blocks, levers = np.empty((lines, modes, 2, 2)), np.empty((lines, modes, 2))
+    omega = model.frequencies * (1 + errors)
+    for line, mode in np.ndindex(lines, modes):
+        place = omega[line, mode], model.damping[mode], sample_time
+        sampled_mode(*place, blocks[line, mode], levers[line, mode])
+    pushes = levers[..., None] * model.input_shapes[:, None]
+    return np.linalg.solve(z[:, None, None, None] * np.eye(2) - blocks, pushes + 0j)
 
 
 def doubled(a: np.ndarray, g: np.ndarray, h: np.ndarray) -> np.ndarray:
@@ -59,14 +62,20 @@ class WorstCase:
     ):
         self.model, self.noise, self.peak = model, noise, peak
         self.units = np.sqrt(np.diag(stationary(model, noise)[1]))
-        slowest = model.frequencies[model.frequencies > 0].min() * sample_time / 30
-        self.z = np.exp(1j * np.geomspace(slowest, 0.98 * np.pi, LINES))
-        nominal = mode_responses(model, sample_time, self.z, 0.0)
-        # Every frequency within the size, and every gain: the largest lie at the ends of the gains.
+        flexible = model.frequencies > 0
+        angles = np.geomspace(model.frequencies[flexible].min() * sample_time / 30, 0.98 * np.pi, LINES)
+        self.z = np.exp(1j * angles)
+        # Ends and middle of the errors, and at each line those that put a resonance on it.
+        resonances = np.where(
+            flexible, model.frequencies * np.sqrt(1 - 2 * np.minimum(model.damping, 0.7) ** 2), np.inf
+        )
+        tuned = np.clip(angles[:, None] / sample_time / resonances - 1, -size, size)
+        tried = [tuned, *(np.full(tuned.shape, size * each) for each in ERRORS)]
+        nominal = mode_responses(model, sample_time, self.z, 0 * tuned)
         every = [
-            gain * mode_responses(model, sample_time, self.z, size * error) - nominal
-            for error in ERRORS
-            for gain in (1 - size, 1 + size)
+            gain * moved - nominal
+            for moved in (mode_responses(model, sample_time, self.z, each) for each in tried)
+            for gain in (1 - size, 1 + size)  # the largest lie at the ends of the gains
         ]
         self.deviations = force * np.sqrt(noise.process[0, 0]) * np.array(every)
         loud = force * np.sqrt(noise.process[0, 0]) * np.linalg.norm(nominal, axis=3)
