@@ -99,8 +99,8 @@ class NoiseBound:
         controller = family(good)
         crossings = np.array([loop.crossing_hz(controller) for loop in loops])
         number = int(np.argmax([self.excess(loop, controller) for loop in loops]))
-        stop = {"function": NOISE, "loop": number, "peak": Peak(1.0, 2 * np.pi * good)}
-        return replace(found, design_hz=good, crossing_hz=crossings, controller=controller, **stop), ""
+        lowered = replace(found, design_hz=good, crossing_hz=crossings, controller=controller)
+        return replace(lowered, function=NOISE, loop=number, peak=Peak(1.0, 2 * np.pi * good)), ""
 
 
 UNBOUNDED, USUAL = NoiseBound(), NoiseBound(ratio=RATIO)

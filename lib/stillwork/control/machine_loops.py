@@ -487,6 +487,8 @@ def _search(loops, *, family, limits, low, high, refine, sizes) -> tuple[Bandwid
             loops, family, limits, low, high, tolerance_hz=1e-4 * low, refine=refine, lowest=True
         ), ""
     except Infeasible as error:
+        if error.stopped is None:
+            return None, str(error)
         function, number, peak = error.stopped
         name, size = SHOWN.get(function, function), 20 * np.log10(peak.magnitude)
         what = f"{name} peaks at {size:.1f} dB" if np.isfinite(size) else f"{name} fails"

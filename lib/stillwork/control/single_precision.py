@@ -93,17 +93,17 @@ def kept_states(controller: DigitalController) -> np.ndarray:
     return np.diag(controller.model.a) > HOLDS
 
 
-def _coefficients(controller: DigitalController, precision) -> tuple[np.ndarray, ...]:
+def _coefficients(controller: DigitalController, precision) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     m = controller.model
     keeps = kept_states(controller).astype(float)
     arrays = np.hstack([m.a - np.diag(keeps), m.b]), np.hstack([m.c, m.d[:, : len(controller.inputs)]]), keeps
     with np.errstate(over="ignore"):
-        found = tuple(each.astype(precision) for each in arrays)
-    for exact, each in zip(arrays, found, strict=True):
+        rows, outputs, kept = (each.astype(precision) for each in arrays)
+    for exact, each in zip(arrays, (rows, outputs, kept), strict=True):
         if not np.all(np.isfinite(each)):
             size = float(exact[~np.isfinite(each)][0])
             raise InputError(f"{size:g} is beyond single precision; take another unit, or double")
-    return found
+    return rows, outputs, kept
 
 
 def _run(rows: np.ndarray, outputs: np.ndarray, keeps: np.ndarray, given: np.ndarray) -> np.ndarray:
