@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from experiments.budget.machine import FLOORS, budget_of, machine, on_every_floor, stage
+from experiments.budget.machine import FLOORS, budget_of, machine, on_every_floor, parameters, stage
 from experiments.budget.waterfall import explore_waterfall
-from notebooks.budget import the_machine, which_one_pays
+from notebooks.budget import robust, the_budget, the_machine, which_one_pays
 from notebooks.budget.which_one_pays import CHOICES, NOISES, SAMPLE_S, differentiator, purchases, tuning_trial
 from stillwork.control.error_budget import UnstableLoop
+from stillwork.control.uncertainty import Perturbation
 
 
 def test_the_machine_has_the_printed_mass_and_the_first_estimates_suspension():
@@ -90,3 +91,61 @@ def test_an_explorer_leaves_out_what_is_unstable():
     with pytest.raises(UnstableLoop):
         machine(bandwidth_hz=400.0).network()
     assert len(explore_waterfall("VC-C", 100.0, 1.4, 30.0).axes[0].patches) >= 1
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.12])
+def test_six_axes_are_what_the_equations_of_motion_give(offset):
+    """Passive, by dynamic stiffness at each frequency: six equations of the body, one of the stage, one of its PID."""
+    network = the_machine.six_axis_network(False, False, offset)
+    built, (ends, along) = machine(), the_machine.struts()
+    p = parameters().table("six_axes")
+    vertical = np.sum(along[:, 2] ** 2)
+    k, d, _ = np.array(built.suspension) / vertical
+    lines = np.hstack([along, np.cross(ends, along)])
+    m, own = built.frame_mass, built.stage_mass
+    masses = np.diag([m + own, m + own, m, *(m * np.square(p["gyration"]))])
+    beside = np.array([0, 0, 1, 0, -offset, 0])
+    for hertz in (0.7, 5.0, 14.0, 40.0):
+        w = 2 * np.pi * hertz
+        stiffness = lines.T @ lines * (k + 1j * w * d) - w**2 * masses
+        compliance = built.stage.frequency_response([w])[0, 0, 0]
+        pid = built.controller.frequency_response(np.array([w]))[0]
+        for axis in range(3):
+            push = (
+                -np.diag(masses)[:3][axis] * np.eye(6)[axis]
+            )  # of 1 m/s^2, in motions relative to the floor
+            # unknown: motion of the body q, position of the stage x, force on it f
+            a = np.zeros((8, 8), complex)
+            a[:6, :6], a[:6, 7] = stiffness, beside
+            a[6, 6], a[6, 7] = 1, -compliance
+            a[7, :6], a[7, 6], a[7, 7] = -pid * beside, pid, 1
+            x = np.linalg.solve(a, np.concatenate([push, [1 / w**2 * (axis == 2), 0]]))
+            wanted = x[6] - beside @ x[:6]
+            found = network.paths([hertz])[0, axis, 0]
+            assert abs(found - wanted) < 1e-6 * max(abs(wanted), 1e-9)
+
+
+def test_the_drawn_rests_are_those_of_the_setpoint_and_the_setpoint_closes():
+    period = the_budget.there_and_back(0.02, 0.2, 0.1)
+    assert len(period) == 12000 and period[0] == 0 and period[-1] == 0 and period.max() == 0.02
+    share = the_budget.resting(period).mean()
+    assert share == pytest.approx(1 / 3, abs=0.01)
+
+
+def test_a_statement_of_the_waterfall_holds_where_all_its_floors_obey():
+    errors = {
+        name: np.ones(len(FLOORS)) for name in ("passive, PID", "skyhook", "feedforward", "observer", "all")
+    }
+    errors["feedforward"] = np.full(len(FLOORS), 0.5)
+    assert the_budget.statements([errors])["feedforward-first-loud"] == 1
+    errors["skyhook"][FLOORS.index("VC-B")] = 0.4
+    assert the_budget.statements([errors])["feedforward-first-loud"] == 0
+    assert the_budget.statements([errors])["observer-costs-quietest"] == 0
+
+
+def test_each_part_of_the_box_alone_moves_its_number_both_ways():
+    built = robust.elsewhere("PID", 2e4, Perturbation(*np.ones((3, 8)), delay=-2e-5))
+    assert built.delay == pytest.approx(0.6) and built.sample_time == 5e-5
+    box = robust.box(0.1, 2e4)
+    assert (float(box.damping), box.delay, box.gain) == (0.9, pytest.approx(2.5e-5), 0.1)
+    assert robust.box(0.1, 2e4, ("gain",)).delay == 0
