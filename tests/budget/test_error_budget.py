@@ -21,7 +21,7 @@ from stillwork.control.budget_sources import (
     tabulated,
     white,
 )
-from stillwork.control.error_budget import UnstableLoop, _held, box_band, box_places
+from stillwork.control.error_budget import UnstableLoop, box_band, box_places
 from stillwork.control.floor_machine import FloorMachine, weak_integrator
 from stillwork.control.uncertainty import perturbed_plant
 from stillwork.lti.state_space import StateModel, constant, response_between
@@ -254,7 +254,15 @@ def frame_seen(network: control.Network, f: np.ndarray) -> tuple[np.ndarray, np.
     That is not the mean between samples: a held command leaves a sawtooth, of which the sensor sees the ends.
     """
     w, t = 2 * np.pi * f, network.controller.sample_time
-    held_plant = _held(network._parts("u", "y"), t, network.delay / t).frequency_response(w)
+    model = network._parts("u", "y")
+    step, push = held(model.a, model.b, t)
+    late = np.exp(
+        -1j * w * t
+    )  # of one sample: a command acts during the next one, and the sensor still sees the last
+    states = np.linalg.solve(
+        np.eye(len(step)) / late[:, None, None] - step, np.broadcast_to(push, (len(f), *push.shape))
+    )
+    held_plant = np.einsum("ys,fsu->yuf", model.c, states) * late + model.d[:, :, None] * late**2
     commands = response_between(network.loop, w)  # from measurements, then commands
     seen = network._parts("w", "y").frequency_response(w)[:, 0]
     of_floor = seen[1] + np.einsum("uf,uyf,yf->f", held_plant[1], commands[:, :3], seen)
