@@ -62,7 +62,7 @@ def paint_matrix(table: pd.DataFrame, over: str):
 
 
 def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
-    """Error over time a sample; the larger the dot, the more loops ran away."""
+    """Error over time a sample; the larger the dot, the more loops were unstable."""
     figure, axis = figures.new(1, 1, height=3.6)
     error = error.sort_values()
     arrow = {"arrowstyle": "-", "color": figures.GREY, "lw": 0.4, "alpha": 0.6, "shrinkA": 1}

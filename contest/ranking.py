@@ -172,14 +172,14 @@ def mean_errors(of: Block) -> pd.Series:
 
 
 def loops(table: pd.DataFrame) -> pd.DataFrame:
-    """The loop's track, of those that ran: median errors, share of loops that ran away, bandwidth over the oracle's."""
+    """The loop's track, of those that entered: median errors, share of loops that were unstable, bandwidth over the oracle's."""
     columns = {}
     for score in ("tracking", "rejection"):
         if (table["score"] == score).any():
             of = block(table, score)
             columns[score] = pd.Series(np.median(of.values, axis=(0, 1)), index=list(of.entrants))
             if score == "tracking":
-                columns["ran away"] = pd.Series(
+                columns["unstable loops"] = pd.Series(
                     np.isinf(of.values).mean(axis=(0, 1)), index=list(of.entrants)
                 )
     if (table["score"] == "bandwidth").any():
@@ -203,11 +203,41 @@ def with_interval(value: float, low: float, high: float, form: str) -> str:
     return f"{value:{form}}" if np.isnan(low) else f"{value:{form}} [{low:{form}}, {high:{form}}]"
 
 
+# Columns of the leaderboard's tracks.
+ESTIMATE = (
+    "mean rank",
+    "rank range, one machine left out",
+    "error",
+    "minus Kalman",
+    "verdict",
+    "worst cell",
+    "worse than Kalman",
+    "diverged",
+    "rigid-body error",
+)
+TRACKS = {
+    "Estimate": ESTIMATE,
+    "Loop": ("tracking", "rejection", "bandwidth", "unstable loops"),
+    "Compute": ("µs a sample", "bytes"),
+}
+
+
+def by_track(found: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Standings as a table for each track, with those that have a score in it."""
+    tables = {}
+    for track, wanted in TRACKS.items():
+        columns = [each for each in wanted if each in found]
+        some = found[["observer", *columns]]
+        tables[track] = some[(some[columns] != "").any(axis=1)]
+    return tables
+
+
 def standings(table: pd.DataFrame) -> pd.DataFrame:
     """The leaderboard in words: a row an entrant by mean rank, the oracle and those that have no estimate last."""
     flexible = block(table, "flexible")
     ranks, behind, robust = mean_ranks(flexible), against(flexible), robustness(flexible)
     errors, loop = mean_errors(flexible), loops(table)
+    rigid = mean_errors(block(table, "rigid"))
     compute = {
         score: table[table["score"] == score].drop(columns=KEYS).median()
         for score in ("microseconds", "bytes")
@@ -220,9 +250,10 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
             places = sorted({int(rank["best place"]), int(rank["last place"])})
             row |= {
                 "mean rank": with_interval(rank["rank"], rank["low"], rank["high"], ".1f"),
-                "place without one machine": " to ".join(map(str, places)),
+                "rank range, one machine left out": " to ".join(map(str, places)),
                 "error": f"{errors[name]:.2f}",
-                "less Kalman": with_interval(*behind.loc[name, ["behind", "low", "high"]], "+.2f"),
+                "rigid-body error": f"{rigid[name]:.2f}",
+                "minus Kalman": with_interval(*behind.loc[name, ["behind", "low", "high"]], "+.2f"),
                 "verdict": behind.loc[name, "verdict"],
                 "worst cell": f"{own['worst cell']:.2g}",
                 "worse than Kalman": f"{100 * own['worse than Kalman']:.0f} %",
@@ -233,7 +264,7 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
             row |= {
                 each: f"{shown[each]:.2g}" for each in ("tracking", "rejection", "bandwidth") if each in shown
             }
-            row |= {"ran away": f"{100 * shown['ran away']:.0f} %"} if "ran away" in shown else {}
+            row |= {"unstable loops": f"{100 * shown['ran away']:.0f} %"} if "unstable loops" in shown else {}
         row |= {
             shown: f"{compute[score][name]:.2g}"
             for score, shown in (("microseconds", "µs a sample"), ("bytes", "bytes"))

@@ -15,7 +15,7 @@ from jaxtyping import Float64
 from scipy.optimize import least_squares
 
 from contest.nominal import NominalModel, NominalNoise, OwnObserver
-from contest.runner import Disqualified, ExternalObserver
+from contest.runner import Disqualified, ExternalObserver, declared_knobs
 from contest.scores import ENTRANTS
 from contest.tuning import WORST, positions
 from stillwork.base.checks import InputError
@@ -189,14 +189,15 @@ def tuned_estimate(entrant: Callable, knobs: Sequence, task: str, release: int) 
 
 
 def record_table(
-    names: Sequence[str] = RUNNING, sources: Mapping[str, str] | None = None, knobs: Mapping | None = None
+    names: Sequence[str] = RUNNING, sources: Mapping[str, str] | None = None, tuned: bool = False
 ) -> tuple[pd.DataFrame, dict[str, str]]:
     """A row for each task, pair of releases, part and entrant; and who was disqualified, with the reason.
 
-    An observer from a file is tuned where `knobs` are given for it; else it gets none.
+    The knobs of observers from files stand at their defaults where these are not to be `tuned`.
     """
     rows: list[tuple] = []
     out: dict[str, str] = {}
+    knobs = {name: declared_knobs(source) for name, source in (sources or {}).items()}
     for task in TASKS:
         for trained in range(len(RELEASES)):
             given = fitted(task, trained)
@@ -205,8 +206,12 @@ def record_table(
                 for name in names
             }
             for name, source in (sources or {}).items():
-                theirs = partial(their_estimate, source)
-                estimates[name] = tuned_estimate(theirs, (knobs or {}).get(name, ()), task, trained)
+                theirs, own = partial(their_estimate, source), knobs[name]
+                estimates[name] = (
+                    tuned_estimate(theirs, own, task, trained)
+                    if tuned
+                    else theirs([knob.default for knob in own])
+                )
             for judged in set(range(len(RELEASES))) - {trained}:
                 run, found = run_of(task, judged), {}
                 for name, estimate in estimates.items():

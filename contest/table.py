@@ -1,7 +1,7 @@
 """The contest over all machines, uncertainties and seeds: its command, its table and its results.
 
-``python -m stillwork contest`` holds it; ``python -m contest.table`` writes the committed table's ranking into
-``docs/contest.md`` and its results beside it.
+``python -m stillwork contest`` holds it; ``python -m contest.table`` writes the leaderboard's page from the committed
+tables, and the results and the machines' numbers beside them.
 """
 
 import hashlib
@@ -20,21 +20,22 @@ import scipy
 
 from contest.nominal import nominal_of
 from contest.plants import PLANTS, plant_of
-from contest.ranking import KEYS, block, critical_difference, mean_ranks, standings
+from contest.ranking import KEYS, block, by_track, critical_difference, mean_ranks, standings
+from contest.record import FILE as RECORDED
+from contest.record import record_standings, record_table
 from contest.runner import ExternalObserver, declared_knobs
 from contest.scores import ENTRANTS, ORACLE, Scored, contest_trial
 from contest.tuning import TUNINGS, scans_of, settings_for, tune, write_development_set
 from contest.uncertainties import hidden_seed
-from stillwork.base.checks import InputError, require_choice, require_count
+from stillwork.base.checks import InputError, pluralise, require_choice, require_count
 from workbook import paths
 from workbook.workers import client_of, cores, processes
 
 EDITION = 2
 PRACTICE = "practice"  # in a public number's place, where none is given
-FILE, GUIDE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "contest.md"
+FILE, PAGE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "leaderboard.md"
 MACHINES = paths.data("motion", "contest_plants.json")
 SHEET = ("frequencies", "damping", "input_shapes", "output_shapes")
-BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"  # in the guide
 
 
 def run_contest(
@@ -179,8 +180,9 @@ def entries(files: Sequence[str | Path]) -> dict[str, dict]:
 @cache
 def digest_of_code() -> str:
     """Of the contest's programs and data, the numbers of its machines among them; the tables are none of it."""
-    data = sorted(paths.data("motion", "contest").parent.glob("contest_*.*"))
-    files = [*sorted(Path(__file__).parent.glob("*.py")), *(each for each in data if each.suffix != ".csv")]
+    tables = FILE.name, RECORDED.name, "contest_map.csv"
+    data = [each for each in sorted(FILE.parent.glob("contest*.[ct]*")) if each.name not in tables]
+    files = [*sorted(Path(__file__).parent.glob("*.py")), *data]
     return hashlib.sha256(b"".join(each.read_bytes() for each in files)).hexdigest()[:12]
 
 
@@ -243,6 +245,47 @@ def as_markdown(found: pd.DataFrame) -> str:
     return "\n".join([lines[0], "|" + "---|" * found.shape[1], *lines[1:]])
 
 
+def own_record(files: Sequence[str | Path], out: dict[str, str], tuned: bool) -> str:
+    """Standings on the measured record of the observers in files, with the yardsticks; `out` gets who is disqualified."""
+    sources = {name_of(file): str(file) for file in files if name_of(file) not in out}
+    table, reasons = record_table(["zero", "Kalman"], sources, tuned)
+    out |= reasons
+    return record_standings(table).to_string(index=False)
+
+
+REMARKS = {
+    "Estimate": "Errors of the flexible states over those of the estimate *zero*, whose row has 1 by definition; intervals "
+    "of 95 % over machines, tunings and seeds together.",
+    "Loop": "Medians over the judged loops, over a cautious loop without an observer; *bandwidth* over that which the true "
+    "states, the *oracle*, allow with the nominal model.",
+    "Compute": "Of ours, one core, without the design.",
+    "Record": "A measured beam: a laser is the truth, which no observer sees. Errors over those of the estimate *zero*, "
+    "median and range of six pairs of releases, one that all is fitted to and another that judges; three releases are too "
+    "few for an interval. *Linear* are causal filters of the last 25 samples of each signal, one fitted to the training "
+    "release, the *oracle* to what is judged: the best that a linear filter of this length can do.",
+}
+
+
+def leaderboard(table: pd.DataFrame, recorded: pd.DataFrame) -> str:
+    """The page with every track."""
+    found = results(table)
+    late = [name for name in ENTRANTS if name not in table]
+    tracks = {**by_track(standings(table)), "Record": record_standings(recorded)}
+    lines = [
+        "# The leaderboard of the observer benchmark",
+        f"Edition {EDITION}, code `{found['code']}`, public numbers {' and '.join(found['public'])}, which are known: an "
+        "observer from outside is ranked on a number of a beacon. [The data sheet](contest.md) says what each column means, "
+        "how to submit, and what the benchmark does not measure. `python -m contest.table` writes this page.",
+        f"Friedman's test: {found['friedman']:.1g}; Nemenyi's critical difference of mean ranks at 5 %: "
+        f"{found['critical difference']:.1f}. Who differ by less are not told apart by thirteen machines.",
+    ]
+    if late:
+        lines.append(f"Not in these tables yet, since they entered after them: {', '.join(late)}.")
+    for track, some in tracks.items():
+        lines += [f"## {track}", REMARKS[track], as_markdown(some)]
+    return "\n\n".join(lines) + "\n"
+
+
 def hold_contest(
     files: list[str],
     *,
@@ -276,27 +319,28 @@ def hold_contest(
     if out and Path(out).exists():
         table = joined(pd.read_csv(out), table)
     print(standings(table).to_string(index=False))
+    if files:
+        print(f"\nOn the measured beam:\n{own_record(files, disqualified, choices.get('tuned', False))}\n")
     for name, reason in disqualified.items():
         print(f"{name} is disqualified: {reason}")
     entered = entries(files)
     for name, entry in entered.items():
         if not entry["isolated"]:
             print(f"{name}: not isolated")
-    print(f"edition {EDITION}, {seeds} seeds a machine, {time.monotonic() - began:.0f} s")
+    per_machine = f"{pluralise(seeds, 'seed')} per machine"
+    print(f"edition {EDITION}, {per_machine}, {time.monotonic() - began:.0f} s")
     if out:
         write_table(table, out, entered)
     return int(bool(disqualified))
 
 
 def main() -> None:
-    """Write the committed table's ranking into its guide, and its results."""
+    """Write the leaderboard, the results and the machines' numbers from the committed tables."""
     table = pd.read_csv(FILE)
     write_table(table, FILE)
     lines = [f'"{name}": {json.dumps(machine_numbers(name))}' for name in PLANTS]
     MACHINES.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-    before, _, rest = GUIDE.read_text(encoding="utf-8").partition(BEGIN)
-    after = rest.partition(END)[2]
-    GUIDE.write_text(f"{before}{BEGIN}\n{as_markdown(standings(table))}\n{END}{after}", encoding="utf-8")
+    PAGE.write_text(leaderboard(table, pd.read_csv(RECORDED)), encoding="utf-8")
 
 
 if __name__ == "__main__":

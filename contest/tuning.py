@@ -68,9 +68,14 @@ def tune(
 
 
 def settings_for(plant: str, seed: int, names: Iterable[str] = ENTRANTS) -> dict[str, tuple[float, ...]]:
-    """Where the tuned knobs of these entrants stand on a plant at a judged seed."""
+    """Where the tuned knobs of these entrants stand on a plant at a judged seed; at their defaults, if they are not tuned."""
     tuned = read_toml(FILE)
-    return {name: tuple(tuned[name][plant][seed % TUNINGS]) if ENTRANTS[name].knobs else () for name in names}
+    return {
+        name: tuple(tuned[name][plant][seed % TUNINGS])
+        if name in tuned
+        else tuple(knob.default for knob in ENTRANTS[name].knobs)
+        for name in names
+    }
 
 
 def write_development_set(folder: str | Path) -> None:

@@ -37,12 +37,14 @@ from contest.ranking import (
     Block,
     against,
     block,
+    by_track,
     critical_difference,
     leave_one_out,
     mean_ranks,
     robustness,
     standings,
 )
+from contest.record import record_standings
 from contest.runner import can_isolate
 from contest.scores import ENTRANTS, ORACLE, Scan, opened, recorded, scores_of, truth_of
 from contest.table import FILE, as_markdown, digest_of, joined, run_contest, tabulated
@@ -482,15 +484,32 @@ def test_the_number_is_read_from_standard_input(monkeypatch, capsys):
         tables.hold_contest([], seeds=1, hidden=True)
 
 
-def test_the_committed_table_is_whole_and_the_guide_shows_it():
-    table = pd.read_csv(FILE)
-    flexible = block(table, "flexible", list(ENTRANTS))
-    assert flexible.values.shape[::2] == (len(PLANTS) * len(UNCERTAINTIES), len(ENTRANTS))
+def test_the_committed_table_is_whole_and_the_leaderboard_shows_it():
+    table, recorded = pd.read_csv(FILE), pd.read_csv(tables.RECORDED)
+    entered = [name for name in ENTRANTS if name in table]
+    flexible = block(table, "flexible", entered)
+    assert flexible.values.shape[::2] == (len(PLANTS) * len(UNCERTAINTIES), len(entered))
     assert len(table["public"].unique()) == 2 and len(flexible.groups) >= ranking.FEWEST_DRAWS
-    assert as_markdown(standings(table)) in GUIDE
+    page = tables.PAGE.read_text(encoding="utf-8")
+    for some in (*by_track(standings(table)).values(), record_standings(recorded)):
+        assert as_markdown(some) in page
+    late = ", ".join(name for name in ENTRANTS if name not in table)
+    assert not late or f"entered after them: {late}." in page
     stored = json.loads(FILE.with_suffix(".json").read_text())
     assert stored["standings"] == standings(table).to_dict("records")
     assert stored["machines"] == {name: digest_of(name) for name in PLANTS}
+    numbers = json.loads(tables.MACHINES.read_text())
+    for name in PLANTS:
+        for key, value in tables.machine_numbers(name).items():
+            assert np.allclose(numbers[name][key], value, rtol=1e-9, atol=1e-12), (name, key)
+
+
+def test_tracks_hold_their_yardsticks():
+    tracks = by_track(standings(pd.read_csv(FILE)))
+    assert {"zero", "Kalman"} <= set(tracks["Estimate"]["observer"]) and ORACLE not in set(
+        tracks["Estimate"]["observer"]
+    )
+    assert {"zero", "Kalman", ORACLE} <= set(tracks["Loop"]["observer"])
 
 
 @pytest.mark.slow
