@@ -53,6 +53,12 @@ const here = {
     const found = F.measuredAlone(machine), judged = L.judge(L.makeLoop(found, design), design);
     return { rigid: found.rigid, turned: found.turned, mass: found.mass, unstable: judged.unstable, box: judged.box.unstable };
   },
+  // The first design of a machine, and of a measurement alone however it is taken below its first line.
+  first(machine, below = null) {
+    const found = machine.model ? machine : F.measuredAlone(machine, below), { design, words } = X.stableFirstDesign(found);
+    const judged = L.judge(L.makeLoop(found, design), design);
+    return { design, words, stable: judged.stable, rigid: found.rigid, peak: (judged.box ?? judged.nominal).output_sensitivity.size };
+  },
   toml: B.controllerToml,
   code: B.biquadCode,
 };

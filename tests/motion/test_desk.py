@@ -590,3 +590,40 @@ def test_the_modules_make_one_script(tmp_path):
     file.write_text(script(), encoding="utf-8")
     assert subprocess.run(["node", "--check", str(file)], capture_output=True).returncode == 0
     assert not re.findall(r"^(?:import|export)\b", script(), re.MULTILINE)
+
+
+def on_springs(hertz, flexible):
+    """A machine of 12 kg on springs as the page has it, and its response alone from a tenth of the suspension on."""
+    w, z = TURN * np.array([hertz, *flexible]), np.array([0.02, 0.01, 0.008])
+    shares = np.array([1.0, 0.5, -0.3]) / 12
+    model = lti.ModalModel(
+        w,
+        z,
+        np.sqrt(np.abs(shares))[:, None],
+        (np.sign(shares) * np.sqrt(np.abs(shares)))[None],
+        np.zeros((1, 1)),
+    )
+    whole = entry(Machine((model,), 12.0, "springs"), {"frequency": 0.05, "gain": 0.05})
+    lines = np.arange(0.1 * hertz, 2 * flexible[-1], 0.02 * hertz)
+    accelerance = -((TURN * lines) ** 2) * model.frequency_response(TURN * lines)[0, 0]
+    measured = {"hz": lines.tolist(), "re": accelerance.real.tolist(), "im": accelerance.imag.tolist()}
+    ends = {"band_hz": lines[[0, -1]].tolist(), "uncertainty": {"gain": 0.05, "delay": 0.0}}
+    return whole, whole | ends | {"model": None, "measured": measured}
+
+
+@pytest.mark.parametrize("hertz", [0.8, 2.0])
+def test_a_first_design_is_stable_on_a_suspension(node, hertz):
+    """Of a model, of its response alone, and of that however it is taken below its first line."""
+    whole, alone = on_springs(hertz, [15 * hertz, 28 * hertz])
+    calls = [("here", "first", whole), *(("here", "first", alone, below) for below in (None, 0, 1, 2))]
+    found = values(node(calls))
+    assert all(each["stable"] and not each["words"] for each in found)
+    assert [each["rigid"] for each in found[1:]] == [0, 0, 1, 2]
+    assert max(each["peak"] for each in found) < 10 ** (6.01 / 20)
+
+
+def test_a_machine_without_a_stable_first_design_says_so(node):
+    """A force that comes half a minute late."""
+    late = machine_to_begin_with() | {"start": {"rate_hz": 4000.0, "delay_samples": 1.2e5}}
+    (found,) = values(node([("here", "first", late)]))
+    assert "next to no gain" in found["words"][0] and found["design"]["blocks"][0]["gain"] < 1e-5

@@ -2,6 +2,7 @@
 import { ALLOWED_DB, FUNCTIONS, addPlace, boxSearch, judge, makeLoop } from "./loop.js";
 import { toDb } from "./complex.js";
 import { BLOCKS, controllerSections, isFilter } from "./response.js";
+import { firstDesign } from "./state.js";
 
 const LIMIT_DB = 6; // sought; what is handed out keeps ALLOWED_DB
 const PRICE = 0.7; // octaves of bandwidth that a dB above the limit costs: more than a dB ever gains
@@ -48,6 +49,35 @@ export function merit(result, design, limit = LIMIT_DB) {
     if (corner) slow = Math.max(slow, Math.log2(result.bandwidth / (SLOWEST * corner)));
   }
   return Math.log2(result.bandwidth) - PRICE * excess - 4 * Math.max(slow, 0);
+}
+
+// Bandwidths of a first design over the rule's own, in the order in which they are tried.
+const FIRST_FACTORS = [1, 1 / 2, 1 / 4, 1 / 8, 2, 4, 8, 16, 1 / 16, 1 / 32, 1 / 64, 1 / 128];
+const NEXT_TO_NOTHING = 1e-9; // of its gain, where none of these is stable
+
+// A first design that is stable, all over the box: the first of the factors that keeps 6 dB there, else the first stable
+// one; and what to say of it.
+export function stableFirstDesign(machine) {
+  const first = firstDesign(machine), loop = makeLoop(machine, first);
+  const moved = (factor, gain = factor * factor) => ({
+    ...first,
+    blocks: first.blocks.map((block) => {
+      if (block.kind !== "pid") return block;
+      const numbers = { ...block, gain: block.gain * gain };
+      for (const name of ["integrator_hz", "differentiator_hz", "low_pass_hz"]) numbers[name] *= factor;
+      return numbers;
+    }),
+  });
+  let stable = null;
+  for (const factor of FIRST_FACTORS) {
+    const design = moved(factor), result = judge(loop, design, { whole: false });
+    if (!result.stable) continue;
+    const peak = Math.max(...FUNCTIONS.map((name) => (result.box ?? result.nominal)[name].size));
+    if (toDb(peak) <= ALLOWED_DB) return { design, words: [] };
+    stable ??= design;
+  }
+  if (stable) return { design: stable, words: [] };
+  return { design: moved(1, NEXT_TO_NOTHING), words: ["no stable one was found: it begins with next to no gain"] };
 }
 
 // A search in slices: `step(ms)` until it returns true; then `results()`. The loop is looked at on thinned grids while

@@ -3,11 +3,11 @@ import { toDb } from "./complex.js";
 import { bandwidthText, biquadCode, controllerToml, designText } from "./export.js";
 import { BELOW, DRIVE_UNITS, RESPONSE_UNITS, designOfController, machineOfJson, machineOfTable, measuredAlone } from "./files.js";
 import { FUNCTIONS, SHOWN, addPlace, boxSearch, judge, makeLoop } from "./loop.js";
-import { makeSearch } from "./optimise.js";
+import { makeSearch, stableFirstDesign } from "./optimise.js";
 import { makePlot, palette, shortNumber, svgOf } from "./plots.js";
 import { BLOCKS, timing } from "./response.js";
 import { simulate, thirdOrderMove } from "./simulate.js";
-import { firstDesign, fromAddress, makeHistory, newBlock, toAddress } from "./state.js";
+import { fromAddress, makeHistory, newBlock, toAddress } from "./state.js";
 
 const IDLE = 250; // ms without a change before the whole box is searched
 const TIME_FRAMES = 100; // ms between two simulations during a drag, at least
@@ -49,7 +49,8 @@ export function startDesk(root, machines) {
   const usable = (design) =>
     design.blocks.every((block) => Object.hasOwn(BLOCKS, block?.kind) && Object.keys(BLOCKS[block.kind].numbers).every((name) => Number.isFinite(block[name])));
   const whole = (found) => (found && usable(found.design) ? found : null);
-  let history = makeHistory(kept?.machine === machine.name && usable(kept.design) ? kept.design : firstDesign(machine));
+  const begun = kept?.machine === machine.name && usable(kept.design) ? { design: kept.design, words: [] } : stableFirstDesign(machine);
+  let history = makeHistory(begun.design);
   // A design whose machine is not on the page: it waits for its file.
   let waiting = machines.some((each) => each.name === kept?.machine) ? null : whole(kept);
   const askForFile = () => waiting && say(`the address holds a design for ${waiting.machine}: drop that file here again, and it is restored`);
@@ -651,11 +652,11 @@ export function startDesk(root, machines) {
     loops = new Map();
     pinned = ghost = null;
     by("ghost").setAttribute("aria-pressed", "false");
-    const { design: first, words } = withoutObserver(design ?? firstDesign(machine));
+    const begin = design ? { design, words: [] } : stableFirstDesign(machine), { design: first, words } = withoutObserver(begin.design);
     history = makeHistory(first);
     showMachine();
     settle(history.now);
-    return words;
+    return [...begin.words, ...words];
   }
   // An observer stays, out of the loop, where no model is there for it.
   function withoutObserver(design) {
@@ -807,8 +808,8 @@ export function startDesk(root, machines) {
     request();
   });
   by("machine").addEventListener("change", () => {
-    useMachine(machines.find((each) => each.name === by("machine").value));
-    say(`${machine.name} is on the desk, with a first design`);
+    const words = useMachine(machines.find((each) => each.name === by("machine").value));
+    say([`${machine.name} is on the desk, with a first design`, ...words].join("; "));
   });
   by("open").addEventListener("click", () => by("file").click());
   by("file").addEventListener("change", () => {
@@ -884,6 +885,7 @@ export function startDesk(root, machines) {
   showBlocks();
   refresh();
   describe();
+  if (begun.words.length) say(begun.words.join("; "));
   askForFile();
   root.dataset.ready = "yes";
   return { get result() { return result; }, get design() { return history.now; }, hold, settle, refresh };
