@@ -16,7 +16,6 @@ from jupyter_server.services.contents.largefilemanager import AsyncLargeFileMana
 
 from workbook import lab
 from workbook.notebooks import cleaned, notebook_text, select
-from workbook.site.scaffold import new_result
 
 ROOT = Path(__file__).parents[2]
 NAME = "notebooks/isolation/05-power.ipynb"
@@ -102,36 +101,12 @@ def code(page: dict) -> list[dict]:
 
 
 @pytest.mark.slow
-def test_opened_and_saved_nothing_changes(checkout):
-    for name in COMMITTED:
-        checkout.save(checkout.open(name), name)
-    assert checkout.changed() == ""
-
-
-@pytest.mark.slow
 def test_run_and_saved_nothing_changes(checkout):
     for name in COMMITTED:
         page = as_run(checkout.open(name))
         checkout.save(page, name)
         checkout.save(page, name)  # the page goes on showing what it ran
     assert checkout.changed() == ""
-
-
-@pytest.mark.slow
-def test_a_new_result_is_written_in_the_form_that_is_saved(checkout):
-    new_result("isolation", "99-payload")
-    checkout.commit()
-    name = "notebooks/isolation/99-payload.ipynb"
-    checkout.save(as_run(checkout.open(name)), name)
-    assert checkout.changed() == ""
-
-
-def test_what_the_page_is_told_after_a_save_is_what_stands_on_the_disk(checkout):
-    """JupyterLab asks for the time and the hash before the next save: others than these would open a dialog."""
-    told = checkout.save(as_run(checkout.open()))
-    later = asyncio.run(checkout.manager.get(NAME, content=False))
-    assert told["last_modified"] == later["last_modified"]
-    assert told["size"] == (checkout.root / NAME).stat().st_size
 
 
 def test_an_edited_cell_loses_its_results_and_the_others_keep_theirs(checkout):
