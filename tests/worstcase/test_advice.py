@@ -33,6 +33,14 @@ def test_each_flaw_has_its_estimator():
     assert "noise of 0.3" in str(advise(clean, y))  # then something else than least squares would be right
 
 
+def test_instruments_that_explain_nothing_are_left_aside():
+    X, y, _, rng = record(noise=0.3)
+    blind = rng.standard_normal(X.shape)
+    one, other = advise(X, y, instruments=blind), advise(X, y)
+    assert [each.name for each in one.ranking] == [each.name for each in other.ranking]
+    assert "left aside" in str(one)
+
+
 def test_a_mean_square_below_zero_is_no_merit():
     # of a single feature whose noise is above what it holds: bias compensation, 1.7 times the error of ignoring it
     name, _, _, ignoring = problems.judge(problems.SECOND["drowned"](np.random.default_rng([4, 11])))

@@ -52,6 +52,7 @@ EVERY = [
     TotalLeastSquares(),
     BiasCompensatedRegressor(),
     BiasCompensatedRegressor(noise=0.01),
+    BiasCompensatedRegressor(noise=0.01, penalty="cross-validation"),
     InstrumentalRegressor(),
     HuberRegressor(),
     HinfinityRegressor(),
@@ -65,6 +66,9 @@ KINDS = [
     RidgeRegressor(forgetting=0.95, fit_intercept=False),
     TotalLeastSquares([0.3, 0.0, 0.1], fit_intercept=False),
     BiasCompensatedRegressor([0.3, 0.0, 0.1], forgetting=0.95, fit_intercept=False),
+    BiasCompensatedRegressor(
+        [0.3, 0.0, 0.1], forgetting=0.95, fit_intercept=False, penalty="cross-validation"
+    ),
     InstrumentalRegressor(forgetting=0.95, fit_intercept=False),
     HinfinityRegressor(0.3, 2.0, 4.0, forgetting=0.99, fit_intercept=False),
 ]
@@ -198,6 +202,7 @@ SCALED = [
     RidgeRegressor("cross-validation", forgetting=0.9),
     TotalLeastSquares([0.1, 0.0, 0.2], 0.3),
     BiasCompensatedRegressor(0.1),
+    BiasCompensatedRegressor([0.1, 0.0, 0.3], penalty="cross-validation"),
     InstrumentalRegressor(),
     HuberRegressor(),
     HinfinityRegressor(),
@@ -676,6 +681,33 @@ def test_each_kind_meets_its_own_criterion(fit_intercept, forgetting):
     assert (
         np.abs((A * root[:, None]).T @ bent).max() < 1e-3 * np.abs((A * root[:, None]).T @ (b / root)).max()
     )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_penalty_of_bias_compensation_has_the_smallest_cp(seed):
+    rng = np.random.default_rng([12, seed])
+    clean, noise = rng.standard_normal((40, 3)), np.array([0.5, 0.0, 0.2])
+    X = clean + noise * rng.standard_normal((40, 3))
+    y = clean @ rng.standard_normal(3) + 2.0 * rng.standard_normal(40)
+    G = X.T @ X - 40 * np.diag(noise**2)  # of noise far below what any direction holds
+
+    def fitted(penalty):
+        inverse = np.linalg.inv(G + penalty * np.eye(3))
+        coef = inverse @ X.T @ y
+        return coef, np.sum((y - X @ coef) ** 2), np.trace(X @ inverse @ X.T)
+
+    grid = np.append(0.0, np.linalg.eigvalsh(G)[-1] * np.geomspace(1e-5, 1e6, 500))
+    noise_of_y = min(left / 40 / (1 - freedom / 40) ** 2 for _, left, freedom in map(fitted, grid))
+
+    def cp(penalty):
+        coef, left, freedom = fitted(penalty)
+        return left / 40 - np.sum((noise * coef) ** 2) + 2 * noise_of_y * freedom / 40
+
+    found = BiasCompensatedRegressor(noise, fit_intercept=False, penalty="cross-validation").fit(X, y)
+    best = fitted(min(grid, key=cp))[0]
+    assert found.coef_ == pytest.approx(best, abs=0.02 * np.abs(best).max())
+    given = BiasCompensatedRegressor(noise, fit_intercept=False, penalty=7.0).fit(X, y)
+    assert given.coef_ == pytest.approx(fitted(7.0)[0], rel=1e-9)
 
 
 def test_hinfinity_is_the_filter_in_information_form():

@@ -54,6 +54,48 @@ def evidence_penalty(matrix: Matrix, target: Vector, samples: float) -> float:
 
 
 @checked
+def compensated_ridge(
+    matrix: Matrix, target: Vector, variances: Vector, samples: float, penalty: float | None = None
+) -> Float64[np.ndarray, " unknowns"]:
+    """Ridge regression without the share that noise of these variances in the rows has of A'A.
+
+    Without a penalty that with the smallest estimate of the error of predictions from rows without noise, on a grid: the
+    mean square of the residuals less that of the coefficients' share of the noise, and twice the noise of b times the
+    degrees of freedom over the samples (Mallows, 1973). The noise of b is that of generalised cross-validation.
+    """
+    target = require_array("target", target, shape=(len(matrix),))
+    variances = require_array("variances", variances, shape=matrix.shape[1:])
+    products, correlation = matrix.T @ matrix, matrix.T @ target
+    taken = _noise_taken_out(matrix, variances, samples)
+    sizes, axes = np.linalg.eigh(products - taken * np.diag(variances))
+    if not sizes[-1] > 0:
+        return np.zeros(matrix.shape[1])
+    used = sizes > 1e-12 * sizes[-1]  # the others are rounding of squares
+    sizes, axes = sizes[used], axes[:, used]
+    penalties = np.append(0.0, sizes[-1] * PENALTIES) if penalty is None else np.array([penalty])
+    shrunk = 1 / (sizes + penalties[:, None])
+    coefs = (shrunk * (axes.T @ correlation)) @ axes.T
+    left = np.sum((target[:, None] - matrix @ coefs.T) ** 2, axis=0)
+    freedom = shrunk @ np.einsum("ij,ji->i", axes.T @ products, axes)
+    noise = np.min(left * samples / np.maximum(samples - freedom, 1.0) ** 2)
+    scores = left - taken * coefs**2 @ variances + 2 * noise * freedom
+    return np.array(coefs[scores.argmin()])
+
+
+def _noise_taken_out(matrix, variances, samples) -> float:
+    # of so many samples; where noise is all that a direction holds, a standard error of what it holds is left
+    noisy = variances > 0
+    if not noisy.any():
+        return 0.0
+    ordered = np.column_stack([matrix[:, ~noisy], matrix[:, noisy] / np.sqrt(variances[noisy])])
+    triangle = np.linalg.qr(ordered, mode="r")[np.sum(~noisy) :, np.sum(~noisy) :]
+    if len(triangle) < noisy.sum():
+        return 0.0
+    least = np.linalg.svd(triangle, compute_uv=False)[-1] ** 2
+    return float(min(samples, least * (1 - 1 / np.sqrt(max(samples, 1.0)))))
+
+
+@checked
 def huber_estimate(matrix: Matrix, target: Vector, weights: Vector) -> Float64[np.ndarray, " unknowns"]:
     """Huber's estimate by reweighting, its scale the weighted median of |residuals| over 0.6745; `weights` of squares."""
     target = require_array("target", target, shape=(len(matrix),))

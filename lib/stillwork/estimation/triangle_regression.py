@@ -14,6 +14,7 @@ import numpy as np
 from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel_for
 from stillwork.estimation.linear_fits import (
+    compensated_ridge,
     cross_validated_penalty,
     evidence_penalty,
     instrumental_variables,
@@ -345,6 +346,9 @@ class BiasCompensatedRegressor(_NoisyFeatures):
         lambda in (0, 1]; 1 weighs all samples alike.
     fit_intercept : bool
         Whether a constant is learned, too; without, y is 0 where X is.
+    penalty : str or float
+        On |coef|^2, as of `RidgeRegressor`: few samples make the estimate without one large. ``cross-validation``: that
+        with the smallest estimated error of predictions from features without noise; or a number of zero or above.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate: of the relation between y and the features without noise.
     intercept_ : float or ndarray, shape (outputs,)
@@ -359,7 +363,8 @@ class BiasCompensatedRegressor(_NoisyFeatures):
 
     References
     ----------
-    Söderström, Errors-in-variables methods in system identification (2007).
+    Söderström, Errors-in-variables methods in system identification (2007); Mallows, Some comments on Cp (1973), of the
+    penalty.
 
     Examples
     --------
@@ -373,8 +378,24 @@ class BiasCompensatedRegressor(_NoisyFeatures):
     noise: Any = 0.0
     forgetting: Any = 1.0
     fit_intercept: Any = True
+    penalty: Any = 0.0
+
+    def _known(self, columns):
+        known = super()._known(columns)
+        if isinstance(self.penalty, str):
+            require_choice("penalty", self.penalty, ("cross-validation",))
+            self._penalty = None
+        else:
+            self._penalty = float(require_number("penalty", self.penalty, at_least=0.0))
+        # a penalty shrinks what is known exactly, too
+        return known if self._penalty == 0 else TriangleRegressor._known(self, columns)
 
     def _estimate(self, matrix, target, mass):
+        if self._penalty != 0:
+            variances = self._noises[: matrix.shape[1]] ** 2
+            return compensated_ridge(
+                matrix, target, variances, float(max(mass, matrix.shape[1] + 1.0)), self._penalty
+            )
         noises = self._noises[self._noises > 0]
         whitened = matrix / noises
         products, correlation = whitened.T @ whitened, whitened.T @ target
