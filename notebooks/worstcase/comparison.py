@@ -419,23 +419,24 @@ AGAINST = (
 
 def paint_map(names: list[str], errors: np.ndarray):
     """Error over that of the best in its row, one panel an excitation; a dot where it is equal to the best."""
-    figure, panels = figures.new(1, len(EXCITATIONS), height=0.3 * len(names) + 2.6, sharey=True)
+    # two by two: with four panels side by side the methods' names would cover each other
+    figure, grid = figures.new(2, 2, height=0.5 * len(names) + 3.2, sharex=True, sharey=True)
     behind, equal = np.log2(over_best(errors)), equal_to_best(errors)
     columns, rows = np.arange(len(METHODS)), np.arange(len(names))
-    for number, (axes, title) in enumerate(zip(panels, EXCITATIONS, strict=True)):
+    for number, (axes, title) in enumerate(zip(grid.flat, EXCITATIONS, strict=True)):
         shades = {"cmap": "Reds", "vmin": 0, "vmax": 5, "shading": "nearest"}
         mesh = axes.pcolormesh(columns, rows, behind[:, number], **shades)
         dots = np.nonzero(equal[:, number])[::-1]
         label = f"within {MARGIN - 1:.0%} of the best (whole 95 % interval)"
         axes.plot(*dots, "o", markersize=4, color=figures.BLACK, label=label)
         axes.set_title(title)
-        axes.set_xticks(columns, METHODS.values(), rotation=90, fontsize=7)
-    panels[0].set_yticks(rows, names)
-    panels[0].set_ylim(len(names) - 0.5, -0.5)
+        axes.set_xticks(columns, METHODS.values(), rotation=90)
+    grid[0, 0].set_yticks(rows, names)
+    grid[0, 0].set_ylim(len(names) - 0.5, -0.5)
     # Beside few rows there is no height for the whole label.
-    figures.label(panels, y="what is wrong: noise on input, output" if len(names) > 8 else "what is wrong")
-    figures.legend_below(panels[0], 1)
-    bar = figure.colorbar(mesh, ax=panels, label="error over that of the best", extend="max", ticks=range(6))
+    figures.label(grid, y="what is wrong: noise on input, output" if len(names) > 8 else "what is wrong")
+    figures.legend_below(grid[0, 0], 1)
+    bar = figure.colorbar(mesh, ax=grid, label="error over that of the best", extend="max", ticks=range(6))
     bar.ax.set_yticklabels(["1", "2", "4", "8", "16", "32"])
     return figure
 
