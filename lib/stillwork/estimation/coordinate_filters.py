@@ -71,7 +71,7 @@ class LowPass:
     --------
     >>> held = [estimation.filter_signal(estimation.LowPass(100.0, zero), np.ones(1000)) for zero in (False, True)]
     >>> [each.position[10].round(2) for each in held], [each.position[-1].round(6) for each in held]
-    ([np.float64(1.0), np.float64(0.06)], [np.float64(1.0), np.float64(1.0)])
+    ([np.float64(1.0), np.float64(0.09)], [np.float64(1.0), np.float64(1.0)])
     """
 
     bandwidth: Positive = 350.0

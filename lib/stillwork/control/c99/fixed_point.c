@@ -79,7 +79,7 @@ l|    int i;
 l|
 p|    if (s->samples == 0) {
 p|        x[2] = s->estimate[j][2];
-p|        x[1] = s->estimate[j][1] + (x[2] * ((dt / $two) - ($three / b)));
+p|        x[1] = s->estimate[j][1] - (dt * x[2]);
 p|        x[0] = measured - ($three * (x[1] + (x[2] / b)) / b);
 p|    }
 l|    jerk = (b * b * b * (measured - x[0])) - ($three * b * b * x[1]) - ($three * b * x[2]);
