@@ -278,6 +278,23 @@ def test_a_measured_response_gives_the_isolator_and_is_what_the_path_is_judged_o
 
 
 @pytest.mark.slow
+def test_a_wrong_path_is_named_although_some_skyhook_gains_hide_it(tmp_path):
+    # With much skyhook the phase stays below 90 degrees, and what then fails in the box is the skyhook's peak.
+    (tmp_path / "m.toml").write_text("""
+[isolator]
+mass = [[14.0, 2.5], [2.5, 11.0]]
+damping = [[120.0, 10.0], [10.0, 90.0]]
+stiffness = [[120e3, 8e3], [8e3, 160e3]]
+actuator_pole_hz = 220.0
+[estimate]
+stiffness = [[1080e3, 72e3], [72e3, 1440e3]]
+""")
+    floor = write_floor(tmp_path, flat())
+    with pytest.raises(InputError, match="90 degrees"):
+        isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), 1000.0)
+
+
+@pytest.mark.slow
 def test_slow_motion_that_is_refused_would_have_broken_the_loop(tmp_path, monkeypatch):
     """Let pass, with the time constant that the band alone asks for, the weights run away."""
     true = draw_isolator(np.random.default_rng(0), 1, RATE)

@@ -433,11 +433,12 @@ def design_isolation(
         raise InputError(
             f"band_hz begins at {low:.3g} Hz, below twice every cut-off tried; begin at 1 Hz or above"
         )
+    # What speaks against the loop without a skyhook no smaller gain cures.
+    mildest = min(tried, key=lambda each: (each.loop.gain, len(each.certificate.problems)))
+    against = "not to be switched on: " + "; ".join(mildest.certificate.problems)
     safe = [each for each in tried if not each.certificate.problems]
     if not safe:
-        # What speaks against the loop without a skyhook no smaller gain cures.
-        best = min(tried, key=lambda each: (each.loop.gain, len(each.certificate.problems)))
-        raise InputError("not to be switched on: " + "; ".join(best.certificate.problems))
+        raise InputError(against)
     quick = [each for each in safe if each.time_constant <= LONGEST_S]
     if not quick:
         least = min(each.time_constant for each in safe)
@@ -447,19 +448,21 @@ def design_isolation(
         )
     rng = np.random.default_rng(seed)
     box = [_perturbed(isolator, spread, rng) for _ in range(DRAWS)]
-    reasons = ()
+    failed = []
     for design in sorted(quick, key=lambda each: each.motion):
         step = design.step
         around = []
         for each in box:
             around.append(try_loop(design.loop, each, paths_of(each), floor, algorithm, variance, step))
-            if reasons := around[-1].certificate.problems:
+            if problems := around[-1].certificate.problems:
+                failed.append((design.loop.gain, problems))
                 break
         else:
             return design, around
-    raise InputError(
-        f"not to be switched on: somewhere within {100 * spread:g} % of this isolator {'; '.join(reasons)}"
-    )
+    if mildest.certificate.problems:
+        raise InputError(against)
+    reasons = "; ".join(min(failed)[1])
+    raise InputError(f"not to be switched on: somewhere within {100 * spread:g} % of this isolator {reasons}")
 
 
 @by_value
