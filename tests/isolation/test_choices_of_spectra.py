@@ -1,5 +1,6 @@
 """Sections 2, 5.1.2 and 5.2 at other open choices: the varied rig, and the studies against what was accepted."""
 
+import csv
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from experiments.isolation.responses import responses
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import equal_struts, load_twin
 from notebooks.isolation.power import correlated
+from workbook import paths
 from workbook.choices.command import robustness_of
 
 
@@ -72,3 +74,23 @@ def test_what_the_notebooks_say_of_other_choices_was_found():
     assert found["isolation.fig-7.lower-end"].share <= 0.05
     # Notebook 04: damping and pole, with the same delay, decide where 20 dB end; larger is better there.
     assert 0.3 < found["isolation.fig-7.upper-end"].share < 0.95
+
+
+def test_the_edges_over_eight_seeds_are_those_of_notebook_04():
+    block = next(
+        part
+        for part in paths.data("isolation", "choices.csv").read_text(encoding="utf-8").split("# study ")
+        if part.startswith("edges ")
+    )
+    rows = list(csv.DictReader(block.splitlines()[1:]))
+    entry = "isolation.fig-7.upper-end"
+    for damping, pole, ends in (
+        ("65.0", "300.0", (152, 160)),
+        ("15.0", "300.0", (196, 207)),
+        ("5.0", "2400.0", (292, 346)),
+    ):
+        given = {"strut-damping": damping, "actuator-pole": pole, "floor-upper-end": "1500.0"}
+        found = [float(row[entry]) for row in rows if given.items() <= row.items()]
+        assert len(found) == 8 and (round(min(found)), round(max(found))) == ends
+    every = [float(row[entry]) for row in rows]
+    assert (round(min(every)), round(max(every))) == (146, 346)
