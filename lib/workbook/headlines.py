@@ -6,12 +6,13 @@ from html import escape
 
 from stillwork.base.toml_files import read_toml
 from workbook import paths
-from workbook.choices.judging import Robustness
+from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness
 from workbook.claims import AGREEMENT, Claim
 from workbook.report import our_quantity, published_quantity
 
 MOST = 5  # claims at the head of a page
-MARKS = {"agrees": "●", "differs": "◆", "open": "○"}
+MARKS = {"agrees": "●", "depends": "◐", "differs": "◆", "open": "○"}
+OVER_CHOICES = {ROBUST: "agrees", DEPENDS: "depends", NOT_REPRODUCED: "differs"}
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,18 @@ class Headline:
     robustness: Robustness | None = None
 
     @property
+    def status(self) -> str:
+        """What stands at its head: the class over the open choices; the verdict where none were tried."""
+        return (self.robustness and self.robustness.class_) or self.claim.verdict
+
+    @property
     def kind(self) -> str:
-        """``agrees``, ``differs``, or ``open`` where it is not judged or not computed yet."""
-        verdict = self.claim.verdict
-        return (
-            "open"
-            if verdict in ("reported", "not built")
-            else "agrees"
-            if verdict in AGREEMENT
-            else "differs"
-        )
+        """``agrees``, ``depends`` on open choices, ``differs``, or ``open`` where it is not judged or not computed yet."""
+        if self.status in OVER_CHOICES:
+            return OVER_CHOICES[self.status]
+        if self.status in ("reported", "not built"):
+            return "open"
+        return "agrees" if self.status in AGREEMENT else "differs"
 
     @property
     def mark(self) -> str:
@@ -49,7 +52,8 @@ class Headline:
         """What was published and what we find, each with its unit; the interval where there is one."""
         claim, entry = self.claim, self.claim.entry
         published = published_quantity(claim)
-        words = [f"Published {published}." if published else "No number published."]
+        said, ours = ("Said to hold", "It holds") if entry.is_fraction else ("Published", "We find")
+        words = [f"{said} {published}." if published else "No number published."]
         if claim.ours is None:
             return " ".join([*words, "Not computed yet."])
         interval = ""
@@ -58,7 +62,7 @@ class Headline:
             interval = " ({:.3g} to {:.3g}{})".format(
                 *(scale * end for end in claim.interval), " %" if entry.is_fraction else ""
             )
-        return " ".join([*words, f"We find {our_quantity(claim)}{interval}."])
+        return " ".join([*words, f"{ours} {our_quantity(claim)}{interval}."])
 
     @property
     def open_choices(self) -> str:

@@ -196,8 +196,16 @@ def test_the_summary_has_what_was_published_and_found():
         f"agrees under {first.robustness.agree} of {first.robustness.tried} combinations"
         in first.open_choices
     )
-    assert repr(summary).splitlines()[0].startswith("●")
-    assert "<li>● <strong>achievable bandwidth</strong>" in summary._repr_html_()
+    # The mark is that over the open choices: the number agrees at the default, and depends on them.
+    assert (first.claim.verdict, first.status) == ("replicated", "depends")
+    assert repr(summary).splitlines()[0].startswith("◐")
+    assert "<li>◐ <strong>achievable bandwidth</strong>" in summary._repr_html_()
+
+
+def test_a_statement_is_said_to_hold_and_holds_in_a_share_of_the_cases():
+    entry = Entry("motion.order.a", "section 1", "runs in which it holds", "1", "ordering", 1.0)
+    line = headlines([Claim(entry, 0.075, (0.0258, 0.199))], {})[0]
+    assert line.found == "Said to hold always. It holds in 7.5 % of cases (2.58 to 19.9 %)."
 
 
 def test_marked_entries_come_first_and_what_is_not_computed_is_not_hidden():

@@ -99,6 +99,7 @@ def site_files() -> dict[str, bytes]:
     files["index.html"] = render(
         "index.html",
         "",
+        published=sum(claim.entry.published is not None for claim in claims),
         citation=_citation(),
         moving=by_name[moving[0]] if moving else None,
         states=states[moving[0]] if moving else {},
