@@ -68,7 +68,7 @@ def test_accepts_a_build(toy):
     assert done.stdout.splitlines() == [
         "claimed by no notebook: motion.gain",
         "belongs to no notebook, remove it: figures/motion/00-gone",
-        "accepted 2 notebooks and 2 ledger entries: 13 files changed",
+        "accepted 2 notebooks and 2 ledger entries: 12 files changed",
     ]
 
     assert toy.files("data") == ledger

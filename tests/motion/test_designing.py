@@ -393,7 +393,9 @@ def test_a_machine_that_has_no_safe_loop_is_told_so_and_nothing_is_written(tmp_p
     file = str(TEMPLATES / "matrices.csv")
     with pytest.raises(InputError, match=r"(?s)^matrices\.csv\b.*100 Hz.*PID\b") as refused:
         design_file(file, str(tmp_path / "out"), 100.0)
-    assert all(len(line) < 120 for line in str(refused.value).splitlines()) and "\n  PID" in str(refused.value)
+    assert all(len(line) < 120 for line in str(refused.value).splitlines()) and "\n  PID" in str(
+        refused.value
+    )
     assert not (tmp_path / "out").exists()
 
 

@@ -18,8 +18,8 @@ from stillwork.control.machine_loops import Intensities, observed_loops, observe
 from stillwork.control.pid import PidFamily
 from stillwork.control.single_precision import (
     LOST_LITTLE,
-    _balanced,
-    _by_modes,
+    balanced_form,
+    by_modes,
     in_single_precision,
     rounding_error,
 )
@@ -234,7 +234,7 @@ def test_single_precision_takes_the_form_that_it_holds(tmp_path, limit):
         assert np.mean(flags & 1) > 0.02 and np.abs(found - wanted).max() < 1e-4 * limit
     # Each form is the same controller, in double precision.
     omega = np.geomspace(0.1, 3000, 200)
-    for form in (_by_modes, _balanced):
+    for form in (by_modes, balanced_form):
         other = form(controller)
         ours, theirs = (each.linear.frequency_response(omega)[0, 0] for each in (controller, other))
         assert theirs == pytest.approx(ours, rel=1e-7)

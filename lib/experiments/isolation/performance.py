@@ -149,16 +149,6 @@ def exact_transmissibility(
     return (axes.platform @ whole @ axes.floor_readings).transpose(1, 2, 0)
 
 
-def exact_reduction_db(
-    twin: Twin, frequencies_hz: ArrayLike, weights: ArrayLike
-) -> Float64[np.ndarray, "frequencies"]:
-    """What `weights` take off the transmissibility of feedback alone, in the worst of z, θx and θy, without noise."""
-    before, after = (
-        diagonal_size(exact_transmissibility(twin, frequencies_hz, weights=each)) for each in (None, weights)
-    )
-    return 20 * np.log10(before / after).min(axis=0)
-
-
 def diagonal_size(response: ArrayLike) -> Float64[np.ndarray, "3 frequencies"]:
     """Magnitude from each motion of the floor to the same one of the platform."""
     return np.abs(np.einsum("iif->if", np.asarray(response)))

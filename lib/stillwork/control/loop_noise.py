@@ -45,6 +45,7 @@ class NoiseBound:
     def __post_init__(self):
         check_fields(self)
 
+    @checked
     def words(self, units: tuple[str, str]) -> list[str]:
         """The same in words, for a machine whose position and drive are in `units`."""
         said = []

@@ -53,7 +53,7 @@ def in_single_precision(controller: DigitalController) -> InSinglePrecision:
         When each form loses more than a thousandth of the output.
     """
     found = []
-    for form, made in (("as designed", _as_it_is), ("by its modes", _by_modes), ("balanced", _balanced)):
+    for form, made in (("as designed", _as_it_is), ("by its modes", by_modes), ("balanced", balanced_form)):
         trial = made(controller)
         if trial is not None:
             found.append(InSinglePrecision(trial, form, rounding_error(trial), _rounded(trial)))
@@ -88,6 +88,7 @@ def _samples(controller: DigitalController) -> int:
     return SAMPLES if radius <= 1 + 1e-9 else int(np.clip(np.log(GROWTH) / np.log(radius), 16, SAMPLES))
 
 
+@checked
 def kept_states(controller: DigitalController) -> np.ndarray:
     """Mask of the states that are summed up."""
     return np.diag(controller.model.a) > HOLDS
@@ -142,7 +143,8 @@ def _folded(controller: DigitalController) -> DigitalController:
     return without_dead_states(replace(controller, model=controller.linear, anti_windup=winds))
 
 
-def _by_modes(controller: DigitalController) -> DigitalController | None:
+@checked(infinite=True)
+def by_modes(controller: DigitalController) -> DigitalController | None:
     """Each real pole a state, each pair a turn of two; None where two of them are hardly apart."""
     folded = _folded(controller)
     m = folded.model
@@ -164,7 +166,8 @@ def _by_modes(controller: DigitalController) -> DigitalController | None:
     return _turned(folded, scale[:, None] * into, np.linalg.inv(into) / scale, linalg.block_diag(*blocks))
 
 
-def _balanced(controller: DigitalController) -> DigitalController | None:
+@checked(infinite=True)
+def balanced_form(controller: DigitalController) -> DigitalController | None:
     """Each state as easily moved as seen; None of an unstable one."""
     folded = _folded(controller)
     m = folded.model
