@@ -476,6 +476,7 @@ def catalogue() -> dict:
         "Network.paths": (network.paths, {"frequencies_hz": np.array([1.0, 2.0])}),
         "Source": (c.Source, fields(source)),
         "error_budget": (c.error_budget, {"network": network, "sources": [source], "band_hz": (0.1, 100.0)}),
+        "tone_response": (c.tone_response, {"network": network, "source": source, "time": np.array([0.0, 0.1]), "band_hz": (0.1, 100.0)}),
         "ErrorBudget.edges": (c.error_budget(network, [source], (0.1, 100.0)).edges, {}),
         "box_band": (c.box_band, {"rms": lambda place: 1.0, "places": tuple(c.box_places(c.Uncertainty(frequency=0.05), model, 2))}),
         "sensitivities": (c.sensitivities, {"rms": lambda mass: 1 / mass, "values": {"mass": 2.0}, "step": 0.01}),
