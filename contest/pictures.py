@@ -149,3 +149,26 @@ def paint_cell(size_percent: float, noise_exponent: float):
         axis.semilogx(errors[name], np.full(8, place), "o", **style)
     _name_rows(axis, MAPPED)
     return figure
+
+
+def paint_record(table: pd.DataFrame):
+    """Errors on the measured record, a panel a task: medians over the pairs of releases, with the least and the largest."""
+    tasks, parts = table["task"].unique(), table["part"].unique()
+    names = table.groupby("entrant")["error"].median().sort_values(kind="stable").index
+    figure, axes = figures.new(1, len(tasks), height=4.0, sharey=True)
+    for axis, task in zip(axes.ravel(), tasks, strict=True):
+        for shift, (part, colour) in enumerate(zip(parts, INKS, strict=False)):
+            some = table[(table["task"] == task) & (table["part"] == part)].groupby("entrant")["error"]
+            middle, low, high = (each.loc[names] for each in (some.median(), some.min(), some.max()))
+            style = {"fmt": "o", "color": colour, "markersize": 4, "label": part}
+            axis.errorbar(
+                middle, np.arange(len(names)) + 0.3 * shift, xerr=[middle - low, high - middle], **style
+            )
+        axis.set_xscale("log")
+        axis.set_title(task, fontsize=8)
+        axis.axvline(1, color=figures.BLACK, linewidth=0.8)
+    axes.ravel()[0].set_yticks(range(len(names)), names)
+    axes.ravel()[0].invert_yaxis()
+    figures.label(axes, "error of the deflection over that of the estimate zero", "")
+    figures.legend_below(axes.ravel()[0], 2)
+    return figure

@@ -264,7 +264,11 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
             row |= {
                 each: f"{shown[each]:.2g}" for each in ("tracking", "rejection", "bandwidth") if each in shown
             }
-            row |= {"unstable loops": f"{100 * shown['ran away']:.0f} %"} if "unstable loops" in shown else {}
+            row |= (
+                {"unstable loops": f"{100 * shown['unstable loops']:.0f} %"}
+                if "unstable loops" in shown
+                else {}
+            )
         row |= {
             shown: f"{compute[score][name]:.2g}"
             for score, shown in (("microseconds", "µs a sample"), ("bytes", "bytes"))

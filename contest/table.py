@@ -266,11 +266,11 @@ REMARKS = {
 }
 
 
-def leaderboard(table: pd.DataFrame, recorded: pd.DataFrame) -> str:
-    """The page with every track."""
-    found = results(table)
-    late = [name for name in ENTRANTS if name not in table]
-    tracks = {**by_track(standings(table)), "Record": record_standings(recorded)}
+def leaderboard(found: dict, recorded: pd.DataFrame) -> str:
+    """The page with every track, of the results of a table."""
+    shown = pd.DataFrame(found["standings"])
+    late = [name for name in ENTRANTS if name not in shown["observer"].tolist()]
+    tracks = {**by_track(shown), "Record": record_standings(recorded)}
     lines = [
         "# The leaderboard of the observer benchmark",
         f"Edition {EDITION}, code `{found['code']}`, public numbers {' and '.join(found['public'])}, which are known: an "
@@ -340,7 +340,8 @@ def main() -> None:
     write_table(table, FILE)
     lines = [f'"{name}": {json.dumps(machine_numbers(name))}' for name in PLANTS]
     MACHINES.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-    PAGE.write_text(leaderboard(table, pd.read_csv(RECORDED)), encoding="utf-8")
+    found = json.loads(FILE.with_suffix(".json").read_text(encoding="utf-8"))
+    PAGE.write_text(leaderboard(found, pd.read_csv(RECORDED)), encoding="utf-8")
 
 
 if __name__ == "__main__":
