@@ -76,21 +76,31 @@ def test_what_the_notebooks_say_of_other_choices_was_found():
     assert 0.3 < found["isolation.fig-7.upper-end"].share < 0.95
 
 
-def test_the_edges_over_eight_seeds_are_those_of_notebook_04():
-    block = next(
-        part
-        for part in paths.data("isolation", "choices.csv").read_text(encoding="utf-8").split("# study ")
-        if part.startswith("edges ")
-    )
-    rows = list(csv.DictReader(block.splitlines()[1:]))
-    entry = "isolation.fig-7.upper-end"
-    for damping, pole, ends in (
-        ("65.0", "300.0", (152, 160)),
-        ("15.0", "300.0", (196, 207)),
-        ("5.0", "2400.0", (292, 346)),
-    ):
-        given = {"strut-damping": damping, "actuator-pole": pole, "floor-upper-end": "1500.0"}
-        found = [float(row[entry]) for row in rows if given.items() <= row.items()]
-        assert len(found) == 8 and (round(min(found)), round(max(found))) == ends
-    every = [float(row[entry]) for row in rows]
-    assert (round(min(every)), round(max(every))) == (146, 346)
+def stored(study):
+    text = paths.data("isolation", "choices.csv").read_text(encoding="utf-8")
+    block = next(part for part in text.split("# study ") if part.startswith(f"{study} "))
+    return list(csv.DictReader(block.splitlines()[1:]))
+
+
+@pytest.mark.parametrize(
+    ("damping", "pole", "ends"),
+    [("65.0", "300.0", (152, 160)), ("15.0", "300.0", (196, 207)), ("5.0", "2400.0", (292, 346))],
+)
+def test_the_edges_over_eight_seeds_are_those_of_notebook_04(damping, pole, ends):
+    given = {"strut-damping": damping, "actuator-pole": pole, "floor-upper-end": "1500.0"}
+    rows = stored("edges")
+    found = [float(row["isolation.fig-7.upper-end"]) for row in rows if given.items() <= row.items()]
+    assert len(found) == 8 and (round(min(found)), round(max(found))) == ends
+    every = [float(row["isolation.fig-7.upper-end"]) for row in rows]
+    assert (round(min(every)), round(max(every))) == (146, 346)  # as the ledger's reason says
+
+
+def test_when_felms_is_first_on_the_way_back_is_as_notebook_03_says():
+    entry = "isolation.tracking.colored-to-flat"
+    literal = [float(row[entry]) for row in stored("tracking") if row["trace"] == "literal"]
+    low = [
+        float(row[entry])
+        for row in stored("tracking")
+        if row["trace"] == "regressors" and row["color-gain"] == "2.0"
+    ]
+    assert max(literal) == 0 and max(low) == 0.7
