@@ -104,3 +104,13 @@ def test_when_felms_is_first_on_the_way_back_is_as_notebook_03_says():
         if row["trace"] == "regressors" and row["color-gain"] == "2.0"
     ]
     assert max(literal) == 0 and max(low) == 0.7
+
+
+def test_waterbed_and_passive_case_over_the_choices_are_as_notebook_04_says():
+    areas = [float(row["isolation.fig-7.waterbed"]) for row in stored("edges")]
+    assert len(areas) == 256 and round(100 * np.mean(np.array(areas) == 1)) == 79
+    missed = {length: [] for length in ("30.0", "60.0", "600.0")}
+    for row in stored("records"):
+        missed[row["record-length"]].append(float(row["isolation.fig-7.passive-low-frequency"]))
+    assert min(missed["30.0"]) == min(missed["60.0"]) == 1
+    assert (min(missed["600.0"]), max(missed["600.0"])) == (0.45, 0.8)
