@@ -60,6 +60,9 @@ class _Renderer(IPythonRenderer):
     def block_mermaidjs(self, code: str) -> str:
         return self.block_code(code)  # no script draws it here, and the base class would not escape it
 
+    def table(self, text: str) -> str:
+        return f'<table tabindex="0">\n{text}</table>\n'  # a wide one slides on a phone, by the keyboard too
+
     def inline_math(self, body: str) -> str:
         return mathml(body)
 
