@@ -154,7 +154,17 @@ def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
         ('place = "stage drive"', 'place = "stage drve"', r"^amplifier: place.*did you mean 'stage drive'"),
         ('criterion = "VC-C"', 'criterion = "VC-Z"', "VC-Z"),
         ('criterion = "VC-C"', "", "^floor: holds no kind"),
-        ("bandwidth_hz = 80.0", "bandwidth_hz = 2000.0", "^the closed loop is unstable"),
+        (
+            "bandwidth_hz = 80.0",
+            "bandwidth_hz = 2000.0",
+            r"^the closed loop is unstable.*bandwidth of \d+ Hz$",
+        ),
+        (
+            "skyhook_damping = 0.6",
+            "skyhook_damping = 600.0",
+            "^the closed loop is unstable.*without the skyhook",
+        ),
+        ("modes_share = [0.15, -0.1]", "modes_share = [-6e6, -0.1]", "^the closed loop is unstable.*signs$"),
         ("frame_mass_kg = 180.0", "", "'frame_mass_kg' is missing"),
         ("modes_share = [0.15, -0.1]", "modes_share = [0.15]", "^machine: modes_share"),
     ],
@@ -279,3 +289,12 @@ def test_a_stage_elsewhere_has_its_own_error(files, tmp_path):
 def test_only_what_has_a_path_is_asked_for(files, tmp_path):
     lines = budget_file(str(files["microscope-stage"]), out=str(tmp_path / "out"))
     assert "floor sensor" not in "\n".join(lines) and "hardly counts" in "\n".join(lines)
+
+
+def test_the_bandwidth_that_an_unstable_loop_is_offered_is_stable(files, tmp_path):
+    file = files["wafer-stage"]
+    with pytest.raises(InputError) as refused:
+        budget_file(change(file, ("bandwidth_hz = 80.0", "bandwidth_hz = 2000.0")), out=str(tmp_path / "out"))
+    hertz = re.search(r"bandwidth of (\d+) Hz", str(refused.value))[1]
+    change(file, ("bandwidth_hz = 2000.0", f"bandwidth_hz = {hertz}.0"))
+    assert rms(budget_file(str(file), out=str(tmp_path / "out"))) > 0

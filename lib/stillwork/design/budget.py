@@ -58,6 +58,15 @@ FIELDS = {
     ),
 }
 KINDS = ("criterion", "file", "white", "quantiser", "tone_hz", "periodic", "setpoint", "move")
+STABLE_SHARES = (
+    0.8,
+    0.6,
+    0.4,
+    0.2,
+    0.1,
+    0.05,
+    0.02,
+)  # of the bandwidth, that are tried where the loop is unstable
 CALM = 0.01  # of its largest acceleration, below which a setpoint counts as not accelerating
 MOVE_SAMPLES = 500  # in a stroke and in a rest
 EDGE = 0.05  # share of a source's part in a third of an octave at the end of what is known, from which on it is reported
@@ -137,7 +146,10 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
     target = Path(out or ".") / f"{Path(machine).stem}.budget.html"
     if target.exists():
         raise InputError(f"{target} exists; move it away, or give another --out")
-    network = built.network()
+    try:
+        network = built.network()
+    except UnstableLoop as error:
+        raise UnstableLoop(f"{error}; {_what_would_be_stable(built)}") from None
     budget = error_budget(network, sources, band)
     rows = {
         "what it is": _summary(entries, budget),
@@ -208,6 +220,27 @@ def machine_of(entries: Table, design: str = "", position: str = "") -> FloorMac
         for name in ("frame_mass_kg", "suspension_hz", "suspension_damping")
     ]
     return FloorMachine(*numbers, stage, law_of_stage, **settings)
+
+
+def _what_would_be_stable(built: FloorMachine) -> str:
+    """Which of the machine's two loops is to blame, by what makes it stable."""
+    changes = {}
+    if built.skyhook:
+        changes["without the skyhook (skyhook_damping = 0)"] = {"skyhook": 0.0}
+    if isinstance(built.controller, Pid):
+        hertz = 3 * built.controller.differentiator / (2 * np.pi)
+        for share in STABLE_SHARES:
+            law = PidFamily(built.stage_mass)(share * hertz)
+            changes[f"with a bandwidth of {share * hertz:.3g} Hz"] = {"controller": law}
+    if built.delay:
+        changes["without the delay"] = {"delay": 0.0}
+    for words, changed in changes.items():
+        try:
+            replace(built, **changed).network()
+        except UnstableLoop:
+            continue
+        return f"it is stable {words}"
+    return "no smaller bandwidth, skyhook or delay alone makes it stable; look at the modes' shares and their signs"
 
 
 def _number(entries: Table, name: str, default: float) -> float:
