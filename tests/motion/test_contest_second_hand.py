@@ -235,10 +235,9 @@ def loop_scores(entrant, public, name, uncertainty, seed):
     position, _ = setpoint_of(scan.machine, scan.samples)
 
     def errors(states):
-        if len(states) < scan.samples:
-            return np.array([np.inf, np.inf])
-        error = position - states @ scan.pieces[0][2].T @ to_rigid[0]
-        return np.array([np.sqrt(np.mean(part**2)) for part in (error[480:840], error[840:])])
+        error = position[: len(states)] - states @ scan.pieces[0][2].T @ to_rigid[0]
+        ends = ((480, 840), (840, scan.samples))
+        return np.array([np.sqrt(np.mean(error[a:b] ** 2)) if len(error) >= b else np.inf for a, b in ends])
 
     cautious = errors(run_loop(scan, 1 / 16)[2])
     bold = errors(run_loop(scan, 1 / 2.5, observer_of(entrant, name, uncertainty, seed))[2])
