@@ -446,6 +446,13 @@ def compared(
     return math.exp(plants.mean()), tuple(math.exp(each) for each in mean_interval(plants))
 
 
+def diverged_share(found: dict[str, dict[str, np.ndarray]], law: str) -> tuple[float, tuple[float, float]]:
+    """Cases, plants and tunings in which a law diverged, and its interval over the plants."""
+    lost = np.concatenate([np.mean(each[law] == 1.0, axis=(0, 1)) for each in found.values()])
+    low, high = mean_interval(lost)
+    return float(lost.mean()), (max(0.0, low), high)
+
+
 def best_share(found: dict[str, dict[str, np.ndarray]], law: str) -> tuple[float, tuple[float, float]]:
     """Cases, plants and tunings in which a law has the least error of `LAWS`, and its interval over the plants."""
     best = [
