@@ -88,7 +88,8 @@ def _noise_taken_out(matrix, variances, samples) -> float:
     if not noisy.any():
         return 0.0
     ordered = np.column_stack([matrix[:, ~noisy], matrix[:, noisy] / np.sqrt(variances[noisy])])
-    triangle = np.linalg.qr(ordered, mode="r")[np.sum(~noisy) :, np.sum(~noisy) :]
+    _, whole = np.linalg.qr(ordered)
+    triangle = whole[np.sum(~noisy) :, np.sum(~noisy) :]
     if len(triangle) < noisy.sum():
         return 0.0
     least = np.linalg.svd(triangle, compute_uv=False)[-1] ** 2
