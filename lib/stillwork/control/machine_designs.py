@@ -257,14 +257,14 @@ def _tuned_from(
     """Likewise from a lowest bandwidth on."""
     on_step()
     found = reach_one(made.machine, settings, made.how | beside)
-    trial, other = settings, found
+    deaf, other = settings, found
     for _ in range(DEAFER):
-        trial = varied(trial, "sensor", 10.0)  # an observer for a noisier sensor
-        if trial is None or not other.stopped_by_noise:
+        deafer = varied(deaf, "sensor", 10.0)  # an observer for a noisier sensor
+        if deafer is None or not other.stopped_by_noise:
             break
-        other = reach_one(made.machine, trial, made.how | beside)
+        deaf, other = deafer, reach_one(made.machine, deafer, made.how | beside)
         if crossing(other) > crossing(found):
-            settings, found = trial, other
+            settings, found = deaf, other
     on_step()
     design_hz = found.recommended.design_hz if found.recommended else lowest
     trial = tuned(made.machine, settings, design_hz, **made.how)
