@@ -30,7 +30,7 @@ def test_each_flaw_has_its_estimator():
     assert advise(X, spoiled).ranking[0].name == "Huber"
     nothing = advise(X, rng.standard_normal(400))
     assert nothing.ranking[0].name == IGNORE
-    assert "noise of 0.3" in str(advise(clean, y))  # then something else than least squares would be right
+    assert "noise of 0.1" in str(advise(clean, y))  # then something else than least squares would be right
 
 
 def test_instruments_that_explain_nothing_are_left_aside():
@@ -45,7 +45,7 @@ def test_a_mean_square_below_zero_is_no_merit():
     # of a single feature whose noise is above what it holds: bias compensation, 1.7 times the error of ignoring it
     name, _, _, ignoring = problems.judge(problems.SECOND["drowned"](np.random.default_rng([4, 11])))
     assert name != "bias compensation"
-    assert ignoring[0] < 1.0
+    assert ignoring[0] <= 1.0
 
 
 def test_errors_are_those_of_parts_that_are_held_out():

@@ -115,6 +115,12 @@ def advise(
     InputError
         When the tables do not fit together, or hold fewer than six samples.
 
+    Notes
+    -----
+    Measured on new problems by `benchmarks/advice.py`: within 10 % of the best in 98 % of 300, in 94 % of 300 by another
+    author, at worst 11 % worse than ignoring the features; in 83 % of 100 short records of machines that rest and drift,
+    of which one erred three times as much.
+
     References
     ----------
     Nadeau and Bengio, Inference for the generalization error (2003), of the intervals; Stefanski and Carroll, Conditional
