@@ -283,8 +283,8 @@ def simulate_adaptive(
     noise = require_noise(noise, (count, samples))
     nominal = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])
     start = require_array("start", nominal[:, :2, 0].T if start is None else start, shape=(2, count))
-    known = np.array(law.model.parameters)
-    parameters = len(known)
+    guess = np.array(law.model.parameters, dtype=float)
+    parameters = len(guess)
     record = np.full((count, len(COLUMNS), samples), np.nan)
     history = np.full((parameters, samples), np.nan)
     device = law.signal_filter.packed()
@@ -294,7 +294,7 @@ def simulate_adaptive(
         np.tile(device.work, (count, 1, 1, 1)),
         stand_in,
         nothing,
-        (law.kinematics.gains, law.feedback, law.adaptation, known),
+        (law.kinematics.gains, law.feedback, law.adaptation, guess),
         *law.model.compiled[:2],
         np.eye(parameters),
         *plant.compiled[:2],
