@@ -254,5 +254,6 @@ def state_errors(record: ScanRecord, estimates: np.ndarray, rigid: int) -> tuple
     if not np.isfinite(estimates[JUDGED]).all():
         return np.inf, np.inf
     true = record.states[JUDGED, : estimates.shape[1]]
-    ratios = np.mean((true - estimates[JUDGED]) ** 2, axis=0) / np.mean(true**2, axis=0)
+    with np.errstate(over="ignore"):  # beyond all numbers is infinite
+        ratios = np.mean((true - estimates[JUDGED]) ** 2, axis=0) / np.mean(true**2, axis=0)
     return float(np.sqrt(ratios[: 2 * rigid].mean())), float(np.sqrt(ratios[2 * rigid :].mean()))

@@ -169,6 +169,6 @@ def paint_record(table: pd.DataFrame):
         axis.axvline(1, color=figures.BLACK, linewidth=0.8)
     axes.ravel()[0].set_yticks(range(len(names)), names)
     axes.ravel()[0].invert_yaxis()
-    figures.label(axes, "error of the deflection over that of the estimate zero", "")
+    figures.label(axes, "error over that of zero", "")
     figures.legend_below(axes.ravel()[0], 2)
     return figure

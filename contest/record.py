@@ -153,23 +153,23 @@ def linear_estimate(run: Run, fitted_to: Run) -> np.ndarray:
     return regressors(run) @ weights
 
 
-def own_estimate(name: str, settings: Sequence[float]) -> Callable[[tuple, Run], np.ndarray]:
+def own_estimate(name: str, settings: Sequence[float] | np.ndarray) -> Callable[[tuple, Run], np.ndarray]:
     """Deflections that one of ours estimates."""
 
     def estimate(given: tuple, run: Run) -> np.ndarray:
-        observer = OwnObserver(ENTRANTS[name], tuple(map(float, settings)))
+        observer = OwnObserver(ENTRANTS[name], tuple(np.asarray(settings, dtype=float).tolist()))
         observer.start(*given)
         return observer.run(np.ascontiguousarray(run.voltage[:, None]), run.measured)[:, 0]
 
     return estimate
 
 
-def their_estimate(source: str, settings: Sequence[float]) -> Callable[[tuple, Run], np.ndarray]:
+def their_estimate(source: str, settings: Sequence[float] | np.ndarray) -> Callable[[tuple, Run], np.ndarray]:
     """Deflections that an observer from a file estimates."""
 
     def estimate(given: tuple, run: Run) -> np.ndarray:
         with ExternalObserver(source) as observer:
-            observer.start(*given, tuple(map(float, settings)))
+            observer.start(*given, tuple(np.asarray(settings, dtype=float).tolist()))
             pairs = zip(run.voltage[:, None], run.measured, strict=True)
             return np.array([observer.step(*pair)[0] for pair in pairs])
 

@@ -7,6 +7,7 @@ tables, and the results and the machines' numbers beside them.
 import hashlib
 import json
 import platform
+import re
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -66,8 +67,11 @@ def run_contest(
     }
     if len(sources) < len(files):
         raise InputError("two files have one name, by which observers are ranked; give one of them another")
-    if taken := set(sources) & {*ENTRANTS, ORACLE}:
-        raise InputError(f"{taken.pop()!r} is an entrant already; give the file another name")
+    if taken := set(sources) & {*ENTRANTS, ORACLE, *KEYS}:
+        raise InputError(f"the name {taken.pop()!r} is taken already; give the file another")
+    for name in sources:
+        if not re.fullmatch(r"[\w .:()+-]+", name) or not name.strip(" ."):
+            raise InputError(f"the name {name!r} would spoil a table; take letters, digits and spaces")
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
     submit = partial(_now) if executor is None else executor.submit
     # Whoever is out on the first scan is not waited for on all others.

@@ -8,10 +8,12 @@ import textwrap
 import numpy as np
 import pytest
 
-from contest import runner
+from contest import bench, runner
 from contest.nominal import nominal_of
 from contest.plants import plant_of
 from contest.runner import Disqualified, ExternalObserver, can_isolate, declared_knobs
+from contest.table import run_contest
+from stillwork.base.checks import InputError
 from workbook import paths
 
 pytestmark = pytest.mark.slow
@@ -125,6 +127,64 @@ CHEATS = {
                 pass
         return written
     """,
+    "a system call of the 32-bit numbering": """
+        import mmap
+        if os.uname().machine != "x86_64":
+            return 0
+        page = mmap.mmap(-1, 4096, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
+        page.write(bytes.fromhex("53b802000000cd805bc3"))  # push rbx; mov eax, 2; int 0x80; pop rbx; ret: fork
+        address = ctypes.addressof(ctypes.c_char.from_buffer(page))
+        mine, started = os.getpid(), ctypes.CFUNCTYPE(ctypes.c_int)(address)()
+        if os.getpid() != mine:
+            os._exit(0)
+        return started > 0
+    """,
+    "limits that are raised": """
+        import resource
+        raised = 0
+        for each in (resource.RLIMIT_CPU, resource.RLIMIT_AS, resource.RLIMIT_FSIZE):
+            try:
+                resource.setrlimit(each, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+                raised += 1
+            except (ValueError, OSError):
+                pass
+        return raised
+    """,
+    "a program that takes this one's place, and filters of its own": """
+        libc = ctypes.CDLL(None)
+        libc.prctl(22, 1, 0, 0, 0)  # strict mode instead of the filter
+        return libc.fork() >= 0 if libc.prctl(21, 0, 0, 0, 0) == 2 else 1
+    """,
+    "the parent's memory by its number": """
+        libc = ctypes.CDLL(None)
+        own, there = ctypes.create_string_buffer(8), (ctypes.c_uint64 * 2)(0x400000, 8)
+        here = (ctypes.c_uint64 * 2)(ctypes.addressof(own), 8)
+        others = [k for k in range(2, 400) if k != os.getpid()]
+        return sum(libc.process_vm_readv(k, here, 1, there, 1, 0) > 0 or libc.ptrace(16, k, 0, 0) == 0 for k in others)
+    """,
+    "signals to everybody": """
+        sent = 0
+        for each in (-1, os.getppid() or 1 << 20, *range(2, 50)):
+            try:
+                os.kill(each, 0)
+                sent += each != os.getpid()
+            except OSError:
+                pass
+        return sent
+    """,
+    "memory shared by a key": """
+        libc = ctypes.CDLL(None)
+        return sum(libc.shmget(key, 0, 0) >= 0 for key in (0x5EED, 1, 2, 3))
+    """,
+    "a socket without a file": """
+        with socket.socket(socket.AF_UNIX) as s:
+            return s.connect_ex("\\0contest-of-observers") == 0
+    """,
+    "roots of other processes and devices": """
+        places = [*glob.glob("/proc/[0-9]*/root/home"), *glob.glob("/proc/[0-9]*/fd/*")]
+        leads = {os.readlink(each) for each in places if os.path.islink(each)}
+        return sum(each.startswith(ROOT) for each in leads) + len(set(os.listdir("/dev")) - {"null", "urandom"})
+    """,
     "another file system mounted": """
         libc = ctypes.CDLL(None)
         return libc.mount(b"none", b"/tmp", b"proc", 0, None) == 0
@@ -136,6 +196,36 @@ CHEATS = {
 @pytest.mark.parametrize("cheat", CHEATS)
 def test_a_cheat_gains_nothing(cheat, estimate):
     assert estimate(CHEATS[cheat])[0].tolist() == [0.0] * 4
+
+
+@isolated
+def test_what_another_process_shares_by_name_is_out_of_reach(estimate):
+    """The key and the socket are there outside, where the cheats above look for them in vain."""
+    libc = ctypes.CDLL(None)
+    shared = libc.shmget(0x5EED, 4096, 0o1666)
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind("\0contest-of-observers")
+        server.listen()
+        try:
+            assert shared >= 0 and libc.shmget(0x5EED, 0, 0) == shared
+            for cheat in ("memory shared by a key", "a socket without a file"):
+                assert estimate(CHEATS[cheat])[0].tolist() == [0.0] * 4
+        finally:
+            libc.shmctl(shared, 0, None)
+
+
+@pytest.mark.parametrize("name", ["seed", "score", "a|b", "oracle", "Kalman", "x\n1"])
+def test_a_name_that_would_spoil_the_table_is_refused(name, tmp_path):
+    file = tmp_path / f"{name}.py"
+    file.write_text("class Observer: pass\n")
+    with pytest.raises(InputError, match="name"):
+        run_contest("a test", 1, [str(file)])
+
+
+def test_an_estimate_that_overflows_is_only_a_bad_one():
+    states = np.ones((bench.SAMPLES, 4))
+    record = bench.ScanRecord(states[:, :1], states[:, :1], states)
+    assert bench.state_errors(record, np.full((bench.SAMPLES, 4), 1e300), 1) == (np.inf, np.inf)
 
 
 @isolated
