@@ -298,3 +298,22 @@ def test_the_bandwidth_that_an_unstable_loop_is_offered_is_stable(files, tmp_pat
     hertz = re.search(r"bandwidth of (\d+) Hz", str(refused.value))[1]
     change(file, ("bandwidth_hz = 2000.0", f"bandwidth_hz = {hertz}.0"))
     assert rms(budget_file(str(file), out=str(tmp_path / "out"))) > 0
+
+
+def test_a_method_that_the_machine_lacks_leaves_what_is_said(files, tmp_path):
+    file = files["microscope-stage"]
+    lines = "\n".join(budget_file(str(file), out=str(tmp_path / "1")))
+    said = {
+        name: float(re.search(rf"it lacks {name}, which would leave ([\d.e+]+) nm", lines)[1])
+        for name in ("a skyhook of 0.6", "a feedforward of 20 dB", "both")
+    }
+    change(file, ("skyhook_damping = 0.0", "skyhook_damping = 0.6"))
+    bought = budget_file(str(file), out=str(tmp_path / "2"))
+    assert rms(bought) == said["a skyhook of 0.6"]
+    assert "lacks a skyhook" not in "\n".join(bought)
+    change(file, ("feedforward_db = 0.0", "feedforward_db = 20.0"))
+    bought = budget_file(str(file), out=str(tmp_path / "3"))
+    assert rms(bought) == said["both"]
+    assert "it lacks" not in "\n".join(bought)
+    change(file, ("skyhook_damping = 0.6", "skyhook_damping = 0.0"))
+    assert rms(budget_file(str(file), out=str(tmp_path / "4"))) == said["a feedforward of 20 dB"]

@@ -81,6 +81,12 @@ TYPICAL = {
     "stage drive": ("amplifier and DAC: 1e-5 to 1e-3 N/sqrt(Hz)", 1e-3),
     "isolator drive": ("amplifier and DAC: 1e-4 to 1e-2 N/sqrt(Hz)", 1e-2),
 }
+# What a machine without a method is offered; usual sizes, chosen.
+OFFERED = {
+    "a skyhook of 0.6": {"skyhook": 0.6},
+    "a feedforward of 20 dB": {"feedforward": 0.9},
+    "both": {"skyhook": 0.6, "feedforward": 0.9},
+}
 COUNTS, NOTHING = 7.0, 1e6  # times the usual level: adds 2 % of the power; no path at all but rounding
 MACHINES = {
     "wafer-stage": {
@@ -531,7 +537,7 @@ def purchases(
 
 
 def waterfall(machine: FloorMachine, sources: list[Source], band: tuple[float, float]) -> list[list[str]]:
-    """The error as passive machine with its controller, then with each method that it has, one after the other."""
+    """The error of the passive machine, then with each method that it has in turn, and what those would give that it lacks."""
     steps = {
         "passive": {"skyhook": 0.0, "feedforward": 0.0},
         "skyhook": {"skyhook": machine.skyhook},
@@ -541,12 +547,25 @@ def waterfall(machine: FloorMachine, sources: list[Source], band: tuple[float, f
     for name, changed in steps.items():
         if name == "passive" or any(changed.values()):
             chosen |= changed
-            try:
-                rms = nanometres(error_budget(replace(machine, **chosen).network(), sources, band).rms[0])
-            except UnstableLoop as error:
-                rms = str(error)
-            rows.append([name if name == "passive" else f"and {name}", rms])
-    return rows if len(rows) > 1 else []
+            rows.append(
+                [
+                    name if name == "passive" else f"and {name}",
+                    _rms_of(replace(machine, **chosen), sources, band),
+                ]
+            )
+    for words, changed in OFFERED.items():
+        if not any(getattr(machine, name) for name in changed):
+            left = _rms_of(replace(machine, **changed), sources, band)
+            rows.append([f"it lacks {words}, which would leave", left])
+    return rows
+
+
+def _rms_of(machine: FloorMachine, sources: list[Source], band: tuple[float, float]) -> str:
+    """The error in words, or that the loop is unstable."""
+    try:
+        return nanometres(error_budget(machine.network(), sources, band).rms[0])
+    except UnstableLoop as error:
+        return str(error)
 
 
 def _unknown(
