@@ -29,7 +29,8 @@ def paint_floors():
     f = np.geomspace(0.6, 300, 400)
     for name in FLOORS:
         seen = floor(name)._at(f)[0, 0].real
-        left.loglog(f[seen > 0], np.sqrt(seen[seen > 0]), linewidth=0.9, label=name)
+        dashes = "-" if name.startswith("VC") else "--"  # the colours repeat
+        left.loglog(f[seen > 0], np.sqrt(seen[seen > 0]), dashes, linewidth=0.9, label=name)
     for name, (skyhook, feedforward) in CASES.items():
         network = machine(skyhook=skyhook, feedforward=feedforward).network()
         right.loglog(f, np.abs(network.paths(f)[0, 0]), linewidth=0.9, label=name)

@@ -147,6 +147,7 @@ RATE_HZ = 500.0
 RECORD_S = 60.0
 NOISES = (1e-5, 1e-4, 1e-3)  # m/s^2/sqrt(Hz) of the floor sensor: quiet, ordinary, as loud as the floor
 STEP_SIZES = (5e-4, 2e-3, 8e-3)  # of FeLMS; each trial takes its best
+LEAST_DRAWN = 1e-5  # what is less is drawn there
 ALGORITHMS = ("least squares by FeRLS", "FeLMS", "min-max, typical bound", "min-max, guaranteed bound")
 
 
@@ -258,13 +259,13 @@ def paint_tuning(study: dict[tuple[str, float], list[Tuning]]):
     for panel, noise in zip(axes, NOISES, strict=True):
         for k, (name, colour) in enumerate(zip(ALGORITHMS, colours, strict=True)):
             dots = [
-                (i + 0.15 * (k - 1.5), max(trial.excess[name], 1e-6))
+                (i + 0.15 * (k - 1.5), max(trial.excess[name], LEAST_DRAWN))
                 for i, place in enumerate(places)
                 for trial in study[place, noise]
             ]
             panel.semilogy(*np.array(dots).T, "o", markersize=2.5, color=colour, label=name)
         panel.set_xticks(range(len(places)), [place.split()[0] for place in places])
-        panel.set(title=f"{noise:g} m/s²/√Hz", ylim=(1e-5, None))
+        panel.set(title=f"{noise:g} m/s²/√Hz", ylim=(0.7 * LEAST_DRAWN, None))
     axes[0].set_ylabel("power left, over the least, less 1")
     figures.legend_below(axes[0], 2)
     return figure
