@@ -126,6 +126,14 @@ def test_a_path_is_found_again_from_its_response():
         fit_path(f, rng.standard_normal((len(f), 2, 2)) + 0j, RATE)
 
 
+@pytest.mark.parametrize("frequency", [0.0, RATE / 2])
+def test_the_loop_has_no_responses_where_its_filters_divide_zero_by_zero(frequency):
+    loop = loop_of(isolator_of(draw_isolator(np.random.default_rng(3), 2, RATE)))
+    f = np.array([1.0, frequency])
+    with pytest.raises(InputError, match=r"frequencies_hz must lie above 0 and below 500 Hz"):
+        loop.responses(np.ones((2, 2, 2), complex), np.ones((2, 2, 2), complex), f)
+
+
 # --------------------------------------------------------------------------------------------------------------- the C
 
 

@@ -179,6 +179,8 @@ class FeedforwardLoop:
     ) -> Responses:
         """Of the loop around paths that do not hold the skyhook yet."""
         f, sensors = frequencies_hz, primary.shape[2]
+        if not ((f > 0) & (f < self.rate / 2)).all():
+            raise InputError(f"frequencies_hz must lie above 0 and below {self.rate / 2:g} Hz, half the rate")
         damping, integrator, shaping = (
             signal.freqz_sos(sections, f, fs=self.rate)[1]
             for sections in (self.skyhook, self.integrator, self.noise_shaping)
