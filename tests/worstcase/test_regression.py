@@ -721,3 +721,14 @@ def test_hinfinity_is_the_filter_in_information_form():
         assert stream.coef_ == pytest.approx(coef, rel=1e-9)
     with pytest.raises(InputError, match=r"level"):
         HinfinityRegressor(0.5, 2.0, 0.1).fit(X, y)
+
+
+@pytest.mark.parametrize("seed", [6, 18, 23, 35, 43, 58])
+def test_hinfinity_finds_a_level_for_rows_that_are_nearly_dependent(seed):
+    rng = np.random.default_rng(seed)
+    X = rng.standard_normal((120, 2)) @ rng.standard_normal((2, 5)) + 1e-8 * rng.standard_normal((120, 5))
+    y = X @ rng.standard_normal(5) + 0.1 * rng.standard_normal(120)
+    found = HinfinityRegressor().fit(X, y)
+    assert np.isfinite(found.coef_).all()
+    given = HinfinityRegressor(level=found.level_).fit(X, y)  # it is kept
+    assert given.coef_ == pytest.approx(found.coef_, rel=1e-9)

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from stillwork.base.checks import require_number
+from stillwork.base.checks import InputError, require_number
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.linear_fits import hinfinity_model, huber_estimate, last_estimate
 from stillwork.estimation.recursive import LARGEST
 from stillwork.estimation.regression import RecursiveRegressor, UnweightedRegressor
+from stillwork.estimation.time_varying import FilterGains
 
 MARGIN = 1.1  # level over the smallest that there is
 
@@ -160,9 +161,10 @@ class HinfinityRegressor(UnweightedRegressor):
         coef, covariance, variance, level = state
         model = hinfinity_model(rows, variance, covariance, forgetting)
         if level is None:
-            level = MARGIN * smallest_level(model, identity, 1e-6)
-        self.level_ = require_number("level", level, above=0.0)
-        gains = hinfinity_gains(model, identity, float(self.level_))
+            level, gains = _least_level(model, identity)
+        else:
+            gains = hinfinity_gains(model, identity, float(require_number("level", level, above=0.0)))
+        self.level_ = level
         coef = np.array(
             [
                 last_estimate(gains, each, forgetting, start)
@@ -185,3 +187,15 @@ class HinfinityRegressor(UnweightedRegressor):
         size = require_number("size", size, above=0.0, at_most=LARGEST)
         noise = require_number("noise", noise, above=0.0, at_most=LARGEST)
         return size**2 / columns * np.eye(columns), float(noise) ** 2
+
+
+def _least_level(model, wanted) -> tuple[float, FilterGains]:
+    # where rows are nearly dependent rounding decides whether a level is kept, and may refuse one above the smallest
+    level = smallest_level(model, wanted, 1e-6)
+    for _ in range(100):
+        level *= MARGIN
+        try:
+            return level, hinfinity_gains(model, wanted, level)
+        except InputError as error:
+            refused = error
+    raise refused
