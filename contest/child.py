@@ -122,35 +122,36 @@ def serve(requests, answers) -> None:
         answer({"error": f"raises {type(error).__name__}: {error}{place(error)}"[:500]})
 
 
-def forbid_processes() -> bool:
-    """Let this process start threads, but no process, whose time might not count, and use no keyring of the kernel.
+def restrict() -> bool:
+    """Let this process start threads, but no process, whose time might not count, and leave no sign to other scans.
 
-    By a filter of system calls that nothing lifts again; returns whether the machine has it.
+    Signs are keys of the kernel, locks, leases and watches of files that all see, and sockets beyond its network. By a
+    filter of system calls that nothing lifts again; returns whether the machine has it.
     """
+    # Refused: fork, vfork; keyrings; unshare, setns; flock, inotify, fanotify, io_uring, which knows other ways.
     numbers = {
-        "x86_64": (0xC000003E, 56, (57, 58, 248, 249, 250, 272, 308)),
-        "aarch64": (0xC00000B7, 220, (217, 218, 219, 97, 268)),
+        "x86_64": (0xC000003E, 56, 72, 41, (57, 58, 248, 249, 250, 272, 308, 73, 253, 294, 300, 425)),
+        "aarch64": (0xC00000B7, 220, 25, 198, (217, 218, 219, 97, 268, 32, 26, 262, 425)),
     }
     if sys.platform != "linux" or platform.machine() not in numbers:
         return False
-    architecture, clone, refused = numbers[platform.machine()]  # fork, vfork; keyrings; unshare, setns
+    architecture, clone, fcntl, socket, refused = numbers[platform.machine()]
     load, equal, above, bit, end = 0x20, 0x15, 0x35, 0x45, 0x06  # of the kernel's filter language
     allow, denied, unknown = 0x7FFF0000, 0x50000 + errno.EPERM, 0x50000 + errno.ENOSYS
     steps = [(load, 0, 0, 4), (equal, 1, 0, architecture), (end, 0, 0, denied), (load, 0, 0, 0)]
     steps += [(above, 0, 1, 0x40000000), (end, 0, 0, denied)]  # another numbering of the same processor
     for call in refused:
         steps += [(equal, 0, 1, call), (end, 0, 0, denied)]
-    steps += [
-        (equal, 0, 1, 435),
-        (end, 0, 0, unknown),
-    ]  # clone3 hides its flags; the C library then takes clone
-    steps += [
-        (equal, 1, 0, clone),
-        (end, 0, 0, allow),
-        (load, 0, 0, 16),
-        (bit, 0, 1, 0x10000),
-        (end, 0, 0, allow),
-    ]
+    # Of two calls some values of an argument: locks, leases and notices of files, by its second; the socket of a virtual
+    # machine, by its first.
+    for call, place, values in ((fcntl, 24, (5, 6, 7, 36, 37, 38, 1024, 1026)), (socket, 16, (40,))):
+        steps += [(equal, 0, 2 * len(values) + 2, call), (load, 0, 0, place)]
+        for value in values:
+            steps += [(equal, 0, 1, value), (end, 0, 0, denied)]
+        steps += [(end, 0, 0, allow)]
+    # clone3 hides its flags; the C library then takes clone, which may start a thread.
+    steps += [(equal, 0, 1, 435), (end, 0, 0, unknown), (equal, 1, 0, clone), (end, 0, 0, allow)]
+    steps += [(load, 0, 0, 16), (bit, 0, 1, 0x10000), (end, 0, 0, allow)]
     code = b"".join(struct.pack("HBBI", *step) for step in [*steps, (end, 0, 0, denied)])
     held = ctypes.create_string_buffer(code, len(code))
     program = struct.pack("HxxxxxxQ", len(code) // 8, ctypes.addressof(held))
@@ -168,9 +169,9 @@ def main() -> None:
     for standard in range(3):
         os.dup2(nothing, standard)
     warnings.simplefilter("ignore")
-    forbid_processes()
+    restrict()
     serve(requests, answers)
 
 
 if __name__ == "__main__":
-    sys.exit(not forbid_processes()) if "--probe" in sys.argv else main()
+    sys.exit(not restrict()) if "--probe" in sys.argv else main()

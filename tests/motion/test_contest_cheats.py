@@ -1,5 +1,6 @@
 """What an observer might try to know more than it is given: each is harmless, or disqualifies it."""
 
+import contextlib
 import ctypes
 import os
 import socket
@@ -27,27 +28,28 @@ def given():
     return *nominal_of(plant, 1.0), plant.sample_time
 
 
-@pytest.fixture
-def estimate(tmp_path, given):
-    """The estimates of an observer at some samples; `trick` is the body of a function that returns what it gained."""
-
-    def run(trick, samples=1, name="mine.py"):
-        text = textwrap.dedent(trick).strip().replace("\n", "\n    ")
-        file = tmp_path / name
-        file.write_text(
-            f"""
+OBSERVER = """
 import ctypes, gc, glob, os, socket, sys, time
 import numpy as np
-ROOT, SECRET = {str(paths.root())!r}, {SECRET!r}
+ROOT, SECRET = {root!r}, {secret!r}
 def trick():
-    {text}
+{body}
 class Observer:
     def start(self, model, noise, sample_time):
         self.states = len(model.a)
     def step(self, input, measurement):
         return np.full(self.states, float(trick()))
 """
-        )
+
+
+@pytest.fixture
+def estimate(tmp_path, given):
+    """The estimates of an observer at some samples; `trick` is the body of a function that returns what it gained."""
+
+    def run(trick, samples=1, name="mine.py"):
+        body = textwrap.indent(textwrap.dedent(trick).strip(), " " * 4)
+        file = tmp_path / name
+        file.write_text(OBSERVER.format(body=body, root=str(paths.root()), secret=SECRET))
         with ExternalObserver(file) as observer:
             observer.start(*given)
             return [observer.step(np.zeros(1), np.zeros(1)) for _ in range(samples)]
@@ -239,6 +241,53 @@ def test_a_scan_leaves_no_key_in_the_session(estimate):
     # As after a login, where all scans would have one keyring.
     ctypes.CDLL(None).syscall({"x86_64": 250, "aarch64": 219}[os.uname().machine], 1, None)
     assert [estimate(KEEP_KEY)[0][0] for _ in range(2)] == [0.0, 0.0]
+
+
+SIGNS = {
+    "a lock": ("fcntl.flock(file, 6)", "fcntl.flock(file, 6)"),
+    "a lock of bytes": ("fcntl.lockf(file, 5, 1, 7)", "look(fcntl.F_GETLK)"),
+    "a lock of an open file": ("fcntl.fcntl(file, 37, record(fcntl.F_RDLCK))", "look(36)"),
+    "a lease": ("fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_RDLCK)", "fcntl.fcntl(file, 1024, 0)"),
+    "a notice of access": ("fcntl.fcntl(os.open(folder, 0), fcntl.F_NOTIFY, 1 << 31 | 1)", "raise OSError"),
+    "a watch": (
+        "assert libc.inotify_add_watch(libc.inotify_init(), folder.encode(), 1) >= 0",
+        "raise OSError",
+    ),
+    "a ring of calls": ("assert libc.syscall(425, 4, (ctypes.c_char * 200)()) >= 0", "raise OSError"),
+    "a socket of a virtual machine": ("socket.socket(40, 1).bind((2**32 - 1, 5555))", "socket.socket(40, 1)"),
+}
+SIGN = """
+import fcntl, struct
+libc, folder = ctypes.CDLL(None), os.path.dirname(np.__file__)
+record = lambda kind: struct.pack("hhqqi4x", kind, 0, 7, 1, 0)
+def look(command):
+    if struct.unpack("hhqqi4x", fcntl.fcntl(file, command, record(fcntl.F_WRLCK)))[0] != fcntl.F_UNLCK:
+        raise BlockingIOError
+try:
+    file = globals().setdefault("kept", open(np.__file__))
+    {}
+    return 1
+except BlockingIOError:
+    return 2
+except (OSError, AssertionError):
+    return 0
+"""
+
+
+@isolated
+@pytest.mark.parametrize("sign", SIGNS)
+def test_scans_that_overlap_give_each_other_no_sign(sign, tmp_path, given):
+    """On a file that both see, read-only as it is."""
+    found = []
+    with contextlib.ExitStack() as running:
+        for who, step in enumerate(SIGNS[sign]):
+            body = textwrap.indent(SIGN.replace("{}", step, 1).strip(), " " * 4)
+            file = tmp_path / f"of_{who}.py"
+            file.write_text(OBSERVER.format(body=body, root=str(paths.root()), secret=SECRET))
+            observer = running.enter_context(ExternalObserver(file))
+            observer.start(*given)
+            found.append(observer.step(np.zeros(1), np.zeros(1))[0])
+    assert found == [0.0, 0.0]
 
 
 @isolated
