@@ -242,15 +242,17 @@ class _MovingPaths:
 
     def transmissibility(self, weights: np.ndarray) -> Complex128[np.ndarray, "frequencies axes sensors"]:
         """From the floor to the platform, with frozen weights."""
-        command = weights @ self.seen.regressors - self._damped(
-            self.seen.primary + self.seen.feedforward(weights)
-        )
-        return self.primary + self.held @ command
+        return self.primary + self.held @ self.commands(weights)[0]
 
     def noises(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From the noise of floor and platform sensors to the platform."""
-        command = weights @ self.seen.regressors - self._damped(self.seen.feedforward(weights))
-        return self.held @ command, -self.held @ self._damped(self.seen.sensitivity)
+        _, floor, platform = self.commands(weights)
+        return self.held @ floor, self.held @ platform
+
+    def commands(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """From the floor, the noise of its sensors and that of the platform's to the command, with frozen weights."""
+        alone = weights @ self.seen.regressors - self._damped(self.seen.feedforward(weights))
+        return alone - self._damped(self.seen.primary), alone, -self._damped(self.seen.sensitivity)
 
     def _damped(self, seen):
         return self.skyhook[:, None, None] * seen
@@ -260,10 +262,15 @@ def _motion_density(
     paths: _MovingPaths, weights: np.ndarray, floor: FloorSpectra, noises: tuple[float, float]
 ) -> Float64[np.ndarray, "axes frequencies"]:
     """Density of the platform's true acceleration with frozen weights, (m/s^2)^2/Hz."""
-    whole = paths.transmissibility(weights)
+    return _density(floor, noises, paths.transmissibility(weights), *paths.noises(weights))
+
+
+def _density(floor: FloorSpectra, noises: tuple[float, float], whole, *heard) -> np.ndarray:
+    """What the floor makes through `whole`, and the noise of both kinds of sensors through `heard`."""
     own = np.einsum("fas,fst,fat->af", whole, floor.density, np.conj(whole), optimize=True).real
-    heard = zip(noises, paths.noises(weights), strict=True)
-    return own + sum(level**2 * np.sum(np.abs(each) ** 2, axis=2).T for level, each in heard)
+    return own + sum(
+        level**2 * np.sum(np.abs(each) ** 2, axis=2).T for level, each in zip(noises, heard, strict=True)
+    )
 
 
 def _certify(
@@ -474,6 +481,7 @@ class IsolationPrediction:
     remains: Float64[np.ndarray, "3 axes"]  # rms acceleration in the band, m/s^2
     without: Float64[np.ndarray, " axes"]  # the same without any control
     feedback: Float64[np.ndarray, " axes"]  # and with the skyhook alone
+    force: Float64[np.ndarray, " axes"]  # rms of each command over all frequencies, largest over the box, N
     # root of the sum over the floor sensors of |T|^2
     transmissibility: Float64[np.ndarray, "3 axes frequencies"]
     without_transmissibility: Float64[np.ndarray, "axes frequencies"]
@@ -534,6 +542,10 @@ def predict(
     # Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines; bursts
     # make the time shorter.
     varies = WIDE / 2 * np.sqrt(density**2 @ counted * floor.bursts[0] / floor.duration) / (density @ counted)
+    forces = [
+        np.sqrt(_density(floor, noises, *each.paths.commands(each.steady.weights)) @ widths)
+        for each in (design, *around)
+    ]
     bare = replace(design.paths, skyhook=0 * design.paths.skyhook)
     silent = np.zeros_like(design.steady.weights)
     return IsolationPrediction(
@@ -541,6 +553,7 @@ def predict(
         remains=_banded(np.array(sizes), rms(density), varies),
         without=rms(_motion_density(bare, silent, floor, noises)),
         feedback=rms(_motion_density(design.paths, silent, floor, noises)),
+        force=np.max(forces, axis=0),
         transmissibility=_banded(
             np.array(gains), gain(design.paths.transmissibility(design.steady.weights)), np.zeros(1)
         ),

@@ -56,6 +56,7 @@ LINES_OF_DRIFT = 40  # of LINE_HZ's periods in a record, from which on it is kno
 SLOW_RATIO = 5.0  # of slow motion per root Hz over that in band, from which on it is reported (chosen)
 LISTENED_S = 60.0  # over which the motion is judged that spectra foresee
 PAUSES = 5.0  # of the band's slowest time constant, for which the weights are kept after the limit acted
+PEAKS = 4.0  # of a command over its rms, that the limit of the force has to leave (chosen)
 TEMPLATE = Path(__file__).with_name("isolate.toml")
 MECHANICS = ("mass", "damping", "stiffness", "actuator_pole_hz", "delay_s", "floor")
 
@@ -142,6 +143,7 @@ def isolate_file(
         spread=spread,
     )
     found = predict(design, around, isolator, spectra)
+    require_force(found, limit)
     loop = design.loop
     pause = PAUSES / (2 * np.pi * loop.shaping.highpass_hz)
     files = isolation_code(loop, design.settings, design.steady.weights, limit, pause, name, precision)
@@ -161,6 +163,7 @@ def isolate_file(
             "scatter of the weights",
             f"raises the power of the filtered error by {100 * design.variance:.2g} %",
         ],
+        ["command", f"{_listed(found.force)} N rms at most within the box"],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["taken", each] for each in (*notes, *said)),
         *(["look at the floor", each] for each in seen),
@@ -182,6 +185,7 @@ def isolate_file(
         "judged_hz": list(found.band_hz),
         "remains": found.remains.tolist(),
         "without": found.without.tolist(),
+        "command_rms": found.force.tolist(),
     }
     files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
     write_folder(folder, files)  # before the page: what was computed is not lost with a picture
@@ -211,6 +215,16 @@ def isolate_file(
         *(f"  axis {row[0]}: {row[4]} to {row[5]}, without control {row[1]}; {row[6]}" for row in remains),
         f"{folder}: {', '.join(sorted([*files, 'report.html']))}",
     ]
+
+
+def require_force(found: IsolationPrediction, limit: float) -> None:
+    """A `limit` that the commands stay within, or `InputError`: a command at its limit isolates nothing."""
+    largest = float(found.force.max())
+    if limit < PEAKS * largest:
+        raise InputError(
+            f"not to be switched on: limit is {limit:g} N, and on this floor a command has {largest:.3g} N rms; give "
+            f"{PEAKS * largest:.3g} N or more, or take a high-pass over the floor sensors where slow motion asks for it"
+        )
 
 
 def new_file(file: str) -> list[str]:
