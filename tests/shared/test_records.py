@@ -472,7 +472,7 @@ def test_a_channel_that_never_moves_is_refused(tmp_path):
 
 def test_a_unit_in_the_header_is_obeyed(tmp_path):
     table = np.column_stack([np.arange(SIGNALS.shape[1]) / RATE, *SIGNALS])
-    for unit, factor in (("mm/s^2", 1e-3), ("g", 9.80665), ("m/s²", 1.0)):
+    for unit, factor in (("mm/s^2", 1e-3), ("cm/s^2", 0.01), ("Gal", 0.01), ("g", 9.80665), ("m/s²", 1.0)):
         file = tmp_path / "floor.csv"
         np.savetxt(
             file,

@@ -44,9 +44,13 @@ _PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "k": 1e3}
 UNITS = {
     **{f"{p}{q}": (factor, q) for q in _QUANTITIES for p, factor in _PREFIXES.items()},
     **{f"{p}g": (factor * STANDARD_GRAVITY, "m/s^2") for p, factor in _PREFIXES.items() if p != "k"},
+    **{f"c{q}": (0.01, q) for q in MOTION_UNITS},
+    "Gal": (0.01, "m/s^2"),
     "1": (1.0, "1"),
 }
-UNITS_SAID = f"{', '.join(_QUANTITIES)} or 1, with m, u, n, p or k in front, or g, mg, ug, ng"
+UNITS_SAID = (
+    f"{', '.join(_QUANTITIES)} or 1, with m, u, n, p or k in front, or cm/s^2, cm/s, cm, Gal, g, mg, ug, ng"
+)
 
 # A step of time may differ from the period by this share: printed times are often that coarse. An instant off by
 # d seconds falsifies a component at f by at most 2 pi f d of its size, 6 % at a tenth of the sample rate.
