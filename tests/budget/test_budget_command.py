@@ -304,7 +304,9 @@ def test_a_method_that_the_machine_lacks_leaves_what_is_said(files, tmp_path):
     file = files["microscope-stage"]
     lines = "\n".join(budget_file(str(file), out=str(tmp_path / "1")))
     said = {
-        name: float(re.search(rf"it lacks {name}, which would leave ([\d.e+]+) nm", lines)[1])
+        name: float(
+            re.search(rf"it lacks {name}, which from [\d.]+ Hz on would leave ([\d.e+]+) nm", lines)[1]
+        )
         for name in ("a skyhook of 0.6", "a feedforward of 20 dB", "both")
     }
     change(file, ("skyhook_damping = 0.0", "skyhook_damping = 0.6"))
@@ -317,3 +319,34 @@ def test_a_method_that_the_machine_lacks_leaves_what_is_said(files, tmp_path):
     assert "it lacks" not in "\n".join(bought)
     change(file, ("skyhook_damping = 0.6", "skyhook_damping = 0.0"))
     assert rms(budget_file(str(file), out=str(tmp_path / "4"))) == said["a feedforward of 20 dB"]
+
+
+@pytest.mark.parametrize(
+    "number", ["stage mass", "damping of the stage's modes", "remainder of the feedforward"]
+)
+def test_a_sensitivity_is_what_changed_files_give(files, tmp_path, number):
+    """A hundredth of the number more and less, written into the file, the exact totals of the library between them."""
+    errors = []
+    said = "\n".join(budget_file(str(files["wafer-stage"]), out=str(tmp_path / "out")))
+    for ratio in (0.99, 1.01):
+        file = tmp_path / f"{ratio}.toml"
+        file.write_text(files["wafer-stage"].read_text())
+        change(
+            file,
+            *{
+                "stage mass": (("stage_mass_kg = 20.0", f"stage_mass_kg = {20 * ratio}"),),
+                "damping of the stage's modes": (
+                    ("modes_damping = 0.01", f"modes_damping = {0.01 * ratio}"),
+                ),
+                "remainder of the feedforward": (
+                    ("feedforward_db = 20.0", f"feedforward_db = {20 - 20 * np.log10(ratio)}"),
+                ),
+            }[number],
+        )
+        entries = read_toml(file)
+        machine = machine_of(entries)
+        sources = sources_of(entries, "", tmp_path, 10000.0)
+        errors.append(float(error_budget(machine.network(), sources, (0.5, 2000.0)).rms[0]))
+    slope = np.log(errors[1] / errors[0]) / np.log(1.01 / 0.99)
+    found = float(re.search(rf"{number} 10 % \w+.*?sensitivity ([-+][\d.e-]+)", said)[1])
+    assert found == pytest.approx(slope, rel=0.02, abs=2e-4)

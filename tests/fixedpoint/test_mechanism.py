@@ -18,6 +18,7 @@ from stillwork.control import (
     simulate,
     simulate_mechanism,
 )
+from stillwork.control.fixed_point import IntegrationWarning
 from stillwork.control.fixed_point_convergence import stable_range
 from stillwork.control.fixed_point_linear import linear_loop
 from stillwork.control.mechanism import response_gains, response_matrix
@@ -502,3 +503,22 @@ def test_a_payload_and_disturbances_move_the_arm_as_a_solver_does(arm):
             atol=1e-13,
         ).y[:, -1]
         assert motion[:, :, i + 1].T.ravel() == pytest.approx(state, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize(("stiffness", "turns"), [(4.4e4, False), (4.6e4, True)])
+def test_a_long_euler_step_of_a_mode_is_reported(stiffness, turns, short, recwarn):
+    """Two unit masses with a spring between them turn by (2 k)^(1/2) 1e-3 s a sample, against each other."""
+    masses = Mechanism(unit_masses, spring, 2, [stiffness])
+    parts = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), masses)
+    simulate_mechanism(masses, parts, [short] * 2, integration="semi-implicit")
+    simulate_mechanism(masses, parts, [short] * 2)
+    assert [each.category for each in recwarn] == [IntegrationWarning] * turns
+
+
+def unit_masses(position, parameters, out):
+    out[:] = np.eye(2)
+
+
+def spring(position, velocity, parameters, out):
+    out[0] = parameters[0] * (position[0] - position[1])
+    out[1] = -out[0]

@@ -236,7 +236,8 @@ def simulate(
     start = require_array("start", start, shape=(2,))
     warn_outside_contraction(controller.transformation, response_gain(plant, controller.model))
     if integration != "exact":
-        warn_long_steps(plant, start, trajectory.sample_time)
+        by_position, by_velocity, _ = partial_derivatives(plant, float(start[0]), float(start[1]), 0.0)
+        warn_long_steps(max(abs(by_position) ** 0.5, abs(by_velocity)), trajectory.sample_time)
     limits = [bound * max(1.0, np.abs(x).max()) for x in (trajectory.position, trajectory.velocity)]
     record = np.full((len(COLUMNS), samples), np.nan)
     done, status = run_closed_loop(
@@ -268,12 +269,9 @@ class IntegrationWarning(UserWarning):
 
 
 @checked
-def warn_long_steps(plant: Plant, start: ArrayLike, sample_time: float) -> None:
-    """Warn where an Euler step a sample is too long for the free motion of a plant around its start."""
-    position, velocity = require_array("start", start, shape=(2,))
-    require_number("sample_time", sample_time, above=0.0)
-    by_position, by_velocity, _ = partial_derivatives(plant, float(position), float(velocity), 0.0)
-    turn = max(abs(by_position) ** 0.5, abs(by_velocity)) * sample_time
+def warn_long_steps(rate: float, sample_time: float) -> None:
+    """Warn where an Euler step a sample is too long for free motion that turns or decays at a rate, in 1/s."""
+    turn = require_number("rate", rate, at_least=0.0) * require_number("sample_time", sample_time, above=0.0)
     if turn >= LONGEST_TURN:
         warnings.warn(
             f"integration by one Euler step a sample is too coarse: the plant's free motion turns or decays by {turn:.2g} "

@@ -1,5 +1,7 @@
 """The controller's loop on a plant with several coordinates: each has its own filter, (1) and (6) or (8)."""
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -30,6 +32,7 @@ from stillwork.control.fixed_point import (
     record_sample,
     require_disturbance,
     require_noise,
+    warn_long_steps,
 )
 from stillwork.control.held_force import HELD_ROWS, move_mechanism_held
 from stillwork.control.joint_kalman import JOINT, JointKalman, joint_extended_step
@@ -39,6 +42,7 @@ from stillwork.control.transformation import warn_outside_contraction
 from stillwork.estimation.coordinate_filters import require_sample_time
 from stillwork.estimation.filter_step import Packed, filter_step
 from stillwork.estimation.filtering import UNIT_MASS, model_of
+from stillwork.estimation.plant import slope
 
 
 @checked(missing=True)
@@ -106,6 +110,8 @@ def simulate_mechanism(
     -----
     ContractionWarning
         When the transformation cannot contract even with perfect measurements.
+    IntegrationWarning
+        As from `control.simulate`, of the free motion around the start.
 
     References
     ----------
@@ -156,6 +162,8 @@ def simulate_mechanism(
             raise InputError(f"force_limits is {forces}; give numbers above 0")
     for each in controllers:
         warn_outside_contraction(each.transformation, response_gains(plant, model, start[0])[-1])
+    if integration != "exact":
+        warn_long_steps(_fastest_rate(plant, start), sample_time)
     encoders = []
     for name, values in (("resolution", resolution), ("grid", grid)):
         values = require_array(name, values)
@@ -216,6 +224,20 @@ def simulate_mechanism(
         ControlledRun(trajectory, *rows, **ended)
         for trajectory, rows in zip(trajectories, record, strict=True)
     ]
+
+
+def _fastest_rate(plant, start) -> float:
+    """Largest eigenvalue of the free motion around a start, 1/s."""
+    state, n = start.ravel(), plant.coordinates
+
+    def acceleration(value, k):
+        moved = state.copy()
+        moved[k] = value
+        return plant.acceleration(moved[:n], moved[n:], np.zeros(n))
+
+    slopes = [slope(partial(acceleration, k=k), float(state[k])) for k in range(2 * n)]
+    motion = np.vstack([np.eye(n, 2 * n, n), np.transpose(slopes)])
+    return float(np.abs(np.linalg.eigvals(motion)).max())
 
 
 @checked

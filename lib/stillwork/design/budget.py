@@ -497,10 +497,13 @@ def purchases(
         "skyhook": machine.skyhook,
         "frame mass": machine.frame_mass,
         "delay": machine.delay,
+        "remainder of the feedforward": 1 - machine.feedforward if 0 < machine.feedforward < 1 else 0.0,
+        "damping of the stage's modes": float(np.any(machine.stage.damping > 0)),
     }
     pid = isinstance(machine.controller, Pid)
     if pid:
         numbers["bandwidth"] = np.sqrt(machine.controller.gain)
+        numbers["stage mass"] = 1.0  # at the same bandwidth
 
     def rms(**values: float) -> float:
         values = {name.replace("_", " "): value for name, value in values.items()}
@@ -511,12 +514,19 @@ def purchases(
             skyhook=values.get("skyhook", 0.0),
             frame_mass=values["frame mass"],
             delay=values.get("delay", 0.0),
+            stage=replace(
+                machine.stage,
+                damping=machine.stage.damping * values.get("damping of the stage's modes", 1.0),
+                input_shapes=machine.stage.input_shapes / values.get("stage mass", 1.0),
+            ),
         )
+        if "remainder of the feedforward" in values:
+            changed = replace(changed, feedforward=1 - values["remainder of the feedforward"])
         if pid:
             ratio = values["bandwidth"] / numbers["bandwidth"]
             old = machine.controller
             gains = (
-                old.gain * ratio**2,
+                old.gain * ratio**2 * values["stage mass"],
                 *(ratio * each for each in (old.integrator, old.differentiator, old.low_pass)),
             )
             changed = replace(changed, controller=type(old)(*gains))
@@ -556,7 +566,8 @@ def waterfall(machine: FloorMachine, sources: list[Source], band: tuple[float, f
     for words, changed in OFFERED.items():
         if not any(getattr(machine, name) for name in changed):
             left = _rms_of(replace(machine, **changed), sources, band)
-            rows.append([f"it lacks {words}, which would leave", left])
+            corner = machine.integrator_hz if "feedforward" in changed else machine.skyhook_hz
+            rows.append([f"it lacks {words}, which from {corner:.3g} Hz on would leave", left])
     return rows
 
 
