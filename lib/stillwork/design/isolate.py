@@ -381,17 +381,17 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
             drift = drift_ratio(fine.frequencies_hz, fine.density, LINE_HZ)
         else:
             notes.append(f"nothing below {LINE_HZ:g} Hz, for which the record is too short")
-    if drift > DRIFT_RATIO:
-        seen.append(
-            f"Below {LINE_HZ:g} Hz, where the certificate does not look, the floor's velocity is {drift:.2g} times that "
-            "above, as in a microseism: the weights may burst although the certificate passes (they did on 2 of 5 "
-            "simulated floors); a high-pass between the floor sensors and the controller takes it away."
-        )
     if slow > SLOW_RATIO:
         seen.append(
             f"At {SLOW_HZ[0]:g} to {SLOW_HZ[1]:g} Hz the floor's acceleration per √Hz is {slow:.2g} times that at "
             f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, so the adaptation is made slow, or "
             "refused; a high-pass between the floor sensors and the controller, and over the record, takes it away."
+        )
+    elif drift > DRIFT_RATIO:
+        seen.append(
+            f"Below {LINE_HZ:g} Hz, where the certificate does not look, the floor's velocity is {drift:.2g} times that "
+            "above, as in a microseism: the weights may burst although the certificate passes (they did on 2 of 5 "
+            "simulated floors); a high-pass between the floor sensors and the controller takes it away."
         )
     channels = spectra.density.shape[1]
     if channels == 1 < sensors:

@@ -69,6 +69,7 @@ def slow_ratio(
         return float(np.sqrt(np.nan_to_num((slow.mean(axis=1) / np.median(heard, axis=1)).max())))
 
 
+@checked
 def drift_ratio(
     frequencies_hz: Float64[np.ndarray, " frequencies"],
     density: Float64[np.ndarray, "sensors frequencies"],
