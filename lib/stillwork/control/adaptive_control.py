@@ -20,6 +20,7 @@ from stillwork.control.fixed_point import (
     TOO_FAR,
     ControlledRun,
     ending,
+    joint_motion,
     measure_position,
     plants_along,
     record_sample,
@@ -271,18 +272,12 @@ def simulate_adaptive(
     True
     """
     count = plant.coordinates
-    samples = len(trajectories[0].position) if trajectories else 0
     if law.model.coordinates != count:
         raise InputError(f"law has a model of {law.model.coordinates} coordinates; give one of {count}")
-    alike = {(each.sample_time, len(each.position)) for each in trajectories}
-    if len(trajectories) != count or len(alike) != 1:
-        raise InputError(
-            f"trajectories holds {len(trajectories)}; give one for each of {count} coordinates, of one length and sample time"
-        )
+    nominal, start, limits = joint_motion(trajectories, count, start, bound)
+    samples = nominal.shape[-1]
     sample_time = require_sample_time(law.signal_filter, trajectories[0].sample_time)
     noise = require_noise(noise, (count, samples))
-    nominal = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])
-    start = require_array("start", nominal[:, :2, 0].T if start is None else start, shape=(2, count))
     guess = np.array(law.model.parameters, dtype=float)
     parameters = len(guess)
     record = np.full((count, len(COLUMNS), samples), np.nan)
@@ -307,7 +302,7 @@ def simulate_adaptive(
         np.vstack([start, nominal[:, 2, 0]]).T.copy(),
         (np.zeros((count, len(law.kinematics.gains))), np.zeros((count, 4)), np.zeros((count, parameters))),
         np.zeros((2 * count + 5 + ROOM + HELD_ROWS, count)),
-        bound * np.maximum(1.0, np.abs(nominal[:, :2]).max(axis=2)),
+        limits,
         record,
         history,
     )

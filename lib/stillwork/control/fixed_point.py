@@ -311,6 +311,22 @@ def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray
 
 
 @checked
+def joint_motion(
+    trajectories: list[Trajectory], count: int, start: ArrayLike | None, bound: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `count` coordinates shall do (each position, velocity and acceleration), where they start, and what is diverged."""
+    alike = {(each.sample_time, len(each.position)) for each in trajectories}
+    if len(trajectories) != count or len(alike) != 1:
+        raise InputError(
+            f"trajectories holds {len(trajectories)}; give one for each of {count} coordinates, of one length and sample time"
+        )
+    require_number("bound", bound, above=1)
+    nominal = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])
+    start = require_array("start", nominal[:, :2, 0].T if start is None else start, shape=(2, count))
+    return nominal, start, bound * np.maximum(1.0, np.abs(nominal[:, :2]).max(axis=2))
+
+
+@checked
 def require_disturbance(disturbance: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
     """A disturbance of this shape, zero where none is given."""
     if disturbance is None:

@@ -26,6 +26,7 @@ from stillwork.control.fixed_point import (
     Controller,
     command_step,
     ending,
+    joint_motion,
     measure_position,
     packed_parts,
     plants_along,
@@ -136,25 +137,15 @@ def simulate_mechanism(
     require_alike(controllers, count)
     controller = controllers[0]
     model = controller.model
-    samples = len(trajectories[0].position) if trajectories else 0
     if not isinstance(model, Mechanism):
         raise InputError(
             "the controller's model is a Plant; give it a Mechanism, or drive the plant with simulate"
         )
-    if (
-        len(trajectories) != count
-        or len({(each.sample_time, len(each.position)) for each in trajectories}) != 1
-    ):
-        raise InputError(
-            f"trajectories holds {len(trajectories)}; give one for each of {count} coordinates, of one length and sample time"
-        )
+    nominal, start, limits = joint_motion(trajectories, count, start, bound)
+    samples = nominal.shape[-1]
     sample_time = require_sample_time(controller.signal_filter, trajectories[0].sample_time)
     noise = require_noise(noise, (count, samples))
-    require_number("bound", bound, above=1)
     require_choice("integration", integration, INTEGRATIONS)
-    nominal = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])
-    start = require_array("start", nominal[:, :2, 0].T if start is None else start, shape=(2, count))
-    limits = bound * np.maximum(1.0, np.abs(nominal[:, :2]).max(axis=2))
     forces = np.full(count, np.inf)
     if force_limits is not None:
         forces = require_array("force_limits", force_limits, shape=(count,))

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillwork.base.bounds import NonNegative, Positive
-from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import borrowing_kernel
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.mechanism import Mechanism, forward_dynamics
+from stillwork.estimation.coordinate_filters import require_initial_deviation
 from stillwork.estimation.extended import JACOBIAN, OBSERVATION, correct_extended, predict_extended
 from stillwork.estimation.filter_step import Packed
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, ESTIMATE, EXPECTED, MEANS, MEASURED, PAST
@@ -66,9 +66,7 @@ class JointKalman:
 
     def __post_init__(self):
         check_fields(self)
-        deviation = require_array("initial_deviation", self.initial_deviation, shape=(3,))
-        if np.any(deviation < 0):
-            raise InputError("initial_deviation holds a negative number; give standard deviations")
+        require_initial_deviation(self.initial_deviation)
 
     @checked
     def packed(self) -> Packed:

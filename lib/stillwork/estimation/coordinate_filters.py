@@ -357,9 +357,7 @@ class ExtendedKalman(_KalmanFilter):
 
     def __post_init__(self):
         check_fields(self)
-        deviation = require_array("initial_deviation", self.initial_deviation, shape=(3,))
-        if np.any(deviation < 0):
-            raise InputError("initial_deviation holds a negative number; give standard deviations")
+        require_initial_deviation(self.initial_deviation)
 
     @checked
     def packed(self) -> Packed:
@@ -379,6 +377,13 @@ class ExtendedKalman(_KalmanFilter):
         process = np.diag([self.velocity_step**2, 0.0, self.disturbance_step**2])
         options = np.square(np.asarray(self.initial_deviation, dtype=float))
         return _packed(EXTENDED, options, (BLOCKS, 5, 3), process, [[self.noise_deviation**2]])
+
+
+@checked
+def require_initial_deviation(deviation: tuple[float, float, float]) -> None:
+    """Refuse negative standard deviations of position, velocity and disturbance at the start."""
+    if np.any(require_array("initial_deviation", deviation, shape=(3,)) < 0):
+        raise InputError("initial_deviation holds a negative number; give standard deviations")
 
 
 def require_sample_time(signal_filter, sample_time: float) -> float:
