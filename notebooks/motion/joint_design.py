@@ -1148,16 +1148,18 @@ def paint_front(
     for size, colour in SIZE_COLOURS.items():
         ours = [name for name, each in designs.items() if each.size == size and name.startswith("joint")]
         points = np.array(sorted(at[name] for name in ours))
-        axis.plot(*points.T, "-", color=colour, linewidth=1.0, label=f"joint, for errors of {size:.0%}")
+        axis.plot(
+            *points.T, "-", color=colour, linewidth=1.0, label=f"joint, for errors of {100 * size:.0f} %"
+        )
     for name, stored in designs.items():
         free, colour = name.partition(",")[0], SIZE_COLOURS[stored.size]
         fill = "white" if unstable[name] else colour
         axis.plot(*at[name], MARKS[free], color=colour, markerfacecolor=fill, markersize=5, label=name)
         if unstable[name]:
-            note = f"{unstable[name]:.0%} unstable"
+            note = f"{100 * unstable[name]:.0f} % unstable"
             axis.annotate(note, at[name], (5, 3), textcoords="offset points", fontsize=6)
     late = 1e3 * published.force[0], 1e9 * published.error[0]
-    axis.plot(*late, "x", color=figures.BLACK, label="as published, late")
+    axis.plot(*late, "x", color=figures.BLACK, label="as published, with delay")
     axis.set_xscale("log")
     axis.set_xticks([2, 5, 10, 20, 30], ["2", "5", "10", "20", "30"])
     axis.minorticks_off()
@@ -1186,7 +1188,7 @@ def paint_three(designs: Mapping[str, Stored], nominal: Mapping[str, Judged], pu
             axis.plot(*np.array(joint).T, "o-", color=colour, markersize=5, label=f"joint, for {size:.0%}")
             two = at(nominal[f"two steps, for {size:.0%}"])
             axis.plot(*two, "^", color=colour, markersize=5, label=f"two steps, for {size:.0%}")
-        axis.plot(*at(published), "x", color=figures.BLACK, label="as published, late")
+        axis.plot(*at(published), "x", color=figures.BLACK, label="as published, with delay")
         axis.set_xscale("log")
     axes[0].set_ylabel("error from noise (nm)")
     axes[1].set_ylabel("error without noise (nm)")
@@ -1221,10 +1223,17 @@ def paint_peaks_over_plants(judged: Mapping[str, Mapping[str, Judged]]):
             across = place + np.linspace(-0.3, 0.3, len(shown))
             axis.plot(across, shown, ".", markersize=4, color=figures.RED, label=name)
             axis.annotate(
-                f"{np.mean(~found.stable):.0%}\nunstable", (place, TOP_DB + 0.8), ha="center", fontsize=6
+                f"{100 * np.mean(~found.stable):.0f} %\nunstable",
+                (place, TOP_DB + 0.8),
+                ha="center",
+                fontsize=6,
             )
         mark_limit(axis)
-        axis.set_xticks(range(len(designs)), [name.replace(" ", "\n", 1) for name in designs], fontsize=6)
+        axis.set_xticks(
+            range(len(designs)),
+            [name.replace(" ", "\n", 1).replace(", ", ",\n") for name in designs],
+            fontsize=6,
+        )
         axis.set(ylim=(0, TOP_DB + 4), title=title)
     axes[0, 0].set_ylabel(f"largest peak (dB), cut at {TOP_DB:g}")
     return figure

@@ -509,6 +509,9 @@ def paint_order(studies: Mapping[str, Mapping[str, np.ndarray]]):
     axes[0].set_yticks(range(len(RANKED)), RANKED)
     axes[0].invert_yaxis()
     figures.label(axes, "error over size")
+    for name, colour in (("robust", figures.RED), ("not robust", figures.BLUE)):
+        figure.axes[0].plot([], [], "o", color=colour, markersize=4, label=name)
+    figure.legend(handles=axes[0].lines[-2:], loc="outside lower center", ncols=2)
     return figure
 
 

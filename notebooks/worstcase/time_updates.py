@@ -63,6 +63,7 @@ COLOURS = {
     "fast": figures.PURPLE,
     "SOCP": figures.GREY,
 }
+ITERATIONS = {"approximate 1": "approximate, 1 iteration", "approximate 3": "approximate, 3 iterations"}
 
 
 def paint_exactness(found: dict[str, np.ndarray]):
@@ -135,7 +136,14 @@ def paint_times(times: dict[str, np.ndarray]):
         "SOCP": ("SOCP", "s-"),
     }
     for name, (kind, style) in styles.items():
-        axes.loglog(times["unknowns"], times[name], style, markersize=3, color=COLOURS[kind], label=name)
+        axes.loglog(
+            times["unknowns"],
+            times[name],
+            style,
+            markersize=3,
+            color=COLOURS[kind],
+            label=ITERATIONS.get(name, name),
+        )
     axes.set(xlabel="number of unknowns n", ylabel="time an update (µs)")
     axes.legend(ncols=2)
     return figure
