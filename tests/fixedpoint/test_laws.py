@@ -1,5 +1,7 @@
 """Laws beside the fixed point and the filter of all coordinates: numpy twins, closed forms, energy, a solver."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -23,7 +25,7 @@ from stillwork.control import (
 )
 from stillwork.control.fixed_point_linear import linear_loop
 from stillwork.control.transformation import RobustTransformation
-from stillwork.estimation import ExtendedKalman, LowPass
+from stillwork.estimation import ExtendedKalman, LowPass, Plant
 from stillwork.estimation.coordinate_filters import MovingWindow
 from stillwork.estimation.filtering import UNIT_MASS
 
@@ -258,12 +260,17 @@ def test_what_they_are_not_made_for_is_refused(arm, short):
         fixed_point_code(observer, DT, "c")
     with pytest.raises(InputError, match=r"^signal_filter\b"):
         fixed_point_code(joint, DT, "c")
-    with pytest.raises(InputError, match="JointKalman"):
-        FixedPointStepper(joint, DT)
+    with pytest.raises(InputError, match=r"^noise_deviation\b"):
+        JointKalman(arm.approximate, noise_deviation=np.array([1e-4, 0.0]))
+    with pytest.raises(InputError, match=r"^disturbance_step has shape \(3,\)"):
+        JointKalman(arm.approximate, disturbance_step=np.ones(3))
+    slide = Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    with pytest.raises(InputError, match="JointKalman of 2 coordinates"):
+        FixedPointStepper(replace(joint, model=slide), DT)
     with pytest.raises(InputError, match=r"^gain\b"):
         DisturbanceObserver(1.5)
     with pytest.raises(InputError, match=r"^initial_deviation\b"):
-        JointKalman(arm.approximate, initial_deviation=(1.0, -1.0, 1.0))
+        JointKalman(arm.approximate, initial_deviation=np.array([1.0, -1.0, 1.0]))
     guess, design = lumped(arm.approximate), KinematicDesign(9.0, order=1)
     with pytest.raises(InputError, match="linear in its parameters"):
         SlotineLi(LowPass(), design, arm.approximate, [1.0, 1.0], np.ones(13))

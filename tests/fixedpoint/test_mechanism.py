@@ -21,7 +21,7 @@ from stillwork.control import (
 from stillwork.control.fixed_point import IntegrationWarning
 from stillwork.control.fixed_point_convergence import stable_range
 from stillwork.control.fixed_point_linear import linear_loop
-from stillwork.control.mechanism import response_gains, response_matrix
+from stillwork.control.mechanism import iteration_radius, response_gains, response_matrix
 from stillwork.control.transformation import ContractionWarning, RobustTransformation, deform
 from stillwork.estimation import LowPass, Plant
 from stillwork.estimation.coordinate_filters import (
@@ -453,8 +453,8 @@ def test_each_coordinate_may_have_its_own_controller_noise_and_encoder():
         Mechanism(inertia, bias, 2, [2.5, 0.6, 0.5]),
     )
     paths = [asin_trajectory(a, 0.9, 0.5, 2.0) for a in (0.1, 0.3)]
-    settings = [(FlowTransformation(-2.0, 30.0), 12.0), (FlowTransformation(-1.0, 20.0), 8.0)]
-    chosen = [Controller(LowPass(), t, KinematicDesign(x), believed) for t, x in settings]
+    settings = [(350.0, FlowTransformation(-2.0, 30.0), 12.0), (500.0, FlowTransformation(-1.0, 20.0), 8.0)]
+    chosen = [Controller(LowPass(width), t, KinematicDesign(x), believed) for width, t, x in settings]
     noise = 1e-5 * np.random.default_rng(2).standard_normal((2, len(paths[0].position)))
     encoders = {"resolution": [1e-5, 3e-5], "grid": [0.0, 1e-5]}
     found = simulate_mechanism(both, chosen, paths, noise, **encoders)
@@ -477,7 +477,15 @@ def test_each_coordinate_may_have_its_own_controller_noise_and_encoder():
         alone = replace(chosen[number], model=single(guess, 0.5))
         radii.append(linear_loop(single(mass, 1.0), alone, 1e-3).radius(alone.transformation.local_gain))
     assert loop.radius(chosen[0].transformation.local_gain) == pytest.approx(max(radii), abs=1e-9)
-    for wrong in (chosen[:1], [chosen[0], replace(chosen[1], signal_filter=LowPass(300.0))]):
+    gains = np.array([each.transformation.local_gain for each in chosen])
+    radius = np.abs(1 + gains * [2.5 / 3.0, 0.6 / 0.5]).max()
+    assert iteration_radius(both, believed, still, gains) == pytest.approx(radius)
+    with pytest.raises(InputError, match=r"^local_gains\b"):
+        iteration_radius(both, believed, still, [-0.1])
+    strong = [chosen[0], replace(chosen[1], transformation=FlowTransformation(-36.0, 20.0))]  # 1 - 1.8 * 1.2
+    with pytest.warns(ContractionWarning, match=r"spectral radius of 1\.16\b"):
+        simulate_mechanism(both, strong, paths, noise)
+    for wrong in (chosen[:1], [chosen[0], replace(chosen[1], signal_filter=LowPass(300.0, from_zero=True))]):
         with pytest.raises(InputError, match=r"^controller\b"):
             simulate_mechanism(both, wrong, paths, noise)
     with pytest.raises(InputError, match=r"^resolution\b"):

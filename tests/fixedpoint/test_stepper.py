@@ -12,6 +12,7 @@ from stillwork.control import (
     Controller,
     FixedPointStepper,
     FlowTransformation,
+    JointKalman,
     KinematicDesign,
     asin_trajectory,
     fixed_point_code,
@@ -140,14 +141,31 @@ def test_the_oscillator(name, lost, share, exact, approximate, short, tmp_path):
         assert np.abs(in_double - found).max() < 1e-6 * size
 
 
+# Of each joint one of its own numbers; one filter of both is not written in C.
+OF_JOINTS = {
+    "low pass": lambda model: [LowPass(300.0), LowPass(450.0)],
+    "unscented": lambda model: [
+        UnscentedKalman(UNIT_MASS, np.array([0.1, 1e-3]) * size, np.array([1e-2, 1e-3]) * size, 1e-3 * size)
+        for size in (1.0, 0.5)
+    ],
+    "extended": lambda model: [
+        ExtendedKalman(UNIT_MASS, step, noise, 1e-3 * step, (1e-2 * step, step, 10.0 * step))
+        for step, noise in ((1.0, 1e-4), (2.0, 3e-4))
+    ],
+    "of both": lambda model: [JointKalman(model, np.array([1.0, 2.0]), np.array([1e-4, 3e-4]))] * 2,
+}
+
+
 @pytest.mark.parametrize("limited", [False, True])
-@pytest.mark.parametrize("kind", [LowPass(300.0), UnscentedKalman(UNIT_MASS), ExtendedKalman(UNIT_MASS)], ids=["low pass", "unscented", "extended"])  # fmt: skip
+@pytest.mark.parametrize("kind", OF_JOINTS)
 def test_the_arm(kind, limited, tmp_path):
     arm = load_models("arm.py")
     paths = [asin_trajectory(each, 0.9, frequency_hz=0.5, duration=0.5) for each in (0.3, 0.2)]
     controllers = [
-        Controller(kind, FlowTransformation(-0.1, 10.0), KinematicDesign(each), arm.approximate)
-        for each in (8.0, 12.0)
+        Controller(device, FlowTransformation(gain, 10.0), KinematicDesign(each), arm.approximate)
+        for device, gain, each in zip(
+            OF_JOINTS[kind](arm.approximate), (-0.1, -0.15), (8.0, 12.0), strict=True
+        )
     ]
     noise = lost_noise((2, len(paths[0].position)), 1e-6)
     limits = [20.0, 6.0] if limited else None
@@ -161,6 +179,8 @@ def test_the_arm(kind, limited, tmp_path):
     expected = np.array([run.force for run in runs]).T
     assert not limited or np.any(np.abs(expected) == limits)
     assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
+    if kind == "of both":
+        return
     in_double = in_c(controllers, tmp_path, ARM, nominal, measured, limits, "predict")
     assert np.abs(in_double - found).max() < 1e-6 * np.abs(expected).max()
 

@@ -82,7 +82,8 @@ def fixed_point_code(
     count = first.model.coordinates if isinstance(first.model, Mechanism) else 1
     controllers = list(controller) if isinstance(controller, list) else [controller] * count
     require_alike(controllers, count)
-    require_sample_time(first.signal_filter, sample_time)
+    for each in controllers:
+        require_sample_time(each.signal_filter, sample_time)
     require_choice("lost", lost, LOSSES)
     own: Any = first.signal_filter
     if isinstance(own, SavitzkyGolay | JointKalman) or getattr(own, "literal", False):
@@ -92,6 +93,7 @@ def fixed_point_code(
     if any(isinstance(each.transformation, DisturbanceObserver) for each in controllers):
         raise InputError("controller deforms by a DisturbanceObserver; C is written for (6) and (8)")
     kind, packed = KINDS[type(own)], own.packed()
+    filters: Any = [each.signal_filter for each in controllers]
     kalman = kind in "ue"
     foreign = kalman and own.plant is not UNIT_MASS
     limits = [np.inf] * count if force_limits is None else force_limits
@@ -103,6 +105,9 @@ def fixed_point_code(
 
     def table(rows) -> str:
         return "{" + ", ".join(map(row, rows)) + "}"
+
+    def tables(matrices) -> str:
+        return "{" + ", ".join(map(table, matrices)) + "}"
 
     transformations = [each.transformation.packed for each in controllers]
     parameters = np.atleast_1d(first.model.parameters)
@@ -135,9 +140,12 @@ def fixed_point_code(
     if kind == "w":
         values |= {"window": len(packed.options), "weights": row(packed.options)[1:-1]}
     if kind == "l":
-        designed.append(write(own.bandwidth))
+        designed.append(row(each.bandwidth for each in filters))
     if kalman:
-        designed += [table(packed.process), table(packed.noise)]
+        designed += [
+            tables(each.packed().process for each in filters),
+            tables(each.packed().noise for each in filters),
+        ]
     if kind == "u":
         spread, mean_first, square_first, other = packed.options[:4]
         values |= {
@@ -145,11 +153,10 @@ def fixed_point_code(
             "first": write(mean_first),
             "first_square": write(square_first),
             "other": write(other),
-            "variance": write(own.initial_variance),
+            "variance": row(each.initial_variance for each in filters),
         }
     if kind == "e":
-        names = ("initial_position", "initial_velocity", "initial_disturbance")
-        values |= {word: write(each) for word, each in zip(names, packed.options, strict=True)}
+        values["variances"] = table(each.packed().options for each in filters)
     if foreign:
         believed = np.append(own.plant.parameters, [] if len(own.plant.parameters) else 0.0)
         values["believed"] = len(believed)

@@ -64,7 +64,7 @@ class StableRange:
 
     def __contains__(self, local_gain: float) -> bool:
         strongest, weakest = self.limits
-        return strongest < local_gain < weakest
+        return bool(strongest < local_gain < weakest)
 
     @property
     def limits(self) -> tuple[float, float]:

@@ -282,7 +282,8 @@ def linear_loop(
     several = isinstance(plant, Mechanism)
     # Of a mechanism the filters know nothing but unit masses, which are alike everywhere.
     at = (0.0, 0.0) if several else (float(place[0]), float(speed[0]))
-    device = linear_filter(controller.signal_filter, sample_time, *at)
+    devices = [linear_filter(each.signal_filter, sample_time, *at) for each in controllers]
+    A, B, C, D = (np.array([getattr(each, name) for each in devices]) for name in "ABCD")
     by_position, by_velocity, by_force = _slope_matrices(plant, place, speed)
     model_position, model_velocity, model_force = _slope_matrices(controller.model, place, speed)
     gains = np.array([each.kinematics.gains for each in controllers]).T
@@ -290,11 +291,14 @@ def linear_loop(
     ratios = [each.transformation.local_gain / controller.transformation.local_gain for each in controllers]
     motion, push = _motion(by_position, by_velocity, by_force, sample_time, integration)
     first = 4 + integrals  # position, velocity, deformed, force, integrals, filter
-    states = first + len(device.A)
+    states = first + A.shape[1]
+
+    def each_of(matrices, columns):  # a matrix and a column for every coordinate
+        return np.einsum("jab,bj->aj", matrices, columns)
 
     def step(x, change):
         inputs = np.array([x[0], x[2 if several else 3]])
-        estimate = device.C @ x[first:] + device.D @ inputs
+        estimate = each_of(C, x[first:]) + each_of(D, inputs)
         seen = x[0] if controller.signal_filter.error_from_measurement else estimate[0]
         chain = [-seen]
         for j in range(integrals):
@@ -304,12 +308,12 @@ def linear_loop(
         force = np.linalg.solve(model_force, deformed - model_position @ seen - model_velocity @ estimate[1])
         moved = (motion @ x[:2].ravel() + push @ force).reshape(2, count)
         after = np.array([*moved, deformed, force, *chain[1:]])
-        after = np.concatenate([after, device.A @ x[first:] + device.B @ inputs])
+        after = np.concatenate([after, each_of(A, x[first:]) + each_of(B, inputs)])
         return after.ravel(), estimate[2] - desired
 
     size = states * count
     columns = [step(unit.reshape(states, count), np.zeros(count)) for unit in np.eye(size)]
-    A = np.column_stack([column for column, _ in columns])
-    B = np.column_stack([step(np.zeros((states, count)), unit)[0] for unit in np.diag(ratios)])
-    C = np.column_stack([output for _, output in columns])
-    return LinearLoop(A, B, C, float(sample_time))
+    motions = np.column_stack([column for column, _ in columns])
+    pushes = np.column_stack([step(np.zeros((states, count)), unit)[0] for unit in np.diag(ratios)])
+    outputs = np.column_stack([output for _, output in columns])
+    return LinearLoop(motions, pushes, outputs, float(sample_time))

@@ -1,5 +1,7 @@
 """The controller's loop on a plant with several coordinates: each has its own filter, (1) and (6) or (8)."""
 
+import warnings
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -37,9 +39,15 @@ from stillwork.control.fixed_point import (
 )
 from stillwork.control.held_force import HELD_ROWS, move_mechanism_held
 from stillwork.control.joint_kalman import JOINT, JointKalman, joint_extended_step
-from stillwork.control.mechanism import Mechanism, forward_dynamics, inverse_dynamics, response_gains
+from stillwork.control.mechanism import (
+    Mechanism,
+    forward_dynamics,
+    inverse_dynamics,
+    iteration_radius,
+    response_gains,
+)
 from stillwork.control.trajectory import Trajectory
-from stillwork.control.transformation import warn_outside_contraction
+from stillwork.control.transformation import ContractionWarning, warn_outside_contraction
 from stillwork.estimation.coordinate_filters import require_sample_time
 from stillwork.estimation.filter_step import Packed, filter_step
 from stillwork.estimation.filtering import UNIT_MASS, model_of
@@ -74,8 +82,8 @@ def simulate_mechanism(
     plant : Mechanism
         The exact model.
     controller : Controller or list of Controller
-        One for all coordinates, or one for each, which differ in transformation and kinematics alone; its `model` is a
-        Mechanism.
+        One for all coordinates, or one for each, where a coordinate in m and one in rad want other numbers: of the
+        transformation, of the kinematics and of a filter of one kind. Its `model` is a Mechanism.
     trajectories : list of Trajectory
         One for each coordinate, of one length and sample time.
     noise : array_like, shape (coordinates, samples), optional
@@ -143,7 +151,8 @@ def simulate_mechanism(
         )
     nominal, start, limits = joint_motion(trajectories, count, start, bound)
     samples = nominal.shape[-1]
-    sample_time = require_sample_time(controller.signal_filter, trajectories[0].sample_time)
+    for each in controllers:
+        sample_time = require_sample_time(each.signal_filter, trajectories[0].sample_time)
     noise = require_noise(noise, (count, samples))
     require_choice("integration", integration, INTEGRATIONS)
     forces = np.full(count, np.inf)
@@ -151,8 +160,7 @@ def simulate_mechanism(
         forces = require_array("force_limits", force_limits, shape=(count,))
         if np.any(forces <= 0):
             raise InputError(f"force_limits is {forces}; give numbers above 0")
-    for each in controllers:
-        warn_outside_contraction(each.transformation, response_gains(plant, model, start[0])[-1])
+    _warn_outside_convergence(plant, controllers, start[0])
     if integration != "exact":
         warn_long_steps(_fastest_rate(plant, start), sample_time)
     encoders = []
@@ -177,7 +185,6 @@ def simulate_mechanism(
         packed[0][3][2],
     )
     record = np.full((count, len(COLUMNS), samples), np.nan)
-    device = controller.signal_filter.packed()
     believed, own_model = model, (UNIT_MASS.compiled[0], UNIT_MASS.parameters)
     if not isinstance(controller.signal_filter, JointKalman):
         own_model = model_of(controller.signal_filter)
@@ -188,8 +195,7 @@ def simulate_mechanism(
                 f"the filter's model has {believed.coordinates} coordinates; give one of {count}"
             )
     done, status = _closed_mechanism(
-        device,
-        np.tile(device.work, (1 if device.kind == JOINT else count, 1, 1, 1)),
+        packed_filters(controllers),
         *believed.compiled,
         *own_model,
         parts,
@@ -217,6 +223,20 @@ def simulate_mechanism(
     ]
 
 
+def _warn_outside_convergence(plant, controllers, position) -> None:
+    model = controllers[0].model
+    gains = [each.transformation.local_gain for each in controllers]
+    if len(set(gains)) == 1:
+        warn_outside_contraction(controllers[0].transformation, response_gains(plant, model, position)[-1])
+    elif (radius := iteration_radius(plant, model, position, gains)) > 1 + 1e-9:  # 1 where a gain is 0
+        warnings.warn(
+            f"with the local gains {', '.join(f'{gain:.4g}' for gain in gains)} the iteration has a spectral radius of {radius:.4g} "
+            "where it starts; it will not converge: lower the gains",
+            ContractionWarning,
+            stacklevel=5,
+        )
+
+
 def _fastest_rate(plant, start) -> float:
     """Largest eigenvalue of the free motion around a start, 1/s."""
     state, n = start.ravel(), plant.coordinates
@@ -231,26 +251,56 @@ def _fastest_rate(plant, start) -> float:
     return float(np.abs(np.linalg.eigvals(motion)).max())
 
 
+# What a filter of one coordinate has in its unit, or for it: controllers side by side may differ in these.
+OF_COORDINATE = (
+    "bandwidth",
+    "process",
+    "noise",
+    "initial_variance",
+    "disturbance_step",
+    "noise_deviation",
+    "velocity_step",
+    "initial_deviation",
+)
+
+
+def _alike_filters(one, other) -> bool:
+    if isinstance(one, JointKalman) or type(one) is not type(other):
+        return one == other
+    return (
+        replace(one, **{name: getattr(other, name) for name in OF_COORDINATE if hasattr(one, name)}) == other
+    )
+
+
+def packed_filters(controllers: list[Controller]) -> Packed:
+    """Filters of coordinates side by side, each array with a row for every one; of a `JointKalman` one row."""
+    first = controllers[0].signal_filter
+    filters = [first] if isinstance(first, JointKalman) else [each.signal_filter for each in controllers]
+    packed = [each.packed() for each in filters]
+    return Packed(
+        packed[0].kind, *(np.array(rows) for rows in zip(*(each[1:] for each in packed), strict=True))
+    )
+
+
 @checked
 def require_alike(controllers: list[Controller], count: int) -> None:
-    """Refuse controllers of `count` coordinates that differ in more than transformation and kinematics."""
+    """Refuse controllers of `count` coordinates that differ in more than numbers of filter, transformation and kinematics."""
     alike = len(controllers) == count and all(
-        each.signal_filter == controllers[0].signal_filter
+        _alike_filters(each.signal_filter, controllers[0].signal_filter)
         and each.model == controllers[0].model
         and each.kinematics.integrals == controllers[0].kinematics.integrals
         for each in controllers
     )
     if not alike:
         raise InputError(
-            f"controller holds {len(controllers)}; give one, or one for each of {count} coordinates, with the same filter, model "
-            "and number of integrals"
+            f"controller holds {len(controllers)}; give one, or one for each of {count} coordinates, with the same kind of filter, "
+            "model and number of integrals"
         )
 
 
 @borrowing_kernel
 def _closed_mechanism(
     device,
-    devices_work,
     believed_inertia,
     believed_bias,
     believed_plant,
@@ -280,7 +330,7 @@ def _closed_mechanism(
 ):
     """Fill `record` (coordinates x COLUMNS x samples); returns the samples done and how it ended."""
     count, samples = noise.shape
-    kind, options, process, sensor, _ = device
+    kind, options, process, sensor, works = device
     from_measurement, transformations, gains, resolutions, grids, loss = parts
     position, velocity = motion[0], motion[1]
     force, acceleration, deformed, seen, speed, held = work[0], work[1], work[2], work[3], work[4], work[5]
@@ -294,16 +344,16 @@ def _closed_mechanism(
                 measurement, position[j], noise[j, i], sample_time, estimate[j, 1], memory[j, MEASURED]
             )
             if kind != JOINT:
-                own = Packed(kind, options, process, sensor, devices_work[j])
+                own = Packed(kind, options[j], process[j], sensor[j], works[j])
                 if not filter_step(
                     own, filter_acceleration, filter_plant, sample_time, measured[j], deformed[j], estimate[j]
                 ):
                     return i, NOT_DEFINITE
         if kind == JOINT and not joint_extended_step(
-            options,
-            process,
-            sensor,
-            devices_work[0],
+            options[0],
+            process[0],
+            sensor[0],
+            works[0],
             believed_inertia,
             believed_bias,
             believed_plant,

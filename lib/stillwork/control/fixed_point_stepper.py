@@ -16,11 +16,11 @@ from stillwork.control.fixed_point import (
     command_step,
     packed_parts,
 )
-from stillwork.control.fixed_point_mechanism import require_alike
-from stillwork.control.joint_kalman import JointKalman
+from stillwork.control.fixed_point_mechanism import packed_filters, require_alike
+from stillwork.control.joint_kalman import JOINT, JointKalman, joint_extended_step
 from stillwork.control.mechanism import Mechanism
 from stillwork.estimation.coordinate_filters import require_sample_time
-from stillwork.estimation.filter_step import filter_step
+from stillwork.estimation.filter_step import Packed, filter_step
 from stillwork.estimation.filtering import model_of
 
 
@@ -86,26 +86,32 @@ class FixedPointStepper:
     ):
         first = controller[0] if isinstance(controller, list) else controller
         self.model = first.model
-        if isinstance(first.signal_filter, JointKalman):
-            raise InputError(
-                "controller filters by a JointKalman; the stepper takes filters of one coordinate"
-            )
         count = self.model.coordinates if isinstance(self.model, Mechanism) else 1
         controllers = list(controller) if isinstance(controller, list) else [controller] * count
         require_alike(controllers, count)
-        self.sample_time = require_sample_time(first.signal_filter, sample_time)
+        for each in controllers:
+            self.sample_time = require_sample_time(each.signal_filter, sample_time)
         self.force_limits = np.full(count, np.inf)
         if force_limits is not None:
             self.force_limits = require_array("force_limits", force_limits, shape=(count,))
             if np.any(self.force_limits <= 0):
                 raise InputError(f"force_limits is {self.force_limits}; give numbers above 0")
         self._start = None if start is None else require_array("start", start, shape=(2, count))
-        self._filter, self._filter_model = first.signal_filter.packed(), model_of(first.signal_filter)
+        own, self._filters = first.signal_filter, packed_filters(controllers)
+        if not isinstance(own, JointKalman):
+            self._filter_model: tuple = model_of(own)
+        elif isinstance(self.model, Mechanism) and own.model.coordinates == count:
+            self._filter_model = own.model.compiled
+        else:
+            raise InputError(
+                f"controller filters by a JointKalman of {own.model.coordinates} coordinates; give one of its model's, "
+                "which is a Mechanism"
+            )
         self._parts = [packed_parts(each, 0.0, 0.0, lost) for each in controllers]
         self._from_estimate = force_from_estimate
         self.samples = 0
         self._state: tuple[np.ndarray, ...] = (
-            np.tile(self._filter.work, (count, 1, 1, 1)),
+            self._filters.work,
             np.zeros((count, 3)),
             np.zeros((count, len(first.kinematics.gains) - 1)),
             np.zeros((count, 4)),
@@ -157,23 +163,35 @@ class FixedPointStepper:
         first = self.samples == 0
         if first and np.isnan(measured).any():
             raise InputError("measured is NaN at the first sample; start with one that was measured")
+        kind, options, process, sensor, _ = self._filters
         state = tuple(part.copy() for part in self._state)
         works, estimate, chain, memory, push, held = state
         if first:
             estimate[:, :2] = nominal[:2].T if self._start is None else self._start.T
             estimate[:, 2] = nominal[2]
-        for j, parts in enumerate(self._parts):
-            seen, loss = measured[j], parts[3][2]
-            if np.isnan(seen) and loss in (HOLD, EXTEND):
-                seen = memory[j, MEASURED] + (self.sample_time * estimate[j, 1] if loss == EXTEND else 0.0)
-            device = self._filter._replace(work=works[j])
-            if not filter_step(device, *self._filter_model, self.sample_time, seen, push[j], estimate[j]):
-                raise InputError(
-                    "the filter's covariance is no longer positive definite; raise process or noise"
+        measured = measured.copy()
+        for j in np.flatnonzero(np.isnan(measured)):
+            loss = self._parts[j][3][2]
+            if loss in (HOLD, EXTEND):
+                measured[j] = memory[j, MEASURED] + (
+                    self.sample_time * estimate[j, 1] if loss == EXTEND else 0.0
                 )
+        definite = True
+        if kind == JOINT:
+            numbers = options[0], process[0], sensor[0], works[0], *self._filter_model
+            room = np.zeros((2 * count + 5, count))
+            definite = joint_extended_step(*numbers, self.sample_time, measured, push, estimate, room)
+        else:
+            for j in range(count):
+                device = Packed(kind, options[j], process[j], sensor[j], works[j])
+                numbers = self.sample_time, measured[j], push[j], estimate[j]
+                definite = definite and filter_step(device, *self._filter_model, *numbers)
+        if not definite:
+            raise InputError("the filter's covariance is no longer positive definite; raise process or noise")
+        for j, parts in enumerate(self._parts):
             wanted = tuple(nominal[:, j])
             command_step(
-                parts, self.sample_time, wanted, seen, first, held[j], chain[j], estimate[j], memory[j]
+                parts, self.sample_time, wanted, measured[j], first, held[j], chain[j], estimate[j], memory[j]
             )
         place = estimate[:, 0] if self._from_estimate else memory[:, SEEN]
         force = self._force(place, estimate[:, 1], memory[:, DEFORMED])
@@ -185,7 +203,7 @@ class FixedPointStepper:
             memory[:, DEFORMED] = self._acceleration(place, estimate[:, 1], force)
             if not np.isfinite(memory[:, DEFORMED]).all():  # it would stay so
                 raise InputError("the model's acceleration under the limited force is not finite; check it")
-        push[:] = memory[:, DEFORMED] if isinstance(self.model, Mechanism) else force
+        push[:] = force if kind == JOINT or not isinstance(self.model, Mechanism) else memory[:, DEFORMED]
         self._state = state
         self.samples += 1
         return force

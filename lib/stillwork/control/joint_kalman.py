@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from stillwork.base.bounds import NonNegative, Positive
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import borrowing_kernel
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.mechanism import Mechanism, forward_dynamics
-from stillwork.estimation.coordinate_filters import require_initial_deviation
 from stillwork.estimation.extended import JACOBIAN, OBSERVATION, correct_extended, predict_extended
 from stillwork.estimation.filter_step import Packed
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, ESTIMATE, EXPECTED, MEANS, MEASURED, PAST
@@ -28,19 +28,19 @@ class JointKalman:
     ----------
     model : Mechanism
         What it believes in.
-    disturbance_step : float
-        Standard deviation of a disturbance's change in one sample, m/s^2 or rad/s^2.
-    noise_deviation : float
+    disturbance_step : array_like, shape () or (coordinates,)
+        Standard deviation of a disturbance's change in one sample, m/s^2 or rad/s^2: one for all, or one for each.
+    noise_deviation : array_like, shape () or (coordinates,)
         Standard deviation of a measured position, m or rad.
-    velocity_step : float
+    velocity_step : array_like, shape () or (coordinates,)
         Standard deviation of what else changes a velocity in one sample, m/s or rad/s.
-    initial_deviation : tuple of float
+    initial_deviation : array_like, shape (3,) or (3, coordinates)
         Of positions, velocities and disturbances at the first measurement.
 
     Raises
     ------
     InputError
-        When a deviation or step is negative.
+        When a deviation or step is negative, or there is not one for each coordinate.
 
     References
     ----------
@@ -53,20 +53,37 @@ class JointKalman:
     >>> def bias(position, velocity, parameters, out):
     ...     out[:] = 0.0, 9.81 * parameters[0]
     >>> load = control.Mechanism(inertia, bias, 2, [3.0])
-    >>> control.JointKalman(load, noise_deviation=1e-3).packed().noise.diagonal()  # m^2
-    array([1.e-06, 1.e-06])
+    >>> control.JointKalman(load, noise_deviation=[1e-3, 2e-3]).packed().noise.diagonal()  # m^2
+    array([1.e-06, 4.e-06])
     """
 
     model: Mechanism
-    disturbance_step: NonNegative = 1.0
-    noise_deviation: Positive = 1e-4
-    velocity_step: NonNegative = 0.0
-    initial_deviation: tuple[float, float, float] = (1e-2, 1.0, 10.0)
+    disturbance_step: ArrayLike = 1.0
+    noise_deviation: ArrayLike = 1e-4
+    velocity_step: ArrayLike = 0.0
+    initial_deviation: ArrayLike = (1e-2, 1.0, 10.0)
     error_from_measurement = False
 
     def __post_init__(self):
         check_fields(self)
-        require_initial_deviation(self.initial_deviation)
+        count = self.model.coordinates
+        for name, shape in (
+            ("disturbance_step", (count,)),
+            ("noise_deviation", (count,)),
+            ("velocity_step", (count,)),
+            ("initial_deviation", (3, count)),
+        ):
+            values = require_array(name, getattr(self, name))
+            if values.shape not in (shape, shape[:-1]):
+                raise InputError(
+                    f"{name} has shape {values.shape}; give shape {shape[:-1]}, or {shape} for {count} coordinates"
+                )
+            least = np.min(values, initial=np.inf)
+            if least < 0 or (name == "noise_deviation" and least == 0):
+                above = "positive numbers" if name == "noise_deviation" else "standard deviations"
+                raise InputError(f"{name} holds {least:g}; give {above}")
+            spread = np.broadcast_to(values[..., None] if values.ndim < len(shape) else values, shape)
+            object.__setattr__(self, name, spread.copy())
 
     @checked
     def packed(self) -> Packed:
@@ -87,10 +104,10 @@ class JointKalman:
         (6, 6)
         """
         count = self.model.coordinates
-        steps = np.repeat([self.velocity_step, 0.0, self.disturbance_step], count)
+        steps = np.concatenate([self.velocity_step, np.zeros(count), self.disturbance_step])
         work = np.zeros((BLOCKS, max(5, 3 * count), 3 * count))
-        noise = np.eye(count) * self.noise_deviation**2
-        return Packed(JOINT, np.square(self.initial_deviation), np.diag(steps**2), noise, work)
+        noise = np.diag(np.square(self.noise_deviation))
+        return Packed(JOINT, np.square(self.initial_deviation).ravel(), np.diag(steps**2), noise, work)
 
 
 @borrowing_kernel
@@ -111,7 +128,7 @@ def joint_extended_step(
             means[ESTIMATE, n + i] = measured[i] - sample_time * estimate[i, 1]
             for kind in range(3):
                 at = (1 - kind if kind < 2 else kind) * n + i  # the options begin with the position
-                covariance[at, at] = options[kind]
+                covariance[at, at] = options[kind * n + i]
     for i in range(n):
         speed[i], place[i] = means[ESTIMATE, i], means[ESTIMATE, n + i]
     for k in range(3 * n):

@@ -228,6 +228,20 @@ def response_gains(
     return np.sort(np.linalg.eigvals(response_matrix(plant, model, position)).real)
 
 
+@checked
+def iteration_radius(
+    plant: Mechanism, model: Mechanism, position: ArrayLike, local_gains: ArrayLike
+) -> float:
+    """Spectral radius of 1 + G F, with a local gain of each coordinate: below 1 the iteration converges at this position.
+
+    Where the gains are equal this is `response_matrix`'s bound. Where they differ, 1 + G F may have complex eigenvalues, and no
+    norm is known in which every step contracts: the radius holds near the fixed point, and for a model that stands still.
+    """
+    response = response_matrix(plant, model, position)
+    gains = require_array("local_gains", local_gains, shape=(plant.coordinates,))
+    return float(np.abs(np.linalg.eigvals(np.eye(len(gains)) + gains[:, None] * response)).max())
+
+
 @borrowing_kernel
 def inverse_dynamics(inertia, bias, parameters, position, velocity, acceleration, work, force):
     """force = M acceleration + h; work: (2 n + 1, n) numbers."""

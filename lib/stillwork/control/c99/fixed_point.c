@@ -18,6 +18,8 @@ e|#define STATES $states
 u|#define POINTS 5
 
 static const real dt = $step;
+u|static const real variance[N] = $variance; /* of both states at first */
+e|static const real variances[N][3] = $variances; /* of position, velocity and disturbance at first */
 
 const ${name}_tuning ${name}_designed = {
 $designed};
@@ -73,7 +75,7 @@ w|}
 l|static bool filter(${name}_state *s, const ${name}_tuning *t, int j, real measured)
 l|{
 l|    real *x = s->low_pass[j];
-l|    const real b = t->bandwidth;
+l|    const real b = t->bandwidth[j];
 l|    real jerk;
 l|    int i;
 l|
@@ -187,7 +189,7 @@ u|
 u|    mean_of(observed, outputs, expected);
 u|    for (a = 0; a < outputs; a++) {
 u|        for (b = 0; b <= a; b++) {
-u|            innovation[a][b] = product(observed, expected, a, observed, expected, b) + t->noise[missing + a][missing + b];
+u|            innovation[a][b] = product(observed, expected, a, observed, expected, b) + t->noise[j][missing + a][missing + b];
 u|            innovation[b][a] = innovation[a][b];
 u|        }
 u|    }
@@ -245,8 +247,8 @@ u|    if (s->samples == 0) {
 u|        s->past[j] = measured - (dt * estimate[1]);
 u|        mean[0] = estimate[1];
 u|        mean[1] = measured - (dt * estimate[1]);
-u|        s->covariance[j][0][0] = $variance;
-u|        s->covariance[j][1][1] = $variance;
+u|        s->covariance[j][0][0] = variance[j];
+u|        s->covariance[j][1][1] = variance[j];
 u|    }
 u|    last = mean[0];
 u|    if (!spread(s, j, points)) {
@@ -259,7 +261,7 @@ u|    }
 u|    mean_of(points, 2, mean);
 u|    for (i = 0; i < 2; i++) {
 u|        for (k = 0; k <= i; k++) {
-u|            s->covariance[j][i][k] = product(points, mean, i, points, mean, k) + t->process[i][k];
+u|            s->covariance[j][i][k] = product(points, mean, i, points, mean, k) + t->process[j][i][k];
 u|            s->covariance[j][k][i] = s->covariance[j][i][k];
 u|        }
 u|    }
@@ -311,9 +313,9 @@ e|
 e|    if (s->samples == 0) {
 e|        mean[0] = estimate[1];
 e|        mean[1] = measured - (dt * estimate[1]);
-e|        p[0][0] = $initial_velocity;
-e|        p[1][1] = $initial_position;
-e|        p[2][2] = $initial_disturbance;
+e|        p[0][0] = variances[j][1];
+e|        p[1][1] = variances[j][0];
+e|        p[2][2] = variances[j][2];
 e|    }
 e|    /* Central differences over a millionth of the estimate or of its deviation. */
 e|    for (i = 0; i < 2; i++) {
@@ -350,7 +352,7 @@ e|        }
 e|    }
 e|    for (i = 0; i < STATES; i++) {
 e|        for (k = 0; k <= i; k++) {
-e|            p[i][k] = t->process[i][k];
+e|            p[i][k] = t->process[j][i][k];
 e|            for (m = 0; m < STATES; m++) {
 e|                p[i][k] += half[i][m] * f[k][m];
 e|            }
@@ -358,7 +360,7 @@ e|            p[k][i] = p[i][k];
 e|        }
 e|    }
 e|    if (is_number(measured)) {
-e|        const real innovation = t->noise[0][0] + p[1][1];
+e|        const real innovation = t->noise[j][0][0] + p[1][1];
 e|        const real rest = measured - mean[1];
 e|        real cross[STATES];
 e|

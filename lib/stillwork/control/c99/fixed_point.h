@@ -29,9 +29,9 @@ typedef struct {
     ${name}_real transformation[$count][3];
     ${name}_real force_limit[$count];
     ${name}_real model[$parameters];         /* parameters of the model */
-l|    ${name}_real bandwidth;                  /* of the low pass, rad/s */
-k|    ${name}_real process[$states][$states];  /* Q of the filter, by velocity, position$disturbance */
-k|    ${name}_real noise[$outputs][$outputs];  /* R */
+l|    ${name}_real bandwidth[$count];          /* of the low passes, rad/s */
+k|    ${name}_real process[$count][$states][$states]; /* Q of the filters, by velocity, position$disturbance */
+k|    ${name}_real noise[$count][$outputs][$outputs]; /* R */
 b|    ${name}_real believed[$believed];        /* parameters of the filter's model */
 } ${name}_tuning;
 
