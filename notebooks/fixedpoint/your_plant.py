@@ -2,7 +2,7 @@
 
 import importlib
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,14 +15,14 @@ from experiments.fixedpoint.axes import COLOURS, fill_range
 from experiments.fixedpoint.metrics import judge
 from experiments.fixedpoint.noise import Noise, drop_samples
 from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW, published_controllers
+from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW
 from stillwork.base.checks import InputError, nearest, pluralise, require_choice, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.fixed_point_convergence import StableRange, stable_range
-from stillwork.control.fixed_point_linear import linear_loop
+from stillwork.control.fixed_point_linear import LinearLoop, linear_loop
 from stillwork.control.fixed_point_mechanism import simulate_mechanism
 from stillwork.control.kinematics import KinematicDesign
-from stillwork.control.mechanism import Mechanism, response_gains
+from stillwork.control.mechanism import Mechanism, response_matrix
 from stillwork.control.trajectory import (
     Trajectory,
     asin_trajectory,
@@ -34,9 +34,9 @@ from stillwork.control.transformation import (
     ContractionWarning,
     FlowTransformation,
     RobustTransformation,
-    contraction_range,
 )
 from stillwork.design.inspect import TABLES, outline, plant_form
+from stillwork.estimation.coordinate_filters import Filter, LowPass, MovingWindow, UnscentedKalman
 from stillwork.estimation.filtering import UNIT_MASS
 from stillwork.estimation.plant import Plant, force_slope
 from stillwork.signals.records import load_record
@@ -235,7 +235,7 @@ def open_trajectories(
     ]
 
 
-def for_each(name: str, values: list[float], units: tuple[str, ...]) -> list[float]:
+def for_each(name: str, values: Sequence[float], units: tuple[str, ...]) -> list[float]:
     """One number for each coordinate, from as many or from one for all."""
     if len(values) not in (1, len(units)):
         raise InputError(
@@ -250,52 +250,93 @@ def noises(kind: str, sizes: list[float], units: tuple[str, ...]) -> list[Noise]
     return [Noise() if kind == "none" else Noise(kind, size) for size in sizes]
 
 
-def controllers(
-    model: Plant | Mechanism, flow: FlowTransformation, robust: RobustTransformation, exponents: list[float]
-) -> dict[str, Controller]:
-    """The paper's three filters with one's own settings: (6) for the moving window, (8) for the others, Lambda in 1/s.
+FILTERS = (WINDOW, LOW_PASS, KALMAN)
 
-    The Kalman filter believes in the approximate model; of several coordinates, in a unit mass that the deformed
-    acceleration pushes.
-    """
-    names = (WINDOW, LOW_PASS, KALMAN)
-    if len(exponents) != len(names):
-        raise InputError(
-            f"exponents holds {pluralise(len(exponents), 'number')}; give one each for {', '.join(names)}"
-        )
-    published = published_controllers(model if isinstance(model, Plant) else UNIT_MASS)
+
+@dataclass(frozen=True)
+class Numbers:
+    """What may be chosen of the paper's three controllers. A list holds one number for all coordinates, or one for each."""
+
+    exponents: Sequence[float] = (24.0, 16.0, 36.0)  # Lambda of (1) with each filter, 1/s
+    exponent_factors: Sequence[float] = (1.0,)  # of Lambda
+    flow_gains: Sequence[float] = (-1.1,)  # A of (6), in the coordinate's unit over s^2
+    flow_widths: Sequence[float] = (3.0,)  # w of (6), likewise
+    robust_slopes: Sequence[float] = (2.25e-9,)  # A_c of (8), over it
+    robust_offsets: Sequence[float] = (4e7,)  # K_c of (8), in it
+    window_samples: int = 13
+    bandwidths: Sequence[float] = (350.0,)  # of the low pass, rad/s
+    kalman_scales: Sequence[float] = (
+        1.0,
+    )  # of the Kalman filter's standard deviations: Q, R and the first P by its square
+
+    def controller(self, name: str, model: Plant | Mechanism, units: tuple[str, ...], j: int) -> Controller:
+        """That of a filter and the coordinate j: (6) for the moving window, (8) for the others.
+
+        The Kalman filter believes in the approximate model; of several coordinates, in a unit mass that the deformed
+        acceleration pushes.
+        """
+
+        def own(knob: str) -> float:
+            return for_each(knob, getattr(self, knob), units)[j]
+
+        if len(self.exponents) != len(FILTERS):
+            raise InputError(
+                f"exponents holds {pluralise(len(self.exponents), 'number')}; give one each for {', '.join(FILTERS)}"
+            )
+        kalman = UnscentedKalman(model if isinstance(model, Plant) else UNIT_MASS)
+        scale = own("kalman_scales") ** 2
+        spread = {each: scale * getattr(kalman, each) for each in ("process", "noise", "initial_variance")}
+        devices: dict[str, Filter] = {
+            WINDOW: MovingWindow(self.window_samples - 1),
+            LOW_PASS: LowPass(own("bandwidths"), from_zero=True),
+            KALMAN: replace(kalman, **spread),
+        }
+        exponent = own("exponent_factors") * self.exponents[FILTERS.index(name)]
+        flow = FlowTransformation(own("flow_gains"), own("flow_widths"))
+        robust = RobustTransformation(own("robust_offsets"), slope=own("robust_slopes"))
+        return Controller(devices[name], flow if name == WINDOW else robust, KinematicDesign(exponent), model)
+
+
+def controllers(models: Models, numbers: Numbers) -> dict[str, list[Controller]]:
+    """The paper's three filters with one's own numbers, a controller for each coordinate."""
+    count = range(len(models.units))
     return {
-        name: replace(
-            published[name],
-            transformation=flow if name == WINDOW else robust,
-            kinematics=KinematicDesign(exponent),
-            model=model,
-        )
-        for name, exponent in zip(names, exponents, strict=True)
+        name: [numbers.controller(name, models.approximate, models.units, j) for j in count]
+        for name in FILTERS
     }
+
+
+def local_gains(controller: list[Controller]) -> Float64[np.ndarray, " coordinates"]:
+    """g of each coordinate."""
+    return np.array([each.transformation.local_gain for each in controller])
 
 
 class Contraction(NamedTuple):
     """How the iteration contracts along a trajectory."""
 
     time: Float64[np.ndarray, " places"]  # s
-    # f': m/s^2 realised per m/s^2 commanded, smallest first; of several coordinates the eigenvalues of M^-1 M_model
-    gain: Float64[np.ndarray, "places coordinates"]
-
-    def multiplier(self, local_gain: float) -> Float64[np.ndarray, "places coordinates"]:
-        """1 + local_gain f': within (-1, 1) an iteration brings the command nearer to what is wanted."""
-        return 1 + local_gain * self.gain
-
-    def outside(self, local_gain: float) -> Bool[np.ndarray, " places"]:
-        """Where the iteration does not contract."""
-        return (np.abs(self.multiplier(local_gain)) >= 1).any(axis=1)
+    # F = M^-1 M_model: what is realised of commanded accelerations
+    response: Float64[np.ndarray, "places coordinates coordinates"]
 
     @property
-    def allowed(self) -> tuple[float, float]:
-        """Local gains that contract everywhere on the way; empty (NaN) when f' changes its sign."""
-        ranges = [contraction_range(float(gain)) for gain in self.gain.flat]
-        low, high = max(low for low, _ in ranges), min(high for _, high in ranges)
-        return (low, high) if low < high else (np.nan, np.nan)
+    def gain(self) -> Float64[np.ndarray, "places coordinates"]:
+        """f', the eigenvalues of F, smallest first; with one coordinate m/s^2 realised per m/s^2 commanded."""
+        return np.sort(np.linalg.eigvals(self.response).real, axis=-1)
+
+    def multiplier(self, gains: Float64[np.ndarray, " coordinates"]) -> np.ndarray:
+        """Eigenvalues of 1 + G F, (places, coordinates): within the unit circle the iteration converges there."""
+        return 1 + np.sort(np.linalg.eigvals(gains[:, None] * self.response), axis=-1)
+
+    def outside(self, gains: Float64[np.ndarray, " coordinates"]) -> Bool[np.ndarray, " places"]:
+        """Where the iteration does not converge."""
+        return (np.abs(self.multiplier(gains)) >= 1).any(axis=1)
+
+    def allowed(self, gains: Float64[np.ndarray, " coordinates"]) -> tuple[float, float]:
+        """First gains, the others in their ratio to it, that converge everywhere; empty (NaN) when f' changes its sign."""
+        values = self.multiplier(gains / gains[0]).ravel() - 1
+        edges = -2 * values.real / np.abs(values) ** 2
+        low, high = np.minimum(edges, 0.0).max(), np.maximum(edges, 0.0).min()
+        return (float(low), float(high)) if low < high else (np.nan, np.nan)
 
 
 def contraction_along(models: Models, trajectories: list[Trajectory]) -> Contraction:
@@ -304,10 +345,10 @@ def contraction_along(models: Models, trajectories: list[Trajectory]) -> Contrac
     at = np.unique(np.linspace(0, len(time) - 1, _PLACES).astype(int))
     motion = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])[..., at]
     if isinstance(models.exact, Mechanism):
-        gains = [response_gains(models.exact, models.approximate, place) for place in motion[:, 0].T]
+        found = [response_matrix(models.exact, models.approximate, place) for place in motion[:, 0].T]
     else:
-        gains = [[_response_gain(models, *point)] for point in motion[0].T]
-    return Contraction(time[at], np.array(gains))
+        found = [[[_response_gain(models, *point)]] for point in motion[0].T]
+    return Contraction(time[at], np.array(found))
 
 
 def _response_gain(models: Models, position: float, velocity: float, wanted: float) -> float:
@@ -324,53 +365,63 @@ def _response_gain(models: Models, position: float, velocity: float, wanted: flo
     return slopes[0] / slopes[1]
 
 
-def warnings_of(found: Contraction, chosen: Mapping[str, Controller]) -> list[str]:
-    """One sentence for each controller whose gain leaves the contraction range on the way."""
-    low, high = found.allowed
-    said = []
+def said(gains: Float64[np.ndarray, " coordinates"]) -> str:
+    """Gains as they are printed: one number where all are equal."""
+    return ", ".join(f"{gain:.3g}" for gain in (gains[:1] if np.ptp(gains) == 0 else gains))
+
+
+def warnings_of(found: Contraction, chosen: Mapping[str, list[Controller]]) -> list[str]:
+    """One sentence for each controller with which the iteration does not converge somewhere on the way."""
+    sentences = []
     for name, controller in chosen.items():
-        gain = controller.transformation.local_gain
-        outside = found.outside(gain)
+        gains = local_gains(controller)
+        outside, (low, high) = found.outside(gains), found.allowed(gains)
         if outside.any():
-            said.append(
-                f"{name}: the local gain {gain:.3g} is outside the contraction range ({low:.3g}, {high:.3g}) on "
-                f"{100 * outside.mean():.0f} % of the way, first at {found.time[outside.argmax()]:.2f} s; there the "
-                "iteration does not converge: lower the gain, widen w, or give a better approximate model"
+            which, of = ("gain {} is", "") if np.ptp(gains) == 0 else ("gains {} are", " of the first")
+            sentences.append(
+                f"{name}: the local {which.format(said(gains))} outside the contraction range ({low:.3g}, {high:.3g}){of} on "
+                f"{100 * outside.mean():.0f} % of the way, first at {found.time[outside.argmax()]:.2f} s; there the iteration does "
+                "not converge: lower the gain, widen w, or give a better approximate model"
             )
-    return said
+    return sentences
+
+
+def _loops(models, controller, trajectories, places) -> list[LinearLoop]:
+    motion = np.array([[each.position, each.velocity] for each in trajectories])
+    sample_time = trajectories[0].sample_time
+    return [linear_loop(models.exact, controller, sample_time, *motion[:, :, at].T) for at in places]
 
 
 def stable_ranges(
-    models: Models,
-    chosen: Mapping[str, Controller],
-    trajectories: list[Trajectory],
-    factors: list[float] | None = None,
+    models: Models, chosen: Mapping[str, list[Controller]], trajectories: list[Trajectory]
 ) -> dict[str, StableRange]:
     """Local gains for which the whole linear loop, filter and delay included, is stable where the motion starts.
 
-    `factors` are those of Lambda, one for each coordinate.
+    Of the first coordinate; those of the others keep their ratio to it.
     """
-    start = np.array([[each.position[0], each.velocity[0]] for each in trajectories]).T
-    sample_time = trajectories[0].sample_time
     return {
-        name: stable_range(
-            linear_loop(models.exact, joint_controllers(controller, factors), sample_time, *start)
+        name: stable_range(*_loops(models, controller, trajectories, [0]))
+        for name, controller in chosen.items()
+    }
+
+
+def largest_radii(
+    models: Models, chosen: Mapping[str, list[Controller]], trajectories: list[Trajectory], places: int = 20
+) -> dict[str, float]:
+    """Largest spectral radius of the linear loop of all coordinates, over places on the way; stable below 1."""
+    at = np.linspace(0, len(trajectories[0].position) - 1, places).astype(int)
+    return {
+        name: max(
+            loop.radius(float(local_gains(controller)[0]))
+            for loop in _loops(models, controller, trajectories, at)
         )
         for name, controller in chosen.items()
     }
 
 
-def joint_controllers(controller: Controller, factors: list[float] | None) -> Controller | list[Controller]:
-    """A controller for each coordinate, whose Lambda is multiplied by its factor; without factors the one for all."""
-    if factors is None or len(factors) == 1:
-        factor = factors[0] if factors else 1.0
-        return replace(controller, kinematics=KinematicDesign(factor * controller.kinematics.exponent))
-    return [joint_controllers(controller, [factor]) for factor in factors]
-
-
 def drive(
     models: Models,
-    chosen: Mapping[str, Controller],
+    chosen: Mapping[str, list[Controller]],
     trajectories: list[Trajectory],
     noise: list[Noise],
     seed: int,
@@ -379,13 +430,11 @@ def drive(
     lost_for: float = 0.0,
     lost: str = "predict",
     force_limits: list[float] | None = None,
-    factors: list[float] | None = None,
 ) -> dict[str, list[ControlledRun]]:
     """One run of every controller in the same noise, for each coordinate.
 
     Contraction is judged by `warnings_of`, not here. `lost_every`, `lost_for` (s): see `noise.drop_samples`; `lost`: what stands
-    for a lost sample, see `control.simulate`; `force_limits` (N or N m): of each actuator, 0 for none; `factors`: of Lambda
-    in each coordinate.
+    for a lost sample, see `control.simulate`; `force_limits` (N or N m): of each actuator, 0 for none.
     """
     rng, count = np.random.default_rng(seed), len(trajectories)
     added = np.array([each.sample(rng, len(trajectories[0].position)) for each in noise])
@@ -397,14 +446,13 @@ def drive(
     limits = np.array([limit or np.inf for limit in force_limits or [0.0] * count])
 
     def run(controller) -> list[ControlledRun]:
-        controller = joint_controllers(controller, factors)
         if isinstance(models.exact, Mechanism):
             largest = np.where(np.isfinite(limits), limits, 1e300)
             options = {"force_limits": largest if np.isfinite(limits).any() else None, "lost": lost}
             return simulate_mechanism(models.exact, controller, trajectories, added, **encoders, **options)
         limit = float(limits[0]) if np.isfinite(limits[0]) else None
         options = {name: value[0] for name, value in encoders.items()} | {"force_limit": limit, "lost": lost}
-        return [simulate(models.exact, controller, trajectories[0], added[0], **options)]
+        return [simulate(models.exact, controller[0], trajectories[0], added[0], **options)]
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ContractionWarning)
@@ -419,11 +467,15 @@ _BINS = 240  # of an envelope over a run
 _SHOWN = 20_000  # samples in the explorer at most
 
 
-def paint_contraction(found: Contraction, chosen: Mapping[str, Controller]):
-    """Multipliers of the iteration along the trajectory: it contracts between -1 and 1, fastest at 0."""
+def paint_contraction(found: Contraction, chosen: Mapping[str, list[Controller]]):
+    """Multipliers of the iteration along the trajectory: it contracts between -1 and 1, fastest at 0.
+
+    Of complex ones the magnitude.
+    """
     figure, axes = figures.new(1, 1, height=2.6)
     for number, (name, controller) in enumerate(chosen.items()):
-        values = found.multiplier(controller.transformation.local_gain)
+        values = found.multiplier(local_gains(controller))
+        values = np.where(values.imag == 0, values.real, np.abs(values))
         # Equal gains lie upon each other; of several coordinates there are several lines.
         for line, each in enumerate(values.T):
             label = name if line == 0 else f"{name}, direction {line + 1}"
@@ -477,9 +529,17 @@ def _paint_error(axes, run: ControlledRun, **style):
     fill_range(axes, run.time, 1e3 * run.position_error, max(1, len(run.time) // _BINS), **style)
 
 
+def _stronger(controller: Controller, gain: float, stiffness: float) -> Controller:
+    old = controller.transformation
+    knob = "gain" if isinstance(old, FlowTransformation) else "slope"
+    stronger = replace(old, **{knob: gain * getattr(old, knob)})
+    stiffer = KinematicDesign(stiffness * controller.kinematics.exponent)
+    return replace(controller, transformation=stronger, kinematics=stiffer)
+
+
 def plant_explorer(
     models: Models,
-    chosen: Mapping[str, Controller],
+    chosen: Mapping[str, list[Controller]],
     trajectories: list[Trajectory],
     noise: list[Noise],
     settle: float,
@@ -496,13 +556,10 @@ def plant_explorer(
 
     def paint(gain: float, stiffness: float, noise_factor: float):
         """Every local gain times `gain`, every Lambda times `stiffness`, every noise times `noise_factor`."""
-        moved = {}
-        for name, controller in chosen.items():
-            old = controller.transformation
-            knob = "gain" if isinstance(old, FlowTransformation) else "slope"
-            stronger = replace(old, **{knob: gain * getattr(old, knob)})
-            stiffer = KinematicDesign(stiffness * controller.kinematics.exponent)
-            moved[name] = replace(controller, transformation=stronger, kinematics=stiffer)
+        moved = {
+            name: [_stronger(each, gain, stiffness) for each in controller]
+            for name, controller in chosen.items()
+        }
         louder = [replace(each, amplitude=noise_factor * each.amplitude) for each in noise]
         runs = drive(models, moved, trajectories, louder, seed)
         count = len(models.units)
@@ -511,12 +568,12 @@ def plant_explorer(
             for name, each in runs.items():
                 run = each[number]
                 if run.diverged_at is None:
-                    said = f"{1e3 * judge(run, settle)['position']:.3g} m{unit} rms"
+                    text = f"{1e3 * judge(run, settle)['position']:.3g} m{unit} rms"
                 else:
-                    said = f"diverges at {run.diverged_at:.2f} s"
-                if found.outside(moved[name].transformation.local_gain).any():
-                    said += ", outside the contraction range"
-                _paint_error(axes, run, color=COLOURS[name], label=f"{name}: {said}")
+                    text = f"diverges at {run.diverged_at:.2f} s"
+                if found.outside(local_gains(moved[name])).any():
+                    text += ", outside the contraction range"
+                _paint_error(axes, run, color=COLOURS[name], label=f"{name}: {text}")
             axes.set(xlabel="time (s)", ylabel=f"error of {symbol(number, models.units)} (m{unit})")
             axes.margins(y=0.4)  # room for the legend
             axes.legend(loc="upper right")

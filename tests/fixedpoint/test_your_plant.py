@@ -1,6 +1,7 @@
 """A plant from its file to the loop: the functions' own derivatives, the paper's loop, and what is refused."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,10 +9,13 @@ import pytest
 from experiments.fixedpoint import Noise, judge, load_oscillator, published_controllers
 from experiments.fixedpoint.noise import drop_samples
 from notebooks.fixedpoint.your_plant import (
+    Numbers,
     contraction_along,
     controllers,
     drive,
+    largest_radii,
     load_models,
+    local_gains,
     open_trajectories,
     open_trajectory,
     paint_contraction,
@@ -21,22 +25,21 @@ from notebooks.fixedpoint.your_plant import (
     warnings_of,
 )
 from stillwork.base.checks import InputError
-from stillwork.control import FlowTransformation, asin_trajectory, simulate
+from stillwork.control import asin_trajectory, simulate
 from stillwork.control.trajectory import sine_trajectory
-from stillwork.control.transformation import RobustTransformation
 from stillwork.design.inspect import outline
 from workbook import paths
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")
 ARM = paths.data("fixedpoint", "arm.py")
 MOTION = paths.data("fixedpoint", "your_trajectory.csv")
-SETTINGS = (FlowTransformation(), RobustTransformation(), [24.0, 16.0, 36.0])
+WIDE = Numbers(flow_gains=[-8.0], flow_widths=[100.0])  # of the window's sigmoid, for an arm in rad
 
 
 @pytest.fixture(scope="module")
 def cam():
     models = load_models()
-    return models, [open_trajectory()], controllers(models.approximate, *SETTINGS)
+    return models, [open_trajectory()], controllers(models, Numbers())
 
 
 @pytest.mark.slow
@@ -45,14 +48,14 @@ def test_gain_of_the_cam_is_the_believed_mass_over_the_true_one(cam):
     found = contraction_along(models, [trajectory])
     q = np.interp(found.time, trajectory.time, trajectory.position)
     assert found.gain[:, 0] == pytest.approx(1.4 / (1 + 1.5 * q**2), rel=1e-6)
-    assert found.allowed == pytest.approx((-2 / found.gain.max(), 0.0), rel=1e-6)
+    assert found.allowed(np.array([-0.1])) == pytest.approx((-2 / found.gain.max(), 0.0), rel=1e-6)
 
 
 @pytest.mark.slow
 def test_the_published_oscillator_runs_as_in_the_other_notebooks():
     models = load_models(str(paths.data("fixedpoint", "oscillator.toml")))
     trajectory = asin_trajectory(duration=3.0)
-    ours = drive(models, controllers(models.approximate, *SETTINGS), [trajectory], [Noise()], 0)
+    ours = drive(models, controllers(models, Numbers()), [trajectory], [Noise()], 0)
     exact, approximate = (one.plant for one in load_oscillator().values())
     published = published_controllers(approximate)
     assert len(ours) == 3
@@ -64,9 +67,7 @@ def test_the_published_oscillator_runs_as_in_the_other_notebooks():
 def test_a_gain_beyond_the_contraction_range_is_warned_of_and_runs_away(cam):
     models, trajectories, _ = cam
     # -2 / 1.4 = -1.43 where the mass is smallest, which is passed at the start; 1.2 times that is outside there only.
-    strong = controllers(
-        models.approximate, FlowTransformation(-1.2 * 3 * 2 / 1.4, 3.0), RobustTransformation(), SETTINGS[2]
-    )
+    strong = controllers(models, Numbers(flow_gains=[-1.2 * 3 * 2 / 1.4]))
     [sentence] = warnings_of(contraction_along(models, trajectories), strong)
     share = np.mean(np.abs(1 - 1.2 * 2 / 1.4 * contraction_along(models, trajectories).gain) >= 1)
     assert 0 < share < 1
@@ -74,9 +75,7 @@ def test_a_gain_beyond_the_contraction_range_is_warned_of_and_runs_away(cam):
         "moving window: the local gain -1.71 is outside the contraction range (-1.43, 0)"
     )
     assert f"on {100 * share:.0f} % of the way, first at 0.00 s" in sentence
-    divergent = controllers(
-        models.approximate, FlowTransformation(), RobustTransformation(slope=1e-7), SETTINGS[2]
-    )
+    divergent = controllers(models, Numbers(robust_slopes=[1e-7]))
     assert len(warnings_of(contraction_along(models, trajectories), divergent)) == 2
     runs = drive(models, divergent, trajectories, [Noise()], 0)  # no warning: `warnings_of` said it
     assert runs["Kalman filter"][0].diverged_at is not None and runs["moving window"][0].diverged_at is None
@@ -87,14 +86,16 @@ def test_published_gains_neither_warn_nor_leave_the_stable_range_of_low_pass_and
     models, trajectories, chosen = cam
     assert warnings_of(contraction_along(models, trajectories), chosen) == []
     ranges = stable_ranges(models, chosen, trajectories)
-    stable = {name: chosen[name].transformation.local_gain in each for name, each in ranges.items()}
+    stable = {name: local_gains(chosen[name])[0] in each for name, each in ranges.items()}
     assert stable == {"moving window": False, "low pass": True, "Kalman filter": True}
+    radii = largest_radii(models, chosen, trajectories)
+    assert {name: radius < 1 for name, radius in radii.items()} == stable
 
 
 def test_a_gain_that_changes_its_sign_leaves_no_range(cam):
     models, trajectories, _ = cam
     found = contraction_along(models, trajectories)
-    assert np.isnan(found._replace(gain=np.array([[1.0], [-1.0]])).allowed).all()
+    assert np.isnan(found._replace(response=np.array([[[1.0]], [[-1.0]]])).allowed(np.array([-0.1]))).all()
 
 
 @pytest.mark.slow
@@ -226,12 +227,11 @@ def test_the_arm_from_its_file_to_the_loop():
     assert models.units == ("rad", "rad")
     motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[1.0, 0.5], duration=4.0)
     assert [each.position.max().round(3) for each in motion] == [1.0, 0.5]
-    chosen = controllers(models.approximate, FlowTransformation(-8.0, 100.0), *SETTINGS[1:])
+    chosen = controllers(models, replace(WIDE, exponent_factors=[1.0, 0.8]))
     found = contraction_along(models, motion)
     assert found.gain.shape == (200, 2) and warnings_of(found, chosen) == []
     assert all(
-        chosen[name].transformation.local_gain in each
-        for name, each in stable_ranges(models, chosen, motion).items()
+        local_gains(chosen[name])[0] in each for name, each in stable_ranges(models, chosen, motion).items()
     )
     runs = drive(
         models,
@@ -242,7 +242,6 @@ def test_the_arm_from_its_file_to_the_loop():
         lost_every=1.0,
         lost_for=0.01,
         force_limits=[40.0, 12.0],
-        factors=[1.0, 0.8],
     )
     for each in runs.values():
         assert len(each) == 2
@@ -262,15 +261,76 @@ def test_the_arm_from_its_file_to_the_loop():
     assert said.endswith("mrad rms")
 
 
+def test_gains_of_two_joints_are_judged_together():
+    """Against the eigenvalues of 1 + G F by hand, of gains that make them complex, too."""
+    models = load_models("arm.py")
+    motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[1.0], duration=3.0)
+    found = contraction_along(models, motion)
+    unlike = replace(WIDE, flow_gains=[-8.0, -30.0], robust_slopes=[2.25e-9, 2e-8])
+    chosen = controllers(models, unlike)
+    for controller in chosen.values():
+        gains = local_gains(controller)
+        assert gains[0] != gains[1]
+        place, f = 57, found.response[57]
+        trace, determinant = 2 + np.sum(gains * np.diag(f)), np.linalg.det(np.eye(2) + np.diag(gains) @ f)
+        roots = np.roots([1.0, -trace, determinant])
+        assert np.sort(found.multiplier(gains)[place]) == pytest.approx(np.sort(roots))
+        low, high = found.allowed(gains)
+        assert high == 0
+        assert not found.outside(gains / gains[0] * 0.999 * low).any()
+        assert found.outside(gains / gains[0] * 1.001 * low).any()
+    strong = controllers(models, replace(unlike, robust_slopes=[2.25e-9, 5e-7]))
+    sentences = warnings_of(found, strong)
+    assert len(sentences) == 2 and "local gains -0.0945, -21 are outside" in sentences[0]
+    assert len(paint_contraction(found, strong).axes[0].lines) == 8
+
+
+@pytest.mark.parametrize("name", ["moving window", "low pass", "Kalman filter"])
+def test_a_joint_in_mrad_with_all_its_numbers_moves_as_before(name, tmp_path):
+    text = ARM.read_text(encoding="utf-8")
+    head = (  # q1 in mrad: M's first row and column over a thousand, and the torque with them
+        (
+            "    out[0, 0] = m1 * c1**2 + m2 * (l1**2 + c2**2 + 2 * reach) + i1 + i2\n",
+            "    out[0, 0] = 1e-6 * (m1 * c1**2 + m2 * (l1**2 + c2**2 + 2 * reach) + i1 + i2)\n",
+        ),
+        ("    out[0, 1] = m2 * (c2**2 + reach) + i2", "    out[0, 1] = 1e-3 * (m2 * (c2**2 + reach) + i2)"),
+        (
+            'N m: Coriolis and centrifugal torques, weight, friction."""\n',
+            'N m."""\n    position = position * np.array([1e-3, 1.0])\n    velocity = velocity * np.array([1e-3, 1.0])\n',
+        ),
+        ("velocity[joint] / parameters[12])\n", "velocity[joint] / parameters[12])\n    out[0] *= 1e-3\n"),
+    )
+    text = text.replace("import math\n", "import math\n\nimport numpy as np\n")
+    file = tmp_path / "milli.py"
+    file.write_text(
+        text.replace(*head[0]).replace(*head[1]).replace(*head[2]).replace(*head[3]), encoding="utf-8"
+    )
+    errors = []
+    for models, k in ((load_models("arm.py"), 1.0), (load_models(str(file)), 1000.0)):
+        motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[0.5 * k, 0.5], duration=2.0)
+        numbers = Numbers(
+            flow_gains=[-8.0 * k, -8.0],
+            flow_widths=[100.0 * k, 100.0],
+            robust_slopes=[2.25e-9 / k, 2.25e-9],
+            robust_offsets=[4e7 * k, 4e7],
+            kalman_scales=[k, 1.0],
+        )
+        noise = [Noise("gaussian", 1e-5 * k), Noise("gaussian", 1e-5)]
+        chosen = {name: controllers(models, numbers)[name]}
+        runs = drive(models, chosen, motion, noise, 3, force_limits=[30.0 / k, 12.0])[name]
+        errors.append(np.array([each.position_error for each in runs]) / [[k], [1.0]])
+    assert np.abs(errors[1] - errors[0]).max() < 1e-6 * np.abs(errors[0]).max()
+
+
 @pytest.mark.slow
 def test_on_the_arm_the_window_wants_a_wider_sigmoid_and_a_smaller_gain():
     models = load_models("arm.py")
     motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[1.0], duration=3.0)
     ends = []
-    for flow in (FlowTransformation(), FlowTransformation(-0.24, 3.0), FlowTransformation(-8.0, 100.0)):
+    for numbers in (Numbers(), Numbers(flow_gains=[-0.24]), WIDE):
         runs = drive(
             models,
-            controllers(models.approximate, flow, *SETTINGS[1:]),
+            controllers(models, numbers),
             motion,
             [Noise("gaussian", 1e-5)] * 2,
             1,
@@ -303,9 +363,7 @@ def test_one_angle_is_said_in_rad(tmp_path):
         TEMPLATE.read_text(encoding="utf-8") + "\nUNITS = ('rad',)\n", encoding="utf-8"
     )
     models = load_models(str(tmp_path / "a.py"))
-    runs = drive(
-        models, controllers(models.approximate, *SETTINGS), [sine_trajectory(duration=3.0)], [Noise()], 0
-    )
+    runs = drive(models, controllers(models, Numbers()), [sine_trajectory(duration=3.0)], [Noise()], 0)
     assert [axes.get_ylabel() for axes in paint_runs(runs, models.units, 2.0).axes] == [
         "q (rad)",
         "error of q (mrad)",
@@ -367,7 +425,9 @@ def test_a_plant_that_is_nowhere(tmp_path):
     with pytest.raises(InputError, match=r"none\.py"):
         load_models(str(tmp_path / "none.py"))
     with pytest.raises(InputError, match=r"^exponents\b"):
-        controllers(load_models().approximate, FlowTransformation(), RobustTransformation(), [1.0, 2.0])
+        controllers(load_models(), Numbers(exponents=[1.0, 2.0]))
+    with pytest.raises(InputError, match=r"^flow_gains\b"):
+        controllers(load_models(), Numbers(flow_gains=[-1.0, -2.0]))
 
 
 def test_an_outline_executes_nothing(tmp_path):
