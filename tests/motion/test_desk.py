@@ -237,8 +237,9 @@ def test_the_box_is_searched_as_the_library_searches_it(node):
     for seed in range(6):
         machine, loop, _, design = drawn(seed)
         spread = Uncertainty(
-            frequency=0.05, residue=0.1, damping=0.1 * (seed % 2), gain=0.05, mass=0.02, delay=2e-6
-        )
+            frequency=0.05, residue=0.1, damping=0.1 * (seed % 2), gain=0.05, mass=0.02, delay=2e-6,
+            friction=4.0 * (seed % 3),
+        )  # fmt: skip
         spread = spread._of_modes(machine.sensors[0])
         box = make_box(loop, spread, fine=False)
         own = entry(machine, {})

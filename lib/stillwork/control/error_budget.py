@@ -799,7 +799,8 @@ def box_places(uncertainty: Uncertainty, plant: ModalModel, count: int, seed: in
     whole = (
         1 << (require_count("count", count) - 1).bit_length()
     )  # of other numbers than powers of 2 scipy warns
-    draws = qmc.Sobol(3 * n + 3, seed=seed).random(whole)[:count] * 2 - 1
+    size = 3 * n + 3 + bool(box.friction)
+    draws = qmc.Sobol(size, seed=seed).random(whole)[:count] * 2 - 1
     places = []
     for draw in draws:
         frequency, residue, damping = (
@@ -808,12 +809,10 @@ def box_places(uncertainty: Uncertainty, plant: ModalModel, count: int, seed: in
                 draw[: 3 * n].reshape(3, n), (box.frequency, box.residue, box.damping), strict=True
             )
         )
-        residue[0] = residue[0] / (1 + draw[-1] * box.mass)
-        places.append(
-            Perturbation(
-                frequency, residue, damping, float(1 + draw[-2] * box.gain), float(draw[-3] * box.delay)
-            )
-        )
+        delay, gain, mass, *friction = (float(each) for each in draw[3 * n :])
+        residue[0] = residue[0] / (1 + mass * box.mass)
+        place = Perturbation(frequency, residue, damping, 1 + gain * box.gain, delay * box.delay)
+        places.append(place._replace(friction=box.friction * sum(friction)))
     return places
 
 

@@ -19,7 +19,7 @@ from stillwork.control.machine_loops import (
     search_range,
 )
 from stillwork.control.machine_tuning import DesignSettings, tuned, varied
-from stillwork.control.uncertainty import NAMES, Uncertainty, require_shares, uncertainty_of
+from stillwork.control.uncertainty import ABSOLUTE, NAMES, Uncertainty, require_shares, uncertainty_of
 from stillwork.identification.machine import Machine, remove_delay
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
@@ -113,12 +113,13 @@ def asked_uncertainty(said: str | Mapping[str, float]) -> dict[str, float]:
                 named[name.strip()] = float(value)
             except ValueError:
                 raise InputError(
-                    f"uncertainty holds {word!r}; give NAME=SHARE of {', '.join(NAMES)}, commas between, or none"
+                    f"uncertainty holds {word!r}; give NAME=VALUE of {', '.join(NAMES)}, commas between, or none"
                 ) from None
         if "none" not in words:
             named = UNCERTAINTY | named
     require_shares(named)
-    return {name: value for name, value in named.items() if value}
+    # Of a friction of nothing more the interval of the fit is left.
+    return {name: value for name, value in named.items() if value or name == "friction"}
 
 
 @checked(missing=True)
@@ -192,7 +193,7 @@ def search_designs(
     prompt, late = zip(*(_prompt(each, delay, rate) for each in (machine, *others)), strict=True)
     spreads = tuple(uncertainty_of(each, shares) for each in prompt)
     said = " and ".join(
-        f"{name} ± {value:g}{'' if name != 'delay' else ' s'}" for name, value in shares.items()
+        f"{name} ± {value:g} {ABSOLUTE.get(name, '')}".rstrip() for name, value in shares.items()
     )
     notes = (
         f"searched at {rate:g} Hz{' (nobody gave a rate: above 20 times the first resonance and 4 times the last)' * chosen}, "

@@ -19,11 +19,13 @@ from stillwork.lti.discretisation import sampled_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
 
-NAMES = ("frequency", "residue", "damping", "gain", "mass", "delay")
+NAMES = ("frequency", "residue", "damping", "gain", "mass", "delay", "friction")
+ABSOLUTE = {"delay": "s", "friction": "1/s"}  # the others are shares
 NORMAL = 1.96  # standard deviations either side of a number, 95 %
 WIDEST = 0.9  # share by which a number may be lower at most
 STEPS = np.linspace(-1, 1, 25)  # to places of a mode beside its resonance, dense at its width, that are tried
 TURNS = np.linspace(-1, 1, 5)  # of the delay's interval, that are tried
+DRAGS = 17  # likewise of the friction's
 STARTS, SWEEPS = 4, 2
 GRID = {"points": 800, "around": 60}
 EXCESS = 1.0005  # times a limit, 0.004 dB: what is handed out keeps it within 0.01 dB
@@ -48,11 +50,13 @@ class Uncertainty:
         Share of the rigid body's mass, the flexible part apart.
     delay : float
         s.
+    friction : float
+        1/s, of the rigid body's viscous friction over its mass, `ModalModel.drag`, which stays at least 0.
 
     Raises
     ------
     InputError
-        When a share is negative or not below 1, or the delay negative.
+        When a share is negative or not below 1, or the delay or the friction negative.
 
     Examples
     --------
@@ -67,6 +71,7 @@ class Uncertainty:
     gain: float = 0.0
     mass: float = 0.0
     delay: float = 0.0
+    friction: float = 0.0
 
     @checked
     def __post_init__(self):
@@ -78,7 +83,8 @@ class Uncertainty:
             object.__setattr__(self, name, shares)
         for name in ("gain", "mass"):
             require_number(name, getattr(self, name), at_least=0.0, below=1.0)
-        require_number("delay", self.delay, at_least=0.0)
+        for name in ABSOLUTE:
+            require_number(name, getattr(self, name), at_least=0.0)
 
     def _of_modes(self, plant: ModalModel) -> "Uncertainty":
         """The same with a number for each mode of a plant, 0 for its first, the rigid body or the suspension."""
@@ -90,6 +96,8 @@ class Uncertainty:
             shares = np.broadcast_to(value, plant.frequencies.shape).copy()
             shares[0] = 0.0
             spread[name] = shares
+        if self.friction and not plant.rigid_modes:
+            raise InputError("friction is that of a machine that moves freely; on springs leave it out")
         return replace(self, **spread)
 
     @property
@@ -99,21 +107,22 @@ class Uncertainty:
 
 
 class Perturbation(NamedTuple):
-    """A place in the box: factors on the modes' numbers and on the whole, and what is added to the delay."""
+    """A place in the box: factors on the modes' numbers and on the whole, and what is added to delay and friction."""
 
     frequencies: Float64[np.ndarray, " modes"]
     residues: Float64[np.ndarray, " modes"]
     damping: Float64[np.ndarray, " modes"]
     gain: float = 1.0
     delay: float = 0.0  # s
+    friction: float = 0.0  # 1/s
 
 
 @checked
 def require_shares(asked: Mapping[str, float]) -> None:
-    """Refuse other names than `NAMES`, and what is no share, or no delay."""
+    """Refuse other names than `NAMES`, and what is no share, delay or friction."""
     for name, value in asked.items():
         require_choice("uncertainty", name, NAMES)
-        below = {} if name == "delay" else {"below": 1.0}
+        below = {} if name in ABSOLUTE else {"below": 1.0}
         require_number(f"uncertainty: {name}", value, at_least=0.0, **below)
 
 
@@ -121,7 +130,7 @@ def require_shares(asked: Mapping[str, float]) -> None:
 def uncertainty_of(machine: Machine, asked: Mapping[str, float]) -> Uncertainty:
     """What is asked for, by `NAMES`, and the fit's intervals of 95 % beside it: a machine changes after it was measured.
 
-    Nothing asked for is no uncertainty at all.
+    Nothing asked for is no uncertainty at all. The interval of the friction enters where ``friction`` is named.
     """
     require_shares(asked)
     model, fit = machine.sensors[0], machine.fit
@@ -137,6 +146,8 @@ def uncertainty_of(machine: Machine, asked: Mapping[str, float]) -> Uncertainty:
             found[name] = np.append(0.0, np.clip(asked.get(name, 0.0) + NORMAL * spread, 0.0, WIDEST))
         found["mass"] = min(asked.get("mass", 0.0) + NORMAL * fit.mass_deviation, WIDEST)
         found["delay"] = asked.get("delay", 0.0) + NORMAL * fit.delay_deviation
+        if "friction" in asked:
+            found["friction"] = asked["friction"] + NORMAL * fit.drag_deviation
     return Uncertainty(**found)._of_modes(model)
 
 
@@ -155,6 +166,7 @@ def perturbed_plant(plant: ModalModel, place: Perturbation) -> ModalModel:
         damping=np.minimum(plant.damping * damping, MOST_DAMPED),
         output_shapes=plant.output_shapes * residues * place.gain,
         feedthrough=plant.feedthrough * place.gain,
+        drag=max(plant.drag + place.friction, 0.0),
     ).moved(frequencies * plant.frequencies)
 
 
@@ -194,8 +206,8 @@ def worst_place(
     """Largest magnitude of a loop function over the box, and the place that leads there.
 
     At each frequency of a grid the box's numbers are moved one after the other to where the magnitude is largest, from
-    several starts: a mode's frequency and damping over a list of places, dense at its width, its part, the gain and
-    the mass by the closed form of a ratio of quadratics. As a bounded sensitivity never lets the loop pass -1, the
+    several starts: a mode's frequency and damping over a list of places, dense at its width, the friction over another,
+    its part, the gain and the mass by the closed form of a ratio of quadratics. As a bounded sensitivity never lets the loop pass -1, the
     loop is stable in the whole box when it is in its middle.
 
     Parameters
@@ -273,7 +285,8 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
     count = 3 + len(STEPS)
     many = 3 if np.any(uncertainty.damping > SLIGHT) else 1
     parts = np.zeros((len(omega), len(gains), many * count), complex)
-    places, ratios = np.zeros(parts.shape), np.zeros(parts.shape[1:])
+    places, ratios = np.zeros(parts.shape), np.ones(parts.shape[1:])
+    drags = _drags(plant.drag, uncertainty.friction)
     sizes = np.ones(len(gains), int)
     for k, (w, z, share) in enumerate(
         zip(plant.frequencies, plant.damping, uncertainty.frequency, strict=True)
@@ -284,13 +297,17 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
             else np.array([0.0, -1, 1]) * uncertainty.damping[k]
         )
         tried = _places(omega, w, z, share, sample_time) if share else np.full((1, len(omega)), w)
+        if w == 0:
+            sizes[k] = len(drags)
+            for j, drag in enumerate(drags):
+                response = _unit(omega, tried, z, sample_time, late, drag)
+                parts[:, k, j] = gains[k] * response[0] * turn
+            continue
         sizes[k] = len(own) * len(tried)
         for j, more in enumerate(own):
             columns = slice(j * len(tried), (j + 1) * len(tried))
             ratio = min(z * (1 + more), MOST_DAMPED)
-            parts[:, k, columns] = (
-                gains[k] * _unit(omega, tried, ratio, sample_time, late, plant.drag) * turn
-            ).T
+            parts[:, k, columns] = (gains[k] * _unit(omega, tried, ratio, sample_time, late) * turn).T
             places[:, k, columns] = tried.T
             ratios[k, columns] = 1 + more
     fixed = plant.feedthrough[0, 0] * turn
@@ -303,7 +320,15 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
     delays = np.maximum(delays, -loop.delay * sample_time)
     middle = len(delays) // 2
     delays = np.append(delays[middle], np.delete(delays, middle))
-    return Box(omega, parts, sizes, places, ratios, fixed, low, high, uncertainty.gain, delays)
+    return Box(omega, parts, sizes, places, ratios, fixed, low, high, uncertainty.gain, delays, drags)
+
+
+def _drags(drag: float, spread: float) -> np.ndarray:
+    """Frictions that are tried, 1/s: the lowest, the highest, that of the plant, and between."""
+    if not spread:
+        return np.array([drag])
+    low, high = max(drag - spread, 0.0), drag + spread
+    return np.array([low, high, drag, *np.linspace(low, high, DRAGS + 2)[1:-1]])
 
 
 def _grid(plant, uncertainty, sample_time, low, high) -> np.ndarray:
@@ -338,7 +363,7 @@ def _places(omega, w, z, share, sample_time) -> np.ndarray:
     return np.concatenate([ends, np.clip(beside, low, high)])
 
 
-def _unit(omega, frequencies, ratio, sample_time, late, drag) -> np.ndarray:
+def _unit(omega, frequencies, ratio, sample_time, late, drag=0.0) -> np.ndarray:
     """Responses of modes of mass 1 at places (places, frequencies), each element with a frequency of its own."""
     if not sample_time:
         loss = np.where(frequencies > 0, 2 * ratio * frequencies, drag)
@@ -364,6 +389,7 @@ class Box(NamedTuple):
     high: np.ndarray  # ... and largest
     gain: float
     delays: np.ndarray  # s, the middle first
+    drags: np.ndarray  # 1/s, by the places of a rigid body
 
     @checked(infinite=True)
     def worst(
@@ -416,7 +442,10 @@ class Box(NamedTuple):
             modes = np.arange(len(taken))
             there = self.places[row, modes, taken]
             moved = np.divide(there, frequencies, out=np.ones(len(there)), where=frequencies > 0)
-            place = Perturbation(moved, parts, self.ratios[modes, taken], gain, float(self.delays[delay]))
+            friction = float(self.drags[taken[0]] - loop.plant.drag) if len(self.drags) > 1 else 0.0
+            place = Perturbation(
+                moved, parts, self.ratios[modes, taken], gain, float(self.delays[delay]), friction
+            )
             peak = math.sqrt(size)
             if exact:
                 peak = max(peak, perturbed_loop(loop, place).peak(controller, constraint.function).magnitude)

@@ -114,9 +114,9 @@ def design_file(
         Serve a second sensor, too, at which every flexible mode has the other sign.
     uncertainty : str or mapping of str to float
         How far the machine may be from what was found, e.g. ``frequency=0.05,gain=0.1``: shares of ``frequency``,
-        ``residue`` and ``damping`` of each mode, of ``gain`` and ``mass``, and ``delay`` in s. What is not named is
-        that of `UNCERTAINTY`, or nothing after ``none``. The intervals of a fit come on top. Every constraint holds
-        all over that box; see `reach`.
+        ``residue`` and ``damping`` of each mode, of ``gain`` and ``mass``, ``delay`` in s, and ``friction``, b/m in 1/s.
+        What is not named is that of `UNCERTAINTY`, or nothing after ``none``. The intervals of a fit come on top, that
+        of the friction where it is named. Every constraint holds all over that box; see `reach`.
     counts : float
         Encoder counts of a unit of the position, m or rad: the controller then reads r and y in counts. 0: it reads the
         unit itself.
@@ -367,6 +367,13 @@ def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) 
             rows.append([title, f"± {share:.2g} %"])
     if spread.delay > 1e-9:
         rows.append(["delay", f"± {1e6 * spread.delay:.2g} us"])
+    if spread.friction > SHOWN_FROM / 100 * (drag := machine.sensors[0].drag):
+        rows.append(
+            [
+                "viscous friction over mass",
+                f"{max(drag - spread.friction, 0):.3g} to {drag + spread.friction:.3g} 1/s",
+            ]
+        )
     if margins:
         sizes = ", ".join(f"{SHOWN[name]} {20 * np.log10(size):.2f} dB" for name, size in margins.items())
         rows.append(

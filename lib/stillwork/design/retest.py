@@ -214,6 +214,21 @@ def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -
     rows.append(
         ["mass", *(f"{each:.4g} {machine.mass_unit}" for each in mass), f"{100 * change:+.2g} %", held]
     )
+    if designed.drag or now.drag:
+        frictions = designed.drag, now.drag
+        held = (
+            "in the box"
+            if abs(now.drag - designed.drag) <= box.get("friction", 0.0) + 1e-9
+            else "outside the box"
+        )
+        rows.append(
+            [
+                "viscous friction over mass",
+                *(f"{each:.3g} 1/s" for each in frictions),
+                f"{now.drag - designed.drag:+.2g} 1/s",
+                held,
+            ]
+        )
     samples = made["delay_samples_of_the_loop"] - made["delay_samples_asked"]
     then = samples / made["rate_hz"]
     held = "in the box" if abs(late - then) <= box["delay"] + 1e-9 else "outside the box"

@@ -198,6 +198,7 @@ class ModalFit:
     residue_deviation: Float64[np.ndarray, " modes"] = field(default_factory=lambda: np.zeros(0))
     delay: float = 0.0  # s, by which the response is late; the model is without
     delay_deviation: float = 0.0  # s, whether or not a delay was found
+    drag_deviation: float = 0.0  # 1/s, of the friction over mass, where one was found
     # rad/s, resonances beyond the band
     cut: Float64[np.ndarray, " cut"] = field(default_factory=lambda: np.zeros(0))
 
@@ -610,6 +611,11 @@ class _Accelerance:
         seen = linear @ gains
         lag = -1j * self.omega * (seen[: len(self.omega)] + 1j * seen[len(self.omega) :])
         late = float(_spread(np.column_stack([jacobian, _stacked(lag)]), seen - self.goal)[-1])
+        rubbed = 0.0
+        if self.drag and not self.grounded:
+            slope = -1j * self.omega / (1j * self.omega + self.drag) ** 2 * self.weight * gains[0]
+            columns = np.column_stack([jacobian, _stacked(lag), _stacked(slope)])
+            rubbed = float(_spread(columns, seen - self.goal)[-1])
         # The model has no growth of the compliance and no mode beyond the band: its gains are those that do best without.
         every, count = modes.shape[1], int(np.sum(modes[0] <= np.log(self.omega[-1])))
         kept = linear[:, [1, *range(FIXED, FIXED + count)]]
@@ -642,6 +648,7 @@ class _Accelerance:
             residue_deviation=np.abs(spread[FIXED : FIXED + count] / gains[FIXED : FIXED + count]),
             delay=self.delay,
             delay_deviation=late,
+            drag_deviation=rubbed,
             cut=np.exp(modes[0, count:]),
         )
 

@@ -375,17 +375,19 @@ export function makeBox(loop, omega) {
   const [whole, late] = splitDelay(time ? loop.delay / time : 0);
   const gains = residues(model);
   const turn = time ? delayResponse(omega, whole * time) : delayResponse(omega, loop.delay);
+  const drags = dragsOf(model.drag ?? 0, spread.friction ?? 0);
   const parts = model.omega.map((w, k) => {
     const z = model.damping[k], share = spread.frequency[k];
     const factors = spread.damping[k] > 1e-3 ? [1, 1 - spread.damping[k], 1 + spread.damping[k]] : [1];
-    const tried = share ? placesOf(omega, w, z, share, time) : [Float64Array.from(omega, () => w)];
+    // A rigid body's places are those of its friction.
+    const tried = share ? placesOf(omega, w, z, share, time) : (w ? [w] : drags).map(() => Float64Array.from(omega, () => w));
     const columns = factors.length * tried.length;
     const part = { columns, nominal: tried.length > 1 ? 2 : 0, re: new Float64Array(rows * columns), im: new Float64Array(rows * columns), tried, factors };
     factors.forEach((factor, i) => {
       const ratio = Math.min(z * factor, 0.999);
       tried.forEach((frequencies, j) => {
         const column = i * tried.length + j, one = complexArray(rows);
-        if (j < 3) addMode(one, gains[k], frequencies[0], ratio, omega, time, late, model.drag);
+        if (j < 3 || !w) addMode(one, gains[k], frequencies[0], ratio, omega, time, late, drags[j]);
         else movingMode(one, gains[k], frequencies, ratio, omega, time, late);
         multiplyInto(one, turn);
         for (let f = 0; f < rows; f++) {
@@ -412,6 +414,7 @@ export function makeBox(loop, omega) {
     late: delays.map((seconds) => delayResponse(omega, seconds)),
     observer: loop.observer ? observerResponse(loop.observer, omega) : null,
     frequencies: model.omega,
+    frictions: drags.map((drag) => drag - (model.drag ?? 0)),
     middle: { re: Float64Array.from(fixed.re), im: Float64Array.from(fixed.im) },
     radius: new Float64Array(rows),
   };
@@ -433,6 +436,13 @@ export function makeBox(loop, omega) {
     box.radius[row] = radius + (box.gain + turned * (1 + box.gain)) * (Math.hypot(box.middle.re[row], box.middle.im[row]) + radius);
   }
   return box;
+}
+
+// Frictions (1/s) that are tried: the lowest, the highest, that of the model, and between.
+function dragsOf(drag, spread) {
+  if (!spread) return [drag];
+  const low = Math.max(drag - spread, 0), high = drag + spread, between = 18;
+  return [low, high, drag, ...Array.from({ length: between - 1 }, (_, k) => low + ((k + 1) * (high - low)) / between)];
 }
 
 // A mode whose frequency is another at each line.
@@ -618,6 +628,7 @@ export function boxSearch(loop, sections, { box = (loop.box ??= makeBox(loop, bo
       damping: box.frequencies.map((_, k) => box.parts[k].factors[which(k)[1]]),
       gain: best.gain,
       delay: box.delays[best.when],
+      friction: box.frequencies[0] ? 0 : box.frictions[best.taken[0]],
     };
     return { size: Math.sqrt(best.square), hz: box.omega[best.row] / TURN, place };
   };

@@ -96,10 +96,11 @@ export function plantResponse(model, omega, sampleTime, delay, place = null) {
   const gain = place ? place.gain : 1;
   const samples = sampleTime ? Math.max((delay + (place ? place.delay : 0)) / sampleTime, 0) : 0;
   const [whole, late] = splitDelay(samples);
+  const drag = Math.max((model.drag ?? 0) + (place?.friction ?? 0), 0);
   residues(model).forEach((residue, k) => {
     const w = model.omega[k] * (place ? place.frequencies[k] : 1);
     const z = Math.min(model.damping[k] * (place ? place.damping[k] : 1), 0.999);
-    addMode(sum, residue * gain * (place ? place.residues[k] : 1), w, z, omega, sampleTime, late, model.drag);
+    addMode(sum, residue * gain * (place ? place.residues[k] : 1), w, z, omega, sampleTime, late, drag);
   });
   const through = model.feedthrough * gain;
   for (let k = 0; k < omega.length; k++) {
@@ -131,7 +132,7 @@ export function modelGrid(model, low, high, points = 500, around = 24) {
 }
 
 export const boxIsEmpty = (box) =>
-  !box || !(box.gain || box.mass || box.delay || [...box.frequency, ...box.residue, ...box.damping].some((x) => x));
+  !box || !(box.gain || box.mass || box.delay || box.friction || [...box.frequency, ...box.residue, ...box.damping].some((x) => x));
 
 // Corners of the box that are shown while a block is dragged: each mode and all of them lower and higher, with either
 // gain. The whole box is searched when the hand rests.
@@ -146,13 +147,14 @@ export function corners(model) {
     }
   }
   for (const side of sides) {
-    for (const sign of box.gain || box.delay ? [-1, 1] : [1]) {
+    for (const sign of box.gain || box.delay || box.friction ? [-1, 1] : [1]) {
       places.push({
         frequencies: side.map((s, k) => 1 + s * box.frequency[k]),
         residues: side.map((_, k) => (k ? 1 : sign > 0 ? 1 / (1 - box.mass) : 1 / (1 + box.mass))),
         damping: box.damping.map((share) => 1 - share),
         gain: 1 + sign * box.gain,
         delay: sign * box.delay,
+        friction: -sign * (box.friction ?? 0),
       });
     }
   }

@@ -618,12 +618,14 @@ export function startDesk(root, machines) {
     if (machine.model) {
       const found = machine.model.omega.filter((w) => w > 0).map((w) => (w / (2 * Math.PI)).toPrecision(4));
       notes.push(`resonances at ${found.join(", ")} Hz`);
-      const { frequency, gain, damping, residue, delay } = machine.model.uncertainty;
+      const { frequency, gain, damping, residue, mass, delay, friction } = machine.model.uncertainty;
       const most = (values) => Math.max(...values.map((x) => 100 * x));
       const parts = [`resonances ±${most(frequency).toPrecision(2)} %`, `gain ±${(100 * gain).toPrecision(2)} %`];
       if (most(residue) >= 0.01) parts.push(`parts of the modes up to ±${most(residue).toPrecision(2)} %`);
       if (most(damping) >= 0.01) parts.push(`damping up to ±${most(damping).toPrecision(2)} %`);
       if (delay > 1e-9) parts.push(`delay ±${(1e6 * delay).toPrecision(2)} µs`);
+      if (mass >= 1e-4) parts.push(`mass ±${(100 * mass).toPrecision(2)} %`);
+      if (friction > 0) parts.push(`friction over mass ±${friction.toPrecision(2)} 1/s`);
       notes.push(`the box: ${parts.join(", ")}`);
     }
     if (machine.measured) notes.push(`measured from ${machine.band_hz.map((f) => shortNumber(Number(f.toPrecision(4)))).join(" to ")} Hz, ${machine.measured.hz.length} lines on the page`);

@@ -1,0 +1,149 @@
+"""Machines of one's own through the commands, and their written C on true plants that share no code with the toolbox."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from motion.true_machines import CompiledLoop, TrueMachine
+from stillwork.__main__ import main
+from stillwork.base.checks import InputError
+from stillwork.control.bandwidth import make_loop
+from stillwork.control.machine_designs import asked_uncertainty
+from stillwork.control.pid import PidFamily
+from stillwork.control.uncertainty import (
+    Perturbation,
+    Uncertainty,
+    perturbed_loop,
+    uncertainty_of,
+    worst_place,
+)
+from stillwork.design.retest import retest_file
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine import build_machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.identification.modal_fit import identify_modes
+from stillwork.lti.modal import ModalModel, modal_model
+
+RATE = 4e3
+ALLOWED_DB = 6.01
+# A turntable with a belt: kg m^2, Hz, 1/s; its drive takes A and its encoder gives counts.
+TABLE = TrueMachine(
+    mass=0.042,
+    hertz=(47.0, 131.0),
+    damping=(0.011, 0.007),
+    position=(-0.8, 0.5),
+    friction=9.0,
+    delay=1.3 / RATE,
+)
+COUNTS, CONSTANT = 65536 / (2 * np.pi), 0.35  # counts a rad, N m/A
+
+
+def write_response(file, machine, noise, seed=0):
+    """As a user has it: accelerations over the torque, a line a frequency, and the coherence."""
+    hertz = np.arange(2.0, 190.0, 0.2)
+    errors = np.random.default_rng(seed).standard_normal((2, len(hertz)))
+    seen = machine.response(hertz) * (1 + noise * (errors[0] + 1j * errors[1]) / np.sqrt(2))
+    seen = -((2 * np.pi * hertz) ** 2) * seen
+    rows = np.column_stack([hertz, seen.real, seen.imag, np.full(len(hertz), 1 / (1 + noise**2))])
+    names = "frequency (Hz),real ((rad/s^2)/(N m)),imaginary ((rad/s^2)/(N m)),coherence"
+    np.savetxt(file, rows, delimiter=",", header=names, comments="")
+
+
+@pytest.mark.slow
+def test_a_turntable_keeps_its_promise_in_c(tmp_path, capsys):
+    """7 s of CPU: counts in, A out, friction, 1.3 samples of delay of which the file holds 0.3; corners and draws of the box."""
+    box = {"frequency": 0.04, "gain": 0.08, "damping": 0.2, "friction": 6.0, "delay": 2e-5}
+    write_response(tmp_path / "table.csv", replace(TABLE, delay=0.3 / RATE), 3e-3)
+    asked = ",".join(f"{name}={value:g}" for name, value in box.items())
+    folder = tmp_path / "out"
+    command = [
+        "design",
+        str(tmp_path / "table.csv"),
+        "--rate",
+        f"{RATE:g}",
+        "--delay",
+        "1",
+        "--out",
+        str(folder),
+    ]
+    command += ["--uncertainty", asked, "--counts", f"{COUNTS:.6f}", "--motor-constant", f"{CONSTANT:g}"]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    promised = [float(each) for each in re.findall(r"S_[IO] ([\d.]+) dB", said)]
+    assert promised and max(promised) <= ALLOWED_DB
+    low, high = map(float, re.search(r"viscous friction over mass ([\d.]+) to ([\d.]+) 1/s", said).groups())
+    assert low == pytest.approx(3, abs=0.1) and high == pytest.approx(15, abs=0.1)
+    loop = CompiledLoop(folder, RATE, CONSTANT, COUNTS)
+    worst = loop.worst_db(TABLE, box, 60, np.random.default_rng(4))
+    assert loop.peak_db(TABLE) < worst - 0.5 and max(promised) - 0.8 < worst <= ALLOWED_DB
+    # What lies outside is seen: a gain that is half as large again.
+    assert loop.peak_db(replace(TABLE, mass=TABLE.mass / 1.5)) > ALLOWED_DB
+    assert json.loads((folder / "controller.json").read_text())["provenance"]["mass_unit"] == "kg m^2"
+    for friction, words in ((11.0, "in the box"), (19.0, "outside the box")):
+        again = tmp_path / f"{friction}.csv"
+        write_response(again, replace(TABLE, friction=friction, delay=0.3 / RATE), 3e-3, seed=1)
+        page = tmp_path / f"{friction}.html"
+        said = retest_file(str(folder / "controller.json"), str(again), str(page))
+        assert ("viscous friction" in "".join(said)) == (words == "outside the box")
+        assert re.search(rf"viscous friction over mass.*?{words}", page.read_text(), re.DOTALL)
+
+
+def test_the_worst_friction_is_the_worst_of_a_scan():
+    """Of a body that loses its speed, and of one that is known without: the plant's part beside it, written out."""
+    pid, hertz = PidFamily(5.0)(9.0), np.geomspace(0.3, 60, 40_000)
+    s = 2j * np.pi * hertz
+    controller = pid.state_space().frequency_response(s.imag)[0, 0]
+    for drag, spread in ((30.0, 25.0), (4.0, 30.0), (0.0, 12.0)):
+        rows = [0.0, 200.0], [0.0, 0.02], [[1.0], [0.7]], [[0.2, 0.1]], [[0.0]]
+        plant = ModalModel(*map(np.array, rows), drag=drag)
+        loop = make_loop(plant)
+        size, worst = worst_place(loop, pid, "output_sensitivity", Uncertainty(friction=spread))
+        scan = np.linspace(max(drag - spread, 0.0), drag + spread, 60)[:, None]
+        whole = 0.2 / (s * (s + scan)) + 0.07 / (s**2 + 8 * s + 4e4)
+        most = np.abs(1 / (1 + controller * whole)).max()
+        assert size == pytest.approx(most, rel=1e-3)
+        assert -min(drag, spread) - 1e-9 <= worst.friction <= spread + 1e-9
+        there = perturbed_loop(loop, worst)
+        assert there.plant.drag == pytest.approx(drag + worst.friction)
+        assert there.peak(pid, "output_sensitivity").magnitude == pytest.approx(size, rel=1e-3)
+    assert not Uncertainty(friction=1.0).is_empty
+
+
+def test_the_interval_of_a_friction_holds_what_is_there():
+    """Of 12 noisy responses each; as everywhere, of the fit, where friction is named."""
+    held = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        machine = replace(TABLE, friction=rng.uniform(5, 80), delay=rng.uniform(0, 2e-4))
+        hertz, noise = np.arange(3.0, 190.0, 0.25), 10 ** rng.uniform(-3, -1.7)
+        errors = rng.standard_normal((2, len(hertz)))
+        seen = machine.response(hertz) * (1 + noise * (errors[0] + 1j * errors[1]) / np.sqrt(2))
+        omega = 2 * np.pi * hertz
+        measured = Identified(omega, -(omega**2) * seen, np.full(len(hertz), 1 / (1 + noise**2)))
+        fit = identify_modes(measured, (3.0, 190.0))
+        assert fit.model.drag == pytest.approx(machine.friction, rel=0.05)
+        held += abs(fit.model.drag - machine.friction) < 1.96 * fit.drag_deviation
+    assert held >= 10
+
+
+def test_friction_enters_the_box_where_it_is_named(tmp_path):
+    write_response(tmp_path / "table.csv", TABLE, 1e-2)
+    machine = build_machine(
+        load_machine(tmp_path / "table.csv"), modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False
+    )
+    interval = 1.96 * machine.fit.drag_deviation
+    assert interval > 0 and uncertainty_of(machine, {"gain": 0.1}).friction == 0
+    assert uncertainty_of(machine, asked_uncertainty("friction=2")).friction == pytest.approx(2 + interval)
+    assert uncertainty_of(machine, asked_uncertainty("none,friction=0")).friction == pytest.approx(interval)
+
+
+def test_a_friction_that_no_machine_has_is_refused():
+    with pytest.raises(InputError, match=r"^uncertainty: friction\b"):
+        asked_uncertainty("friction=-1")
+    springs = modal_model(np.eye(2), [[400.0, -100.0], [-100.0, 100.0]], [[1.0], [0.0]], [[1.0, 0.0]], 0.01)
+    with pytest.raises(InputError, match=r"^friction\b.*on springs leave it out"):
+        worst_place(make_loop(springs), PidFamily(1.0)(1.0), "output_sensitivity", Uncertainty(friction=1.0))
+    assert Perturbation(np.ones(2), np.ones(2), np.ones(2)).friction == 0
