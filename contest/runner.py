@@ -29,6 +29,7 @@ CPU_SECONDS = 60  # that a scan may take, with its start
 PATIENCE = 10  # seconds of the clock for each of them: a busy machine is not the observer's fault
 MOST_MEMORY, MOST_WRITTEN = 4 << 20, 64 << 10  # kB of address space, and of any file
 MOST_ANSWERED = 1 << 20  # bytes of a line
+MOST_KNOBS = 32
 SYSTEM_PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
 SERVER, LIBRARY = Path(__file__).with_name("child.py"), Path(__file__).parents[1] / "lib"
 PROGRAMS = ("unshare", "mount", "umount", "pivot_root", "setpriv")
@@ -50,12 +51,13 @@ mount -t tmpfs -o size=128m none "$root"
 while [ "$1" != -- ]; do
     if [ -d "$1" ]; then mkdir -p "$root$1"; else mkdir -p "$root${1%/*}"; : > "$root$1"; fi
     mount --bind "$1" "$root$1"
-    case "$1" in /dev/*) ;; *) mount -o remount,bind,ro,nosuid,nodev "$root$1" ;; esac
+    case "$1" in /dev/*) device=dev ;; *) device=nodev ;; esac
+    mount -o "remount,bind,ro,nosuid,$device" "$root$1"
     shift
 done; shift
 for link in /bin /lib /lib64 /sbin; do [ ! -L $link ] || ln -s "$(readlink $link)" "$root$link"; done
 mkdir -p "$root/proc" "$root/tmp" "$root/outside"; mount -t proc -o ro none "$root/proc"
-cd "$root"; pivot_root . outside; umount -l /outside; rmdir /outside; cd /tmp
+cd "$root"; pivot_root . outside; umount -l /outside; umount /proc; rmdir /outside /proc; cd /tmp
 exec setpriv --no-new-privs --inh-caps=-all --bounding-set=-all "$@" """
 
 
@@ -236,7 +238,8 @@ class ExternalObserver:
         except (ValueError, RecursionError):
             raise Disqualified("an answer that is not JSON") from None
         if isinstance(answer, dict) and "error" in answer:
-            raise Disqualified(str(answer["error"])[:500])
+            reason = str(answer["error"])[:500]  # an observer's words, which are printed beside the ranks
+            raise Disqualified("".join(each if each.isprintable() else "?" for each in reason))
         return answer
 
     def _reason(self) -> str:
@@ -257,8 +260,11 @@ def knobs_of(answer) -> tuple[TuningParameter, ...]:
         knobs = tuple(TuningParameter(str(name), *map(float, rest)) for name, *rest in answer["knobs"])
     except (TypeError, KeyError, ValueError, OverflowError):
         knobs = None
-    if knobs is None or not all(0 < knob.low <= knob.default <= knob.high < np.inf for knob in knobs):
-        raise Disqualified("KNOBS that are not (name, low, high, default), numbers above zero in order")
+    right = knobs is not None and all(0 < each.low <= each.default <= each.high < np.inf for each in knobs)
+    if not right or len(knobs) > MOST_KNOBS:
+        raise Disqualified(
+            f"KNOBS that are not up to {MOST_KNOBS} (name, low, high, default), numbers above zero in order"
+        )
     return knobs
 
 

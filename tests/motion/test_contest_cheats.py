@@ -179,8 +179,11 @@ CHEATS = {
         return sum(libc.shmget(key, 0, 0) >= 0 for key in (0x5EED, 1, 2, 3))
     """,
     "a socket without a file": """
-        with socket.socket(socket.AF_UNIX) as s:
-            return s.connect_ex("\\0contest-of-observers") == 0
+        try:
+            with socket.socket(socket.AF_UNIX) as s:
+                return s.connect_ex("\\0contest-of-observers") == 0
+        except OSError:
+            return 0
     """,
     "roots of other processes and devices": """
         places = [*glob.glob("/proc/[0-9]*/root/home"), *glob.glob("/proc/[0-9]*/fd/*")]
@@ -190,6 +193,58 @@ CHEATS = {
     "another file system mounted": """
         libc = ctypes.CDLL(None)
         return libc.mount(b"none", b"/tmp", b"proc", 0, None) == 0
+    """,
+    "a socket of any kind": """
+        opened = 0
+        for family, kind in ((1, 1), (1, 2), (2, 1), (2, 2), (10, 1), (16, 3), (17, 3), (38, 5), (40, 1)):
+            for call in (socket.socket, socket.socketpair):
+                try:
+                    call(family, kind).close()
+                    opened += 1
+                except OSError:
+                    pass
+        return opened
+    """,
+    "the times and rights of a device": """
+        changed = 0
+        for change in (lambda: os.utime("/dev/null", (5, 5)), lambda: os.chmod("/dev/null", 0o666)):
+            try:
+                change()
+                changed += 1
+            except OSError:
+                pass
+        return changed
+    """,
+    "which pages of a file are in memory": """
+        libc, file = ctypes.CDLL(None), open(np.__file__, "rb")
+        libc.mmap.restype = ctypes.c_void_p
+        libc.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long]
+        place, seen = ctypes.c_void_p(libc.mmap(None, 4096, 1, 1, file.fileno(), 0)), (ctypes.c_ubyte * 1)()
+        gained = libc.mincore(place, 4096, seen) == 0
+        for way in (lambda: os.preadv(file.fileno(), [bytearray(1)], 0, os.RWF_NOWAIT),
+                    lambda: os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)):
+            try:
+                way()
+                gained += 1
+            except OSError:
+                pass
+        return gained + sum(libc.madvise(place, 4096, advice) == 0 for advice in (20, 21))
+    """,
+    "the machine's counters": """
+        held, seen = ctypes.create_string_buffer(4096), 0
+        for each in ("stat", "loadavg", "meminfo", "sys/fs/file-nr", "sys/fs/inode-nr", "self/maps", "self/ns/net"):
+            seen += os.path.lexists("/proc/" + each)
+        return seen + (ctypes.CDLL(None).sysinfo(held) == 0) + (ctypes.CDLL(None).statfs(b"/usr", held) == 0)
+    """,
+    "the number of the next pipe": """
+        made = 0
+        for way in (os.pipe, lambda: os.memfd_create("x"), lambda: os.eventfd(0)):
+            try:
+                way()
+                made += 1
+            except OSError:
+                pass
+        return made
     """,
 }
 
@@ -290,14 +345,86 @@ def test_scans_that_overlap_give_each_other_no_sign(sign, tmp_path, given):
     assert found == [0.0, 0.0]
 
 
+# What all processes of a user, or of the machine, have in common: one step takes of it, the other looks what is left.
+SHARED = {
+    "a page of a file that somebody waits on": (
+        "threading.Thread(target=wait, daemon=True).start()",
+        "wake()",
+    ),
+    "signals that may be queued": ("queue(10**6)", "queue(1000)"),
+    "asynchronous reads that may be begun": ("[ring(4096) for _ in range(99)]", "ring(1024)"),
+    "pages that pipes may have": ("kept.extend(wide() for _ in range(99))", "wide()"),
+    "names of sockets": ("named()", "named()"),
+}
+USE = """
+import fcntl, signal, threading
+libc = ctypes.CDLL(None)
+libc.mmap.restype = ctypes.c_void_p
+libc.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long]
+futex, begin = {"x86_64": (202, 206), "aarch64": (98, 0)}[os.uname().machine]
+kept = globals().setdefault("kept", [open(np.__file__, "rb")])
+page = libc.mmap(None, 4096, 1, 1, kept[0].fileno(), 0)
+def wait():
+    libc.syscall(futex, ctypes.c_void_p(page), 0, ctypes.c_int.from_address(page).value, None, None, 0)
+def wake():
+    return max(libc.syscall(futex, ctypes.c_void_p(page), 1, 9, None, None, 0), 0)
+def queue(most):
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGRTMIN])
+    mine, kind, value = os.getpid(), int(signal.SIGRTMIN), ctypes.c_long(1)
+    return next((k for k in range(most) if libc.sigqueue(mine, kind, value)), most)
+def ring(size):
+    return libc.syscall(begin, size, ctypes.byref(ctypes.c_ulong(0))) == 0
+def wide():
+    try:
+        kept.append(os.pipe())
+        return fcntl.fcntl(kept[-1][1], 1031, 1 << 20)
+    except OSError:
+        return 0
+def named():
+    try:
+        kept.append(socket.socket(socket.AF_UNIX))
+        kept[-1].bind("\\0observers")
+        return 1
+    except OSError:
+        return 0
+step = {}
+time.sleep(0.2)
+return step or 0
+"""
+
+
+@isolated
+@pytest.mark.parametrize("what", SHARED)
+def test_what_scans_that_overlap_have_in_common_is_no_sign(what, tmp_path, given):
+    """What is left is the same whether another scan takes of it or not."""
+
+    def scan(step, running):
+        file = tmp_path / f"of_{len(list(tmp_path.iterdir()))}.py"
+        body = textwrap.indent(USE.replace("{}", f"[{step}][0]", 1).strip(), " " * 4)
+        file.write_text(OBSERVER.format(body=body, root=str(paths.root()), secret=SECRET))
+        observer = running.enter_context(ExternalObserver(file))
+        observer.start(*given)
+        return observer.step(np.zeros(1), np.zeros(1))[0]
+
+    take, look = SHARED[what]
+    with contextlib.ExitStack() as running:
+        before = scan(look, running)
+    with contextlib.ExitStack() as running:
+        scan(f"({take}, 0)[1]", running)
+        assert scan(look, running) == before == 0
+
+
 @isolated
 def test_no_program_of_this_machine_can_be_asked(estimate):
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.2)
         ask = f"""
-        with socket.socket() as s:
-            s.settimeout(1)
-            return s.connect_ex(("127.0.0.1", {server.getsockname()[1]})) == 0
+        try:
+            with socket.socket() as s:
+                s.settimeout(1)
+                return s.connect_ex(("127.0.0.1", {server.getsockname()[1]})) == 0
+        except OSError:
+            return 0
         """
         assert estimate(ask)[0][0] == 0.0
         with pytest.raises(TimeoutError):
@@ -317,13 +444,14 @@ def test_who_imports_the_contest_is_out(estimate):
         ("return np.nan", "raises ValueError: an estimate that is not finite"),
         ("return 1j", "raises TypeError"),
         ("os._exit(0)", "its process ends"),
+        (
+            r"raise ValueError('\x1b[2J\n1 mine\n')",
+            r"ValueError: \?\[2J\?1 mine\? \(line 6\)$",
+        ),  # a rank of its own
         ("return [np.empty(10**8) for _ in range(1000)]", "allocates more memory"),
         ("while True: pass", "takes more than 1 s of the processor"),
         ("time.sleep(60)", "hangs: no answer within 3 s"),
-        (
-            "[os.write(k, b'look\\n') for k in range(3, 9) if os.path.exists(f'/proc/self/fd/{k}') and k != 3]",
-            "JSON",
-        ),
+        ("os.write(4, b'look\\n')", "JSON"),
         ("os.write(4, b'[[1], [2, 3]]\\n')", "no estimate"),
         ("os.write(4, b'[' * 100000 + b'\\n')", "JSON"),
         ("[os.write(4, bytes(1 << 16)) for _ in range(100)]", "more than"),
@@ -434,7 +562,12 @@ def test_knobs_are_what_a_file_declares(tmp_path):
     assert declared_knobs("tcp:127.0.0.1:1") == ()
 
 
-@pytest.mark.parametrize("answer", [5, {}, {"knobs": 3}, {"knobs": [["a"]]}, {"knobs": [["a", -1, 2, 1]]}])
+MANY = {"knobs": [["a", 1, 3, 2]] * 33}  # the tuner would take for ever
+
+
+@pytest.mark.parametrize(
+    "answer", [5, {}, {"knobs": 3}, {"knobs": [["a"]]}, {"knobs": [["a", -1, 2, 1]]}, MANY]
+)
 def test_knobs_that_are_none_are_out(answer):
     with pytest.raises(Disqualified, match="KNOBS"):
         runner.knobs_of(answer)
