@@ -34,7 +34,8 @@ from stillwork.estimation import (
     min_max_solve,
     run,
 )
-from stillwork.estimation.linear_fits import cross_validated_penalty, evidence_penalty
+from stillwork.estimation.hinfinity import smallest_level
+from stillwork.estimation.linear_fits import cross_validated_penalty, evidence_penalty, hinfinity_model
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive import GrowthLimitWarning
 from stillwork.estimation.regression import UnweightedRegressor
@@ -708,6 +709,27 @@ def test_the_penalty_of_bias_compensation_has_the_smallest_cp(seed):
     assert found.coef_ == pytest.approx(best, abs=0.02 * np.abs(best).max())
     given = BiasCompensatedRegressor(noise, fit_intercept=False, penalty=7.0).fit(X, y)
     assert given.coef_ == pytest.approx(fitted(7.0)[0], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("samples", "features", "forgetting", "noise"),
+    [(50, 3, 1.0, 1.0), (200, 5, 0.95, 0.3), (30, 8, 1.0, 5.0), (7, 3, 0.8, 0.5), (5, 9, 1.0, 0.1)],
+)
+def test_hinfinity_keeps_the_level_that_bisection_finds(samples, features, forgetting, noise):
+    rng = np.random.default_rng(samples)
+    X = (
+        rng.standard_normal((samples, features))
+        * np.where(np.arange(samples) < samples // 3, 1.0, 0.01)[:, None]
+    )
+    found = HinfinityRegressor(noise, 2.0, forgetting=forgetting, fit_intercept=False).fit(X, X[:, 0])
+    model = hinfinity_model(X, noise**2, 4.0 / features * np.eye(features), forgetting)
+    assert found.level_ / 1.1 == pytest.approx(smallest_level(model, np.eye(features), 1e-9), rel=1e-7)
+
+
+def test_hinfinity_refuses_a_rest_in_which_all_is_forgotten():
+    X = np.append(np.ones((50, 1)), np.zeros((20_000, 1)), axis=0)
+    with pytest.raises(InputError, match="finite numbers"):
+        HinfinityRegressor(0.1, 1.0, forgetting=0.9, fit_intercept=False).fit(X, X[:, 0])
 
 
 def test_hinfinity_is_the_filter_in_information_form():

@@ -1,12 +1,13 @@
 """Regressors for what least squares is not made for: outliers, and noise of which nothing is known."""
 
+import heapq
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from stillwork.base.checks import InputError, require_number
-from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.hinfinity import hinfinity_gains
 from stillwork.estimation.linear_fits import hinfinity_model, huber_estimate, last_estimate
 from stillwork.estimation.recursive import LARGEST
 from stillwork.estimation.regression import RecursiveRegressor, UnweightedRegressor
@@ -155,15 +156,14 @@ class HinfinityRegressor(UnweightedRegressor):
     def _advance(self, state, rows, outputs, weights):
         forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         columns = rows.shape[1]
-        identity = np.eye(columns)
         if state is None:
             state = (np.zeros((outputs.shape[1], columns)), *self._believed(rows, outputs), self.level)
         coef, covariance, variance, level = state
         model = hinfinity_model(rows, variance, covariance, forgetting)
         if level is None:
-            level, gains = _least_level(model, identity)
+            level, gains = _least_level(model, rows, forgetting)
         else:
-            gains = hinfinity_gains(model, identity, float(require_number("level", level, above=0.0)))
+            gains = hinfinity_gains(model, np.eye(columns), float(require_number("level", level, above=0.0)))
         self.level_ = level
         coef = np.array(
             [
@@ -189,13 +189,48 @@ class HinfinityRegressor(UnweightedRegressor):
         return size**2 / columns * np.eye(columns), float(noise) ** 2
 
 
-def _least_level(model, wanted) -> tuple[float, FilterGains]:
+def _least_level(model, rows, forgetting) -> tuple[float, FilterGains]:
     # where rows are nearly dependent rounding decides whether a level is kept, and may refuse one above the smallest
-    level = smallest_level(model, wanted, 1e-6)
+    level, identity = _smallest_level(model, rows, forgetting), np.eye(rows.shape[1])
     for _ in range(100):
         level *= MARGIN
         try:
-            return level, hinfinity_gains(model, wanted, level)
+            return level, hinfinity_gains(model, identity, level)
         except InputError as error:
             refused = error
     raise refused
+
+
+def _smallest_level(model, rows, forgetting) -> float:
+    """What `smallest_level` finds by bisection, for all of the constant parameters of a `hinfinity_model`.
+
+    After m rows their information is M_m, less 1 / level^2 times c_m = 1 + forgetting + ... + forgetting^m, and has to
+    stay positive: level^2 is the largest c_m / min eig M_m. Along the rows c_m grows, and min eig M_m falls by forgetting
+    at most: of stretches the one that may hold the largest is halved, until none may hold more than was seen.
+    """
+    count, forgetting = len(rows), np.float64(forgetting)
+    start, growth = np.linalg.inv(model.initial_covariance), np.cumsum(forgetting ** np.arange(count + 1.0))
+    fading = forgetting ** (np.arange(count, -1.0, -1.0) / 2)
+    surely = np.linalg.eigvalsh(start)[0]
+
+    def least(m):
+        weighted = fading[count - m + 1 :, None] * rows[:m]
+        information = forgetting**m * start + weighted.T @ weighted / model.sensor[0, 0]
+        return max(np.linalg.eigvalsh(information)[0], forgetting**m * surely, 1e-300)
+
+    def stretch(first, last, smallest):
+        with np.errstate(over="ignore"):
+            return -growth[last] * forgetting ** (first - last) / smallest, first, last, smallest
+
+    found = growth[count] / least(count)
+    open_stretches = [stretch(0, count, surely)]
+    while open_stretches and -open_stretches[0][0] > found * (1 + 1e-9):
+        _, first, last, smallest = heapq.heappop(open_stretches)
+        found = max(found, growth[first] / smallest)
+        if last - first > 1:
+            middle = (first + last) // 2
+            heapq.heappush(open_stretches, stretch(first, middle - 1, smallest))
+            heapq.heappush(open_stretches, stretch(middle, last, least(middle)))
+        elif last > first:
+            heapq.heappush(open_stretches, stretch(last, last, least(last)))
+    return float(np.sqrt(found))
