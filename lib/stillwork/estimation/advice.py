@@ -1,6 +1,7 @@
 """Which estimator of a linear relation to take: held-out errors of the family on the data at hand."""
 
 import warnings
+from copy import copy
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -29,6 +30,14 @@ from stillwork.estimation.triangle_regression import (
 
 IGNORE = "ignoring the features"
 SAFE, SAFE_OF_NOISE = "ridge by evidence", "bias compensation"
+UNAWARE = (
+    IGNORE,
+    SAFE,
+    "ridge by cross-validation",
+    "least squares",
+    "Huber",
+    "H-infinity",
+)  # the noise of features is not given to these
 # Standard errors by which another one must be better than the safe one, and that one than nothing; chosen on 500 problems
 # that are not among those of benchmarks/advice.py.
 SURE, SOME = 0.5, 1.0
@@ -175,7 +184,7 @@ def advise(
     if instruments is None:
         size = X.std(axis=0)
         for share in SHARES:
-            name = _Study(X, y, share * size, None, fit_intercept, folds).order(least=-np.inf)[0][0]
+            name = study.with_noise(share * size).order(least=-np.inf)[0][0]
             if name != ranking[0].name and name not in turns.values():
                 turns[share] = name
     return Advice(tuple(ranking), tuple(assumed), turns)
@@ -186,17 +195,28 @@ class _Study:
         # features in units of their own
         self.raw, self.units = X, np.where(np.ptp(X, axis=0) > 0, X.std(axis=0), 1.0)
         self.X, self.y, self.instruments = X / self.units, y, instruments
-        self.noise = None if noise is None else noise / self.units
+        self._state_noise(noise)
+        self.held_out: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self.strength = np.inf if instruments is None else _strength(self.X, instruments)
         if self.strength < STRONG:
             self.instruments = None
-        self.safe = SAFE_OF_NOISE if self.noise is not None and self.noise.any() else SAFE
         self.fit_intercept = fit_intercept
         self.parts = np.array_split(np.arange(len(y)), folds)
         left = y - HuberRegressor(fit_intercept=fit_intercept).fit(self.X, y).predict(self.X)
         scale = np.median(np.abs(left)) / 0.6745
         self.scored = np.abs(left) <= OUTLIER * scale if scale else np.ones(len(y), bool)
         self.outliers = int(np.sum(~self.scored))
+
+    def with_noise(self, noise) -> "_Study":
+        """The same record with another noise; what does not depend on it is not fitted again."""
+        other = copy(self)
+        other._state_noise(noise)
+        other.held_out = {name: self.held_out[name] for name in UNAWARE if name in self.held_out}
+        return other
+
+    def _state_noise(self, noise) -> None:
+        self.noise = None if noise is None else noise / self.units
+        self.safe = SAFE_OF_NOISE if self.noise is not None and self.noise.any() else SAFE
 
     def purpose(self) -> str:
         if self.instruments is not None:
@@ -235,10 +255,18 @@ class _Study:
         share = np.sum((self.noise * least.coef_) ** 2)
         return float(np.sqrt(max(left - share, 0.01 * left))) or 1.0
 
-    def losses(self, estimator) -> np.ndarray:
-        return np.array([self.loss(clone(estimator), part) for part in self.parts])
+    def losses(self, name, estimator) -> np.ndarray:
+        if name not in self.held_out:
+            parts = [self.hold_out(clone(estimator), part) for part in self.parts]
+            squares, coefs = zip(*parts, strict=True)
+            self.held_out[name] = np.array(squares), np.array(coefs)
+        squares, coefs = self.held_out[name]
+        if self.noise is None or self.instruments is not None:
+            return squares
+        return squares - np.sum((self.noise * coefs) ** 2, axis=1)
 
-    def loss(self, estimator, part) -> float:
+    def hold_out(self, estimator, part) -> tuple[float, np.ndarray]:
+        """Mean square of the errors on a part that is not learned from, and the coefficients."""
         kept = np.ones(len(self.y), bool)
         kept[part] = False
         self.fit(estimator, kept)
@@ -249,9 +277,7 @@ class _Study:
             X = given[part] @ np.linalg.lstsq(given[kept], self.X[kept])[0]
         scored = self.scored[part]
         left = np.mean((self.y[part] - estimator.predict(X))[scored] ** 2) if scored.any() else np.nan
-        if self.noise is not None and self.instruments is None:
-            left -= np.sum((self.noise * _coefficients(estimator, X.shape[1])) ** 2)
-        return left
+        return float(left), _coefficients(estimator, X.shape[1])
 
     def fit(self, estimator, kept):
         given = {}
@@ -272,7 +298,7 @@ class _Study:
         losses, left_out = {}, []
         for name, estimator in self.candidates().items():
             try:
-                losses[name] = self.losses(estimator)
+                losses[name] = self.losses(name, estimator)
             except InputError as error:
                 left_out.append(f"Left out: {name} ({error}).")
         return losses, left_out
