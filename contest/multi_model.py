@@ -13,7 +13,7 @@ from contest.parametric import (
     parts,
     predict,
 )
-from stillwork.base.algebra import copy_vector, plus_column
+from stillwork.base.algebra import copy_vector, inner_product, plus_column
 from stillwork.base.kernels import inlined_kernel, kernel
 
 PARTICLES = 16
@@ -92,7 +92,7 @@ def _advance_particles(data, memory, inputs, measurements, estimates):
         _filter_all(inputs[k], measurements[k], filters, omegas, z, p, scores, a, by)
         _weigh(scores, weights, z, estimates[k])
         scores -= scores.max()
-        if len(z) * np.sum(weights * weights) > 2:  # fewer than half of them count
+        if len(z) * inner_product(weights, weights) > 2:  # fewer than half of them count
             _resample(weights, scores, bent, z, p)
 
 

@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 
 from contest.fixed_gain import stationary
 from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise, TuningParameter
-from stillwork.base.algebra import cholesky_root, measure, minus_row, plus_row
+from stillwork.base.algebra import cholesky_root, minus_row, plus_row
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 
 
@@ -186,7 +186,9 @@ def _advance_extended(data, memory, inputs, measurements, estimates):
         predict(inputs[k], data, omega, z, p, a, by)
         if not np.isnan(measurements[k, 0]):
             for o in range(len(c)):
-                expected = measure(p, c, o, sensor[o], cross)
+                for i in range(n):
+                    cross[i] = plus_row(0.0, c, o, p[i])
+                expected = plus_row(sensor[o], c, o, cross)
                 surprise = min(minus_row(measurements[k, o], c, o, z) ** 2 / expected, 100.0)
                 level[0] += GATE_RATE * (surprise - level[0]) / len(c)
             # Where what it has learnt does not explain the innovations, it forgets that, and considers until it does.
