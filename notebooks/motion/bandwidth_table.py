@@ -20,7 +20,6 @@ from experiments.motion.designs import (
 )
 from experiments.motion.intervals import Values
 from experiments.motion.machines import published_deviations
-from stillwork.base.checks import InputError, require_array
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Bandwidth
 from stillwork.control.crossover import crossover
@@ -133,11 +132,8 @@ def bandwidth_map(selectivity: ArrayLike, noise_model: ArrayLike) -> Float64[np.
 
     NaN where nothing in the range is feasible.
     """
-    rows = require_array("selectivity", selectivity, ndim=1)
-    columns = require_array("noise_model", noise_model, ndim=1)
-    for name, values in (("selectivity", rows), ("noise_model", columns)):
-        if not len(values) or np.any(values <= 0):
-            raise InputError(f"{name} must hold at least one value, all of them positive")
+    rows = np.asarray(selectivity, float)
+    columns = np.asarray(noise_model, float)
     uses = [Application(True, DAMPING, selectivity=float(q)) for q in rows]
     return np.array([[first_crossing(Design(used, float(size)), 5) for size in columns] for used in uses])
 

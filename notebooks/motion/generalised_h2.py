@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from experiments.motion.scan_study import output_rows, published_scan
 from stillwork.base.algebra import add_square, congruence
-from stillwork.base.checks import InputError, require_array
+from stillwork.base.checks import InputError
 from stillwork.base.kernels import kernel
 from stillwork.lti.discretisation import zoh_modes
 from workbook import figures
@@ -34,18 +34,9 @@ def error_system(
     a: ArrayLike, g: ArrayLike, c: ArrayLike, process: ArrayLike, sensor: ArrayLike, gains: ArrayLike
 ):
     """Error dynamics of a predictor with any gains, for covariances or weights of bounded energy."""
-    c = require_array("c", c, ndim=3)
-    samples, outputs, n = c.shape
-    a = require_array("a", a, shape=(n, n))
-    g = require_array("g", g, shape=(n, None))
-    gains = require_array("gains", gains, shape=(samples, n, outputs))
-    roots = []
-    for name, matrix, size in (("process", process, g.shape[1]), ("sensor", sensor, outputs)):
-        matrix = require_array(name, matrix, shape=(size, size))
-        try:
-            roots.append(np.linalg.cholesky(matrix))
-        except np.linalg.LinAlgError:
-            raise InputError(f"{name} is not positive definite; give a covariance or a weight") from None
+    a, g, c, gains = (np.asarray(each, float) for each in (a, g, c, gains))
+    samples, _, n = c.shape
+    roots = np.linalg.cholesky(process), np.linalg.cholesky(sensor)
     driven = np.broadcast_to(g @ roots[0], (samples, n, g.shape[1]))
     return ErrorSystem(a - gains @ c, np.concatenate([driven, -gains @ roots[1]], axis=2))
 
@@ -58,11 +49,11 @@ def predictor_gains(
     Parameters as for `error_system`. Known state: the disturbances are all that drives the error, as the
     definition of the norm has it.
     """
-    c = require_array("c", c, ndim=3)
+    c = np.asarray(c, float)
     samples, outputs, n = c.shape
-    a, g = require_array("a", a, shape=(n, n)), require_array("g", g, shape=(n, None))
-    q = g @ require_array("process", process, shape=(g.shape[1],) * 2) @ g.T
-    r = require_array("sensor", sensor, shape=(outputs, outputs))
+    a, g = np.asarray(a, float), np.asarray(g, float)
+    q = g @ np.asarray(process, float) @ g.T
+    r = np.asarray(sensor, float)
     p, gains = np.zeros((n, n)), np.zeros((samples, n, outputs))
     for k in range(samples):
         gains[k], p = _predicted(a, c[k], p, q, r)
@@ -142,7 +133,7 @@ def settled_covariance(a, g, c, process, sensor, start, steps: int) -> Float64[n
 
 def response_peak(system: ErrorSystem, disturbance: ArrayLike) -> float:
     """Largest Euclidean norm of the error under a disturbance, by simulation."""
-    disturbance = require_array("disturbance", disturbance, shape=system.d.shape[::2])
+    disturbance = np.asarray(disturbance, float)
     e, peak = np.zeros(system.f.shape[1]), 0.0
     for f, d, n in zip(system.f, system.d, disturbance, strict=True):
         e = f @ e + d @ n

@@ -22,7 +22,7 @@ from experiments.motion.machines import (
 from experiments.motion.pictures import add_magnitude, mark_limit, plain
 from experiments.motion.uncertainty import detuned, perturbed, sample_errors
 from stillwork.base.algebra import squared_size
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.checks import InputError
 from stillwork.base.kernels import kernel
 from stillwork.base.toml_files import read_numbers
 from stillwork.base.validation import checked
@@ -68,13 +68,6 @@ class JointDesign:
     noise_model: float = 1e3  # Q_nu, N^2/s
     damping: tuple[float, ...] = (0.035, 0.035, 0.035)  # increase of each mode's ratio
     selectivity: tuple[float, ...] = (2.0, 2.0, 2.0)  # Q of each band-pass
-
-    def __post_init__(self):
-        for name in ("damping", "selectivity"):
-            require_array(name, np.array(getattr(self, name)), shape=(RETAINED - 1,))
-        for name in NUMBERS:
-            for value in np.atleast_1d(getattr(self, name)):
-                require_number(name, value, above=0.0)
 
     @property
     def controller(self) -> Pid:
@@ -315,7 +308,6 @@ LIMITS = {
     "damping": (1e-4, 0.5),
     "selectivity": (0.1, 20.0),
 }
-AIMS = ("error", "bandwidth")
 RADIUS, SMALLEST_RADIUS = 0.2, 2e-3  # of the region in which a linear program is trusted, in logarithms
 SMALLEST_GAIN = 5e-4  # of the error, relative; a step that brings less ends the search
 PENALTY = 10.0  # a peak 1 % too high costs as much as 10 % of error
@@ -681,12 +673,7 @@ def search(
     first `counted` stages count in the error; the others must keep the limits only. The `aim` ``bandwidth`` seeks the
     latest crossing of the slowest loop, and of the error nothing.
     """
-    names = FREE[require_choice("free", free, FREE)]
-    require_choice("aim", aim, AIMS)
-    require_number("limit", limit, above=1.0)
-    for name, value in (("force", force), ("left", left)):
-        if value is not None:
-            require_number(name, value, above=0.0)
+    names = FREE[free]
     plants = [each.model for each in served]
     if not np.all(stable_on(start, plants)):
         raise InputError("start has an unstable loop; lower its bandwidth_hz")
@@ -711,7 +698,7 @@ def search(
 
     error, others = ask(x)
     radius, meetings = RADIUS, len(served)
-    for _ in range(require_count("steps", steps)):
+    for _ in range(steps):
         near = others > max(float(others.max()), 0.0) - 0.4
         cost, slopes = np.empty(len(x)), np.empty((int(near.sum()), len(x)))
         for k in range(len(x)):
@@ -770,7 +757,7 @@ def starts(count: int, seed: int) -> list[JointDesign]:
     rng = np.random.default_rng(seed)
     published = JointDesign()
     found = [replace(published, bandwidth_hz=published.bandwidth_hz / 2)]
-    while len(found) < require_count("count", count):
+    while len(found) < count:
         moved = {name: getattr(found[0], name) * np.exp(rng.normal(0.0, 0.5)) for name in CONTROLLER}
         tried = replace(
             found[0],
@@ -805,7 +792,7 @@ def robust_search(
             raise InputError("start has an unstable loop on some stage at every bandwidth; give another")
         start = replace(start, bandwidth_hz=0.8 * start.bandwidth_hz)
     served, meetings, best = list(range(min(counted, len(pool)))), 0, None
-    for _ in range(require_count("turns", turns)):
+    for _ in range(turns):
         found = search(start, free, [pool[k] for k in served], limit, force, steps, counted, left=left)
         met = evaluate(found.design, pool)
         meetings += found.meetings + len(pool)
@@ -908,7 +895,7 @@ def learn_gains(
     rng, found = np.random.default_rng(seed), []
     for move in moves(design, plants):
         gains, errors = start.copy(), []
-        for _ in range(require_count("scans", scans)):
+        for _ in range(scans):
             errors.append(scan_error(move, gains))
             noise = np.fft.irfft(move.noise * np.fft.rfft(rng.standard_normal(JUDGED)), JUDGED)
             measured = move.errors[0] - gains @ move.errors[1:] + noise[: columns.shape[1]]
@@ -950,15 +937,6 @@ class Stored:
     left: float = 0.0  # m/N, allowed between 100 and 200 ms after a step of the disturbing force; 0: any
     fair: tuple[float, ...] = ()  # of the ends, those of starts that are no other search's result
 
-    def __post_init__(self):
-        require_number("size", self.size, at_least=0.0, below=1.0)
-        for name in ("force", "left"):
-            require_number(name, getattr(self, name), at_least=0.0)
-        for name in ("ends", "fair"):
-            require_array(name, np.array(getattr(self, name), dtype=float), ndim=1)
-        for name in ("started", "meetings"):
-            require_count(name, getattr(self, name))
-
 
 def stored_designs() -> dict[str, Stored]:
     """All stored designs by name, as they were found: rounded to six digits."""
@@ -966,17 +944,8 @@ def stored_designs() -> dict[str, Stored]:
     found = {}
     for name in tree:
         numbers = {k: tuple(v) if isinstance(v, list) else v for k, v in tree.table(name).items()}
-        try:
-            design = JointDesign(**{k: numbers.pop(k) for k in NUMBERS})
-            found[name] = Stored(design, **numbers)
-        except KeyError as missing:
-            raise InputError(
-                f"joint.toml: {name!r} has no {missing}; give all of {', '.join(NUMBERS)}"
-            ) from None
-        except (TypeError, InputError) as error:
-            raise InputError(
-                f"joint.toml: {name!r} {error}; use the fields of JointDesign and Stored"
-            ) from None
+        design = JointDesign(**{k: numbers.pop(k) for k in NUMBERS})
+        found[name] = Stored(design, **numbers)
     return found
 
 

@@ -16,7 +16,6 @@ from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensat
 from experiments.motion.machines import published_setpoint, stage
 from experiments.motion.pictures import CASES, paint_errors
 from experiments.motion.uncertainty import perturbed, sample_errors
-from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.feedforward import (
     BASIS,
     Feedforward,
@@ -108,14 +107,12 @@ class MoveResponses:
 
     def fit(self, poles: tuple[complex, ...] = (), basis: tuple[str, ...] = BASIS) -> LowOrder:
         """See `fit_low_order`."""
-        if not (basis or poles):
-            raise InputError("basis and poles are empty; give at least one")
         gains = least_squares(self._columns(basis, poles).T, -self.alone)
         direct, weights = gains[: len(basis)], tuple(gains[len(basis) :])
         return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
 
     def _columns(self, basis, poles) -> Float64[np.ndarray, "gains samples"]:
-        direct = [self._direct[require_choice("basis", name, BASIS)] for name in basis]
+        direct = [self._direct[name] for name in basis]
         return np.array(direct + [each for pole in poles for each in self.filtered(pole)])
 
 
@@ -123,8 +120,6 @@ def fit_low_order(
     loop: StateModel, setpoint: Setpoint, poles: Sequence[complex] = (), basis: tuple[str, ...] = BASIS
 ) -> LowOrder:
     """Gains and weights that minimise the sum of squared errors over the move, for given poles (one of a pair)."""
-    if any(pole.real >= 0 or pole.imag < 0 for pole in poles):
-        raise InputError("poles must be stable, one of every pair with a positive imaginary part, in rad/s")
     return MoveResponses(loop, setpoint).fit(tuple(poles), basis)
 
 
@@ -132,7 +127,6 @@ def pick_poles(
     loop: StateModel, setpoint: Setpoint, candidates: Sequence[complex], order: int
 ) -> list[LowOrder]:
     """Feedforwards of growing order: each takes the one candidate more that lowers the squared error most."""
-    require_count("order", order, at_least=0)
     responses = MoveResponses(loop, setpoint)
     found = [responses.fit()]
     while True:

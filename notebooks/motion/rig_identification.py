@@ -10,7 +10,6 @@ from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
 from experiments.motion.rig import EdgeDecoupling, Geometry, assumed_geometry, decoupling, rig_model
 from experiments.motion.rig_designs import RigSettings, frequencies, published_settings, rig_controllers
 from experiments.motion.rig_loops import sampled_controller
-from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.control.loops import channel, closed_loop
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.multisine import MultisineRecords, ResponseMatrix, joint_input_output
@@ -53,8 +52,6 @@ class Experiment:
         The error of an experiment is (G w + d) over the excitation, turned by the inverse of the input responses,
         I + C G.
         """
-        require_number("rms", rms, above=0.0)
-        require_count("averages", averages)
         response = self.response(omega)
         turn = np.eye(4) + np.moveaxis(self.controller.frequency_response(omega), -1, 0) @ response
         seen = self.noise.process * (np.abs(response) ** 2).sum(axis=2) + self.noise.sensor
@@ -65,9 +62,7 @@ class Experiment:
 
         Noise averages out of this mean, a bias stays.
         """
-        slow = omega <= 2 * np.pi * require_number("top_hz", top_hz, above=0.0)
-        if not np.any(slow):
-            raise InputError(f"top_hz is {top_hz:g}, below the first line; raise it or take longer periods")
+        slow = omega <= 2 * np.pi * top_hz
         d = self.decoupling
         ours, true = (
             np.diagonal(d.sensing @ each @ d.actuation, axis1=1, axis2=2)
@@ -111,7 +106,7 @@ def smoothed_deviation(estimate: ResponseMatrix) -> Float64[np.ndarray, " lines"
     power = (estimate.deviation**2).mean(axis=(1, 2))
     kernel = np.ones(15)
     sums = np.convolve(power, kernel, mode="same") / np.convolve(np.ones_like(power), kernel, mode="same")
-    return np.sqrt(require_array("deviation", sums))
+    return np.sqrt(sums)
 
 
 def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray):

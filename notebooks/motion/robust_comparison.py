@@ -34,7 +34,7 @@ from stillwork.base.algebra import (
     multiply,
     set_product,
 )
-from stillwork.base.checks import require_array, require_choice, require_count, require_finite_run
+from stillwork.base.checks import require_finite_run
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.validation import checked
 from stillwork.control.loops import channel, closed_loop
@@ -140,7 +140,6 @@ def sample_scans(
 
 def run_entrant(name: str, contest: Contest, setting: float, records: Records):
     """Estimates of one filter on recorded scans, shape (runs, states, samples)."""
-    require_choice("name", name, ENTRANTS)
     return estimate(ENTRANTS[name].gains(contest, setting), records.u, records.y)
 
 
@@ -153,7 +152,6 @@ class Candidates(NamedTuple):
 
 def candidates(contest: Contest, tries: int) -> dict[str, Candidates]:
     """Every filter at `tries` settings, equally spaced in the logarithm from end to end of its range."""
-    tries = require_count("tries", tries, at_least=2)
     found = {}
     for name, entrant in ENTRANTS.items():
         settings = np.geomspace(entrant.low, entrant.high, tries)
@@ -262,8 +260,8 @@ def output_errors(scan: Scan, errors: ArrayLike, records: Records, estimates: Ar
     `errors` (runs, modes, 4) are those of `uncertainty.perturbed` under which the scans were recorded. From
     :math:`e_y = (C+C^\delta)x - v + d - C\hat x\approx 0` follows :math:`C(\hat x - x) = -v + d + C^\delta x`.
     """
-    errors = require_array("errors", errors, shape=(len(records.states), len(scan.nominal.frequencies), 4))
-    estimates = require_array("estimates", estimates, shape=records.states.shape)
+    errors = np.asarray(errors, float)
+    estimates = np.asarray(estimates, float)
     window = scan.setpoint.scanning
     true, told = (each[:, ::2, window] for each in (records.states, estimates))  # positions
     model = scan.shapes[window].T
@@ -316,10 +314,10 @@ def regularised_line_search(
     gains beforehand. It is the exact solution of the min-max problem (5.15) at every step.
     """
     rows, m = bound_rows(model, bound)
-    samples, outputs, states = model.c.shape
-    u = require_array("u", u, shape=(model.b.shape[2], samples))
-    y = require_array("y", y, shape=(outputs, samples))
-    initial = np.zeros(states) if initial is None else require_array("initial", initial, shape=(states,))
+    samples, _, states = model.c.shape
+    u = np.asarray(u, float)
+    y = np.asarray(y, float)
+    initial = np.zeros(states) if initial is None else np.asarray(initial, float)
     turn, spread = principal(model, m)
     turned = np.einsum("koi,ik->ko", turn, y)
     out, ratio = np.zeros((samples, states)), np.ones(samples)

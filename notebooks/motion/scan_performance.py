@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from experiments.motion.machines import chain_matrix
-from stillwork.base.checks import require_array, require_number
 from stillwork.control.bandwidth import Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.modal import ModalModel, modal_model
@@ -15,15 +14,14 @@ from workbook import figures
 
 def three_masses(masses: ArrayLike, springs: ArrayLike) -> ModalModel:
     """Three masses in a row, the force on the first, positions of all (Fig. 1.7a)."""
-    masses = require_array("masses", masses, shape=(3,))
-    springs = require_array("springs", springs, shape=(2,))
+    masses = np.asarray(masses, float)
+    springs = np.asarray(springs, float)
     places = np.eye(3)
     return modal_model(np.diag(masses), chain_matrix(springs), places[:, :1], places, 0.005)
 
 
 def scaled_springs(masses: ArrayLike, bandwidth_hz: float) -> np.ndarray:
     """Equal springs for which the loop through x2 has this bandwidth: all frequencies go with their root."""
-    require_number("bandwidth_hz", bandwidth_hz, above=0.0)
     trial = np.full(2, 1e7)
     _, best = designed_for_second(three_masses(masses, trial), float(np.sum(masses)))
     return trial * (bandwidth_hz / best.crossing_hz[0]) ** 2

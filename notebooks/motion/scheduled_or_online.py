@@ -12,7 +12,7 @@ from experiments.motion.machines import published_setpoint, shapes_along, stage,
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
 from experiments.motion.scheduled import GainTable, gain_table, scheduled_gains
 from stillwork.base.algebra import add_scaled, advance_state, copy_vector, minus_row, plus_column, plus_row
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.checks import InputError
 from stillwork.base.kernels import kernel
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import Pid, PidFamily
@@ -83,7 +83,7 @@ def run_applied(
     """
     setpoint, sample_time = scan.setpoint, scan.setpoint.sample_time
     samples = setpoint.derivatives.shape[1]
-    noise = require_array("noise", noise, shape=(3, samples))
+    noise = np.asarray(noise, float)
     plant = zoh_modes(scan.plant, sample_time)
     flexible = scan.reduced.frequencies[1:]
     gain = damping_gain(scan.reduced, increase)[0, 3::2]
@@ -173,14 +173,7 @@ def compare_schedules(
 
     `cases` hold a key of `APPLICATIONS` and the controller; `spacing` is that of the table (m), 5 mm in the thesis.
     """
-    for application, _ in cases.values():
-        require_choice("application", application, APPLICATIONS)
     travel = setpoint.derivatives[0, -1]
-    if travel > grid[-1] - grid[0]:
-        raise InputError(
-            f"setpoint travels {travel:g} m on a structure of {grid[-1] - grid[0]:g} m; shorten it"
-        )
-    require_number("spacing", spacing, above=0.0)
     starts = np.linspace(grid[0], grid[-1] - travel * (1 + 1e-12), scans)
     w, v, d = deviations
     found = {name: np.zeros((2, 2, scans, 2 * RETAINED)) for name in cases}

@@ -16,7 +16,7 @@ from experiments.motion.machines import published_deviations, published_setpoint
 from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
 from experiments.motion.pictures import case_styles, paint_errors, plain_numbers
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors
 from stillwork.control.loops import channel, closed_loop, require_stable
@@ -51,15 +51,14 @@ class LocationStudy:
 
     def rms(self, case: str) -> Float64[np.ndarray, " places"]:
         """Root mean square in the scanning phase (m)."""
-        window = self.errors[require_choice("case", case, self.errors)][:, self.setpoint.scanning]
+        window = self.errors[case][:, self.setpoint.scanning]
         return np.sqrt(np.mean(window**2, axis=1))
 
     def settled(self, case: str, band: float) -> Float64[np.ndarray, " places"]:
         """Time (s) from the end of the acceleration until the error stays within +-`band` (m) to the scan's end."""
-        require_number("band", band, above=0.0)
         time = self.setpoint.time
         window = (time >= self.setpoint.acceleration_end) & (time <= self.setpoint.scan[1])
-        outside = np.abs(self.errors[require_choice("case", case, self.errors)][:, window]) > band
+        outside = np.abs(self.errors[case][:, window]) > band
         last = np.where(outside.any(axis=1), outside.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
         return last * self.setpoint.sample_time
 
@@ -70,12 +69,7 @@ class LocationStudy:
         """
         from scipy.interpolate import CubicSpline
 
-        if not self.places[0] <= low < high <= self.places[-1]:
-            raise InputError(
-                f"low and high are {low:g} and {high:g} m; keep them in this order and within the study, from "
-                f"{self.places[0]:g} to {self.places[-1]:g} m"
-            )
-        at = np.linspace(low, high, require_count("count", count, at_least=2))
+        at = np.linspace(low, high, count)
         values = CubicSpline(self.places, self.rms(case))(at)
         return np.array([values.min(), values.mean(), values.max()])
 
@@ -89,8 +83,6 @@ CASES = {name.replace("none", "original"): case for name, case in perturbed_trac
 def structure(masses: int = 8, spacing: float = 0.05) -> tuple[ModalModel, Float64[np.ndarray, " masses"]]:
     """Stage with a sensor at every place (m) of seven masses, or of all `masses` = 8, the actuator's first."""
     plant, grid = stage(), stage_grid(spacing)
-    if require_count("masses", masses, at_least=len(grid)) > len(grid) + 1:
-        raise InputError(f"masses is {masses}; the stage has {len(grid)} and that of the actuator")
     if masses == len(grid):
         return plant, grid
     shapes = np.vstack([plant.input_shapes.T, plant.output_shapes])
@@ -219,13 +211,8 @@ def location_loops(
 
     The sensor stands still at each place; `cases` hold a design, or its name in `DESIGNS`, and the controller.
     """
-    places = require_array("places", places, ndim=1)
-    if not len(places) or np.any(np.diff(places) <= 0):
-        raise InputError("places must hold at least one place, in ascending order")
-    designs = {
-        name: DESIGNS[require_choice("design", d, DESIGNS)] if isinstance(d, str) else d
-        for name, (d, _) in cases.items()
-    }
+    places = np.asarray(places, float)
+    designs = {name: DESIGNS[d] if isinstance(d, str) else d for name, (d, _) in cases.items()}
     controllers = {name: controller.state_space() for name, (_, controller) in cases.items()}
     found = {}
     for place in places.tolist():
@@ -248,12 +235,7 @@ def study_locations(loops: Loops, force: Force, setpoint: Setpoint, source: str 
     The force is a feedforward error, ideal less applied: the plant gets that much too little. Through ``w`` the
     observer does not see it, through ``u_ff`` it does.
     """
-    require_choice("source", source, ("w", "u_ff"))
     ahead = len(force.time) - len(setpoint.time)
-    if ahead < 0 or not np.allclose(
-        force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.sample_time
-    ):
-        raise InputError("force and setpoint do not have the same samples; make both with one sample time")
     errors = {
         name: -np.array([respond(channel(loop, source, "e_true"), force)[0, ahead:] for loop in each])
         for name, each in _by_case(loops).items()
@@ -284,9 +266,8 @@ def location_noise(
 
 def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.ndarray, "ranges 2"]:
     """All ranges (m) between `points` equally spaced places of the structure, of at least `shortest` of its length."""
-    places = require_array("places", places, ndim=1)
-    require_number("shortest", shortest, above=0.0, at_most=1.0)
-    ends = np.linspace(places[0], places[-1], require_count("points", points, at_least=2))
+    places = np.asarray(places, float)
+    ends = np.linspace(places[0], places[-1], points)
     low, high = np.meshgrid(ends, ends, indexing="ij")
     wide = high - low >= shortest * (ends[-1] - ends[0]) * (1 - 1e-9)
     return np.stack([low[wide], high[wide]], axis=1)
@@ -294,8 +275,6 @@ def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.n
 
 def bare_error(controller: Pid, measured: int = 5) -> StateModel:
     """Of the stage without observer, the model from a force that is missing to the true error of one mass."""
-    if require_count("measured", measured) > len(stage().output_shapes):
-        raise InputError(f"measured is {measured}; the stage has masses 1 to {len(stage().output_shapes)}")
     loop = closed_loop(stage().at([0], [measured - 1]), None, controller.state_space())
     return channel(loop, "w", "e_true")
 
@@ -323,7 +302,7 @@ def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None)
     columns = [respond(loop, replace(ideal, row=row))[0, move] for row in unit]
     wanted = respond(loop, ideal)[0, move]
     if noise is not None:
-        wanted = wanted + require_array("noise", noise, shape=wanted.shape)
+        wanted = wanted + np.asarray(noise, float)
     return Feedforward(**dict(zip(BASIS, least_squares(np.array(columns).T, wanted), strict=True)))
 
 

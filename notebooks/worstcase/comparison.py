@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import signal
 
-from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.estimation.linear_fits import (
     cross_validated_penalty,
     evidence_penalty,
@@ -113,11 +112,8 @@ def sample_record(
     rng: np.random.Generator, setting: Setting, excitation: str, taps: int, rows: int
 ) -> FlawedRecord:
     """An FIR filter with parameters of norm 1 in any direction, driven by `excitation`, measured as `setting` says."""
-    require_choice("excitation", excitation, EXCITATIONS)
     if setting.decay:
         return sample_decay(rng, setting.output_noise, rows)
-    if not 0 <= setting.jump < rows:
-        raise InputError(f"jump is {setting.jump}; give at least 0 and less than the {rows} rows")
     before = 3 * taps  # no row and no instrument reaches before the record
     clean, true = _sample_inputs(rng, excitation, setting.delay, rows + before)
     measured = clean + setting.input_noise * _sample_coloured(rng, setting.input_pole, len(clean))
@@ -266,7 +262,7 @@ def compare(
 
 def over_best(errors: np.ndarray) -> np.ndarray:
     """Geometric mean over runs of every method's error, over the smallest of a cell; shape (..., methods)."""
-    logs = np.log(require_array("errors", errors)).mean(axis=-2)
+    logs = np.log(errors).mean(axis=-2)
     return np.exp(logs - logs.min(axis=-1, keepdims=True))
 
 
@@ -275,7 +271,7 @@ def best_intervals(errors: np.ndarray) -> np.ndarray:
 
     The best is found from every second run, the interval from the others.
     """
-    logs = np.log(require_array("errors", errors))
+    logs = np.log(errors)
     best = logs[..., ::2, :].mean(axis=-2).argmin(axis=-1)[..., None, None]
     proof = logs[..., 1::2, :]
     behind = proof - np.take_along_axis(proof, best, axis=-1)

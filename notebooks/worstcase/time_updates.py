@@ -4,7 +4,6 @@ import numpy as np
 
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
 from experiments.worstcase.theory import recursion_trial
-from stillwork.base.checks import require_choice, require_count
 from workbook import figures
 from workbook.studies import Study, run_study
 from workbook.timings import measured_times
@@ -16,17 +15,13 @@ from workbook.timings import measured_times
 # Evaluations that each root of the rank-one eigenproblem takes on average, counted over random updates.
 ROOT_EVALUATIONS = 3.4
 
-COUNTED = ("least squares", "ridge", "approximate", "exact", "fast")
 
+def multiplications(update: str, n: int, evaluations: float = 1.0) -> float:
+    """Multiplications, divisions and square roots of one update: one of the toolbox, or ``fast``.
 
-def multiplications(update: str, unknowns: int, evaluations: float = 1.0) -> float:
-    """Multiplications, divisions and square roots of one update, one of `COUNTED`.
-
-    `evaluations` are those of the secular function: from `Track.evaluations` (exact, fast), or the number of
+    For `n` unknowns. `evaluations` are those of the secular function: from `Track.evaluations` (exact, fast), or the number of
     fixed-point iterations (approximate).
     """
-    require_choice("update", update, COUNTED)
-    n = require_count("unknowns", unknowns)
     accumulate = n * (n + 1) + 4 * n
     factorise = n * (n - 1) * (n - 2) / 6 + 3 * n * (n - 1) / 2 + n
     forward = n * (n - 1) / 2

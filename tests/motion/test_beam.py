@@ -1,13 +1,11 @@
 """The free beam against the closed form of a uniform one and against finite elements of a tapered one."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, optimize
 
 from experiments.motion.beam import beam_parameters, beam_shapes, published_beam
-from stillwork.base.checks import InputError
 
 
 def test_uniform_shapes_are_the_closed_form():
@@ -61,19 +59,3 @@ def test_published_beam_has_the_published_frequencies():
     # A rigid translation: every force moves every place by 1/M.
     mass = beam_parameters()["assumed"]["mass"]
     np.testing.assert_allclose(model.output_shapes[:, :1] * model.input_shapes[0], 1 / mass, rtol=1e-10)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: beam_shapes([0.5, 1.2], 5), "places"),
-        (lambda: beam_shapes([[0.5]], 5), "places"),
-        (lambda: beam_shapes([0.5], 1), r"^modes\b"),
-        (lambda: beam_shapes([0.5], 9), "modes"),
-        (lambda: beam_shapes([0.5], 5, 2.0), "taper"),
-        (lambda: published_beam(6), r"^actuators\b"),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.motion.machines import Drive, drive, published_noise
+from experiments.motion.machines import drive, published_noise
 from experiments.motion.structure import as_stage, measured_accelerance
 from notebooks.motion.scan_performance import (
     designed_for_second,
@@ -198,8 +198,6 @@ HITS = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 2.0, 0.5, 0.0]])
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Drive(0.0, 1.0, 1.0, 1.0, 1.0), "inertia"),
-        (lambda: Drive(1.0, -1.0, 1.0, 1.0, 1.0), "friction"),
         (lambda: closed_loop_response(np.zeros(100), np.zeros(100), np.zeros(100), 1.0, 60), r"^segment\b"),
         (
             lambda: closed_loop_response(np.zeros(100), np.zeros(99), np.zeros(100), 1.0, 10),
@@ -226,7 +224,6 @@ HITS = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 2.0, 0.5, 0.0]])
             ),
             r"\bmass\b",
         ),
-        (lambda: three_masses([1.0, 1.0], [1.0, 1.0]), "masses"),
     ],
 )
 def test_bad_input_is_named(call, message):

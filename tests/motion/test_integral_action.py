@@ -9,11 +9,9 @@ from experiments.motion.loop_conditions import (
     required_integrators,
     slope,
     small_gain,
-    static_gain,
     without_compliance,
 )
 from experiments.motion.machines import stage, stage_mass
-from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import make_loop
 from stillwork.control.loops import channel, closed_loop
@@ -79,23 +77,3 @@ def test_small_gain_loop_is_the_whole_loop_opened_at_the_unknown_modes():
     closed = opened / (1 - found)
     # u_ff reaches f through u, and f + nothing else drives the unknown modes.
     np.testing.assert_allclose(closed, channel(whole, "u_ff", "f").frequency_response(omega)[0, 0], rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: slope([1.0], [1.0]), r"^omega and response\b"),
-        (lambda: slope([1.0, 2.0], [0.0, 1.0]), r"^omega and response\b"),
-        (lambda: static_gain(stage().state_space()), r"^model\b.*origin"),
-        (lambda: keeps_integral_action(stage_compensator(5, DESIGNS["MC"]), "both"), "application"),
-        (
-            lambda: small_gain(
-                np.array([1.0]), PLANT, 8, 0.0, stage_compensator(5, DESIGNS["MC"]), CONTROLLER.state_space()
-            ),
-            r"^retained\b",
-        ),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -123,10 +123,6 @@ def test_rms_settling_and_ranges_by_hand(setpoint):
     found = ranges(places, 0.5, 5)
     assert len(found) == 6
     assert np.all(found[:, 1] - found[:, 0] > 0.1499)
-    with pytest.raises(InputError, match=r"^low\b"):
-        study.over("one", 0.2, 0.4)
-    with pytest.raises(InputError, match="case"):
-        study.rms("two")
 
 
 def test_noise_adds_to_the_error_and_is_the_same_for_all_cases(setpoint, force):
@@ -167,32 +163,17 @@ def test_whether_the_observer_sees_the_force_matters_to_it_alone(setpoint, force
     assert np.abs(wanted - unseen.errors["AD"]).max() > 1e-2 * np.abs(wanted).max()
 
 
-def test_bad_plants_places_and_loops_are_refused(plant, setpoint, force):
+def test_bad_plants_places_and_loops_are_refused():
     with pytest.raises(InputError, match=r"^plant\b.*imaginary"):
         invert(stage(0.0).at([0], [4]))
-    with pytest.raises(InputError, match=r"^plant\b.*rigid"):
-        invert(chain(np.full(3, 2.0)))
     with pytest.raises(InputError, match=r"^plant\b.*snap"):
         masses = chain(np.full(8, 2.0)).at([0], [7])
         invert(masses)
-    with pytest.raises(InputError, match=r"^model\b.*5 inputs"):
-        respond(closed_loop(plant, None, PidFamily(stage_mass())(30.0).state_space()), force)
     pid, wild = PidFamily(stage_mass())(30.0), PidFamily(stage_mass())(140.0)
     with pytest.raises(InputError, match=r"^wild\b.* 0\.1 m\b"):
         location_loops(stage(), GRID, [0.1], {"wild": ("PID", wild)})
     with pytest.raises(InputError, match=r"^places\b.*0\.4 m"):
         location_loops(stage(), GRID, [0.4], {"one": ("PID", pid)})
-    with pytest.raises(InputError, match="ascending"):
-        location_loops(stage(), GRID, [0.2, 0.1], {"one": ("PID", pid)})
-    with pytest.raises(InputError, match="design"):
-        location_loops(stage(), GRID, [0.1], {"one": ("DA", pid)})
-    loops = location_loops(stage(), GRID, [0.1], {"one": ("PID", pid)})
-    with pytest.raises(InputError, match=r"^force and setpoint\b"):
-        study_locations(loops, force, published_setpoint(1e-4))
-    with pytest.raises(InputError, match=r"^force and setpoint\b"):
-        study_locations(loops, replace(force, time=force.time + 1e-4), setpoint)
-    with pytest.raises(InputError, match="source"):
-        study_locations(loops, force, setpoint, "r")
 
 
 @pytest.mark.parametrize("mass", [1, 5, 7])
@@ -248,16 +229,12 @@ def test_fitted_gains_leave_the_least_error_and_take_noise_along(plant):
             assert left(replace(found, **{name: (1 + change) * getattr(found, name)})) > left(found)
     more = respond(loop, replace(ideal, row=np.array([0, 0, 0, 0, 1.0])))[0, -len(setpoint.time) :]
     noisy = fit_to_force(loop, ideal, 1e-7 * more)
-    with pytest.raises(InputError, match="noise"):
-        fit_to_force(loop, ideal, more[1:])
     np.testing.assert_allclose(noisy.gains, found.gains + np.array([0, 0, 0, 1e-7]), rtol=1e-6, atol=1e-9)
 
 
 def test_the_error_signal_stays_within_the_axis_of_its_figure_at_ten_kilohertz():
     found = stage_error(published_setpoint(1e-4), PidFamily(stage_mass())(35.0))
     assert 10 < np.abs(found.values).max() < 30
-    with pytest.raises(InputError, match=r"^measured\b.*\b8\b"):
-        stage_error(published_setpoint(1e-4), PidFamily(stage_mass())(35.0), 8)
     with pytest.raises(InputError, match=r"^plant\b.*circle"):
         sampled_ideal_force(stage(0.0).at([0], [4]), published_setpoint(1e-4))
 

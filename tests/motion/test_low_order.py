@@ -205,11 +205,6 @@ def test_explorer_shows_the_states_it_has():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: fit_low_order(DIRECT, SETPOINT, (3.0 + 1j,)), r"^poles\b"),
-        (lambda: fit_low_order(DIRECT, SETPOINT, (-3.0 - 1j,)), r"^poles\b"),
-        (lambda: fit_low_order(DIRECT, SETPOINT, (), ("crackle",)), "basis"),
-        (lambda: fit_low_order(DIRECT, SETPOINT, (), ()), r"^basis and poles\b"),
-        (lambda: pick_poles(DIRECT, SETPOINT, (), -1), "order"),
         (
             lambda: fit_low_order(StateModel(DIRECT.a, DIRECT.b[:, :1], DIRECT.c, DIRECT.d[:, :1]), SETPOINT),
             r"^loop\b",

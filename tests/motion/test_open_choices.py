@@ -12,7 +12,6 @@ from notebooks.motion import scheduled_or_online as position_scan
 from notebooks.motion import tracking as tracking_pictures
 from notebooks.motion import two_inertia_drive as drive_pictures
 from notebooks.motion.bandwidth_table import bandwidth_map, open_choices
-from stillwork.base.checks import InputError
 from workbook import figures
 
 
@@ -59,19 +58,6 @@ def test_explorers_draw_labelled_curves(draw):
             x, y = (np.asarray(values, dtype=float) for values in line.get_data())
             assert len(x) == len(y) > 0
             assert np.isfinite(y).all()
-
-
-@pytest.mark.parametrize(
-    ("selectivity", "noise_model", "named"),
-    [
-        ([], [1.0], r"^selectivity\b"),
-        ([2.0], [], r"^noise_model\b"),
-        ([2.0], [-1.0], "noise_model"),
-    ],
-)
-def test_an_empty_map_is_refused(selectivity, noise_model, named):
-    with pytest.raises(InputError, match=named):
-        bandwidth_map(selectivity, noise_model)
 
 
 @pytest.mark.slow

@@ -28,7 +28,6 @@ from experiments.motion.rig_loops import (
     maximise_rig_bandwidth,
     sampled_controller,
 )
-from experiments.motion.uncertainty import detuned
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.loops import channel
@@ -387,28 +386,12 @@ def test_channels_of_the_closed_loop_are_three_wide(loops):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: replace(GEOMETRY, mass=0.0), r"^mass\b"),
-        (lambda: replace(GEOMETRY, sensors=(0.5, 1.2)), r"^sensors\b"),
-        (lambda: replace(GEOMETRY, left_out=4), r"^left_out\b"),
-        (lambda: plate_modes(1.0, 0.3, 20, degree=4), r"^degree\b"),
-        (lambda: replace(GEOMETRY, poisson=0.6), r"^poisson\b"),
-        (lambda: plate_modes(1.0, 0.3, 3).shapes([1.1], [0.0]), r"^xi and eta\b"),
-        (lambda: decoupling(GEOMETRY, (0, 2), (0, 1, 2)), r"^actuators\b"),
-        (lambda: detuned(rig_model(GEOMETRY, 0), np.zeros(3)), r"^errors\b"),
-        (lambda: detuned(rig_model(GEOMETRY, 0), np.full(8, -1.0)), r"^errors\b.*-1\b"),
-        (
-            lambda: make_rig_loop(
-                rig_model(GEOMETRY), None, decoupling(GEOMETRY, (0, 1, 2), (0, 1, 2)), SAMPLE_TIME
-            ),
-            r"^plant\b.*plant\.at",
-        ),
         (
             lambda: rig_compensator(
                 rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, SAMPLE_TIME), target_damping=0.001
             ),
             r"^target_damping\b",
         ),
-        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, 0.0), r"^sample_time\b"),
         (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, SAMPLE_TIME, 0.0), r"^noise_model\b"),
     ],
 )

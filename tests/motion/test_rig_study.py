@@ -253,8 +253,6 @@ def test_bad_input_is_named(loops):
     trajectory = Levelling(0.33335, np.ones((3, 1), complex))
     with pytest.raises(InputError, match=r"^period\b"):
         levelling_error(loops["Original"][0], PIDS, trajectory, SILENT, np.random.default_rng(0))
-    with pytest.raises(InputError, match=r"^period\b"):
-        Levelling(0.0, np.ones((3, 1), complex))
     fast = rig_controllers(GEOMETRY.edge_masses)(60.0, 60.0)
     with pytest.raises(InputError, match="unstable"):
         levelling_rms(loops["Original"][0], fast, levelling(np.random.default_rng(0)), SILENT)

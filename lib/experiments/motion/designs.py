@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from experiments.motion.machines import published_noise, stage, stage_mass
-from stillwork.base.checks import InputError, require_choice, require_count
+from stillwork.base.checks import InputError, require_choice
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.pid import Pid, PidFamily
@@ -64,8 +64,6 @@ def stage_observer(
     """Observer of the stage for the measured mass `position` (1 to 7), reduced as in section 3.1."""
     if plant is None:
         return _published_observer(position, noise, noise_model)
-    if require_count("position", position) > len(plant.output_shapes):
-        raise InputError(f"position is {position}; the stage has masses 1 to {len(plant.output_shapes)}")
     reduced = truncate(plant.at([0], [position - 1]), RETAINED, COMPENSATED)
     return kalman_observer(reduced, noise or published_noise(), noise_model)
 
@@ -105,7 +103,7 @@ def stage_bandwidth(
     **grid,
 ) -> Bandwidth:
     """Achievable bandwidth of a published design (a name in `DESIGNS`) or of one's own."""
-    design = DESIGNS[require_choice("name", name, DESIGNS)] if isinstance(name, str) else name
+    design = DESIGNS[name] if isinstance(name, str) else name
     plant = None if damping_ratio is None else stage(damping_ratio)
     notches = tuple(stage(damping_ratio).frequencies[1:RETAINED]) if design.notches else ()
     return maximise_bandwidth(
@@ -122,7 +120,7 @@ def design_controller(name: str, redesign: str = "own limit") -> Pid:
     if redesign == "own limit":
         return stage_bandwidth(name).controller
     notches = tuple(stage().frequencies[1:RETAINED]) if DESIGNS[name].notches else ()
-    return PidFamily(stage_mass(), notches)(PRINTED_HZ[require_choice("name", name, PRINTED_HZ)])
+    return PidFamily(stage_mass(), notches)(PRINTED_HZ[name])
 
 
 def first_crossing(setting: Design, position: int) -> float:

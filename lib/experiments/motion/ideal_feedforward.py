@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from stillwork.base.checks import InputError, pluralise, require_samples
-from stillwork.base.validation import check_fields, checked
+from stillwork.base.checks import InputError
+from stillwork.base.validation import checked
 from stillwork.control.feedforward import Feedforward
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh, zoh_modes
@@ -28,9 +28,6 @@ class Inverse:
     zeros: Complex128[np.ndarray, " zeros"]  # z of the plant, rad/s
     residues: Complex128[np.ndarray, " zeros"]  # e, kg rad/s
 
-    def __post_init__(self):
-        check_fields(self)
-
     @property
     def lead(self) -> float:
         """Time (s) before the move in which the force must begin: zeros in the right half-plane want it."""
@@ -45,7 +42,6 @@ def invert(plant: ModalModel) -> Inverse:
     A zero on the imaginary axis is refused (its force would ring for ever), and an inverse that differentiates the
     snap.
     """
-    _require_single(plant)
     w, z = plant.frequencies, plant.damping
     residues = plant.output_shapes[0] * plant.input_shapes[:, 0]
 
@@ -80,11 +76,6 @@ def invert(plant: ModalModel) -> Inverse:
     return Inverse(found / scale ** np.arange(3), zeros, parts)
 
 
-def _require_single(plant: ModalModel) -> None:
-    if plant.feedthrough.shape != (1, 1) or plant.rigid_modes != 1 or plant.measures != "position":
-        raise InputError("plant must have one rigid-body mode, one input and one position output")
-
-
 @dataclass(frozen=True)
 class Force:
     r"""A force :math:`f = hx` whose states follow :math:`\dot x = Gx` from sample to sample, so exactly known between.
@@ -97,9 +88,6 @@ class Force:
     states: Float64[np.ndarray, "states samples"]  # x at the start of every sample
     generator: Float64[np.ndarray, "states states"]  # G, 1/s
     row: Float64[np.ndarray, " states"]  # h
-
-    def __post_init__(self):
-        check_fields(self)
 
     @property
     @checked
@@ -116,7 +104,7 @@ def ideal_force(inverse: Inverse, setpoint: Setpoint) -> Force:
     the end. Between samples the snap is constant, so nothing is approximated.
     """
     sample_time = setpoint.sample_time
-    ahead = require_samples("inverse", np.ceil(inverse.lead / sample_time))
+    ahead = int(np.ceil(inverse.lead / sample_time))
     moved = np.pad(setpoint.derivatives[1:], ((0, 0), (ahead, 0)))  # velocity to snap
     one = inverse.zeros.imag >= 0
     blocks, rows, drives, reads = [], [], [], []
@@ -156,7 +144,6 @@ def sampled_ideal_force(plant: ModalModel, setpoint: Setpoint) -> Force:
     The zero-order hold adds zeros of its own; those outside the unit circle are run backwards. Solved by Fourier
     transformation of :math:`(z-1)^2r = (z-1)^2P(z)f` over a record so long that nothing is left at its ends.
     """
-    _require_single(plant)
     sample_time = setpoint.sample_time
     sampled = zoh_modes(plant, sample_time)
     distance = np.log(np.abs(sampled.zeros))
@@ -189,10 +176,6 @@ def feedforward_error(ideal: Force, feedforward: Feedforward) -> Force:
 
 def respond(model: StateModel, force: Force) -> Float64[np.ndarray, "outputs samples"]:
     """Outputs of a continuous model driven by the force alone, exact at the samples."""
-    if model.b.shape[1] != 1:
-        raise InputError(
-            f"model has {pluralise(model.b.shape[1], 'input')}; select the one that the force drives"
-        )
     n, size = len(model.a), len(force.generator)
     chain = np.zeros((n + size, n + size))
     chain[:n, :n], chain[:n, n:], chain[n:, n:] = model.a, model.b * force.row, force.generator

@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import require_array
 from workbook.studies import proportion_interval
 
 Values = dict[str, float | tuple[float, tuple[float, float]]]  # by entry
@@ -27,6 +26,6 @@ def share(holds: ArrayLike) -> tuple[float, tuple[float, float]]:
 
     Parts of a run are not independent: they make its share, and the runs alone are counted.
     """
-    holds = require_array("holds", np.asarray(holds, float))
+    holds = np.asarray(holds, float)
     runs = len(holds)
     return float(holds.mean()), proportion_interval(int(np.floor(holds.mean() * runs + 1e-9)), runs)

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.toml_files import read_numbers
 from stillwork.control.setpoint import Setpoint, point_to_point
 from stillwork.estimation.observer import NoiseIntensities
@@ -19,12 +19,12 @@ from workbook import paths
 def parameters(machine: str) -> dict:
     """Published parameters of a machine from ``data/motion/machines.toml``, SI units."""
     tree = read_numbers(paths.data("motion", "machines.toml"), lists=False)
-    return tree.table(require_choice("machine", machine, tree))
+    return tree.table(machine)
 
 
 def chain_matrix(springs: ArrayLike) -> Float64[np.ndarray, "nodes nodes"]:
     """Stiffness (or damping) matrix of masses in a row, free at both ends, from the springs between them."""
-    springs = require_array("springs", springs, ndim=1)
+    springs = np.asarray(springs, float)
     difference = np.diff(np.eye(len(springs) + 1), axis=0)
     return difference.T @ (springs[:, None] * difference)
 
@@ -36,8 +36,7 @@ def stage(damping_ratio: float | None = None) -> ModalModel:
     """
     p = parameters("stage")
     ratio = p["damping_ratio"] if damping_ratio is None else damping_ratio
-    require_number("damping_ratio", ratio, at_least=0.0, below=1.0)
-    masses = require_count("masses", p["masses"], at_least=2)
+    masses = p["masses"]
     mass = np.diag([p["actuator_mass"], *[p["mass"]] * masses])
     stiffness = chain_matrix([p["actuator_stiffness"], *[p["stiffness"]] * (masses - 1)])
     places = np.eye(masses + 1)
@@ -55,13 +54,11 @@ def chain(masses: ArrayLike) -> ModalModel:
 
     The dampers are in proportion to the springs, so the modes decouple for any masses.
     """
-    masses = require_array("masses", masses, ndim=1)
-    if len(masses) < 2 or np.any(masses <= 0):
-        raise InputError("masses must hold at least two positive masses in kg")
+    masses = np.asarray(masses, float)
     p = parameters("chain")
     links, places = np.ones(len(masses) - 1), np.eye(len(masses))
     names = ("stiffness", "damper")
-    stiffness, damping = (chain_matrix(require_number(f"chain: {n}", p[n]) * links) for n in names)
+    stiffness, damping = (chain_matrix(p[n] * links) for n in names)
     return modal_model(np.diag(masses), stiffness, places, places, damping_matrix=damping)
 
 
@@ -88,12 +85,6 @@ class Drive:
     stiffness: float  # k, N m/rad
     damper: float  # d, N m s/rad
     motor_constant: float  # Km, N m/A
-
-    def __post_init__(self):
-        for name in ("inertia", "stiffness", "motor_constant"):
-            require_number(name, getattr(self, name), above=0.0)
-        for name in ("friction", "damper"):
-            require_number(name, getattr(self, name), at_least=0.0)
 
     @property
     def resonance(self) -> float:
@@ -129,8 +120,7 @@ def published_deviations() -> dict[str, float]:
     """Standard deviations of w (N), v and d (m), section 3.1."""
     p = parameters("stage").table("noise")
     names = {"w": "process", "v": "reference", "d": "sensor"}
-    bounds = {"at_least": 0.0, "at_most": np.sqrt(np.finfo(float).max) / 2}  # their squares are numbers
-    return {k: require_number(f"machines.toml: {n}", p[n], **bounds) for k, n in names.items()}
+    return {k: p[n] for k, n in names.items()}
 
 
 def published_noise() -> NoiseIntensities:
@@ -152,12 +142,8 @@ def shapes_along(
     """Mode shapes at places (m) between the outputs of a model, which sit on a `grid`, by cubic splines through them."""
     from scipy.interpolate import CubicSpline
 
-    grid = require_array("grid", grid, shape=(len(model.output_shapes),))
-    places = require_array("places", places, ndim=1)
-    if np.any(np.diff(grid) <= 0):
-        raise InputError("grid must ascend; sort the outputs along the structure")
-    if not len(places):
-        raise InputError("places is empty; give the position at every sample in m")
+    grid = np.asarray(grid, float)
+    places = np.asarray(places, float)
     if places.min() < grid[0] or places.max() > grid[-1]:
         raise InputError(
             f"places run from {places.min():g} to {places.max():g} m, outside the grid from {grid[0]:g} to "

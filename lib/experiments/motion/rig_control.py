@@ -24,9 +24,8 @@ def rig_observer(
     model: ModalModel, noise: NoiseIntensities, sample_time: float, noise_model: float | None = None
 ) -> DiscreteObserver:
     """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them (N^2, m^2, N^2)."""
-    require_number("sample_time", sample_time, above=0.0)
     if noise_model is not None:
-        noise_model = require_number("noise_model", noise_model, above=0.0) / sample_time
+        noise_model = noise_model / sample_time
     intensities = NoiseIntensities(noise.process * sample_time, noise.sensor * sample_time)
     return discrete_kalman_observer(model, intensities, sample_time, noise_model)
 
@@ -127,8 +126,7 @@ def placed_damping(model: ModalModel, target: float, sample_time: float) -> Floa
     The frequencies stay, all damping ratios shall become `target`. The gain acts on positions too.
     """
     flexible = model.modes(slice(model.rigid_modes, None))
-    require_number("target", target, above=0.0, below=1.0)
-    held = zoh_modes(flexible, require_number("sample_time", sample_time, above=0.0))
+    held = zoh_modes(flexible, sample_time)
     upper = np.exp(flexible.frequencies * (-target + 1j * np.sqrt(1 - target**2)) * sample_time)
     with warnings.catch_warnings():
         # The poles are placed all the same; only their most robust eigenvectors were still being looked for.

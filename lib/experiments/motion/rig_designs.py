@@ -25,7 +25,6 @@ from experiments.motion.rig_loops import (
     no_bandwidth,
 )
 from experiments.motion.uncertainty import detuned
-from stillwork.base.checks import require_choice
 from stillwork.control.bandwidth import Infeasible
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.estimation.observer import NoiseIntensities
@@ -89,8 +88,6 @@ def rig_loops(
     is `known` at all four actuators and sensors, such as an identified model.
     """
     full, used = rig_model(geometry), geometry.used
-    for case in cases:
-        require_choice("cases", case, CASES)
     loops = {case: [] for case in cases}
     intensities = {"MC": settings.noise_model, "AD": None, "MC and AD": settings.noise_model_both}
     for position in positions:

@@ -12,7 +12,7 @@ from scipy import linalg
 from experiments.motion.rig import EdgeDecoupling
 from experiments.motion.rig_control import RigCompensator
 from stillwork.base.algebra import squared_size
-from stillwork.base.checks import InputError, require_choice
+from stillwork.base.checks import InputError
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.rounding import first_largest
 from stillwork.base.validation import checked
@@ -180,8 +180,6 @@ def make_rig_loop(
     The grid (rad/s) goes by default up to the Nyquist frequency, dense around every mode of the plant and every
     lightly damped pole of the observer.
     """
-    if plant.feedthrough.shape != (3, 3):
-        raise InputError("plant must have three inputs and three outputs; pick them with plant.at")
     if omega is None:
         poles = plant.poles
         if compensator is not None:
@@ -269,7 +267,6 @@ def maximise_rig_bandwidth(
 
     All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
     """
-    measure = require_choice("measure", measure, MEASURES)
     positions = Positions([replace(loop, measure=measure) for loop in loops])
     family = cache(family)
 

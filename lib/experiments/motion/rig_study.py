@@ -19,7 +19,7 @@ from experiments.motion.rig_designs import (
     rig_loops,
 )
 from experiments.motion.rig_loops import MEASURES, RigLoop
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 from stillwork.control.loops import channel
 from stillwork.control.pid import Pid
@@ -34,9 +34,6 @@ class Levelling:
 
     period: float  # s
     lines: Complex128[np.ndarray, "3 harmonics"]  # complex amplitudes of cosines; m, rad, rad
-
-    def __post_init__(self):
-        require_number("period", self.period, above=0.0)
 
     @property
     def omega(self) -> Float64[np.ndarray, " harmonics"]:
@@ -150,7 +147,7 @@ def levelling_error(
     sizes = np.sqrt(np.repeat([noise.process, noise.sensor], 3))
     random = sizes[:, None] * rng.standard_normal((6, len(time)))
     inputs = np.vstack([known[:3], known[3:] + random[:3], random[3:]])
-    return simulate(model, require_array("inputs", inputs))[:, -count:]
+    return simulate(model, inputs)[:, -count:]
 
 
 PRINTED_HZ = {"Original": (6.0, 8.0), "MC": (9.0, 11.0), "AD": (12.0, 13.0), "MC and AD": (17.0, 21.0)}

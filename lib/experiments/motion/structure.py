@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillwork.base.checks import require_number
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.modal import ModalModel
@@ -29,7 +28,6 @@ def measured_accelerance(padding: int = 4) -> Identified:
 
 def as_stage(fit: ModalFit, mass: float) -> tuple[ModalModel, float]:
     """The fitted structure with another total mass, and the factor on its response."""
-    require_number("mass", mass, above=0.0)
     factor = 1 / (mass * float(fit.model.input_shapes[0, 0] * fit.model.output_shapes[0, 0]))
     model = fit.model
     shapes = {name: np.sqrt(factor) * getattr(model, name) for name in ("input_shapes", "output_shapes")}

@@ -12,7 +12,6 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
 from stillwork.base.validation import checked
 from stillwork.estimation.robust import Derivatives, NormBound
 from stillwork.estimation.time_varying import TimeVaryingModel
@@ -24,9 +23,7 @@ LAWS = ("ends", "uniform", "normal", "common")
 @checked
 def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     """The model with relative errors (modes, 4) of every mode's frequency, damping, input shape and output shape."""
-    factors = 1 + require_array("errors", errors, shape=(len(model.frequencies), 4))
-    if np.any(factors <= 0):
-        raise InputError("errors reach -1, which takes a parameter away; give relative errors above -1")
+    factors = 1 + np.asarray(errors, float)
     there = replace(
         model,
         damping=model.damping * factors[:, 1],
@@ -39,8 +36,7 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
 def detuned(model: ModalModel, errors: ArrayLike) -> ModalModel:
     """The model with its flexible frequencies off by these relative errors."""
     off = np.zeros((len(model.frequencies), 4))
-    flexible = len(off) - model.rigid_modes
-    off[model.rigid_modes :, 0] = require_array("errors", errors, shape=(flexible,))
+    off[model.rigid_modes :, 0] = np.asarray(errors, float)
     return perturbed(model, off)
 
 
@@ -53,8 +49,6 @@ def sample_errors(
     At the ``ends``, plus or minus `size`; ``uniform`` between them; ``normal`` with `size` as standard deviation; or
     ``common``: at the ends, the same for all modes. The shapes of rigid-body modes are left alone unless `rigid`: a scale and a weighing of the machine settle them.
     """
-    size = require_number("size", size, at_least=0.0, below=1.0)
-    require_choice("law", law, LAWS)
     shape = (len(model.frequencies), 4)
     draws = {
         "ends": lambda: rng.choice([-1.0, 1.0], shape),
@@ -78,11 +72,7 @@ class SampledDerivatives:
 
     def along(self, model: TimeVaryingModel, shapes: ArrayLike) -> Derivatives:
         """Derivatives for the filters, with input noise (G = B) and these output shapes (samples, outputs, modes)."""
-        shapes = require_array("shapes", shapes, shape=(model.samples, model.c.shape[1], None))
-        if shapes.shape[2] <= max(self.modes):
-            raise InputError(
-                f"shapes has {pluralise(shapes.shape[2], 'mode')}; mode {max(self.modes)} is uncertain, give its shape too"
-            )
+        shapes = np.asarray(shapes, float)
         c = np.zeros((len(shapes), len(self.a), shapes.shape[1], model.c.shape[2]))
         for k, mode in enumerate(self.modes):
             c[:, 4 * k + 3, :, 2 * mode] = shapes[:, :, mode]
@@ -94,10 +84,7 @@ def sampled_derivatives(
     model: ModalModel, sample_time: float, modes: Sequence[int] | None = None
 ) -> SampledDerivatives:
     """Derivatives of the zero-order-hold model in modal form 1 for chosen modes (by default all flexible ones)."""
-    sample_time = require_number("sample_time", sample_time, above=0.0)
     modes = tuple(range(model.rigid_modes, len(model.frequencies)) if modes is None else modes)
-    if not modes or min(modes) < 0 or max(modes) >= len(model.frequencies):
-        raise InputError(f"modes is {modes}; choose from 0 to {len(model.frequencies) - 1}")
     states, inputs = 2 * len(model.frequencies), model.input_shapes.shape[1]
     a, b = np.zeros((4 * len(modes), states, states)), np.zeros((4 * len(modes), states, inputs))
     for k, mode in enumerate(modes):
@@ -124,7 +111,6 @@ def norm_bound(model: TimeVaryingModel, derivatives: Derivatives, size: float) -
     `size` and the root of the number of parameters, so that the contraction is the ball around the cube. With
     several outputs each has its own direction M and the ball grows with their number.
     """
-    size = require_number("size", size, above=0.0)
     s, t, m = derivatives.rows(model)
     samples, outputs = model.c.shape[:2]
     count = len(np.asarray(derivatives.a))

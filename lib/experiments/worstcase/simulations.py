@@ -7,15 +7,13 @@ noise and the length of Fig. 2; what is assumed is a parameter here and named in
 import numpy as np
 from scipy import signal, special
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
+from stillwork.base.checks import InputError
 from stillwork.estimation.min_max import min_max_solve
 from stillwork.estimation.recursive import run_silently, worst_case_residuals
 from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
 from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
 
 FIG_2_PARAMETERS = (-0.0134, -0.0316, 0.0265, -0.0114, 0.0132)
-NOISE_LAWS = ("uniform", "cut Gaussian")
-ROW_ERRORS = ("ball", "sphere", "one direction")
 
 
 def fir_trial(
@@ -30,7 +28,7 @@ def fir_trial(
 ) -> dict[str, np.ndarray]:
     """One realisation of Fig. 1: square wave into an FIR filter, input and output measured with bounded noise.
 
-    The `law` of both noises is one of `NOISE_LAWS`, `update` that of `GrowingMinMax`.
+    The `law` of both noises is ``uniform`` or ``cut Gaussian``, `update` that of `GrowingMinMax`.
 
     ``min_max``, ``total``, ``least`` (unknowns x samples): estimates from all rows up to t, NaN before
     there are more rows than unknowns. ``min_max_worst``, ``total_worst``, ``least_worst``: worst-case
@@ -60,10 +58,8 @@ def fir_trial(
 
 def _fir_record(rng, parameters, period, samples, input_noise, output_noise, law="uniform"):
     """Measured regressors, outputs, and the errors of the regressors."""
-    parameters = require_array("parameters", parameters, ndim=1)
+    parameters = np.asarray(parameters, float)
     taps = len(parameters)
-    if samples <= 2 * taps:
-        raise InputError(f"samples is {samples}; give more than {2 * taps}, twice the number of taps")
     clean = signal.square(2 * np.pi * (np.arange(samples + taps - 1) + 0.5) / period)
     error = sample_bounded(rng, law, input_noise, len(clean))
     full = slice(taps - 1, None)  # every row holds measured samples only
@@ -74,8 +70,8 @@ def _fir_record(rng, parameters, period, samples, input_noise, output_noise, law
 
 
 def sample_bounded(rng: np.random.Generator, law: str, bound: float, count: int) -> np.ndarray:
-    """Independent noise within +-`bound`, by one of `NOISE_LAWS`; the Gaussian is cut at two standard deviations."""
-    if require_choice("law", law, NOISE_LAWS) == "uniform":
+    """Independent noise within +-`bound`, ``uniform`` or ``cut Gaussian``; it is cut at two standard deviations."""
+    if law == "uniform":
         return rng.uniform(-bound, bound, count)
     tail = special.ndtr(-2.0)
     return bound / 2 * special.ndtri(rng.uniform(tail, 1 - tail, count))
@@ -124,7 +120,7 @@ def least_squares_limit(parameters: tuple[float, float], period: int, input_nois
     R is the input's covariance, for two taps of a square wave of amplitude 1 with an even `period`; s the
     variance of the uniform input noise, input_noise^2 / 3.
     """
-    parameters = require_array("parameters", parameters, shape=(2,))
+    parameters = np.asarray(parameters, float)
     neighbour = 1 - 4 / period
     covariance = np.array([[1, neighbour], [neighbour, 1]])
     return np.linalg.solve(covariance + input_noise**2 / 3 * np.eye(2), covariance @ parameters)
@@ -152,7 +148,7 @@ def path(kind: str, parameters: tuple[float, ...], samples: int) -> np.ndarray:
     A jump changes the sign of all parameters at half of the record. A drift turns the first two parameters
     by one revolution along it.
     """
-    parameters = require_array("parameters", parameters, ndim=1)
+    parameters = np.asarray(parameters, float)
     values = np.repeat(parameters[:, None], samples, axis=1)
     if kind == "jump":
         values[:, samples // 2 :] *= -1
@@ -175,7 +171,6 @@ def tracking_record(
     error_law: str = "ball",
 ) -> tuple[np.ndarray, np.ndarray]:
     """Regressors as measured (unknowns, samples) and outputs of a trial of Fig. 2; arguments as of `tracking_trial`."""
-    require_choice("error_law", error_law, ROW_ERRORS)
     unknowns, samples = truth.shape
     if delay_line:
         regressors = fir_regressors(rng.standard_normal(samples + unknowns - 1), unknowns)[:, unknowns - 1 :]
@@ -257,14 +252,11 @@ def tracking_trial(
 def settled(errors: np.ndarray, forgetting: float, memories: float = 3.0) -> np.ndarray:
     """Root mean square of error norms (..., samples) after so many memory lengths 1 / (1 - forgetting)."""
     start = settled_from(forgetting, memories)
-    if start >= np.shape(errors)[-1]:
-        raise InputError(f"errors has {pluralise(np.shape(errors)[-1], 'sample')}; give more than {start}")
     return np.sqrt(np.mean(np.square(errors[..., start:]), axis=-1))
 
 
 def settled_from(forgetting: float, memories: float = 3.0) -> int:
     """The sample after so many memory lengths."""
-    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     return int(np.ceil(memories / (1 - forgetting)))
 
 

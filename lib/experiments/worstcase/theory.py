@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from experiments.worstcase.rank_one import FastMinMax
-from stillwork.base.checks import require_array, require_number
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
@@ -234,9 +233,8 @@ def solve_cone_program(matrix: ArrayLike, target: ArrayLike, bound: float) -> tu
     """
     import cvxpy
 
-    matrix = require_array("matrix", matrix, ndim=2)
-    target = require_array("target", target, shape=matrix.shape[:1])
-    bound = require_number("bound", bound, at_least=0.0)
+    matrix = np.asarray(matrix, float)
+    target = np.asarray(target, float)
     unknown = cvxpy.Variable(matrix.shape[1])
     cost = cvxpy.norm(matrix @ unknown - target, 2) + bound * cvxpy.norm(unknown, 2)
     cvxpy.Problem(cvxpy.Minimize(cost)).solve(solver=cvxpy.CLARABEL)
