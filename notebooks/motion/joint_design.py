@@ -45,7 +45,7 @@ from workbook import figures, paths
 #
 # The structure is the published one: the PID controller (3.1), the Kalman observer with a noise model, compensation and
 # damping through one band-pass a mode. All of it is sampled, and the whole control force is late: what sample k commands
-# acts from `delay` samples later on, held for one. The observer is told which force acts when, and predicts the
+# acts from `delay` samples later on, held for one. The observer has the force that acts at each moment, and predicts the
 # velocities that it damps to the moment at which its force begins.
 
 
@@ -214,18 +214,18 @@ def closed_poles(
     plants: Sequence[ModalModel],
     delay: float = DELAY,
     alone: int = 0,
-    told: float | None = None,
+    modelled: float | None = None,
 ) -> Complex128[np.ndarray, "plants masses states"]:
     """Poles z of the loops of all masses on every plant, by the eigenvalues of plant and controller together.
 
-    `alone` (samples) delays the controller's output by itself, before the damping force is added; `told` is the delay
-    that the observer knows of, by default `delay`.
+    `alone` (samples) delays the controller's output by itself, before the damping force is added; `modelled` is the
+    delay in the observer, by default `delay`.
     """
-    told = delay if told is None else told
+    modelled = delay if modelled is None else modelled
     controller, found = delayed(tustin(design.controller.state_space(), SAMPLE_TIME), alone), []
     moved = [late(plant, delay) for plant in plants]
     for mass in range(1, 8):
-        seen = observed_controller(controller, sampled_compensator(design, mass, told))  # from r, y and f
+        seen = observed_controller(controller, sampled_compensator(design, mass, modelled))  # from r, y and f
         into, direct = seen.b[:, 2:], seen.d[:, 1:2]
         a, b = seen.a + into @ seen.c, seen.b[:, 1:2] + into @ direct
         met = [late_plant(each, mass) for each in moved]
@@ -245,7 +245,7 @@ class Compensated(NamedTuple):
 def compensated(
     design: JointDesign, omega: np.ndarray, delay: float = DELAY, alone: int = 0, masses: slice = slice(None)
 ) -> Compensated:
-    """The design's responses at some frequencies (rad/s), with an observer that is told of `delay`."""
+    """The design's responses at some frequencies (rad/s), with an observer that includes `delay`."""
     z = np.exp(1j * omega * SAMPLE_TIME)
     estimates = _estimates(design.process, design.noise_model, delay, omega.tobytes())[:, masses]
     s = prewarped(omega, SAMPLE_TIME)
@@ -573,21 +573,21 @@ def verify_designs(
     plants: Sequence[ModalModel],
     delay: float = DELAY,
     alone: int = 0,
-    told: float | None = None,
+    modelled: float | None = None,
 ) -> dict[str, Judged]:
     """Stability by eigenvalues, peaks looked for between grid points and at closed-loop poles, the scan's error.
 
-    `delay` is that of the whole control force in samples, of which the observer is `told` all if nothing else is said;
+    `delay` is that of the whole control force in samples, `modelled` the one in the observer, by default the same;
     `alone` one more of the controller's output by itself. The plants' responses are computed once for all designs.
     """
     moved = [late(plant, delay) for plant in plants]
     coarse = [late_response(each, grid()) for each in moved]
     scanning = [stage_response(plant.at([0], [MEASURED]), delay, JUDGED) for plant in plants]
-    told, judged = delay if told is None else told, {}
+    modelled, judged = delay if modelled is None else modelled, {}
     for name, design in designs.items():
-        poles = closed_poles(design, plants, delay, alone, told)
+        poles = closed_poles(design, plants, delay, alone, modelled)
         stable = np.all(np.abs(poles) < 1, axis=(1, 2))
-        around = partial(compensated, design, delay=told, alone=alone)
+        around = partial(compensated, design, delay=modelled, alone=alone)
         on_grid = around(grid())
         feedback = around(grid(JUDGED), masses=slice(MEASURED, MEASURED + 1)).feedback[0]
         peaks, scans = np.full((len(plants), len(PEAKS)), np.inf), np.full((5, len(plants)), np.inf)
