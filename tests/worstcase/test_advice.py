@@ -93,7 +93,6 @@ def test_advice_is_the_same_in_any_unit():
         ({"noise": [0.1, 0.2]}, r"^noise\b.*3 features"),
         ({"noise": -1.0}, r"^noise\b"),
         ({"instruments": np.ones((400, 2))}, r"^instruments\b"),
-        ({"folds": 2}, r"^folds\b"),
     ],
 )
 def test_what_does_not_fit_is_refused(changed, message):
