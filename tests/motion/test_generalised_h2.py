@@ -107,9 +107,6 @@ def test_semidefinite_program_finds_the_same_gain():
 
 
 def test_bad_input_is_named():
-    _, (a, g, c, q, r) = problem(1)
-    with pytest.raises(InputError, match=r"^sensor\b"):
-        error_system(a, g, c, q, -r, np.zeros((12, 3, 1)))
     growing = ErrorSystem(np.full((400, 1, 1), 1e3), np.ones((400, 1, 1)))
     with pytest.raises(InputError, match="gains"):
         generalised_h2_norm(growing)

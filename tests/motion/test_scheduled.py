@@ -121,7 +121,7 @@ def test_unstable_loops_and_moves_that_do_not_fit_are_refused(scan):
         position_scan(stage(), GRID, scan.setpoint, 0.2)
     cases = {"AD": ("AD", PidFamily(stage_mass())(40.0))}
     rest = (2, 0.005, 12.5, (0.01, 1e-9, 1e-9), np.random.default_rng(0))
-    with pytest.raises(InputError, match=r"^setpoint\b"):
+    with pytest.raises(InputError, match=r"^places\b"):
         compare_schedules(stage(), 0.2 * GRID, scan.setpoint, cases, *rest)
     found = compare_schedules(stage(), GRID, scan.setpoint, cases, *rest)["AD"]
     assert found.ratio.shape == (2, 2, 8)
