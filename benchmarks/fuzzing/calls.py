@@ -14,11 +14,8 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
-from experiments.motion import decoupled_damping, ideal_feedforward
-from experiments.motion.uncertainty import perturbed, sampled_derivatives
 from fuzzing.behind import calls as made_calls
 from fuzzing.hostile import same, same_value, wrong
-from notebooks.motion.robust_comparison import regularised_line_search
 from stillwork import control, estimation, identification, lti, signals
 from stillwork.estimation import robust
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
@@ -186,7 +183,7 @@ def catalogue() -> dict:
     loop = c.closed_loop(model, None, pid(10.0).state_space())
     search = c.make_loop(model, points=50, around=3)
     damping = c.damping_gain(model, 0.01)
-    wide = decoupled_damping.constrained_damping(broad, 0.05)
+    wide = c.damping_gain(broad, 0.05)
     decoupling = c.decouple(broad)
     rows, signal = noise((3, 60)), noise(60)
     omega = np.linspace(50.0, 1500.0, 120)
@@ -201,7 +198,6 @@ def catalogue() -> dict:
         "loop": multisine, "actuators": 1, "sensors": 1, "deviations": (0.1, 0.1), "rng": np.random.default_rng(1),
         "samples": 16, "realisations": 2,
     }  # fmt: skip
-    quiet = {"model": broad, "increase": np.array([0.05])}
     pair = {"a": state.a, "noise_input": np.eye(2), "c": state.c, "process": 1.0, "sensor": 1.0}
     joined = {"feedback": np.zeros((1, 1)), "inputs": np.eye(1), "outputs": np.eye(1)}
     lines = {"settings": e.FeRls(1.0), "regressors": rows, "every": 10}
@@ -372,13 +368,10 @@ def catalogue() -> dict:
         "sensitivity_gains": (robust.sensitivity_gains, {"model": walk, "derivatives": slopes, "weight": 0.5}),
         "regularised_gains": (robust.regularised_gains, {"model": walk, "bound": bound, "margin": 1.0}),
         "regularised_gains, bound": (lambda **named: robust.regularised_gains(walk, robust.NormBound(**named)), doubt),
-        "regularised_line_search": (regularised_line_search, {"model": walk, "bound": bound, **two, "initial": np.zeros(2)}),
         "estimate": (estimate, {"gains": gains, **two, "initial": np.zeros(2)}),
         "hinfinity_gains": (hinfinity_gains, {"model": walk, "wanted": np.eye(2), "level": 9.0}),
         "smallest_level": (smallest_level, {"model": walk, "wanted": np.eye(2), "tolerance": 1e-2}),
         "smallest_level, model": (lambda **named: smallest_level(TimeVaryingModel(**named), np.eye(2)), matrices),
-        "sampled_derivatives": (sampled_derivatives, {"model": model, "sample_time": 1e-4, "modes": [1, 2]}),
-        "perturbed": (perturbed, {"model": model, "errors": np.full((3, 4), 0.01)}),
         "GeneralisedPlant": (lti.GeneralisedPlant, fields(regular)),
         "prove_gain": (lti.prove_gain, {"model": regular.model, "uncertain": 1, "level": 9.0}),
         "uncertain_channel": (c.uncertain_channel, {"plant": single, "compensator": None, "controller": c.PidFamily(10.0)(20.0).state_space(), "source": "u_ff", "target": "u", "frequency": 0.05, "damping": 0.1, "gain": 0.1}),
@@ -436,14 +429,10 @@ def catalogue() -> dict:
         "Trajectory": (c.Trajectory, fields(trajectory)),
         "asin_trajectory": (c.asin_trajectory, {"amplitude": 1.0, "sharpness": 0.9, "frequency_hz": 2.0, "duration": 0.1, "sample_time": 1e-3}),
         "band_pass": (c.band_pass, {"omega": 10.0, "selectivity": 2.0}),
-        "band_passed": (decoupled_damping.band_passed, {"model": model, "gain": damping, "selectivity": 2.0, "order": 2}),
         "channel": (c.channel, {"loop": loop, "source": "r", "target": "e_true", "inputs": 1, "outputs": 1}),
         "closed_loop": (c.closed_loop, {"plant": model, "compensator": None, "controller": pid(10.0).state_space()}),
         "compensator": (c.compensator, {"observer": observer, "application": c.Application(True, 0.1)}),
-        "constrained_damping": (decoupled_damping.constrained_damping, {**quiet, "undisturbed": [0]}),
-        "constrained_stiffness": (decoupled_damping.constrained_stiffness, {"model": broad, "factor": np.array([1.5]), "undisturbed": [0]}),
         "contraction_range": (c.contraction_range, {"response_gain": 1.0}),
-        "coupling_onset": (decoupled_damping.coupling_onset, {"plant": broad, "gain": wide, "decoupling": decoupling}),
         "crossings": (c.crossings, {"loop": near, "points": 20}),
         "damping_gain": (c.damping_gain, {"model": model, "increase": np.array([0.1, 0.1]), "selection": "each mode"}),
         "damping_gain, placed": (c.damping_gain, {"model": model, "increase": 0.1, "selection": "pole placement"}),
@@ -456,11 +445,8 @@ def catalogue() -> dict:
         "discrete_kalman_observer": (c.discrete_kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "sample_time": 1e-4, "noise_model": 1.0}),
         "error_loop": (c.error_loop, {"loop": loop}),
         "fed_back": (c.fed_back, {"model": model, "gain": damping}),
-        "feedforward_error": (ideal_feedforward.feedforward_error, {"ideal": ideal_feedforward.ideal_force(ideal_feedforward.invert(model), setpoint), "feedforward": c.Feedforward(1.0)}),
         "fit_feedforward": (c.fit_feedforward, {"loop": c.error_loop(loop), "setpoint": setpoint, "basis": ("acceleration",)}),
-        "ideal_force": (ideal_feedforward.ideal_force, {"inverse": ideal_feedforward.invert(model), "setpoint": setpoint}),
         "inverse_gains": (c.inverse_gains, {"model": model}),
-        "invert": (ideal_feedforward.invert, {"plant": model}),
         "iterate": (c.iterate, {"transformation": c.FlowTransformation(), "desired": 1.0, "steps": 5, "response_gain": 1.0, "response_offset": 0.1, "start": 0.5}),
         "iterate, robust": (c.iterate, {"transformation": c.RobustTransformation(), "desired": 1.0, "steps": 5}),
         "limit_cycles": (c.limit_cycles, {"loop": near, "transformation": c.FlowTransformation(), "region": None}),
@@ -490,7 +476,6 @@ def catalogue() -> dict:
         "random_gain": (c.random_gain, {"deviation": 1.0}),
         "record_trajectory": (c.record_trajectory, {"time": np.arange(20.0), "position": signal[:20], "sample_time": 0.1}),
         "response_gain": (c.response_gain, {"plant": plant, "model": guess}),
-        "rigid_coupling": (decoupled_damping.rigid_coupling, {"plant": broad, "gain": wide, "decoupling": decoupling}),
         "sampled_feedback": (c.sampled_feedback, {"model": model, "gain": damping, "sample_time": 1e-4, "delay": 1}),
         "control.simulate": (c.simulate, {"plant": plant, "controller": controller, "trajectory": trajectory, "noise": 1e-6 * noise(100), "resolution": 1e-6, "grid": 0.1, "start": (0.0, 0.0), "bound": 10.0, "force_limit": 50.0}),
         "simulate_mechanism": (c.simulate_mechanism, {"plant": arm, "controller": arms, "trajectories": [trajectory] * 2, "noise": 1e-6 * np.array([noise(100), noise(100)]), "resolution": 1e-6, "grid": 0.1, "start": np.zeros((2, 2)), "bound": 10.0, "force_limits": [50.0, 50.0]}),

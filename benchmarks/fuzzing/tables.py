@@ -1,4 +1,4 @@
-"""Spoiled TOML and JSON: models of the experiments, designs, the ledger, what builds found."""
+"""Spoiled TOML and JSON: models that a reader changes, the ledger, what builds found."""
 
 import json
 import tomllib
@@ -9,9 +9,7 @@ import tomlkit
 
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.isolation.twin import load_twin
-from experiments.motion import beam, machines, rig
 from fuzzing.hostile import wrong
-from notebooks.motion import joint_design as joint_designs
 from stillwork.design.inspect import inspect_file
 from workbook import paths
 from workbook.claims import ledger, load_entries
@@ -43,10 +41,6 @@ def case(rng: np.random.Generator) -> tuple:
         "load_twin": ("isolation", ("rigid_body.toml", "fitted.toml"), load_twin),
         "load_oscillator": ("fixedpoint", ("oscillator.toml",), load_oscillator),
         "inspect": ("isolation", ("rigid_body.toml", "fitted.toml"), inspect_file),
-        "machines": ("motion", ("machines.toml",), lambda _: (machines.stage(), machines.drive(), machines.published_setpoint(), machines.published_noise(), machines.chain([1, 2]))),
-        "joint": ("motion", ("joint.toml",), lambda _: joint_designs.stored_designs()),
-        "beam": ("motion", ("beam.toml",), lambda _: beam.published_beam()),
-        "rig": ("motion", ("rig.toml",), lambda _: rig.assumed_geometry()),
         "entries": ("worstcase", ("published.toml",), lambda _: load_entries("worstcase")),
         "ledger": ("worstcase", ("claims.json",), lambda _: ledger(Path("figures"), "worstcase")),
     }  # fmt: skip
