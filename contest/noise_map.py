@@ -21,7 +21,7 @@ from contest.tuning import DEVELOPMENT, TUNINGS, capped_mean, positions
 from contest.uncertainties import Uncertainty, hidden_seed, sample_truth
 from stillwork.base.checks import InputError
 from workbook import paths
-from workbook.studies import mean_interval, proportion_interval
+from workbook.studies import fraction, mean_interval
 
 SIZES = (0.005, 0.01, 0.02, 0.05, 0.1)  # of the errors of frequency, damping, gain and shape
 NOISES = (1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)  # factors on the sensor's noise
@@ -146,10 +146,7 @@ def noise_values(errors: pd.DataFrame, size: float = 0.05, loud: float = NOISES[
     held = {"5-4.kalman-not-beaten": quiet["Kalman"] <= quiet[list(ROBUST)].min(axis=1)}
     for short, name in zip(("penalised", "regularised"), ROBUST, strict=True):
         held[f"5-5.{short}-gains-with-noise"] = noisy["Kalman"] - noisy[name] > quiet["Kalman"] - quiet[name]
-    return {
-        f"motion.conclusion-{claim}": (float(each.mean()), proportion_interval(int(each.sum()), len(each)))
-        for claim, each in held.items()
-    }
+    return {f"motion.conclusion-{claim}": fraction(each) for claim, each in held.items()}
 
 
 def noise_study(*, map_size: float, loud_noise: float, seed: int, lean: bool) -> dict:

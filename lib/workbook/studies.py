@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
@@ -142,3 +143,13 @@ def proportion_interval(
     # At a share of 0 or 1 an end is the share itself, which rounding would miss.
     low, high = float((middle - half) / whole), float((middle + half) / whole)
     return 0.0 if share == 0 else low, 1.0 if share == 1 else high
+
+
+def fraction(holds: ArrayLike) -> tuple[float, tuple[float, float]]:
+    """Share of what holds, with Wilson's interval over the runs (first axis).
+
+    Parts of a run are not independent: they make its share, and the runs alone are counted.
+    """
+    holds = require_array("holds", np.asarray(holds, float))
+    runs = len(holds)
+    return float(holds.mean()), proportion_interval(int(np.floor(holds.mean() * runs + 1e-9)), runs)

@@ -20,7 +20,7 @@ from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Steady
 from workbook import figures
 from workbook.claims import load_entries
-from workbook.studies import Study, mean_interval, proportion_interval, run_study, spread_interval
+from workbook.studies import Study, fraction, mean_interval, run_study, spread_interval
 
 # === Convergence pictures =========================================================================================
 # Figures of the initial convergence: Fig. 5, Table 1, readings of the text, stability of the mean.
@@ -276,7 +276,7 @@ def speed_up(study: Study, quantity: str = "tau") -> tuple[float, tuple[float, f
 def faster_each(study: Study, quantity: str = "tau") -> tuple[float, tuple[float, float]]:
     """Share of runs in which FeRLS is the faster one for each of w4 to w9, with its interval."""
     obeyed = np.all(study[f"FeLMS {quantity}"] > study[f"FeRLS {quantity}"], axis=1, where=_rows())
-    return float(obeyed.mean()), proportion_interval(int(obeyed.sum()), study.runs)
+    return fraction(obeyed)
 
 
 def _rows() -> np.ndarray:
@@ -354,9 +354,9 @@ def judged_short(study: Study, tau: str = "tau") -> dict[str, tuple[float, tuple
     spread = {name: np.ptp(np.log(study[f"{name} {tau}"][:, ROWS]), axis=1) for name in ALGORITHMS}
     return {
         "isolation.convergence.faster-each": faster_each(study, tau),
-        "isolation.convergence.more-uniform": share_of(spread["FeRLS"] < spread["FeLMS"]),
-        "isolation.convergence.error-falls": share_of(
-            np.maximum(study["FeLMS error"], study["FeRLS error"]) < 1
+        "isolation.convergence.more-uniform": fraction(spread["FeRLS"] < spread["FeLMS"]),
+        "isolation.convergence.error-falls": fraction(
+            np.ravel(np.maximum(study["FeLMS error"], study["FeRLS error"]) < 1)
         ),
     }
 
@@ -376,11 +376,6 @@ def other_actuators(felms: np.ndarray, ferls: np.ndarray) -> dict[str, float]:
     return {"isolation.convergence.other-actuators": float(alike.mean())}
 
 
-def share_of(obeyed: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """Share of the runs, with its interval."""
-    return float(obeyed.mean()), proportion_interval(int(obeyed.sum()), obeyed.size)
-
-
 def starting(*, memory: float, floor_upper_end: float, seed: int, lean: bool = False) -> dict:
     """Section 4.3: whether FeRLS goes on from P(-1) = I / 1e-5 in closed loop, a share of runs; no leaner form."""
     twin = load_twin("fitted")
@@ -390,7 +385,7 @@ def starting(*, memory: float, floor_upper_end: float, seed: int, lean: bool = F
         con.try_starts(twin, floor, [1e-5], forgetting, START_S, seed + k).stopped_s[0]
         for k in range(SHORT_RUNS)
     ]
-    return {"isolation.convergence.start": share_of(np.isnan(stopped))}
+    return {"isolation.convergence.start": fraction(np.isnan(stopped))}
 
 
 # === Equal variance ===============================================================================================
@@ -461,7 +456,7 @@ def scattering(*, trace: str, floor_upper_end: float, seed: int, lean: bool = Fa
     felms, ferls = found["FeLMS", STEP_SIZE], found["FeRLS", MEMORY_S]
     return {
         "isolation.convergence.same-variance": scatter_ratio(ferls, felms),
-        "isolation.convergence.vanishing-variance": share_of(found["FeRLS", 0.0] < ferls),
+        "isolation.convergence.vanishing-variance": fraction((found["FeRLS", 0.0] < ferls).ravel()),
     }
 
 

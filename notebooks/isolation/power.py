@@ -10,7 +10,7 @@ from experiments.isolation.performance import ENTRIES
 from experiments.isolation.power import RESOLUTION_HZ, limit_ratio_db, power_trial
 from experiments.isolation.simulation import TOGETHER
 from experiments.isolation.twin import Twin, equal_struts
-from workbook.studies import proportion_interval, run_study, spread_interval
+from workbook.studies import fraction, run_study, spread_interval
 
 FELMS_S, FERLS_S, RECORD_S = 250.0, 60.0, 40.0  # s, of a run of notebook 05
 RUNS = 16  # with three directions 48 for an ordering
@@ -56,7 +56,7 @@ def power_runs(twin: Twin, floor: ShapedFloor, seed: int, runs: int = RUNS, felm
 def same_by_both(study) -> tuple[float, tuple[float, float]]:
     """Share of runs and directions in which FeLMS and FeRLS remove the same power within half a point."""
     obeyed = np.abs(study["removed FeLMS"] - study["removed FeRLS"]) < 0.5
-    return float(obeyed.mean()), proportion_interval(int(obeyed.sum()), obeyed.size)
+    return fraction(obeyed.ravel())
 
 
 def correlated(twin: Twin, share: float) -> Twin:
@@ -87,8 +87,7 @@ def judged(study, mains_hz, counted: bool = False) -> dict[str, float | tuple[fl
         "low-end-lost": study["low end"] > 1,
         "no-limit-above-300-hz": study["above band"] > study["in band"],
     }.items():
-        interval = proportion_interval(int(obeyed.sum()), obeyed.size)
-        found[f"isolation.fig-8.{entry}"] = float(obeyed.mean()), interval
+        found[f"isolation.fig-8.{entry}"] = fraction(obeyed.ravel())
     bands, above = limit_ratio_db(
         frequencies, study["density FeRLS"], study["density output noise"], mains_hz
     )

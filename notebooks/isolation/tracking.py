@@ -18,7 +18,7 @@ from stillwork.base.checks import require_choice
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Steady
 from workbook import figures
-from workbook.studies import Study, proportion_interval, run_study
+from workbook.studies import Study, fraction, run_study
 
 # === Tracking =====================================================================================================
 # Response of the weights to a change of the floor (section 5.1.2, Fig. 6).
@@ -329,7 +329,4 @@ def judged(into: Switched, back: Switched) -> dict[str, tuple[float, tuple[float
         "colored-to-flat-w4-w6": back.felms_first("w4-w6"),
         "benefit-shrinks": shrinks,
     }
-    return {
-        f"isolation.tracking.{entry}": (float(each.mean()), proportion_interval(int(each.sum()), len(each)))
-        for entry, each in obeyed.items()
-    }
+    return {f"isolation.tracking.{entry}": fraction(each) for entry, each in obeyed.items()}

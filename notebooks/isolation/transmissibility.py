@@ -22,7 +22,7 @@ from experiments.isolation.responses import responses
 from experiments.isolation.simulation import TOGETHER
 from experiments.isolation.twin import Twin, load_twin
 from stillwork.signals.spectra import band_power
-from workbook.studies import proportion_interval
+from workbook.studies import fraction
 
 RESOLUTION_HZ = 0.25
 FERLS_S, FELMS_S = 100.0, 300.0  # of adaptation before the weights are frozen
@@ -148,8 +148,7 @@ def passive_misses(
 
 def share_over(misses: np.ndarray) -> tuple[float, tuple[float, float]]:
     """Share of records that miss 0 dB by over 1 dB, with its interval."""
-    over = misses > 1
-    return float(over.mean()), proportion_interval(int(over.sum()), len(over))
+    return fraction(misses > 1)
 
 
 def rigid_body(strut_damping: float, actuator_pole: float) -> Twin:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
-from experiments.motion.intervals import Values, central, key, share
+from experiments.motion.intervals import Values, central, key
 from experiments.motion.machines import stage
 from experiments.motion.perturbed_tracking import CASES, MEASURED, published_blocks, tracking_trial
 from experiments.motion.scan_study import (
@@ -59,7 +59,7 @@ from stillwork.lti.norms import hinf_norm
 from stillwork.lti.state_space import StateModel
 from stillwork.lti.structured import prove_gain
 from workbook import figures, paths
-from workbook.studies import Study, run_study
+from workbook.studies import Study, fraction, run_study
 
 # === Filters ======================================================================================================
 # Filters side by side on the same scans, each with one setting, tuned alike; what section 5.4.3 says of Fig. 5.10.
@@ -571,7 +571,7 @@ TABLE_PLANTS, LEAN_PLANTS, NOMINAL_DRAWS = 300, 100, 40
 def figure_values(kalman: Errors, penalised: Errors, regularised: Errors) -> Values:
     """The statements about Fig. 5.10 as the ledger has them."""
     said = figure_statements(kalman, penalised, regularised)
-    found: Values = {f"motion.fig-5-10.{claim}": share(holds) for claim, holds in said.items()}
+    found: Values = {f"motion.fig-5-10.{claim}": fraction(holds) for claim, holds in said.items()}
     # Judged by its size:
     found["motion.fig-5-10.sensitivity-rigid-as-kalman"] = central(penalised.rms[:, 0] / kalman.rms[:, 0])
     found["motion.fig-5-10.kalman-unbiased"] = central(kalman.bias[:, 2] / kalman.rms[:, 2])
@@ -632,8 +632,8 @@ def output_values(off: OutputErrors, exact: OutputErrors) -> Values:
     """What section 5.4.3 says of e_y and of MC on perturbed plants, beside the exact plant, as the ledger has it."""
     ratio = off.by_pseudo_inverse / off.position_errors
     return {
-        "motion.section-5-4-3.output-error": share(off.innovation < off.deformation),
-        "motion.section-5-4-3.pseudo-inverse": share(np.all((ratio > 0.1) & (ratio < 10), axis=1)),
+        "motion.section-5-4-3.output-error": fraction(off.innovation < off.deformation),
+        "motion.section-5-4-3.pseudo-inverse": fraction(np.all((ratio > 0.1) & (ratio < 10), axis=1)),
         "motion.section-5-4-3.mc-errors": central(off.deformation_error / np.median(exact.deformation_error)),
     }
 
@@ -667,8 +667,8 @@ def order(*, error_law: str, rigid_body_errs: bool, seed: int, lean: bool) -> Va
 def order_values(study: Mapping[str, np.ndarray]) -> Values:
     """Conclusion 5.4 as the ledger has it: by the Kalman filter that is tuned, and with the given noise."""
     return {
-        "motion.conclusion-5-4.tuned-kalman-ahead": share(kalman_ahead(study)),
-        "motion.conclusion-5-4.given-kalman-ahead": share(kalman_ahead(study, "Kalman, given noise")),
+        "motion.conclusion-5-4.tuned-kalman-ahead": fraction(kalman_ahead(study)),
+        "motion.conclusion-5-4.given-kalman-ahead": fraction(kalman_ahead(study, "Kalman, given noise")),
     }
 
 
@@ -696,7 +696,7 @@ def table_values(percent: Mapping[str, np.ndarray], nominal: Mapping[str, np.nda
         "mc-better-than-nominal": percent["MC"] < np.median(nominal["MC"]),
         "ad-worse-than-nominal": percent["AD"] > np.median(nominal["AD"]),
     }
-    return found | {f"motion.table-5-2.{claim}": share(holds) for claim, holds in said.items()}
+    return found | {f"motion.table-5-2.{claim}": fraction(holds) for claim, holds in said.items()}
 
 
 def perturbed_scans(

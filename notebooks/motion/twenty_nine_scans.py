@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from experiments.motion import perturbed_tracking
 from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
 from experiments.motion.ideal_feedforward import Force, feedforward_error, respond, sampled_ideal_force
-from experiments.motion.intervals import Values, key, share
+from experiments.motion.intervals import Values, key
 from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
 from experiments.motion.pictures import case_styles, paint_errors, plain_numbers
@@ -26,6 +26,7 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel
 from workbook import figures
+from workbook.studies import fraction
 
 # === Location study ===============================================================================================
 # One feedforward error at many places of the structure, under every published design (section 4.2.5).
@@ -176,7 +177,7 @@ def table_statements(study: LocationStudy) -> dict[str, bool]:
 def statement_shares(quiet: LocationStudy, draws: Sequence[ErrorsByCase]) -> Values:
     """Each statement of section 4.2.5 as the ledger has it: the share of draws of the noise in which it holds."""
     said = [table_statements(quiet.noisy(each)) for each in draws]
-    return {f"motion.section-4-2-5.{claim}": share([each[claim] for each in said]) for claim in said[0]}
+    return {f"motion.section-4-2-5.{claim}": fraction([each[claim] for each in said]) for claim in said[0]}
 
 
 def energy_values(quiet: LocationStudy, noisy: LocationStudy) -> Values:

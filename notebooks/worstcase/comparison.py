@@ -20,7 +20,7 @@ from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.identification.regressors import exponential_weights, fir_regressors
 from workbook import figures
-from workbook.studies import mean_interval, proportion_interval, run_study
+from workbook.studies import fraction, mean_interval, run_study
 
 # === Comparison ===================================================================================================
 # All methods see the same measured rows and outputs with the same exponential weights. `estimates` lists what each is
@@ -309,7 +309,7 @@ def statements(found: dict[str, np.ndarray]) -> dict[str, float | tuple[float, t
         "criterion-least-squares": float(np.median(np.median(worst[..., least], axis=-1))),
         "hinfinity": float(np.mean(behind[..., minmax] < behind[..., hinfinity])),
         "errors-in-variables": float(np.mean(behind[..., minmax] < behind[..., total])),
-        "uncertainty-dominates": (float(loses.mean()), proportion_interval(loses.sum(), loses.size)),
+        "uncertainty-dominates": fraction(loses.ravel()),
         "size-ridge-safest": float(np.mean([largest[m] > largest["bayes"] for m in methods if m != "bayes"])),
     }
     for name, method in REPORTED.items():

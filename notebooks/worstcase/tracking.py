@@ -14,7 +14,7 @@ from experiments.worstcase.simulations import (
 )
 from stillwork.identification.regressors import exponential_bound, exponential_weights
 from workbook import figures
-from workbook.studies import Study, mean_interval, proportion_interval, run_study, spread_interval
+from workbook.studies import Study, fraction, mean_interval, run_study, spread_interval
 
 # === Tracking pictures =====================================================================================
 METHODS = (
@@ -228,7 +228,7 @@ def weighting_statements(
     )
     helps = jump["min_max"] < jump["min_max_kept"]
     found = {
-        "helps": (helps.mean(), proportion_interval(helps.sum(), trials)),
+        "helps": fraction(helps),
         "jump": np.mean(jump["min_max"] / jump["min_max_kept"]),
         "jump-least-squares": np.mean(jump["least"] / jump["least_kept"]),
         "constant-least-squares": np.mean(still["least_kept"] / still["min_max"]),

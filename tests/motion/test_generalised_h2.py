@@ -4,7 +4,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-from experiments.motion.intervals import share
 from notebooks.motion.generalised_h2 import (
     ErrorSystem,
     error_system,
@@ -15,7 +14,7 @@ from notebooks.motion.generalised_h2 import (
     settled_covariance,
 )
 from stillwork.base.checks import InputError
-from workbook.studies import proportion_interval
+from workbook.studies import fraction, proportion_interval
 
 
 def problem(seed, samples=12, n=3, outputs=1):
@@ -157,6 +156,6 @@ def test_the_recursion_settles_at_the_algebraic_solution():
 
 
 def test_a_share_counts_runs_and_not_their_parts():
-    value, interval = share([[True, True], [True, False], [True, True], [True, True]])
+    value, interval = fraction([[True, True], [True, False], [True, True], [True, True]])
     assert value == pytest.approx(7 / 8)
     assert interval == proportion_interval(3, 4)

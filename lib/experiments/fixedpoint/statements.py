@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
-from workbook.studies import Study, mean_interval, proportion_interval
+from workbook.studies import Study, fraction, mean_interval
 
 SMOOTHEST = "low pass smoothest"
 HECTIC = "Kalman filter most hectic"
@@ -42,11 +42,6 @@ def in_both_forms(
     """Which runs obey a statement with (14) as printed and with it corrected."""
     printed, corrected = (statements(study, form, hectic_by=hectic_by)[name] for form in (LITERAL, KALMAN))
     return printed & corrected
-
-
-def fraction(obeyed: Bool[np.ndarray, " runs"]) -> tuple[float, tuple[float, float]]:
-    """Fraction of runs that obey, and Wilson's 95 % interval of it."""
-    return float(obeyed.mean()), proportion_interval(int(obeyed.sum()), len(obeyed))
 
 
 def relative_change(before: np.ndarray, after: np.ndarray) -> tuple[float, tuple[float, float]]:
