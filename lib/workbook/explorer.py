@@ -11,9 +11,10 @@ BASES = ("printed", "assumed", "our result", "default")
 
 
 def label(name: str, unit: str = "") -> str:
-    """A control's words: its parameter's name, the unit in brackets and not in the name, too."""
+    """A control's words: its parameter's name, the unit in brackets and neither it nor its numerator in the name, too."""
     *words, last = name.split("_")
-    text = " ".join(words if words and last == unit.lower() else [*words, last])
+    doubled = words and last in (unit.lower(), unit.lower().partition("/")[0])
+    text = " ".join(words if doubled else [*words, last])
     return f"{text} ({unit})" if unit else text
 
 

@@ -198,6 +198,8 @@ def test_the_start_is_one_of_the_slider_s_steps(slider):
 def test_a_unit_stands_once():
     assert label("integrator_cutoff_hz", "Hz") == "integrator cutoff (Hz)"
     assert label("noise_model", "N^2/s") == "noise model (N^2/s)"
+    assert label("sensor_nm", "nm/√Hz") == "sensor (nm/√Hz)"
+    assert label("memory_s", "samples") == "memory s (samples)"
     assert label("taps") == "taps"
 
 
