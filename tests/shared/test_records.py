@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import re
 import zipfile
 
 import numpy as np
@@ -492,7 +493,7 @@ def test_a_unit_in_the_header_is_obeyed(tmp_path):
 def test_a_unit_is_asked_for_where_the_header_has_none_and_channels_of_one_quantity_are_taken(tmp_path):
     table = np.column_stack([np.arange(SIGNALS.shape[1]) / RATE, *SIGNALS])
     file = tmp_path / "a.csv"
-    np.savetxt(file, table, header="time,left (north),right (mV)", comments="", delimiter=",")
+    np.savetxt(file, table, header="time,left,right (mV)", comments="", delimiter=",")
     with pytest.raises(InputError, match=r"^unit\b.*left"):
         load_record(file)
     assert load_record(file, "mV").signals == pytest.approx(1e-3 * SIGNALS)
@@ -500,6 +501,23 @@ def test_a_unit_is_asked_for_where_the_header_has_none_and_channels_of_one_quant
     np.savetxt(file, table, header="time,left (m/s),right (mV)", comments="", delimiter=",")
     with pytest.raises(InputError, match=r"\bchannels\b"):
         load_record(file)
+
+
+@pytest.mark.parametrize("bracket", ["(ft/s^2)", "[G]", "(north)"])
+def test_a_unit_in_brackets_that_is_not_known_is_refused_although_one_is_given(tmp_path, bracket):
+    np.savez(tmp_path / "a.npz", **{"fs": RATE, f"x {bracket}": SIGNALS[0]})
+    with pytest.raises(InputError, match=rf"x .*{re.escape(bracket[1:-1])}.*no unit"):
+        load_record(tmp_path / "a.npz", "m/s^2")
+    np.savez(tmp_path / "a.npz", **{"fs": RATE, f"x {bracket} (mm/s^2)": SIGNALS[0], "y [2]": SIGNALS[0]})
+    found = load_record(tmp_path / "a.npz", "mm/s^2")
+    assert found.unit == "m/s^2" and found.signals == pytest.approx(1e-3 * SIGNALS[[0, 0]])
+
+
+@pytest.mark.parametrize("bracket", ["(ft/s^2)", "[dB]", "(m/s^2)"])
+def test_a_spectrum_in_what_is_no_density_is_refused_although_one_is_given(tmp_path, bracket):
+    np.savez(tmp_path / "a.npz", **{"frequency": np.array([1.0, 2.0]), f"x {bracket}": np.ones(2)})
+    with pytest.raises(InputError, match="no density"):
+        read_densities(tmp_path / "a.npz", "(m/s^2)^2/Hz", [], 2)
 
 
 def test_complex_numbers_are_no_frequencies(tmp_path):

@@ -35,7 +35,7 @@ from stillwork.design.html_page import page, picture, table
 from stillwork.design.retest import model_of
 from stillwork.lti.modal import ModalModel
 from stillwork.signals.datafiles import read_columns
-from stillwork.signals.densities import density_unit, frequency_axis, read_densities, stated_density
+from stillwork.signals.densities import agreed_density, density_unit, frequency_axis, read_densities
 from stillwork.signals.records import Record, is_time, load_record, to_acceleration, unit_factor
 from stillwork.signals.spectra import estimate_spectrum
 from workbook import figures
@@ -356,7 +356,7 @@ def measured_at(name: str, file: Path, unit: str, place: str) -> Source:
             f"{name}: {file.name} holds {len(columns)} columns beside {axis!r}; keep the one that acts here"
         )
     ((column, row),) = columns.items()
-    said = unit or stated_density(column)
+    said = agreed_density(file.name, column, unit)
     known, wanted = density_unit(said) if said else None, f"{PLACES[place]}/sqrt(Hz)"
     if known is None:
         raise InputError(

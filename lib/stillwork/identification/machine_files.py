@@ -131,14 +131,16 @@ def load_machine(
             model = _from_matrices(arrays, damping_ratio)
             return MachineFile(kind, file.name, model=model, units=(units[0], units[2]))
         named = response.partition("[")[0]
-        stated = stated_units([each for each in (response, named) if each in arrays] or arrays)
+        read = [each for each in (response, named) if each in arrays] or list(arrays)
+        stated = stated_units(read)
         response_unit = _agreed("response_unit", response_unit, stated[0])
         force_unit = _agreed("force_unit", force_unit, stated[1])
         silent = [name for name, unit in (("response", response_unit), ("force", force_unit)) if not unit]
         response_unit = response_unit or "m/s^2"
-        if silent and (unknown := _unknown_unit(arrays)):
+        if unknown := _unknown_unit(read):
             raise InputError(
-                f"{unknown}: the unit is not known; use {UNITS_SAID}, or give response_unit and force_unit"
+                f"{unknown}: the unit is not known; convert it to one of {UNITS_SAID} and name it so, or leave the brackets "
+                "out of the name and give response_unit and force_unit"
             )
         position, derivatives, drive = _machine_units(response_unit, force_unit)
         force_unit = force_unit or drive

@@ -8,7 +8,7 @@ import numpy as np
 from stillwork.base.checks import InputError, pluralise, require_choice
 from stillwork.base.validation import checked
 from stillwork.signals.datafiles import read_columns
-from stillwork.signals.records import MOTION_UNITS, unit_factor
+from stillwork.signals.records import MOTION_UNITS, stated_unit, unit_factor, unknown_unit
 
 DENSITIES_SAID = "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), say, with m, u or n before a unit"
 # What a column beside a frequency is called when it is a part of a response, and no density.
@@ -102,16 +102,33 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
 
 def _scale(source: str, name: str, unit: str) -> tuple[float, int, int]:
     """Factor to SI of the motion, the power to which the density has it, and derivatives that lack to acceleration."""
-    stated = stated_density(name)
-    if not (unit or stated):
+    said = agreed_density(source, name, unit)
+    if not said:
         raise InputError(
             f"unit is not given, and {source} states none for {name!r}; give a density as {DENSITIES_SAID}"
         )
-    if unit and stated and _meaning(unit) != _meaning(stated):
+    return _meaning(said)
+
+
+@checked
+def agreed_density(source: str, name: str, unit: str) -> str:
+    """Unit of a density that its name states, or the one given; never two that differ, and empty where there is none."""
+    stated = stated_density(name)
+    if unit and not stated and (odd := unknown_unit(name) or stated_unit(name)):
+        raise InputError(
+            f"unit is {unit!r}, but {source} names the spectrum {name!r}, and {odd!r} is no density; convert the spectrum to "
+            f"{unit} and name it so, or leave the brackets out of its name"
+        )
+    if unit and stated and _factors(unit) != _factors(stated):
         raise InputError(
             f"unit is {unit!r}, but {source} names the spectrum {name!r}; leave it empty, or correct one of them"
         )
-    return _meaning(stated or unit)
+    return stated or unit
+
+
+def _factors(unit: str) -> tuple | None:
+    said = density_unit(unit)
+    return said and (unit_factor(said[0]), said[1])
 
 
 def _meaning(unit: str) -> tuple[float, int, int]:

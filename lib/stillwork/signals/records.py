@@ -179,7 +179,7 @@ def load_record(
     Raises
     ------
     InputError
-        For an unknown, missing or contradictory unit, channels of several quantities, an unknown channel, NaN, a channel
+        For an unknown, missing or contradictory unit, also one in a channel's brackets, channels of several quantities, an unknown channel, NaN, a channel
         that never moves, gaps, uneven time, an implausible or contradictory rate, too short a record or too many
         channels. The message says what to do.
 
@@ -255,14 +255,26 @@ def unit_factor(unit: str) -> tuple[float, str]:
 @checked
 def stated_unit(name: str) -> str:
     """The unit in the brackets of a channel's name; empty when there is none that is known."""
-    found = re.search(r"[(\[](.+?)[)\]]", name)
-    if found is None:
-        return ""
+    return next((each for each in _bracketed(name) if _is_known(each)), "")
+
+
+@checked
+def unknown_unit(name: str) -> str:
+    """What stands in a name's brackets where nothing in them is a known unit; empty: nothing, or numbers."""
+    words = [each for each in _bracketed(name) if re.search(r"[^\W\d_]", each)]
+    return words[-1] if words and not any(map(_is_known, words)) else ""
+
+
+def _bracketed(name: str) -> list[str]:
+    return re.findall(r"[(\[](.+?)[)\]]", name)
+
+
+def _is_known(unit: str) -> bool:
     try:
-        unit_factor(found[1])
+        unit_factor(unit)
     except InputError:
-        return ""
-    return found[1]
+        return False
+    return True
 
 
 @checked
@@ -272,6 +284,11 @@ def channel_unit(source: str, name: str, unit: str, argument: str = "unit") -> t
     if not (unit or stated):
         raise InputError(
             f"{argument} is not given, and {source} states none for {name!r}; give it ({UNITS_SAID})"
+        )
+    if unit and (odd := unknown_unit(name)):
+        raise InputError(
+            f"{argument} is {unit!r}, but {source} names the channel {name!r}, and {odd!r} is no unit that is known; convert "
+            f"the channel to {unit} and name it so, or leave the brackets out of its name"
         )
     if unit and stated and unit_factor(unit) != unit_factor(stated):
         raise InputError(
