@@ -1,30 +1,50 @@
-"""What is said of a floor before an adaptation listens to it."""
+"""What a floor's file says of slow motion before an adaptation listens to it."""
 
 import numpy as np
 import pytest
 
-from stillwork.design.isolate import LINE_HZ, read_floor
-from stillwork.signals.floor_checks import drift_ratio
+from naive.isolators import coloured
+from stillwork.control.isolation_design import floor_spectra
+from stillwork.design.isolate import SLOWEST_HZ, read_floor
+
+RATE = 200.0
 
 
 def microseism(level: float, low_hz: float = 0.02):
     """Acceleration from 3 Hz on, and a narrow band at 0.15 Hz."""
-    f = np.arange(low_hz, 200.0, 0.01)
+    f = np.arange(low_hz, 90.0, 0.01)
     return f, 1e-12 / (1 + (3 / f) ** 4) + level * np.exp(-(((f - 0.15) / 0.02) ** 2))
 
 
-def test_velocity_below_the_certificates_lines_is_the_closed_form():
-    f = np.geomspace(0.02, 100.0, 20001)
-    found = drift_ratio(f, (f**2)[None], 0.25)  # a white velocity
-    assert found == pytest.approx(np.sqrt(0.23 / 99.75), rel=1e-3)
-    assert drift_ratio(f[f > 1], (f**2)[None, f > 1], 0.25) == 0.0
+@pytest.mark.parametrize("level", [1e-8, 1e-6])
+def test_a_microseism_is_in_the_spectra_that_a_design_is_certified_on(tmp_path, level):
+    f, density = microseism(level)
+    np.savez(tmp_path / "floor.npz", **{"frequency (Hz)": f, "a ((m/s^2)^2/Hz)": density})
+    found, notes, _ = read_floor(str(tmp_path / "floor.npz"), "", 1, 2 * RATE, [])
+    assert found.frequencies_hz[0] == SLOWEST_HZ and not any("below" in each for each in notes)
+    power = level * 0.02 * np.sqrt(np.pi)
+    slow = found.frequencies_hz < 1
+    assert found.density[slow, 0, 0].real @ found.widths_hz[slow] == pytest.approx(power, rel=0.01)
+    record = coloured(np.random.default_rng(0), f, density, 400_000, RATE, 1)
+    own = floor_spectra(record, RATE, "record")
+    slow = own.frequencies_hz < 0.875
+    assert own.density[slow, 0, 0].real @ own.widths_hz[slow] == pytest.approx(power, rel=0.2)
+    ends = own.frequencies_hz + own.widths_hz / 2
+    assert ends[:-1] == pytest.approx((own.frequencies_hz - own.widths_hz / 2)[1:], abs=0.01)
+    whole = own.density[:, 0, 0].real @ own.widths_hz
+    assert whole == pytest.approx(record.var(), rel=0.2)
 
 
-@pytest.mark.parametrize(
-    ("level", "low_hz", "said"), [(1e-8, 0.02, True), (1e-14, 0.02, False), (1e-8, 0.3, False)]
-)
-def test_a_microseism_is_reported(tmp_path, level, low_hz, said):
-    file = tmp_path / "floor.csv"
-    np.savetxt(file, np.sqrt(np.column_stack(microseism(level, low_hz)) ** [2, 1]), delimiter=",", header="f_hz,a_m/s2_rthz", comments="")  # fmt: skip
-    _, _, seen = read_floor(str(file), "m/s^2/sqrt(Hz)", 1, 1000.0, [])
-    assert any(f"Below {LINE_HZ:g} Hz" in each for each in seen) == said
+@pytest.mark.parametrize("kind", ["spectra", "record"])
+def test_below_what_is_known_a_floor_stays_as_it_is_there(tmp_path, kind):
+    f, density = microseism(0.0, 0.3)
+    columns = {"frequency (Hz)": f, "a ((m/s^2)^2/Hz)": density}
+    if kind == "record":
+        columns = {"fs": RATE, "a (m/s^2)": coloured(np.random.default_rng(0), f, density, 2000, RATE, 1)[0]}
+    np.savez(tmp_path / "floor.npz", **columns)
+    found, notes, _ = read_floor(str(tmp_path / "floor.npz"), "", 1, 2 * RATE, [])
+    first = {"spectra": 0.3, "record": 0.25}[kind]
+    assert f"below {first:g} Hz, where nothing is known of the floor, as at {first:g} Hz" in notes
+    below = found.frequencies_hz < 0.9 * first
+    assert found.frequencies_hz[0] < 1.5 * SLOWEST_HZ and below.sum() > 4
+    assert np.ptp(found.density[below]) == 0 < found.density[below].real.min()

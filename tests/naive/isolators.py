@@ -192,6 +192,21 @@ def coloured(rng, hertz, density, samples, rate, sensors, common=0.0):
     return np.fft.irfft(mixed * size, samples, axis=1)
 
 
+def microseism(rng, hertz):
+    """Density of a floor, (m/s^2)^2/Hz: a quiet or a loud band, up to three slow peaks and drift, all widely drawn."""
+    level = 2e-6 * 10 ** rng.uniform(-4, 0)
+    low, high = 10 ** rng.uniform(0, 0.6), 10 ** rng.uniform(1.6, 2.3)
+    shape = 1 / (1 + (low / hertz) ** 4) / (1 + (hertz / high) ** 4)
+    for _ in range(rng.integers(1, 4)):
+        at, width = rng.uniform(0.1, 0.35), 10 ** rng.uniform(-1.7, -0.5)
+        shape += 10 ** rng.uniform(-2, 4.6) * np.exp(-0.5 * (np.log(hertz / at) / width) ** 2)
+    slope = rng.choice([2, 4])
+    return level * (
+        shape
+        + 10 ** rng.uniform(-2, 3) * (0.05 / np.maximum(hertz, 0.01)) ** slope / (1 + (hertz / 0.5) ** 6)
+    )
+
+
 class CompiledLoop:
     """The C of a folder, compiled with a plant around it."""
 

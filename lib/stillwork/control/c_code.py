@@ -256,7 +256,8 @@ def isolation_code(
     limit : float
         Of each command, N.
     pause_s : float
-        For how long the weights are kept after the limit acted, s.
+        For how long the weights are kept after the limit acted, s; at the start at least until the floor sensors' filters
+        have settled, see `FeedforwardLoop.settling`.
     name, precision : str
         See `controller_code`.
 
@@ -287,6 +288,7 @@ def isolation_code(
         "sample_time": repr(loop.sample_time),
         "zero": write(0),
         "limit": "INFINITY" if unlimited else write(limit),
+        "start": round(max(loop.settling, pause_s) * loop.rate),
         "pause": round(pause_s * loop.rate),
         "patience": round(PATIENCE_S * loop.rate),
         "powers": POWERS,
@@ -294,6 +296,7 @@ def isolation_code(
         "integrator_sections": POWERS * len(loop.integrator),
         "skyhook_sections": len(loop.skyhook),
         "shaping_sections": len(loop.noise_shaping),
+        "highpass_sections": len(loop.highpass),
         "error_sections": modes.shape[1],
         "weights": _rows(write, weights),
         "before": _rows(wide, before),
@@ -304,6 +307,7 @@ def isolation_code(
             for each, kind in (
                 ("skyhook", "skyhook"),
                 ("shaping", "noise_shaping"),
+                ("highpass", "highpass"),
                 ("integrator", "integrator"),
             )
         },

@@ -10,9 +10,9 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from scipy import linalg, signal
+from scipy import linalg, signal, special
 
-from stillwork.base.bounds import NonNegative, Positive
+from stillwork.base.bounds import Count, NonNegative, Positive
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.isolation_filters import (
@@ -21,11 +21,15 @@ from stillwork.control.isolation_filters import (
     inverse_secondary_shaping,
     noise_shaping,
     skyhook,
+    weak_highpass,
     weak_integrator,
 )
 from stillwork.estimation.mean_adaptation import Responses, Steady
 
 IMAGES = 20  # of a sampled response at multiples of the rate, on either side
+SETTLED = (
+    1e-8  # of a step, that counts as nothing: an offset may be a million times the motion in band (chosen)
+)
 ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
 
 
@@ -116,10 +120,13 @@ class FeedforwardLoop:
 
     rate: Positive  # samples a second
     gain: NonNegative  # k_v, N s/m, of the skyhook on every axis
-    cutoff_hz: Positive  # alpha, of the weak integrators
+    cutoff_hz: Positive  # alpha, of the weak integrators and the high-passes
     beta: Positive  # 1/s: the weak integrator's normalisation
     shaping: NoiseShaping
     estimate: Isolator  # what the path is taken for
+    highpasses: Count = (
+        1  # of the floor sensors, one after another: slow motion and offsets are no regressors
+    )
 
     def __post_init__(self):
         check_fields(self)
@@ -142,6 +149,20 @@ class FeedforwardLoop:
     def integrator(self) -> np.ndarray:
         """Sections of beta H."""
         return weak_integrator(ORDER, 2 * np.pi * self.cutoff_hz, self.beta, self.sample_time)
+
+    @cached_property
+    def highpass(self) -> np.ndarray:
+        """Sections of all high-passes."""
+        return weak_highpass(ORDER, 2 * np.pi * self.cutoff_hz, self.highpasses, self.sample_time)
+
+    @property
+    def settling(self) -> float:
+        """Seconds until a step at a floor sensor has left the regressors but for `SETTLED` of it.
+
+        Of the n-th power of a / (s + a), as in the last regressor.
+        """
+        poles = ORDER * (self.highpasses + POWERS)
+        return float(special.gammainccinv(poles, SETTLED) / (2 * np.pi * self.cutoff_hz))
 
     @cached_property
     def noise_shaping(self) -> np.ndarray:
@@ -181,12 +202,12 @@ class FeedforwardLoop:
         f, sensors = frequencies_hz, primary.shape[2]
         if not ((f > 0) & (f < self.rate / 2)).all():
             raise InputError(f"frequencies_hz must lie above 0 and below {self.rate / 2:g} Hz, half the rate")
-        damping, integrator, shaping = (
+        damping, integrator, shaping, highpass = (
             signal.freqz_sos(sections, f, fs=self.rate)[1]
-            for sections in (self.skyhook, self.integrator, self.noise_shaping)
+            for sections in (self.skyhook, self.integrator, self.noise_shaping, self.highpass)
         )
         sensitivity = np.linalg.inv(np.eye(secondary.shape[1]) + secondary * damping[:, None, None])
-        stack = integrator[:, None] ** np.arange(POWERS + 1)
+        stack = highpass[:, None] * integrator[:, None] ** np.arange(POWERS + 1)
         before, sections, after = self.error
         each = np.stack([signal.freqz_sos(rows, f, fs=self.rate)[1] for rows in sections], axis=1)
         return Responses(

@@ -78,6 +78,24 @@ def weak_integrator(order: Count, cutoff: Positive, beta: Positive, sample_time:
 
 
 @checked
+def weak_highpass(order: Count, cutoff: Positive, times: Count, sample_time: Positive) -> Sections:
+    """High-pass 1 - (a / (s + a))^n, s times the weak integrator of unit beta, so many `times` one after another.
+
+    Far above the cut-off a (rad/s) it differs from 1 by (a / s)^n only, which turns the phase less than a Butterworth
+    high-pass does.
+
+    Examples
+    --------
+    >>> sections = weak_highpass(3, 2 * np.pi, 2, 1e-3)
+    >>> np.abs(signal.freqz_sos(sections, [0.0, 0.1, 10.0], fs=1e3)[1]).round(3)
+    array([0.   , 0.074, 1.   ])
+    """
+    unity = np.exp(2j * np.pi * np.arange(1, order) / order)
+    zeros = [0.0, *(cutoff * (unity - 1))]
+    return tustin_sections(zeros * times, -cutoff * np.ones(order * times), 1.0, sample_time)
+
+
+@checked
 def secondary_path(path: SecondaryPath, sample_time: Positive) -> Sections:
     """Secondary path s² / (m s² + d s + k) w_a / (s + w_a), without delay."""
     poles = [*np.roots(path.suspension), -path.actuator_pole]

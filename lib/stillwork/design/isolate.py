@@ -39,7 +39,6 @@ from stillwork.signals.densities import density_unit, read_densities, stated_den
 from stillwork.signals.floor_checks import (
     HEARD_HZ,
     SLOW_HZ,
-    drift_ratio,
     require_floor_level,
     sensor_faults,
     slow_ratio,
@@ -50,9 +49,10 @@ from workbook import figures
 
 QUIET = 1e-5  # m/s^2/sqrt(Hz): noise of a sensor of which nothing is said
 MAINS_WIDTH = 0.1  # of a notch, bandwidth over frequency
-LINE_HZ = 0.25
-DRIFT_RATIO = 0.7  # of the velocity below LINE_HZ over that above, from which on it is reported (chosen: microseism has 1.2)
-LINES_OF_DRIFT = 40  # of LINE_HZ's periods in a record, from which on it is known
+LINE_HZ = 0.25  # between lines of a record
+SLOWEST_HZ = (
+    0.02  # from where on a floor is judged: between lines of spectra, and of a record that is long enough
+)
 SLOW_RATIO = 5.0  # of slow motion per root Hz over that in band, from which on it is reported (chosen)
 LISTENED_S = 60.0  # over which the motion is judged that spectra foresee
 PAUSES = 5.0  # of the band's slowest time constant, for which the weights are kept after the limit acted
@@ -154,6 +154,10 @@ def isolate_file(
         ],
         ["skyhook gain", f"{loop.gain:.4g} N s/m on each axis"],
         ["weak integrators", f"third order, cut off at {loop.cutoff_hz:g} Hz, beta {loop.beta:.4g} 1/s"],
+        [
+            "high-pass of the floor sensors",
+            f"{pluralise(loop.highpasses, 'time')} 1 - (a / (s + a))^3 with that cut-off",
+        ],
         ["band", f"{loop.shaping.highpass_hz:.3g} to {loop.shaping.lowpass_hz:.4g} Hz"],
         [
             "adaptation",
@@ -178,6 +182,7 @@ def isolate_file(
         "skyhook_gain": loop.gain,
         "cutoff_hz": loop.cutoff_hz,
         "beta": loop.beta,
+        "highpasses": loop.highpasses,
         "band_hz": [loop.shaping.highpass_hz, loop.shaping.lowpass_hz],
         "algorithm": algorithm,
         "step": design.step,
@@ -223,7 +228,7 @@ def require_force(found: IsolationPrediction, limit: float) -> None:
     if limit < PEAKS * largest:
         raise InputError(
             f"not to be switched on: limit is {limit:g} N, and on this floor a command has {largest:.3g} N rms; give "
-            f"{PEAKS * largest:.3g} N or more, or take a high-pass over the floor sensors where slow motion asks for it"
+            f"{PEAKS * largest:.3g} N or more, or begin the band higher"
         )
 
 
@@ -349,24 +354,19 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
     notes = []
     if spectral:
         f, rows = read_densities(path, unit, channels, sensors)
-        drift = drift_ratio(f, np.array(rows), LINE_HZ)
-        lines = np.arange(LINE_HZ, min(f[-1], 0.45 * rate), LINE_HZ)
-        rows = np.array([np.interp(lines, f, row, left=0.0) for row in rows])
+        lines = np.arange(SLOWEST_HZ, min(f[-1], 0.45 * rate), SLOWEST_HZ)
+        rows = np.array([np.interp(lines, f, row) for row in rows])
         density = rows.T[:, :, None] * np.eye(len(rows))
         notes.append("the floor sensors as independent of one another")
-        if f[0] > SLOW_HZ[0]:
-            notes.append(
-                f"the floor as at rest below {f[0]:.3g} Hz, where its spectra begin: slow motion is not judged"
-            )
-        rms = float(np.sqrt(LINE_HZ * rows.sum(axis=1).max()))
+        rms = float(np.sqrt(SLOWEST_HZ * rows.sum(axis=1).max()))
         require_floor_level(path.name, unit, rms, rms)
-        spectra = binned(lines, density, LISTENED_S, f"spectra of {path.name}")
+        spectra, known = binned(lines, density, LISTENED_S, f"spectra of {path.name}"), float(f[0])
         seen, slow = [], slow_ratio(lines, rows)
     else:
         record = to_acceleration(load_record(path, unit, channels=channels or None, most_channels=sensors))
         peak, rms = np.abs(record.signals).max(), record.signals.std(axis=1).max()
         require_floor_level(record.source, unit, float(peak), float(rms))
-        spectra = floor_spectra(record.signals, record.sample_rate, record.source, LINE_HZ)
+        spectra = floor_spectra(record.signals, record.sample_rate, record.source, LINE_HZ, SLOWEST_HZ)
         top = min(0.45 * rate, PASS_SHARE * record.sample_rate / 2)
         kept = spectra.frequencies_hz < top
         spectra = replace(
@@ -375,23 +375,15 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
         )  # fmt: skip
         seen = list(sensor_faults(record.signals, record.sample_rate))
         whole = estimate_spectrum(record.signals, record.sample_rate, LINE_HZ)
-        slow, drift = slow_ratio(whole.frequencies_hz, whole.density), 0.0
-        if record.signals.shape[1] >= LINES_OF_DRIFT * record.sample_rate / LINE_HZ:
-            fine = estimate_spectrum(record.signals, record.sample_rate, LINE_HZ / 10)
-            drift = drift_ratio(fine.frequencies_hz, fine.density, LINE_HZ)
-        else:
-            notes.append(f"nothing below {LINE_HZ:g} Hz, for which the record is too short")
+        slow, known = slow_ratio(whole.frequencies_hz, whole.density), float(spectra.frequencies_hz[0])
+        spectra = _down_to(SLOWEST_HZ, spectra)
+    if known > 2 * SLOWEST_HZ:
+        notes.append(f"below {known:.3g} Hz, where nothing is known of the floor, as at {known:.3g} Hz")
     if slow > SLOW_RATIO:
         seen.append(
             f"At {SLOW_HZ[0]:g} to {SLOW_HZ[1]:g} Hz the floor's acceleration per √Hz is {slow:.2g} times that at "
-            f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, so the adaptation is made slow, or "
-            "refused; a high-pass between the floor sensors and the controller, and over the record, takes it away."
-        )
-    elif drift > DRIFT_RATIO:
-        seen.append(
-            f"Below {LINE_HZ:g} Hz, where the certificate does not look, the floor's velocity is {drift:.2g} times that "
-            "above, as in a microseism: the weights may burst although the certificate passes (they did on 2 of 5 "
-            "simulated floors); a high-pass between the floor sensors and the controller takes it away."
+            f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, so the adaptation is made slow and "
+            "more is filtered from the floor sensors by a high-pass, which leaves more in the band."
         )
     channels = spectra.density.shape[1]
     if channels == 1 < sensors:
@@ -402,6 +394,21 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
             f"{path.name} holds {pluralise(channels, 'channel')}, the isolator has {pluralise(sensors, 'floor sensor')}; give as many, or one"
         )
     return spectra, notes, seen
+
+
+def _down_to(lowest_hz: float, spectra: FloorSpectra) -> FloorSpectra:
+    """Lines from `lowest_hz` on: below the first of a short record the density stays as it is there."""
+    first, width = spectra.frequencies_hz[0], spectra.widths_hz[0]
+    count = int((first - width / 2) / lowest_hz)
+    if count < 1:
+        return spectra
+    widths = np.full(count, (first - width / 2) / count)
+    return replace(
+        spectra,
+        frequencies_hz=np.concatenate([np.cumsum(widths) - widths / 2, spectra.frequencies_hz]),
+        widths_hz=np.concatenate([widths, spectra.widths_hz]),
+        density=np.concatenate([np.repeat(spectra.density[:1], count, axis=0), spectra.density]),
+    )
 
 
 def _step(design: IsolationDesign, algorithm: str) -> str:

@@ -12,7 +12,6 @@ from stillwork.base.validation import checked
 CREST = 20.0  # peak over rms from which on it may be a spike: footsteps on a slab reach 15 (chosen)
 STUCK_S = 0.25  # s of one value, of a sensor that sticks (chosen)
 SLOW_HZ, HEARD_HZ = (0.5, 1.0), (6.0, 100.0)  # what may break an adaptation, and what it learns from
-DRIFT_HZ = 0.02  # below it nothing is asked of a floor
 LOUDEST = 9.80665  # m/s^2: beyond 1 g nothing stays on a floor
 QUIETEST = 1e-8  # m/s^2 rms: the quietest ground on Earth (Peterson's low noise model) has that at 1-10 Hz
 
@@ -67,26 +66,6 @@ def slow_ratio(
         return 0.0
     with np.errstate(divide="ignore", invalid="ignore"):  # of a silent sensor
         return float(np.sqrt(np.nan_to_num((slow.mean(axis=1) / np.median(heard, axis=1)).max())))
-
-
-@checked
-def drift_ratio(
-    frequencies_hz: Float64[np.ndarray, " frequencies"],
-    density: Float64[np.ndarray, "sensors frequencies"],
-    below_hz: float,
-) -> float:
-    """Root mean square of the velocity from `DRIFT_HZ` to `below_hz` over that above, of the sensor where it is largest.
-
-    0 where nothing is known below.
-    """
-    f = frequencies_hz[frequencies_hz >= DRIFT_HZ]
-    velocity = density[:, frequencies_hz >= DRIFT_HZ] / f**2
-    low = f <= below_hz
-    if low.sum() < 2 or (~low).sum() < 2:
-        return 0.0
-    under, over = (np.trapezoid(velocity[:, part], f[part], axis=1) for part in (low, ~low))
-    with np.errstate(divide="ignore", invalid="ignore"):  # of a silent sensor
-        return float(np.sqrt(np.nan_to_num((under / over).max())))
 
 
 def _longest_still(row: np.ndarray, within: float) -> tuple[int, int]:

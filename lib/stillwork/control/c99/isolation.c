@@ -15,8 +15,9 @@ typedef ${name}_real real;
 #define N ${guard}_REGRESSORS
 #define POWER $power_sections /* sections of one weak integrator */
 
-/* Samples after the limit acted until the error belongs to an unlimited command again; and for how many a missing
-   sensor is held. */
+/* Samples until the filters of the floor sensors, which start from rest, have settled; after the limit acted until the
+   error belongs to an unlimited command again; and for how many a missing sensor is held. */
+static const int start_samples = $start;
 static const int pause_samples = $pause;
 static const int patience = $patience;
 
@@ -24,6 +25,8 @@ static const double skyhook[$skyhook_sections][5] = {
 $skyhook};
 static const double shaping[$shaping_sections][5] = {
 $shaping};
+static const double highpass[$highpass_sections][5] = {
+$highpass};
 static const double integrator[POWER][5] = {
 $integrator};
 static const double modes[A][$error_sections][5] = {
@@ -72,7 +75,7 @@ void ${name}_start(${name}_state *s)
         }
     }
     s->adapting = 1;
-    s->wait = pause_samples; /* the filters start from rest */
+    s->wait = start_samples;
 }
 
 void ${name}_store(const ${name}_state *s, real stored[${guard}_STORED])
@@ -158,7 +161,7 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
     s->missing = whole ? 0 : (s->missing + 1);
     if (!whole) {
         flags |= ${guard}_HELD;
-        s->wait = pause_samples;
+        s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
         if (s->missing > patience) { /* nothing to go by: no force, and the filters stand still */
             s->missing = patience + 1;
             for (a = 0; a < A; a++) {
@@ -184,9 +187,12 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
     }
     product(after, axes, error);
 
-    /* The regressors psi from the floor, and N psi: N first, then the weak integrators of both. */
+    /* The regressors psi from the floor without its slow motion, and N psi: N first, then the weak integrators of both. */
     for (i = 0; i < S; i++) {
         both[i] = (double)s->floor[i];
+        for (k = 0; k < $highpass_sections; k++) {
+            both[i] = section(highpass[k], &s->highpass[k][0][i], &s->highpass[k][1][i], both[i]);
+        }
         both[S + i] = both[i];
         for (k = 0; k < $shaping_sections; k++) {
             both[S + i] = section(shaping[k], &s->shaping[k][0][i], &s->shaping[k][1][i], both[S + i]);
@@ -219,7 +225,7 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
         }
     }
     if ((flags & ${guard}_SATURATED) != 0u) {
-        s->wait = pause_samples;
+        s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
     }
     if ((s->adapting == 0) || (s->wait > 0)) {
         flags |= ${guard}_FROZEN;

@@ -30,12 +30,13 @@ typedef struct {
     ${name}_adapt_state adapt; /* the weights W and what their update keeps */
     ${name}_real limit[$axes];   /* N, of each command; may be changed between two samples */
     int adapting;              /* 0: the weights are kept; likewise */
-    int wait;                  /* samples until they adapt again after the limit acted */
+    int wait;                  /* samples until they adapt, at the start or again after the limit acted */
     int missing;               /* samples in a row */
     ${name}_real floor[$sensors];  /* the last that were there */
     ${name}_real platform[$axes];
     double skyhook[$skyhook_sections][2][$axes];
     double shaping[$shaping_sections][2][$sensors];
+    double highpass[$highpass_sections][2][$sensors];
     double integrator[$integrator_sections][2][$both];
     double error[$error_sections][2][$axes];
 } ${name}_state;
