@@ -8,9 +8,17 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.motion.beam import beam_parameters, published_beam
-from experiments.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
+from experiments.motion.machines import (
+    as_stage,
+    chain,
+    chain_matrix,
+    drive,
+    measured_accelerance,
+    parameters,
+    stage,
+    stage_mass,
+)
 from experiments.motion.rig import assumed_geometry, published, rig_model
-from experiments.motion.structure import as_stage, measured_accelerance
 from stillwork.base.checks import require_choice
 from stillwork.base.toml_files import read_numbers
 from stillwork.identification.modal_fit import fit_modes

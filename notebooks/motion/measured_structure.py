@@ -4,9 +4,8 @@ from functools import cache
 
 import numpy as np
 
-from experiments.motion.machines import published_noise, stage_mass
+from experiments.motion.machines import as_stage, measured_accelerance, published_noise, stage_mass
 from experiments.motion.pictures import paint_bode
-from experiments.motion.structure import as_stage, measured_accelerance
 from stillwork.control.applications import Application
 from stillwork.control.machine_loops import observed_loops
 from stillwork.control.pid import PidFamily

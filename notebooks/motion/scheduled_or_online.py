@@ -9,8 +9,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.machines import published_setpoint, shapes_along, stage, stage_mass
+from experiments.motion.position_dependence import GainTable, gain_table, scheduled_gains
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
-from experiments.motion.scheduled import GainTable, gain_table, scheduled_gains
 from stillwork.base.algebra import add_scaled, advance_state, copy_vector, minus_row, plus_column, plus_row
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import kernel

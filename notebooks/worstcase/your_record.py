@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from experiments.worstcase.measured import paint_windows
 from experiments.worstcase.pairs import Pair, Spectra, residual
-from experiments.worstcase.window_pictures import paint_windows
 from stillwork.base.checks import InputError, pluralise, require_array, require_count
 from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.estimation.min_max import qr_r, solve_silently, solve_sweep

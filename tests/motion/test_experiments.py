@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.motion.machines import drive, published_noise
-from experiments.motion.structure import as_stage, measured_accelerance
+from experiments.motion.machines import as_stage, drive, measured_accelerance, published_noise
 from notebooks.motion.scan_performance import (
     designed_for_second,
     scaled_springs,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
-from experiments.motion.structure import measured_accelerance
+from experiments.motion.machines import measured_accelerance
 from stillwork.base.checks import InputError
 from stillwork.identification.complex_frequency import complex_frequency_poles, stabilisation
 from stillwork.identification.frequency_response import Identified

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.motion.machines import shapes_along, stage, stage_mass
+from experiments.motion.position_dependence import GainTable, gain_table, scheduled_gains
 from experiments.motion.scan_study import output_rows
-from experiments.motion.scheduled import GainTable, gain_table, scheduled_gains
 from notebooks.motion.scheduled_or_online import (
     compare_schedules,
     observer_model,

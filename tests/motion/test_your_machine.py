@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from experiments.motion.structure import measured_accelerance
+from experiments.motion.machines import measured_accelerance
 from notebooks.motion.your_machine import (
     envelope,
     machine_explorer,

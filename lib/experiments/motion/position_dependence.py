@@ -1,4 +1,4 @@
-"""Machines, observers and loops as functions of position (section 4.2): the sensor or the actuator moves."""
+"""Machines, observers, loops and gains as functions of position (sections 4.2, 5.6): the sensor or the actuator moves."""
 
 from dataclasses import dataclass, replace
 
@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike
 from experiments.motion.designs import COMPENSATED, RETAINED, Design
 from experiments.motion.machines import published_noise, shapes_along, stage
 from experiments.motion.scan_study import along_scan
-from experiments.motion.scheduled import GainTable
 from stillwork.control.applications import compensator
 from stillwork.control.bandwidth import Loop, make_loop
 from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
+from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import kalman_gains
-from stillwork.estimation.time_varying import estimate
+from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel, estimate
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.simulation import simulate
@@ -68,6 +68,35 @@ def place_loops(
         make_loop(at_place(plant, grid, place), compensator_at(plant, grid, place, design), **response_grid)
         for place in np.asarray(places, float).tolist()
     ]
+
+
+@dataclass(frozen=True)
+class GainTable:
+    """Stationary filter gains on a grid of positions."""
+
+    grid: Float64[np.ndarray, " places"]  # m, ascending
+    gains: Float64[np.ndarray, "places states outputs"]
+
+    def at(self, places: ArrayLike) -> Float64[np.ndarray, "samples states outputs"]:
+        """Gains at places (m) on the grid by linear interpolation."""
+        places = np.asarray(places, float)
+        right = np.clip(np.searchsorted(self.grid, places), 1, len(self.grid) - 1)
+        part = (places - self.grid[right - 1]) / (self.grid[right] - self.grid[right - 1])
+        part = part[:, None, None]
+        return (1 - part) * self.gains[right - 1] + part * self.gains[right]
+
+
+def gain_table(
+    a: ArrayLike, g: ArrayLike, rows: ArrayLike, grid: ArrayLike, process: ArrayLike, sensor: ArrayLike
+) -> GainTable:
+    """Stationary Kalman filter gains for the rows of C at every point of an ascending grid (m)."""
+    gains = [discrete_gain(a, g, c, process, sensor).filter_gain for c in np.asarray(rows, float)]
+    return GainTable(np.asarray(grid, float), np.array(gains))
+
+
+def scheduled_gains(model: TimeVaryingModel, table: GainTable, places: ArrayLike) -> FilterGains:
+    """Filter whose gain is looked up at every sample; everything else is the time-varying filter's."""
+    return FilterGains(model.a, model.b, table.at(places), model.c)
 
 
 def damping_along(
