@@ -192,6 +192,11 @@ if (search) {
   show();
 }
 
-// A formula wider than the page scrolls by keys, too.
-for (const formula of document.querySelectorAll("math[display='block']"))
-  if (formula.scrollWidth > formula.clientWidth) formula.setAttribute("tabindex", "0");
+// What is wider than its place, a formula or on a phone the line it stands in, scrolls by keys, too.
+const reachWide = () => {
+  for (const line of document.querySelectorAll("math[display='block'], :is(p, li, dd):has(> math)"))
+    if (getComputedStyle(line).overflowX === "auto" && line.scrollWidth > line.clientWidth) line.setAttribute("tabindex", "0");
+    else line.removeAttribute("tabindex");
+};
+reachWide();
+addEventListener("resize", reachWide);
