@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motion.true_machines import CompiledLoop, TrueMachine
+from motion.true_machines import CompiledLoop, TrueMachine, machine_of_matrices
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import make_loop
 from stillwork.control.machine_designs import asked_uncertainty
+from stillwork.control.phased_loops import phased_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
     Perturbation,
@@ -20,6 +21,7 @@ from stillwork.control.uncertainty import (
     uncertainty_of,
     worst_place,
 )
+from stillwork.design.design import design_file
 from stillwork.design.retest import retest_file
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import build_machine
@@ -147,3 +149,65 @@ def test_a_friction_that_no_machine_has_is_refused():
     with pytest.raises(InputError, match=r"^friction\b.*on springs leave it out"):
         worst_place(make_loop(springs), PidFamily(1.0)(1.0), "output_sensitivity", Uncertainty(friction=1.0))
     assert Perturbation(np.ones(2), np.ones(2), np.ones(2)).friction == 0
+
+
+def two_on_one(share):
+    """Two masses of 1 kg on springs to one of 10 kg, one with a `share` of the other's damper: near each other, and coupled by it."""
+    mass = np.diag([10.0, 1.0, 1.0])
+    spring, damper = np.zeros((3, 3)), np.zeros((3, 3))
+    for k, (stiffness, loss) in enumerate(((1e6, 80.0 * share), (1.04e6, 80.0)), 1):
+        link = np.eye(3)[0] - np.eye(3)[k]
+        spring += stiffness * np.outer(link, link)
+        damper += loss * np.outer(link, link)
+    ends = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    return machine_of_matrices(mass, damper, spring, *ends), (mass, damper, spring, *ends)
+
+
+def measured_response(machine, noise, seed=1):
+    hertz = np.arange(8.0, 250.0, 0.8)
+    errors = np.random.default_rng(seed).standard_normal((2, len(hertz)))
+    return hertz, machine.response(hertz) * (1 + noise * (errors[0] + 1j * errors[1]) / np.sqrt(2))
+
+
+def test_modes_that_a_damper_couples_have_phases():
+    """Of an FRF; the response of the true machine from its matrices, and sampled from its state space by SciPy."""
+    machine, (mass, damper, spring, into, out) = two_on_one(0.1)
+    hertz, seen = measured_response(machine, 1e-3)
+    omega = 2 * np.pi * hertz
+    direct = [out @ np.linalg.solve(spring + 1j * w * damper - w * w * mass, into) for w in omega]
+    np.testing.assert_allclose(machine.response(hertz), direct, rtol=1e-9)
+    fit = identify_modes(
+        Identified(omega, -(omega**2) * seen, np.full(len(hertz), 1 / (1 + 1e-6))), (8.0, 250.0)
+    )
+    phased = fit.phased
+    assert phased.model.frequencies[1:] / (2 * np.pi) == pytest.approx(machine.hertz, rel=1e-4)
+    assert np.abs(phased.degrees[1:]).min() > 10 and fit.rms_error < 5e-3
+    rate, delay = 2000.0, 1.4
+    a, b, c = replace(machine, delay=delay / rate).sampled(rate)
+    ones = np.ones(3)
+    loop = make_loop(phased.model, sample_time=1 / rate, delay=delay)
+    found = phased_loop(loop, phased, Perturbation(ones, ones, ones))
+    inside = (found.omega >= omega[0]) & (found.omega <= omega[-1])
+    z = np.exp(1j * found.omega[inside] / rate)
+    held = np.array([c @ np.linalg.solve(each * np.eye(len(a)) - a, b) for each in z])
+    np.testing.assert_allclose(found.plant_response[inside], held, rtol=0.02, atol=1e-3 * np.abs(held).max())
+    alike, _ = two_on_one(1 / 1.04)  # dampers that go with the springs
+    _, seen = measured_response(alike, 1e-3)
+    measured = Identified(omega, -(omega**2) * seen, np.full(len(hertz), 1 / (1 + 1e-6)))
+    assert identify_modes(measured, (8.0, 250.0)).phased is None
+
+
+@pytest.mark.slow
+def test_the_promise_holds_where_a_damper_couples_two_modes(tmp_path):
+    """A minute of CPU: without the phases of its modes this machine reached 8.7 dB in a box in which 6.00 was promised."""
+    rate, machine = 5e3, two_on_one(0.1)[0]
+    hertz, seen = measured_response(machine, 1e-3)
+    columns = {"frequency (Hz)": hertz, "h (m/N)": seen, "coherence": np.full(len(hertz), 1 / (1 + 1e-6))}
+    np.savez(tmp_path / "coupled.npz", **columns)
+    box = {"frequency": 0.05, "gain": 0.1, "damping": 0.2}
+    said = design_file(str(tmp_path / "coupled.npz"), str(tmp_path / "out"), rate, uncertainty=box)
+    assert any("phases of their own" in line for line in said)
+    assert any("with the phases of the modes" in line for line in said)
+    loop = CompiledLoop(tmp_path / "out", rate)
+    worst = loop.worst_db(replace(machine, delay=1 / rate), box, 60, np.random.default_rng(7))
+    assert 5 < worst <= ALLOWED_DB

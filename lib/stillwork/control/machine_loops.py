@@ -21,8 +21,10 @@ from stillwork.control.bandwidth import (
 )
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
 from stillwork.control.loop_noise import NOISE, UNBOUNDED, NoiseBound
+from stillwork.control.phased_loops import phased_corners, phased_loops, phased_places
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.uncertainty import (
+    EXCESS,
     Perturbation,
     corners,
     harmful_places,
@@ -47,6 +49,11 @@ OF_ERROR = tuple(PeakConstraint(name) for name in HELD)
 SHOWN = {"input_sensitivity": "S_I", "output_sensitivity": "S_O", "true_tracking": "r to e_true"}
 ABOVE_SUSPENSION = 2.0  # of a machine on springs to the ground: lowest bandwidth sought, over its suspension
 HIGHEST_NOTCH = 0.8  # of half the rate
+PHASED_SEED, PHASED_ROUNDS, MOST_ADDED = (
+    1,
+    8,
+    4,
+)  # of places of modes with phases; how many are added at a time
 ROUNDS = 40  # of looking for another place in the box that does harm
 THOROUGH = 16  # starts at each frequency in the last one
 SEARCH = (1 / 40, 1.0)  # of the first resonance: where bandwidths are sought
@@ -215,7 +222,8 @@ class AchievableBandwidth:
     encirclement_difference : int, optional
         Turns around -1 that the measured open loops make more than those of the model: 0 proves stability.
     loops : tuple of Loop
-        One a sensor; on the measurement where there is one.
+        One a sensor; on the measurement where there is one, and then, where the modes have phases of their own, with
+        these at corners of the box.
     model_loops : tuple of Loop
         The same on the model.
     perturbed : tuple of Loop
@@ -384,15 +392,27 @@ def reach(
             _search, family=family, limits=limits, refine=True, sizes=(len(modelled), len(elsewhere))
         )
         on_model, reason = search((*loops, *perturbed), low=low, high=high)
+        beside: list[Loop] = []
         seen = [
             on_measurement(loop, each.measured, 1.0, band, mirror)
             for group, (each, _), band in zip(groups, responses, bands, strict=True)
             for loop, mirror in zip(group, each.mirrored, strict=True)
             if each.measured is not None
         ]
+        for group, (each, _), spread in zip(groups, responses, spreads, strict=True):
+            if each.fit is not None and each.fit.phased is not None:
+                phased = partial(phased_loops, group, each.fit.phased, each.mirrored)
+                seen += phased(phased_corners(spread))
+                beside += phased(phased_places(spread, np.random.default_rng(PHASED_SEED)))
         if seen:
             loops = tuple(seen)
             on_data, other = search(loops, low=low, high=high, refine=False, sizes=None)
+            # A few more places of phased modes at a time, where they do harm.
+            for _ in range(PHASED_ROUNDS):
+                if on_data is None or not (harmful := _exceeded(beside, on_data.controller, limits)):
+                    break
+                loops = (*loops, *harmful)
+                on_data, other = search(loops, low=low, high=high, refine=False, sizes=None)
             reason = reason or other
         quiet = partial(noise.lowered, (*modelled, *elsewhere), family)
         if on_data is not None:
@@ -439,6 +459,16 @@ def reach(
             on_model, on_data, turns, loops, modelled, perturbed, reason, elsewhere
         )
     return found
+
+
+def _exceeded(loops: Sequence[Loop], controller: Pid, limits: Sequence[PeakConstraint]) -> list[Loop]:
+    """The few loops that exceed their limits most, on their lines."""
+    sizes = [
+        max(np.abs(getattr(loop.at(controller), each.function)).max() / each.limit for each in limits)
+        for loop in loops
+    ]
+    worst = np.argsort(sizes)[::-1][:MOST_ADDED]
+    return [loops[k] for k in worst if sizes[k] > EXCESS]
 
 
 @checked

@@ -161,6 +161,10 @@ def entry(
         "measured": None,
         "band_hz": None,
     }
+    if fit is not None and fit.phased is not None:
+        found["notes"].append(
+            "the box of this page is without these phases: let `design` judge what you shape"
+        )
     if machine.measured is not None and fit is not None:
         measured = remove_delay(machine, fit.delay).measured
         ends = fit.omega[[0, -1]] / (2 * np.pi)

@@ -16,6 +16,8 @@ from stillwork.lti.reduction import truncate
 MAX_RELATIVE_ERROR = (
     0.5  # relative error below half the first resonance, or at the end of the band, that is told
 )
+MISFIT = 0.25  # relative error all over the band, root mean square, that is told
+LEAST_PHASE = 1.0  # degrees, that is told
 BAND_END_SHARE = 0.01  # of the band's highest frequency
 AROUND = (0.4, 10.0)  # times the one resonance that stands out, where more is looked for
 TURNED = "counted against the force, turned"
@@ -164,10 +166,29 @@ def _fitted(
             f"on viscous friction: {model.drag:.4g} 1/s of the mass, {model.drag * _mass(model):.4g} "
             f"{file.units[1]}/({file.units[0]}/s)"
         )
+    if fit.phased is not None:
+        turned = ", ".join(
+            f"{degrees:.0f} degrees at {omega / (2 * np.pi):.4g} Hz"
+            for omega, degrees in zip(fit.phased.model.frequencies, fit.phased.degrees, strict=True)
+            if abs(degrees) >= LEAST_PHASE
+        )
+        notes.append(
+            f"the modes have phases of their own, {turned}: dampers that the mode shapes do not decouple; the model is "
+            "without, loops are judged with them"
+        )
     if fit.delay:
         notes.append(
             f"the response is {1e6 * abs(fit.delay):.4g} us {'late' if fit.delay > 0 else 'early'}: a delay beside the "
             "machine, which the model is without"
+        )
+    inside = (measured.omega >= fit.omega[0]) & (measured.omega <= fit.omega[-1])
+    coherence = np.clip(np.nan_to_num(measured.coherence[inside], nan=1.0), 1e-6, 1.0)
+    noise = float(np.sqrt(np.mean((1 - coherence) / coherence)))
+    if fit.rms_error > max(MISFIT, 3 * noise):
+        notes.append(
+            f"all over the band the model is off by {100 * fit.rms_error:.2g} % (root mean square), and noise by the coherence is "
+            f"{100 * noise:.2g} %: what is promised in the box around the model may not hold around this machine; strong or "
+            "dry damping, play, or modes that were not found: end fit_hz before them, or name them with modes_hz"
         )
     below = fit.omega < model.frequencies[1] / 2
     missed = float(np.sqrt(np.mean(fit.error[below] ** 2))) if below.any() else 0.0

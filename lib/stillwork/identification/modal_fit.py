@@ -1,6 +1,6 @@
 """Modal models fitted to frequency responses: a sampled plant's response matrix, or one measured accelerance."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -13,6 +13,7 @@ from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.complex_frequency import STRONGEST, Stabilisation, stabilisation
 from stillwork.identification.frequency_response import Identified
+from stillwork.identification.phased import PhasedModel
 from stillwork.lti.discretisation import sampled_modes
 from stillwork.lti.modal import ModalModel
 
@@ -34,6 +35,7 @@ RESONANT = 0.2  # damping ratio of a pole that may be a resonance beside frictio
 CANCELLED = 3.0  # times the response at its frequency, that a mode's own part may have
 NEAR_GUESS = 5e-3  # of a frequency, within which a pole that settles takes the place of a guess
 UNSETTLED = 1e-3  # damping ratio of a guess that no such pole is near
+PHASED = 0.5  # part of the squares that modes with a phase of their own must leave, of those of the same modes without
 MIN_GAIN = 1e-4  # part of the error that a candidate must take away to be tried
 ROUNDING_POWER = 1e-16  # part of the response's square that is rounding
 LEAST_LINES, HUGE = 32, 1e30  # of a measurement; what its response stays below, and its inverse above
@@ -188,7 +190,9 @@ class ModalFit:
 
     model: ModalModel  # force to position
     omega: Float64[np.ndarray, " frequencies"]  # rad/s, of the fit
-    error: Float64[np.ndarray, " frequencies"]  # relative
+    error: Float64[
+        np.ndarray, " frequencies"
+    ]  # relative, of the model, with the phases of its modes if it has them
     deviation: Float64[np.ndarray, " modes"]  # rad/s, of the flexible frequencies
     damping_deviation: Float64[np.ndarray, " modes"]  # of the damping ratios
     mass_deviation: float  # relative
@@ -201,6 +205,8 @@ class ModalFit:
     drag_deviation: float = 0.0  # 1/s, of the friction over mass, where one was found
     # rad/s, resonances beyond the band
     cut: Float64[np.ndarray, " cut"] = field(default_factory=lambda: np.zeros(0))
+    # with the phases of the modes' parts, where these are not decoupled
+    phased: PhasedModel | None = None
 
     def __post_init__(self):
         check_fields(self)
@@ -317,6 +323,16 @@ def identify_modes(
     problem = _Accelerance(measured, band_hz)
     diagram = stabilisation(problem.omega, problem.target[:, None, None])
     free = _identified(problem, diagram, guesses, band_hz)
+    chosen = _rubbed(measured, band_hz, diagram, guesses, free)
+    if not len(guesses):
+        phased = _Accelerance(measured, band_hz)
+        if (modes := phased.phase(chosen, np.log(diagram.settled()))) is not None:
+            return replace(phased.fit(modes, diagram), **phased.phased_parts(modes))
+    return chosen[0].fit(chosen[1], diagram)
+
+
+def _rubbed(measured, band_hz, diagram, guesses, free):
+    """The problem and its modes with friction where that says more, else those without."""
     # A free body on viscous friction, where that says more with no more modes than without.
     if not free[0].grounded:
         rubbed = _Accelerance(measured, band_hz)
@@ -324,14 +340,14 @@ def identify_modes(
             try:
                 other = _identified(rubbed, diagram, guesses, band_hz)
             except InputError:
-                return free[0].fit(free[1], diagram)
+                return free
             left = [each.cost(modes) for each, modes in (free, other)]
             fewer = free[1].shape[1] - other[1].shape[1]
             if not other[0].grounded and (
                 left[1] < RUBBED * left[0] if fewer <= 0 else left[1] < left[0] / RUBBED
             ):
-                return other[0].fit(other[1], diagram)
-    return free[0].fit(free[1], diagram)
+                return other
+    return free
 
 
 def _identified(problem, diagram, guesses, band_hz):
@@ -392,6 +408,7 @@ class _Accelerance:
         self.goal = _stacked(self.target * self.weight)
         self.delay = 0.0  # s, by which the response was late
         self.drag = 0.0  # 1/s, of the rigid body
+        self.phased = False  # whether each mode's part has a velocity's beside it
         self.grounded = False  # then no rigid body is free, and a third term of the series takes its column
 
     def columns(self, modes, derivatives=True):
@@ -404,20 +421,27 @@ class _Accelerance:
         if self.drag and not self.grounded:
             fixed = fixed.astype(complex)
             fixed[0] = 1j * w / (1j * w + self.drag)
-        parts = [*fixed, own]
-        if derivatives:
-            moved = own**2 / w**2
-            parts += [moved * (2 * frequency**2 + loss), moved * loss]
-        parts = np.vstack(parts) * self.weight
+        moved = own**2 / w**2
+        moving = [moved * (2 * frequency**2 + loss), moved * loss] if derivatives else []
+        speed = 1j * w / w[-1]
+        beside = [speed * own] if self.phased else []
+        if self.phased:
+            moving += [speed * each for each in moving]
+        parts = np.vstack([*fixed, own, *beside, *moving]) * self.weight
         stacked = np.hstack([parts.real, parts.imag]).T
-        return np.split(stacked, [FIXED + modes.shape[1]], axis=1)
+        return np.split(stacked, [FIXED + (1 + self.phased) * modes.shape[1]], axis=1)
 
     def solved(self, modes):
         """Gains, residual and its derivative by the modes' parameters, what the gains take up left out (Kaufman)."""
         linear, moving = self.columns(modes)
         q, r, sizes = _orthogonal(linear)
         gains = np.linalg.solve(r, q.T @ self.goal) / sizes
-        moving = moving * np.tile(gains[FIXED:], 2)
+        count = modes.shape[1]
+        if self.phased:
+            own, beside = np.split(gains[FIXED:], 2)
+            moving = moving[:, : 2 * count] * np.tile(own, 2) + moving[:, 2 * count :] * np.tile(beside, 2)
+        else:
+            moving = moving * np.tile(gains[FIXED:], 2)
         return gains, linear @ gains - self.goal, moving - q @ (q.T @ moving)
 
     def refined(self, modes, steps):
@@ -472,6 +496,105 @@ class _Accelerance:
         """Squares that these modes leave."""
         residual = self.solved(modes)[1]
         return residual @ residual
+
+    def phase(self, chosen, settled):
+        """Modes with phases of their own, where these explain the response far better than the same modes without."""
+        plain, before = chosen
+        self.drag, self.grounded, self.phased = plain.drag, plain.grounded, True
+        taken = np.zeros((2, 0))
+        inside = settled[:, settled[0] <= np.log(self.omega[-1])][:, :MOST_FITTED]
+        for mode in np.hstack([inside, before[:, before[0] <= np.log(self.omega[-1])]]).T:
+            if not np.any(np.abs(taken[0] - mode[0]) < 0.5 * np.exp(mode[1])):
+                taken = np.column_stack([taken, mode])
+        self.bring_forward(taken)
+        modes = self.pruned_phases(
+            self.refined(self.pruned_phases(taken, MIN_MODE_ERROR / 2), 20), MIN_MODE_ERROR
+        )
+        if not modes.size:
+            return None
+        self.bring_forward(modes)
+        modes = self.refined(modes, 60)
+        left = self.cost(modes)
+        self.phased = False
+        without = min(self.cost(self.refined(modes, 60)), plain.cost(before))
+        noise = left / (2 * len(self.omega))
+        if left > PHASED * without or without - left < F_RATIO * modes.shape[1] * noise:
+            return None
+        return modes
+
+    def pruned_phases(self, modes, least):
+        """As `pruned`, of modes with phases of their own."""
+        while modes.size:
+            linear, _ = self.columns(modes, derivatives=False)
+            linear = linear / np.linalg.norm(linear, axis=0)
+            inverse = np.linalg.pinv(linear.T @ linear, rcond=1e-13, hermitian=True)
+            gains = inverse @ (linear.T @ self.goal)
+            error = np.sum((linear @ gains - self.goal).reshape(2, -1) ** 2, axis=0)
+            standing = np.zeros(modes.shape[1])
+            for k, (frequency, damping) in enumerate(np.exp(modes).T):
+                pair = FIXED + np.array([k, modes.shape[1] + k])
+                growth = (
+                    gains[pair] @ np.linalg.lstsq(inverse[np.ix_(pair, pair)], gains[pair], rcond=None)[0]
+                )
+                place = np.abs(self.omega - frequency)
+                within = max(int(np.sum(place < damping * frequency)), 2)
+                beside = np.partition(place, min(20, len(place) - 1))[min(20, len(place) - 1)]
+                noise = np.mean(error[place <= max(beside, 5 * damping * frequency)])
+                if growth >= F_RATIO * noise:
+                    standing[k] = np.sqrt(growth / within)
+            worst = int(standing.argmin())
+            if standing[worst] >= least:
+                break
+            modes = np.delete(modes, worst, axis=1)
+        return modes
+
+    def phased_parts(self, modes):
+        """By fields of `ModalFit`: the model with the phases of these modes' parts, and what it leaves unknown."""
+        modes = modes[:, np.argsort(modes[0])]
+        self.phased = True
+        gains, residual, _ = self.solved(modes)
+        linear, moving = self.columns(modes)
+        self.phased = False
+        count, rigid = modes.shape[1], FIXED if self.grounded else 0
+        own, beside = np.split(gains[FIXED:], 2)
+        first, second = np.split(moving, 2, axis=1)
+        moving = first * np.tile(own, 2) + second * np.tile(beside, 2)
+        spread = _spread(np.hstack([linear, moving]), residual)
+        frequencies = np.exp(modes[0])
+        parts = np.hypot(own, beside * frequencies / self.omega[-1])
+        noise = np.hypot(spread[FIXED : FIXED + count], spread[FIXED + count :][:count])
+        # Without the growth of the compliance.
+        kept = np.delete(linear, [0, 2] if self.grounded else [2], axis=1)
+        sizes = np.linalg.norm(kept, axis=0)
+        gains = np.linalg.lstsq(kept / sizes, self.goal, rcond=None)[0] / sizes
+        free, (compliance, *flexible) = gains[: 1 - self.grounded], gains[1 - self.grounded :]
+        own, beside = np.split(np.array(flexible), 2)
+        sign = float(np.sign(own[0] if self.grounded else free[0]))
+        velocity = np.append(np.zeros(len(free)), sign * beside / self.omega[-1])
+        left = self.goal - kept @ gains
+        return {
+            "error": np.hypot(*left.reshape(2, -1)) / (self.weight * np.abs(self.target)),
+            "phased": PhasedModel(self._model(modes, free.sum(), own, compliance, sign), velocity),
+            "deviation": frequencies * spread[-2 * count : -count],
+            "damping_deviation": np.exp(modes[1]) * spread[-count:],
+            "residue_deviation": noise / parts,
+            "mass_deviation": float(spread[rigid] / abs((own if self.grounded else free)[0])),
+        }
+
+    def _model(self, modes, rigid, own, compliance, sign):
+        """A model of gains as `columns` counts them, all times a sign."""
+        free = np.zeros(0 if self.grounded else 1)
+        residues = sign * np.append(np.full(len(free), rigid), own)
+        shapes = np.sqrt(np.abs(residues))
+        frequencies, damping = np.exp(modes)
+        return ModalModel(
+            np.append(free, frequencies),
+            np.append(free, damping),
+            shapes[:, None],
+            (shapes * np.sign(residues))[None, :],
+            np.array([[sign * compliance / self.omega[-1] ** 2]]),
+            drag=0.0 if self.grounded else self.drag,
+        )
 
     def rub(self, settled):
         """Look for viscous friction and a delay at once; whether any friction explains the response far better.
@@ -624,20 +747,9 @@ class _Accelerance:
         own = np.linalg.lstsq(np.asarray_chkfinite(kept / sizes), left, rcond=None)[0] / sizes
         residual = left - kept @ own
         sign = float(np.sign(gains[rigid]))
-        free = np.zeros(0 if self.grounded else 1)
-        residues = sign * np.append(gains[: len(free)], own[1:])
-        shapes = np.sqrt(np.abs(residues))
         frequencies, damping = np.exp(modes[:, :count])
-        model = ModalModel(
-            np.append(free, frequencies),
-            np.append(free, damping),
-            shapes[:, None],
-            (shapes * np.sign(residues))[None, :],
-            np.array([[sign * own[0] / self.omega[-1] ** 2]]),
-            drag=0.0 if self.grounded else self.drag,
-        )
         return ModalFit(
-            model,
+            self._model(modes[:, :count], gains[0], own[1:], own[0], sign),
             self.omega,
             np.hypot(*residual.reshape(2, -1)) / (self.weight * np.abs(self.target)),
             frequencies * spread[-2 * every :][:count],

@@ -1,0 +1,101 @@
+"""Loops on a machine whose modes have phases of their own, in the box around it; such a model is judged, not observed."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillwork.base.validation import checked
+from stillwork.control.bandwidth import Loop, make_loop
+from stillwork.control.uncertainty import Perturbation, Uncertainty, perturbed_loop
+from stillwork.identification.phased import PhasedModel
+
+CORNERED = 5  # modes of which all corners are tried
+DRAWS = 60
+
+
+@checked
+def phased_loop(loop: Loop, phased: PhasedModel, place: Perturbation) -> Loop:
+    """The loop with the response of the phased model at a place of the box; its poles stay those of the loop's model.
+
+    As of a measurement: `encirclement_difference` says whether it is stable.
+    """
+    base = make_loop(phased.model, loop.compensator, sample_time=loop.sample_time, delay=loop.delay)
+    there = perturbed_loop(base, place)
+    omega = np.union1d(loop.omega, there.omega)
+    # The moved model has its modes in their order.
+    order = np.argsort(phased.model.frequencies * place.frequencies, kind="stable")
+    velocity = (phased.velocity * place.gain * place.residues / place.frequencies)[order]
+    added = phased.velocity_response(there.plant, velocity, omega, loop.sample_time, there.delay)
+    return replace(
+        loop,
+        omega=omega,
+        plant_response=there.plant_at(omega) + added,
+        compensator_response=loop.compensator.frequency_response(omega),
+    )
+
+
+@checked
+def phased_corners(uncertainty: Uncertainty) -> list[Perturbation]:
+    """All frequencies low or high, and each against the others, with the gain low and high; all damping low."""
+    if uncertainty.is_empty:
+        return []
+    modes = len(uncertainty.frequency)
+    sides = [np.full(modes, sign) for sign in (-1.0, 1.0)]
+    if modes > 2:
+        sides += [np.where(np.arange(modes) == k, -sign, sign) for k in range(1, modes) for sign in (-1, 1)]
+    zero = np.zeros(modes)
+    return [
+        place_of(uncertainty, side, zero, -np.ones(modes), gain, 0.0, 0.0, 0.0)
+        for side in sides
+        for gain in (-1.0, 1.0)
+    ]
+
+
+@checked
+def phased_places(uncertainty: Uncertainty, rng: np.random.Generator) -> list[Perturbation]:
+    """Every corner of gain and of up to `CORNERED` frequencies, the other numbers at ends; then draws from faces and inside."""
+    modes = len(uncertainty.frequency)
+    ends = min(modes - 1, CORNERED)
+    places = []
+    for corner in itertools.product([-1.0, 1.0], repeat=ends + 1):
+        side, *others = rng.choice([-1.0, 1.0], (3, modes))
+        side[1 : ends + 1] = corner[1:]
+        places.append(place_of(uncertainty, side, *others, corner[0], *rng.choice([-1.0, 1.0], 3)))
+    for draw in range(DRAWS):
+        size = 3 * modes + 4
+        drawn = rng.choice([-1.0, 0.0, 1.0], size) if draw % 2 else rng.uniform(-1, 1, size)
+        places.append(place_of(uncertainty, *drawn[: 3 * modes].reshape(3, modes), *drawn[3 * modes :]))
+    return places
+
+
+def place_of(
+    box: Uncertainty, frequency, residue, damping, gain: float, mass: float, delay: float, friction: float
+) -> Perturbation:
+    """The place of signs from -1 to 1."""
+    residues = 1 + box.residue * residue
+    residues[0] = 1 / (1 + box.mass * mass)
+    return Perturbation(
+        1 + box.frequency * frequency,
+        residues,
+        1 + box.damping * damping,
+        1 + box.gain * gain,
+        box.delay * delay,
+        box.friction * friction,
+    )
+
+
+@checked
+def phased_loops(
+    loops: Sequence[Loop],
+    phased: PhasedModel,
+    mirrors: Sequence[bool],
+    places: Sequence[Perturbation],
+) -> list[Loop]:
+    """All sensors' loops at the first place, then at the next ones."""
+    return [
+        phased_loop(loop, phased.mirrored() if mirror else phased, place)
+        for place in places
+        for loop, mirror in zip(loops, mirrors, strict=True)
+    ]
