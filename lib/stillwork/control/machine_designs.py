@@ -26,11 +26,11 @@ from stillwork.identification.machine import Machine, remove_delay
 INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
 ADDED_DAMPING, SELECTIVITY, RETAINED = 0.02, 2.0, 5
 NOTCHED = "PID with notches"
-UNCERTAINTY = {"frequency": 0.05, "gain": 0.05}  # of a machine of which nothing else is said
+UNCERTAINTY = {"frequency": 0.05, "gain": 0.05}  # where nothing else is given
 DELAY = 1.0  # samples from a measurement to the force that follows from it
-OVER_FIRST, OVER_LAST = 20.0, 4.0  # a rate that nobody gave, over the first resonance and over the last
-STEPS = (1, 2, 5)  # of rates that nobody gave, times powers of ten
-DEAFER = 4  # decades of the sensor's noise that an observer is made for, where its own asks for too much
+OVER_FIRST, OVER_LAST = 20.0, 4.0  # the default rate, over the first resonance and over the last
+STEPS = (1, 2, 5)  # of default rates, times powers of ten
+DEAFER = 4  # decades of more sensor noise that an observer is made for, where its own makes too much of it
 ABOUT_SUSPENSION = (
     1.0,
     0.5,
@@ -90,7 +90,7 @@ class Designed(NamedTuple):
 
 @checked
 def default_rate(machine: Machine) -> float:
-    """A rate (Hz) where nobody gave one: 1, 2 or 5 times a power of ten, well above all resonances of the model."""
+    """The rate (Hz) where none is given: 1, 2 or 5 times a power of ten, well above all resonances of the model."""
     hertz = machine.resonances_hz
     least = max(OVER_FIRST * float(hertz[0]), OVER_LAST * float(hertz[-1]))
     power = 10 ** np.floor(np.log10(least))
@@ -99,7 +99,7 @@ def default_rate(machine: Machine) -> float:
 
 @checked
 def asked_uncertainty(said: str | Mapping[str, float]) -> dict[str, float]:
-    """Shares by `NAMES`: those of `UNCERTAINTY`, and what is said; ``none``: nothing but what is said."""
+    """Shares by `NAMES`: those of `UNCERTAINTY`, and what is given; ``none``: nothing but what is given."""
     if not isinstance(said, str):
         named = dict(said)
     else:

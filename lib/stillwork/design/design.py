@@ -1,4 +1,4 @@
-"""The command ``design``: from a file of a machine to a controller that runs on it, and one page that says why."""
+"""The command ``design``: from a file of a machine to a controller that runs on it, and one page with the reasons."""
 
 import hashlib
 import html

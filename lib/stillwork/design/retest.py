@@ -35,7 +35,7 @@ def retest_file(
     loop_hz: tuple[float, float] = (0.0, 0.0),
     **reading,
 ) -> list[str]:
-    """Close the loop of a written controller around a new response, and say whether the promise holds on it.
+    """Close the loop of a written controller around a new response, and report whether the promise holds on it.
 
     Parameters
     ----------
