@@ -14,6 +14,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
 from browser.test_pages import CONTRAST, MISFITS
+from motion.true_machines import CompiledLoop, TrueMachine
 from stillwork.__main__ import main
 from stillwork.design.desk_page import offline_page, shipped_machines
 from workbook import paths
@@ -304,6 +305,26 @@ def test_the_guide_leads_to_six_decibels(desk):
     desk.by("best").click()
     desk.wait(lambda: "all constraints hold" in desk.by("message").text)
     assert desk.bandwidth == pytest.approx(number(r"about (\d+) Hz here"), rel=0.05)
+    # Then C, by the command that the guide names: in the loop with the fitted machine, and with it 5 % lower and higher.
+    desk.by("toml").click()
+    code = desk.folder / "my_controller"
+    assert main(["export", str(downloaded(desk, "controller.toml")), "--out", str(code)]) == 0
+    [machine, *_] = shipped_machines(paths.root())
+    model, rate = machine["model"], desk.value("1-rate_hz")
+    gains = np.multiply(model["input"], model["output"]) * machine["mass"]
+    true = TrueMachine(
+        mass=machine["mass"] / gains[0],
+        hertz=tuple(np.array(model["omega"][1:]) / (2 * np.pi)),
+        damping=tuple(model["damping"][1:]),
+        position=tuple(gains[1:] / gains[0]),
+        delay=machine["delay_s"] + 1e-6 * desk.value("2-delay_us"),
+    )
+    loop, size = CompiledLoop(code, rate), 2 * len(true.hertz) + 3
+    peaks = [
+        loop.peak_db(true.moved(np.full(size, sign), {"frequency": 0.05, "gain": 0.05}))
+        for sign in (-1, 0, 1)
+    ]
+    assert 4 < max(peaks) < 6.05
 
 
 def test_a_design_of_the_command_line_is_opened(desk, tmp_path):

@@ -47,7 +47,7 @@ def phased_corners(uncertainty: Uncertainty) -> list[Perturbation]:
         sides += [np.where(np.arange(modes) == k, -sign, sign) for k in range(1, modes) for sign in (-1, 1)]
     zero = np.zeros(modes)
     return [
-        place_of(uncertainty, side, zero, -np.ones(modes), gain, 0.0, 0.0, 0.0)
+        _place(uncertainty, side, zero, -np.ones(modes), gain, 0.0, 0.0, 0.0)
         for side in sides
         for gain in (-1.0, 1.0)
     ]
@@ -62,15 +62,15 @@ def phased_places(uncertainty: Uncertainty, rng: np.random.Generator) -> list[Pe
     for corner in itertools.product([-1.0, 1.0], repeat=ends + 1):
         side, *others = rng.choice([-1.0, 1.0], (3, modes))
         side[1 : ends + 1] = corner[1:]
-        places.append(place_of(uncertainty, side, *others, corner[0], *rng.choice([-1.0, 1.0], 3)))
+        places.append(_place(uncertainty, side, *others, corner[0], *rng.choice([-1.0, 1.0], 3)))
     for draw in range(DRAWS):
         size = 3 * modes + 4
         drawn = rng.choice([-1.0, 0.0, 1.0], size) if draw % 2 else rng.uniform(-1, 1, size)
-        places.append(place_of(uncertainty, *drawn[: 3 * modes].reshape(3, modes), *drawn[3 * modes :]))
+        places.append(_place(uncertainty, *drawn[: 3 * modes].reshape(3, modes), *drawn[3 * modes :]))
     return places
 
 
-def place_of(
+def _place(
     box: Uncertainty, frequency, residue, damping, gain: float, mass: float, delay: float, friction: float
 ) -> Perturbation:
     """The place of signs from -1 to 1."""
