@@ -15,7 +15,7 @@ from experiments.fixedpoint.axes import COLOURS, fill_range
 from experiments.fixedpoint.metrics import judge
 from experiments.fixedpoint.noise import Noise, drop_samples
 from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW
+from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW, published_controllers
 from stillwork.base.checks import InputError, nearest, pluralise, require_choice, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.fixed_point_convergence import StableRange, stable_range
@@ -34,9 +34,9 @@ from stillwork.control.transformation import (
     ContractionWarning,
     FlowTransformation,
     RobustTransformation,
+    Transformation,
 )
 from stillwork.design.inspect import TABLES, outline, plant_form
-from stillwork.estimation.coordinate_filters import Filter, LowPass, MovingWindow, UnscentedKalman
 from stillwork.estimation.filtering import UNIT_MASS
 from stillwork.estimation.plant import Plant, force_slope
 from stillwork.signals.records import load_record
@@ -257,17 +257,15 @@ FILTERS = (WINDOW, LOW_PASS, KALMAN)
 class Numbers:
     """What may be chosen of the paper's three controllers. A list holds one number for all coordinates, or one for each."""
 
-    exponents: Sequence[float] = (24.0, 16.0, 36.0)  # Lambda of (1) with each filter, 1/s
-    exponent_factors: Sequence[float] = (1.0,)  # of Lambda
+    exponents: Sequence[float] = (
+        24.0,
+        16.0,
+        36.0,
+    )  # Lambda of (1), 1/s: three, or three for each coordinate in turn
     flow_gains: Sequence[float] = (-1.1,)  # A of (6), in the coordinate's unit over s^2
     flow_widths: Sequence[float] = (3.0,)  # w of (6), likewise
     robust_slopes: Sequence[float] = (2.25e-9,)  # A_c of (8), over it
-    robust_offsets: Sequence[float] = (4e7,)  # K_c of (8), in it
-    window_samples: int = 13
-    bandwidths: Sequence[float] = (350.0,)  # of the low pass, rad/s
-    kalman_scales: Sequence[float] = (
-        1.0,
-    )  # of the Kalman filter's standard deviations: Q, R and the first P by its square
+    scales: Sequence[float] = (1.0,)  # of A, w, K_c, 1 / A_c and the Kalman filter's deviations: 1000 for mm
 
     def controller(self, name: str, model: Plant | Mechanism, units: tuple[str, ...], j: int) -> Controller:
         """That of a filter and the coordinate j: (6) for the moving window, (8) for the others.
@@ -279,22 +277,24 @@ class Numbers:
         def own(knob: str) -> float:
             return for_each(knob, getattr(self, knob), units)[j]
 
-        if len(self.exponents) != len(FILTERS):
+        if len(self.exponents) not in (len(FILTERS), len(FILTERS) * len(units)):
             raise InputError(
-                f"exponents holds {pluralise(len(self.exponents), 'number')}; give one each for {', '.join(FILTERS)}"
+                f"exponents holds {pluralise(len(self.exponents), 'number')}; give one each for {', '.join(FILTERS)}, or as many "
+                "for each coordinate in turn"
             )
-        kalman = UnscentedKalman(model if isinstance(model, Plant) else UNIT_MASS)
-        scale = own("kalman_scales") ** 2
-        spread = {each: scale * getattr(kalman, each) for each in ("process", "noise", "initial_variance")}
-        devices: dict[str, Filter] = {
-            WINDOW: MovingWindow(self.window_samples - 1),
-            LOW_PASS: LowPass(own("bandwidths"), from_zero=True),
-            KALMAN: replace(kalman, **spread),
-        }
-        exponent = own("exponent_factors") * self.exponents[FILTERS.index(name)]
-        flow = FlowTransformation(own("flow_gains"), own("flow_widths"))
-        robust = RobustTransformation(own("robust_offsets"), slope=own("robust_slopes"))
-        return Controller(devices[name], flow if name == WINDOW else robust, KinematicDesign(exponent), model)
+        exponent = self.exponents[(len(FILTERS) * j + FILTERS.index(name)) % len(self.exponents)]
+        scale = own("scales")
+        published = published_controllers(model if isinstance(model, Plant) else UNIT_MASS)[name]
+        device: Any = published.signal_filter
+        if name == KALMAN:
+            knobs = ("process", "noise", "initial_variance")
+            device = replace(device, **{knob: scale**2 * getattr(device, knob) for knob in knobs})
+        transformation: Transformation = RobustTransformation(
+            scale * RobustTransformation.offset, slope=own("robust_slopes") / scale
+        )
+        if name == WINDOW:
+            transformation = FlowTransformation(scale * own("flow_gains"), scale * own("flow_widths"))
+        return Controller(device, transformation, KinematicDesign(exponent), model)
 
 
 def controllers(models: Models, numbers: Numbers) -> dict[str, list[Controller]]:

@@ -227,7 +227,7 @@ def test_the_arm_from_its_file_to_the_loop():
     assert models.units == ("rad", "rad")
     motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[1.0, 0.5], duration=4.0)
     assert [each.position.max().round(3) for each in motion] == [1.0, 0.5]
-    chosen = controllers(models, replace(WIDE, exponent_factors=[1.0, 0.8]))
+    chosen = controllers(models, replace(WIDE, exponents=[24.0, 16.0, 36.0, 19.2, 12.8, 28.8]))
     found = contraction_along(models, motion)
     assert found.gain.shape == (200, 2) and warnings_of(found, chosen) == []
     assert all(
@@ -308,13 +308,7 @@ def test_a_joint_in_mrad_with_all_its_numbers_moves_as_before(name, tmp_path):
     errors = []
     for models, k in ((load_models("arm.py"), 1.0), (load_models(str(file)), 1000.0)):
         motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[0.5 * k, 0.5], duration=2.0)
-        numbers = Numbers(
-            flow_gains=[-8.0 * k, -8.0],
-            flow_widths=[100.0 * k, 100.0],
-            robust_slopes=[2.25e-9 / k, 2.25e-9],
-            robust_offsets=[4e7 * k, 4e7],
-            kalman_scales=[k, 1.0],
-        )
+        numbers = replace(WIDE, scales=[k, 1.0])
         noise = [Noise("gaussian", 1e-5 * k), Noise("gaussian", 1e-5)]
         chosen = {name: controllers(models, numbers)[name]}
         runs = drive(models, chosen, motion, noise, 3, force_limits=[30.0 / k, 12.0])[name]
