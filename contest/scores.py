@@ -1,9 +1,13 @@
 """One seed of the contest on one plant: every observer on the same scans, one scan at a time."""
 
+import fcntl
+import os
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache, lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -80,10 +84,18 @@ def _designs(name: str, knobs: tuple[float, ...]) -> dict:
 
 
 @contextmanager
+def turn() -> Iterator[None]:
+    """Scans of observers that are not ours run one at a time on a machine: by its load they could speak to each other."""
+    with open(Path(tempfile.gettempdir()) / f"stillwork-contest-{os.getuid()}", "w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+@contextmanager
 def opened(entrant: str, source: str | None, given: tuple, knobs: tuple[float, ...]) -> Iterator:
     """An observer at the beginning of a scan: from `source`, or one of ours."""
     if source is not None:
-        with ExternalObserver(source) as observer:
+        with turn(), ExternalObserver(source) as observer:
             observer.start(*given, knobs)
             yield observer
         return

@@ -5,14 +5,17 @@ import ctypes
 import os
 import socket
 import textwrap
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
-from contest import bench, runner
+from contest import bench, runner, scores
 from contest.nominal import nominal_of
 from contest.plants import plant_of
 from contest.runner import Disqualified, ExternalObserver, can_isolate, declared_knobs
+from contest.scores import opened
 from contest.table import run_contest
 from stillwork.base.checks import InputError
 from workbook import paths
@@ -412,6 +415,34 @@ def test_what_scans_that_overlap_have_in_common_is_no_sign(what, tmp_path, given
     with contextlib.ExitStack() as running:
         scan(f"({take}, 0)[1]", running)
         assert scan(look, running) == before == 0
+
+
+def test_scans_of_files_do_not_overlap_so_that_load_is_no_sign(given, monkeypatch):
+    running, most = [], []
+
+    class Slow:
+        def __init__(self, source):
+            self.source = source
+
+        def __enter__(self):
+            running.append(self.source)
+            most.append(len(running))
+            return self
+
+        def __exit__(self, *_):
+            running.remove(self.source)
+
+        def start(self, *_):
+            time.sleep(0.05)
+
+    def scan(k):
+        with opened(f"observer {k}", f"{k}.py", given, ()):
+            pass
+
+    monkeypatch.setattr(scores, "ExternalObserver", Slow)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(scan, range(4)))
+    assert most == [1] * 4
 
 
 @isolated
