@@ -24,9 +24,10 @@ from workbook import paths
 
 FILE = paths.data("motion", "contest_compute.csv")
 UNCERTAINTY = "all 5 %"
-ROUNDS, BLOCK = 15, 200  # how often each entrant is timed, over so many samples
+ROUNDS, BLOCK = 15, 1000  # how often each entrant is timed, over so many samples
 SETTLED, COUNTED = 600, 4  # samples before operations are counted, and on how many they are
 ARITHMETIC = ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow
+COLUMNS = ["observer", "time over Kalman's", "operations a sample", "bytes"]
 FUNCTIONS = ("sqrt", "exp", "log", "sin", "cos", "tanh")  # of numpy, an operation each
 
 
@@ -122,7 +123,9 @@ def begun(name: str, scan: Scan) -> OwnObserver:
 
 
 def seconds_of(observer: OwnObserver, done: tuple[np.ndarray, np.ndarray], given: tuple) -> float:
-    """Time of this thread that a block of samples takes from the beginning of a scan."""
+    """Time of this thread that a block of samples takes from the beginning of a scan, once all of it is at hand."""
+    observer.start(*given)
+    observer.run(*done)
     observer.start(*given)
     began = time.thread_time()
     observer.run(*done)
@@ -155,20 +158,19 @@ def rows_of(plant: str) -> list[tuple]:
 
 def compute_standings(table: pd.DataFrame) -> pd.DataFrame:
     """A row an entrant: medians over machines, and between which machines they lie."""
-    some = table.groupby("entrant", sort=False)
-    found = pd.DataFrame({"observer": list(some.groups)})
-    for column, shown in (
-        ("ratio", "time over Kalman's"),
-        ("operations", "operations a sample"),
-        ("bytes", "bytes"),
-    ):
-        middle, low, high = some[column].median(), some[column].min(), some[column].max()
-        found[shown] = [
-            f"{_short(middle[name])} ({_short(low[name])} to {_short(high[name])})"
-            for name in found["observer"]
-        ]
-    order = some["ratio"].median()[found["observer"]].to_numpy().argsort(kind="stable")
-    return found.iloc[order].reset_index(drop=True)
+    some = table.groupby("entrant", sort=False)[["ratio", "operations", "bytes"]]
+    middle, low, high = some.median().sort_values("ratio", kind="stable"), some.min(), some.max()
+    rows = [
+        (
+            name,
+            *(
+                f"{_short(row[k])} ({_short(low.loc[name, k])} to {_short(high.loc[name, k])})"
+                for k in row.index
+            ),
+        )
+        for name, row in middle.iterrows()
+    ]
+    return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def _short(value: float) -> str:

@@ -62,7 +62,7 @@ def paint_matrix(table: pd.DataFrame, over: str):
 
 
 def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
-    """Error over time a sample; the larger the dot, the more loops were unstable."""
+    """Error over time a sample, that of the Kalman filter being 1; the larger the dot, the more loops were unstable."""
     figure, axis = figures.new(1, 1, height=3.6)
     error = error.sort_values()
     arrow = {"arrowstyle": "-", "color": figures.GREY, "lw": 0.4, "alpha": 0.6, "shrinkA": 1}
@@ -75,7 +75,7 @@ def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
         axis.semilogx(*at, "o", markersize=size, color=figures.BLUE, alpha=0.6, label=name)
         axis.annotate(name, at, xytext=(1.04, place), **style)
     axis.set_ylim(places[0] - 0.03, places[-1] + 0.03)
-    axis.set(xlabel="time a sample (µs)", ylabel="mean error over that of zero")
+    axis.set(xlabel="time a sample over that of the Kalman filter", ylabel="mean error over that of zero")
     return figure
 
 

@@ -218,7 +218,6 @@ ESTIMATE = (
 TRACKS = {
     "Estimate": ESTIMATE,
     "Loop": ("tracking", "rejection", "bandwidth", "unstable loops"),
-    "Compute": ("µs a sample", "bytes"),
 }
 
 
