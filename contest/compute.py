@@ -159,7 +159,8 @@ def rows_of(plant: str) -> list[tuple]:
 def compute_standings(table: pd.DataFrame) -> pd.DataFrame:
     """A row an entrant: medians over machines, and between which machines they lie."""
     some = table.groupby("entrant", sort=False)[["ratio", "operations", "bytes"]]
-    middle, low, high = some.median().sort_values("ratio", kind="stable"), some.min(), some.max()
+    middle = some.median().sort_values("ratio", kind="stable")
+    low, high = some.min().astype(float), some.max().astype(float)
     rows = [
         (
             name,
