@@ -101,6 +101,15 @@ def test_criteria_share_a_sequence_and_find_what_each_finds_alone(exact, approxi
     assert both[0].settings != both[1].settings
 
 
+def test_bad_input(exact, approximate, training):
+    family = families()["low pass"]
+    arguments = (family, exact, approximate, training, NOISE)
+    with pytest.raises(InputError, match="budget"):
+        tune(*arguments, budget=3, runs=1, seed=1)
+    with pytest.raises(InputError, match="criterion"):
+        tune(*arguments, budget=16, runs=1, seed=1, criteria=("speed",))
+
+
 def test_the_low_pass_is_searched_where_euler_s_rule_is_stable(approximate):
     family = families()["low pass"]
     widest = family.controller(approximate, 2e-3, family.bounds[:, 1]).signal_filter

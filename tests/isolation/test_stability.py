@@ -201,7 +201,15 @@ def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda: covariance_run("triangel", np.ones((2, 50)), 0.9, np.eye(2), 2), r"^form\b"),
+        (lambda: covariance_run("triangle", np.ones((2, 50)), 1.0, np.eye(2), 2), r"^forgetting\b"),
+        (lambda: covariance_run("triangle", np.ones((2, 50)), 0.9, np.eye(3), 2), r"^initial\b"),
         (lambda: covariance_run("triangle", np.ones((2, 1)), 0.9, np.eye(2), 2), r"^regressors\b"),
+        (lambda: covariance_run("triangle", np.ones((2, 50)), 0.9, np.eye(2), 2, "float16"), r"^precision\b"),
+        (
+            lambda: run_cure("leak", still_loop(10), np.ones(2), 0.9),
+            r"^cure\b",
+        ),
     ],
 )
 def test_bad_input_is_refused(call, message):

@@ -126,6 +126,8 @@ def test_bad_gains_and_machines_are_refused(reduced):
         sampled_feedback(reduced, np.zeros((1, 6)), SAMPLE_TIME)
     with pytest.raises(InputError, match=r"^gain\b.*rigid"):
         sampled_feedback(reduced, np.ones((1, 8)), SAMPLE_TIME)
+    with pytest.raises(InputError, match=r"^gain\b.*mode\b"):
+        sampled_feedback(reduced, 50 * damping_gain(reduced, 0.035), SAMPLE_TIME)
     with pytest.raises(InputError, match=r"^model\b.*\b2 inputs"):
         discrete_damping_gain(
             replace(reduced, input_shapes=np.ones((4, 2)), feedthrough=np.zeros((1, 2))), 0.03, SAMPLE_TIME
