@@ -12,7 +12,7 @@ from stillwork.base.toml_files import read_toml
 from stillwork.control.digital import DigitalController
 from stillwork.control.error_budget import error_budget, tone_response
 from stillwork.control.pid import PidFamily
-from stillwork.design.budget import MACHINES, budget_file, machine_of, new_budget, sources_of
+from stillwork.design.budget import MACHINES, budget_file, machine_of, measured_at, new_budget, sources_of
 from stillwork.lti.discretisation import tustin
 
 
@@ -350,3 +350,11 @@ def test_a_sensitivity_is_what_changed_files_give(files, tmp_path, number):
     slope = np.log(errors[1] / errors[0]) / np.log(1.01 / 0.99)
     found = float(re.search(rf"{number} 10 % \w+.*?sensitivity ([-+][\d.e-]+)", said)[1])
     assert found == pytest.approx(slope, rel=0.02, abs=2e-4)
+
+
+@pytest.mark.parametrize("stated", ["V/sqrt(Hz)", "mN/sqrt(Hz)", "lbf"])
+def test_a_density_that_states_another_unit_than_the_one_given_is_refused(tmp_path, stated):
+    file = tmp_path / "noise.npz"
+    np.savez(file, **{"frequency": np.array([1.0, 10.0]), f"x ({stated})": np.ones(2)})
+    with pytest.raises(InputError, match=re.escape(stated)):
+        measured_at("noise", file, "N/sqrt(Hz)", "stage force")

@@ -245,6 +245,7 @@ def test_a_limit_and_missing_samples_freeze_the_weights_and_stored_ones_go_on(tm
     assert np.all(np.isfinite(found)) and np.all(flags[start + 1000 : start + 1005] == 2 | 4)
     gone = slice(start + 2011, start + 2100)
     assert np.all(flags[gone] == 2 | 4 | 8) and np.all(found[:, gone] == 0)
+    assert np.all(flags[gone.stop :] == 4)  # until the filters have settled again
     again = stored.copy()
     run(library, floor[:, :0], platform[:, :0], stored=again)
     assert np.array_equal(again, stored)

@@ -164,6 +164,7 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
         s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
         if (s->missing > patience) { /* nothing to go by: no force, and the filters stand still */
             s->missing = patience + 1;
+            s->wait = start_samples; /* the floor goes on elsewhere: a step for the filters, as at the start */
             for (a = 0; a < A; a++) {
                 out[a] = $zero;
             }
