@@ -45,9 +45,9 @@ def phased_corners(uncertainty: Uncertainty) -> list[Perturbation]:
     sides = [np.full(modes, sign) for sign in (-1.0, 1.0)]
     if modes > 2:
         sides += [np.where(np.arange(modes) == k, -sign, sign) for k in range(1, modes) for sign in (-1, 1)]
-    zero = np.zeros(modes)
+    damped = np.append(np.zeros(modes), -np.ones(modes))
     return [
-        _place(uncertainty, side, zero, -np.ones(modes), gain, 0.0, 0.0, 0.0)
+        _place(uncertainty, np.concatenate([side, damped, [gain, 0.0, 0.0, 0.0]]))
         for side in sides
         for gain in (-1.0, 1.0)
     ]
@@ -57,23 +57,22 @@ def phased_corners(uncertainty: Uncertainty) -> list[Perturbation]:
 def phased_places(uncertainty: Uncertainty, rng: np.random.Generator) -> list[Perturbation]:
     """Every corner of gain and of up to `CORNERED` frequencies, the other numbers at ends; then draws from faces and inside."""
     modes = len(uncertainty.frequency)
-    ends = min(modes - 1, CORNERED)
+    ends, size = min(modes - 1, CORNERED), 3 * modes + 4
     places = []
     for corner in itertools.product([-1.0, 1.0], repeat=ends + 1):
-        side, *others = rng.choice([-1.0, 1.0], (3, modes))
-        side[1 : ends + 1] = corner[1:]
-        places.append(_place(uncertainty, side, *others, corner[0], *rng.choice([-1.0, 1.0], 3)))
+        signs = rng.choice([-1.0, 1.0], size)
+        signs[3 * modes], signs[1 : ends + 1] = corner[0], corner[1:]
+        places.append(_place(uncertainty, signs))
     for draw in range(DRAWS):
-        size = 3 * modes + 4
-        drawn = rng.choice([-1.0, 0.0, 1.0], size) if draw % 2 else rng.uniform(-1, 1, size)
-        places.append(_place(uncertainty, *drawn[: 3 * modes].reshape(3, modes), *drawn[3 * modes :]))
+        signs = rng.choice([-1.0, 0.0, 1.0], size) if draw % 2 else rng.uniform(-1, 1, size)
+        places.append(_place(uncertainty, signs))
     return places
 
 
-def _place(
-    box: Uncertainty, frequency, residue, damping, gain: float, mass: float, delay: float, friction: float
-) -> Perturbation:
-    """The place of signs from -1 to 1."""
+def _place(box: Uncertainty, signs: np.ndarray) -> Perturbation:
+    """The place of signs from -1 to 1: frequency, residue and damping of each mode; gain, mass, delay and friction."""
+    frequency, residue, damping = signs[:-4].reshape(3, -1)
+    gain, mass, delay, friction = map(float, signs[-4:])
     residues = 1 + box.residue * residue
     residues[0] = 1 / (1 + box.mass * mass)
     return Perturbation(
