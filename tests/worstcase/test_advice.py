@@ -9,6 +9,7 @@ from benchmarks import advice as problems
 from stillwork.base.checks import InputError
 from stillwork.estimation import advise
 from stillwork.estimation.advice import IGNORE, SAFE
+from stillwork.estimation.linear_fits import admitted_noise
 from workbook import paths
 
 
@@ -48,12 +49,43 @@ def test_a_mean_square_below_zero_is_no_merit():
     assert ignoring[0] <= 1.0
 
 
+def test_noise_that_the_data_do_not_hold_is_reported_and_taken_smaller():
+    X, y, *_ = record(noise=0.7)
+    right, twice = advise(X, y, noise=0.7), advise(X, y, noise=1.4)
+    assert "less noise than was given" not in str(right)
+    (sentence,) = [each for each in twice.assumed if "less noise than was given" in each]
+    assert 0.4 < float(re.search(r"([\d.]+) of it", sentence)[1]) < 0.65
+    assert twice.ranking[0].coef == pytest.approx([1.0, -2.0, 3.0], abs=0.5)
+
+
+@pytest.mark.parametrize("samples", [20, 300])
+def test_a_true_size_of_the_noise_is_called_wrong_by_chance_alone(samples):
+    # y without noise of its own is the worst case, in which one record of a hundred may be called wrong
+    wrong = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        clean = rng.standard_normal((samples, 3))
+        X = clean + 0.5 * rng.standard_normal(clean.shape) * [1.0, 0.0, 2.0]
+        wrong += admitted_noise(X, clean @ [1.0, 2.0, -1.0], np.array([0.5, 0.0, 1.0])) < 1
+    assert wrong <= 5
+
+
+def test_a_relation_that_would_turn_with_half_the_noise_is_not_advised():
+    # of one feature whose noise is said to be as large as it allows, and whose relation is lost in the noise of y
+    rng = np.random.default_rng(2)
+    X = rng.standard_normal((300, 1))
+    ranking = advise(X, X[:, 0] + 3 * rng.standard_normal(300), noise=0.9).ranking
+    assert abs(ranking[0].coef[0]) < 2.0  # the relation without any noise in X has 1
+
+
 def test_errors_are_those_of_parts_that_are_held_out():
-    X, y, *_ = record(60)
+    # rows of equal leverage, so that the parts are of equal length
+    X = np.tile(np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, 8).T, (10, 1))
+    y = X @ [1.0, -2.0, 3.0] + 0.5 * np.random.default_rng(1).standard_normal(80)
     ranked = {each.name: each for each in advise(X, y, folds=5, fit_intercept=False).ranking}
     losses = {"least squares": [], IGNORE: []}
-    for part in np.array_split(np.arange(60), 5):
-        kept = np.setdiff1d(np.arange(60), part)
+    for part in np.array_split(np.arange(80), 5):
+        kept = np.setdiff1d(np.arange(80), part)
         coef = np.linalg.lstsq(X[kept], y[kept])[0]
         losses["least squares"].append(np.mean((y[part] - X[part] @ coef) ** 2))
         losses[IGNORE].append(np.mean(y[part] ** 2))
@@ -92,6 +124,8 @@ def test_advice_is_the_same_in_any_unit():
         ({"y": np.ones(3)}, r"^y\b"),
         ({"noise": [0.1, 0.2]}, r"^noise\b.*3 features"),
         ({"noise": -1.0}, r"^noise\b"),
+        ({"y": np.append(np.ones(399), np.nan)}, r"^y\b.*1 NaN.*X\[ok\]"),
+        ({"X": np.where(np.eye(400, 3) > 0, np.nan, 1.0)}, r"^X\b.*3 NaN.*y\[ok\]"),
         ({"instruments": np.ones((400, 2))}, r"^instruments\b"),
     ],
 )

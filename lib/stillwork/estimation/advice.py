@@ -14,9 +14,10 @@ from sklearn.dummy import DummyRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from stillwork.base.bounds import Matrix, Vector, at_least
+from stillwork.base.bounds import at_least
 from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, checked
+from stillwork.estimation.linear_fits import admitted_noise
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.regression import RecursiveLeastSquares
 from stillwork.estimation.robust_regression import HinfinityRegressor, HuberRegressor
@@ -42,6 +43,7 @@ UNAWARE = (
 # that are not among those of benchmarks/advice.py.
 SURE, SOME = 0.5, 1.0
 STRONG = 10.0  # F of each feature's regression on the instruments, from which these are used (Staiger and Stock, 1997)
+REPAIR = "leave such samples out: ok = np.isfinite(np.column_stack([X, y])).all(axis=1), then X[ok], y[ok]; instruments alike"
 OUTLIER = 4.0  # robust deviations beyond which an output is not scored
 SHARES = (0.0, 0.1, 0.3, 0.5)  # noise over what a feature holds, tried for where the advice turns
 
@@ -83,8 +85,8 @@ class Advice:
 
 @checked(infinite=True, missing=True)
 def advise(
-    X: Matrix,
-    y: Vector,
+    X: ArrayLike,
+    y: ArrayLike,
     noise: ArrayLike | None = None,
     instruments: ArrayLike | None = None,
     *,
@@ -95,7 +97,8 @@ def advise(
 
     Ridge by evidence, and where the noise is known bias compensation with a penalty, is what to take without a reason:
     another one must be better by half a standard error to stand before it, and the first one better than ignoring the
-    features by one.
+    features by one; with noise also if that were half of what is given, for who knows it well? Where the data hold
+    less noise than is given (their smallest mean square along a relation, chi-square at 1 %), so much is taken as they hold, and `assumed` reports it.
 
     What counts depends on what is known. With nothing but X and y it is the prediction of y from features as noisy as
     these. With `noise` it is that from the features without noise, as far as its mean square allows; with `instruments`
@@ -107,7 +110,7 @@ def advise(
         In the order of time.
     y : array_like, shape (samples,)
     noise : array_like, shape () or (features,), optional
-        Standard deviation of the white noise of each feature, or one for all, in its unit.
+        Standard deviation of the white noise of each feature, or one for all, in its unit. If in doubt, the smaller.
     instruments : array_like, shape (samples, instruments), optional
         What goes with the features but not with their noise: a second sensor, older inputs.
     fit_intercept : bool
@@ -122,7 +125,7 @@ def advise(
     Raises
     ------
     InputError
-        When the tables do not fit together, or hold fewer than six samples.
+        When the tables do not fit together, hold NaN, or fewer than six samples.
 
     Notes
     -----
@@ -146,8 +149,9 @@ def advise(
     >>> advice.ranking[0].name, advice.ranking[0].coef.round(0)
     ('Huber', array([ 1., -2.,  3.]))
     """
+    X = require_array("X", X, shape=(None, None), advice=REPAIR)
     samples, features = X.shape
-    y = require_array("y", y, shape=(samples,))
+    y = require_array("y", y, shape=(samples,), advice=REPAIR)
     if samples < 6 or not features:
         raise InputError(f"X has shape {X.shape}; give at least six samples and one feature")
     folds = min(folds, samples // 2)
@@ -160,16 +164,21 @@ def advise(
             )
         given = np.resize(given, features)
     if instruments is not None:
-        instruments = require_array("instruments", instruments, shape=(samples, None))
+        instruments = require_array("instruments", instruments, shape=(samples, None), advice=REPAIR)
         if instruments.shape[1] < features:
             raise InputError(
                 f"instruments has {pluralise(instruments.shape[1], 'column')}; give at least one a feature"
             )
+    admitted = 1.0
+    if given is not None:
+        constant = np.ones((samples, int(fit_intercept)))
+        admitted = admitted_noise(np.hstack([X, constant]), y, np.append(given, np.zeros(int(fit_intercept))))
+        given = admitted * given
     study = _Study(X, y, given, instruments, fit_intercept, folds)
     ranking, left_out = study.ranking()
     assumed = [
         study.purpose(),
-        f"Samples follow one another in time; each of {pluralise(folds, 'part')} held out once.",
+        f"Samples follow one another in time; each of {pluralise(len(study.parts), 'part')} held out once.",
     ]
     if study.outliers:
         assumed.append(
@@ -178,6 +187,10 @@ def advise(
     if study.strength < STRONG:
         assumed.append(
             f"Instruments left aside: of one feature they explain no more than chance may (F = {study.strength:.1f})."
+        )
+    if admitted < 1:
+        assumed.append(
+            f"The data hold less noise than was given: {admitted:.2g} of it is taken for what it is."
         )
     assumed += left_out
     turns: dict[float, str] = {}
@@ -196,22 +209,25 @@ class _Study:
         self.raw, self.units = X, np.where(np.ptp(X, axis=0) > 0, X.std(axis=0), 1.0)
         self.X, self.y, self.instruments = X / self.units, y, instruments
         self._state_noise(noise)
-        self.held_out: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self.strength = np.inf if instruments is None else _strength(self.X, instruments)
         if self.strength < STRONG:
             self.instruments = None
         self.fit_intercept = fit_intercept
-        self.parts = np.array_split(np.arange(len(y)), folds)
         left = y - HuberRegressor(fit_intercept=fit_intercept).fit(self.X, y).predict(self.X)
         scale = np.median(np.abs(left)) / 0.6745
         self.scored = np.abs(left) <= OUTLIER * scale if scale else np.ones(len(y), bool)
         self.outliers = int(np.sum(~self.scored))
+        self.parts = np.array_split(np.arange(len(y)), folds)
+        # of each part's mean square, so that the mean over the parts is that over the samples
+        counts = np.array([self.scored[part].sum() for part in self.parts])
+        self.weights = counts / counts.mean()
+        self.held_out: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
-    def with_noise(self, noise) -> "_Study":
-        """The same record with another noise; what does not depend on it is not fitted again."""
+    def with_noise(self, noise, keep: bool = False) -> "_Study":
+        """The same record with another noise; what does not depend on it, or all to `keep`, is not fitted again."""
         other = copy(self)
         other._state_noise(noise)
-        other.held_out = {name: self.held_out[name] for name in UNAWARE if name in self.held_out}
+        other.held_out = {name: found for name, found in self.held_out.items() if keep or name in UNAWARE}
         return other
 
     def _state_noise(self, noise) -> None:
@@ -255,15 +271,16 @@ class _Study:
         share = np.sum((self.noise * least.coef_) ** 2)
         return float(np.sqrt(max(left - share, 0.01 * left))) or 1.0
 
-    def losses(self, name, estimator) -> np.ndarray:
+    def losses(self, name) -> np.ndarray:
         if name not in self.held_out:
+            estimator = self.candidates()[name]
             parts = [self.hold_out(clone(estimator), part) for part in self.parts]
             squares, coefs = zip(*parts, strict=True)
             self.held_out[name] = np.array(squares), np.array(coefs)
         squares, coefs = self.held_out[name]
-        if self.noise is None or self.instruments is not None:
-            return squares
-        return squares - np.sum((self.noise * coefs) ** 2, axis=1)
+        if self.noise is not None and self.instruments is None:
+            squares = squares - np.sum((self.noise * coefs) ** 2, axis=1)
+        return self.weights * squares
 
     def hold_out(self, estimator, part) -> tuple[float, np.ndarray]:
         """Mean square of the errors on a part that is not learned from, and the coefficients."""
@@ -276,7 +293,7 @@ class _Study:
             given = np.hstack([self.instruments, constant])
             X = given[part] @ np.linalg.lstsq(given[kept], self.X[kept])[0]
         scored = self.scored[part]
-        left = np.mean((self.y[part] - estimator.predict(X))[scored] ** 2) if scored.any() else np.nan
+        left = np.mean((self.y[part] - estimator.predict(X))[scored] ** 2) if scored.any() else 0.0
         return float(left), _coefficients(estimator, X.shape[1])
 
     def fit(self, estimator, kept):
@@ -296,20 +313,28 @@ class _Study:
 
     def judged(self) -> tuple[dict[str, np.ndarray], list[str]]:
         losses, left_out = {}, []
-        for name, estimator in self.candidates().items():
+        for name in self.candidates():
             try:
-                losses[name] = self.losses(name, estimator)
+                losses[name] = self.losses(name)
             except InputError as error:
                 left_out.append(f"Left out: {name} ({error}).")
         return losses, left_out
 
     def order(self, least: float = 0.0) -> tuple[list[str], dict[str, np.ndarray], list[str]]:
-        # noise that is only tried may be more than there is, so that any mean square may come out
+        # What is advised is better than nothing also if the noise is half of what was given: who knows it well?
+        # Noise that is only tried may be more than there is, so that any mean square may come out
         losses, left_out = self.judged()
         scores = {name: _excess(own, losses[self.safe], SURE, least) for name, own in losses.items()}
         order = sorted(scores, key=scores.__getitem__)
-        if not _excess(losses[order[0]], losses[IGNORE], SOME, least) < 0:
-            order.sort(key=lambda name: name != IGNORE)
+        studies = [self]
+        if self.noise is not None and self.noise.any() and np.isfinite(least):
+            studies.append(self.with_noise(0.5 * self.noise * self.units, keep=True))
+
+        def is_sure(name) -> bool:
+            return all(_excess(each.losses(name), each.losses(IGNORE), SOME, least) < 0 for each in studies)
+
+        first = next((name for name in order if is_sure(name)), IGNORE)
+        order.sort(key=lambda name: name != first)
         return order, losses, left_out
 
     def ranking(self) -> tuple[list[RankedEstimator], list[str]]:

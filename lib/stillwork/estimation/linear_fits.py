@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
+from scipy import stats
 
 from stillwork.base.bounds import Matrix, Vector, within
 from stillwork.base.checks import InputError, pluralise, require_array
@@ -87,13 +88,37 @@ def _noise_taken_out(matrix, variances, samples) -> float:
     noisy = variances > 0
     if not noisy.any():
         return 0.0
-    ordered = np.column_stack([matrix[:, ~noisy], matrix[:, noisy] / np.sqrt(variances[noisy])])
-    _, whole = np.linalg.qr(ordered)
-    triangle = whole[np.sum(~noisy) :, np.sum(~noisy) :]
-    if len(triangle) < noisy.sum():
-        return 0.0
-    least = np.linalg.svd(triangle, compute_uv=False)[-1] ** 2
+    least = _least_square(matrix[:, ~noisy], matrix[:, noisy] / np.sqrt(variances[noisy]))
     return float(min(samples, least * (1 - 1 / np.sqrt(max(samples, 1.0)))))
+
+
+def _least_square(known, doubtful) -> float:
+    """Square of the shortest combination of the doubtful columns and any of the known ones."""
+    count = known.shape[1]
+    _, whole = np.linalg.qr(np.column_stack([known, doubtful]))
+    corner = whole[count:, count:]
+    return float(np.linalg.svd(corner, compute_uv=False)[-1] ** 2) if len(corner) >= corner.shape[1] else 0.0
+
+
+@checked
+def admitted_noise(matrix: Matrix, target: Vector, deviations: Vector) -> float:
+    """Share of this noise of the rows that the data admit: 1, or below where they hold less than it by more than chance.
+
+    No relation of rows and target has less noise than that of the rows. The smallest |b - A x|^2 / (x' diag(deviations^2) x)
+    is chi-square where b has no noise of its own, and larger where it has (Anderson and Rubin, 1949). Below its 1 %
+    quantile the answer is its root mean square. Columns of deviation 0 are known exactly, such as a constant.
+    """
+    target = require_array("target", target, shape=(len(matrix),))
+    deviations = require_array("deviations", deviations, shape=matrix.shape[1:])
+    if np.any(deviations < 0):
+        raise InputError("deviations holds a negative number; give zero or above")
+    noisy = deviations > 0
+    freedom = len(matrix) - matrix.shape[1]
+    if not noisy.any() or freedom < 1:
+        return 1.0
+    known = np.column_stack([matrix[:, ~noisy], target])
+    square = _least_square(known, matrix[:, noisy] / deviations[noisy])
+    return 1.0 if square >= stats.chi2.ppf(0.01, freedom) else float(np.sqrt(square / freedom))
 
 
 @checked
