@@ -301,8 +301,12 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda: FeRls(1.0, True), r"^forgetting\b"),
         (lambda: FeRls(np.array([1.0 + 1j])), r"^initial_covariance\b"),
         # What adapt, identify and AdaptationStepper ask; under test the type checker would answer before them.
+        (lambda: FeRls(1.0, 1.2), r"^forgetting\b"),
+        (lambda: FeRls(1.0, 0.0), r"^forgetting\b"),
+        (lambda: FeRls(1.0, np.nan), r"^forgetting\b"),
         (lambda: FeRls(1.0, growth_limit=0.5), r"^growth_limit\b"),
         (lambda: FeRls(-1.0), r"^initial_covariance\b"),
         (lambda: FeRls([[1.0, 2.0], [0.0, 1.0]]), r"^initial_covariance\b"),
@@ -310,6 +314,8 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
         (lambda: FeRls(np.ones((2, 3))), r"^initial_covariance\b"),
         (lambda: FeRls([1.0, 1.0]).start(3), r"^initial_covariance\b"),
         (lambda: FeRls(1.0).start(10**12), r"^regressors\b"),
+        (lambda: FeLms(0.0), r"^step_size\b"),
+        (lambda: FeLms(regularisation=-1.0), r"^regularisation\b"),
         (lambda: FeLms(trace="litteral"), r"^trace\b"),
         (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 4))), r"^disturbance\b"),
         (lambda: adapt(FeLms(), np.ones((2, 5)), np.ones((1, 4))), r"^errors\b"),
@@ -330,6 +336,7 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
         ),
         (lambda: steady_covariance(np.zeros((2, 5)), 0.9), r"^regressors\b.*\brow 0\b"),
         (lambda: steady_covariance(np.ones((2, 5)), 0.9), "^regressors:.*silent"),
+        (lambda: steady_covariance(np.ones((1, 5)), 1.0), r"^forgetting\b"),
     ],
 )
 def test_bad_input_is_refused(call, message):

@@ -197,8 +197,11 @@ def test_smoothing_keeps_a_constant(noisy):
     ("call", "message"),
     [
         (lambda: random_phase_multisine(np.random.default_rng(0), 7, 1.0), r"^samples\b"),
+        (lambda: random_phase_multisine(np.random.default_rng(0), 8, 0.0), r"^rms\b"),
         (lambda: _run(realisations=1), r"^inputs\b"),
+        (lambda: _run(periods=0), r"^periods\b"),
         (lambda: _run(sensors=3), r"^loop\b"),
+        (lambda: _fit(modes=0), r"^modes\b"),
         (lambda: _fit(deviation=np.zeros(200)), r"^deviation\b"),
         (lambda: _fit(rigid=3), r"^rigid_modes\b"),
         (lambda: _fit(lowest=0.0), r"^omega\b.*\babove 0\b"),

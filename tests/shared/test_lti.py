@@ -299,6 +299,8 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
             r"^damping\b",
         ),
         (lambda: stage().frequency_response([0.0, 1.0]), r"^omega\b.*rigid"),
+        (lambda: stage().frequency_response([np.nan]), r"^omega\b"),
+        (lambda: zoh_modes(stage(), 0.0), "sample_time"),
         (lambda: lti.zoh(zoh_modes(stage(), 1e-4), 1e-4), r"^model\b.*discrete"),
         (lambda: lti.simulate(stage().state_space(), np.zeros((1, 3))), r"^model\b.*continuous"),
         (lambda: lti.hinf_norm(stage().state_space()), r"^model\b.*stable"),
@@ -311,6 +313,7 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
         (lambda: lti.modal_model(np.eye(2), -np.eye(2), np.eye(2), np.eye(2)), r"^stiffness\b"),
         (lambda: lti.resonance_grid([1j], 10.0, 5.0), "high_hz"),
         (lambda: lti.resonance_grid([1j, np.nan], 1.0, 5.0), r"^poles\b"),
+        (lambda: tustin(stage().state_space(), 0.0), r"^sample_time\b"),
         (
             lambda: tustin(stage().state_space(), 1e-3, 4e3),
             r"^omega\b",

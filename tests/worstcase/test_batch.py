@@ -277,6 +277,7 @@ def test_root_is_the_same_from_any_start():
         (lambda f: f(-1.0), r"^alpha\b"),
         (lambda f: f.slope([0.5, -0.5]), r"^alpha\b"),
         (lambda f: replace(f, eigenvalues=np.array([1.0, 0.0])), r"^eigenvalues\b"),
+        (lambda f: replace(f, excess=-1.0), r"^excess\b"),
         (lambda f: replace(f, coefficients=np.zeros(2)).free_bound, r"\bfree_bound\b"),
         (lambda f: replace(f, coefficients=np.zeros(2))(1.0), r"\b__call__\b"),
     ],
@@ -300,9 +301,15 @@ def test_secular_function_without_a_root_says_so():
 @pytest.mark.parametrize(
     ("A", "b", "bound", "message"),
     [
+        (np.ones((3, 1)), np.ones(3), -1.0, r"^bound\b"),
+        (np.ones((3, 1)), np.ones(3), np.nan, r"^bound\b"),
+        (np.ones((3, 1)), np.ones(3), np.inf, r"^bound\b"),
         (np.ones((2, 3)), np.ones(2), 1.0, r"^matrix\b.*\b2 rows"),
         (np.ones((3, 0)), np.ones(3), 1.0, r"^matrix\b.*columns"),
         (np.ones((3, 1)), np.ones(4), 1.0, r"^target\b"),
+        (np.array([[1.0], [np.nan]]), np.ones(2), 1.0, r"^matrix\b"),
+        (np.ones((3, 1)), [1.0, np.inf, 2.0], 1.0, r"^target\b"),
+        ("words", np.ones(3), 1.0, r"^matrix\b"),
     ],
 )
 def test_bad_input_is_named(A, b, bound, message):

@@ -141,9 +141,14 @@ def test_the_chosen_bound_predicts_as_well_as_the_best():
         (lambda: choose_bound(np.ones((9, 2)), np.ones(8)), r"^target\b"),
         (lambda: choose_bound(np.eye(5), np.ones(5)), r"^matrix\b.*\b5\b"),
         (lambda: choose_bound(np.ones((9, 1)), np.ones(9), [1.0, 1.0]), r"^bounds\b"),
+        (lambda: choose_bound(np.ones((9, 1)), np.ones(9), folds=1), r"^folds\b"),
         (
             lambda: coloured_noise_bound(Spectrum(np.arange(3.0), np.ones((2, 3)), 1), 4, 0.9),
             r"^noise\b.*\b2 channels",
+        ),
+        (
+            lambda: coloured_noise_bound(Spectrum(np.arange(3.0), np.ones((1, 3)), 1), 4, 1.0),
+            r"^forgetting\b",
         ),
     ],
 )

@@ -420,11 +420,16 @@ def test_forgetting_outside_the_open_unit_interval_is_refused(forgetting):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: MinMax(-1.0, 0.9), r"^bound\b"),
+        (lambda: MinMax(np.inf, 0.9), r"^bound\b"),
         (lambda: MinMax(1.0, 0.9, "aproximate"), r"^update\b.*'approximate'"),
         (lambda: MinMax(1.0, 0.9, "approximate", 0), r"^iterations\b"),
         (lambda: MinMax(1.0, 0.9, "exact", 2), r"^iterations\b"),
+        (lambda: GrowingMinMax(-0.1), r"^row_bound\b"),
+        (lambda: Ridge(0.0, 0.9), r"^penalty\b"),
         (lambda: LeastSquares(0.9, 0.0), r"^initial_covariance\b"),
         (lambda: LeastSquares(0.9, 1.0, 0.5), r"^growth_limit\b"),
+        (lambda: LeastSquares(0.9, 1.0, np.nan), r"^growth_limit\b"),
         (lambda: RecursiveStepper(MinMax(1.0, 0.9), 0), r"^unknowns\b"),
         (
             lambda: RecursiveStepper(MinMax(1.0, 0.9), 2).update([1.0, 1e99], 1.0),
@@ -445,6 +450,7 @@ def test_forgetting_outside_the_open_unit_interval_is_refused(forgetting):
         (lambda: run(MinMax(1.0, 0.9), np.ones((3, 3)), np.ones(3)), r"^regressors\b.*\b3 samples"),
         (lambda: run(MinMax(1.0, 0.9), np.ones((3, 9)), np.ones(8)), r"^outputs\b"),
         (lambda: run(MinMax(1.0, 0.9), np.ones((0, 9)), np.ones(9)), r"^regressors\b.*rows"),
+        (lambda: run(MinMax(1.0, 0.9), np.full((2, 9), np.nan), np.ones(9)), r"^regressors\b"),
     ],
 )
 def test_bad_input_is_named(make, message):
