@@ -301,7 +301,6 @@ def test_of_constraints_that_are_equal_but_for_rounding_the_first_is_active(firs
         (lambda: maximise_bandwidth([make_loop(stage().at([0], [4]))], FAMILY, []), r"^constraints\b"),
         (lambda: PeakConstraint("sensitivity"), r"^function\b"),
         (lambda: PeakConstraint("input_sensitivity", 0.9), "limit"),
-        (lambda: stage_bandwidth("PDI"), r"^name\b"),
         (lambda: make_loop(stage()), r"^plant\b.*plant\.at"),
         (
             lambda: maximise_bandwidth(
