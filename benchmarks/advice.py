@@ -10,8 +10,8 @@ With ``size=2`` the noise is given at twice its size, and with ``seed=N`` proble
 Measured on seeds that no rule had met (``seed=31`` and ``--second seed=32``): of 300 of the former kinds the advised
 estimator is within 10 % of the best in 96 %, at worst 4 % worse than ignoring the features; of 300 of the second kinds in 90 %,
 never worse. On 100 of the third kinds 82 %, on one problem three times the error of ignoring the features; on 200 of the
-fourth, written when the rules stood and run once, 76 % and 3.3 times. Parts of equal leverage instead of equal time were
-tried and left when the third kinds showed them worse (4.3 times); a third of the record held out beside the tenths cost
+fourth, run once with the rules that stand, 76 % and 3.3 times. Parts of equal leverage instead of equal time were tried
+and left when the third kinds showed them worse (4.3 times), with the fourth already written; a third of the record held out beside the tenths cost
 the second kinds 2 % and errors of 20 times the best. Given at twice its size, the noise leads to 82 % of the 80 problems
 that have one within 10 %. The best is that of the ranking and of bias compensation without a penalty.
 """
@@ -545,7 +545,7 @@ def bench(rng):
 
 THIRD = {"machines": bench}
 
-# --- plants and calibrations of a laboratory, written when all rules stood, and looked at once -----------------------
+# --- plants and calibrations of a laboratory, written before the last trial of other parts was dropped, and looked at once -----------------------
 
 
 def thermal(rng, n):
