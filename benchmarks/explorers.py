@@ -20,7 +20,6 @@ os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS
 from stillwork.base.checks import InputError  # noqa: E402
 from workbook import explorer as explorers  # noqa: E402
 from workbook.notebooks import select  # noqa: E402
-from workbook.redraw import Redraw  # noqa: E402
 
 LIMIT_MS = 100.0
 
@@ -102,7 +101,7 @@ def main() -> None:
             with contextlib.redirect_stdout(None):  # the notebook's own tables
                 exec(compile(source, notebook.name, "exec"), space)
         [(draw, controls, designs)] = caught
-        redraw = Redraw(draw)
+        redraw = explorers.Redraw(draw)
         times = [(redraw_ms(redraw, one), one) for one in [*settings(controls), *designs.values()]]
         longest, worst = max((span, repr(one), one) for span, one in times if span is not None)[::2]
         start = times[0][1]

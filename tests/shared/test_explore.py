@@ -1,16 +1,11 @@
-import io
-
 import ipywidgets
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from PIL import Image
 
 from stillwork.base.checks import InputError
 from workbook import figures
-from workbook.explorer import Choice, Slider, StaticPicture, explore, label
-from workbook.redraw import Redraw
+from workbook.explorer import Choice, Redraw, Slider, StaticPicture, explore, label
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, 2.0, "V", basis="printed", place="Table 1"),
@@ -264,48 +259,3 @@ def test_another_number_of_panels_makes_a_new_layout():
     redraw = Redraw(scaled)
     redraw(top=10)
     assert redraw(top=10, panels=2) == Redraw(scaled)(top=10, panels=2)
-
-
-FRAMES = {
-    "limits": lambda axes, turn: axes.set_xlim(0, 4 + turn),
-    "scale": lambda axes, turn: axes.set_yscale(("linear", "log")[turn]),
-    "title": lambda axes, turn: axes.set_title(("", "damped")[turn]),
-    "label": lambda axes, turn: axes.set_ylabel(("force (N)", "power (W)")[turn]),
-    "ticks": lambda axes, turn: axes.set_xticks([1, 2 + turn]),
-    "words": lambda axes, turn: axes.set_xticks([1, 3], (["one", "three"], ["few", "many"])[turn]),
-    "format": lambda axes, turn: axes.xaxis.set_major_formatter(("{x:g}", "{x:.1f}")[turn]),
-    "function": lambda axes, turn: axes.xaxis.set_major_formatter(lambda x, _: f"{x + turn:g} s"),
-    "strokes": lambda axes, turn: axes.tick_params(length=3 + 9 * turn),
-    "one word": lambda axes, turn: axes.get_xticklabels()[1].set_color(("red", "blue")[turn]),
-    "grid": lambda axes, turn: axes.grid(bool(turn)),
-    "top": lambda axes, turn: (axes.xaxis.tick_bottom, axes.xaxis.tick_top)[turn](),
-    "no axes": lambda axes, turn: (axes.set_axis_on, axes.set_axis_off)[turn](),
-    "second scale": lambda axes, turn: axes.twinx().plot([0, 4], [0, 1e3 + turn]),
-    "offset": lambda axes, turn: axes.lines[0].set_ydata(1e6 + np.arange(5.0) * (1 + turn)),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("change", FRAMES)
-def test_a_remembered_frame_is_what_matplotlib_draws(change):
-    """Against `savefig`: a panel with something of its frame changed, changed back, and again."""
-
-    def drawing(turn):
-        figure = Figure(figsize=(4, 3), dpi=100)
-        axes = figure.add_axes((0.2, 0.2, 0.7, 0.6))
-        axes.set(xlabel="time (s)", title="free", axisbelow=True)
-        axes.grid(True)
-        axes.plot(np.arange(5), 1 + np.arange(5.0) ** 2, lw=4)
-        FRAMES[change](axes, turn)
-        for one in figure.axes:
-            one.minorticks_off()
-        return figure
-
-    redraw = Redraw(drawing)
-    for turn in (0, 1, 0, 1, 1):
-        expected = io.BytesIO()
-        drawing(turn).savefig(expected, dpi=100)
-        pictures = [
-            np.array(Image.open(one).convert("RGB"), int) for one in (io.BytesIO(redraw(turn=turn)), expected)
-        ]
-        assert np.abs(pictures[0] - pictures[1]).max() <= 2
