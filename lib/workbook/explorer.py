@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from stillwork.base.checks import InputError, nearest, require_choice, require_number
+from stillwork.base.garbage import no_collection
 from workbook.paths import in_batch
 
 BASES = ("printed", "assumed", "our result", "default")
@@ -195,6 +196,10 @@ class Redraw:
 
     def __call__(self, **settings) -> bytes:
         """The picture for ``draw(**settings)``, as PNG."""
+        with no_collection():
+            return self._picture(settings)
+
+    def _picture(self, settings) -> bytes:
         figure = self._draw(**settings)
         if len(figure.axes) == len(self._places):
             figure.set_layout_engine("none")
@@ -213,13 +218,16 @@ class Redraw:
     def _render(self, figure) -> None:
         from matplotlib.backends.backend_agg import RendererAgg
 
+        from workbook.rendering import ticks_once
+
         for axes in figure.axes:
             axes.minorticks_off()
         size = figure.bbox.size
         if self._renderer is None or (self._renderer.width, self._renderer.height) != tuple(size):
             self._renderer = RendererAgg(*size, figure.dpi)
         self._renderer.clear()
-        figure.draw(self._renderer)
+        with ticks_once(figure):
+            figure.draw(self._renderer)
 
     def _complete(self, figure) -> bool:
         """Whether no label of an axis reaches out of the picture."""
@@ -231,7 +239,8 @@ class Redraw:
         from matplotlib.image import imsave
 
         buffer = io.BytesIO()
-        imsave(buffer, self._renderer.buffer_rgba(), format="png", metadata={"Software": None})
+        fast = {"compress_level": 1}  # the picture goes a short way and is soon replaced
+        imsave(buffer, self._renderer.buffer_rgba(), format="png", metadata={"Software": None}, pil_kwargs=fast)
         return buffer.getvalue()
 
 

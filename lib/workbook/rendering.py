@@ -39,7 +39,7 @@ def pixels(figure, dpi: float) -> np.ndarray:
         stack.enter_context(house_style() if isinstance(figure, HouseFigure) else nullcontext())
         canvas = stack.enter_context(_canvas(figure, dpi))
         groups = _bare_groups(figure)
-        stack.enter_context(_ticks_once(figure))
+        stack.enter_context(ticks_once(figure))
         stack.enter_context(_places(figure))
         engine = figure.get_layout_engine()
         if engine is not None:
@@ -140,7 +140,7 @@ def _places(figure) -> Iterator[None]:
 
 
 @contextmanager
-def _ticks_once(figure) -> Iterator[None]:
+def ticks_once(figure) -> Iterator[None]:
     """Place ticks and measure their labels once for each view and place of a panel: a layout asks a dozen times."""
     every = [axis for axes in figure.axes for panel in (axes, *axes.child_axes) for axis in _axes_of(panel)]
     for axis in every:
