@@ -291,9 +291,8 @@ def convergence(
     floor_upper_end: float,
     settling_band: float,
     seed: int,
-    lean: bool = False,
 ) -> dict[str, tuple[float, tuple[float, float]]]:
-    """Table 1 and the speed-up on the fitted twin with their intervals, as notebook 02 judges them; no leaner form.
+    """Table 1 and the speed-up on the fitted twin with their intervals, as notebook 02 judges them.
 
     `trace` is how eq. (18) is read, `memory` in s, `initial_covariance` P(-1) over the steady diagonal of that memory,
     `floor_upper_end` in Hz, `settling_band` half its width over the final value.
@@ -376,8 +375,8 @@ def other_actuators(felms: np.ndarray, ferls: np.ndarray) -> dict[str, float]:
     return {"isolation.convergence.other-actuators": float(alike.mean())}
 
 
-def starting(*, memory: float, floor_upper_end: float, seed: int, lean: bool = False) -> dict:
-    """Section 4.3: whether FeRLS goes on from P(-1) = I / 1e-5 in closed loop, a share of runs; no leaner form."""
+def starting(*, memory: float, floor_upper_end: float, seed: int) -> dict:
+    """Section 4.3: whether FeRLS goes on from P(-1) = I / 1e-5 in closed loop, a share of runs."""
     twin = load_twin("fitted")
     forgetting = float(np.exp(-twin.sample_time / memory))
     floor = flat_floor(floor_upper_end)
@@ -433,9 +432,9 @@ def trade_off(seed: int) -> dict[str, np.ndarray]:
 
 
 def equal_variance(
-    *, floor_upper_end: float, settling_band: float, seed: int, lean: bool = False
+    *, floor_upper_end: float, settling_band: float, seed: int
 ) -> dict[str, tuple[float, tuple[float, float]]]:
-    """FeRLS against FeLMS where both scatter alike: speed-up, and share of runs that are faster; no leaner form."""
+    """FeRLS against FeLMS where both scatter alike: speed-up, and share of runs that are faster."""
     tau = "tau" if settling_band == con.SHARE else "tau 37"
     common = {"seed": seed, "low_pass_hz": floor_upper_end}
     felms, found = short("FeLMS", **common), {}
@@ -450,8 +449,8 @@ def equal_variance(
     return found
 
 
-def scattering(*, trace: str, floor_upper_end: float, seed: int, lean: bool = False) -> dict:
-    """Variances around the fixed point (sections 4.4, 5.1.1) as the notebook judges them; no leaner form."""
+def scattering(*, trace: str, floor_upper_end: float, seed: int) -> dict:
+    """Variances around the fixed point (sections 4.4, 5.1.1) as the notebook judges them."""
     found = scatter_of(seed, floor_upper_end, trace == "literal")
     felms, ferls = found["FeLMS", STEP_SIZE], found["FeRLS", MEMORY_S]
     return {

@@ -238,10 +238,8 @@ def explore_floor(low_pass_hz: float, gain: float):
 # === Open choices =================================================================================================
 
 
-def suspension(
-    *, strut_damping: float, strut_tilt: float, rotations: float, seed: int, lean: bool
-) -> dict[str, float]:
-    """Section 2's numbers of the rig, as in notebook 01; there is nothing to leave out."""
+def suspension(*, strut_damping: float, strut_tilt: float, rotations: float, seed: int) -> dict[str, float]:
+    """Section 2's numbers of the rig, as in notebook 01."""
     twin = equal_struts(
         strut_damping=strut_damping, actuator_pole=300.0, strut_tilt=strut_tilt, rotations=rotations
     )
@@ -274,6 +272,6 @@ def follows_criteria(low_pass_hz: float) -> float:
     return float(np.mean(((velocity < upper) & (velocity > lower))[judged]))
 
 
-def floor_bands(*, floor_upper_end: float, seed: int, lean: bool) -> dict[str, float]:
-    """Fig. 2's flat floor beside the criteria; there is nothing to leave out."""
+def floor_bands(*, floor_upper_end: float, seed: int) -> dict[str, float]:
+    """Fig. 2's flat floor beside the criteria."""
     return {"isolation.fig-2.flat-follows-criteria": follows_criteria(floor_upper_end)}

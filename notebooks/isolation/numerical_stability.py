@@ -143,9 +143,9 @@ def double_values(runs: Mapping[str, CovarianceRun], experiment: float) -> dict[
 
 
 def double_precision(
-    *, memory: float, floor_upper_end: float, seed: int, lean: bool, model: str = "rigid_body"
+    *, memory: float, floor_upper_end: float, seed: int, model: str = "rigid_body"
 ) -> dict[str, float]:
-    """The same for another memory (s) or floor; there is nothing to leave out."""
+    """The same for another memory (s) or floor."""
     twin, floor = load_twin(model), flat_floor(floor_upper_end)
     forgetting = float(np.exp(-twin.sample_time / memory))
     run = simulate(twin, floor, 2.0 + memory, signals_from_s=2.0, seed=seed)

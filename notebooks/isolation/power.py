@@ -17,9 +17,9 @@ RUNS = 16  # with three directions 48 for an ordering
 
 
 def power(
-    *, mains_in_power: str, seed: int, lean: bool = False, **open_choices
+    *, mains_in_power: str, seed: int, **open_choices
 ) -> dict[str, float | tuple[float, tuple[float, float]]]:
-    """Fig. 8 with FeRLS by `RUNS` runs, as notebook 05 judges it; no leaner form.
+    """Fig. 8 with FeRLS by `RUNS` runs, as notebook 05 judges it.
 
     `mains_in_power` is ``"bridged"`` or ``"counted"``; the others are those of `other_rig`.
     """
@@ -27,8 +27,8 @@ def power(
     return judged(power_runs(twin, floor, seed), twin.instruments.mains_hz, mains_in_power == "counted")
 
 
-def both_algorithms(*, seed: int, lean: bool = False, **open_choices) -> dict:
-    """Fig. 8 with FeLMS, too, which takes four times as long; no leaner form."""
+def both_algorithms(*, seed: int, **open_choices) -> dict:
+    """Fig. 8 with FeLMS, too, which takes four times as long."""
     study = power_runs(*other_rig(**open_choices), seed, felms_s=FELMS_S)
     return {"isolation.fig-8.same-by-both": same_by_both(study)}
 

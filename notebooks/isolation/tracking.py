@@ -313,9 +313,9 @@ def one_switch(
 
 
 def follow(
-    *, trace: str, floor_upper_end: float, color_gain: float, seed: int, lean: bool = False
+    *, trace: str, floor_upper_end: float, color_gain: float, seed: int
 ) -> dict[str, tuple[float, tuple[float, float]]]:
-    """Fig. 6 by `RUNS` runs each way, as notebook 03 judges it; no leaner form."""
+    """Fig. 6 by `RUNS` runs each way, as notebook 03 judges it."""
     return judged(*switch_runs(trace=trace, low_pass_hz=floor_upper_end, color_gain=color_gain, seed=seed))
 
 

@@ -34,9 +34,9 @@ PASSIVE_RECORDS = 40  # fewer than 36 leave the interval of a share of one below
 
 
 def edges(
-    *, strut_damping: float, actuator_pole: float, floor_upper_end: float, seed: int, lean: bool = False
+    *, strut_damping: float, actuator_pole: float, floor_upper_end: float, seed: int
 ) -> dict[str, float]:
-    """What Fig. 7 shows without noise, with weights that FeRLS finds in 100 s, as in notebook 04; no leaner form.
+    """What Fig. 7 shows without noise, with weights that FeRLS finds in 100 s, as in notebook 04.
 
     `strut_damping` in N s/m; `actuator_pole` (Hz) is the rig's: the controller keeps the 300 Hz of eq. (2).
     """
@@ -86,9 +86,8 @@ def records(
     floor_upper_end: float,
     record_length: float,
     seed: int,
-    lean: bool = False,
 ) -> dict[str, float]:
-    """What Fig. 7 shows as estimated from records of `record_length` s, as in notebook 04; no leaner form."""
+    """What Fig. 7 shows as estimated from records of `record_length` s, as in notebook 04."""
     twin, weights = tuned(strut_damping, actuator_pole, floor_upper_end)
     floor = flat_floor(floor_upper_end)
     felms = _felms(strut_damping, actuator_pole, floor_upper_end, seed)

@@ -140,6 +140,15 @@ def test_a_study_that_does_not_keep_to_its_form_stops_the_run(workbook, tmp_path
         run(multiverses, tmp_path)
 
 
+def test_only_a_study_with_a_short_form_takes_the_argument_for_it(workbook, tmp_path):
+    _, multiverses = workbook(study("at_zero"))
+    (found,) = run(multiverses, tmp_path)
+    assert not found.failures
+    _, multiverses = workbook(study("at_zero", more='lean = "a toy"'))
+    with pytest.raises(InputError, match=r"\bat_zero\b.*'lean'"):
+        run(multiverses, tmp_path)
+
+
 def test_a_module_that_is_not_there_is_named(workbook, tmp_path):
     _, multiverses = workbook(A + study().replace("choices.toy_work", "choices.none"))
     with pytest.raises(InputError, match=r"'choices\.none'"):

@@ -108,8 +108,9 @@ class Multiverse:
     ----------
     topic, study : str
     function : str
-        ``package.module:function``. It takes each axis' option by name, ``seed`` and ``lean``, and returns for each
-        of `entries` a number, or a number and its interval ``(value, (low, high))``; NaN where there is none.
+        ``package.module:function``. It takes each axis' option by name, ``seed``, and ``lean`` where it has such a
+        form; it returns for each of `entries` a number, or a number and its interval ``(value, (low, high))``; NaN
+        where there is none.
         Or a notebook, ``topic/name``, whose parameters the axes are; its ``seed`` stays where no axis lists seeds.
     entries : tuple of str
         Ids that it returns.

@@ -171,9 +171,12 @@ def compute(run: Call) -> dict[str, Value] | str:
     if study_digest(run.function, run.topic) != run.code:
         raise InputError(f"{run.function}: the worker's checkout differs; bring it to the same state")
     function = _function_of(run)
-    arguments = run.options | {"seed": run.seed, "lean": run.lean}
+    arguments = run.options | {"seed": run.seed}
     try:
-        inspect.signature(function).bind(**arguments)
+        signature = inspect.signature(function)
+        if run.lean or "lean" in signature.parameters:
+            arguments["lean"] = run.lean
+        signature.bind(**arguments)
     except TypeError as error:
         raise InputError(f"{run.function} cannot take the axes that touch its entries: {error}") from None
     try:
