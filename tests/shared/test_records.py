@@ -13,8 +13,9 @@ from scipy.io import savemat
 
 from stillwork.base.checks import InputError
 from stillwork.design.inspect import inspect_file
+from stillwork.identification.machine_files import stated_units
 from stillwork.signals import datafiles
-from stillwork.signals.densities import read_densities
+from stillwork.signals.densities import read_densities, stated_density
 from stillwork.signals.records import (
     UNITS,
     Record,
@@ -22,6 +23,7 @@ from stillwork.signals.records import (
     resample,
     sample_rate_of,
     sampling_rate,
+    stated_unit,
     to_acceleration,
     unit_factor,
 )
@@ -540,3 +542,52 @@ def test_a_unit_in_the_header_of_spectra_is_obeyed(tmp_path):
     with pytest.raises(InputError, match=r"^unit\b.*'x'"):
         read_densities(tmp_path / "b.npz", "", [], 3)
     assert read_densities(tmp_path / "b.npz", "g^2/Hz", [], 3)[1][0] == pytest.approx(9.80665**2 * asd)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale"),
+    [
+        ("time (ms)", 1e3),
+        ("t [ms]", 1e3),
+        ("Time {ms}", 1e3),
+        ("time_us", 1e6),
+        ("time （µs）", 1e6),
+        ("time (s)", 1.0),
+    ],
+)
+def test_a_time_in_another_unit_gives_the_same_rate(tmp_path, header, scale):
+    """At 20 kHz a time in ms would pass for a plausible 20 Hz."""
+    time = np.arange(400) / 20e3
+    record = load_record(
+        write_csv(tmp_path / "r.csv", [scale * time, *SIGNALS[:, :400]], [header, "a", "b"]), "m/s^2"
+    )
+    assert record.sample_rate == pytest.approx(20e3)
+
+
+@pytest.mark.parametrize("brackets", ["()", "[]", "{}", "（）"])
+def test_brackets_of_all_kinds_hold_a_unit(tmp_path, brackets):
+    def named(unit):
+        return f"a {brackets[0]}{unit}{brackets[1]}"
+
+    assert stated_unit(named("mm/s^2")) == "mm/s^2"
+    assert stated_density(named("(mm/s^2)^2/Hz")) == "(mm/s^2)^2/Hz"
+    assert stated_units([named("(mm/s^2)/N")]) == ("mm/s^2", "N")
+
+
+@pytest.mark.parametrize(
+    ("axis", "last"),
+    [
+        ("frequency (Hz)", 50.0),
+        ("f [kHz]", 5e4),
+        ("freq_khz", 5e4),
+        ("frequency {mHz}", 0.05),
+        ("f （rad/s）", 50 / 2 / np.pi),
+    ],
+)
+def test_frequencies_of_densities_are_in_the_unit_of_their_brackets(tmp_path, axis, last):
+    f = np.arange(1.0, 51.0)
+    file = write_csv(tmp_path / "d.csv", [f, f], [axis, "a ((m/s^2)^2/Hz)"])
+    assert read_densities(file, "", [], 1)[0][-1] == pytest.approx(last)
+    file = write_csv(tmp_path / "odd.csv", [f, f], ["frequency (rpm)", "a ((m/s^2)^2/Hz)"])
+    with pytest.raises(InputError, match="rpm"):
+        read_densities(file, "", [], 1)

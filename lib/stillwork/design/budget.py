@@ -35,7 +35,7 @@ from stillwork.design.html_page import page, picture, table
 from stillwork.design.retest import model_of
 from stillwork.lti.modal import ModalModel
 from stillwork.signals.datafiles import read_columns
-from stillwork.signals.densities import agreed_density, density_unit, frequency_axis, read_densities
+from stillwork.signals.densities import agreed_density, density_unit, frequency_axis, hertz_in, read_densities
 from stillwork.signals.records import Record, is_time, load_record, to_acceleration, unit_factor
 from stillwork.signals.spectra import estimate_spectrum
 from workbook import figures
@@ -350,7 +350,7 @@ def measured_at(name: str, file: Path, unit: str, place: str) -> Source:
     if PLACES[place] == "m/s^2":
         f, rows = read_densities(file, unit, [], 1)
         return tabulated(name, place, "m/s^2", f, rows[0])
-    f = columns.pop(axis)
+    f = hertz_in(axis) * columns.pop(axis)
     if len(columns) != 1:
         raise InputError(
             f"{name}: {file.name} holds {len(columns)} columns beside {axis!r}; keep the one that acts here"

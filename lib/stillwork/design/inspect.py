@@ -11,7 +11,7 @@ import numpy as np
 from stillwork.base.checks import InputError, one_line, pluralise, short_repr
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.datafiles import read_arrays, read_columns
-from stillwork.signals.densities import DENSITIES_SAID, frequency_axis, spectra_of
+from stillwork.signals.densities import DENSITIES_SAID, frequency_axis, hertz_in, spectra_of
 from stillwork.signals.records import (
     MOTION_UNITS,
     UNITS_SAID,
@@ -96,7 +96,8 @@ def _isolate(machine: str, floor: str, unit: str = "", channels: Collection[str]
 def _spectra(path: Path) -> Iterator[str]:
     """What takes spectra of a motion."""
     columns = read_columns(path)
-    hertz, spectra = columns[frequency_axis(columns)], spectra_of(columns)
+    axis, spectra = frequency_axis(columns), spectra_of(columns)
+    hertz = hertz_in(axis) * columns[axis]
     unit = next(iter(spectra.values()))
     alike = [name for name, other in spectra.items() if other == unit]
     yield f"spectra over {len(hertz)} frequencies up to {hertz.max():.4g} Hz: {', '.join(spectra)}"

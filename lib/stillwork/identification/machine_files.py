@@ -233,7 +233,7 @@ def stated_units(names: Iterable[str]) -> tuple[str, str]:
 
 def _in_brackets(name: str) -> str:
     """What stands in the brackets at the end of a name, after ``dB re 1``."""
-    found = re.search(r"[(\[](.+)[)\]]\s*$", name)
+    found = re.search(r"[(\[{（](.+)[)\]}）]\s*$", name)
     return re.sub(r"(?i)^dB\b\s*((re\s*)?1\s+|re\s+)?", "", found[1]) if found else ""
 
 
@@ -423,9 +423,9 @@ def _named(arrays: dict[str, np.ndarray], *words: str) -> str | None:
 
 def _word(name: str) -> str:
     """First word of a name, without the structure that it is a member of: ``force_n`` and ``force (N)`` are force."""
-    return re.split(r"[\s(\[_\d]", name.lower().rpartition(".")[2].strip(), maxsplit=1)[0]
+    return re.split(r"[\s(\[{（_\d]", name.lower().rpartition(".")[2].strip(), maxsplit=1)[0]
 
 
 def _bracket(name: str) -> str:
-    found = re.search(r"[(\[](.+)[)\]]", name)
+    found = re.search(r"[(\[{（](.+)[)\]}）]", name)
     return found[1].strip().lower() if found else ""

@@ -14,6 +14,12 @@ DENSITIES_SAID = "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), say, with 
 # What a column beside a frequency is called when it is a part of a response, and no density.
 _PARTS = re.compile(r"\b(re|real|im|imag|imaginary|mag|magnitude|amplitude|gain|phase|angle|coherence|coh)\b")
 _SUFFIX = re.compile(r"_([munpk]?[mg])(_s2|_s)?_(rthz|sqrthz|2_hz)$")
+HERTZ = {
+    "hz": 1.0,
+    "khz": 1e3,
+    "mhz": 1e-3,
+    "rad/s": 1 / (2 * np.pi),
+}  # units of a column of frequencies, in lower case
 _FREQUENCY_WORDS = ("frequency", "frequencies", "freq", "f", "hz")
 
 
@@ -36,7 +42,7 @@ def density_unit(unit: str) -> tuple[str, int] | None:
 @checked
 def stated_density(name: str) -> str:
     """Unit of a density that a name says in brackets or at its end, as ``ground_m_rthz`` does; empty: none."""
-    if found := re.search(r"[(\[](.+)[)\]]\s*$", name):
+    if found := re.search(r"[(\[{（](.+)[)\]}）]\s*$", name):
         try:
             return found[1] if density_unit(found[1]) else ""
         except InputError:
@@ -83,6 +89,7 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
             f"{path.name} holds {len(named)} spectra ({', '.join(named)}) beside {axis!r}; choose 1 to {most}"
         )
     scales = [_scale(path.name, name, unit) for name in named]
+    f = hertz_in(axis) * f
     known = f > 0
     if known.sum() < 2:
         raise InputError(
@@ -144,7 +151,19 @@ def _meaning(unit: str) -> tuple[float, int, int]:
 def frequency_axis(columns: dict[str, np.ndarray]) -> str:
     """Name of the column of frequencies; empty where there is none."""
     for name, column in columns.items():
-        words = re.split(r"[\s_(\[.]", name.strip().lower())
+        words = re.split(r"[\s_(\[{（.]", name.strip().lower())
         if words[0] in _FREQUENCY_WORDS and column.size > 1 and column.dtype.kind != "c":
             return name
     return ""
+
+
+@checked
+def hertz_in(axis: str) -> float:
+    """Hz in the unit behind the name of a column of frequencies, in brackets or after ``_``; without any 1.
+
+    Another unit in brackets is refused.
+    """
+    if found := re.search(r"[(\[{（](.+?)[)\]}）]", axis):
+        unit = found[1].strip().lower()
+        return HERTZ[require_choice(f"{axis}: unit", unit, HERTZ)]
+    return HERTZ.get(axis.strip().lower().rpartition("_")[2], 1.0)

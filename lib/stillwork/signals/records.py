@@ -61,6 +61,7 @@ PLAUSIBLE_RATES_HZ = (10.0, 1e6)  # outside, a time column is in ms or a rate in
 SHORTEST_SAMPLES = 256
 
 _TIME_NAMES = ("t", "time", "times", "zeit")
+_TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}  # s
 _RATE_NAMES = (
     "fs",
     "fs_hz",
@@ -154,7 +155,7 @@ def load_record(
     A CSV file has one column a channel, with or without a line of names, separated by comma, semicolon, tab or
     blanks; lines that start with # are skipped. In MAT (up to version 7) and NPZ files every numeric array of
     the common length is a channel or a set of channels. A column or array named ``t`` or ``time`` (a unit in
-    brackets may follow) is the time in s; a scalar named ``fs`` or ``sample_rate`` is the rate in Hz. Universal
+    brackets may follow) is the time, in s unless that is another; a scalar named ``fs`` or ``sample_rate`` is the rate in Hz. Universal
     files give their time responses, see `stillwork.signals.universal`.
 
     Parameters
@@ -266,7 +267,7 @@ def unknown_unit(name: str) -> str:
 
 
 def _bracketed(name: str) -> list[str]:
-    return re.findall(r"[(\[](.+?)[)\]]", name)
+    return re.findall(r"[(\[{（](.+?)[)\]}）]", name)
 
 
 def _is_known(unit: str) -> bool:
@@ -387,7 +388,7 @@ def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | N
     found = stated
     for name, column in columns.items():
         if is_time(name) and column.size > 1:
-            found = sample_rate_of(np.ravel(column), source)
+            found = sample_rate_of(np.ravel(column) * _seconds(name), source)
         elif name.lower().rpartition(".")[2] in _RATE_NAMES and column.size == 1:
             found = require_number(f"{source}: {name}", column.item(), above=0.0)
         else:
@@ -404,8 +405,18 @@ def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | N
 @checked
 def is_time(name: str) -> bool:
     """Whether a column of that name holds the time."""
-    words = name.lower().rpartition(".")[2].replace("(", " ").replace("[", " ").replace("_", " ").split()
+    words = _words(name)
     return bool(words) and words[0] in _TIME_NAMES
+
+
+def _seconds(name: str) -> float:
+    """Seconds in the unit that stands behind the name of a time, in brackets or after ``_``; 1 without any."""
+    unit = "".join(_words(name)[1:2]).replace("µ", "u").replace("μ", "u")
+    return _TIME_UNITS.get(unit, 1.0)
+
+
+def _words(name: str) -> list[str]:
+    return re.split(r"[\s_,()\[\]{}（）]+", name.lower().rpartition(".")[2].strip())
 
 
 def _require_whole(source: str, column: np.ndarray, rate: float) -> None:
