@@ -14,7 +14,7 @@ from naive.isolators import FINE, CompiledLoop, band_rms, coloured, draw_isolato
 from shared.compiled import compiled, pointer
 from stillwork.base.checks import InputError
 from stillwork.control import isolation_design
-from stillwork.control.c_code import isolation_code
+from stillwork.control.c_code import FADE, isolation_code
 from stillwork.control.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
 from stillwork.control.isolation_design import CUTOFFS_HZ, DRAWS, HIGHPASSES, LONGEST_S, RATIOS
 from stillwork.control.isolation_filters import NoiseShaping, weak_highpass
@@ -184,6 +184,8 @@ void run(long samples, int adapting, const iso_real *floor, const iso_real *plat
     if (restored)
         flags[0] = iso_restore(&s, stored);
     s.adapting = adapting;
+    if (!adapting)
+        s.rest = 0; /* the filters alone */
     for (long k = 0; k < samples; k++)
         flags[k] = (int)iso_step(&s, floor + k * ISO_SENSORS, platform + k * ISO_AXES, out + k * ISO_AXES);
     iso_store(&s, stored);
@@ -229,21 +231,22 @@ def test_a_limit_and_missing_samples_freeze_the_weights_and_stored_ones_go_on(tm
     library = compiled(files, tmp_path, DRIVER)
     rng = np.random.default_rng(8)
     start = round(loop.settling * RATE)
-    last = start + 3000
+    pause = start + round(FADE * start) + round(0.05 * RATE)
+    last = pause + 3000
     floor, platform = 1e-3 * rng.standard_normal((sensors, last)), 1e-3 * rng.standard_normal((2, last))
     _, flags, stored = run(library, floor, platform, adapting=True)
-    assert np.flatnonzero(flags == 0)[0] == start and np.all(flags[start:] == 0)
+    assert np.all(flags[:pause] == 4) and np.all(flags[pause:] == 0)
     assert not np.array_equal(stored[:2], weights[:, 0])  # it has learnt
     loud = floor.copy()
-    loud[0, start + 1000] = 1e6
+    loud[0, pause + 1000] = 1e6
     found, flags, _ = run(library, loud, platform, adapting=True)
-    assert np.abs(found).max() == 5.0 and flags[start + 1000] == 1 | 4 and flags[start + 1010] & 4
+    assert np.abs(found).max() == 5.0 and flags[pause + 1000] == 1 | 4 and flags[pause + 1010] & 4
     lost = floor.copy()
-    lost[0, start + 1000 : start + 1005] = np.nan
-    lost[0, start + 2000 : start + 2100] = np.inf
+    lost[0, pause + 1000 : pause + 1005] = np.nan
+    lost[0, pause + 2000 : pause + 2100] = np.inf
     found, flags, _ = run(library, lost, platform, adapting=True)
-    assert np.all(np.isfinite(found)) and np.all(flags[start + 1000 : start + 1005] == 2 | 4)
-    gone = slice(start + 2011, start + 2100)
+    assert np.all(np.isfinite(found)) and np.all(flags[pause + 1000 : pause + 1005] == 2 | 4)
+    gone = slice(pause + 2011, pause + 2100)
     assert np.all(flags[gone] == 2 | 4 | 8) and np.all(found[:, gone] == 0)
     assert np.all(flags[gone.stop :] == 4)  # until the filters have settled again
     again = stored.copy()
@@ -314,6 +317,22 @@ def test_no_microseism_that_is_let_pass_bursts_the_weights(tmp_path, machine, fl
     true = moved(nominal, rng, 0.05)
     low, high, found, without = judge(tmp_path / "out", true, density, offset=offset)
     assert np.all(low <= found) and np.all(found <= high) and np.all(found < 0.5 * without)
+
+
+@pytest.mark.slow
+def test_an_offset_of_a_floor_sensor_moves_nothing_at_the_start(tmp_path):
+    loop, _, files, sensors = written()
+    library = compiled(files, tmp_path, DRIVER)
+    start = round(loop.settling * RATE)
+    floor = 1e-3 * np.random.default_rng(9).standard_normal((sensors, 2 * start))
+    still = np.zeros((2, floor.shape[1]))
+    plain, offset = (run(library, floor + each, still, adapting=True)[0] for each in (0.0, 10.0))
+    whole = start + round(FADE * start)
+    assert (
+        np.all(offset[:, :start] == 0)
+        and np.abs(plain[:, start : start + 9]).max() < 1e-3 * np.abs(plain[:, whole:]).max()
+    )
+    assert np.abs(offset - plain).max() < 1e-3 * np.abs(plain).max()
 
 
 @pytest.mark.slow

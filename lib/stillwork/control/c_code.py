@@ -30,6 +30,7 @@ from stillwork.estimation.adaptive import FeLms, FeRls
 TEMPLATES = Path(__file__).parent / "c99"
 PRECISIONS: dict[str, Any] = {"double": np.float64, "single": np.float32}
 PATIENCE_S = 0.01  # for which the loop of an isolator holds a missing sensor
+FADE = 1 / 8  # of the time until its filters have settled, in which its feedforward then rises
 
 
 @checked
@@ -256,8 +257,8 @@ def isolation_code(
     limit : float
         Of each command, N.
     pause_s : float
-        For how long the weights are kept after the limit acted, s; at the start at least until the floor sensors' filters
-        have settled, see `FeedforwardLoop.settling`.
+        For how long the weights are kept after the limit acted, s; at the start until the feedforward, which
+        gives no force before the floor sensors' filters have settled (`FeedforwardLoop.settling`), is whole as well.
     name, precision : str
         See `controller_code`.
 
@@ -277,6 +278,7 @@ def isolation_code(
     before, modes, after = loop.error
     unlimited = limit == np.inf
     recursive = isinstance(settings, FeRls)
+    start = round(max(loop.settling, pause_s) * loop.rate)
     values = {
         "title": f"{name}: {axes}-axis feedforward from {pluralise(sensors, 'floor sensor')}, "
         f"{loop.rate:g} samples a second.",
@@ -288,7 +290,10 @@ def isolation_code(
         "sample_time": repr(loop.sample_time),
         "zero": write(0),
         "limit": "INFINITY" if unlimited else write(limit),
-        "start": round(max(loop.settling, pause_s) * loop.rate),
+        "start": start,
+        "fade": max(round(FADE * start), 1),
+        "two": write(2),
+        "three": write(3),
         "pause": round(pause_s * loop.rate),
         "patience": round(PATIENCE_S * loop.rate),
         "powers": POWERS,

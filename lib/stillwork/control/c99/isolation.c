@@ -15,9 +15,11 @@ typedef ${name}_real real;
 #define N ${guard}_REGRESSORS
 #define POWER $power_sections /* sections of one weak integrator */
 
-/* Samples until the filters of the floor sensors, which start from rest, have settled; after the limit acted until the
-   error belongs to an unlimited command again; and for how many a missing sensor is held. */
+/* Samples until the filters of the floor sensors, which start from rest, have settled; in which the feedforward then
+   rises to its whole; after the limit acted until the error belongs to an unlimited command again; and for how many a
+   missing sensor is held. */
 static const int start_samples = $start;
+static const int fade_samples = $fade;
 static const int pause_samples = $pause;
 static const int patience = $patience;
 
@@ -75,7 +77,8 @@ void ${name}_start(${name}_state *s)
         }
     }
     s->adapting = 1;
-    s->wait = start_samples;
+    s->rest = start_samples + fade_samples;
+    s->wait = s->rest + pause_samples;
 }
 
 void ${name}_store(const ${name}_state *s, real stored[${guard}_STORED])
@@ -147,6 +150,7 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
     double axes[A];
     double error[A];
     double both[2 * S];
+    real share;
     real e[A];
     real psi[N];
     real filtered[N];
@@ -164,7 +168,8 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
         s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
         if (s->missing > patience) { /* nothing to go by: no force, and the filters stand still */
             s->missing = patience + 1;
-            s->wait = start_samples; /* the floor goes on elsewhere: a step for the filters, as at the start */
+            s->rest = start_samples + fade_samples; /* the floor goes on elsewhere: a step for the filters, as at the start */
+            s->wait = s->rest + pause_samples;
             for (a = 0; a < A; a++) {
                 out[a] = $zero;
             }
@@ -211,10 +216,13 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
         }
     }
 
-    /* The command, and its limit: weights do not learn from a force that was cut off. */
+    /* The command, its feedforward from nothing once an offset has left the filters, and its limit: weights do not learn
+       from a force that was cut off. */
+    share = (s->rest < fade_samples) ? (real)(1.0 - ((double)s->rest / (double)fade_samples)) : $zero;
+    share = share * share * ($three - ($two * share));
     ${name}_adapt_feed(&s->adapt, psi, out);
     for (a = 0; a < A; a++) {
-        out[a] -= (real)damping[a];
+        out[a] = (share * out[a]) - (real)damping[a];
         e[a] = (real)error[a];
         if (!(out[a] <= s->limit[a])) {
             out[a] = s->limit[a];
@@ -228,6 +236,7 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
     if ((flags & ${guard}_SATURATED) != 0u) {
         s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
     }
+    s->rest -= (s->rest > 0) ? 1 : 0;
     if ((s->adapting == 0) || (s->wait > 0)) {
         flags |= ${guard}_FROZEN;
         s->wait -= (s->wait > 0) ? 1 : 0;

@@ -30,6 +30,7 @@ typedef struct {
     ${name}_adapt_state adapt; /* the weights W and what their update keeps */
     ${name}_real limit[$axes];   /* N, of each command; may be changed between two samples */
     int adapting;              /* 0: the weights are kept; likewise */
+    int rest;                  /* samples until the feedforward is whole: none before the filters have settled */
     int wait;                  /* samples until they adapt, at the start or again after the limit acted */
     int missing;               /* samples in a row */
     ${name}_real floor[$sensors];  /* the last that were there */
