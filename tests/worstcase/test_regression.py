@@ -240,13 +240,30 @@ def test_a_prediction_is_the_same_in_any_unit(estimator, fit_intercept):
             assert again.predict(X) / size == pytest.approx(expected, rel=1e-7)
 
 
-@pytest.mark.parametrize("estimator", SCALED[1:4], ids=repr)
+@pytest.mark.parametrize(
+    "estimator", [*SCALED[1:4], RidgeRegressor(0.0), InstrumentalRegressor(), HuberRegressor()], ids=repr
+)
 def test_each_feature_may_have_a_unit_of_its_own(estimator):
     X, y = record(21)
     X[:5, 2] = 0
-    units = np.array([1e-9, 1.0, 1e7])
+    units = np.array([1e-9, 1.0, 1e9])
     expected = clone(estimator).fit(X, y).predict(X)
     assert clone(estimator).fit(X * units, y).predict(X * units) == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("constant", [5.0, 1e-9, 1e6, 0.1])
+@pytest.mark.parametrize("estimator", [RidgeRegressor(0.0), InstrumentalRegressor()], ids=repr)
+def test_a_constant_feature_beside_an_intercept_says_nothing(estimator, constant):
+    X, y = record(30)
+    instruments = X + 0.1 * np.random.default_rng(31).standard_normal(X.shape)
+    X[:, 1] = instruments[:, 1] = constant
+    given = {"instruments": instruments} if isinstance(estimator, InstrumentalRegressor) else {}
+    without = {name: np.delete(values, 1, axis=1) for name, values in given.items()}
+    found = clone(estimator).fit(X, y, **given)
+    expected = clone(estimator).fit(np.delete(X, 1, axis=1), y, **without)
+    assert found.coef_[1] == 0
+    assert np.delete(found.coef_, 1) == pytest.approx(expected.coef_, rel=1e-9)
+    assert found.intercept_ == pytest.approx(expected.intercept_, rel=1e-9, abs=1e-9)
 
 
 def test_a_variance_that_was_held_down_is_reported():

@@ -83,18 +83,26 @@ class TriangleRegressor(WeightedRegressor):
         return np.append(np.resize(values, features), np.zeros(columns - features))
 
 
+def _column_sizes(matrix) -> np.ndarray:
+    """Of columns in units of their own: what is small beside the others is no less known for it; 1 of an empty one."""
+    sizes = np.sqrt((matrix**2).sum(axis=0))
+    return np.where(sizes > 0, sizes, 1.0)
+
+
 def _solve_around_known(matrix, target, known, estimate: Callable) -> np.ndarray:
     """Estimate of all columns by `estimate` of the others, once what the `known` columns explain is taken out of them."""
     if not known.any():
         return estimate(matrix, target)
     columns = matrix[:, known]
-    units = np.sqrt((columns**2).sum(axis=0))
-    units[units == 0] = 1.0
+    units = _column_sizes(columns)
     basis = columns / units
     if basis.shape[1] > 1:
         left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
         basis = left[:, sizes > len(matrix) * ROUNDING * np.max(sizes, initial=0.0)]
     doubtful, aimed = ((part - basis @ (basis.T @ part)) for part in (matrix[:, ~known], target))
+    # of a feature that the known ones explain, such as a constant one beside an intercept, rounding is left
+    left = np.sqrt((doubtful**2).sum(axis=0))
+    doubtful[:, left <= 100 * len(matrix) * ROUNDING * _column_sizes(matrix[:, ~known])] = 0.0
     coef = np.zeros(len(known))
     if not known.all():
         coef[~known] = estimate(doubtful, aimed)
@@ -315,15 +323,17 @@ class RidgeRegressor(TriangleRegressor):
     fit_intercept: Any = True
 
     def _estimate(self, matrix, target, mass):
-        left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
         if isinstance(self.penalty, str):
             choose = PENALTIES[require_choice("penalty", self.penalty, PENALTIES)]
             penalty = choose(matrix, target, float(max(mass, matrix.shape[1] + 1.0)))
         else:
             penalty = require_number("penalty", self.penalty, at_least=0.0)
+        # without a penalty each feature may have a unit of its own
+        units = np.ones(matrix.shape[1]) if penalty else _column_sizes(matrix)
+        left, sizes, right = np.linalg.svd(matrix / units, full_matrices=False)
         used = sizes > len(matrix) * ROUNDING * np.max(sizes, initial=0.0)
         shrunk = np.divide(sizes, sizes**2 + penalty, out=np.zeros_like(sizes), where=used)
-        return right.T @ (shrunk * (left.T @ target))
+        return right.T @ (shrunk * (left.T @ target)) / units
 
 
 class _NoisyFeatures(TriangleRegressor):
@@ -591,8 +601,10 @@ class InstrumentalRegressor(TriangleRegressor):
         known = np.append(np.zeros(given, bool), self._known(columns))
 
         def estimate(matrix, target):
-            own = instrumental_variables(matrix[:, given:], target, matrix[:, :given])
-            return np.append(np.zeros(given), own)
+            units = _column_sizes(matrix)
+            scaled = matrix / units
+            own = instrumental_variables(scaled[:, given:], target, scaled[:, :given])
+            return np.append(np.zeros(given), own / units[given:])
 
         matrix, targets = corner[:, : given + columns], corner.T[given + columns :]
         return np.array([_solve_around_known(matrix, each, known, estimate)[given:] for each in targets])
