@@ -136,6 +136,18 @@ def test_the_keyboard_alone_shapes_a_loop(desk):
     desk.wait(lambda: desk.value("0-gain") == pytest.approx(1.02 * gain, rel=1e-4))
 
 
+def test_a_decimal_comma_is_kept_while_it_is_typed(desk):
+    field = desk.by("0-gain")
+    for typed, value in (("1,5", 1.5), ("20,25", 20.25), ("1.5", 1.5)):
+        field.send_keys(Keys.CONTROL, "a")
+        for key in typed:  # the page draws itself between two keys
+            field.send_keys(key)
+            desk.browser.driver.execute_async_script("requestAnimationFrame(() => setTimeout(arguments[0]))")
+        assert field.get_property("value") == typed
+        field.send_keys(Keys.TAB)
+        desk.wait(lambda value=value: desk.value("0-gain") == value)
+
+
 def test_the_address_holds_the_design(desk):
     desk.type("0-low_pass_hz", 321)
     desk.add("notch")

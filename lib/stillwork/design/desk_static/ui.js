@@ -409,7 +409,7 @@ export function startDesk(root, machines) {
         const field = fields.get(`${index}.${name}`);
         if (document.activeElement !== field.input || field.input.getAttribute("aria-invalid") !== "true") {
           const shown = String(Number(Number(block[name]).toPrecision(6)));
-          if (document.activeElement !== field.input || Number(field.input.value) !== Number(shown)) field.input.value = shown;
+          if (document.activeElement !== field.input || Number(field.input.value.trim().replace(",", ".")) !== Number(shown)) field.input.value = shown;
           field.input.removeAttribute("aria-invalid");
         }
         if (field.fixed) field.fixed.checked = (block.fixed ?? []).includes(name);
