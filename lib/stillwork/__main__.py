@@ -64,7 +64,7 @@ _OF_A_LOOP = (
         "--uncertainty",
         default="",
         metavar="NAME=SHARE,...",
-        help="frequency, residue, damping, gain, mass, delay (s); none; default frequency=0.05,gain=0.05",
+        help="frequency, residue, damping, gain, mass, delay (s), friction (1/s); none; default frequency=0.05,gain=0.05",
     ),
     option("--damping-ratio", type=float, default=0.005, help="of matrices without damping"),
 )
