@@ -54,7 +54,7 @@ choices: $(READY) ## Try every choice that the works leave open; ARGS="TOPIC --j
 readings: # by its old name, for this version
 	@echo "make readings is called make choices now: make choices ARGS=\"$(ARGS)\"" >&2; exit 2
 
-contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py --seeds N --public NUMBER --jobs N"
+contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py --seeds N --jobs N"
 	@$(BIN)/python -m stillwork contest $(ARGS)
 
 test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
