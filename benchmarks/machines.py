@@ -175,6 +175,7 @@ def judge(machine: TrueMachine, controller, sample_time: float) -> tuple[float, 
     ]
     omega = np.concatenate(omega)
     omega = np.unique(omega[(omega > 1) & (omega < np.pi / sample_time)])
+    best = np.zeros(2)
     for _ in range(2):  # once more, finer, about the highest peaks
         z = np.exp(1j * omega * sample_time)
         p = response(ap, bp[:, None], cp[None], np.zeros((1, 1)), z)[0]
@@ -185,7 +186,7 @@ def judge(machine: TrueMachine, controller, sample_time: float) -> tuple[float, 
             np.concatenate([peaks, *(each * (1 + np.linspace(-2e-3, 2e-3, 41)) for each in peaks)])
         )
         omega = omega[omega < np.pi / sample_time]
-        best = sizes.max(axis=1) if _ == 0 else np.maximum(best, sizes.max(axis=1))
+        best = np.maximum(best, sizes.max(axis=1))
     return (*(float(each) for each in 20 * np.log10(best)), radius)
 
 

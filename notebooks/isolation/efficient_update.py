@@ -86,7 +86,7 @@ def largest_condition(regressors: ArrayLike, epsilon: float, forgetting: float) 
     return largest
 
 
-def average_gain(forgetting: float, samples: int) -> Float64[np.ndarray, "samples"]:
+def average_gain(forgetting: float, samples: int) -> Float64[np.ndarray, " samples"]:
     """alpha(k) that makes an exponentially weighted sum an average, eq. (22) and (B.4)."""
     require_number("forgetting", forgetting, above=0.0, at_most=1.0)
     count = np.arange(1.0, require_count("samples", samples) + 1)

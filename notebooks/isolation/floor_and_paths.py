@@ -25,8 +25,8 @@ from workbook import figures
 class Modes:
     """Frequencies and relative damping of the suspension modes, by rising frequency."""
 
-    frequencies_hz: Float64[np.ndarray, "modes"]  # of each pair of poles
-    damping: Float64[np.ndarray, "modes"]
+    frequencies_hz: Float64[np.ndarray, " modes"]  # of each pair of poles
+    damping: Float64[np.ndarray, " modes"]
 
 
 def suspension_modes(twin: Twin, feedback: bool = True) -> Modes:

@@ -54,12 +54,12 @@ OVERFLOW = 1e100  # so large that its square is still a number
 class CovarianceRun:
     """What became of P, at equally spaced moments."""
 
-    time_constants: Float64[np.ndarray, "kept"]  # samples seen times (1 - forgetting)
-    asymmetry: Float64[np.ndarray, "kept"]  # norm of the antisymmetric part of P over that of P
-    error: Float64[np.ndarray, "kept"]  # norm of P - R^-1, R the information matrix, over that of R^-1
-    smallest: Float64[np.ndarray, "kept"]  # eigenvalue of (P + P')/2 over the smallest of R^-1
-    distance: Float64[np.ndarray, "kept"]  # largest of |eigenvalue of P R - 1|; from 1 on P may be indefinite
-    largest: Float64[np.ndarray, "kept"]  # eigenvalue of (P + P')/2 over the largest of the initial P
+    time_constants: Float64[np.ndarray, " kept"]  # samples seen times (1 - forgetting)
+    asymmetry: Float64[np.ndarray, " kept"]  # norm of the antisymmetric part of P over that of P
+    error: Float64[np.ndarray, " kept"]  # norm of P - R^-1, R the information matrix, over that of R^-1
+    smallest: Float64[np.ndarray, " kept"]  # eigenvalue of (P + P')/2 over the smallest of R^-1
+    distance: Float64[np.ndarray, " kept"]  # largest |eigenvalue of P R - 1|; from 1 on P may be indefinite
+    largest: Float64[np.ndarray, " kept"]  # eigenvalue of (P + P')/2 over the largest of the initial P
 
     @property
     def breakdown(self) -> float:
@@ -334,7 +334,7 @@ class SmallestLoop(NamedTuple):
     regressors: Float64[np.ndarray, "samples n"]  # psi
     filtered: Float64[np.ndarray, "samples n"]  # psi_N
     optima: Float64[np.ndarray, "segments n"]  # w of each segment
-    segment: Int64[np.ndarray, "samples"]  # to which a sample belongs
+    segment: Int64[np.ndarray, " samples"]  # to which a sample belongs
     shaping: Float64[np.ndarray, "sections 6"]  # N
 
 
@@ -362,10 +362,10 @@ def smallest_loop(
 class CureRun:
     """Closed-loop adaptation with one cure, at equally spaced moments; NaN after an overload."""
 
-    samples: Float64[np.ndarray, "kept"]  # samples seen
+    samples: Float64[np.ndarray, " kept"]  # samples seen
     growth: Float64[np.ndarray, "kept n"]  # diagonal of P over that of P(-1)
-    misalignment: Float64[np.ndarray, "kept"]  # size of W - w in the metric of P(-1), over its start
-    error_power: Float64[np.ndarray, "kept"]  # mean square of e over the interval
+    misalignment: Float64[np.ndarray, " kept"]  # size of W - w in the metric of P(-1), over its start
+    error_power: Float64[np.ndarray, " kept"]  # mean square of e over the interval
 
     def decay(self, start: int, stop: int) -> float:
         """Time constant of the misalignment in samples, fitted to the kept moments `start` to `stop`."""

@@ -39,7 +39,7 @@ class Switch:
     end: Steady
 
     @property
-    def shift(self) -> Float64[np.ndarray, "parameters"]:
+    def shift(self) -> Float64[np.ndarray, " parameters"]:
         """Way of the first actuator's optimum."""
         return self.end.weights[0] - self.start.weights[0]
 
@@ -66,11 +66,11 @@ def settled(switch: Switch, step_size: float, forgetting: float) -> dict[str, Fe
 class Response:
     """Course of the first actuator's weights around a switch at time zero."""
 
-    time_s: Float64[np.ndarray, "kept"]  # from the switch on; negative before it
+    time_s: Float64[np.ndarray, " kept"]  # from the switch on; negative before it
     weights: Float64[np.ndarray, "kept parameters"]
     switch: Switch
 
-    def left(self, group: str = "all") -> Float64[np.ndarray, "kept"]:
+    def left(self, group: str = "all") -> Float64[np.ndarray, " kept"]:
         """Share of the shift still to go: projection of a group of weights on it, 1 before, 0 in the end."""
         rows = GROUPS[require_choice("group", group, GROUPS)]
         shift = self.switch.shift[rows]

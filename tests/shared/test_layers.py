@@ -2,7 +2,10 @@
 
 import ast
 import importlib
+import json
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -285,3 +288,50 @@ def test_what_the_benchmarks_import_exists():
     assert broken_imports("from notebooks.isolation.your_floor import close_floor") == [
         "notebooks.isolation.your_floor.close_floor"
     ]
+
+
+@pytest.mark.parametrize("file", ["lib/experiments/a.py", "notebooks/isolation/a.py", "benchmarks/a.py"])
+def test_a_name_that_is_defined_nowhere_is_found(file):
+    """The style of the checkout, on a file that is none: an annotation of one axis is no name, a forgotten import is."""
+    source = (
+        '"""Of nothing."""\n\nimport numpy as np\nfrom jaxtyping import Float64\n\n\n'
+        'def scaled(values: Float64[np.ndarray, " samples"]):\n    """Of its largest."""\n    return values / {}\n'
+    )
+
+    def said(text):
+        ruff = [
+            sys.executable,
+            "-m",
+            "ruff",
+            "check",
+            "--output-format",
+            "concise",
+            "--stdin-filename",
+            file,
+            "-",
+        ]
+        return subprocess.run(ruff, cwd=paths.root(), input=text, capture_output=True, text=True).stdout
+
+    assert "All checks passed" in said(source.format("np.abs(values).max()"))
+    assert "F821 Undefined name `largest`" in said(source.format("largest(values)"))
+
+
+def test_a_cell_s_name_that_no_cell_defines_is_found():
+    cell = {"cell_type": "code", "id": "one", "metadata": {}, "outputs": [], "execution_count": None}
+    book = {
+        "cells": [cell | {"source": "print(forgotten)"}],
+        "metadata": {},
+        "nbformat": 4,
+        "nbformat_minor": 5,
+    }
+    ruff = [
+        sys.executable,
+        "-m",
+        "ruff",
+        "check",
+        "--stdin-filename",
+        "notebooks/isolation/99-none.ipynb",
+        "-",
+    ]
+    done = subprocess.run(ruff, cwd=paths.root(), input=json.dumps(book), capture_output=True, text=True)
+    assert "F821 Undefined name `forgotten`" in done.stdout

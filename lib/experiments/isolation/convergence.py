@@ -23,17 +23,17 @@ FINAL_SHARE = 0.1  # of a run, at its end, whose mean is the final value
 class Course:
     """Weights and quadratic filtered error over a run of one algorithm."""
 
-    time_s: Float64[np.ndarray, "kept"]
+    time_s: Float64[np.ndarray, " kept"]
     weights: Float64[np.ndarray, "kept parameters"]  # those of the first actuator
-    error_power: Float64[np.ndarray, "kept"]  # quadratic filtered error, mean over each interval, N^2
+    error_power: Float64[np.ndarray, " kept"]  # quadratic filtered error, mean over each interval, N^2
 
     @property
-    def final(self) -> Float64[np.ndarray, "parameters"]:
+    def final(self) -> Float64[np.ndarray, " parameters"]:
         """Final values: means over the last tenth of the run."""
         return self.weights[-self._tail :].mean(axis=0)
 
     @property
-    def deviation(self) -> Float64[np.ndarray, "parameters"]:
+    def deviation(self) -> Float64[np.ndarray, " parameters"]:
         """Standard deviation over the last tenth of the run."""
         return self.weights[-self._tail :].std(axis=0)
 
@@ -49,7 +49,7 @@ class Course:
 
 def settling_times(
     time_s: ArrayLike, traces: ArrayLike, final: ArrayLike, share: float = SHARE
-) -> Float64[np.ndarray, "parameters"]:
+) -> Float64[np.ndarray, " parameters"]:
     """Time after which each trace stays within 63 % of its final value, as the caption of Table 1 has it.
 
     It is the first kept time from which on no value is further from the final one than `share` of it. Noise is not
@@ -176,10 +176,10 @@ def steady_trial(
 class Starts:
     """What FeRLS does in the first seconds from P(-1) = I / epsilon."""
 
-    epsilon: Float64[np.ndarray, "starts"]
+    epsilon: Float64[np.ndarray, " starts"]
     # largest command, N; that of the last sample before it where the run was stopped
-    peak_command: Float64[np.ndarray, "starts"]
-    stopped_s: Float64[np.ndarray, "starts"]  # when it was stopped as unstable; NaN where it went on
+    peak_command: Float64[np.ndarray, " starts"]
+    stopped_s: Float64[np.ndarray, " starts"]  # when it was stopped as unstable; NaN where it went on
 
 
 def try_starts(

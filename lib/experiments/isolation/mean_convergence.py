@@ -70,11 +70,11 @@ def mean_course(
 class Sideways:
     """Course of a weight error that pushes the platform along its x axis, which the floor does not excite."""
 
-    time_s: Float64[np.ndarray, "kept"]
+    time_s: Float64[np.ndarray, " kept"]
     # size, predicted: root mean square shaped command along the pattern, N: simulated, and from the mean
     # update R^-1 A alone
-    size: Float64[np.ndarray, "kept"]
-    predicted: Float64[np.ndarray, "kept"]
+    size: Float64[np.ndarray, " kept"]
+    predicted: Float64[np.ndarray, " kept"]
     # smallest real part of the eigenvalues of R^-1 A: the rate of decay in the end, times the memory
     eigenvalue: float
 

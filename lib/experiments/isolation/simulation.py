@@ -32,13 +32,13 @@ class Run:
     """What a closed-loop run leaves behind."""
 
     sample_rate: float  # Hz
-    time_s: Float64[np.ndarray, "kept"]  # end of each interval of the two histories below
+    time_s: Float64[np.ndarray, " kept"]  # end of each interval of the two histories below
     weights: Float64[np.ndarray, "kept actuators regressors"]  # W, N per (m/s^2)
-    error_power: Float64[np.ndarray, "kept"]  # quadratic filtered error e'e, mean over the interval, N^2
+    error_power: Float64[np.ndarray, " kept"]  # quadratic filtered error e'e, mean over the interval, N^2
     final_weights: Float64[np.ndarray, "actuators regressors"]  # W after the last sample, or at the break
     covariance: Float64[np.ndarray, "regressors regressors"]  # P after the last sample; one unless FeRLS ran
     # share of the last time constant in which FeRLS's `growth_limit` acted on each regressor
-    held: Float64[np.ndarray, "regressors"]
+    held: Float64[np.ndarray, " regressors"]
     # from `signals_from_s` on; those not asked for are empty
     floor: Float64[np.ndarray, "sensors _"]  # a0 without noise, m/s^2
     platform: Float64[np.ndarray, "outputs _"]  # a1 without noise, m/s^2

@@ -42,7 +42,7 @@ def steady_state(
     )
 
 
-def default_grid(twin: Twin) -> Float64[np.ndarray, "frequencies"]:
+def default_grid(twin: Twin) -> Float64[np.ndarray, " frequencies"]:
     """Frequencies dense enough for the weak integrators, the suspension and the notches."""
     half = twin.instruments.sample_rate / 2
     return np.unique(

@@ -267,7 +267,7 @@ class _MovingPaths:
     held: Complex128[
         np.ndarray, "frequencies axes axes"
     ]  # likewise, from a held command, between samples, too
-    skyhook: Complex128[np.ndarray, "frequencies"]
+    skyhook: Complex128[np.ndarray, " frequencies"]
 
     def __post_init__(self):
         check_fields(self)

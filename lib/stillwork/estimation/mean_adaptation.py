@@ -33,16 +33,16 @@ class Responses:
     a0 and n0 before the signal conditioner, a1 behind it, and the skyhook part of P1 and P2.
     """
 
-    frequencies_hz: Float64[np.ndarray, "frequencies"]  # below half the sample rate
+    frequencies_hz: Float64[np.ndarray, " frequencies"]  # below half the sample rate
     primary: Complex128[np.ndarray, "frequencies outputs sensors"]  # P1
     secondary: Complex128[np.ndarray, "frequencies outputs actuators"]  # P2, m/s^2 per N
     # measured platform acceleration per platform noise n1, which enters before the conditioner
     sensitivity: Complex128[np.ndarray, "frequencies outputs outputs"]
     # B: conditioner and weak integrators
     regressors: Complex128[np.ndarray, "frequencies regressors sensors"]
-    shaping: Complex128[np.ndarray, "frequencies"]  # N
+    shaping: Complex128[np.ndarray, " frequencies"]  # N
     error: Complex128[np.ndarray, "frequencies actuators outputs"]  # N P2hat^-1
-    conditioning: Complex128[np.ndarray, "frequencies"]
+    conditioning: Complex128[np.ndarray, " frequencies"]
 
     def __post_init__(self):
         check_fields(self)
@@ -83,9 +83,9 @@ class Steady:
     covariance: Float64[np.ndarray, "regressors regressors"]  # P that FeRLS settles at, (1 - lambda) R^-1
     # of R^-1 A. Convergence is stable when all real parts are positive; all are 1 for a perfect estimate,
     # and a mode settles with the forgetting's time constant over its eigenvalue
-    rls_eigenvalues: Complex128[np.ndarray, "modes"]
+    rls_eigenvalues: Complex128[np.ndarray, " modes"]
     # of A over the trace of R: a mode settles in 1 / (mu eigenvalue) samples (trace over the regressors)
-    lms_eigenvalues: Complex128[np.ndarray, "modes"]
+    lms_eigenvalues: Complex128[np.ndarray, " modes"]
 
     def __post_init__(self):
         check_fields(self)

@@ -43,8 +43,8 @@ class Adaptation:
 
     weights: Float64[np.ndarray, "actuators n"]  # W after the last sample
     covariance: Float64[np.ndarray, "n n"] | None  # P after the last sample; None for FeLMS
-    held: Float64[np.ndarray, "n"] | None  # share of the last time constant in which `growth_limit` acted
-    samples: Int64[np.ndarray, "kept"]  # seen when each entry of `history` was kept
+    held: Float64[np.ndarray, " n"] | None  # share of the last time constant in which `growth_limit` acted
+    samples: Int64[np.ndarray, " kept"]  # seen when each entry of `history` was kept
     history: Float64[np.ndarray, "kept actuators n"]  # W along the way
 
 
