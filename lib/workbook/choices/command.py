@@ -135,7 +135,7 @@ def _compute_topic(topic: str, executor, at_once: int, end: float, stopped, chan
     done = read_results(multiverses)  # what is judged is what was written
     standings = _judged(topic, done, axes)
     print(standings_text(topic, done, standings, screen()))
-    print("make site draws every entry over its combinations")
+    print("the site draws every entry over its combinations")
     return True
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from importlib import metadata
 from keyword import iskeyword
 from pathlib import Path
@@ -41,7 +42,8 @@ def begin(folder: str) -> list[str]:
     texts["environment.txt"] = "".join(f"{name}=={version}\n" for name, version in sorted(pins.items()))
     for name, text in texts.items():
         replace_file(home / name, text.encode())
-    return [*written, *texts, f"put your paper in their place; it runs as it is: cd {folder} && make figures"]
+    enter = f"cd {shlex.quote(str(folder))} && make figures"
+    return [*written, *texts, f"put your paper in their place; it runs as it is: {enter}"]
 
 
 def new_result(topic: str, name: str, create: bool = False) -> list[str]:
