@@ -1,7 +1,6 @@
 """The fixed-point paper's statements at any combination of its open choices."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 from scipy import special
@@ -118,15 +117,16 @@ def rankings(
             ranking, claim = said.WINDOW_PRECISE, "window-most-precise"
             found[f"{q}.smoothest"] = said.in_both_forms(study, said.SMOOTHEST).mean()
         found[f"{speed}.kalman-hectic"] = said.in_both_forms(study, said.HECTIC).mean()
-        for (form, name), (figure, quantity) in product(FORMS, ((q, "position"), (speed, "velocity"))):
-            obeyed = said.statements(study, name, quantity)[ranking]
-            found[f"{figure}.{claim}.{form}"] = obeyed.mean()
-    offsets = {"fig-14.offset-q": "position_shift", "fig-15.offset-dq": "velocity_shift"}
+        for figure, quantity in ((q, "position"), (speed, "velocity")):
+            found[f"{figure}.{claim}.printed"] = said.statements(study, LITERAL, quantity)[ranking].mean()
+        if kind == "gaussian":
+            found[f"{q}.{claim}.corrected"] = said.statements(study, KALMAN)[ranking].mean()
     for form, name in FORMS:
         found[f"section-4.kalman-worst.{form}"] = said.pooled(studies, name)[said.KALMAN_WORST].mean()
-        for claim, quantity in offsets.items():
-            shift = np.abs(studies["large logistic"][name][quantity]) / SAMPLE_TIME
-            found[f"{claim}.{form}"] = np.mean((shift > 0.5) & np.isfinite(shift))
+    offsets = {"fig-14.offset-q": "position_shift", "fig-15.offset-dq": "velocity_shift"}
+    for claim, quantity in offsets.items():
+        shift = np.abs(studies["large logistic"][LITERAL][quantity]) / SAMPLE_TIME
+        found[f"{claim}.printed"] = np.mean((shift > 0.5) & np.isfinite(shift))
     return {f"fixedpoint.{name}": value for name, value in found.items()}
 
 
