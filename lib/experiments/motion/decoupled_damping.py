@@ -72,14 +72,14 @@ def band_passed(
     The gain acts on the modal states of form 1 of the first modes, on no rigid-body mode. The thesis uses Q = 2, and
     two band-passes in a row (order 4) for active stiffness, Remark 4.3.5.
     """
-    fed = fed_back_states(model, gain)
+    fed = fed_back_states(gain)
     filters = [series([band_pass(float(model.frequencies[j // 2]), selectivity)] * (order // 2)) for j in fed]
     a, b, c = (linalg.block_diag(*(getattr(one, name) for one in filters)) for name in "abc")
     select = np.eye(gain.shape[1])[fed]
     return StateModel(a, b @ select, gain[:, fed] @ c, np.zeros_like(gain))
 
 
-def fed_back_states(model: ModalModel, gain: np.ndarray) -> np.ndarray:
+def fed_back_states(gain: np.ndarray) -> np.ndarray:
     """Indices of the states that the gain feeds back, of flexible modes only."""
     return np.flatnonzero(np.any(gain, axis=0))
 

@@ -36,13 +36,13 @@ def common_centre(model: ModalModel, gain: Float64[np.ndarray, "inputs states"])
 
     Remark 4.3.2, whose index of the last mode is read as that of the last damped flexible mode.
     """
-    damped = model.frequencies[fed_back_states(model, gain) // 2]
+    damped = model.frequencies[fed_back_states(gain) // 2]
     return float(np.sqrt(damped.min() * damped.max()))
 
 
 def half_power_selectivity(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> float:
     """Q that puts the half-power points of the common band-pass on the first and the last damped mode."""
-    damped = model.frequencies[fed_back_states(model, gain) // 2]
+    damped = model.frequencies[fed_back_states(gain) // 2]
     return float(common_centre(model, gain) / (damped.max() - damped.min()))
 
 
@@ -55,7 +55,7 @@ def common_band_passed(
     The gains make up for the magnitude of the filter at each resonance, not for its phase. One filter an
     actuator or one a fed-back state, whichever is fewer: a single filter serves a gain of rank one only.
     """
-    fed = fed_back_states(model, gain)
+    fed = fed_back_states(gain)
     one = band_pass(common_centre(model, gain), selectivity)
     mended = gain.copy()
     mended[:, fed] /= np.abs(one.frequency_response(model.frequencies[fed // 2])[0, 0])
