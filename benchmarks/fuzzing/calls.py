@@ -164,6 +164,9 @@ def catalogue() -> dict:
         np.array([[0.3, -0.3]]),
         np.zeros((1, 1)),
     )
+    phased = i.PhasedModel(single, np.array([0.0, 1e-4]))
+    lone = c.make_loop(single, points=50, around=3)
+    place = c.Perturbation(np.array([1.0, 1.05]), np.ones(2), np.ones(2))
     limits = c.MoveLimits(0.2, 5.0, 500.0, 1e5)
     observer = e.kalman_observer(model, e.NoiseIntensities(1.0, 1e-12))
     sampled_observer = c.discrete_kalman_observer(model, e.NoiseIntensities(1.0, 1e-12), 1e-4)
@@ -253,6 +256,9 @@ def catalogue() -> dict:
         "moving": (signals.moving, {"error": signal, "sample_time": 0.1, "exposure": 1.0}),
         "resample": (signals.resample, {"record": record, "sample_rate": 50.0}),
         "rms": (signals.rms, {"error": signal}),
+        "PhasedModel": (i.PhasedModel, {"model": single, "velocity": np.array([0.0, 1e-4])}),
+        "PhasedModel.mirrored": (phased.mirrored, {}),
+        "PhasedModel.velocity_response": (phased.velocity_response, {"moved": single, "velocity": phased.velocity, "omega": omega, "sample_time": 1e-3, "delay": 0.5}),
         "ModalModel": (lti.ModalModel, fields(model)),
         "ModalModel.frequency_response": (model.frequency_response, {"omega": omega}),
         "ModalModel.at": (model.at, {"inputs": [0], "outputs": [0]}),
@@ -456,6 +462,8 @@ def catalogue() -> dict:
         "linear_loop": (c.linear_loop, {"plant": plant, "controller": controller, "sample_time": 1e-3, "position": 0.1, "velocity": 0.1}),
         "enclose_margins": (c.enclose_margins, {"loop": search, "pid": pid(20.0)}),
         "enclose_peaks": (c.enclose_peaks, {"loop": search, "pid": pid(20.0)}),
+        "phased_loop": (c.phased_loop, {"loop": lone, "phased": phased, "place": place}),
+        "phased_loops": (c.phased_loops, {"loops": (lone,), "phased": phased, "mirrors": (False,), "places": (place,)}),
         "make_loop": (c.make_loop, {"plant": model, "low_hz": 1.0, "high_hz": 1000.0, "points": 30, "around": 2}),
         "maximise_bandwidth": (c.maximise_bandwidth, {"loops": [search], "family": pid, "constraints": [c.PeakConstraint("input_sensitivity")], "low_hz": 5.0, "high_hz": 100.0, "scan": 10, "tolerance_hz": 0.5}),
         "Network": (c.Network, fields(network)),

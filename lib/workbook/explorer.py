@@ -240,7 +240,9 @@ class Redraw:
 
         buffer = io.BytesIO()
         fast = {"compress_level": 1}  # the picture goes a short way and is soon replaced
-        imsave(buffer, self._renderer.buffer_rgba(), format="png", metadata={"Software": None}, pil_kwargs=fast)
+        imsave(
+            buffer, self._renderer.buffer_rgba(), format="png", metadata={"Software": None}, pil_kwargs=fast
+        )
         return buffer.getvalue()
 
 

@@ -70,7 +70,8 @@ def test_it_writes_all_of_it(written):
     assert sum(line.count(", proven") for line in said) == 7
     assert said[0].endswith("40 kg; first resonance at 225.1 Hz") and said[-4].startswith("taken: ")
     assert held["provenance"]["uncertainty"] == {
-        "frequency": [0.0, 0.05], "residue": [0.0, 0.0], "damping": [0.0, 0.0], "gain": 0.05, "mass": 0.0, "delay": 0.0
+        "frequency": [0.0, 0.05], "residue": [0.0, 0.0], "damping": [0.0, 0.0], "gain": 0.05, "mass": 0.0,
+        "friction": 0.0, "delay": 0.0
     }  # fmt: skip
     assert "resonances" in said[-3] and "± 5 %" in said[-3]
 

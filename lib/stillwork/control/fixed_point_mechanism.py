@@ -272,6 +272,7 @@ def _alike_filters(one, other) -> bool:
     )
 
 
+@checked
 def packed_filters(controllers: list[Controller]) -> Packed:
     """Filters of coordinates side by side, each array with a row for every one; of a `JointKalman` one row."""
     first = controllers[0].signal_filter

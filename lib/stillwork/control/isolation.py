@@ -13,7 +13,7 @@ from jaxtyping import Complex128, Float64
 from scipy import linalg, signal, special
 
 from stillwork.base.bounds import Count, NonNegative, Positive
-from stillwork.base.checks import InputError, require_array
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.isolation_filters import (
     NoiseShaping,
@@ -124,12 +124,14 @@ class FeedforwardLoop:
     beta: Positive  # 1/s: the weak integrator's normalisation
     shaping: NoiseShaping
     estimate: Isolator  # what the path is taken for
-    highpasses: Count = (
-        1  # of the floor sensors, one after another: slow motion and offsets are no regressors
-    )
+    # Of the floor sensors, one after another: slow motion and offsets are no regressors.
+    highpasses: Count = 1
 
     def __post_init__(self):
         check_fields(self)
+        require_number(
+            "cutoff_hz", self.cutoff_hz, at_least=1e-9 * self.rate
+        )  # below it filters lose their digits
 
     @property
     def sample_time(self) -> float:

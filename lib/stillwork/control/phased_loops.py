@@ -41,7 +41,7 @@ def phased_corners(uncertainty: Uncertainty) -> list[Perturbation]:
     """All frequencies low or high, and each against the others, with the gain low and high; all damping low."""
     if uncertainty.is_empty:
         return []
-    modes = len(uncertainty.frequency)
+    modes = np.size(uncertainty.frequency)
     sides = [np.full(modes, sign) for sign in (-1.0, 1.0)]
     if modes > 2:
         sides += [np.where(np.arange(modes) == k, -sign, sign) for k in range(1, modes) for sign in (-1, 1)]
@@ -56,7 +56,7 @@ def phased_corners(uncertainty: Uncertainty) -> list[Perturbation]:
 @checked
 def phased_places(uncertainty: Uncertainty, rng: np.random.Generator) -> list[Perturbation]:
     """Every corner of gain and of up to `CORNERED` frequencies, the other numbers at ends; then draws from faces and inside."""
-    modes = len(uncertainty.frequency)
+    modes = np.size(uncertainty.frequency)
     ends, size = min(modes - 1, CORNERED), 3 * modes + 4
     places = []
     for corner in itertools.product([-1.0, 1.0], repeat=ends + 1):
