@@ -178,10 +178,9 @@ def loops(table: pd.DataFrame) -> pd.DataFrame:
         if (table["score"] == score).any():
             of = block(table, score)
             columns[score] = pd.Series(np.median(of.values, axis=(0, 1)), index=list(of.entrants))
-            if score == "tracking":
-                columns["unstable loops"] = pd.Series(
-                    np.isinf(of.values).mean(axis=(0, 1)), index=list(of.entrants)
-                )
+            # The rejection ends with the scan: it counts the loops that are lost late, too.
+            lost = np.isinf(of.values).mean(axis=(0, 1))
+            columns["unstable loops"] = pd.Series(lost, index=list(of.entrants))
     if (table["score"] == "bandwidth").any():
         of = block(table, "bandwidth")
         best = of.by_plant(of.values)

@@ -357,7 +357,7 @@ def test_the_sheet_gives_machines_with_several_actuators():
 
 
 def test_a_loop_that_is_lost_late_has_no_rejection():
-    """As the sheet says: who is not to be seen among the unstable loops may still be lost with the force."""
+    """As the sheet says: a loop that follows may still be lost with the force, and counts as unstable then."""
     with open(DATA / "contest.csv", encoding="utf-8") as stream:
         rows = [row for row in csv.DictReader(stream) if row["score"] in ("tracking", "rejection")]
     early, lost = (

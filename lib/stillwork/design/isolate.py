@@ -167,7 +167,7 @@ def isolate_file(
             "scatter of the weights",
             f"raises the power of the filtered error by {100 * design.variance:.2g} %",
         ],
-        ["command", f"{_listed(found.force)} N rms at most within the box"],
+        ["command", f"{_listed(found.force)} N rms, the largest expected of 24 isolators in the box"],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["taken", each] for each in (*notes, *said)),
         *(["look at the floor", each] for each in seen),
