@@ -482,7 +482,7 @@ def test_who_imports_the_contest_is_out(estimate):
         ("return [np.empty(10**8) for _ in range(1000)]", "allocates more memory"),
         ("while True: pass", "takes more than 1 s of the processor"),
         ("time.sleep(60)", "hangs: a scan takes more than 3 s"),
-        ("time.sleep(1.6); return model.c[0] * 0", "hangs: a scan takes more than 3 s"),  # each answer in time
+        ("time.sleep(1.6); return 0", "hangs: a scan takes more than 3 s"),  # each answer in time
         ("os.write(4, b'look\\n')", "JSON"),
         ("os.write(4, b'[[1], [2, 3]]\\n')", "no estimate"),
         ("os.write(4, b'[' * 100000 + b'\\n')", "JSON"),
