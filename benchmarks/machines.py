@@ -3,7 +3,8 @@
 A machine has 1 to 6 flexible modes of either sign, perhaps viscous friction, and a delay of 0 to 3 samples, whole or
 not. It is given as matrices or as a noisy frequency response. The C that is written is compiled, its linear map read
 out of its states, and closed around the sampled plant with its exact zero-order hold and delay, everywhere in the box
-that was asked for: `python benchmarks/machines.py [FIRST [LAST [RESULTS.jsonl]]]`. A file of results is gone on with.
+that was asked for, of frequencies, gain and damping: `python benchmarks/machines.py [FIRST [LAST [RESULTS.jsonl]]]`. A file
+of results is gone on with.
 """
 
 import ctypes

@@ -508,6 +508,7 @@ def test_the_header_of_a_response_says_in_what_a_machine_moves(tmp_path, header,
         ({"uncertainty": "gain=1"}, r"^uncertainty\b.*gain"),
         ({"uncertainty": "gain"}, r"^uncertainty\b.*gain"),
         ({"uncertainty": {"colour": 0.1}}, r"^uncertainty\b.*colour"),
+        ({"uncertainty": "delay=1"}, r"^uncertainty: delay is 1 s.*at most 20 samples"),
     ],
 )
 def test_settings_are_asked_before_anything_is_computed(tmp_path, change, message):

@@ -64,6 +64,7 @@ from stillwork.lti.modal import ModalModel
 from workbook import figures
 from workbook.progress import Progress
 
+MOST_LATE = 20  # samples either way, of a delay's uncertainty
 USES = 5  # that are searched
 CHANGES = 4  # of the machine or its processor, of which each is tried for what it would help
 SHOWN_FROM = 0.01  # %, of what the box holds
@@ -161,6 +162,11 @@ def design_file(
     require_number("rate", rate, above=0.0)
     asked = require_number("delay", delay, at_least=0.0)
     shares = asked_uncertainty(uncertainty)
+    if shares.get("delay", 0.0) * rate > MOST_LATE:
+        raise InputError(
+            f"uncertainty: delay is {shares['delay']:g} s, {shares['delay'] * rate:.3g} samples at {rate:g} Hz, and no loop holds "
+            f"for that; give seconds, at most {MOST_LATE} samples ({MOST_LATE / rate:.3g} s)"
+        )
     for each, value in (("counts", counts), ("motor_constant", motor_constant)):
         require_number(each, value, at_least=0.0)
     sources = [Path(each) for each in ([files] if isinstance(files, str) else files)]
