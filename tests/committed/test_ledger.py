@@ -112,6 +112,11 @@ def test_what_was_chosen_after_a_look_is_no_prediction():
     assert [name for name, text in said.items() if AFTER_A_LOOK.search(text)] == []
 
 
+def test_corrected_filters_are_counterfactuals():
+    corrected = [each for each in LEDGER if each.id.endswith(".corrected")]
+    assert all(entry.counterfactual for entry in corrected)
+
+
 def found_otherwise(now: Claim, committed: Claim) -> str:
     if (now.verdict, now.notebook) != (committed.verdict, committed.notebook):
         return f"was {committed.verdict} by {committed.notebook}, now {now.verdict} by {now.notebook}"

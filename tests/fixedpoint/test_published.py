@@ -7,6 +7,7 @@ from experiments.fixedpoint import published_controllers
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from stillwork.control import FlowTransformation
 from stillwork.control.transformation import RobustTransformation
+from workbook.claims import ledger
 
 
 def test_settings_of_section_ii(approximate):
@@ -32,3 +33,11 @@ def test_settings_of_table_ii(name, approximate):
     assert (kalman.noise == np.diag([1e-2, 1e-3])).all()
     assert (kalman.points.alpha, kalman.points.beta, kalman.points.kappa) == (1e-2, 1e-3, 0.0)
     assert kalman.literal == (name == LITERAL)
+
+
+def test_three_rankings_of_the_corrected_filter_are_kept():
+    ids = {claim.entry.id for claim in ledger()}
+    rankings = ("fig-5.window-most-precise", "fig-11.low-pass-best", "section-4.kalman-worst")
+    assert {each for each in ids if each.endswith(".corrected") and each.startswith("fixedpoint.")} == {
+        f"fixedpoint.{name}.corrected" for name in rankings
+    }

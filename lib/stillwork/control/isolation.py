@@ -27,9 +27,8 @@ from stillwork.control.isolation_filters import (
 from stillwork.estimation.mean_adaptation import Responses, Steady
 
 IMAGES = 20  # of a sampled response at multiples of the rate, on either side
-SETTLED = (
-    1e-8  # of a step, that counts as nothing: an offset may be a million times the motion in band (chosen)
-)
+# Of a step, that counts as nothing: an offset may be a million times the motion in band (chosen).
+SETTLED = 1e-8
 ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
 
 
@@ -129,9 +128,8 @@ class FeedforwardLoop:
 
     def __post_init__(self):
         check_fields(self)
-        require_number(
-            "cutoff_hz", self.cutoff_hz, at_least=1e-9 * self.rate
-        )  # below it filters lose their digits
+        # Below it filters lose their digits.
+        require_number("cutoff_hz", self.cutoff_hz, at_least=1e-9 * self.rate)
 
     @property
     def sample_time(self) -> float:

@@ -146,10 +146,8 @@ def choose_beta(loop: FeedforwardLoop, floor: FloorSpectra) -> float:
     """For which beta H neither raises nor lowers the power of the shaped floor."""
     f = floor.frequencies_hz
     own = np.einsum("faa->f", floor.density).real * floor.widths_hz
-    shaped = (
-        own
-        * np.abs(signal.freqz_sos(np.vstack([loop.noise_shaping, loop.highpass]), f, fs=loop.rate)[1]) ** 2
-    )
+    sections = np.vstack([loop.noise_shaping, loop.highpass])
+    shaped = own * np.abs(signal.freqz_sos(sections, f, fs=loop.rate)[1]) ** 2
     through = np.abs(signal.freqz_sos(replace(loop, beta=1.0).integrator, f, fs=loop.rate)[1]) ** 2
     return float(np.sqrt(shaped.sum() / (shaped * through).sum()))
 

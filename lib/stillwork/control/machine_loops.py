@@ -49,11 +49,8 @@ OF_ERROR = tuple(PeakConstraint(name) for name in HELD)
 SHOWN = {"input_sensitivity": "S_I", "output_sensitivity": "S_O", "true_tracking": "r to e_true"}
 ABOVE_SUSPENSION = 2.0  # of a machine on springs to the ground: lowest bandwidth sought, over its suspension
 HIGHEST_NOTCH = 0.8  # of half the rate
-PHASED_SEED, PHASED_ROUNDS, MOST_ADDED = (
-    1,
-    8,
-    4,
-)  # of places of modes with phases; how many are added at a time
+# Of places of modes with phases; how many are added at a time.
+PHASED_SEED, PHASED_ROUNDS, MOST_ADDED = 1, 8, 4
 ROUNDS = 40  # of looking for another place in the box that does harm
 THOROUGH = 16  # starts at each frequency in the last one
 SEARCH = (1 / 40, 1.0)  # of the first resonance: where bandwidths are sought

@@ -31,14 +31,8 @@ from stillwork.estimation.triangle_regression import (
 
 IGNORE = "ignoring the features"
 SAFE, SAFE_OF_NOISE = "ridge by evidence", "bias compensation"
-UNAWARE = (
-    IGNORE,
-    SAFE,
-    "ridge by cross-validation",
-    "least squares",
-    "Huber",
-    "H-infinity",
-)  # the noise of features is not given to these
+# The noise of features is not given to these.
+UNAWARE = (IGNORE, SAFE, "ridge by cross-validation", "least squares", "Huber", "H-infinity")
 # Standard errors by which another one must be better than the safe one, and that one than nothing; chosen on 500 problems
 # that are not among those of benchmarks/advice.py.
 SURE, SOME = 0.5, 1.0
@@ -97,8 +91,9 @@ def advise(
 
     Ridge by evidence, and where the noise is known bias compensation with a penalty, is what to take without a reason:
     another one must be better by half a standard error to stand before it, and the first one better than ignoring the
-    features by one; with noise also if that were half of what is given, for who knows it well? Where the data hold
-    less noise than is given (their smallest mean square along a relation, chi-square at 1 %), so much is taken as they hold, and `assumed` reports it.
+    features by one; with `noise` also if the true noise were half of it, since it is seldom known well. Where the data
+    hold less noise than is given (their smallest mean square along a relation, chi-square at 1 %), what they hold is
+    taken, and `assumed` reports it.
 
     What counts depends on what is known. With nothing but X and y it is the prediction of y from features as noisy as
     these. With `noise` it is that from the features without noise, as far as its mean square allows; with `instruments`
@@ -190,9 +185,7 @@ def advise(
             f"Instruments left aside: of one feature they explain no more than chance may (F = {study.strength:.1f})."
         )
     if admitted < 1:
-        assumed.append(
-            f"The data hold less noise than was given: {admitted:.2g} of it is taken for what it is."
-        )
+        assumed.append(f"The data hold less noise than was given: {admitted:.2g} of it is taken.")
     assumed += left_out
     turns: dict[float, str] = {}
     if instruments is None:
@@ -322,7 +315,7 @@ class _Study:
         return losses, left_out
 
     def order(self, least: float = 0.0) -> tuple[list[str], dict[str, np.ndarray], list[str]]:
-        # What is advised is better than nothing also if the noise is half of what was given: who knows it well?
+        # What is advised is better than nothing also if the noise is half of what was given: it is seldom known well.
         # Noise that is only tried may be more than there is, so that any mean square may come out
         losses, left_out = self.judged()
         scores = {name: _excess(own, losses[self.safe], SURE, least) for name, own in losses.items()}

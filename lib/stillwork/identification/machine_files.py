@@ -13,7 +13,7 @@ from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
-from stillwork.signals.records import UNITS_SAID, is_time, sampling_rate, unit_factor
+from stillwork.signals.records import LAST_BRACKETS, UNITS_SAID, is_time, sampling_rate, unit_factor
 
 FORMS = (
     "a frequency response (frequency, and complex values or magnitude and phase), hammer records (force and "
@@ -233,7 +233,7 @@ def stated_units(names: Iterable[str]) -> tuple[str, str]:
 
 def _in_brackets(name: str) -> str:
     """What stands in the brackets at the end of a name, after ``dB re 1``."""
-    found = re.search(r"[(\[{（](.+)[)\]}）]\s*$", name)
+    found = LAST_BRACKETS.search(name)
     return re.sub(r"(?i)^dB\b\s*((re\s*)?1\s+|re\s+)?", "", found[1]) if found else ""
 
 

@@ -8,18 +8,21 @@ import numpy as np
 from stillwork.base.checks import InputError, pluralise, require_choice
 from stillwork.base.validation import checked
 from stillwork.signals.datafiles import read_columns
-from stillwork.signals.records import MOTION_UNITS, stated_unit, unit_factor, unknown_unit
+from stillwork.signals.records import (
+    BRACKETS,
+    LAST_BRACKETS,
+    MOTION_UNITS,
+    stated_unit,
+    unit_factor,
+    unknown_unit,
+)
 
 DENSITIES_SAID = "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), say, with m, u or n before a unit"
 # What a column beside a frequency is called when it is a part of a response, and no density.
 _PARTS = re.compile(r"\b(re|real|im|imag|imaginary|mag|magnitude|amplitude|gain|phase|angle|coherence|coh)\b")
 _SUFFIX = re.compile(r"_([munpk]?[mg])(_s2|_s)?_(rthz|sqrthz|2_hz)$")
-HERTZ = {
-    "hz": 1.0,
-    "khz": 1e3,
-    "mhz": 1e-3,
-    "rad/s": 1 / (2 * np.pi),
-}  # units of a column of frequencies, in lower case
+# Units of a column of frequencies, in lower case.
+HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e-3, "rad/s": 1 / (2 * np.pi)}
 _FREQUENCY_WORDS = ("frequency", "frequencies", "freq", "f", "hz")
 
 
@@ -42,7 +45,7 @@ def density_unit(unit: str) -> tuple[str, int] | None:
 @checked
 def stated_density(name: str) -> str:
     """Unit of a density that a name says in brackets or at its end, as ``ground_m_rthz`` does; empty: none."""
-    if found := re.search(r"[(\[{（](.+)[)\]}）]\s*$", name):
+    if found := LAST_BRACKETS.search(name):
         try:
             return found[1] if density_unit(found[1]) else ""
         except InputError:
@@ -163,7 +166,7 @@ def hertz_in(axis: str) -> float:
 
     Another unit in brackets is refused.
     """
-    if found := re.search(r"[(\[{（](.+?)[)\]}）]", axis):
+    if found := BRACKETS.search(axis):
         unit = found[1].strip().lower()
         return HERTZ[require_choice(f"{axis}: unit", unit, HERTZ)]
     return HERTZ.get(axis.strip().lower().rpartition("_")[2], 1.0)

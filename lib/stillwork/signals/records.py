@@ -60,6 +60,9 @@ RATE_TOLERANCE = 0.01  # a stated rate may differ so much from the time column's
 PLAUSIBLE_RATES_HZ = (10.0, 1e6)  # outside, a time column is in ms or a rate in kHz
 SHORTEST_SAMPLES = 256
 
+# What stands in the brackets of a name, and in those at its end; full-width brackets are of Chinese and Japanese files.
+BRACKETS = re.compile(r"[(\[{（](.+?)[)\]}）]")
+LAST_BRACKETS = re.compile(r"[(\[{（](.+)[)\]}）]\s*$")
 _TIME_NAMES = ("t", "time", "times", "zeit")
 _TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}  # s
 _RATE_NAMES = (
@@ -155,8 +158,8 @@ def load_record(
     A CSV file has one column a channel, with or without a line of names, separated by comma, semicolon, tab or
     blanks; lines that start with # are skipped. In MAT (up to version 7) and NPZ files every numeric array of
     the common length is a channel or a set of channels. A column or array named ``t`` or ``time`` (a unit in
-    brackets may follow) is the time, in s unless that is another; a scalar named ``fs`` or ``sample_rate`` is the rate in Hz. Universal
-    files give their time responses, see `stillwork.signals.universal`.
+    brackets may follow) is the time, in s unless that is another; a scalar named ``fs`` or ``sample_rate`` is the
+    rate in Hz. Universal files give their time responses, see `stillwork.signals.universal`.
 
     Parameters
     ----------
@@ -180,8 +183,8 @@ def load_record(
     Raises
     ------
     InputError
-        For an unknown, missing or contradictory unit, also one in a channel's brackets, channels of several quantities, an unknown channel, NaN, a channel
-        that never moves, gaps, uneven time, an implausible or contradictory rate, too short a record or too many
+        For an unknown, missing or contradictory unit, also one in a channel's brackets, channels of several
+        quantities, an unknown channel, NaN, a channel that never moves, gaps, uneven time, an implausible or contradictory rate, too short a record or too many
         channels. The message says what to do.
 
     Examples
@@ -256,18 +259,14 @@ def unit_factor(unit: str) -> tuple[float, str]:
 @checked
 def stated_unit(name: str) -> str:
     """The unit in the brackets of a channel's name; empty when there is none that is known."""
-    return next((each for each in _bracketed(name) if _is_known(each)), "")
+    return next((each for each in BRACKETS.findall(name) if _is_known(each)), "")
 
 
 @checked
 def unknown_unit(name: str) -> str:
     """What stands in a name's brackets where nothing in them is a known unit; empty: nothing, or numbers."""
-    words = [each for each in _bracketed(name) if re.search(r"[^\W\d_]", each)]
+    words = [each for each in BRACKETS.findall(name) if re.search(r"[^\W\d_]", each)]
     return words[-1] if words and not any(map(_is_known, words)) else ""
-
-
-def _bracketed(name: str) -> list[str]:
-    return re.findall(r"[(\[{（](.+?)[)\]}）]", name)
 
 
 def _is_known(unit: str) -> bool:
