@@ -588,6 +588,7 @@ def test_frequencies_of_densities_are_in_the_unit_of_their_brackets(tmp_path, ax
     f = np.arange(1.0, 51.0)
     file = write_csv(tmp_path / "d.csv", [f, f], [axis, "a ((m/s^2)^2/Hz)"])
     assert read_densities(file, "", [], 1)[0][-1] == pytest.approx(last)
-    file = write_csv(tmp_path / "odd.csv", [f, f], ["frequency (rpm)", "a ((m/s^2)^2/Hz)"])
-    with pytest.raises(InputError, match="rpm"):
-        read_densities(file, "", [], 1)
+    for odd in ("rpm", "MHz"):
+        file = write_csv(tmp_path / f"{odd}.csv", [f, f], [f"frequency ({odd})", "a ((m/s^2)^2/Hz)"])
+        with pytest.raises(InputError, match=odd):
+            read_densities(file, "", [], 1)

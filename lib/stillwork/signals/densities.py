@@ -21,7 +21,7 @@ DENSITIES_SAID = "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), say, with 
 # What a column beside a frequency is called when it is a part of a response, and no density.
 _PARTS = re.compile(r"\b(re|real|im|imag|imaginary|mag|magnitude|amplitude|gain|phase|angle|coherence|coh)\b")
 _SUFFIX = re.compile(r"_([munpk]?[mg])(_s2|_s)?_(rthz|sqrthz|2_hz)$")
-# Units of a column of frequencies, in lower case.
+# Units of a column of frequencies, in lower case; mhz is mHz, since floors have these and no column here is in MHz.
 HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e-3, "rad/s": 1 / (2 * np.pi)}
 _FREQUENCY_WORDS = ("frequency", "frequencies", "freq", "f", "hz")
 
@@ -167,6 +167,7 @@ def hertz_in(axis: str) -> float:
     Another unit in brackets is refused.
     """
     if found := BRACKETS.search(axis):
-        unit = found[1].strip().lower()
+        unit = found[1].strip()
+        unit = unit if unit == "MHz" else unit.lower()  # which is refused: it is no mHz
         return HERTZ[require_choice(f"{axis}: unit", unit, HERTZ)]
     return HERTZ.get(axis.strip().lower().rpartition("_")[2], 1.0)
