@@ -190,9 +190,8 @@ class ModalFit:
 
     model: ModalModel  # force to position
     omega: Float64[np.ndarray, " frequencies"]  # rad/s, of the fit
-    error: Float64[
-        np.ndarray, " frequencies"
-    ]  # relative, of the model, with the phases of its modes if it has them
+    # relative, of the model, with the phases of its modes if it has them
+    error: Float64[np.ndarray, " frequencies"]
     deviation: Float64[np.ndarray, " modes"]  # rad/s, of the flexible frequencies
     damping_deviation: Float64[np.ndarray, " modes"]  # of the damping ratios
     mass_deviation: float  # relative
@@ -436,13 +435,16 @@ class _Accelerance:
         linear, moving = self.columns(modes)
         q, r, sizes = _orthogonal(linear)
         gains = np.linalg.solve(r, q.T @ self.goal) / sizes
-        count = modes.shape[1]
-        if self.phased:
-            own, beside = np.split(gains[FIXED:], 2)
-            moving = moving[:, : 2 * count] * np.tile(own, 2) + moving[:, 2 * count :] * np.tile(beside, 2)
-        else:
-            moving = moving * np.tile(gains[FIXED:], 2)
+        moving = self.slopes(moving, gains)
         return gains, linear @ gains - self.goal, moving - q @ (q.T @ moving)
+
+    def slopes(self, moving, gains):
+        """Derivatives of the response by the modes' parameters, from those of its parts."""
+        if not self.phased:
+            return moving * np.tile(gains[FIXED:], 2)
+        own, beside = np.split(gains[FIXED:], 2)
+        first, second = np.split(moving, 2, axis=1)
+        return first * np.tile(own, 2) + second * np.tile(beside, 2)
 
     def refined(self, modes, steps):
         """Frequencies and damping by Levenberg and Marquardt; a mode that moved further would take another's place."""
@@ -536,12 +538,9 @@ class _Accelerance:
                 growth = (
                     gains[pair] @ np.linalg.lstsq(inverse[np.ix_(pair, pair)], gains[pair], rcond=None)[0]
                 )
-                place = np.abs(self.omega - frequency)
-                within = max(int(np.sum(place < damping * frequency)), 2)
-                beside = np.partition(place, min(20, len(place) - 1))[min(20, len(place) - 1)]
-                noise = np.mean(error[place <= max(beside, 5 * damping * frequency)])
+                inside, noise, _ = self._about(frequency, damping, error)
                 if growth >= F_RATIO * noise:
-                    standing[k] = np.sqrt(growth / within)
+                    standing[k] = np.sqrt(growth / inside)
             worst = int(standing.argmin())
             if standing[worst] >= least:
                 break
@@ -554,12 +553,10 @@ class _Accelerance:
         self.phased = True
         gains, residual, _ = self.solved(modes)
         linear, moving = self.columns(modes)
+        spread = _spread(np.hstack([linear, self.slopes(moving, gains)]), residual)
         self.phased = False
         count, rigid = modes.shape[1], FIXED if self.grounded else 0
         own, beside = np.split(gains[FIXED:], 2)
-        first, second = np.split(moving, 2, axis=1)
-        moving = first * np.tile(own, 2) + second * np.tile(beside, 2)
-        spread = _spread(np.hstack([linear, moving]), residual)
         frequencies = np.exp(modes[0])
         parts = np.hypot(own, beside * frequencies / self.omega[-1])
         noise = np.hypot(spread[FIXED : FIXED + count], spread[FIXED + count :][:count])
@@ -699,14 +696,18 @@ class _Accelerance:
         error = np.sum((linear @ gains - self.goal).reshape(2, -1) ** 2, axis=0)
         found = np.zeros(len(growth))
         for k, (frequency, damping) in enumerate(np.exp(modes).T):
-            place = np.abs(self.omega - frequency)
-            inside = max(int(np.sum(place < damping * frequency)), 2)
-            beside = np.partition(place, min(20, len(place) - 1))[min(20, len(place) - 1)]
-            noise = np.mean(error[place <= max(beside, 5 * damping * frequency)])
-            part = np.hypot(*linear[:, FIXED + k].reshape(2, -1)[:, place.argmin()]) * abs(gains[FIXED + k])
+            inside, noise, nearest = self._about(frequency, damping, error)
+            part = np.hypot(*linear[:, FIXED + k].reshape(2, -1)[:, nearest]) * abs(gains[FIXED + k])
             if growth[k] >= F_RATIO * noise and part <= CANCELLED:
                 found[k] = np.sqrt(growth[k] / inside)
         return found
+
+    def _about(self, frequency, damping, error):
+        """Lines in a mode's width, two at least, the mean error of a few widths, and the line that is nearest."""
+        place = np.abs(self.omega - frequency)
+        inside = max(int(np.sum(place < damping * frequency)), 2)
+        beside = np.partition(place, min(20, len(place) - 1))[min(20, len(place) - 1)]
+        return inside, np.mean(error[place <= max(beside, 5 * damping * frequency)]), place.argmin()
 
     def on_springs(self, modes):
         """Whether the first mode is the whole machine on its springs: beside its part nothing moves freely."""
