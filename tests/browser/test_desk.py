@@ -136,6 +136,24 @@ def test_the_keyboard_alone_shapes_a_loop(desk):
     desk.wait(lambda: desk.value("0-gain") == pytest.approx(1.02 * gain, rel=1e-4))
 
 
+def test_what_is_no_number_leaves_everything_as_it_was(desk):
+    """Nothing of a prefix stays: not of 1e400, not of a number with letters, in blocks, limit and scan alike."""
+    desk.type("limit", "50")
+    distance = desk.driver.find_element(By.CSS_SELECTOR, "#desk-move input[type=text]")
+    before, bandwidth, path = desk.value("0-gain"), desk.bandwidth, distance.get_property("value")
+    for typed in ("1e400", "-3", "\u22123", "2 kN", "1,500", ""):
+        for field in (desk.by("0-gain"), desk.by("limit"), distance):
+            if field == desk.by("limit") and not typed:
+                continue  # no limit
+            field.send_keys(Keys.CONTROL, "a")
+            field.send_keys(*(typed or [Keys.DELETE]), Keys.TAB)
+            assert "give a number" in desk.by("message").text
+        desk.wait(lambda: desk.value("0-gain") == before and desk.bandwidth == bandwidth)
+        assert desk.value("limit") == 50 and distance.get_property("value") == path
+    desk.type("0-gain", "1 234,5")
+    desk.wait(lambda: desk.value("0-gain") == 1234.5)
+
+
 def test_a_decimal_comma_is_kept_while_it_is_typed(desk):
     field = desk.by("0-gain")
     for typed, value in (("1,5", 1.5), ("20,25", 20.25), ("1.5", 1.5)):

@@ -463,6 +463,44 @@ def test_a_loop_below_0_db_has_no_bandwidth_in_words(node):
     assert values(node(asked)) == ["none (no crossing)", "12.3 Hz"]
 
 
+TYPED = {
+    "1.5": 1.5,
+    "1,5": 1.5,
+    " 20,25 ": 20.25,
+    "0,125": 0.125,
+    "1.500": 1.5,
+    "\u22123": -3,
+    "-3": -3,
+    "1 000": 1000,
+    "1\u202f000\u00a0000,5": 1000000.5,
+    "1e3": 1000,
+    "2,5E-3": 0.0025,
+    ".5": 0.5,
+    "7.": 7,
+}
+REFUSED = {
+    "": "empty",
+    "  ": "empty",
+    "much": "no number",
+    "1e": "no number",
+    "0x10": "no number",
+    "Infinity": "no number",
+    "1_000": "no number",
+    "1 00": "no number",
+    "1,2,3": "no number",
+    "1.5 Hz": "no number",
+    "1,500": "1.500 or 1500",
+}
+
+
+def test_a_typed_number_is_one_number_or_none(node):
+    asked = [("state.js", "typedNumber", text) for text in [*TYPED, *REFUSED]]
+    found = node(asked)
+    assert [each.get("value") for each in found[: len(TYPED)]] == list(TYPED.values())
+    for each, why in zip(found[len(TYPED) :], REFUSED.values(), strict=True):
+        assert why in each["error"]
+
+
 def test_jupyter_shows_the_same_page_in_a_frame():
     shown = show_desk(height=700, rate=5e3).data
     assert "height: 700px" in shown and shown.startswith("<div><iframe") and shown.endswith("</iframe></div>")

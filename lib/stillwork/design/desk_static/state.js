@@ -52,6 +52,17 @@ export function newBlock(kind, machine, design, crossing) {
   return { ...block, kind };
 }
 
+// A number as it is typed or pasted: a point or a comma before decimals, spaces between thousands, any minus sign. What
+// may be two numbers, or none, is refused.
+export function typedNumber(text) {
+  const plain = text.trim().replace(/[\u2212\u2013]/g, "-"), ungrouped = plain.replace(/(?<=\d)[\s](?=\d{3}(?!\d))/g, "");
+  if (/^[+-]?[1-9]\d{0,2},\d{3}$/.test(ungrouped)) {
+    throw new Error(`${plain} may be ${ungrouped.replace(",", ".")} or ${ungrouped.replace(",", "")}: write one of them`);
+  }
+  if (!/^[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?$/i.test(ungrouped)) throw new Error(plain ? `${plain} is no number` : "it is empty");
+  return Number(ungrouped.replace(",", "."));
+}
+
 const toBase64 = (text) => btoa(unescape(encodeURIComponent(text))).replace(/\+/g, "-").replace(/\//g, "_").replace(/=+$/, "");
 const fromBase64 = (text) => decodeURIComponent(escape(atob(text.replace(/-/g, "+").replace(/_/g, "/"))));
 

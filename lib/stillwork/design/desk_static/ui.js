@@ -7,7 +7,7 @@ import { makeSearch, stableFirstDesign } from "./optimise.js";
 import { makePlot, palette, shortNumber, svgOf } from "./plots.js";
 import { BLOCKS, timing } from "./response.js";
 import { simulate, thirdOrderMove } from "./simulate.js";
-import { fromAddress, makeHistory, newBlock, toAddress } from "./state.js";
+import { fromAddress, makeHistory, newBlock, toAddress, typedNumber } from "./state.js";
 
 const IDLE = 250; // ms without a change before the whole box is searched
 const TIME_FRAMES = 100; // ms between two simulations during a drag, at least
@@ -409,7 +409,7 @@ export function startDesk(root, machines) {
         const field = fields.get(`${index}.${name}`);
         if (document.activeElement !== field.input || field.input.getAttribute("aria-invalid") !== "true") {
           const shown = String(Number(Number(block[name]).toPrecision(6)));
-          if (document.activeElement !== field.input || Number(field.input.value.trim().replace(",", ".")) !== Number(shown)) field.input.value = shown;
+          if (document.activeElement !== field.input || field.read() !== Number(shown)) field.input.value = shown;
           field.input.removeAttribute("aria-invalid");
         }
         if (field.fixed) field.fixed.checked = (block.fixed ?? []).includes(name);
@@ -456,27 +456,39 @@ export function startDesk(root, machines) {
     by("list").replaceChildren(...cards);
   }
 
+  // ``read(refuse)``: the number in a field, or null; then `refuse` is called with why.
+  function numberReader(input, label, wanted, fits) {
+    return (refuse = () => {}) => {
+      try {
+        const value = typedNumber(input.value);
+        if (fits(value)) return value;
+        refuse(`${label}: give ${wanted}`);
+      } catch (error) {
+        refuse(`${label}: ${error.message}; give ${wanted}`);
+      }
+      return null;
+    };
+  }
+  const positive = (input, label, wanted = "a number above 0") => numberReader(input, label, wanted, (value) => value > 0 && value < Infinity);
+
   function numberRow(index, kind, title, key, label, unit, free) {
     const id = `desk-${index}-${key}`;
     const input = make("input", { type: "text", inputmode: "decimal", id, autocomplete: "off", spellcheck: "false" });
     const fixed = free ? make("input", { type: "checkbox", "aria-label": `Keep ${label} of ${title} in a search`, title: "fixed in a search" }) : null;
-    const read = () => {
-      const text = input.value.trim().replace(",", "."), value = Number(text), { low, high, whole } = BLOCKS[kind].numbers[key];
-      return text !== "" && value >= low && value <= high && (!whole || Number.isInteger(value)) ? value : null;
-    };
+    const { low, high, whole } = BLOCKS[kind].numbers[key];
+    const read = numberReader(input, label, `a ${whole ? "whole " : ""}number from ${shortNumber(low)} to ${shortNumber(high)}`, (value) => value >= low && value <= high && (!whole || Number.isInteger(value)));
     input.addEventListener("input", () => {
       const value = read();
-      input.toggleAttribute("aria-invalid", false);
       if (value === null) input.setAttribute("aria-invalid", "true");
-      else hold(withBlock(index, { [key]: value }));
+      else input.removeAttribute("aria-invalid");
+      // What is no number yet, or no longer, leaves nothing of itself: "1e400" passes through 1e40.
+      hold(value === null ? history.settled : withBlock(index, { [key]: value }));
     });
-    const done = () => {
-      const value = read(), { low, high } = BLOCKS[kind].numbers[key];
-      if (value === null) say(`${label}: give a number from ${shortNumber(low)} to ${shortNumber(high)}`);
+    input.addEventListener("change", () => {
+      const value = read(say);
       input.removeAttribute("aria-invalid");
-      settle(history.now);
-    };
-    input.addEventListener("change", done);
+      settle(value === null ? history.settled : withBlock(index, { [key]: value }));
+    });
     input.addEventListener("keydown", (event) => {
       const way = { ArrowUp: 1, ArrowDown: -1 }[event.key];
       if (!way) return;
@@ -488,7 +500,7 @@ export function startDesk(root, machines) {
       const others = (history.now.blocks[index].fixed ?? []).filter((each) => each !== key);
       settle(withBlock(index, { fixed: fixed.checked ? [...others, key] : others }));
     });
-    fields.set(`${index}.${key}`, { input, fixed });
+    fields.set(`${index}.${key}`, { input, fixed, read });
     return make("div", { class: "desk-number" }, make("label", { for: id }, label, ...(unit ? [" ", make("span", {}, `(${unit})`)] : [])), input, fixed ?? make("span"));
   }
 
@@ -585,11 +597,11 @@ export function startDesk(root, machines) {
     if (!place.children.length) {
       for (const name of Object.keys(units)) {
         const input = make("input", { type: "text", inputmode: "decimal", autocomplete: "off" });
+        const read = positive(input, name);
         input.addEventListener("change", () => {
-          const value = Number(input.value.replace(",", "."));
-          if (value > 0) settle({ ...history.now, move: { ...moveOf(history.now), [name]: value } });
-          else say(`${name}: give a number above 0`);
-          showMove();
+          const value = read(say);
+          if (value !== null) settle({ ...history.now, move: { ...moveOf(history.now), [name]: value } });
+          input.value = String(moveOf(history.now)[name]);
         });
         const unit = make("span");
         moveFields[name] = { input, unit, over: units[name] };
@@ -782,11 +794,11 @@ export function startDesk(root, machines) {
     settle({ ...history.now, blocks: next });
     fields.get(`${next.indexOf(block)}.${Object.keys(BLOCKS[kind].numbers)[0]}`)?.input.focus();
   });
+  const readLimit = positive(by("limit"), "limit", "a number above 0, or nothing");
   by("limit").addEventListener("change", () => {
-    const text = by("limit").value.trim().replace(",", "."), value = Number(text);
-    if (text !== "" && !(value > 0)) say("limit: give a number above 0, or nothing");
-    else settle({ ...history.now, limit: text === "" ? null : value });
-    showBlocks();
+    const none = by("limit").value.trim() === "", value = none ? null : readLimit(say);
+    if (none || value !== null) settle({ ...history.now, limit: value });
+    by("limit").value = history.now.limit > 0 ? String(history.now.limit) : "";
   });
   const back = (way) => {
     history[way]();
