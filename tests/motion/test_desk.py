@@ -1,7 +1,6 @@
 """The desk's modules, run by node, against this library's own loops and against SciPy; its page and its files."""
 
 import ctypes
-import html
 import json
 import re
 import shutil
@@ -24,7 +23,7 @@ from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import Uncertainty, make_box
 from stillwork.design.design import design_file
 from stillwork.design.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine, show_desk
-from stillwork.design.desk_page import STATIC, offline_page, script, shipped_machines
+from stillwork.design.desk_page import STATIC, offline_page, script, shipped_machines, widget_module
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine
@@ -501,13 +500,43 @@ def test_a_typed_number_is_one_number_or_none(node):
         assert why in each["error"]
 
 
-def test_jupyter_shows_the_same_page_in_a_frame():
-    shown = show_desk(height=700, rate=5e3).data
-    assert "height: 700px" in shown and shown.startswith("<div><iframe") and shown.endswith("</iframe></div>")
-    page = html.unescape(shown.partition('srcdoc="')[2].partition('" title')[0])
-    assert page == offline_page([machine_to_begin_with(rate=5e3)])
-    with pytest.raises(InputError, match=r"^height\b"):
-        show_desk(height=5)
+def test_jupyter_shows_the_same_modules_and_python_has_their_state(tmp_path):
+    """Without a front end, as in a build: what the desk sends is set by hand, as the kernel gets it."""
+    desk, module = show_desk(rate=5e3), widget_module()
+    assert desk.machines == [machine_to_begin_with(rate=5e3)] and desk.machine == "an example of 10 kg"
+    assert desk.design == desk.reached == {} and desk.controller == ""
+    for name in ("ui.js", "loop.js", "optimise.js", "export.js"):
+        start, end = (f'deskModules["{name}"] =', "})();")
+        own, page = (text.partition(start)[2].partition(f"\n{end}")[0] for text in (module, script()))
+        assert own == page != ""
+    assert 'deskModules["main.js"]' not in module and 'deskModules["widget.js"]' not in script()
+    assert not re.search(r"https?://(?!www.w3.org/)|fetch\(|XMLHttpRequest", module)
+    shown = desk._repr_mimebundle_()[0]
+    assert shown["text/plain"] == "Desk of an example of 10 kg: 0 blocks, not shown"
+    text = '[controller]\nrate_hz = 5000.0\ninputs = ["e (m)"]\noutputs = ["f (N)"]\nbiquads = [\n  [2.0, 0.0, 0.0, 1.0, 0.0, 0.0],\n]\n'
+    desk.set_state(
+        {
+            "design": {"blocks": [{"kind": "gain", "value": 2.0}], "limit": None},
+            "controller": text,
+            "reached": {"bandwidth_hz": 43.21},
+        }
+    )
+    (tmp_path / "controller.toml").write_text(desk.controller, encoding="utf-8")
+    assert load_controller(tmp_path / "controller.toml").model.sample_time == 1 / 5000
+    assert repr(desk) == "Desk of an example of 10 kg: 1 blocks, 43.21 Hz"
+    for wrong in ({"blocks": 3}, {"blocks": [{}]}, {"block": []}):
+        with pytest.raises(InputError, match="design must have"):
+            desk.design = wrong
+
+
+@pytest.mark.slow
+def test_the_module_of_jupyter_is_one(tmp_path):
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed, which reads the desk's module: apt-get install nodejs")
+    (tmp_path / "widget.mjs").write_text(widget_module(), encoding="utf-8")
+    command = f"import({json.dumps((tmp_path / 'widget.mjs').as_uri())}).then((m) => console.log(typeof m.default.render))"
+    done = subprocess.run(["node", "--input-type=module", "--eval", command], capture_output=True, text=True)
+    assert done.stdout.strip() == "function", done.stderr
 
 
 def test_a_name_cannot_end_the_script():

@@ -1,6 +1,5 @@
 """The command ``desk``: one page on which a loop is shaped by hand on a measurement, in any browser, without a network."""
 
-import html
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.checks import InputError, require_number
 from stillwork.base.extras import require_package
 from stillwork.control.machine_designs import UNCERTAINTY, asked_uncertainty
 from stillwork.control.uncertainty import NAMES, uncertainty_of
@@ -52,23 +51,23 @@ def desk_file(file: str = "", out: str = "", **options) -> list[str]:
     ]
 
 
-def show_desk(file: str = "", height: int = 1100, **options):
-    """The page for a machine in a cell of Jupyter; needs IPython, which Jupyter brings.
+def show_desk(file: str = "", **options):
+    """The desk for a machine in a cell of Jupyter, its state in Python; needs anywidget.
 
-    The page is the one that `desk_file` writes, in a frame of its own; its downloads go to the browser.
+    It is the page that `desk_file` writes, of the same modules; nothing is loaded from elsewhere, and its downloads go to
+    the browser.
 
     Parameters
     ----------
     file : str
         As of `desk_file`; empty: an example.
-    height : int
-        Of the frame, in pixels.
     **options
         Other arguments of `desk_file`, all but `out`.
 
     Returns
     -------
-    IPython.display.HTML
+    stillwork.design.desk_widget.DeskWidget
+        The last line of a cell shows it. Its `design`, `controller` and `reached` are what stands on the desk.
 
     Raises
     ------
@@ -78,17 +77,13 @@ def show_desk(file: str = "", height: int = 1100, **options):
     Examples
     --------
     >>> from stillwork.design.desk import show_desk
-    >>> show_desk().data[:12]
-    '<div><iframe'
+    >>> show_desk()
+    Desk of an example of 10 kg: 0 blocks, not shown
     """
-    require_package("IPython")
-    from IPython.display import HTML
+    require_package("anywidget")
+    from stillwork.design.desk_widget import DeskWidget
 
-    require_count("height", height, at_least=100)
-    page = html.escape(offline_page([machine_to_begin_with(file, **options)]))
-    return HTML(
-        f'<div><iframe srcdoc="{page}" title="Desk" style="width: 100%; height: {height}px; border: 0"></iframe></div>'
-    )
+    return DeskWidget(machine_to_begin_with(file, **options))
 
 
 def machine_to_begin_with(

@@ -5,11 +5,10 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 from string import Template
 from typing import Any
-
-from stillwork.base.checks import InputError
 
 STATIC = Path(__file__).parent / "desk_static"
 # Machines of the site's desk, as `python -m stillwork desk FILE --out desk.json` wrote them.
@@ -62,20 +61,23 @@ def machines_script(machines: Sequence[Mapping[str, Any]]) -> str:
 
 
 @cache
-def script() -> str:
-    """The modules in one script, each in a function of its own, those that others import first."""
-    sources = {file.name: file.read_text(encoding="utf-8") for file in sorted(STATIC.glob("*.js"))}
-    imported = {name: re.findall(r'from "\./([\w.]+)"', text) for name, text in sources.items()}
-    ordered: list[str] = []
-    while len(ordered) < len(sources):
-        ready = [name for name in sources if name not in ordered and set(imported[name]) <= set(ordered)]
-        if not ready:
-            raise InputError(
-                f"desk_static: {', '.join(set(sources) - set(ordered))} import each other; undo that"
-            )
-        ordered += ready
-    parts = [_scoped(name, sources[name]) for name in ordered]
+def script(start: str = "main.js") -> str:
+    """A module and all that it imports in one script, each in a function of its own, those that others import first."""
+    sources, imported, wanted = {}, {}, [start]
+    while wanted:
+        name = wanted.pop()
+        sources[name] = (STATIC / name).read_text(encoding="utf-8")
+        imported[name] = re.findall(r'from "\./([\w.]+)"', sources[name])
+        wanted += [each for each in imported[name] if each not in sources]
+    parts = [_scoped(name, sources[name]) for name in TopologicalSorter(imported).static_order()]
     return '"use strict";\nconst deskModules = {};\n' + "\n".join(parts)
+
+
+@cache
+def widget_module() -> str:
+    """The module of JavaScript that Jupyter loads for the desk in a cell: its `render` takes anywidget's model and element."""
+    given = f"{json.dumps(body())}, {json.dumps(style())}"
+    return f'{script("widget.js")}\nexport default {{ render: (view) => deskModules["widget.js"].render(view, {given}) }};\n'
 
 
 def _scoped(name: str, text: str) -> str:

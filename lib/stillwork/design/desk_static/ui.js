@@ -32,8 +32,12 @@ const HANDLES = {
   low_pass_2: [{ x: "corner_hz", y: "damping", power: -1, label: "low-pass" }],
 };
 
-export function startDesk(root, machines) {
+// `inside` is there where the desk is a part of another page, see widget.js: `kept` as of an address, and `changed`, which
+// is called with machine, design and result when nothing is being dragged. Keys, dropped files and address stay with that page.
+export function startDesk(root, machines, inside = null) {
+  const page = inside ? root : document, life = new AbortController(), { signal } = life;
   const by = (name) => root.querySelector(`#desk-${name}`);
+  const focused = () => root.getRootNode().activeElement;
   const make = (tag, attributes = {}, ...children) => {
     const element = document.createElement(tag);
     for (const [name, value] of Object.entries(attributes)) {
@@ -44,7 +48,7 @@ export function startDesk(root, machines) {
     return element;
   };
   machines = machines.map((each) => (each.model ? each : measuredAlone(each)));
-  const kept = fromAddress(location.hash);
+  const kept = inside ? inside.kept : fromAddress(location.hash);
   let machine = machines.find((each) => each.name === kept?.machine) ?? machines[0];
   const usable = (design) =>
     design.blocks.every((block) => Object.hasOwn(BLOCKS, block?.kind) && Object.keys(BLOCKS[block.kind].numbers).every((name) => Number.isFinite(block[name])));
@@ -53,7 +57,7 @@ export function startDesk(root, machines) {
   let history = makeHistory(begun.design);
   // A design whose machine is not on the page: it waits for its file.
   let waiting = machines.some((each) => each.name === kept?.machine) ? null : whole(kept);
-  const askForFile = () => waiting && say(`the address holds a design for ${waiting.machine}: drop that file here again, and it is restored`);
+  const askForFile = () => waiting && say(`${inside ? "there is" : "the address holds"} a design for ${waiting.machine}: drop that file here again, and it is restored`);
   let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timeAgain = 0, timed = "", turns = 0;
   let colours = palette(root);
   const plots = Object.fromEntries(ALTOGETHER.map((name) => [name, makePlot(by(name), { title: by(name).closest("figure").querySelector("figcaption").firstChild.textContent.trim(), equal: name === "nyquist" })]));
@@ -99,9 +103,15 @@ export function startDesk(root, machines) {
     paint();
     showFigures();
     showHandles();
+    tell();
     root.dataset.milliseconds = (performance.now() - began).toFixed(2);
     clearTimeout(boxTimer);
     boxTimer = setTimeout(searchBox, IDLE);
+  }
+
+  // What was designed, once nothing is being dragged.
+  function tell() {
+    if (history.now === history.settled) inside?.changed(machine, history.now, result);
   }
 
   // The whole box, in slices, while nothing moves.
@@ -123,6 +133,7 @@ export function startDesk(root, machines) {
       mine.box.exact = true;
       showFigures();
       describe();
+      tell();
     };
     loop.firstPlaces ??= loop.places.length;
     setTimeout(slice);
@@ -370,10 +381,11 @@ export function startDesk(root, machines) {
 
   function remember() {
     if (waiting?.machine === machine.name) waiting = { ...waiting, design: history.now }; // its file is here: dropped again, it gets what is shown
+    if (inside) return;
     try {
       globalThis.history.replaceState(null, "", toAddress(machine.name, history.now));
     } catch {
-      // a page within a page, as in Jupyter, has no address of its own
+      // some browsers change an address only so often in half a minute
     }
   }
   function settle(design) {
@@ -407,9 +419,8 @@ export function startDesk(root, machines) {
     design.blocks.forEach((block, index) => {
       for (const name of Object.keys(BLOCKS[block.kind].numbers)) {
         const field = fields.get(`${index}.${name}`);
-        if (document.activeElement !== field.input || field.input.getAttribute("aria-invalid") !== "true") {
-          const shown = String(Number(Number(block[name]).toPrecision(6)));
-          if (document.activeElement !== field.input || field.read() !== Number(shown)) field.input.value = shown;
+        if (focused() !== field.input || field.input.getAttribute("aria-invalid") !== "true") {
+          if (focused() !== field.input || field.read() !== block[name]) field.input.value = fieldText(block[name]);
           field.input.removeAttribute("aria-invalid");
         }
         if (field.fixed) field.fixed.checked = (block.fixed ?? []).includes(name);
@@ -420,9 +431,12 @@ export function startDesk(root, machines) {
       card.on.checked = !block.off;
       if (card.compensate) card.compensate.checked = Boolean(block.compensate);
     });
-    if (document.activeElement !== by("limit")) by("limit").value = design.limit > 0 ? String(design.limit) : "";
+    if (focused() !== by("limit")) by("limit").value = design.limit > 0 ? String(design.limit) : "";
     showMove();
   }
+
+  // As it was typed, or six digits of what was computed.
+  const fieldText = (value) => (String(value).length <= 10 ? String(value) : String(Number(value.toPrecision(6))));
 
   const unitOf = (name, unit) => {
     const { position, drive } = machine.units;
@@ -615,7 +629,7 @@ export function startDesk(root, machines) {
     const move = moveOf(history.now);
     for (const [name, { input, unit, over }] of Object.entries(moveFields)) {
       if (name === "feedforward") input.checked = move.feedforward;
-      else if (document.activeElement !== input) input.value = String(move[name]);
+      else if (focused() !== input) input.value = String(move[name]);
       if (unit) unit.textContent = `${machine.units.position}${over}`;
     }
   }
@@ -747,7 +761,7 @@ export function startDesk(root, machines) {
     const mine = search, own = machine, button = by("best");
     button.textContent = "Stop";
     const slice = () => {
-      const changed = machine !== own || history.now !== before;
+      const changed = machine !== own || history.now !== before || signal.aborted;
       let done = mine.stopped || changed;
       try {
         done = done || mine.step(14);
@@ -808,7 +822,7 @@ export function startDesk(root, machines) {
   };
   by("undo").addEventListener("click", () => back("undo"));
   by("redo").addEventListener("click", () => back("redo"));
-  document.addEventListener("keydown", (event) => {
+  page.addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.altKey) return;
     const key = event.key.toLowerCase();
     if (key === "z" || key === "y") {
@@ -832,13 +846,13 @@ export function startDesk(root, machines) {
     by("file").value = "";
   });
   for (const name of ["dragenter", "dragover"]) {
-    document.addEventListener(name, (event) => {
+    page.addEventListener(name, (event) => {
       event.preventDefault();
       root.classList.add("desk-dropping");
     });
   }
-  document.addEventListener("dragleave", (event) => event.relatedTarget === null && root.classList.remove("desk-dropping"));
-  document.addEventListener("drop", (event) => {
+  page.addEventListener("dragleave", (event) => root.contains(event.relatedTarget) || root.classList.remove("desk-dropping"));
+  page.addEventListener("drop", (event) => {
     event.preventDefault();
     root.classList.remove("desk-dropping");
     const [file] = event.dataTransfer.files;
@@ -879,20 +893,34 @@ export function startDesk(root, machines) {
     Object.values(plots).forEach((plot) => plot.resize());
     request();
   };
-  addEventListener("resize", resize);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  addEventListener("resize", resize, { signal });
+  const schemeChanged = () => {
     colours = palette(root);
     request();
-  });
-  addEventListener("hashchange", () => {
-    const found = fromAddress(location.hash);
-    if (!found || !usable(found.design) || JSON.stringify(found.design) === JSON.stringify(history.settled)) return;
+  };
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", schemeChanged, { signal });
+  // A design of a machine, {machine, design}, from outside: from the address, or from the page that the desk is part of.
+  function take(found) {
+    if (!usable(found.design)) return warn("the design that was given has a block of no known kind, or one that lacks numbers");
+    if (JSON.stringify(found.design) === JSON.stringify(history.settled)) return;
     const other = machines.find((each) => each.name === found.machine);
     waiting = other ? null : found;
     if (!other) askForFile();
     else if (other !== machine) useMachine(other, found.design);
     else settle(found.design);
-  });
+  }
+  const fromHash = () => {
+    const found = whole(fromAddress(location.hash));
+    if (found) take(found);
+  };
+  if (inside) by("link").hidden = true;
+  else addEventListener("hashchange", fromHash, { signal });
+  const stop = () => {
+    life.abort();
+    clearTimeout(boxTimer);
+    cancelAnimationFrame(frame);
+    result = null;
+  };
 
   Object.values(plots).forEach((plot) => plot.resize());
   showMachine();
@@ -902,5 +930,5 @@ export function startDesk(root, machines) {
   if (begun.words.length) say(begun.words.join("; "));
   askForFile();
   root.dataset.ready = "yes";
-  return { get result() { return result; }, get design() { return history.now; }, hold, settle, refresh };
+  return { get result() { return result; }, get design() { return history.now; }, hold, settle, refresh, take, resize, stop };
 }
