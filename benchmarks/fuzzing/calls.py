@@ -56,7 +56,6 @@ REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load
 # Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing, no limit) is a stated result.
 MAY_BE_INFINITE = {
     *(
-        "enclose_covariance",
         "enclose_peaks",
         "enclose_margins",
         "enclose_quotients",
@@ -343,7 +342,6 @@ def catalogue() -> dict:
         "filter_signal": (e.filter_signal, {"signal_filter": e.MovingWindow(), "measured": signal, "sample_time": 1e-3, "start_velocity": 0.1}),
         "filter_signal, Kalman": (e.filter_signal, {"signal_filter": e.UnscentedKalman(plant), "measured": signal, "force": signal, "sample_time": 1e-3}),
         "filter_signal, extended": (e.filter_signal, {"signal_filter": e.ExtendedKalman(plant), "measured": signal, "force": signal, "sample_time": 1e-3}),
-        "enclose_covariance": (e.enclose_covariance, {"a": -np.eye(1), "noise_input": np.eye(1), "c": np.eye(1), "process": 3.0, "sensor": 1.0, "covariance": np.eye(1), "discrete": False}),
         "kalman_observer": (e.kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "noise_model": 1.0}),
         "min_max_solve": (e.min_max_solve, block),
         "RecursiveStepper": (e.RecursiveStepper, {"estimator": e.LeastSquares(0.9), "unknowns": 3}),

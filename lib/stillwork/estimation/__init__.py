@@ -9,7 +9,6 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "advice": ("advise",),
         "bound_choice": ("choose_bound",),
         "coordinate_filters": ("ExtendedKalman", "LowPass", "UnscentedKalman"),
-        "covariance_enclosures": ("enclose_covariance",),
         "filtering": ("filter_signal",),
         "h2": ("H2Synthesis", "h2_riccati"),
         "kalman": ("KalmanRecord", "NoiseCovariances", "kalman_filter", "kalman_gain"),
