@@ -306,7 +306,6 @@ def catalogue() -> dict:
         "random_phase_multisine": (i.random_phase_multisine, draws),
         "row_bound": (i.row_bound, {"amplitudes": np.ones(3)}),
         "run_multisine": (i.run_multisine, experiment),
-        "choose_bound": (e.choose_bound, {**{name: block[name] for name in ("matrix", "target")}, "bounds": np.array([0.1, 0.2, 0.3]), "folds": 3, "coverage": 0.9, "draws": 10, "seed": 1}),
         "ExtendedKalman": (e.ExtendedKalman, fields(e.ExtendedKalman(plant))),
         "FeLms": (e.FeLms, fields(e.FeLms())),
         "FeRls": (e.FeRls, fields(e.FeRls(np.eye(3)))),

@@ -201,9 +201,6 @@ LENGTHS = {
             estimation.MinMax(bound=2.0 * k, forgetting=0.98), k * noise(), k * noise(1)[0]
         ).estimates
     ),
-    "choice of a bound": lambda k: (
-        estimation.choose_bound(k * noise(shape=(60, 2)), k * noise(1, 60), draws=50).best / k
-    ),
     "bandwidth": lambda k: designed(length=k),
     "bandwidth of a force": lambda k: designed(force=k),
     "frequencies of a fit": lambda k: fitted(length=k)[0],

@@ -7,7 +7,6 @@ __all__, __getattr__, __dir__ = lazy_exports(
     {
         "adaptive": ("FeLms", "FeRls"),
         "advice": ("advise",),
-        "bound_choice": ("choose_bound",),
         "coordinate_filters": ("ExtendedKalman", "LowPass", "UnscentedKalman"),
         "filtering": ("filter_signal",),
         "h2": ("H2Synthesis", "h2_riccati"),
