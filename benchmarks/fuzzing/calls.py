@@ -343,8 +343,6 @@ def catalogue() -> dict:
         "filter_signal, extended": (e.filter_signal, {"signal_filter": e.ExtendedKalman(plant), "measured": signal, "force": signal, "sample_time": 1e-3}),
         "kalman_observer": (e.kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "noise_model": 1.0}),
         "min_max_solve": (e.min_max_solve, block),
-        "RecursiveStepper": (e.RecursiveStepper, {"estimator": e.LeastSquares(0.9), "unknowns": 3}),
-        "RecursiveStepper.update": (lambda regressor, output: e.RecursiveStepper(e.LeastSquares(0.9), 3).update(regressor, output), {"regressor": rows[:, 0], "output": 1.0}),
         "LeastMeanSquares": (lambda X, y, **named: e.LeastMeanSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.LeastMeanSquares())}),
         "RecursiveLeastSquares": (lambda X, y, **named: e.RecursiveLeastSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.RecursiveLeastSquares(forgetting=0.9))}),
         "MinMaxRegressor": (lambda X, y, sample_weight, **named: e.MinMaxRegressor(**named).fit(X, y, sample_weight).coef_, {"X": rows.T, "y": signal, "sample_weight": np.ones(60), **fields(e.MinMaxRegressor(0.1))}),

@@ -21,8 +21,6 @@ from stillwork.base.checks import (
 )
 from stillwork.base.toml_files import read_toml
 from stillwork.estimation.adaptive import FeRls
-from stillwork.estimation.recursive import RecursiveStepper
-from stillwork.estimation.recursive_settings import LeastSquares
 from stillwork.estimation.windows import end_point_weights
 from stillwork.identification.regressors import arx_regressors, exponential_weights, fir_regressors
 from stillwork.lti.delays import delayed
@@ -223,7 +221,6 @@ def test_an_object_that_fails_when_asked_for_its_number_is_named():
     ("name", "ask"),
     [
         ("regressors", lambda: FeRls(1.0).start(30_000)),
-        ("unknowns", lambda: RecursiveStepper(LeastSquares(0.9), unknowns=30_000)),
         ("taps", lambda: fir_regressors(np.ones(60), taps=30_000_000)),
         (
             "input_lags",

@@ -1,5 +1,3 @@
-import copy
-import pickle
 import warnings
 
 import numpy as np
@@ -22,7 +20,7 @@ from stillwork.estimation import (
     run,
 )
 from stillwork.estimation.min_max import ZeroEstimateWarning
-from stillwork.estimation.recursive import GrowthLimitWarning, RecursiveStepper, worst_case_residuals
+from stillwork.estimation.recursive import GrowthLimitWarning, worst_case_residuals
 from stillwork.estimation.recursive_kernels import FEW, LONG, known_length
 from stillwork.estimation.recursive_settings import UPDATES, GrowingMinMax, Ridge
 
@@ -138,61 +136,6 @@ def test_least_squares_and_ridge_agree_with_augmented_problems():
     assert (track.alphas == 0.7).all()
 
 
-@pytest.mark.parametrize(
-    "estimator",
-    [
-        MinMax(0.5, FORGETTING),
-        MinMax(0.5, FORGETTING, "approximate", 2),
-        GrowingMinMax(0.1),
-        LeastSquares(FORGETTING),
-        Ridge(1.0, FORGETTING),
-    ],
-    ids=lambda e: f"{type(e).__name__}-{getattr(e, 'update', '')}",
-)
-def test_stepper_gives_the_same_numbers_as_the_record(estimator):
-    rows, outputs = record(10)
-    track = run(estimator, rows.T, outputs)
-    stepper = RecursiveStepper(estimator, 4)
-    stepped = np.array([stepper.update(a, y) for a, y in zip(rows, outputs, strict=True)])
-    assert np.array_equal(stepped, track.estimates.T)
-    previous = np.vstack([np.zeros(4), stepped[:-1]])
-    assert track.errors == pytest.approx(outputs - np.sum(rows * previous, axis=1), abs=1e-12)
-    assert np.array_equal(run(estimator, rows.T, outputs).estimates, track.estimates)  # no state left behind
-
-
-@pytest.mark.parametrize("estimator", [MinMax(0.5, FORGETTING), GrowingMinMax(0.1), LeastSquares(FORGETTING)])
-def test_a_copy_of_a_stepper_goes_on_by_itself(estimator):
-    rows, outputs = record(20, samples=200)
-    stepper = RecursiveStepper(estimator, 4)
-    for a, y in zip(rows[:99], outputs[:99], strict=True):
-        stepper.update(a, y)
-    twins = [copy.deepcopy(stepper), pickle.loads(pickle.dumps(stepper))]
-    for a, y in zip(rows[99:], outputs[99:], strict=True):
-        found = stepper.update(a, y)
-        assert all(np.array_equal(twin.update(a, y), found) for twin in twins)
-    assert np.array_equal(found, run(estimator, rows.T, outputs).estimates[:, -1])
-
-
-@pytest.mark.parametrize("form", [list, np.float32, np.asfortranarray, lambda row: np.repeat(row, 2)[::2]])
-def test_a_stepper_takes_a_sample_in_any_form(form):
-    rows, outputs = np.arange(40.0).reshape(10, 4) % 7, np.arange(10.0) % 3
-    stepper, twin = (RecursiveStepper(LeastSquares(FORGETTING), 4) for _ in range(2))
-    for a, y in zip(rows, outputs, strict=True):
-        assert np.array_equal(stepper.update(form(a), int(y)), twin.update(a, y))
-
-
-def test_stepper_is_unchanged_by_a_refused_sample():
-    rows, outputs = record(11)
-    stepper, twin = (RecursiveStepper(MinMax(0.5, FORGETTING), 4) for _ in range(2))
-    for a, y in zip(rows[:20], outputs[:20], strict=True):
-        stepper.update(a, y)
-        twin.update(a, y)
-    for bad in ((np.array([1, 2, np.nan, 4]), 1.0), (rows[0], np.inf), (np.ones(3), 1.0)):
-        with pytest.raises(InputError):
-            stepper.update(*bad)
-    assert np.array_equal(stepper.update(rows[20], outputs[20]), twin.update(rows[20], outputs[20]))
-
-
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.floats(-8, 8), st.floats(-8, 8))
 def test_tracks_do_not_depend_on_units(seed, unit_a, unit_y):
@@ -297,10 +240,6 @@ def test_a_limit_that_acts_at_the_end_is_reported():
     with pytest.warns(GrowthLimitWarning, match="growth_limit"):
         track = run(LeastSquares(0.8), rows.T, outputs)
     assert track.held.tolist() == [False, True, False, False]
-    stepper = RecursiveStepper(LeastSquares(0.8), 4)
-    for row, output in zip(rows, outputs, strict=True):
-        stepper.update(row, output)
-    assert np.array_equal(stepper.held, track.held)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert not run(LeastSquares(0.8), rows[:100].T, outputs[:100]).held.any()
@@ -350,14 +289,6 @@ def test_the_sample_at_which_an_estimate_leaves_the_finite_numbers_is_named():
     with pytest.raises(InputError, match=r"sample (\d+)") as caught:
         run(endless, rows.T, rows[:, 0])
     assert int(str(caught.value).split("sample ")[1].split(";")[0]) == pytest.approx(leaves, abs=3)
-    stepper = RecursiveStepper(endless, 1)
-    with pytest.raises(InputError, match="growth_limit"):
-        for row in rows:
-            stepper.update(row, 1.0 if row[0] else 0.0)
-    kept = stepper._state[1].copy()
-    with pytest.raises(InputError, match="growth_limit"):
-        stepper.update([0.0], 0.0)
-    assert np.isfinite(kept).all() and np.array_equal(stepper._state[1], kept)
 
 
 def test_worst_case_residuals_are_the_criterion():
@@ -377,17 +308,6 @@ def test_a_bound_that_explains_everything_away_warns():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         run(MinMax(0.5, FORGETTING), rows.T, outputs)
-
-
-def test_a_stepper_warns_once_that_the_estimate_is_zero():
-    rows, outputs = record(16)
-    stepper = RecursiveStepper(MinMax(50.0, FORGETTING), 4)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        for row, output in zip(rows, outputs, strict=True):
-            assert not stepper.update(row, output).any()
-    assert [w.category for w in caught] == [ZeroEstimateWarning]
-    assert "zero after sample 5" in str(caught[0].message)
 
 
 def test_data_without_correlation_are_not_blamed_on_the_bound():
@@ -430,13 +350,6 @@ def test_forgetting_outside_the_open_unit_interval_is_refused(forgetting):
         (lambda: LeastSquares(0.9, 0.0), r"^initial_covariance\b"),
         (lambda: LeastSquares(0.9, 1.0, 0.5), r"^growth_limit\b"),
         (lambda: LeastSquares(0.9, 1.0, np.nan), r"^growth_limit\b"),
-        (lambda: RecursiveStepper(MinMax(1.0, 0.9), 0), r"^unknowns\b"),
-        (
-            lambda: RecursiveStepper(MinMax(1.0, 0.9), 2).update([1.0, 1e99], 1.0),
-            r"^regressor\b",
-        ),
-        (lambda: RecursiveStepper(MinMax(1.0, 0.9), 2).update([1.0, np.nan], 1.0), r"^regressor\b"),
-        (lambda: RecursiveStepper(MinMax(1.0, 0.9), 2).update([1.0, 1.0], np.inf), r"^output\b"),
         (lambda: run(MinMax(1.0, 0.9), np.ones((2, 9)), np.full(9, np.nan)), r"^outputs\b"),
         (
             lambda: run(MinMax(1.0, 0.9), np.full((2, 9), 1e99), np.ones(9)),

@@ -17,7 +17,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "observer": ("NoiseIntensities", "kalman_observer"),
         "online": ("AdaptationStepper", "adapt", "identify"),
         "plant": ("Plant",),
-        "recursive": ("RecursiveStepper", "run"),
+        "recursive": ("run",),
         "recursive_settings": ("LeastSquares", "MinMax"),
         "regression": ("LeastMeanSquares", "RecursiveLeastSquares"),
         "robust_regression": ("HinfinityRegressor", "HuberRegressor"),

@@ -151,7 +151,7 @@ def identify(
 
 
 class AdaptationStepper:
-    """The adaptation for people who drive hardware: one call a sample, as of `RecursiveStepper`.
+    """The adaptation for people who drive hardware: one call a sample.
 
     Parameters
     ----------

@@ -1,6 +1,5 @@
-"""Recursive estimators with one interface: `run` over a record, `RecursiveStepper` for one sample at a time."""
+"""Recursive estimators with one interface: `run` over a record."""
 
-import math
 import warnings
 from typing import Annotated
 
@@ -12,20 +11,14 @@ from stillwork.base.checks import (
     InputError,
     pluralise,
     require_array,
-    require_count,
-    require_memory,
-    require_number,
-    short_repr,
 )
 from stillwork.base.validation import checked
 from stillwork.estimation import recursive_kernels
 from stillwork.estimation.min_max import ZeroEstimateWarning
-from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, MinMax, Track, empty_track
+from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, MinMax, Track
 
 # The recursions work with |s|^2, the fourth power of the data, which must neither overflow nor vanish.
 LARGEST = 1e70
-FLOAT = np.dtype(np.float64)
-AHEAD = 64  # samples for which a stepper asks for the bounds at once
 
 
 @checked(infinite=True)
@@ -111,7 +104,7 @@ def run_silently(estimator: Estimator, regressors: Matrix, outputs: ArrayLike) -
     for name, values in (("regressors", regressors), ("outputs", outputs)):
         require_squares(name, values)
     track = estimator.advance(estimator.start(unknowns), 0, np.ascontiguousarray(regressors.T), outputs)
-    _require_finite(track.estimates.T, track.errors, 0)
+    _require_finite(track.estimates.T, track.errors)
     return track
 
 
@@ -119,11 +112,11 @@ def _is_min_max(estimator) -> bool:
     return isinstance(estimator, MinMax | GrowingMinMax)
 
 
-def _require_finite(estimates, errors, first: int) -> None:
+def _require_finite(estimates, errors) -> None:
     finite = np.isfinite(errors) & np.isfinite(estimates).all(axis=1)
     if not finite.all():
         raise InputError(
-            f"the estimate leaves the finite numbers at sample {first + int(np.argmin(finite))}; use other units, "
+            f"the estimate leaves the finite numbers at sample {int(np.argmin(finite))}; use other units, "
             "or settings that bound it without excitation: a penalty, or a growth_limit for least squares"
         )
 
@@ -141,149 +134,6 @@ def require_squares(name: str, values) -> None:
     largest = require_finite_squares(name, values)
     if 0 < largest < 1 / LARGEST:
         raise InputError(f"{name} is nowhere above {largest:g}, too small to be squared; use another unit")
-
-
-def _side_by_side(parts: tuple[np.ndarray, ...]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Arrays as parts of one, which is copied at once, and this one."""
-    whole = np.concatenate([part.ravel() for part in parts])
-    pieces = np.split(whole, np.cumsum([part.size for part in parts])[:-1])
-    return whole, tuple(piece.reshape(part.shape) for piece, part in zip(pieces, parts, strict=True))
-
-
-class RecursiveStepper:
-    """An estimator that is fed one sample at a time; same numbers as `run`.
-
-    Parameters
-    ----------
-    estimator : MinMax, GrowingMinMax, LeastSquares or Ridge
-    unknowns : int
-        Number of parameters.
-
-    Attributes
-    ----------
-    samples : int
-        How many samples were seen.
-    held : ndarray of bool, shape (unknowns,)
-        Whose variance `growth_limit` of least squares held down at the last sample.
-
-    Raises
-    ------
-    InputError
-        When `estimator` is not one, or a sample does not fit.
-
-    Examples
-    --------
-    >>> stepper = estimation.RecursiveStepper(estimation.LeastSquares(0.98), unknowns=1)
-    >>> stepper.update([1.0], 2.0).round(2), stepper.update([-1.0], -2.0).round(2)
-    (array([2.]), array([2.]))
-    """
-
-    @checked
-    def __init__(self, estimator: Estimator, unknowns: int):
-        if not hasattr(estimator, "advance"):
-            raise InputError(
-                f"estimator is {short_repr(estimator)}; give MinMax, GrowingMinMax, LeastSquares or Ridge"
-            )
-        self._estimator = estimator
-        self._unknowns = require_count("unknowns", unknowns)
-        require_memory("unknowns", unknowns, unknowns)
-        self.samples = 0
-        self._excited = self._warned = False
-        self._lay_out(estimator.start(self._unknowns))
-
-    def _lay_out(self, state) -> None:
-        # What an update writes to, once for all of them.
-        self._kept, self._state = _side_by_side(state)
-        self._trial, self._next = _side_by_side(state)  # becomes the state when its numbers can be used
-        self._rows, self._outputs = np.zeros((1, self._unknowns)), np.zeros(1)
-        self._row, self._shape = self._rows[0], (self._unknowns,)
-        self._track = empty_track(self._rows)
-        self._bounds = self._estimator.bounds(self.samples - self.samples % AHEAD, AHEAD)
-
-    @property
-    def held(self) -> np.ndarray:
-        """Whose variance a limit held down at the last sample, shape (unknowns,)."""
-        return self._estimator.held(self._state)
-
-    def __getstate__(self):
-        return self._estimator, self._unknowns, self.samples, self._excited, self._warned, self._state
-
-    def __setstate__(self, kept):
-        # Of a copy: views copied one by one would be views no more.
-        self._estimator, self._unknowns, self.samples, self._excited, self._warned, state = kept
-        self._lay_out(state)
-
-    def update(self, regressor: ArrayLike, output: float) -> np.ndarray:
-        """Use one sample.
-
-        Parameters
-        ----------
-        regressor : array_like, shape (unknowns,)
-            Of this sample.
-        output : float
-            What was measured with it.
-
-        Returns
-        -------
-        ndarray, shape (unknowns,)
-            The new estimate.
-
-        Raises
-        ------
-        InputError
-            For a sample that is not finite, above 1e70, or of the wrong shape, or with which the estimate leaves
-            the finite numbers; the state is then unchanged.
-
-        Warns
-        -----
-        ZeroEstimateWarning
-            At the first sample, once there are more than unknowns, at which a min-max bound makes the estimate zero.
-
-        Examples
-        --------
-        >>> stepper = estimation.RecursiveStepper(estimation.LeastSquares(0.98), unknowns=2)
-        >>> _ = stepper.update([1.0, 0.0], 2.0)
-        >>> stepper.update([1.0, 1.0], 5.0).round(2)
-        array([2., 3.])
-        """
-        # Nearly all samples come as they are wanted: for them the full checks would cost more than the update.
-        if (
-            type(regressor) is not np.ndarray
-            or regressor.dtype is not FLOAT
-            or regressor.shape != self._shape
-        ):
-            regressor = require_array("regressor", regressor, shape=self._shape)
-        row, place = self._row, self.samples % AHEAD
-        row[:] = regressor
-        size = math.hypot(*row.tolist())  # of a few numbers faster than numpy's norms
-        if not size <= LARGEST:
-            require_finite_squares("regressor", require_array("regressor", row))
-        if not (isinstance(output, float) and -LARGEST <= output <= LARGEST):
-            output = require_number("output", output)
-            require_finite_squares("output", output)
-        self._outputs[0] = output
-        if place == 0:
-            self._bounds = self._estimator.bounds(self.samples, AHEAD)
-        self._trial[:] = self._kept
-        estimates, errors, alphas, _ = track = self._track
-        bounds = self._bounds[place : place + 1]
-        self._estimator.fill(self._next, bounds, self._rows, self._outputs, *track)
-        estimate = estimates[0]
-        if not math.isfinite(math.hypot(errors[0], *estimate.tolist())):
-            _require_finite(estimates, errors, self.samples)
-        self._kept, self._state, self._trial, self._next = self._trial, self._next, self._kept, self._state
-        self.samples += 1
-        self._excited = self._excited or bool(output != 0 and size > 0)
-        if alphas[0] == np.inf and not self._warned and self._excited and self.samples > self._unknowns:
-            self._warned = True
-            warnings.warn(
-                f"the estimate is zero after sample {self.samples}: the bound is at or above |A'b|/|b|, so a "
-                "perturbation of that size explains all of the data; if it stays zero, give a smaller bound "
-                "(said once for each stepper)",
-                ZeroEstimateWarning,
-                stacklevel=2,
-            )
-        return estimate.copy()
 
 
 @checked
