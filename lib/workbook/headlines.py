@@ -8,7 +8,7 @@ from stillwork.base.toml_files import read_toml
 from workbook import paths
 from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness
 from workbook.claims import AGREEMENT, Claim
-from workbook.report import our_quantity, published_quantity
+from workbook.report import interval_text, our_quantity, published_quantity
 
 MOST = 5  # claims at the head of a page
 MARKS = {"agrees": "●", "depends": "◐", "differs": "◆", "open": "○"}
@@ -56,12 +56,7 @@ class Headline:
         words = [f"{said} {published}." if published else "No number published."]
         if claim.ours is None:
             return " ".join([*words, "Not computed yet."])
-        interval = ""
-        if claim.interval and claim.interval[0] < claim.interval[1]:
-            scale = 100 if entry.is_fraction else 1
-            interval = " ({:.3g} to {:.3g}{})".format(
-                *(scale * end for end in claim.interval), " %" if entry.is_fraction else ""
-            )
+        interval = f" ({text})" if (text := interval_text(claim)) else ""
         return " ".join([*words, f"{ours} {our_quantity(claim)}{interval}."])
 
     @property

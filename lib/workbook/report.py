@@ -35,6 +35,23 @@ def our_quantity(claim: Claim) -> str:
     return "" if claim.ours is None else _quantity(claim, claim.ours, claim.shown(4))
 
 
+def interval_text(claim: Claim) -> str:
+    """The interval found, in per cent for a fraction of runs; empty where there is none or it is a point.
+
+    Where it holds the aim and the claim still does not agree, since the value itself is judged, it is followed by that.
+    """
+    entry, ends = claim.entry, claim.interval
+    if not ends or ends[0] == ends[1]:
+        return ""
+    scale, unit = (100, " %") if entry.is_fraction else (1, "")
+    text = f"{scale * ends[0]:.3g} to {scale * ends[1]:.3g}{unit}"
+    aim, rule = entry.published if entry.expected is None else entry.expected, entry.tolerance
+    if claim.verdict not in ("deviates", "fails") or rule is None or not ends[0] <= (aim or 0.0) <= ends[1]:
+        return text
+    room = f"{rule.absolute:.3g}" if rule.relative is None else f"{100 * rule.relative:.3g} %"
+    return f"{text}; {claim.ours:.3g} is judged, to within {room}"
+
+
 def _quantity(claim: Claim, value: float, text: str) -> str:
     if claim.entry.is_fraction:
         return "always" if value == 1 else "never" if value == 0 else f"in {_percent(value)} % of cases"

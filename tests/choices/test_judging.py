@@ -11,9 +11,9 @@ from scipy import stats
 from choices.toy_work import FIRST, LEDGER, SEEDS, TOTAL, A, B, axis, study
 from stillwork.base.checks import InputError
 from workbook.choices.axes import load_axes, load_together
-from workbook.choices.judging import agreement, group_of, judge
+from workbook.choices.judging import Robustness, agreement, group_of, judge
 from workbook.choices.results import collect
-from workbook.claims import Claim, load_entries
+from workbook.claims import Claim, Entry, load_entries
 from workbook.studies import proportion_interval
 
 GRID = list(itertools.product(range(3), range(2)))
@@ -202,6 +202,40 @@ def test_the_default_combination_has_the_verdict_of_the_ledger(outcomes):
     claims["motion.table-1.product"] = Claim(entries["motion.table-1.product"], 2.0)
     both = judge([found], entries, axes, claims)["motion.table-1.sum"].joint
     assert (both.moved, both.ours["motion.table-1.sum"], len(both.agreeing)) == ((), 3.2, 2)
+
+
+@pytest.mark.parametrize(
+    ("agreeing", "by_default", "class_"),
+    [
+        ({0}, True, "depends"),
+        ({7}, False, "not reproduced"),
+        ({7}, None, "not reproduced"),
+        (set(range(1, 40)), False, "depends"),
+        (set(range(39)), True, "robust"),
+    ],
+)
+def test_an_entry_depends_where_the_default_is_among_the_few_others(agreeing, by_default, class_):
+    """Else its class would contradict the verdict beside it, which is that at the default."""
+    agrees = np.array([[k in agreeing] for k in range(40)])
+    entry, settings = (
+        Entry("motion.order", "1", "order", "1", "ordering", 1.0),
+        tuple((k,) for k in range(40)),
+    )
+    one = Robustness(
+        entry, (), settings, agrees * 1.0, agrees, np.zeros((40, 1), bool), by_default=by_default
+    )
+    assert one.class_ == class_
+
+
+def test_the_default_is_that_of_the_ledger_and_without_one_of_the_study(outcomes):
+    found = outcomes()
+    entries, (axes, _) = load_entries("motion"), load_axes("motion")
+    names = ("motion.table-1.sum", "motion.never", "motion.always")
+    of_study = judge([found], entries, axes)
+    assert [of_study[name].by_default for name in names] == [False, False, True]
+    claims = {name: Claim(entries[name], value) for name, value in zip(names, (3.2, 100, 5), strict=True)}
+    of_ledger = judge([found], entries, axes, claims)
+    assert [of_ledger[name].by_default for name in names] == [True, True, False]
 
 
 def test_a_joint_combination_counts_its_numbers_by_their_distance(outcomes, monkeypatch):

@@ -208,6 +208,20 @@ def test_a_statement_is_said_to_hold_and_holds_in_a_share_of_the_cases():
     assert line.found == "Said to hold always. It holds in 7.5 % of cases (2.58 to 19.9 %)."
 
 
+@pytest.mark.parametrize(
+    ("interval", "text"),
+    [
+        ((0.84, 1.1), "We find 0.84 (0.84 to 1.1; 0.84 is judged, to within 5 %)."),
+        ((0.8, 0.9), "We find 0.84 (0.8 to 0.9)."),
+        ((0.84, 0.84), "We find 0.84."),
+    ],
+)
+def test_an_interval_that_holds_what_deviates_says_what_is_judged(interval, text):
+    rule = Tolerance("digits", relative=0.05)
+    entry = Entry("motion.ratio.a", "section 1", "ratio", "1", "value", 1.0, rule)
+    assert headlines([Claim(entry, 0.84, interval)], {})[0].found == f"Published 1. {text}"
+
+
 def test_marked_entries_come_first_and_what_is_not_computed_is_not_hidden():
     rule = Tolerance("digits", relative=0.1)
     entries = [Entry(f"motion.table-{k}.a", f"Table {k}", "time", "s", "value", 2.0, rule) for k in range(7)]

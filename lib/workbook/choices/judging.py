@@ -106,6 +106,7 @@ class Robustness:
     age: str = ""
     differs: str = ""
     lean: str = ""  # of a study by a short form what that leaves out
+    by_default: bool | None = None  # whether it agrees at the default setting; None where that is not known
 
     @property
     def options(self) -> tuple[Axis, ...]:
@@ -145,10 +146,12 @@ class Robustness:
 
     @property
     def class_(self) -> str | None:
-        """``robust``, ``depends`` or ``not reproduced``."""
+        """``robust``, ``depends`` or ``not reproduced``; it depends, too, where the default is among the few others."""
         if self.share is None:
             return None
-        return ROBUST if self.share >= CERTAIN else NOT_REPRODUCED if self.share <= 1 - CERTAIN else DEPENDS
+        if self.share >= CERTAIN and self.by_default is not False:
+            return ROBUST
+        return NOT_REPRODUCED if self.share <= 1 - CERTAIN and not self.by_default else DEPENDS
 
     @property
     def decided_by(self) -> list[str]:
@@ -305,6 +308,16 @@ class _Part:
         self.own = (point, 0)
         self.values[self.own], self.agrees[self.own] = claim.ours, agrees
 
+    @property
+    def by_default(self) -> bool | None:
+        """Whether it agrees at the default combination; None where that is neither in the ledger nor computed."""
+        at = self.study.multiverse.default_point
+        if self.default is not None:
+            return self.default[1]
+        if at not in self.study.design or self.failed[point := self.study.design.index(at), 0]:
+            return None
+        return bool(self.agrees[point, 0])
+
     def at(self, point: int) -> tuple[float, bool]:
         """Mean over the seeds, and whether most of them agree; at the default what the ledger has."""
         if self.default is not None and self.study.design[point] == self.study.multiverse.default_point:
@@ -361,6 +374,7 @@ def _robustness(part: _Part, axes: dict[str, Axis]) -> Robustness:
         _undeclared(part),
         differs=part.differs,
         lean=multiverse.lean,
+        by_default=part.by_default,
     )
 
 

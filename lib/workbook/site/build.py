@@ -19,7 +19,15 @@ from workbook.claims import KINDS, VERDICTS, Claim, ledger
 from workbook.headlines import headlines, said_first
 from workbook.notebooks import notebook_file
 from workbook.provenance import commit, modified
-from workbook.report import APART, REPLICATIONS, column, our_quantity, published_quantity, tally
+from workbook.report import (
+    APART,
+    REPLICATIONS,
+    column,
+    interval_text,
+    our_quantity,
+    published_quantity,
+    tally,
+)
 from workbook.site import picture, reference, search
 from workbook.site.benchmarks import benchmarks
 from workbook.site.links import broken_links
@@ -242,6 +250,7 @@ def _templates() -> jinja2.Environment:
     environment.filters["number"] = lambda value: f"{value:.4g}"
     environment.filters["published"] = published_quantity
     environment.filters["ours"] = our_quantity
+    environment.filters["interval"] = interval_text
     environment.filters["off_by"] = _off_by
     environment.filters["slug"] = lambda name: name.replace(",", "").replace(" ", "-")
     environment.filters["column"] = column
