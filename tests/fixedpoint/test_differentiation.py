@@ -82,7 +82,7 @@ def test_white_and_independent_noise_is_what_the_filter_believes():
     """With negligible noise of its own making the true error is what the process noise leaves."""
     F, Q, R = np.diag([0.9, 0.8]), np.diag([1.0, 2.0]), np.diag([0.5, 0.7])
     found = steady_errors(F, Q, R, 0.0, SAMPLE_TIME)
-    assert (np.linalg.eigvalsh(found.believed - found.true) > 0).all()
+    assert (np.linalg.eigvalsh(found.computed - found.true) > 0).all()
 
 
 @pytest.mark.parametrize(

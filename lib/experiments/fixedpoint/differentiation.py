@@ -105,10 +105,10 @@ def _correlation(first, second, lag) -> float:
 
 @dataclass(frozen=True)
 class SteadyErrors:
-    """Steady error covariance of a linear Kalman filter: what it believes, and what is true."""
+    """Steady error covariance of a linear Kalman filter: what it computes, and what is true."""
 
     gain: Float64[np.ndarray, "states outputs"]
-    believed: Float64[np.ndarray, "states states"]
+    computed: Float64[np.ndarray, "states states"]
     true: Float64[np.ndarray, "states states"]
 
 

@@ -37,7 +37,7 @@ def paint_noise_correlations(found: dict[str, Correlations]):
 
 
 def paint_beliefs(
-    deviations, believed, true, label="deviation of the measured position (m)", marks=(1e-5, 1e-4)
+    deviations, computed, true, label="deviation of the measured position (m)", marks=(1e-5, 1e-4)
 ):
     """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise.
 
@@ -45,7 +45,9 @@ def paint_beliefs(
     """
     figure, panels = figures.new(1, 2, height=3.0)
     for axes, column, unit, name in zip(panels, (1, 0), ("m", "m/s"), ("position", "velocity"), strict=True):
-        axes.loglog(deviations, np.sqrt(believed[:, column]), "--", color=figures.RED, label="believed")
+        axes.loglog(
+            deviations, np.sqrt(computed[:, column]), "--", color=figures.RED, label="computed by the filter"
+        )
         axes.loglog(deviations, np.sqrt(true[:, column]), color=figures.BLUE, label="true")
         axes.set(xlabel=label, ylabel=f"error ({unit})", title=name)
         for mark in marks:
@@ -91,15 +93,15 @@ def motion_at_rest(sample_time: float):
 
 
 def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
-    """Believed and true standard deviation of the Kalman filter's errors when its R is scaled."""
+    """Computed and true standard deviation of the Kalman filter's errors when its R is scaled."""
     scales, sample_time, nothing = np.geomspace(1e-4, 1e4, 25), 1e-3, np.zeros((2, 2))
     still, process, assumed = motion_at_rest(sample_time), np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
     settled = [
         steady_errors(still, process, scale * assumed, noise_deviation, sample_time, nothing)
         for scale in scales
     ]
-    believed, true = (np.array([np.diag(getattr(s, n)) for s in settled]) for n in ("believed", "true"))
-    figure = paint_beliefs(scales, believed, true, "factor on the assumed R", (assumed_scale,))
+    computed, true = (np.array([np.diag(getattr(s, n)) for s in settled]) for n in ("computed", "true"))
+    figure = paint_beliefs(scales, computed, true, "factor on the assumed R", (assumed_scale,))
     for axes in figure.axes:
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)
