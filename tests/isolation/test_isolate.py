@@ -4,6 +4,7 @@ import ctypes
 import json
 import os
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from scipy import signal
 
 from naive.isolators import FINE, CompiledLoop, band_rms, coloured, draw_isolator, microseism, moved
-from shared.compiled import compiled, pointer
+from shared.compiled import call, compiled, pointer
 from stillwork.base.checks import InputError
 from stillwork.control import isolation_design
 from stillwork.control.c_code import FADE, isolation_code
@@ -256,6 +257,22 @@ def test_a_limit_and_missing_samples_freeze_the_weights_and_stored_ones_go_on(tm
     bad[3] = np.nan
     run(library, floor[:, :0], platform[:, :0], stored=bad)
     assert bad[:2] == pytest.approx(weights[:, 0])  # those of the design
+
+
+@pytest.mark.skipif(
+    not shutil.which("cppcheck"), reason="cppcheck is not installed: apt-get install cppcheck"
+)
+@pytest.mark.parametrize("axes", [1, 3, 6])
+@pytest.mark.parametrize("algorithm", ["FeRls", "FeLms"])
+def test_the_loop_is_written_without_warnings_and_within_misra(tmp_path, axes, algorithm):
+    """Rule 2.5 is of macros in a header that its source does not use: they are there for the user."""
+    *_, files, _ = written(algorithm, "single", axes)
+    compiled(files, tmp_path, DRIVER)
+    names = [name for name in files if name.endswith(".c")]
+    checks = ["--std=c99", "--addon=misra", "--quiet", "--suppress=missingIncludeSystem"]
+    asked = ["--enable=warning,style,performance,portability", "--template={file}:{line}: {id}"]
+    said = call(["cppcheck", *checks, *asked, *names], tmp_path, errors=True)
+    assert set(re.findall(r": (\S+)$", said, re.MULTILINE)) <= {"misra-c2012-2.5"}, said
 
 
 # ----------------------------------------------------------------------------------------------------------- the whole

@@ -8,37 +8,16 @@
 #error "missing numbers need IEEE arithmetic: compile without -ffast-math"
 #endif
 
-typedef ${name}_real real;
-
 #define A ${guard}_AXES
 #define S ${guard}_SENSORS
 #define N ${guard}_REGRESSORS
 #define POWER $power_sections /* sections of one weak integrator */
 
 /* Samples until the filters of the floor sensors, which start from rest, have settled; in which the feedforward then
-   rises to its whole; after the limit acted until the error belongs to an unlimited command again; and for how many a
-   missing sensor is held. */
+   rises to its whole; and after the limit acted until the error belongs to an unlimited command again. */
 static const int start_samples = $start;
 static const int fade_samples = $fade;
 static const int pause_samples = $pause;
-static const int patience = $patience;
-
-static const double skyhook[$skyhook_sections][5] = {
-$skyhook};
-static const double shaping[$shaping_sections][5] = {
-$shaping};
-static const double highpass[$highpass_sections][5] = {
-$highpass};
-static const double integrator[POWER][5] = {
-$integrator};
-static const double modes[A][$error_sections][5] = {
-$modes};
-static const double before[A][A] = {
-$before};
-static const double after[A][A] = {
-$after};
-static const real designed[A][N] = {
-$weights};
 
 /* One section, transposed direct form II. */
 static double section(const double c[5], double *first, double *second, double value)
@@ -65,6 +44,8 @@ static void product(const double matrix[A][A], const double from[A], double to[A
 
 void ${name}_start(${name}_state *s)
 {
+    static const ${name}_real designed[A][N] = {
+$weights    };
     int a;
     int i;
 
@@ -81,7 +62,7 @@ void ${name}_start(${name}_state *s)
     s->wait = s->rest + pause_samples;
 }
 
-void ${name}_store(const ${name}_state *s, real stored[${guard}_STORED])
+void ${name}_store(const ${name}_state *s, ${name}_real stored[${guard}_STORED])
 {
     int place = 0;
     int a;
@@ -100,7 +81,7 @@ r|        }
     }
 }
 
-int ${name}_restore(${name}_state *s, const real stored[${guard}_STORED])
+int ${name}_restore(${name}_state *s, const ${name}_real stored[${guard}_STORED])
 {
     int place = 0;
     int usable = 1;
@@ -128,7 +109,7 @@ r|        }
 }
 
 /* Keep what is there; false: a sensor is missing, and its last value stands for it. */
-static bool take(real kept[], const real given[], int count)
+static bool take(${name}_real kept[], const ${name}_real given[], int count)
 {
     bool whole = true;
     int i;
@@ -143,39 +124,37 @@ static bool take(real kept[], const real given[], int count)
     return whole;
 }
 
-unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform[A], real out[A])
+/* One sample of the filters, the command and the update; returns flags. */
+static unsigned advance(${name}_state *s, ${name}_real out[A])
 {
+    static const double skyhook[$skyhook_sections][5] = {
+$skyhook    };
+    static const double shaping[$shaping_sections][5] = {
+$shaping    };
+    static const double highpass[$highpass_sections][5] = {
+$highpass    };
+    static const double integrator[POWER][5] = {
+$integrator    };
+    static const double modes[A][$error_sections][5] = {
+$modes    };
+    static const double before[A][A] = {
+$before    };
+    static const double after[A][A] = {
+$after    };
     unsigned flags = 0u;
     double damping[A];
     double axes[A];
     double error[A];
-    double both[2 * S];
-    real share;
-    real e[A];
-    real psi[N];
-    real filtered[N];
-    bool whole;
+    double both[$both];
+    ${name}_real share;
+    ${name}_real e[A];
+    ${name}_real psi[N];
+    ${name}_real filtered[N];
+    int place = 0;
     int a;
     int i;
     int k;
     int p;
-
-    whole = take(s->floor, floor, S);
-    whole = take(s->platform, platform, A) && whole;
-    s->missing = whole ? 0 : (s->missing + 1);
-    if (!whole) {
-        flags |= ${guard}_HELD;
-        s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
-        if (s->missing > patience) { /* nothing to go by: no force, and the filters stand still */
-            s->missing = patience + 1;
-            s->rest = start_samples + fade_samples; /* the floor goes on elsewhere: a step for the filters, as at the start */
-            s->wait = s->rest + pause_samples;
-            for (a = 0; a < A; a++) {
-                out[a] = $zero;
-            }
-            return flags | ${guard}_INVALID | ${guard}_FROZEN;
-        }
-    }
 
     /* The filtered error N P2^-1 a1, mode by mode, and the skyhook. */
     for (a = 0; a < A; a++) {
@@ -205,25 +184,26 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
         }
     }
     for (p = 0; p <= $powers; p++) {
-        for (i = 0; i < (2 * S); i++) {
+        for (i = 0; i < $both; i++) {
             for (k = (p - 1) * POWER; (p > 0) && (k < (p * POWER)); k++) {
                 both[i] = section(integrator[k % POWER], &s->integrator[k][0][i], &s->integrator[k][1][i], both[i]);
             }
         }
         for (i = 0; i < S; i++) {
-            psi[(p * S) + i] = (real)both[i];
-            filtered[(p * S) + i] = (real)both[S + i];
+            psi[place] = (${name}_real)both[i];
+            filtered[place] = (${name}_real)both[S + i];
+            place++;
         }
     }
 
     /* The command, its feedforward from nothing once an offset has left the filters, and its limit: weights do not learn
        from a force that was cut off. */
-    share = (s->rest < fade_samples) ? (real)(1.0 - ((double)s->rest / (double)fade_samples)) : $zero;
+    share = (s->rest < fade_samples) ? (${name}_real)(1.0 - ((double)s->rest / (double)fade_samples)) : $zero;
     share = share * share * ($three - ($two * share));
     ${name}_adapt_feed(&s->adapt, psi, out);
     for (a = 0; a < A; a++) {
-        out[a] = (share * out[a]) - (real)damping[a];
-        e[a] = (real)error[a];
+        out[a] = (share * out[a]) - (${name}_real)damping[a];
+        e[a] = (${name}_real)error[a];
         if (!(out[a] <= s->limit[a])) {
             out[a] = s->limit[a];
             flags |= ${guard}_SATURATED;
@@ -244,6 +224,36 @@ unsigned ${name}_step(${name}_state *s, const real floor[S], const real platform
         flags |= ${guard}_INVALID | ${guard}_FROZEN;
     } else {
         /* adapted */
+    }
+    return flags;
+}
+
+unsigned ${name}_step(${name}_state *s, const ${name}_real floor[S], const ${name}_real platform[A],
+                    ${name}_real out[A])
+{
+    static const int patience = $patience; /* for how many samples a missing sensor is held */
+    unsigned flags = 0u;
+    bool whole;
+
+    whole = take(s->floor, floor, S);
+    whole = take(s->platform, platform, A) && whole;
+    s->missing = whole ? 0 : (s->missing + 1);
+    if (!whole) {
+        flags |= ${guard}_HELD;
+        s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
+    }
+    if (s->missing > patience) { /* nothing to go by: no force, and the filters stand still */
+        int a;
+
+        flags |= ${guard}_INVALID | ${guard}_FROZEN;
+        s->missing = patience + 1;
+        s->rest = start_samples + fade_samples; /* the floor goes on elsewhere: a step, as at the start */
+        s->wait = s->rest + pause_samples;
+        for (a = 0; a < A; a++) {
+            out[a] = $zero;
+        }
+    } else {
+        flags |= advance(s, out);
     }
     return flags;
 }
