@@ -1,4 +1,4 @@
-"""Robust: the waterfall at places all over the box of the stage's numbers, and which ranking turns there."""
+"""Robust: the waterfall at places all over the box of the stage's numbers, and which ranking changes there."""
 
 from dataclasses import replace
 from functools import cache
@@ -14,7 +14,7 @@ from workbook import figures
 DESIGNS = ("PID", "MC", "AD", "MC and AD")
 SIZES = (0.05, 0.1, 0.2)  # shares of each frequency, of mass and gain; see `box`
 PLACES = 8
-RATE_HZ = 2e4  # of the controllers, which know a delay of one sample; at 10 kHz AD is unstable with it
+RATE_HZ = 2e4  # of the controllers, designed for a delay of one sample; at 10 kHz AD is unstable with it
 PARTS = ("frequency", "damping", "gain", "mass", "delay")
 
 

@@ -1,4 +1,4 @@
-"""Which one pays: first and second purchases over floors, sensors and payloads; who tunes the feedforward; who differentiates."""
+"""What to buy first: first and second purchases over floors, sensors and payloads; who tunes the feedforward; who differentiates."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -30,7 +30,7 @@ from workbook import figures
 METHODS = ("skyhook", "feedforward", "MC and AD")
 SENSORS = (0.014, 0.14, 1.4, 14.0)  # nm/sqrt(Hz)
 PAYLOADS = (0.0, 20.0, 60.0)  # kg on the frame
-ADVANTAGE = 0.05  # a method pays when it lowers the error by more than this share (chosen)
+ADVANTAGE = 0.05  # a method is bought when it lowers the error by more than this share (chosen)
 
 # === What to buy first ============================================================================================
 

@@ -186,7 +186,7 @@ def bandwidths(
     seed: int,
     lean: bool,
 ) -> Values:
-    """Bandwidths of chapter 3 at one mass, each with what its print may leave off; it has no leaner form.
+    """Bandwidths of chapter 3 at one mass, each with what its print may leave off; it has no fast variant.
 
     `open_loop` is one of `LOOPS`, `six` of `SIX`, `compensation` of `COMPENSATIONS`, `stage_damping` a ratio, and
     `printed_hertz` ``rounded`` (half a hertz to either side) or ``cut off`` (up to one hertz more than printed).

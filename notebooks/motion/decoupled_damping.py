@@ -32,5 +32,5 @@ def stiffness_values(alone: float, reached: list[float]) -> Values:
 
 
 def stiffness(*, stage_damping: float, six: str, seed: int, lean: bool) -> Values:
-    """The same for another stage or limit; it has no leaner form."""
+    """The same for another stage or limit; it has no fast variant."""
     return stiffness_values(*stiff_bandwidths(SELECTIVITY, damping_ratio=stage_damping, limit=SIX[six]))

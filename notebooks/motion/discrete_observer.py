@@ -115,7 +115,7 @@ def sampled_frequencies(sample_time: float) -> np.ndarray:
 
 
 def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
-    """Magnitude of sampled plants, one panel a group; lines that coincide are told apart by their dashes."""
+    """Magnitude of sampled plants, one panel a group; lines that coincide are distinguished by their dashes."""
     styles = [{"color": figures.GREY, "linewidth": 2.5}]
     styles += [{"color": colour, "linewidth": 1.1} for colour in (figures.BLUE, figures.RED, figures.GREEN)]
     styles[3]["linestyle"] = "--"

@@ -1,6 +1,6 @@
 r"""Generalised H2 norm (energy to peak) of time-varying filters, section 5.5 of the observer thesis.
 
-The error :math:`e_{k+1} = F_ke_k + D_kn_k` answers energy-bounded disturbances n. Its largest possible peak over
+The error :math:`e_{k+1} = F_ke_k + D_kn_k` responds to energy-bounded disturbances n. Its largest possible peak over
 :math:`\|n\|_2 \le 1` is the root of the largest eigenvalue that the reachability Gramian
 :math:`P_{k+1} = F_kP_kF_k^T + D_kD_k^T` ever has: the same recursion that gives a covariance.
 """

@@ -77,7 +77,7 @@ class JointDesign:
         return Pid(_mass() * w**2 / 3, *rates, self.low_pass_damping)
 
 
-_mass, _noise = cache(stage_mass), cache(published_noise)  # a search asks for them thousands of times
+_mass, _noise = cache(stage_mass), cache(published_noise)  # a search evaluates them thousands of times
 
 
 class Late(NamedTuple):
@@ -127,7 +127,7 @@ def late_plant(moved: Late, mass: int) -> StateModel:
 
 @cache
 def _observed() -> ModalModel:
-    """What the observers know: the retained modes of the nominal stage, and what the others add at rest."""
+    """The observers' model: the retained modes of the nominal stage, and what the others add at rest."""
     return truncate(stage(), RETAINED, COMPENSATED)
 
 
@@ -281,14 +281,14 @@ def _estimates(process: float, noise_model: float, delay: float, omega: bytes) -
 # peaks. A search trusts it; a verdict does not: `judge` looks between its points, at the closed loop's poles too.
 
 
-_deviations = cache(published_deviations)  # a search asks for them thousands of times
+_deviations = cache(published_deviations)  # a search evaluates them thousands of times
 
 # Of the transform: 2.4 Hz between frequencies and 0.24 s for an error to die out while a search goes on, and four
 # times as much of both for a verdict.
 SAMPLES, JUDGED = 4096, 16384
 PEAKS = ("S_I", "S_O", "r to e", "1 - S_I", "1 - S_O", "r to y")  # all six at most 6 dB
 BANDS_HZ = (0.0, 60.0, 150.0, 350.0, 600.0, 1100.0, 5000.0)  # a search follows the largest peak in each
-MEASURED = 4  # mass 5, at which the thesis judges a scan
+MEASURED = 4  # mass 5, at which the thesis evaluates a scan
 
 # What may be free beside the controller's bandwidth, and where the numbers may stand.
 FREE = {
@@ -521,7 +521,7 @@ def left_after_step(feedback, plant, pushed, samples: int = SAMPLES) -> float:
 
 
 def noise_floor(model: ModalModel, delay: float = DELAY) -> float:
-    """Rms of mass 5's error under the noise of section 3.1 (m) that no controller goes below, whatever it knows.
+    """Rms of mass 5's error under the noise of section 3.1 (m) that no controller goes below.
 
     The first position that a command moves is that of sample `1 + int(delay)` from it; what the measurements up to the
     command leave unknown of that position no command takes away.
@@ -908,14 +908,14 @@ def learn_gains(
 # The designs that the searches found, in ``data/motion/joint.toml``.
 #
 # ``python -m notebooks.motion.joint_design`` searches anew (some minutes) and prints that file. Where a search ends
-# can hang on the rounding of a machine, so results are stored, and everything said of them is computed from there.
+# can depend on the rounding of a machine, so results are stored, and every statement on them is computed from there.
 
 
 STARTS, SEED = 5, 1  # of every search: the published design and random ones around it
 SIZES = (0.0, 0.02, 0.05)  # relative errors of the modal parameters that the designs serve
 POOL, POOL_SEED = 60, 7  # perturbed stages that a search may look at, beside the nominal one
 ASKED = 10 ** (5.6 / 20)  # of these stages, to leave room for others
-NOMINAL = 0.999 * SIX_DB  # asked of the nominal stage, for peaks between the grid's points
+NOMINAL = 0.999 * SIX_DB  # required of the nominal stage, for peaks between the grid's points
 # N, rms of the control force under noise, for the front; the published design has 0.0048
 FORCES = (0.005, 0.01)
 # m/N, left between 100 and 200 ms after a step of the disturbing force: a lasting 10 mN, the deviation of w, is then

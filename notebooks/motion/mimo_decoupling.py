@@ -94,7 +94,7 @@ def moving_values(moved: Moved, seen: Seen, increase: float) -> Values:
 
 
 def moving(*, second_actuator: float, beam_taper: float, seed: int, lean: bool) -> Values:
-    """The same on another beam; it has no leaner form."""
+    """The same on another beam; it has no fast variant."""
     places, settings = ((ACTUATORS[0], second_actuator), SENSORS), published_settings()
     moved = move_actuators(*places, settings, TRAVEL, beam_taper)
     seen = move_sensors(*places, settings, SENSOR_TRAVEL, beam_taper)

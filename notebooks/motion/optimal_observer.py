@@ -96,7 +96,7 @@ class ObserverProblem:
         return float(np.sqrt((values.conj() @ np.linalg.solve(kernel, values)).real))
 
     def read(self, observer: Observer) -> StateModel:
-        """An observer of chapter 3 as the block that this problem asks for: (f, y + d) to (y_flex, velocities)."""
+        """An observer of chapter 3 as the block of this problem: (f, y + d) to (y_flex, velocities)."""
         velocities = observer.read(np.eye(self.flexible), "velocity")
         return observer.estimator(np.vstack([observer.flexible_outputs, velocities]))
 
@@ -105,7 +105,7 @@ class ObserverProblem:
         return constant(np.zeros((1 + self.flexible, 2)))
 
     def compensator(self, observer: StateModel) -> StateModel:
-        """The observer with band-passes and damping gain: (f, y + d) to (u_d, y_flex), as `loops` wants it."""
+        """The observer with band-passes and damping gain: (f, y + d) to (u_d, y_flex), as `loops` takes it."""
         return filtered_estimates(observer, *self._damping())
 
 
@@ -251,7 +251,7 @@ def published_problem(
 
 
 def kalman_block(problem: ObserverProblem, noise_model: float = 1e3) -> StateModel:
-    """The Kalman observer as the problem asks for it."""
+    """The Kalman observer as the problem's block."""
     return problem.read(kalman_observer(problem.plant, published_noise(), noise_model))
 
 
@@ -388,7 +388,7 @@ def aspect_values(costs: np.ndarray) -> Values:
 def optimum(
     *, reference_size: float, measured_mass: int, regularisation_size: float, seed: int, lean: bool
 ) -> Values:
-    """The same for another mass, scale or regularisation; it has no leaner form."""
+    """The same for another mass, scale or regularisation; it has no fast variant."""
     problem = published_problem(measured_mass, reference_size)
     generalised, kalman = problem.generalised(), kalman_block(problem)
     norms = [two_norms(published_problem(measured_mass, reference_size, hz)) for hz in BANDWIDTHS_HZ]
@@ -407,7 +407,7 @@ def optimum(
 
 
 def front_study(*, bandwidth_measure: str, bandwidth_plant: str, seed: int, lean: bool) -> Values:
-    """Conclusion 5.3 by one measure of bandwidth on one plant; it has no leaner form."""
+    """Conclusion 5.3 by one measure of bandwidth on one plant; it has no fast variant."""
     problem, generalised, kalman, weight = _compared()
     points = front(generalised, weight, np.array(EMPHASES), *regularisation(problem, 0.01))
     plant = problem.plant if bandwidth_plant == "observer's model" else stage().at([0], [4])

@@ -158,7 +158,7 @@ def positions_apart(plants: ArrayLike, omega: np.ndarray) -> Bool[np.ndarray, "p
 
 
 def positions(*, plate_aspect: float, rig_sensors: float, seed: int, lean: bool) -> Values:
-    """How many of them, on another plate; it has no leaner form."""
+    """How many of them, on another plate; it has no fast variant."""
     base = assumed_geometry()
     geometry = replace(base, width=plate_aspect * base.length, sensors=(rig_sensors, base.sensors[1]))
     loops = rig_loops(geometry, published_settings(), omega=frequencies(), cases=("Original",))

@@ -97,7 +97,7 @@ def rig_tables(
     seed: int,
     lean: bool,
 ) -> Values:
-    """Bandwidths of Table 6.2 and ratios of Tables 6.3 and 6.4 over geometries; it has no leaner form.
+    """Bandwidths of Table 6.2 and ratios of Tables 6.3 and 6.4 over geometries; it has no fast variant.
 
     `six_db_of_a_matrix` is one of `rig_loops.MEASURES`; the controllers are those of the search (``own limit``) or have
     the ``printed`` bandwidths; `rig_noise_floor` (m at the edges) is in every error; `rig_feedforward` is ``exact`` or

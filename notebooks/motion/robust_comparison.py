@@ -418,7 +418,7 @@ STATES = [
     for mode in ("rigid body", "first flexible mode", "second flexible mode")
     for error in (("position error (nm √kg)", 1e9), ("velocity error (µm/s √kg)", 1e6))
 ]
-SAID = {  # of Fig. 5.10, what hangs on the weight, by claim
+SAID = {  # statements on Fig. 5.10 that depend on the weight, by claim
     "sensitivity-rigid-as-kalman": "penalised filter's rigid body as Kalman's",
     "regularised-worst-on-flexible": "regularised filter worst on flexible states",
     "sensitivity-drift": "penalised filter drifts more than Kalman's",
@@ -564,7 +564,7 @@ def paint_weight(weight_exponent: float, size_percent: float):
 # --- Section 5.4.3: Fig. 5.10 and Table 5.2 ----------------------------------------------------------------------
 
 PLANTS, PAIRS = 100, 40  # perturbed plants of Fig. 5.10; pairs of tuned and judged plants
-# Of Table 5.2, of its lean form, and draws of the noise on the exact plant; with 40 plants the laws' medians overlap.
+# Of Table 5.2, of its fast variant, and draws of the noise on the exact plant; with 40 plants the laws' medians overlap.
 TABLE_PLANTS, LEAN_PLANTS, NOMINAL_DRAWS = 300, 100, 40
 
 
@@ -593,7 +593,7 @@ def estimation(
     seed: int,
     lean: bool,
 ) -> Values:
-    """Statements about Fig. 5.10, as fractions of 100 plants; it has no leaner form."""
+    """Statements about Fig. 5.10, as fractions of 100 plants; it has no fast variant."""
     case = estimation_sample_time, rigid_body_errs, error_law, seed
     return figure_values(*_judged(*case, penalty_weight, slice(None)))
 
@@ -607,7 +607,7 @@ def drawn(
     seed: int,
     lean: bool,
 ) -> Values:
-    """The plotted scan of Fig. 5.10; it has no leaner form."""
+    """The plotted scan of Fig. 5.10; it has no fast variant."""
     case = estimation_sample_time, rigid_body_errs, error_law, seed
     return drawn_value(*_judged(*case, penalty_weight, slice(1)))
 
@@ -646,7 +646,7 @@ def near_limit(search: LineSearch) -> Values:
 def outputs(
     *, error_law: str, rigid_body_errs: bool, estimation_sample_time: float, seed: int, lean: bool
 ) -> Values:
-    """Sections 5.3.2 (rigid body exact) and 5.4.3 under one law of the errors; it has no leaner form."""
+    """Sections 5.3.2 (rigid body exact) and 5.4.3 under one law of the errors; it has no fast variant."""
     scan = published_scan(sample_time=estimation_sample_time)
     contest, calm = prepare(scan, 0.05, rigid_body_errs), prepare(scan, 0.05, False)
     off, exact = (
@@ -660,7 +660,7 @@ def outputs(
 
 
 def order(*, error_law: str, rigid_body_errs: bool, seed: int, lean: bool) -> Values:
-    """Conclusion 5.4 under one law of the errors, from `ORDERS`; it has no leaner form."""
+    """Conclusion 5.4 under one law of the errors, from `ORDERS`; it has no fast variant."""
     return order_values(stored_orders()[error_law, rigid_body_errs])
 
 
@@ -708,7 +708,7 @@ def perturbed_scans(
     seed: int,
     lean: bool,
 ) -> Values:
-    """Table 5.2 and what is said of it; the lean form draws 100 plants instead of 300."""
+    """Table 5.2 and the statements on it; the fast variant draws 100 plants instead of 300."""
     settings = {"retune": perturbed_feedforward == "refitted", "sample_time": perturbed_sample_time}
     perturbed = perturbed_ratios(
         LEAN_PLANTS if lean else TABLE_PLANTS, seed, law=error_law, rigid=rigid_body_errs, **settings

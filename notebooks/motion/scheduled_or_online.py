@@ -39,7 +39,7 @@ class PositionScan:
 
     @property
     def reduced(self) -> ModalModel:
-        """The modes that the observer knows."""
+        """The modes of the observer's model."""
         return self.plant.modes(slice(0, RETAINED))
 
 

@@ -52,7 +52,7 @@ def paint_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
 # --- Section 3.5.2: Table 3.7 ------------------------------------------------------------------------------------
 
 TRACKING = {key(case.replace("none", "original")): case for case in CASES}  # entries of Table 3.7
-RUNS, LEAN_RUNS = 100, 20  # noise realisations; of the notebook and of its lean form
+RUNS, LEAN_RUNS = 100, 20  # noise realisations; of the notebook and of its fast variant
 
 
 def tracking(
@@ -65,7 +65,7 @@ def tracking(
     seed: int,
     lean: bool,
 ) -> Values:
-    """Table 3.7 (nm); its lean form takes 20 realisations of the noise instead of 100.
+    """Table 3.7 (nm); its fast variant takes 20 realisations of the noise instead of 100.
 
     `feedforward_fit` is ``once``, in the original loop, or ``each loop``; `scan_noise` ``section 3.1`` or ``none``;
     `redesign` takes the ``own limit`` of each design, or the ``printed`` bandwidth as its parameter f_bw.

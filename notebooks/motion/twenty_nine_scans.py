@@ -406,7 +406,7 @@ def locations(
     seed: int,
     lean: bool,
 ) -> Values:
-    """Table 4.1 (nm), one draw of the noise and its spread over ranges of the places; it has no leaner form."""
+    """Table 4.1 (nm), one draw of the noise and its spread over ranges of the places; it has no fast variant."""
     study = read_table(
         channel=CHANNELS[error_channel],
         noise=location_noise,
@@ -437,7 +437,7 @@ def location_sentences(
     seed: int,
     lean: bool,
 ) -> Values:
-    """What the text says of Table 4.1 and Fig. 4.9, and Conclusion 2.2 at these places; it has no leaner form."""
+    """What the text says of Table 4.1 and Fig. 4.9, and Conclusion 2.2 at these places; it has no fast variant."""
     force = _table_force(gains_from == "noisy move", FIT_LOOPS[gains_in], location_sample_time, seed)
     setpoint, loops = published_setpoint(location_sample_time), every_fourth(table_loops(location_masses))
     quiet = study_locations(loops, force, setpoint, CHANNELS[error_channel])
@@ -476,7 +476,7 @@ def bounded_energy(
     seed: int,
     lean: bool,
 ) -> Values:
-    """Conclusion 5.7 on the scans of Table 4.1; it has no leaner form."""
+    """Conclusion 5.7 on the scans of Table 4.1; it has no fast variant."""
     case = location_masses, gains_from == "noisy move", FIT_LOOPS[gains_in], location_sample_time, seed
     quiet = _quiet_table(CHANNELS[error_channel], *case)
     return energy_values(quiet, quiet.noisy(_table_noise(location_masses, location_sample_time, seed)))

@@ -179,7 +179,7 @@ def paint_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
 def drive_figure(
     *, stiffness_error: float, drive_damping: float, drive_weights: str, seed: int, lean: bool
 ) -> dict[str, float]:
-    """What Fig. 3.36 shows, from exact responses between 5 and 30 Hz; it has no leaner form.
+    """What Fig. 3.36 shows, from exact responses between 5 and 30 Hz; it has no fast variant.
 
     `stiffness_error` is that of the observer's model (relative), `drive_damping` the added ratio, `drive_weights` one
     of `drive.WEIGHTS`. The controller has no effect on what it sees.

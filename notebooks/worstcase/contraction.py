@@ -107,7 +107,7 @@ def contraction(
     seed: int,
     lean: bool,
 ) -> dict[str, float]:
-    """Theorem 3 and its ground on random problems of 2 to 8 unknowns; the lean form takes 10 of each instead of 120."""
+    """Theorem 3 and its ground on random problems of 2 to 8 unknowns; the fast variant takes 10 of each instead of 120."""
     shares = {"any": (0.05, 0.9), "small": (0.05, 0.1), "large": (0.85, 0.9)}[problem_bound]
     noise = {"any": (-2.0, 0.0), "small": (-2.0, -2.0), "large": (0.0, 0.0)}[problem_noise]
     settings = {"steps": STEPS, "shares": shares, "few_from": iterations_from}

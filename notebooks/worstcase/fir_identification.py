@@ -152,7 +152,7 @@ def identification(
     seed: int,
     lean: bool,
 ) -> dict[str, float]:
-    """Fig. 1; the lean form makes 10 experiments of 10 realisations instead of 50, and 20 records a ratio."""
+    """Fig. 1; the fast variant makes 10 experiments of 10 realisations instead of 50, and 20 records a ratio."""
     truth = tuple(float(each) for each in fig_1_parameters.split(","))
     settings = {"parameters": truth, "period": square_wave_period, "samples": fig_1_length}
     settings |= {"input_noise": INPUT_NOISE, "law": noise_law, "update": min_max_update}

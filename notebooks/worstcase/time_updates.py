@@ -157,7 +157,7 @@ SMALL_BOUND, SAMPLES = 0.1, 375  # of notebook 03, which has this bound beside t
 
 
 def updates(*, fig_2_noise: float, update_bound: float, seed: int, lean: bool) -> dict[str, float]:
-    """Theorem 2, the misprint of h and (20)'s single iteration; the lean form takes 2 records instead of 10."""
+    """Theorem 2, the misprint of h and (20)'s single iteration; the fast variant takes 2 records instead of 10."""
     truth = path("constant", FIG_2_PARAMETERS, SAMPLES)
     small, large = (
         run_study(

@@ -146,7 +146,7 @@ def tracking(
     seed: int,
     lean: bool,
 ) -> dict[str, float | tuple[float, tuple[float, float]]]:
-    """Fig. 2; the lean form repeats the 40 trials 8 times instead of 40.
+    """Fig. 2; the fast variant repeats the 40 trials 8 times instead of 40.
 
     `fig_2_misprint` is what is wrong of epsilon and lambda, given eta = 1.34; `fig_2_noise` in the unit of b.
     """
