@@ -1,34 +1,23 @@
-"""The machines of the contest, each with its kind and source: what observers are given, and the modes they are not."""
+"""The machines of the contest, each with its kind and source: what observers are given, and the modes they are not.
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+Their numbers are those of ``data/motion/contest_plants.json``, which `contest.machines` makes from the sources.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments.motion.beam import beam_parameters, published_beam
-from experiments.motion.machines import (
-    as_stage,
-    chain,
-    chain_matrix,
-    drive,
-    measured_accelerance,
-    parameters,
-    stage,
-    stage_mass,
-)
-from experiments.motion.rig import assumed_geometry, published, rig_model
 from stillwork.base.checks import require_choice
-from stillwork.base.toml_files import read_numbers
-from stillwork.identification.modal_fit import fit_modes
-from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.lti.modal import ModalModel
 from workbook import paths
 
-# Where a machine comes without noises it gets those of the thesis's stage over its forces and deflections:
-# w = 0.01 N of 1250 N, and a sensor's 1.4 nm of the 19 um by which its first mode gives way.
-PROCESS_RATIO, SENSOR_RATIO = 8e-6, 7.4e-5
-SAMPLES_A_PERIOD = 12  # of the highest mode that is given, where a source names no sample time
+FILE = paths.data("motion", "contest_plants.json")
+SHAPES = ("frequencies", "damping", "input_shapes", "output_shapes")
+NUMBERS = ("acceleration", "process", "sensor")
 
 
 @dataclass(frozen=True)
@@ -48,162 +37,41 @@ class ContestPlant:
         return float(self.model.frequencies[self.model.rigid_modes] / (2 * np.pi))
 
 
-def _plant(
-    machine: ModalModel, retained: int, sample_time: float = 0.0, acceleration: float = 1.0, *noises: float
-):
-    machine = replace(machine, feedthrough=np.zeros_like(machine.feedthrough))
-    model = machine.modes(slice(0, retained))
-    sample_time = sample_time or 2 * np.pi / model.frequencies[-1] / SAMPLES_A_PERIOD
-    if not noises:
-        force = acceleration / np.linalg.norm(model.input_shapes[0])
-        noises = PROCESS_RATIO * force, SENSOR_RATIO * force * float(np.abs(model.compliance()).max())
-    return ContestPlant(model, machine, sample_time, acceleration, *noises)
-
-
-def _stage() -> ContestPlant:
-    noise = parameters("stage")["noise"]
-    machine = stage().at([0], [6])  # the sensor at the far end
-    sensor = float(np.hypot(noise["sensor"], noise["reference"]))
-    acceleration = parameters("setpoint")["acceleration"] * np.sqrt(stage_mass())
-    return _plant(machine, 3, 1e-4, acceleration, noise["process"], sensor)
-
-
-def _plate() -> ContestPlant:
-    machine = rig_model(assumed_geometry(), higher_modes=0).at([0, 1, 2], [0, 1, 2])
-    p = published()
-    acceleration = 1.0 * np.sqrt(assumed_geometry().mass)  # the plate moves with 1 m/s^2, assumed
-    noises = np.sqrt(p["process"]), np.sqrt(p["sensor"])
-    return _plant(machine, 7, 1 / p["sample_rate_hz"], acceleration, *map(float, noises))
-
-
-def _gantry() -> ContestPlant:
-    """Forces on and positions of both carriages; a head rides off the beam's middle, which bends under it."""
-    p = _catalogue("gantry")
-    half, head = p["span"] / 2, p["head_place"]
-    beam_inertia = p["beam_mass"] * p["span"] ** 2 / 12
-    # Coordinates: middle of the beam, its yaw, and the head's deflection.
-    places = np.array([[1, half, 0], [1, -half, 0], [1, head, 1]])
-    mass = places.T @ np.diag([p["carriage_mass"], p["carriage_mass"], p["head_mass"]]) @ places
-    mass += np.diag([p["beam_mass"], beam_inertia, 0.0])
-    stiffness = np.diag([0.0, p["yaw_stiffness"], p["bending_stiffness"]])
-    return _plant(modal_model(mass, stiffness, places[:2].T, places[:2], p["damping_ratio"]), 3)
-
-
-def _drive() -> ContestPlant:
-    """Angle across the rod, without the friction of its rigid body; a second flexible mode is assumed."""
-    known = drive().modes()
-    machine = replace(
-        known,
-        frequencies=np.append(known.frequencies, 4 * known.frequencies[1]),
-        damping=np.append(known.damping, known.damping[1]),
-        input_shapes=np.vstack([known.input_shapes, 0.3 * known.input_shapes[:1]]),
-        output_shapes=np.hstack([known.output_shapes, 0.3 * known.output_shapes[:, :1]]),
-        drag=0.0,
-    )
-    return _plant(machine, 2, 2e-3, float(known.input_shapes[0, 0]))  # the move takes one ampere
-
-
-def _five_masses() -> ContestPlant:
-    """Example 2.3.1: the force on the first mass, the sensor at the last."""
-    return _plant(chain([parameters("chain")["mass"]] * 5).at([0], [4]), 4)
-
-
-def _row(name: str, retained: int) -> ContestPlant:
-    """Masses in a row; the force on the first, the sensor at the last."""
-    p = _catalogue(name)
-    ends = np.eye(len(p["masses"]))
-    model = modal_model(
-        np.diag(p["masses"]), chain_matrix(p["springs"]), ends[:, :1], ends[-1:], p["damping_ratio"]
-    )
-    return _plant(model, retained)
-
-
-def _suspension() -> ContestPlant:
-    """Pendulums in a row under an inverted pendulum that is taken as free: each wire's spring is its load over length."""
-    p = _catalogue("suspension")
-    masses = np.array(p["masses"])
-    load = 9.81 * (masses[::-1].cumsum()[::-1])[1:]
-    ends = np.eye(len(masses))
-    springs = chain_matrix(load / np.array(p["wires"]))
-    return _plant(modal_model(np.diag(masses), springs, ends[:, :1], ends[-1:], p["damping_ratio"]), 4)
-
-
-def _beam() -> ContestPlant:
-    return _plant(published_beam(), 4, 0.0, np.sqrt(beam_parameters().table("assumed")["mass"]))
-
-
-def _slewing_beam() -> ContestPlant:
-    """A torque on the hub of a uniform pinned beam, the sensor at its tip: mode shapes in closed form."""
-    p = _catalogue("slewing_beam")
-    roots = np.array([3.92660231, 7.06858275, 10.21017612, 13.35176878])  # of tan z = tanh z
-    omega = 2 * np.pi * p["first_hz"] * (roots / roots[0]) ** 2
-    # Unit mass and length: sin(z x)/sin z + sinh(z x)/sinh z at the tip is 2, and its square has the integral 1
-    # to the accuracy of 1/sinh^2; at the hub its slope is z (1/sin z + 1/sinh z).
-    slopes = roots * (1 / np.sin(roots) + 1 / np.sinh(roots))
-    return _plant(
-        ModalModel(
-            np.append(0.0, omega),
-            np.append(0.0, np.full(4, p["damping_ratio"])),
-            np.append(np.sqrt(3), slopes)[:, None],
-            np.append(np.sqrt(3), np.full(4, 2.0))[None],
-            np.zeros((1, 1)),
-        ),
-        4,
-    )
-
-
-def _disk(name: str, retained: int) -> ContestPlant:
-    """Modes gain * gains / (s^2 + 2 z w s + w^2), the first of them taken as free."""
-    p = read_numbers(paths.data("motion", "hard_disk.toml"), lists=True)[name]
-    omega = 2 * np.pi * np.array(p["frequencies_hz"])
-    share, order = np.array(p["gains"]), np.argsort(omega)
-    root = np.sqrt(p["gain"] * np.abs(share))
-    shapes = root[order, None], (np.sign(share) * root)[None, order]
-    machine = ModalModel(omega[order], np.array(p["damping"])[order], *shapes, np.zeros((1, 1)))
-    return _plant(machine, retained, 1 / p["sample_rate_hz"], float(root[0]))  # a unit of the coil's input
-
-
-def _structure() -> ContestPlant:
-    """Notebook 13's fit of the hammer records, with the stage's mass: four modes from 810 to 900 Hz are given."""
-    fit = fit_modes(
-        measured_accelerance(2), [810.0, 824.0, 851.0, 900.0, 1519.0, 2640.0, 3007.0], (100.0, 3100.0)
-    )
-    return _plant(as_stage(fit, stage_mass())[0], 5, 5e-5, 10.0 * np.sqrt(stage_mass()))
-
-
-def _catalogue(name: str) -> dict:
-    return read_numbers(paths.data("motion", "contest_machines.toml"), lists=True)[name]
-
-
 class Machine(NamedTuple):
-    """A machine of the contest: how it is built, its kind, and where it is from."""
+    """A machine of the contest: its kind, and where it is from."""
 
-    build: Callable[[], ContestPlant]
     kind: str
     source: str
 
 
 PLANTS: Mapping[str, Machine] = {
-    "stage": Machine(_stage, "stage", "the thesis, section 5.4.3"),
-    "plate": Machine(_plate, "stage", "the thesis, chapter 6"),
-    "gantry": Machine(_gantry, "stage", "form: García-Herreros and others 2013; numbers assumed"),
-    "drive": Machine(_drive, "mass chain", "the thesis, table 3.8"),
-    "two masses": Machine(lambda: _row("two_masses", 2), "mass chain", "Wie and Bernstein 1992"),
-    "four disks": Machine(lambda: _row("four_disks", 3), "mass chain", "Cannon and Rosenthal 1984"),
-    "five masses": Machine(_five_masses, "mass chain", "the thesis, example 2.3.1"),
-    "beam": Machine(_beam, "beam", "the thesis, section 4.3; shapes of a free beam"),
-    "slewing beam": Machine(_slewing_beam, "beam", "form: Cannon and Schmitz 1984; numbers assumed"),
-    "hard disk": Machine(lambda: _disk("voice_coil", 6), "hard disk", "Atsumi 2022, IEE Japan"),
-    "hard disk 2006": Machine(
-        lambda: _disk("voice_coil_2006", 5), "hard disk", "Hirata and Hara 2006, HDD benchmark 1.0"
-    ),
-    "measured structure": Machine(_structure, "measured", "pyFRF's hammer records, shipped"),
-    "suspension": Machine(_suspension, "suspension", "form: KAGRA's type B; numbers assumed"),
+    "stage": Machine("stage", "the thesis, section 5.4.3"),
+    "plate": Machine("stage", "the thesis, chapter 6"),
+    "gantry": Machine("stage", "form: García-Herreros and others 2013; numbers assumed"),
+    "drive": Machine("mass chain", "the thesis, table 3.8"),
+    "two masses": Machine("mass chain", "Wie and Bernstein 1992"),
+    "four disks": Machine("mass chain", "Cannon and Rosenthal 1984"),
+    "five masses": Machine("mass chain", "the thesis, example 2.3.1"),
+    "beam": Machine("beam", "the thesis, section 4.3; shapes of a free beam"),
+    "slewing beam": Machine("beam", "form: Cannon and Schmitz 1984; numbers assumed"),
+    "hard disk": Machine("hard disk", "Atsumi 2022, IEE Japan"),
+    "hard disk 2006": Machine("hard disk", "Hirata and Hara 2006, HDD benchmark 1.0"),
+    "measured structure": Machine("measured", "pyFRF's hammer records, shipped"),
+    "suspension": Machine("suspension", "form: KAGRA's type B; numbers assumed"),
 }
+
+
+@cache
+def _numbers() -> dict:
+    return json.loads(FILE.read_text(encoding="utf-8"))
 
 
 @cache
 def plant_of(name: str) -> ContestPlant:
     """The plant of this name."""
     require_choice("plant", name, PLANTS)
-    return PLANTS[name].build()
+    numbers = _numbers()[name]
+    shapes = [np.array(numbers[each], dtype=float) for each in SHAPES]
+    machine = ModalModel(*shapes, np.zeros((len(shapes[3]), shapes[2].shape[1])))
+    model = machine.modes(slice(0, numbers["given_modes"]))
+    return ContestPlant(model, machine, *(numbers[each] for each in ("sample_time", *NUMBERS)))

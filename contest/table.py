@@ -1,7 +1,7 @@
 """The contest over all machines, uncertainties and seeds: its command, its table and its results.
 
 ``python -m stillwork contest`` holds it; ``python -m contest.table`` writes the leaderboard's page from the committed
-tables, and the results and the machines' numbers beside them.
+tables, and the results beside them.
 """
 
 import hashlib
@@ -38,8 +38,6 @@ from workbook.workers import client_of, cores, processes
 EDITION = 2
 PRACTICE = "practice"  # in a public number's place, where none is given
 FILE, PAGE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "leaderboard.md"
-MACHINES = paths.data("motion", "contest_plants.json")
-SHEET = ("frequencies", "damping", "input_shapes", "output_shapes")
 
 
 def run_contest(
@@ -242,18 +240,6 @@ def results(table: pd.DataFrame, entered: Mapping[str, dict] | None = None) -> d
     }
 
 
-def machine_numbers(plant: str) -> dict:
-    """All that the data sheet needs of a machine: modes, how many of them are given, sampling, move and noises."""
-    built = plant_of(plant)
-    machine = {name: x.tolist() for name, x in vars(built.machine).items() if name in SHEET}
-    given = {"given_modes": len(built.model.frequencies), "sample_time": built.sample_time}
-    return (
-        given
-        | machine
-        | {each: float(getattr(built, each)) for each in ("acceleration", "process", "sensor")}
-    )
-
-
 def as_markdown(found: pd.DataFrame) -> str:
     """A ranking as a page of the site shows it."""
     lines = [f"| {' | '.join(line)} |" for line in (found.columns, *found.to_numpy())]
@@ -368,11 +354,9 @@ def hold_contest(
 
 
 def main() -> None:
-    """Write the leaderboard, the results and the machines' numbers from the committed tables."""
+    """Write the leaderboard and the results from the committed tables."""
     table = pd.read_csv(FILE)
     write_table(table, FILE)
-    lines = [f'"{name}": {json.dumps(machine_numbers(name))}' for name in PLANTS]
-    MACHINES.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     found = json.loads(FILE.with_suffix(".json").read_text(encoding="utf-8"))
     page = leaderboard(found, pd.read_csv(RECORDED), pd.read_csv(COMPUTED))
     PAGE.write_text(page, encoding="utf-8")
