@@ -167,15 +167,15 @@ def scores_of(entrant: str, source: str | None, scan: Scan, knobs: tuple[float, 
 
 
 def contest_trial(
-    scans: Sequence[Scan], settings: Mapping[str, tuple[float, ...]], sources: Mapping[str, str]
+    tasks: Sequence[tuple[Scan, Mapping[str, tuple[float, ...]]]], sources: Mapping[str, str]
 ) -> tuple[list[Scored], dict[str, str]]:
-    """Scores of the entrants of `settings` on these scans, and who was disqualified, with the reason.
+    """Scores on these scans, each with the settings of its entrants, and who was disqualified, with the reason.
 
     `sources` are those of observers that are not ours, by name.
     """
     scores: list[Scored] = []
     out: dict[str, str] = {}
-    for scan in scans:
+    for scan, settings in tasks:
         for name, knobs in settings.items():
             if name in out:
                 continue

@@ -36,6 +36,7 @@ from workbook import paths
 from workbook.workers import client_of, cores, processes
 
 EDITION = 2
+SHARED = 4  # seeds of a machine in one task: designs are made once for them
 PRACTICE = "practice"  # in a public number's place, where none is given
 FILE, PAGE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "leaderboard.md"
 
@@ -76,8 +77,8 @@ def run_contest(
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
     submit = partial(_now) if executor is None else executor.submit
     # Whoever is out on the first scan is not waited for on all others.
-    first = scans_of(plants[0], public, 0)[:1]
-    reasons = contest_trial(first, dict.fromkeys(sources, ()), sources)[1]
+    first = scans_of(plants[0], public, 0)[0]
+    reasons = contest_trial([(first, dict.fromkeys(sources, ()))], sources)[1]
     sources = {name: source for name, source in sources.items() if name not in reasons}
     knobs = {name: declared_knobs(source) for name, source in sources.items()}
     places = [(plant, name, each) for plant in plants for name in sources for each in range(TUNINGS)]
@@ -87,27 +88,30 @@ def run_contest(
         if tuned and knobs[place[1]]
     }
     trials = []
-    for seed in range(require_count("seeds", seeds)):
+    for first in range(0, require_count("seeds", seeds), SHARED):
         for plant in plants:
+            settings = {}
+            for seed in range(first, min(first + SHARED, seeds)):
+                theirs = {
+                    name: tuple(chosen[plant, name, seed % TUNINGS].result())
+                    if (plant, name, seed % TUNINGS) in chosen
+                    else tuple(knob.default for knob in knobs[name])
+                    for name in sources
+                }
+                settings[seed] = settings_for(plant, seed, names) | {ORACLE: ()} | theirs
             scans = [
                 each
+                for seed in settings
                 for each in scans_of(plant, public, seed)
                 if each.track == "estimate" or loops is None or seed < loops
             ]
-            theirs = {
-                name: tuple(chosen[plant, name, seed % TUNINGS].result())
-                if (plant, name, seed % TUNINGS) in chosen
-                else tuple(knob.default for knob in knobs[name])
-                for name in sources
-            }
-            settings = settings_for(plant, seed, names) | {ORACLE: ()} | theirs
             # In an order that the hidden seed gives: nothing is learnt from when a scan is run.
-            rng = np.random.default_rng(hidden_seed(public, "order", plant, seed))
-            trials.append(([scans[k] for k in rng.permutation(len(scans))], settings, sources))
+            rng = np.random.default_rng(hidden_seed(public, "order", plant, first))
+            trials.append([(scans[k], settings[scans[k].seed]) for k in rng.permutation(len(scans))])
     order = np.random.default_rng(hidden_seed(public, "order")).permutation(len(trials))
     # The longest first, so that workers end together; which machine it is on an observer knows anyhow.
-    order = sorted(order, key=lambda k: -cost_of(trials[k][0]))
-    done = [future.result() for future in [submit(contest_trial, *trials[k]) for k in order]]
+    order = sorted(order, key=lambda k: -cost_of([scan for scan, _ in trials[k]]))
+    done = [future.result() for future in [submit(contest_trial, trials[k], sources) for k in order]]
     reasons |= {name: reason for _, out in done for name, reason in out.items()}
     return tabulated([each for found, _ in done for each in found if each.entrant not in reasons]), reasons
 
@@ -330,7 +334,7 @@ def hold_contest(
         raise InputError(
             "hidden finds no public number on standard input; give one: echo NUMBER | ... --hidden"
         )
-    jobs = min(jobs or cores(), seeds * len(PLANTS))
+    jobs = min(jobs or cores(), -(-seeds // SHARED) * len(PLANTS))
     alone = processes(jobs) if jobs > 1 else nullcontext()
     with client_of(scheduler) if scheduler else alone as pool:
         executor = pool.get_executor() if scheduler else pool
