@@ -192,14 +192,6 @@ def catalogue() -> dict:
     record = signals.Record(noise((2, 600)), 100.0, "m", ("a", "b"), "record.csv")
     accelerance = (-(omega**2) * model.frequency_response(omega)[0, 0]).astype(complex)
     measured = i.Identified(omega, accelerance, np.ones(len(omega)))
-    multisine = lti.StateModel(
-        np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((2, 0)), np.array([[1, 0, 0], [1, 1, 1.0]]), 0.01
-    )
-    draws = {"rng": np.random.default_rng(1), "samples": 16, "rms": 1.0}
-    experiment = {
-        "loop": multisine, "actuators": 1, "sensors": 1, "deviations": (0.1, 0.1), "rng": np.random.default_rng(1),
-        "samples": 16, "realisations": 2,
-    }  # fmt: skip
     pair = {"a": state.a, "noise_input": np.eye(2), "c": state.c, "process": 1.0, "sensor": 1.0}
     joined = {"feedback": np.zeros((1, 1)), "inputs": np.eye(1), "outputs": np.eye(1)}
     lines = {"settings": e.FeRls(1.0), "regressors": rows, "every": 10}
@@ -243,8 +235,6 @@ def catalogue() -> dict:
     noises = e.NoiseCovariances(np.eye(2), np.eye(1), np.full((2, 1), 0.1))
     two = {"u": rows[:1, :20], "y": rows[1:2, :20]}
     impulse = {"force": noise((2, 128)), "response": noise((2, 128)), "rate": 100.0}
-    modes = np.linspace(50, 1200, 60)
-    residues = np.moveaxis(model.frequency_response(modes), -1, 0).astype(complex)
     return {
         "Record": (signals.Record, fields(record)),
         "Spectrum": (signals.Spectrum, {"frequencies_hz": np.arange(5.0), "density": np.ones((1, 5)), "averages": 3}),
@@ -292,20 +282,16 @@ def catalogue() -> dict:
         "closed_loop_response": (i.closed_loop_response, {"excitation": noise(512), "inputs": noise(512), "outputs": noise(512), "sample_time": 0.01, "segment": 64}),
         "exponential_bound": (i.exponential_bound, {"row": 1.0, "forgetting": 0.9, "samples": 10}),
         "fir_regressors": (i.fir_regressors, {"signal": signal, "taps": 3}),
-        "fit_modal_matrix": (i.fit_modal_matrix, {"omega": modes, "response": residues, "deviation": np.full(len(modes), 1e-6), "modes": 2, "sample_time": 1e-4, "rigid_modes": 1}),
         "complex_frequency_poles": (i.complex_frequency_poles, {"omega": measured.omega, "response": measured.response[:, None, None], "weight": np.ones(len(measured.omega)), "order": 4}),
         "stabilisation": (i.stabilisation, {"omega": measured.omega, "response": measured.response[:, None, None]}),
         "Stabilisation.settled": (i.stabilisation(measured.omega, measured.response[:, None, None]).settled, {}),
         "identify_modes": (i.identify_modes, {"measured": measured, "band_hz": (10.0, 200.0), "guesses_hz": [48.0, 143.0]}),
         "fit_modes": (i.fit_modes, {"measured": measured, "guesses_hz": [48.0, 143.0], "band_hz": (10.0, 200.0)}),
         "impact_response": (i.impact_response, impulse),
-        "joint_input_output": (i.joint_input_output, {"records": i.run_multisine(**experiment)}),
         "load_machine": (i.load_machine, {"file": "missing.csv", "response_unit": "m/s^2", "force_unit": "N", "sample_rate": 100.0, "response": "", "damping_ratio": 0.005}),
         "coloured_noise_bound": (i.coloured_noise_bound, {"noise": signals.estimate_spectrum(signal, 10.0, 1.0), "taps": 3, "forgetting": 0.9, "coverage": 0.9, "draws": 5, "seed": 1}),
         "noise_bound": (i.noise_bound, {"deviation": 1.0, "unknowns": 3, "forgetting": 0.9}),
-        "random_phase_multisine": (i.random_phase_multisine, draws),
         "row_bound": (i.row_bound, {"amplitudes": np.ones(3)}),
-        "run_multisine": (i.run_multisine, experiment),
         "ExtendedKalman": (e.ExtendedKalman, fields(e.ExtendedKalman(plant))),
         "FeLms": (e.FeLms, fields(e.FeLms())),
         "FeRls": (e.FeRls, fields(e.FeRls(np.eye(3)))),

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
+from scipy.optimize import least_squares
 
 from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
 from experiments.motion.rig import EdgeDecoupling, Geometry, assumed_geometry, decoupling, rig_model
@@ -12,13 +14,108 @@ from experiments.motion.rig_designs import RigSettings, frequencies, published_s
 from experiments.motion.rig_loops import sampled_controller
 from stillwork.control.loops import channel, closed_loop
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.identification.multisine import MultisineRecords, ResponseMatrix, joint_input_output
-from stillwork.lti.discretisation import zoh_modes, zoh_response
+from stillwork.lti.discretisation import sampled_modes, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
+from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 from workbook import figures
 
 ALL = (0, 1, 2, 3)
+POWERS = (0, 2, 4)  # of the frequency, in the series for the compliance of the modes above the band
+DAMPING = (1e-5, 0.3)  # range of the damping ratios that the fit of a matrix looks for
+DAMPING_GUESS = 0.005  # where it begins
+
+
+def random_phase_multisine(
+    rng: np.random.Generator, samples: int, rms: float
+) -> Float64[np.ndarray, " samples"]:
+    """One period of a multisine with equal amplitudes and random phases on every line up to the Nyquist frequency."""
+    spectrum = np.zeros(samples // 2 + 1, complex)
+    lines = samples // 2 - 1
+    spectrum[1:-1] = np.exp(2j * np.pi * rng.random(lines))
+    return np.fft.irfft(spectrum) * (samples * rms / np.sqrt(2 * lines))
+
+
+@dataclass(frozen=True)
+class MultisineRecords:
+    """Spectra of the measured periods; one experiment an actuator, several realisations of the phases each."""
+
+    omega: Float64[np.ndarray, " lines"]  # rad/s, of the excited lines
+    reference: Complex128[np.ndarray, "experiments realisations lines"]  # what was added to one actuator
+    inputs: Complex128[np.ndarray, "experiments realisations periods actuators lines"]
+    outputs: Complex128[np.ndarray, "experiments realisations periods sensors lines"]
+
+
+def run_multisine(
+    loop: StateModel,
+    actuators: int,
+    sensors: int,
+    deviations: tuple[float, float],
+    rng: np.random.Generator,
+    *,
+    samples: int = 16384,
+    rms: float = 1.0,
+    realisations: int = 10,
+    periods: int = 2,
+    settling: int = 2,
+) -> MultisineRecords:
+    """Excite one actuator after the other in closed loop; keep the periods after the settling.
+
+    The discrete loop leads from added force, unmeasured force at the plant (both one an actuator) and sensor noise to
+    the commanded forces and the measured outputs; `deviations` are those of the unmeasured force (N) and of the
+    sensor noise (m) a sample. For every one of the `realisations` the phases are drawn anew.
+    """
+    sizes = np.repeat(deviations, [actuators, sensors])
+    lines = slice(1, samples // 2)
+    reference, inputs, outputs = [], [], []
+    for actuator in range(actuators):
+        for _ in range(realisations):
+            one = random_phase_multisine(rng, samples, rms)
+            signals = np.zeros((2 * actuators + sensors, (settling + periods) * samples))
+            signals[actuator] = np.tile(one, settling + periods)
+            signals[actuators:] = sizes[:, None] * rng.standard_normal(
+                (actuators + sensors, signals.shape[1])
+            )
+            measured = simulate(loop, signals)[:, settling * samples :]
+            spectra = np.fft.rfft(measured.reshape(len(measured), periods, samples), axis=2)[:, :, lines]
+            reference.append(np.fft.rfft(one)[lines])
+            inputs.append(np.moveaxis(spectra[:actuators], 0, 1))
+            outputs.append(np.moveaxis(spectra[actuators:], 0, 1))
+    shape = (actuators, realisations)
+    return MultisineRecords(
+        2 * np.pi * np.fft.rfftfreq(samples, loop.sample_time)[lines],
+        np.array(reference).reshape(*shape, -1),
+        np.array(inputs).reshape(*shape, *inputs[0].shape),
+        np.array(outputs).reshape(*shape, *outputs[0].shape),
+    )
+
+
+class ResponseMatrix(NamedTuple):
+    """An estimated frequency response matrix."""
+
+    omega: Float64[np.ndarray, " lines"]  # rad/s
+    response: Complex128[np.ndarray, "lines sensors actuators"]
+    deviation: Float64[np.ndarray, "lines sensors actuators"]  # standard deviation of the complex error
+
+
+def joint_input_output(records: MultisineRecords) -> ResponseMatrix:
+    r"""Plant from the responses of inputs *and* outputs to the excitation: :math:`G = T_{yr}T_{fr}^{-1}`.
+
+    Every period is averaged at the excited lines and divided by the known excitation. What the loop feeds back of
+    the noise is independent of that excitation and averages out of both, so no bias of the loop remains; the
+    realisations give the variance.
+    """
+    t_f, t_y = (
+        np.einsum("ermal,erl->rlae", spectra, 1 / records.reference) / spectra.shape[2]
+        for spectra in (records.inputs, records.outputs)
+    )
+    turn = np.linalg.inv(t_f.mean(axis=0))
+    response = t_y.mean(axis=0) @ turn
+    errors = (t_y - response @ t_f) @ turn
+    count = len(errors)
+    return ResponseMatrix(
+        records.omega, response, np.sqrt((np.abs(errors) ** 2).sum(axis=0) / (count * (count - 1)))
+    )
 
 
 @dataclass(frozen=True)
@@ -107,6 +204,130 @@ def smoothed_deviation(estimate: ResponseMatrix) -> Float64[np.ndarray, " lines"
     kernel = np.ones(15)
     sums = np.convolve(power, kernel, mode="same") / np.convolve(np.ones_like(power), kernel, mode="same")
     return np.sqrt(sums)
+
+
+@dataclass(frozen=True)
+class ModalMatrixFit:
+    """A modal model with rigid body and compliance, and how well it fits."""
+
+    model: ModalModel
+    deviation: Float64[np.ndarray, " modes"]  # standard deviation of the flexible frequencies (rad/s) ...
+    damping_deviation: Float64[np.ndarray, " modes"]  # ... and of the damping ratios
+    rank_one: Float64[np.ndarray, " modes"]  # second over first singular value of each mode's residue
+    compliance_deviation: float  # the same of an entry of the compliance (m/N), for known frequencies
+    misfit: float  # root mean square of the weighted error; 1 where only noise remains
+
+
+def fit_modal_matrix(
+    omega: Float64[np.ndarray, " lines"],
+    response: Complex128[np.ndarray, "lines sensors actuators"],
+    deviation: Float64[np.ndarray, " lines"],
+    modes: int,
+    sample_time: float,
+    rigid_modes: int,
+) -> ModalMatrixFit:
+    r"""Fit frequencies, damping and residue matrices by weighted least squares over all entries at once.
+
+    The plant is sampled with a zero-order hold: :math:`G = R_0b_0 + \sum_i R_ib_i(\omega_i, \zeta_i) +
+    \frac{1+z^{-1}}2(D + \omega^2D_2 + \omega^4D_4)`, where :math:`b_i` is the exact sampled response of one mode of
+    unit residue. :math:`D` is the compliance of higher modes, the next terms its growth towards their resonances;
+    the hold delays it by half a sample, as the exact response of an undamped mode does. The model keeps :math:`D`.
+    The residues follow linearly from frequencies and damping, which alone are searched (variable projection). The
+    modes are found one after the other, each where what the others leave is largest. At the end every residue is
+    brought to rank one, the rigid body's to rank `rigid_modes`. The response (lines, outputs, inputs) is in m/N, and
+    `deviation` the standard deviation of an entry's complex error on each line.
+    """
+    problem = MatrixProblem(omega, response, deviation, sample_time)
+    parameters = np.zeros((2, 0))
+    for count in range(1, modes + 1):
+        left = problem.residual(parameters).reshape(2, len(omega), -1)
+        where = omega[(left**2).sum(axis=(0, 2)).argmax()]
+        parameters = np.column_stack([parameters, np.log([where, DAMPING_GUESS])])
+        # A mode may move by 2 % at a time: further away it would take the place of another.
+        low = np.stack([parameters[0] - 0.02, np.full(count, np.log(DAMPING[0]))])
+        high = np.stack([parameters[0] + 0.02, np.full(count, np.log(DAMPING[1]))])
+        best = least_squares(
+            lambda p: problem.residual(p.reshape(2, -1)),
+            np.clip(parameters, low + 1e-9, high - 1e-9).ravel(),
+            bounds=(low.ravel(), high.ravel()),
+            x_scale=np.repeat([0.002, 0.3], count),
+            max_nfev=60 if count == modes else 6,
+            xtol=1e-10,
+        )
+        parameters = best.x.reshape(2, -1)
+    if best.status <= 0:
+        raise ArithmeticError("the search for frequencies and damping did not end")
+    parameters = parameters[:, np.argsort(parameters[0])]
+    gains = problem.residues(parameters)
+    spread = problem.spread(parameters)
+    u, s, v = np.linalg.svd(np.concatenate([gains[:1], gains[1 + len(POWERS) :]]))
+    # Of the rigid body as many singular vectors as it has modes, of every other residue the first.
+    which = np.append(np.zeros(rigid_modes, int), np.arange(1, modes + 1))
+    first = np.append(np.arange(rigid_modes), np.zeros(modes, int))
+    sizes = np.sqrt(s[which, first])
+    still = np.zeros(rigid_modes)
+    frequencies, damping = np.exp(parameters)
+    model = ModalModel(
+        np.concatenate([still, frequencies]),
+        np.concatenate([still, damping]),
+        v[which, first] * sizes[:, None],
+        u[which, :, first].T * sizes,
+        gains[1],
+    )
+    return ModalMatrixFit(
+        model,
+        frequencies * spread[0],
+        damping * spread[1],
+        s[1:, 1] / s[1:, 0] if s.shape[1] > 1 else np.zeros(len(s) - 1),  # one entry is of rank one
+        problem.compliance_spread(parameters),
+        float(np.sqrt(np.mean(np.sum(problem.residual(parameters).reshape(2, -1) ** 2, axis=0)))),
+    )
+
+
+class MatrixProblem:
+    """Weighted data, and what is linear in the residues."""
+
+    def __init__(self, omega, response, deviation, sample_time):
+        self.omega, self.deviation, self.sample_time = omega, deviation, sample_time
+        self.shape = response.shape[1:]
+        target = (response / deviation[:, None, None]).reshape(len(omega), -1)
+        self.goal = stacked(target)
+        held = (1 + np.exp(-1j * omega * sample_time)) / 2
+        self.fixed = held * (omega / omega.max()) ** np.array(POWERS)[:, None]
+
+    def _columns(self, parameters):
+        """Orthogonal columns (rigid body, compliance terms, modes), their triangle and their sizes."""
+        modes, ratios = np.exp(parameters)
+        each = sampled_modes(np.append(0.0, modes), np.append(0.0, ratios), self.sample_time, self.omega)
+        whole = (np.vstack([each[:1], self.fixed, each[1:]]) / self.deviation).T
+        columns = stacked(whole)
+        sizes = np.linalg.norm(columns, axis=0)
+        return *np.linalg.qr(columns / sizes), sizes
+
+    def residual(self, parameters) -> np.ndarray:
+        q, _, _ = self._columns(parameters)
+        return (self.goal - q @ (q.T @ self.goal)).ravel()
+
+    def residues(self, parameters) -> np.ndarray:
+        q, r, sizes = self._columns(parameters)
+        return (np.linalg.solve(r, q.T @ self.goal) / sizes[:, None]).reshape(-1, *self.shape)
+
+    def compliance_spread(self, parameters) -> float:
+        """Standard deviation of an entry of D; each of the two parts of an error has half its variance."""
+        _, r, sizes = self._columns(parameters)
+        return float(np.linalg.norm(np.linalg.inv(r)[1]) / sizes[1] / np.sqrt(2))
+
+    def spread(self, parameters) -> np.ndarray:
+        """Standard deviations of the logarithms; each of the two parts of an error has half its variance."""
+        moves = 1e-6 * np.eye(parameters.size).reshape(-1, *parameters.shape)
+        jacobian = [self.residual(parameters + move) - self.residual(parameters - move) for move in moves]
+        jacobian = np.array(jacobian) / 2e-6
+        return np.sqrt(np.diag(np.linalg.inv(jacobian @ jacobian.T)) / 2).reshape(parameters.shape)
+
+
+def stacked(values: np.ndarray) -> np.ndarray:
+    """Real parts above imaginary ones."""
+    return np.concatenate([values.real, values.imag])
 
 
 def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray):

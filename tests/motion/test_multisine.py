@@ -7,11 +7,16 @@ import pytest
 
 from experiments.motion.rig import assumed_geometry, rig_model
 from experiments.motion.rig_designs import published_settings
-from notebooks.motion.rig_identification import direct_response, rig_experiment, smoothed_deviation
-from stillwork.base.checks import InputError
+from notebooks.motion.rig_identification import (
+    direct_response,
+    fit_modal_matrix,
+    joint_input_output,
+    random_phase_multisine,
+    rig_experiment,
+    run_multisine,
+    smoothed_deviation,
+)
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.identification.modal_fit import fit_modal_matrix
-from stillwork.identification.multisine import joint_input_output, random_phase_multisine, run_multisine
 from stillwork.lti import ModalModel, simulate
 from stillwork.lti.discretisation import sampled_modes, zoh_modes, zoh_response
 
@@ -191,42 +196,3 @@ def test_smoothing_keeps_a_constant(noisy):
     estimate = joint_input_output(noisy)
     flat = estimate._replace(deviation=np.full_like(estimate.deviation, 3e-9))
     np.testing.assert_allclose(smoothed_deviation(flat), 3e-9)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: random_phase_multisine(np.random.default_rng(0), 7, 1.0), r"^samples\b"),
-        (lambda: random_phase_multisine(np.random.default_rng(0), 8, 0.0), r"^rms\b"),
-        (lambda: _run(realisations=1), r"^inputs\b"),
-        (lambda: _run(periods=0), r"^periods\b"),
-        (lambda: _run(sensors=3), r"^loop\b"),
-        (lambda: _fit(modes=0), r"^modes\b"),
-        (lambda: _fit(deviation=np.zeros(200)), r"^deviation\b"),
-        (lambda: _fit(rigid=3), r"^rigid_modes\b"),
-        (lambda: _fit(lowest=0.0), r"^omega\b.*\babove 0\b"),
-        (lambda: _fit(modes=50), r"^omega\b.*\b530\b"),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()
-
-
-def test_unstable_loop_is_refused():
-    with pytest.raises(InputError, match=r"^loop\b.*unstable"):
-        records_of(SETTINGS, 60.0, 0, 1.0, 2, samples=16)
-
-
-def _run(sensors=4, **options):
-    settings = {"samples": 16, "realisations": 2, "periods": 1, "settling": 1, **options}
-    loop = rig_experiment(GEOMETRY, SETTINGS, 4.0).loop()
-    return run_multisine(loop, 4, sensors, (0.0, 0.0), np.random.default_rng(0), **settings)
-
-
-def _fit(modes=1, deviation=None, rigid=1, lowest=10.0):
-    omega = np.linspace(lowest, 2000, 200)
-    response = np.moveaxis(zoh_response(_small_plant(), 2e-4, np.maximum(omega, 1.0)), -1, 0)
-    return fit_modal_matrix(
-        omega, response, np.ones(200) if deviation is None else deviation, modes, 2e-4, rigid
-    )

@@ -1,4 +1,4 @@
-"""From records to models: frequency responses, multisines, modal fits, regressors, machines from files."""
+"""From records to models: frequency responses, modal fits, regressors, machines from files."""
 
 from stillwork.base.lazy_exports import lazy_exports
 

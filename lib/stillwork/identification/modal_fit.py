@@ -1,4 +1,4 @@
-"""Modal models fitted to frequency responses: a sampled plant's response matrix, or one measured accelerance."""
+"""A modal model fitted to a measured accelerance."""
 
 from dataclasses import dataclass, field, replace
 
@@ -6,20 +6,15 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import minimize_scalar
 
-from stillwork.base.bounds import Count, Positive, Vector
 from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.complex_frequency import STRONGEST, Stabilisation, stabilisation
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.phased import PhasedModel
-from stillwork.lti.discretisation import sampled_modes
 from stillwork.lti.modal import ModalModel
 
-POWERS = (0, 2, 4)  # of the frequency, in the series for the compliance of the modes above the band
-DAMPING = (1e-5, 0.3)  # range of the damping ratios that the fit of a matrix looks for
-DAMPING_GUESS = 0.005  # where it begins
 FIXED = 3  # columns of an accelerance beside its modes: rigid body, compliance and its growth towards higher modes
 # times its suspension's frequency that a machine's first resonance must have, or it is no rigid body
 SUSPENDED = 3.0
@@ -47,136 +42,6 @@ LOG_CUT = np.log(
 LATE_MODE = (0.05, 0.5)
 CYCLES = 2.0  # of the band's end, that a response may be late or early at most
 LAGS = 8  # lines over which errors may depend on each other, zeros appended to a record among the reasons
-
-
-@by_value
-@dataclass(frozen=True)
-class ModalMatrixFit:
-    """A modal model with rigid body and compliance, and how well it fits."""
-
-    model: ModalModel
-    deviation: Float64[np.ndarray, " modes"]  # standard deviation of the flexible frequencies (rad/s) ...
-    damping_deviation: Float64[np.ndarray, " modes"]  # ... and of the damping ratios
-    rank_one: Float64[np.ndarray, " modes"]  # second over first singular value of each mode's residue
-    compliance_deviation: float  # the same of an entry of the compliance (m/N), for known frequencies
-    misfit: float  # root mean square of the weighted error; 1 where only noise remains
-
-
-@checked
-def fit_modal_matrix(
-    omega: Vector,
-    response: ArrayLike,
-    deviation: ArrayLike,
-    modes: Count,
-    sample_time: Positive,
-    rigid_modes: int,
-) -> ModalMatrixFit:
-    r"""Fit frequencies, damping and residue matrices by weighted least squares over all entries at once.
-
-    The plant is sampled with a zero-order hold: :math:`G = R_0b_0 + \sum_i R_ib_i(\omega_i, \zeta_i) +
-    \frac{1+z^{-1}}2(D + \omega^2D_2 + \omega^4D_4)`, where :math:`b_i` is the exact sampled response of one mode of
-    unit residue. :math:`D` is the compliance of higher modes, the next terms its growth towards their resonances;
-    the hold delays it by half a sample, as the exact response of an undamped mode does. The model keeps :math:`D`.
-    The residues follow linearly from frequencies and damping, which alone are searched (variable projection). The
-    modes are found one after the other, each where what the others leave is largest. At the end every residue is
-    brought to rank one, the rigid body's to rank `rigid_modes`. The response (lines, outputs, inputs) is in m/N, and
-    `deviation` the standard deviation of an entry's complex error on each line.
-    """
-    response = require_array("response", response, shape=(len(omega), None, None), dtype=np.complex128)
-    deviation = require_array("deviation", deviation, shape=omega.shape)
-    outputs, inputs = response.shape[1:]
-    if not 0 <= rigid_modes <= min(outputs, inputs):
-        raise InputError(f"rigid_modes is {rigid_modes}; it cannot exceed the numbers of inputs and outputs")
-    if np.any(deviation <= 0):
-        raise InputError("deviation must be positive at every line")
-    if len(omega) < 10 * (modes + 3) or np.any(np.diff(omega) <= 0) or omega[0] <= 0:
-        raise InputError(f"omega must ascend from above 0 and hold at least {10 * (modes + 3)} lines")
-    problem = _Problem(omega, response, deviation, sample_time)
-    parameters = np.zeros((2, 0))
-    for count in range(1, modes + 1):
-        left = problem.residual(parameters).reshape(2, len(omega), -1)
-        where = omega[(left**2).sum(axis=(0, 2)).argmax()]
-        parameters = np.column_stack([parameters, np.log([where, DAMPING_GUESS])])
-        # A mode may move by 2 % at a time: further away it would take the place of another.
-        low = np.stack([parameters[0] - 0.02, np.full(count, np.log(DAMPING[0]))])
-        high = np.stack([parameters[0] + 0.02, np.full(count, np.log(DAMPING[1]))])
-        best = least_squares(
-            lambda p: problem.residual(p.reshape(2, -1)),
-            np.clip(parameters, low + 1e-9, high - 1e-9).ravel(),
-            bounds=(low.ravel(), high.ravel()),
-            x_scale=np.repeat([0.002, 0.3], count),
-            max_nfev=60 if count == modes else 6,
-            xtol=1e-10,
-        )
-        parameters = best.x.reshape(2, -1)
-    if best.status <= 0:
-        raise InputError(
-            "the search for frequencies and damping did not end; check the band and the number of modes"
-        )
-    parameters = parameters[:, np.argsort(parameters[0])]
-    gains = problem.residues(parameters)
-    spread = problem.spread(parameters)
-    u, s, v = np.linalg.svd(np.concatenate([gains[:1], gains[1 + len(POWERS) :]]))
-    # Of the rigid body as many singular vectors as it has modes, of every other residue the first.
-    which = np.append(np.zeros(rigid_modes, int), np.arange(1, modes + 1))
-    first = np.append(np.arange(rigid_modes), np.zeros(modes, int))
-    sizes = np.sqrt(s[which, first])
-    still = np.zeros(rigid_modes)
-    frequencies, damping = np.exp(parameters)
-    model = ModalModel(
-        np.concatenate([still, frequencies]),
-        np.concatenate([still, damping]),
-        v[which, first] * sizes[:, None],
-        u[which, :, first].T * sizes,
-        gains[1],
-    )
-    return ModalMatrixFit(
-        model,
-        frequencies * spread[0],
-        damping * spread[1],
-        s[1:, 1] / s[1:, 0] if s.shape[1] > 1 else np.zeros(len(s) - 1),  # one entry is of rank one
-        problem.compliance_spread(parameters),
-        float(np.sqrt(np.mean(np.sum(problem.residual(parameters).reshape(2, -1) ** 2, axis=0)))),
-    )
-
-
-class _Problem:
-    """Weighted data, and what is linear in the residues."""
-
-    def __init__(self, omega, response, deviation, sample_time):
-        self.omega, self.deviation, self.sample_time = omega, deviation, sample_time
-        self.shape = response.shape[1:]
-        target = (response / deviation[:, None, None]).reshape(len(omega), -1)
-        self.goal = _stacked(target)
-        held = (1 + np.exp(-1j * omega * sample_time)) / 2
-        self.fixed = held * (omega / omega.max()) ** np.array(POWERS)[:, None]
-
-    def _columns(self, parameters):
-        """Orthogonal columns (rigid body, compliance terms, modes), their triangle and their sizes."""
-        modes, ratios = np.exp(parameters)
-        each = sampled_modes(np.append(0.0, modes), np.append(0.0, ratios), self.sample_time, self.omega)
-        whole = (np.vstack([each[:1], self.fixed, each[1:]]) / self.deviation).T
-        return _orthogonal(_stacked(whole))
-
-    def residual(self, parameters) -> np.ndarray:
-        q, _, _ = self._columns(parameters)
-        return (self.goal - q @ (q.T @ self.goal)).ravel()
-
-    def residues(self, parameters) -> np.ndarray:
-        q, r, sizes = self._columns(parameters)
-        return (np.linalg.solve(r, q.T @ self.goal) / sizes[:, None]).reshape(-1, *self.shape)
-
-    def compliance_spread(self, parameters) -> float:
-        """Standard deviation of an entry of D; each of the two parts of an error has half its variance."""
-        _, r, sizes = self._columns(parameters)
-        return float(np.linalg.norm(np.linalg.inv(r)[1]) / sizes[1] / np.sqrt(2))
-
-    def spread(self, parameters) -> np.ndarray:
-        """Standard deviations of the logarithms; each of the two parts of an error has half its variance."""
-        moves = 1e-6 * np.eye(parameters.size).reshape(-1, *parameters.shape)
-        jacobian = [self.residual(parameters + move) - self.residual(parameters - move) for move in moves]
-        jacobian = np.array(jacobian) / 2e-6
-        return np.sqrt(np.diag(np.linalg.inv(jacobian @ jacobian.T)) / 2).reshape(parameters.shape)
 
 
 @by_value
