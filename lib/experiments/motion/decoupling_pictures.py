@@ -53,7 +53,7 @@ def paint_transfer_matrix(
     for (row, column), axis in np.ndenumerate(axes):
         axis.set_title(f"{source}{column + 1} to {target}{row + 1}")
         if not axis.lines:
-            axis.annotate("0 but for rounding", (0.5, 0.5), xycoords="axes fraction", ha="center")
+            axis.annotate("zero up to rounding", (0.5, 0.5), xycoords="axes fraction", ha="center")
             axis.set_yticks([])
     figures.label(axes, "frequency (Hz)", quantity)
     figure.legend(

@@ -53,7 +53,7 @@ def paint_controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
             add_magnitude(axes[0, column], omega, c, **style)
             phase = np.degrees(np.unwrap(np.angle(c)))
             axes[1, column].semilogx(omega / (2 * np.pi), phase - 360 * np.round(phase[0] / 360), **style)
-    for axis, title in zip(axes[0], ("from $r$", "from $y$ (sign turned)"), strict=True):
+    for axis, title in zip(axes[0], ("from $r$", "from $y$, times −1"), strict=True):
         axis.set_title(title)
     axes[0, 0].set_ylabel("magnitude (dB re 1 N/m)")
     axes[1, 0].set_ylabel("phase (deg)")
