@@ -437,13 +437,26 @@ def judged(
 
 
 def compared(
-    found: dict[str, dict[str, np.ndarray]], law: str, other: str, machines=tuple(MACHINES), cases=CASES
+    found: dict[str, dict[str, np.ndarray]],
+    law: str,
+    other: str,
+    machines=tuple(MACHINES),
+    cases=CASES,
+    held: bool = False,
 ) -> tuple[float, tuple[float, float]]:
-    """Geometric mean of a law's error over another's, and its 95 % interval over the plants of these machines."""
+    """Geometric mean of a law's error over another's, and its 95 % interval over the plants of these machines.
+
+    held: of the runs alone in which neither diverges.
+    """
     picked = [CASES.index(case) for case in cases]
-    logs = [np.log(found[m][law][picked] / found[m][other][picked]).mean(axis=(0, 1)) for m in machines]
-    plants = np.concatenate(logs)
-    return math.exp(plants.mean()), tuple(math.exp(each) for each in mean_interval(plants))
+    plants = []
+    for errors, others in ((found[m][law][picked], found[m][other][picked]) for m in machines):
+        counted = (errors < 1) & (others < 1) if held else np.ones_like(errors, dtype=bool)
+        logs = np.where(counted, np.log(errors / others), 0.0).sum(axis=(0, 1))
+        runs = counted.sum(axis=(0, 1))
+        plants.append(logs[runs > 0] / runs[runs > 0])
+    each = np.concatenate(plants)
+    return math.exp(each.mean()), tuple(math.exp(end) for end in mean_interval(each))
 
 
 def diverged_share(found: dict[str, dict[str, np.ndarray]], law: str) -> tuple[float, tuple[float, float]]:
