@@ -264,7 +264,6 @@ def tuned_alike(
     tuning_noise: str,
     kalman_acceleration: str,
     seed: int,
-    lean: bool,
 ) -> dict[str, float | tuple[float, tuple[float, float]]]:
     """Notebook 07's statements on another plant and by another search, of which `seed` is the training seed."""
     plant, model = plant_of(true_stiffness), load_oscillator()["approximate"]

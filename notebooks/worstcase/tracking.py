@@ -237,7 +237,7 @@ def weighting_statements(
 
 
 def weighting(
-    *, fig_2_noise: float, weighting_size: float, weighting_forgetting: float, seed: int, lean: bool
+    *, fig_2_noise: float, weighting_size: float, weighting_forgetting: float, seed: int
 ) -> dict[str, float | tuple[float, tuple[float, float]]]:
     """`weighting_statements` for parameters of another size, over those of Fig. 2, and another forgetting."""
     truth = tuple(weighting_size * each for each in FIG_2_PARAMETERS)

@@ -66,13 +66,6 @@ def noise_of(kind: str, size: str, amplitude: str) -> Noise:
 # --- Sections III.B, III.C and IV: rankings ---------------------------------------------------------------------
 
 FORMS = ("printed", LITERAL), ("corrected", KALMAN)  # of (14)
-# Where a noise's errors of q and of q' are shown.
-FIGURES = {
-    ("small", "gaussian"): ("fig-5", "fig-6"),
-    ("small", "logistic"): ("fig-8", "fig-9"),
-    ("large", "gaussian"): ("fig-11", "fig-12"),
-    ("large", "logistic"): ("fig-14", "fig-15"),
-}
 RECORDS = 2  # of noise, of a call; the notebooks take 40
 
 
@@ -106,28 +99,22 @@ def rankings(
 
     runs, studies = RECORDS if lean else 40, {}
     found: Values = {}
-    for (size, kind), (q, speed) in FIGURES.items():
+    for size, kind in said.FIGURES:
         noise = noise_of(kind, size, noise_amplitude)
         studies[f"{size} {kind}"] = study = {
             name: run_study(ranked_trial, runs, seed, progress=False, controller=each, noise=noise)
             for name, each in who.items()
         }
-        ranking, claim = said.LOW_PASS_BEST, "low-pass-best"
-        if size == "small":
-            ranking, claim = said.WINDOW_PRECISE, "window-most-precise"
-            found[f"{q}.smoothest"] = said.in_both_forms(study, said.SMOOTHEST).mean()
-        found[f"{speed}.kalman-hectic"] = said.in_both_forms(study, said.HECTIC).mean()
-        for figure, quantity in ((q, "position"), (speed, "velocity")):
-            found[f"{figure}.{claim}.printed"] = said.statements(study, LITERAL, quantity)[ranking].mean()
-        if kind == "gaussian":
-            found[f"{q}.{claim}.corrected"] = said.statements(study, KALMAN)[ranking].mean()
+        found |= {name: obeyed.mean() for name, obeyed in said.figure_statements(study, size, kind).items()}
     for form, name in FORMS:
-        found[f"section-4.kalman-worst.{form}"] = said.pooled(studies, name)[said.KALMAN_WORST].mean()
+        found[f"fixedpoint.section-4.kalman-worst.{form}"] = said.pooled(studies, name)[
+            said.KALMAN_WORST
+        ].mean()
     offsets = {"fig-14.offset-q": "position_shift", "fig-15.offset-dq": "velocity_shift"}
     for claim, quantity in offsets.items():
         shift = np.abs(studies["large logistic"][LITERAL][quantity]) / SAMPLE_TIME
-        found[f"{claim}.printed"] = np.mean((shift > 0.5) & np.isfinite(shift))
-    return {f"fixedpoint.{name}": value for name, value in found.items()}
+        found[f"fixedpoint.{claim}.printed"] = np.mean((shift > 0.5) & np.isfinite(shift))
+    return found
 
 
 def _judged(run: ControlledRun, settle: float, hectic_by: str, error_measure: str) -> dict[str, float]:
@@ -157,9 +144,8 @@ def noise_free(
     hectic_by: str,
     kick: float,
     seed: int,
-    lean: bool,
 ) -> Values:
-    """The fluctuation and the comparable errors of Figs 2 to 4; it has no leaner form."""
+    """The fluctuation and the comparable errors of Figs 2 to 4."""
     exact = load_oscillator()["exact"].plant
     who = controllers("estimate", "(11)", window_samples, kalman_acceleration)
     roughest = []

@@ -36,6 +36,30 @@ def statements(
     }
 
 
+# Where the errors of q and of q' in a noise are shown.
+FIGURES = {
+    ("small", "gaussian"): ("fig-5", "fig-6"),
+    ("small", "logistic"): ("fig-8", "fig-9"),
+    ("large", "gaussian"): ("fig-11", "fig-12"),
+    ("large", "logistic"): ("fig-14", "fig-15"),
+}
+
+
+def figure_statements(study: dict[str, Study], size: str, kind: str) -> dict[str, Bool[np.ndarray, " runs"]]:
+    """Which runs in a noise obey what its figures are said to show, by the ledger's names."""
+    q, speed = FIGURES[size, kind]
+    ranking, claim = LOW_PASS_BEST, "low-pass-best"
+    found = {f"{speed}.kalman-hectic": in_both_forms(study, HECTIC)}
+    if size == "small":
+        ranking, claim = WINDOW_PRECISE, "window-most-precise"
+        found[f"{q}.smoothest"] = in_both_forms(study, SMOOTHEST)
+    for figure, quantity in ((q, "position"), (speed, "velocity")):
+        found[f"{figure}.{claim}.printed"] = statements(study, LITERAL, quantity)[ranking]
+    if kind == "gaussian":
+        found[f"{q}.{claim}.corrected"] = statements(study, KALMAN)[ranking]
+    return {f"fixedpoint.{name}": obeyed for name, obeyed in found.items()}
+
+
 def in_both_forms(
     study: dict[str, Study], name: str, hectic_by: str = "roughness"
 ) -> Bool[np.ndarray, " runs"]:
