@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from stillwork.base.bounds import Count, NonNegative, Positive, Vector, at_least
+from stillwork.base.checks import InputError, pluralise
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.fixed_point_linear import LinearLoop
 from stillwork.control.transformation import FlowTransformation, Transformation, deform_packed
@@ -17,7 +18,7 @@ from stillwork.control.transformation import FlowTransformation, Transformation,
 def iterate(
     transformation: Transformation,
     desired: float,
-    steps: int,
+    steps: Count,
     *,
     response_gain: float = 1.0,
     response_offset: float = 0.0,
@@ -27,8 +28,7 @@ def iterate(
 
     Static: the desired acceleration stands still and is measured without delay, as Banach's theorem has it.
     """
-    require_count("steps", steps)
-    value = require_number("desired", desired) if start is None else require_number("start", start)
+    value = desired if start is None else start
     sequence, packed = np.empty(steps), transformation.packed
     for i in range(steps):
         sequence[i] = value
@@ -75,7 +75,7 @@ class StableRange:
 
 
 @checked
-def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
+def crossings(loop: LinearLoop, points: Annotated[int, at_least(10)] = 300) -> list[Crossing]:
     """All negative gains at which poles of a `linear_loop` cross the unit circle, strongest first.
 
     A crossing is where the open loop's frequency response is real: 1 = gain response. Sign changes are sought on a
@@ -84,7 +84,7 @@ def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
     from scipy.optimize import brentq
 
     nyquist = np.pi / loop.sample_time
-    rate = np.geomspace(nyquist * 1e-4, nyquist * (1 - 1e-9), require_count("points", points, at_least=10))
+    rate = np.geomspace(nyquist * 1e-4, nyquist * (1 - 1e-9), points)
     phase = loop.response(rate).imag
     places = [
         brentq(lambda w: loop.response([w]).imag[0], rate[i], rate[i + 1], xtol=1e-9 * rate[i])
@@ -131,27 +131,25 @@ def _scanned_edges(loop: LinearLoop) -> list[Crossing]:
 
 
 @checked
-def describing_function(amplitude: float) -> float:
+def describing_function(amplitude: NonNegative) -> float:
     """Gain of sigma(x) = x / (1 + |x|) for the first harmonic of a sine of `amplitude`.
 
     (2 / pi) times the integral of sin^2 / (1 + amplitude sin) over half a period; 1 at zero, falling.
     """
     from scipy.integrate import quad
 
-    require_number("amplitude", amplitude, at_least=0)
     value, _ = quad(lambda t: np.sin(t) ** 2 / (1 + amplitude * np.sin(t)), 0, np.pi, epsabs=1e-13)
     return float(2 / np.pi * value)
 
 
 @checked
-def random_gain(deviation: float) -> float:
+def random_gain(deviation: NonNegative) -> float:
     """Gain of the same sigmoid for a small signal buried in Gaussian noise of standard `deviation`.
 
     E[sigma'(x)], the random-input describing function: what noise leaves of the linear gain.
     """
     from scipy.integrate import quad
 
-    require_number("deviation", deviation, at_least=0)
     value, _ = quad(lambda x: np.exp(-(x**2) / 2) / (1 + deviation * x) ** 2, 0, 12, epsabs=1e-13, limit=200)
     return float(np.sqrt(2 / np.pi) * value)
 
@@ -218,14 +216,10 @@ class Oscillation:
 
 
 @checked
-def strongest_oscillation(values: ArrayLike, sample_time: float) -> Oscillation:
+def strongest_oscillation(values: Vector, sample_time: Positive) -> Oscillation:
     """Frequency and amplitude of the strongest sine in a record, refined between the FFT's lines."""
     from scipy.optimize import minimize_scalar
 
-    require_number("sample_time", sample_time, above=0)
-    values = require_array("values", values, advice="cut the record before it diverges")
-    if values.ndim != 1:
-        raise InputError(f"values has shape {values.shape}; give one record")
     if len(values) < 16:
         raise InputError(f"values holds {pluralise(len(values), 'sample')}; give 16 at least")
     window = np.hanning(len(values))
