@@ -446,7 +446,7 @@ def compared(
 ) -> tuple[float, tuple[float, float]]:
     """Geometric mean of a law's error over another's, and its 95 % interval over the plants of these machines.
 
-    held: of the runs alone in which neither diverges.
+    held: of the runs alone in which neither diverges; a plant without such runs is left out.
     """
     picked = [CASES.index(case) for case in cases]
     plants = []
