@@ -12,7 +12,7 @@ from experiments.isolation.convergence import ALGORITHMS, Course, Starts
 from experiments.isolation.floors import ShapedFloor, flat_floor
 from experiments.isolation.mean_convergence import Sideways, mean_course
 from experiments.isolation.responses import responses
-from experiments.isolation.simulation import TOGETHER, simulate_together
+from experiments.isolation.simulation import TOGETHER, simulate, simulate_together
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin, load_twin
 from stillwork.base.rounding import in_order
@@ -192,6 +192,7 @@ def expected_course_painter(twin: Twin, steady: Steady, duration_s: float) -> Ca
 MEMORY_S, STEP_SIZE = 10.0, 1e-4  # section 5.1.1
 RUNS, DURATION_S = 16, 200.0  # repetitions of Table 1, and their length (not published)
 RIGID_S, START_S = 100.0, 5.0  # of the runs on the rigid body, and of those from the printed start
+FAR_S = 20.0  # of those from far above the steady P
 # Of the orderings: fewer than 36 runs leave the interval of a share of one below the threshold of 0.9.
 SHORT_RUNS, SHORT_S = 40, 60.0
 ROWS = slice(3, 9)  # w4 to w9
@@ -385,6 +386,27 @@ def starting(*, memory: float, floor_upper_end: float, seed: int) -> dict:
         for k in range(SHORT_RUNS)
     ]
     return {"isolation.convergence.start": fraction(np.isnan(stopped))}
+
+
+def far_starts(multiples: ArrayLike, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """From multiples of the steady P of 20 s: share of eight runs of `FAR_S` that go on, and settling time, s.
+
+    The time is the geometric mean over w4 to w9 and these runs; NaN where one does not go on.
+    """
+    twin, floor = load_twin("fitted"), flat_floor(80.0)
+    steady = steady_state(twin, floor)
+    common = {"trace": "regressors", "step_size": STEP_SIZE, "memory_s": EQUAL_MEMORY_S}
+    goes_on, settled = [], []
+    for multiple in multiples:
+        start = con.algorithms(steady, **common, initial_covariance=multiple, sample_time=twin.sample_time)
+        runs = [
+            simulate(twin, floor, FAR_S, adaptation=start["FeRLS"], seed=seed + k, to_the_break=True)
+            for k in range(TOGETHER)
+        ]
+        goes_on.append(np.mean([run.broke_s is None for run in runs]))
+        times = [con.settling_times(run.time_s, run.weights[:, 0], steady.weights[0])[ROWS] for run in runs]
+        settled.append(np.exp(np.log(times).mean()) if goes_on[-1] == 1 else np.nan)
+    return np.array(goes_on), np.array(settled)
 
 
 # === Equal variance ===============================================================================================
