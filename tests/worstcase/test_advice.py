@@ -78,6 +78,31 @@ def test_a_relation_that_would_turn_with_half_the_noise_is_not_advised():
     assert abs(ranking[0].coef[0]) < 2.0  # the relation without any noise in X has 1
 
 
+def test_a_record_to_rely_on_has_no_warning_and_a_flawed_one_says_why():
+    X, y, clean, rng = record()
+    assert advise(X, y).warnings == advise(X, y, noise=0.01).warnings == ()
+
+    def warned(X, y, **known):
+        advice = advise(X, y, **known)
+        assert all(f"Not to be relied upon: {each}" in str(advice) for each in advice.warnings)
+        return " ".join(advice.warnings)
+
+    assert "40 samples for 4 coefficients" in warned(X[:40], y[:40])
+    rests = np.where(np.arange(400) // 40 == 3, 1.0, 0.01)[:, None] * X
+    assert "lies in a tenth of the record" in warned(
+        rests, rests @ [1.0, 2.0, 3.0] + y - clean @ [1.0, -2.0, 3.0]
+    )
+    loud = np.where(np.arange(400) // 80 == 3, 1.0, 0.3) * rng.standard_normal(400)
+    assert "of 10 parts" in warned(X, loud)
+    assert "times as much as its noise" in warned(clean + rng.standard_normal(X.shape), y, noise=1.0)
+    assert "instruments" in warned(X, y, instruments=rng.standard_normal(X.shape))
+    assert "contradict the given noise" in warned(clean, y, noise=2.0)
+
+
+def test_constant_features_are_advised_upon_all_the_same():
+    assert advise(np.ones((40, 2)), np.arange(40.0) % 7).ranking[0].name == IGNORE
+
+
 def test_errors_are_those_of_parts_that_are_held_out():
     # rows of equal leverage, so that the parts are of equal length
     X = np.tile(np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, 8).T, (10, 1))

@@ -39,6 +39,11 @@ SURE, SOME = 0.5, 1.0
 STRONG = 10.0  # F of each feature's regression on the instruments, from which these are used (Staiger and Stock, 1997)
 REPAIR = "leave such samples out: ok = np.isfinite(np.column_stack([X, y])).all(axis=1), then X[ok], y[ok]; instruments alike"
 OUTLIER = 4.0  # robust deviations beyond which an output is not scored
+# On what records the advice may be relied upon; chosen on 1400 problems of the first four generators of benchmarks/advice.py
+SAMPLES_EACH = 15  # per coefficient
+TENTH = 0.4  # share of the square of a combination of the features in a tenth of the record
+EQUAL_PARTS = 0.6  # of the parts: as many equal ones would make up the errors
+RELIABLE = 2.0  # mean square of any direction of the features over that of its noise
 SHARES = (0.0, 0.1, 0.3, 0.5)  # noise over what a feature holds, tried for where the advice turns
 
 
@@ -57,11 +62,12 @@ class RankedEstimator:
 @by_value
 @dataclass(frozen=True)
 class Advice:
-    """Estimators in the order of their held-out errors, and what this order rests on."""
+    """Estimators in the order of their held-out errors, what this order rests on, and why not to rely on it."""
 
     ranking: tuple[RankedEstimator, ...]
     assumed: tuple[str, ...]
     turns: dict[float, str]  # noise of the features, over what they hold: who would be first if this were so
+    warnings: tuple[str, ...]  # why this record is not one on which the advice was found to hold; none: it is
 
     @property
     def best(self) -> Any:
@@ -74,7 +80,8 @@ class Advice:
             for each in self.ranking
         ]
         turns = [f"With noise of {share:g} of each feature: {name}." for share, name in self.turns.items()]
-        return "\n".join([f"{'':36s}    error   over the first", *rows, *self.assumed, *turns])
+        warned = [f"Not to be relied upon: {each}" for each in self.warnings]
+        return "\n".join([f"{'':36s}    error   over the first", *rows, *self.assumed, *turns, *warned])
 
 
 @checked(infinite=True, missing=True)
@@ -194,7 +201,12 @@ def advise(
             name = study.with_noise(share * size).order(least=-np.inf)[0][0]
             if name != ranking[0].name and name not in turns.values():
                 turns[share] = name
-    return Advice(tuple(ranking), tuple(assumed), turns)
+    warned = study.warnings(ranking[0].name)
+    if study.strength < STRONG:
+        warned.append("instruments were given that cannot be used.")
+    if admitted < 1:
+        warned.append("the data contradict the given noise.")
+    return Advice(tuple(ranking), tuple(assumed), turns, tuple(warned))
 
 
 class _Study:
@@ -345,6 +357,60 @@ class _Study:
             )
             for name in order
         ], left_out
+
+    def warnings(self, first) -> list[str]:
+        """Why held-out parts of this record say little of other records."""
+        features = self.X
+        if self.instruments is not None:
+            given = np.column_stack([self.instruments, np.ones(len(self.y))])
+            features = given @ np.linalg.lstsq(given, features)[0]
+        directions, sizes, _ = np.linalg.svd(
+            features - self.fit_intercept * features.mean(axis=0), full_matrices=False
+        )
+        directions = directions[:, sizes > 1e-6 * sizes[0]]
+        coefficients = directions.shape[1] + int(self.fit_intercept)
+        warned = []
+        if len(self.y) < SAMPLES_EACH * coefficients:
+            warned.append(
+                f"{pluralise(len(self.y), 'sample')} for {pluralise(coefficients, 'coefficient')}; give {SAMPLES_EACH} for each."
+            )
+        share = (
+            max(np.linalg.norm(tenth, 2) ** 2 for tenth in np.array_split(directions, 10))
+            if directions.size
+            else 0.0
+        )
+        if share > TENTH:
+            warned.append(
+                f"{share:.0%} of one combination of the features lies in a tenth of the record; record more moves or turns."
+            )
+        equal = min(_equal_parts(self.losses(name)) for name in (first, IGNORE))
+        if equal < EQUAL_PARTS * len(self.parts):
+            warned.append(
+                f"the held-out errors are those of {equal:.1f} of {len(self.parts)} parts; give a longer record."
+            )
+        if (reliable := self.reliability()) < RELIABLE:
+            warned.append(
+                f"one combination of the features holds {max(reliable - 1, 0):.2g} times as much as its noise; a second sensor as instrument needs no size of the noise."
+            )
+        return warned
+
+    def reliability(self) -> float:
+        """Smallest mean square of a combination of the features over that of its noise."""
+        if self.noise is None or not self.noise.any() or self.instruments is not None:
+            return np.inf
+        noisy = self.noise > 0
+        known = np.column_stack([self.X[:, ~noisy], np.ones((len(self.y), int(self.fit_intercept)))])
+        doubtful = self.X[:, noisy] / self.noise[noisy]
+        left = doubtful - known @ np.linalg.lstsq(known, doubtful)[0]
+        freedom = max(len(self.y) - len(self.noise) - self.fit_intercept, 1)
+        return float(np.linalg.svd(left, compute_uv=False)[-1] ** 2 / freedom)
+
+
+def _equal_parts(losses) -> float:
+    """How many equal losses have this ratio of their squared sum to the sum of their squares (Kish, 1965)."""
+    if not losses.any():
+        return float(len(losses))
+    return float(max(losses.sum(), 0.0) ** 2 / np.sum(losses**2))
 
 
 def _coefficients(estimator, features: int) -> np.ndarray:
