@@ -31,6 +31,7 @@ PATIENCE = 10  # seconds of the clock for each of them: a busy machine is not th
 MOST_MEMORY, MOST_WRITTEN = 4 << 20, 64 << 10  # kB of address space, and of any file
 MOST_ANSWERED = 1 << 20  # bytes of a line
 MOST_KNOBS = 32
+UNREACHED = "cannot be reached"
 SYSTEM_PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
 SERVER, LIBRARY = Path(__file__).with_name("child.py"), Path(__file__).parents[1] / "lib"
 PROGRAMS = ("unshare", "mount", "umount", "pivot_root", "setpriv")
@@ -115,21 +116,24 @@ class ExternalObserver:
     def __init__(self, source: str | Path):
         self.source, self.remote = str(source), str(source).startswith("tcp:")
         self.isolated, self.cpu_seconds, self.why = not self.remote and can_isolate(), np.nan, ""
-        if not self.remote:
-            try:
+        try:
+            if self.remote:
+                _, host, port = self.source.split(":")
+                self.address = host, int(port)
+            else:
                 self.content = Path(source).read_bytes()
-            except OSError as error:
-                raise InputError(f"{source} cannot be read ({error}); give a file or tcp:HOST:PORT") from None
+        except (ValueError, OSError) as error:
+            raise InputError(f"{source} cannot be read ({error}); give a file or tcp:HOST:PORT") from None
 
     def __enter__(self) -> "ExternalObserver":
         self.buffer = b""
         self.deadline = time.monotonic() + PATIENCE * CPU_SECONDS
         if self.remote:
             try:
-                _, host, port = self.source.split(":")
-                self.socket = socket.create_connection((host, int(port)), timeout=10)
-            except (ValueError, OSError) as error:
-                raise InputError(f"{self.source} cannot be reached ({error}); give tcp:HOST:PORT") from None
+                self.socket = socket.create_connection(self.address, timeout=10)
+            except OSError as error:
+                raise Disqualified(f"{UNREACHED} ({error})") from None
+            self.socket.setblocking(False)
             self.reading = self.writing = self.socket.fileno()
             return self
         self.folder = tempfile.TemporaryDirectory(prefix="observer-")
@@ -149,6 +153,7 @@ class ExternalObserver:
             start_new_session=True,
         )
         self.reading, self.writing = self.process.stdout.fileno(), self.process.stdin.fileno()
+        os.set_blocking(self.writing, False)  # who answers without reading is not waited for
         try:
             message = {
                 "content": base64.b64encode(self.content).decode(),
@@ -208,24 +213,22 @@ class ExternalObserver:
 
     def step(self, input: np.ndarray, measurement: np.ndarray, *_) -> np.ndarray:
         """The estimate at the sample of this measurement."""
-        answer = self._ask([input.tolist(), [None if np.isnan(y) else y for y in measurement.tolist()]])
-        try:
-            estimate = np.array(answer if isinstance(answer, list) else [], dtype=float)
-        except (ValueError, TypeError, OverflowError):
-            raise Disqualified("an answer that is no estimate") from None
-        if estimate.shape != (self.states,) or not np.isfinite(estimate).all():
-            raise Disqualified("an answer that is no estimate")
-        return estimate
+        estimate = self._ask([input.tolist(), [None if np.isnan(y) else y for y in measurement.tolist()]])
+        if not (isinstance(estimate, list) and len(estimate) == self.states and all(map(_finite, estimate))):
+            raise Disqualified(f"an answer that is no estimate: {self.states} finite numbers in a list")
+        return np.array(estimate, dtype=float)
 
     def _ask(self, message):
+        if self.buffer:
+            raise Disqualified("an answer before it is asked")
+        view = memoryview(json.dumps(message).encode() + b"\n")
         with contextlib.suppress(BrokenPipeError, ConnectionError):
-            view = memoryview(json.dumps(message).encode() + b"\n")
             while view:
-                view = view[os.write(self.writing, view) :]
+                self._wait([], [self.writing])
+                with contextlib.suppress(BlockingIOError):
+                    view = view[os.write(self.writing, view) :]
         while b"\n" not in self.buffer:
-            left = max(self.deadline - time.monotonic(), 0.0)
-            if not select.select([self.reading], [], [], left)[0]:
-                raise Disqualified(f"hangs: a scan takes more than {PATIENCE * CPU_SECONDS} s of the clock")
+            self._wait([self.reading], [])
             try:
                 piece = os.read(self.reading, 1 << 16)
             except ConnectionError:
@@ -245,12 +248,28 @@ class ExternalObserver:
             raise Disqualified("".join(each if each.isprintable() else "?" for each in reason))
         return answer
 
+    def _wait(self, reading: list[int], writing: list[int]) -> None:
+        left = max(self.deadline - time.monotonic(), 0.0)
+        if not any(select.select(reading, writing, [], left)):
+            raise Disqualified(f"hangs: a scan takes more than {PATIENCE * CPU_SECONDS} s of the clock")
+
     def _reason(self) -> str:
-        if not self.remote:
-            self._end(5.0)
-            if self.cpu_seconds > 0.9 * CPU_SECONDS:
-                return _too_long()
-        return "its process ends"
+        if self.remote:
+            return "its connection closes"
+        ended, until = None, time.monotonic() + 1.0
+        while ended is None and time.monotonic() < until:  # before it is killed, it may say what ends it
+            time.sleep(0.01)
+            ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG)
+        self._end(5.0)
+        if self.cpu_seconds > CPU_SECONDS - 0.5:  # the kernel's limit counts ticks
+            return _too_long()
+        code = self.process.returncode
+        return "its process ends" + (f" by {signal.Signals(-code).name}" if ended and code < 0 else "")
+
+
+def _finite(number) -> bool:
+    """Whether what JSON gives is a number that a float holds: no truth value, no text."""
+    return type(number) in (int, float) and abs(number) <= sys.float_info.max
 
 
 def _too_long() -> str:

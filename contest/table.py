@@ -27,7 +27,7 @@ from contest.plants import PLANTS, plant_of
 from contest.ranking import KEYS, block, by_track, critical_difference, mean_ranks, standings
 from contest.record import FILE as RECORDED
 from contest.record import record_standings, record_table
-from contest.runner import ExternalObserver, declared_knobs
+from contest.runner import UNREACHED, ExternalObserver, declared_knobs
 from contest.scores import ENTRANTS, ORACLE, Scan, Scored, contest_trial
 from contest.tuning import TUNINGS, scans_of, settings_for, tune, write_development_set
 from contest.uncertainties import hidden_seed
@@ -79,6 +79,9 @@ def run_contest(
     # Whoever is out on the first scan is not waited for on all others.
     first = scans_of(plants[0], public, 0)[0]
     reasons = contest_trial([(first, dict.fromkeys(sources, ()))], sources)[1]
+    for name, reason in reasons.items():
+        if reason.startswith(UNREACHED):
+            raise InputError(f"{name} {reason}; start its program first, or give another tcp:HOST:PORT")
     sources = {name: source for name, source in sources.items() if name not in reasons}
     knobs = {name: declared_knobs(source) for name, source in sources.items()}
     places = [(plant, name, each) for plant in plants for name in sources for each in range(TUNINGS)]
