@@ -223,5 +223,5 @@ def test_a_library_that_breaks_the_rules_is_out_by_reason(what, tmp_path, monkey
 
 def test_what_is_no_library_is_out_by_reason(tmp_path):
     (tmp_path / "mine.so").write_text("no library")
-    with pytest.raises(Disqualified, match="raises OSError: .*file too short"):
+    with pytest.raises(Disqualified, match=r"raises OSError: .*file too short"):
         steps(tmp_path / "mine.so", 1)
