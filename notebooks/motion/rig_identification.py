@@ -171,7 +171,7 @@ class Experiment:
         self, records: MultisineRecords, top_hz: float, counts: Sequence[int]
     ) -> dict[str, list[float]]:
         """`bias` of the joint and of the direct estimate from the first realisations."""
-        found = {"joint input-output": [], "direct": []}
+        found: dict[str, list[float]] = {"joint input-output": [], "direct": []}
         for count in counts:
             kept = (each[:, :count] for each in (records.reference, records.inputs, records.outputs))
             part = MultisineRecords(records.omega, *kept)
