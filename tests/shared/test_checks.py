@@ -22,7 +22,7 @@ from stillwork.base.checks import (
 from stillwork.base.toml_files import read_toml
 from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.windows import end_point_weights
-from stillwork.identification.regressors import arx_regressors, exponential_weights, fir_regressors
+from stillwork.identification.regressors import exponential_weights, fir_regressors
 from stillwork.lti.delays import delayed
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.state_space import StateModel
@@ -222,10 +222,6 @@ def test_an_object_that_fails_when_asked_for_its_number_is_named():
     [
         ("regressors", lambda: FeRls(1.0).start(30_000)),
         ("taps", lambda: fir_regressors(np.ones(60), taps=30_000_000)),
-        (
-            "input_lags",
-            lambda: arx_regressors(np.ones(60), np.ones(60), output_lags=1, input_lags=30_000_000),
-        ),
         ("rows", lambda: exponential_weights(10**12, 0.9)),
         ("samples", lambda: end_point_weights(10**12, 2)),
         ("samples", lambda: delayed(StateModel(np.eye(1), np.eye(1), np.eye(1), np.eye(1), 0.1), 30_000)),

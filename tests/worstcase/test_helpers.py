@@ -5,7 +5,7 @@ from scipy import signal
 from stillwork.base.checks import InputError
 from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.identification import fir_regressors
-from stillwork.identification.regressors import arx_regressors, exponential_bound, noise_bound, row_bound
+from stillwork.identification.regressors import exponential_bound, noise_bound
 
 
 def test_lags_beyond_the_record_are_zero():
@@ -18,19 +18,9 @@ def test_fir_regressors_convolve():
     assert x @ fir_regressors(u, 4) == pytest.approx(signal.lfilter(x, [1.0], u), abs=1e-13)
 
 
-@pytest.mark.parametrize("delay", [0, 2])
-def test_arx_regressors_run_the_difference_equation(delay):
-    rng = np.random.default_rng(1)
-    u = rng.normal(size=60)
-    y = signal.lfilter([0.0] * delay + [0.5, -0.3, 0.1], [1.0, -1.2, 0.7], u)
-    a = arx_regressors(u, y, output_lags=2, input_lags=3, delay=delay)
-    assert np.array([1.2, -0.7, 0.5, -0.3, 0.1]) @ a == pytest.approx(y, abs=1e-12)
-
-
 def test_bounds_hold_for_perturbations_within_them():
     rng = np.random.default_rng(2)
-    epsilon = row_bound([0.3, 0.4])
-    assert epsilon == pytest.approx(0.5)
+    epsilon = 0.5
     rows = rng.normal(size=(400, 2))
     rows *= epsilon / np.linalg.norm(rows, axis=1, keepdims=True)
     for t in (1, 5, 400):
@@ -71,8 +61,6 @@ def test_total_least_squares_take_the_smallest_correction():
     [
         (lambda: fir_regressors([1.0, np.nan], 1), r"^signal\b"),
         (lambda: fir_regressors([1.0, 2.0], 0), r"^taps\b"),
-        (lambda: arx_regressors([1.0, 2.0], [1.0], output_lags=1, input_lags=1), r"^output\b"),
-        (lambda: row_bound([0.1, -0.1]), r"^amplitudes\b"),
         (lambda: exponential_bound(-1.0, 0.9), r"^row\b"),
         (lambda: exponential_bound(1.0, 1.0), r"^forgetting\b"),
         (lambda: noise_bound(1.0, 5, 0.0), r"^forgetting\b"),

@@ -29,7 +29,7 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
     ----------
     estimator : MinMax, GrowingMinMax, LeastSquares or Ridge
     regressors : array_like, shape (unknowns, samples)
-        Columns a_t; `fir_regressors` and `arx_regressors` make them from signals.
+        Columns a_t; `fir_regressors` makes them from a signal.
     outputs : array_like, shape (samples,)
         y_t.
 

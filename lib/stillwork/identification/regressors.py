@@ -1,14 +1,12 @@
-"""Regressors of FIR and ARX models from measured records, and bounds from what is known of their noise."""
+"""Regressors of FIR models from measured records, and bounds from what is known of their noise."""
 
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Count, Fraction, Natural, NonNegative, Vector, within
 from stillwork.base.checks import (
     InputError,
-    require_array,
     require_memory,
     require_samples,
 )
@@ -47,33 +45,10 @@ def fir_regressors(signal: Vector, taps: Count) -> np.ndarray:
            [0., 1., 2.]])
     """
     require_memory("taps", taps, len(signal))
-    return _delayed(signal, range(taps))
-
-
-@checked
-def arx_regressors(
-    signal: Vector, output: ArrayLike, *, output_lags: Count, input_lags: Count, delay: Natural = 0
-) -> np.ndarray:
-    """Columns (y_(t-1), ..., y_(t-output_lags), u_(t-delay), ..., u_(t-delay-input_lags+1)), with zeros before the record.
-
-    They belong to y_t = sum over i of x_i y_(t-i) + sum over k of x_(output_lags+k) u_(t-delay-k+1).
-    """
-    output = require_array("output", output, shape=signal.shape)
-    require_memory("output_lags", output_lags, len(signal))
-    require_memory("input_lags", input_lags, len(signal))
-    past = _delayed(output, range(1, output_lags + 1))
-    return np.concatenate([past, _delayed(signal, range(delay, delay + input_lags))])
-
-
-@checked
-def row_bound(amplitudes: Vector) -> float:
-    """Bound epsilon on the 2-norm of one regressor's error from the largest error of each entry.
-
-    The paper's FIR example: two entries within w_max give epsilon = sqrt(2) w_max.
-    """
-    if np.any(amplitudes < 0):
-        raise InputError("amplitudes holds a negative value; give sizes, zero or above")
-    return float(np.linalg.norm(amplitudes))
+    columns = np.zeros((taps, len(signal)))
+    for lag, row in enumerate(columns):
+        row[lag:] = signal[: max(len(signal) - lag, 0)]
+    return columns
 
 
 @checked
@@ -171,10 +146,3 @@ def coloured_noise_bound(
         signal = np.fft.irfft(scale * (parts[0] + 1j * parts[1]), length)
         norms[draw] = np.linalg.norm(weights * np.lib.stride_tricks.sliding_window_view(signal, taps), 2)
     return float(np.quantile(norms, coverage))
-
-
-def _delayed(signal, lags) -> np.ndarray:
-    out = np.zeros((len(lags), len(signal)))
-    for row, lag in zip(out, lags, strict=True):
-        row[lag:] = signal[: max(len(signal) - lag, 0)]
-    return out
