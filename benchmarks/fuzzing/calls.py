@@ -60,7 +60,7 @@ MAY_BE_INFINITE = {
         "enclose_margins",
         "enclose_quotients",
     ),  # where nothing is proven
-    *("enclose_hinf_norm", "enclose_h2_norm"),  # and of unstable models
+    "enclose_hinf_norm",  # and of unstable models
     *("kalman_filter", "KalmanRecord.smooth"),  # innovations of what is missing
     "min_max_solve",
     "run",
@@ -262,7 +262,6 @@ def catalogue() -> dict:
         "from_control": (lti.from_control, {"system": state}),
         "h2_norm": (lti.h2_norm, {"model": state}),
         "hinf_norm": (lti.hinf_norm, {"model": state}),
-        "enclose_h2_norm": (lti.enclose_h2_norm, {"model": state}),
         "enclose_hinf_norm": (lti.enclose_hinf_norm, {"model": state}),
         "is_proven_stable": (lti.is_proven_stable, {"model": state}),
         "Enclosure": (lti.Enclosure, {"low": 1.0, "high": 2.0, "proven": True}),

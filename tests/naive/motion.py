@@ -1,7 +1,7 @@
 """Slow, obvious twins of what the motion topic and the linear models compute fast."""
 
 from fractions import Fraction
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 from scipy import integrate
@@ -65,26 +65,3 @@ def frequency_norm(loop):
         integrate.quad(density, low, high, limit=200, epsrel=1e-8)[0] for low, high in pairwise(edges)
     )
     return np.sqrt(total)
-
-
-def exact_h2_norm(a, b, c):
-    """H2 norm of the very floats in rational arithmetic: A X + X A' + B B' = 0 by elimination, entry by entry."""
-    n = len(a)
-    a, b, c = ([[Fraction(float(x)) for x in row] for row in matrix] for matrix in (a, b, c))
-    rows = []
-    for i, j in product(range(n), repeat=2):
-        row = [Fraction(0)] * (n * n + 1)
-        for k in range(n):
-            row[k * n + j] += a[i][k]
-            row[i * n + k] += a[j][k]
-        row[-1] = -sum((x * y for x, y in zip(b[i], b[j], strict=True)), Fraction(0))
-        rows.append(row)
-    for k in range(n * n):
-        pivot = next(r for r in range(k, n * n) if rows[r][k])
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        rows[k] = [x / rows[k][k] for x in rows[k]]
-        for r in range(n * n):
-            if r != k and (factor := rows[r][k]):
-                rows[r] = [x - factor * y for x, y in zip(rows[r], rows[k], strict=True)]
-    power = sum(line[i] * rows[i * n + j][-1] * line[j] for line in c for i, j in product(range(n), repeat=2))
-    return float(power) ** 0.5

@@ -202,3 +202,40 @@ def judged_norm(model: lti.StateModel) -> float:
         for wide in (1, 30, 1000)
     ]
     return max(found)
+
+
+def precise_h2_norm(model: lti.StateModel, digits: int = 150) -> float:
+    """H2 norm of the very numbers, A X + X A' + B B' = 0 or X = A X A' + B B' by elimination; NaN where there is none."""
+    n = len(model.a)
+    places = {pair: k for k, pair in enumerate((i, j) for i in range(n) for j in range(i, n))}
+
+    def entry(i: int, j: int) -> int:
+        return places[min(i, j), max(i, j)]
+
+    with localcontext(Context(digits)):
+        a, b, c, d = (
+            [[Decimal(float(x)) for x in row] for row in m] for m in (model.a, model.b, model.c, model.d)
+        )
+        rows = []
+        for i, j in places:
+            row = [Decimal(0)] * (len(places) + 1)
+            for k in range(n):
+                if not model.sample_time:
+                    row[entry(k, j)] += a[i][k]
+                    row[entry(i, k)] += a[j][k]
+                for m in range(n) if model.sample_time else ():
+                    row[entry(k, m)] += a[i][k] * a[j][m]
+            row[entry(i, j)] -= 1 if model.sample_time else 0
+            row[-1] = -sum(x * y for x, y in zip(b[i], b[j], strict=True))
+            rows.append(row)
+        for k in range(len(rows)):
+            pivot = max(range(k, len(rows)), key=lambda r: abs(rows[r][k]))
+            rows[k], rows[pivot] = rows[pivot], rows[k]
+            rows[k] = [x / rows[k][k] for x in rows[k]]
+            for r in range(len(rows)):
+                if r != k and (factor := rows[r][k]):
+                    rows[r] = [x - factor * y for x, y in zip(rows[r], rows[k], strict=True)]
+        square = [[rows[entry(i, j)][-1] for j in range(n)] for i in range(n)]
+        power = sum(line[i] * square[i][j] * line[j] for line in c for i in range(n) for j in range(n))
+        power += sum(x * x for row in d for x in row)
+        return float(power.sqrt()) if power >= 0 else float("nan")
