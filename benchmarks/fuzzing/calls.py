@@ -343,7 +343,6 @@ def catalogue() -> dict:
         "run, ridge": (e.run, {"estimator": e.Ridge(0.1, 0.9), "regressors": rows, "outputs": signal}),
         "run, growing": (e.run, {"estimator": e.GrowingMinMax(0.1), "regressors": rows, "outputs": signal}),
         "secular_function": (e.secular_function, block),
-        "steady_covariance": (e.steady_covariance, {"regressors": rows, "forgetting": 0.9}),
         "worst_case_residuals": (e.worst_case_residuals, {"regressors": rows, "outputs": signal, "estimates": rows, "bounds": np.ones(60), "forgetting": 0.9}),
         "tustin": (lti.tustin, {"model": state, "sample_time": 1e-2, "omega": 3.0}),
         "zoh_response": (zoh_response, {"model": model, "sample_time": 1e-4, "omega": omega}),

@@ -206,7 +206,7 @@ def condition_bounds(forgetting: float, precision: str) -> tuple[float, float]:
 
 
 def steady_start(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray, "n n"]:
-    """P that the recursion settles at; also of regressors that `steady_covariance` refuses."""
+    """P that the recursion settles at, (1 - lambda) E[psi psi']^-1."""
     psi = require_array("regressors", regressors, ndim=2)
     size = np.sqrt(np.mean(psi**2, axis=1))
     scaled = psi / size[:, None]

@@ -144,8 +144,8 @@ class FeRls:
     Attributes
     ----------
     initial_covariance : array_like, shape (), (n,) or (n, n)
-        P(-1), or its diagonal, or one number for all of it. `steady_covariance` tells the steady value; the
-        paper starts at ten times its diagonal.
+        P(-1), or its diagonal, or one number for all of it. The steady value is (1 - lambda) E[psi psi']^-1;
+        the paper starts at ten times its diagonal.
     forgetting : float
         lambda in (0, 1]; exp(-sample time / time constant).
     growth_limit : float

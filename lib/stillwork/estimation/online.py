@@ -7,7 +7,6 @@ from jaxtyping import Float, Float64, Int64
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import copy_matrix, copy_vector, plus_row
-from stillwork.base.bounds import Fraction, Matrix
 from stillwork.base.checks import (
     InputError,
     pluralise,
@@ -260,28 +259,6 @@ class AdaptationStepper:
         self.weights, self.recursion = weights, recursion
         self.samples += 1
         return weights.copy()
-
-
-@checked
-def steady_covariance(regressors: Matrix, forgetting: Fraction) -> Float64[np.ndarray, "n n"]:
-    """P that FeRLS settles at, (1 - lambda) E[psi psi']^-1, from a stretch of psi_N after the transients of the filters.
-
-    A direction of the regressors that is silent has no steady value, and is an `InputError`.
-    """
-    if not regressors.size:
-        raise InputError("regressors holds no samples; give a stretch with time along the last axis")
-    size = np.sqrt(np.mean(regressors**2, axis=1))
-    if np.min(size) == 0:
-        raise InputError(f"regressors: row {int(np.argmin(size))} is zero; leave it out")
-    scaled = regressors / size[:, None]
-    correlation = scaled @ scaled.T / scaled.shape[1]
-    if np.linalg.cond(correlation) > 1e12:
-        raise InputError(
-            "regressors: a combination of rows is silent, so the covariance has no steady value; "
-            "leave a row out or take a stretch with more excitation"
-        )
-    inverse = np.linalg.inv(correlation) / np.outer(size, size)
-    return (1 - forgetting) * (inverse + inverse.T) / 2
 
 
 def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
