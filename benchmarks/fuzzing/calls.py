@@ -277,7 +277,6 @@ def catalogue() -> dict:
         "zoh_modes": (lti.zoh_modes, {"model": model, "sample_time": 1e-4}),
         "remove_delay": (i.remove_delay, {"machine": i.Machine((model,), 10.0, "x"), "delay": 1e-4}),
         "build_machine": (i.build_machine, {"file": None, "modes_hz": [50.0], "fit_hz": (10.0, 200.0), "mirrored_sensor": True}),
-        "closed_loop_response": (i.closed_loop_response, {"excitation": noise(512), "inputs": noise(512), "outputs": noise(512), "sample_time": 0.01, "segment": 64}),
         "exponential_bound": (i.exponential_bound, {"row": 1.0, "forgetting": 0.9, "samples": 10}),
         "fir_regressors": (i.fir_regressors, {"signal": signal, "taps": 3}),
         "complex_frequency_poles": (i.complex_frequency_poles, {"omega": measured.omega, "response": measured.response[:, None, None], "weight": np.ones(len(measured.omega)), "order": 4}),

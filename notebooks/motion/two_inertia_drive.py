@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.signal import csd, welch
 
 from experiments.motion.machines import Drive, drive
 from experiments.motion.pictures import CASES, add_magnitude, paint_bode, plain_numbers
@@ -13,7 +14,7 @@ from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import Observer
 from stillwork.estimation.riccati import continuous_gain
-from stillwork.identification.frequency_response import Identified, closed_loop_response
+from stillwork.identification.frequency_response import Identified
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
@@ -89,6 +90,27 @@ def identify(
     chosen = channel(loop, ("u_ff", "w", "d"), ("u", "e_meas"))
     u, e = simulate(zoh(chosen, sample_time), np.array([noise, swing, sensor]))
     return closed_loop_response(noise, u, -e, sample_time, segment)
+
+
+def closed_loop_response(
+    excitation: Float64[np.ndarray, " samples"],
+    inputs: Float64[np.ndarray, " samples"],
+    outputs: Float64[np.ndarray, " samples"],
+    sample_time: float,
+    segment: int,
+) -> Identified:
+    """Plant response in closed loop, as the ratio of the cross spectra with the excitation.
+
+    The direct ratio of output and input would be biased by the noise that the loop feeds back; noise that is
+    independent of the excitation averages out of this one.
+    """
+    settings = {"fs": 1 / sample_time, "nperseg": segment, "detrend": "constant"}
+    hertz, to_input = csd(excitation, inputs, **settings)
+    _, to_output = csd(excitation, outputs, **settings)
+    power, out_power = (welch(signal, **settings)[1] for signal in (excitation, outputs))
+    coherence = np.abs(to_output) ** 2 / (power * out_power)
+    keep = slice(1, None)
+    return Identified(2 * np.pi * hertz[keep], (to_output / to_input)[keep], coherence[keep])
 
 
 def rigid_response(plant: Drive, omega: Float64[np.ndarray, " frequencies"]) -> np.ndarray:

@@ -1,13 +1,12 @@
-"""Frequency responses from records: averaged cross spectra, open or closed loop, with their coherence."""
+"""Frequency responses from hits: cross spectra averaged over them, with their coherence."""
 
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
-from scipy.signal import csd, welch
 
-from stillwork.base.bounds import Matrix, Positive, Vector, at_least
+from stillwork.base.bounds import Matrix, Positive
 from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import checked
 
@@ -39,38 +38,6 @@ class Identified(NamedTuple):
     omega: Float64[np.ndarray, " frequencies"]  # rad/s, without zero
     response: Complex128[np.ndarray, " frequencies"]
     coherence: Float64[np.ndarray, " frequencies"]  # of the excitation with the output
-
-
-@checked
-def closed_loop_response(
-    excitation: Vector,
-    inputs: ArrayLike,
-    outputs: ArrayLike,
-    sample_time: Positive,
-    segment: Annotated[int, at_least(8)],
-) -> Identified:
-    """Plant response in closed loop, as the ratio of the cross spectra with the excitation.
-
-    The direct ratio of output and input would be biased by the noise that the loop feeds back; noise that is
-    independent of the excitation averages out of this one.
-    """
-    inputs = require_array("inputs", inputs, shape=excitation.shape)
-    outputs = require_array("outputs", outputs, shape=excitation.shape)
-    if segment > len(excitation) // 2:
-        raise InputError(
-            f"segment is {segment} of {len(excitation)} samples; averaging takes at least two segments"
-        )
-    settings = {"fs": 1 / sample_time, "nperseg": segment, "detrend": "constant"}
-    hertz, to_input = csd(excitation, inputs, **settings)
-    _, to_output = csd(excitation, outputs, **settings)
-    power, out_power = (welch(signal, **settings)[1] for signal in (excitation, outputs))
-    keep = slice(1, None)
-    if np.any(power[keep] == 0) or np.any(to_input[keep] == 0) or np.any(out_power[keep] == 0):
-        raise InputError(
-            "excitation, inputs or outputs have no power at some frequencies; excite all of them"
-        )
-    coherence = np.abs(to_output) ** 2 / (power * out_power)
-    return Identified(2 * np.pi * hertz[keep], (to_output / to_input)[keep], coherence[keep])
 
 
 @checked(missing=True)
