@@ -1,5 +1,6 @@
 """H-infinity filter in discrete time: bounds the energy gain from noise to the estimation error."""
 
+from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
@@ -39,19 +40,20 @@ def smallest_level(
         raise InputError(
             "wanted is zero, or its square is; every level is kept: give what is to be estimated"
         )
+    attempt = _attempts(model)
     high = np.sqrt(square)
     for _ in range(200):
-        if not _design(model, wanted, high)[1]:
+        if not attempt(wanted / high):
             break
         high *= 2
     else:
         raise InputError("wanted cannot be estimated at any level; is the model detectable?")
     low = high
-    while not _design(model, wanted, low)[1]:
+    while not attempt(wanted / low):
         high, low = low, low / 2
     while high / low > 1 + tolerance:
         middle = np.sqrt(low * high)
-        if _design(model, wanted, middle)[1]:
+        if attempt(wanted / middle):
             low = middle
         else:
             high = middle
@@ -60,15 +62,24 @@ def smallest_level(
 
 def _design(model: TimeVaryingModel, wanted: np.ndarray, level: float) -> tuple[FilterGains, int]:
     samples, outputs, states = model.c.shape
-    whiten = np.linalg.inv(np.linalg.cholesky(model.sensor))
     gain = np.zeros((samples, states, outputs))
     covariance = np.zeros((samples, states, states))
-    covariance[0] = model.initial_covariance
-    g = model.g @ np.linalg.cholesky(model.process)
-    arrays = (model.a, g, whiten @ model.c, wanted / level)
-    failed = _riccati(*(np.ascontiguousarray(x) for x in arrays), gain, covariance)
+    failed = _attempts(model, gain, covariance)(wanted / level)
+    whiten = np.linalg.inv(np.linalg.cholesky(model.sensor))
     gains = FilterGains(model.a, model.b, gain @ whiten, np.ascontiguousarray(model.c), covariance)
     return gains, failed
+
+
+def _attempts(model, gain: np.ndarray | None = None, covariance: np.ndarray | None = None) -> Callable:
+    """What fills gains and covariances for `wanted` over a level, and returns where no filter keeps it; 0 for nowhere."""
+    samples, outputs, states = model.c.shape
+    gain = np.zeros((samples, states, outputs)) if gain is None else gain
+    covariance = np.zeros((samples, states, states)) if covariance is None else covariance
+    covariance[0] = model.initial_covariance
+    whiten = np.linalg.inv(np.linalg.cholesky(model.sensor))
+    g, c = model.g @ np.linalg.cholesky(model.process), whiten @ model.c
+    a, g, c = (np.ascontiguousarray(each) for each in (model.a, g, c))
+    return lambda wanted: _riccati(a, g, c, np.ascontiguousarray(wanted), gain, covariance)
 
 
 @kernel
