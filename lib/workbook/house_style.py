@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from inspect import getmembers, isfunction
 
 from matplotlib import RcParams, cycler, rcParams
@@ -16,6 +16,7 @@ _KEPT = (
     "get_cursor_data",
     "cla",
 )  # matplotlib asks whether a class has others than its own
+_LOGARITHMIC = {"semilogx": "x", "semilogy": "y", "loglog": "xy"}  # methods, and the axes that they make so
 _inside = False  # the settings are one for the process, and so is this
 
 
@@ -48,6 +49,18 @@ def _styled(method):
     return styled
 
 
+def _scaled_once(method, axes: str):
+    """Of a second line nothing but the line: matplotlib scales the axes of all panels that share them anew for each."""
+
+    @wraps(method)
+    def drawn(self, *arguments, **options):
+        scaled = all(getattr(self, f"get_{each}scale")() == "log" for each in axes)
+        plain = options.keys().isdisjoint({"base", "subs", "nonpositive"})
+        return (self.plot if scaled and plain else partial(method, self))(*arguments, **options)
+
+    return drawn
+
+
 @cache
 def _dressed(kind: type) -> type:
     """A class of figures or panels whose public methods run in the style: titles and ticks read it when they are made."""
@@ -56,6 +69,8 @@ def _dressed(kind: type) -> type:
         for name, each in getmembers(kind, isfunction)
         if not name.startswith("_") and name not in _KEPT
     }
+    for name in _LOGARITHMIC.keys() & methods.keys():
+        methods[name] = _scaled_once(methods[name], _LOGARITHMIC[name])
     return type(kind.__name__, (kind,), {"__module__": kind.__module__, **methods})
 
 

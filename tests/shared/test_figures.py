@@ -1,15 +1,18 @@
 import gc
 import subprocess
 import sys
+from functools import partial
 
 import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stillwork.base.checks import InputError
 from workbook import figures
+from workbook.rendering import pixels
 
 
 def numbers(figure, series):
@@ -283,6 +286,23 @@ def test_the_settings_of_matplotlib_are_those_of_its_user(tmp_path):
         figures.save(own, tmp_path / "own")
         assert dict(matplotlib.rcParams) == before
         assert line.get_linewidth() == 7.0 and {t.get_size() for t in panel.get_xticklabels()} == {17}
+
+
+@pytest.mark.parametrize("method", ["semilogx", "semilogy", "loglog"])
+def test_a_second_line_on_a_logarithmic_axis_scales_it_as_matplotlib_does(method):
+    pictures = []
+    for kind in (None, Axes):
+        figure, panels = figures.new(1, 2, sharex=True, sharey=True)
+        panels[1].plot([1, 7], [2, 5])
+        for number in range(1, 4):
+            draw = getattr(panels[0], method) if kind is None else partial(getattr(kind, method), panels[0])
+            draw([1, 30 * number], [2, 800 / number])
+        pictures.append(pixels(figure, 60))
+    np.testing.assert_array_equal(*pictures)
+    figure, axes = figures.new()
+    axes.loglog([1, 9], [1, 9])
+    axes.loglog([1, 9], [1, 9], base=2)
+    assert axes.xaxis.get_transform().base == 2
 
 
 def test_the_settings_come_back_after_an_error():
