@@ -227,6 +227,18 @@ def test_the_front_page_is_seen_at_a_glance(browser, site):
     assert len(set(tops)) == 1
 
 
+@pytest.mark.parametrize("width", [NARROW, WIDE])
+def test_the_keyboard_goes_through_the_head_of_a_page_as_it_is_read(browser, site, width):
+    browser.resize(width)
+    browser.open((site / "index.html").as_uri())
+    where = """return [...document.querySelectorAll("header :is(a, input)")].map((each) => {
+      const box = each.getBoundingClientRect();
+      return [Math.round((box.top + box.bottom) / 20), box.left];
+    })"""
+    places = browser.run(where)
+    assert places == sorted(places) and len(places) > 5
+
+
 def test_on_a_phone_the_front_page_is_a_few_screens_and_a_work_begins_with_its_name(browser, site):
     browser.resize(NARROW)
     browser.open((site / "index.html").as_uri())
