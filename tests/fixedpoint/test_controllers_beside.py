@@ -119,6 +119,18 @@ def test_cases_are_apart_and_scores_are_what_they_say(rng):
     assert beside.best_share(found, beside.FIXED)[0] == 0.0
 
 
+def test_runs_that_diverge_can_be_left_out():
+    """A diverged run is an error of 1; a plant on which all runs diverge is left out with them."""
+    errors = {law: np.full((4, 2, 3), value) for law, value in ((beside.FIXED, 0.1), (beside.COMPUTED, 0.2))}
+    errors[beside.FIXED][0, 0, 0] = errors[beside.COMPUTED][1, 1, 0] = 1.0
+    errors[beside.FIXED][:, :, 2] = 1.0
+    how = {"oscillator": errors}, beside.FIXED, beside.COMPUTED, ("oscillator",)
+    value, (low, high) = beside.compared(*how, held=True)
+    assert [value, low, high] == pytest.approx([0.5, 0.5, 0.5])
+    plants = [(6 * np.log(0.5) + np.log(5) + np.log(0.1)) / 8, np.log(0.5), np.log(5)]
+    assert beside.compared(*how)[0] == pytest.approx(np.exp(np.mean(plants)))
+
+
 @pytest.mark.slow
 def test_a_search_finds_again_what_is_stored():
     found = beside.tune("oscillator", beside.COMPUTED, 13, "position")

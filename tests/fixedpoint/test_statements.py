@@ -11,6 +11,7 @@ from experiments.fixedpoint.statements import (
     SMOOTHEST,
     WINDOW_PRECISE,
     changed,
+    figure_statements,
     fraction,
     longest_replaced,
     pooled,
@@ -52,6 +53,23 @@ def test_statements_by_hand():
 def test_the_quantity_decides_what_is_precise():
     assert list(statements(CASE, KALMAN, "velocity")[WINDOW_PRECISE]) == [False, True]
     assert list(statements(CASE, KALMAN, "velocity")[SMOOTHEST]) == [True, False]  # not its matter
+
+
+def test_what_figures_are_said_to_show():
+    found = figure_statements(CASE, "small", "gaussian")
+    assert {name.removeprefix("fixedpoint."): list(obeyed) for name, obeyed in found.items()} == {
+        "fig-6.kalman-hectic": [True, False],
+        "fig-5.smoothest": [True, False],
+        "fig-5.window-most-precise.printed": [False, False],
+        "fig-6.window-most-precise.printed": [False, True],
+        "fig-5.window-most-precise.corrected": [True, False],
+    }
+    large = figure_statements(CASE, "large", "logistic")
+    assert list(large) == [
+        f"fixedpoint.fig-{name}"
+        for name in ("15.kalman-hectic", "14.low-pass-best.printed", "15.low-pass-best.printed")
+    ]
+    assert list(large["fixedpoint.fig-14.low-pass-best.printed"]) == [False, True]
 
 
 def test_rankings_take_each_statement_in_its_noise():
