@@ -57,19 +57,16 @@ def test_the_quantity_decides_what_is_precise():
 
 def test_what_figures_are_said_to_show():
     found = figure_statements(CASE, "small", "gaussian")
-    assert {name.removeprefix("fixedpoint."): list(obeyed) for name, obeyed in found.items()} == {
-        "fig-6.kalman-hectic": [True, False],
-        "fig-5.smoothest": [True, False],
-        "fig-5.window-most-precise.printed": [False, False],
-        "fig-6.window-most-precise.printed": [False, True],
-        "fig-5.window-most-precise.corrected": [True, False],
+    assert {name: list(obeyed) for name, obeyed in found.items()} == {
+        "6.kalman-hectic": [True, False],
+        "5.smoothest": [True, False],
+        "5.window-most-precise.printed": [False, False],
+        "6.window-most-precise.printed": [False, True],
+        "5.window-most-precise.corrected": [True, False],
     }
     large = figure_statements(CASE, "large", "logistic")
-    assert list(large) == [
-        f"fixedpoint.fig-{name}"
-        for name in ("15.kalman-hectic", "14.low-pass-best.printed", "15.low-pass-best.printed")
-    ]
-    assert list(large["fixedpoint.fig-14.low-pass-best.printed"]) == [False, True]
+    assert list(large) == ["15.kalman-hectic", "14.low-pass-best.printed", "15.low-pass-best.printed"]
+    assert list(large["14.low-pass-best.printed"]) == [False, True]
 
 
 def test_rankings_take_each_statement_in_its_noise():

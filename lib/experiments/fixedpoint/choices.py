@@ -105,7 +105,8 @@ def rankings(
             name: run_study(ranked_trial, runs, seed, progress=False, controller=each, noise=noise)
             for name, each in who.items()
         }
-        found |= {name: obeyed.mean() for name, obeyed in said.figure_statements(study, size, kind).items()}
+        for name, obeyed in said.figure_statements(study, size, kind).items():
+            found[f"fixedpoint.fig-{name}"] = obeyed.mean()
     for form, name in FORMS:
         found[f"fixedpoint.section-4.kalman-worst.{form}"] = said.pooled(studies, name)[
             said.KALMAN_WORST

@@ -38,15 +38,15 @@ def statements(
 
 # Where the errors of q and of q' in a noise are shown.
 FIGURES = {
-    ("small", "gaussian"): ("fig-5", "fig-6"),
-    ("small", "logistic"): ("fig-8", "fig-9"),
-    ("large", "gaussian"): ("fig-11", "fig-12"),
-    ("large", "logistic"): ("fig-14", "fig-15"),
+    ("small", "gaussian"): (5, 6),
+    ("small", "logistic"): (8, 9),
+    ("large", "gaussian"): (11, 12),
+    ("large", "logistic"): (14, 15),
 }
 
 
 def figure_statements(study: dict[str, Study], size: str, kind: str) -> dict[str, Bool[np.ndarray, " runs"]]:
-    """Which runs in a noise obey what its figures are said to show, by the ledger's names."""
+    """Which runs in a noise obey what its figures are said to show, by the ledger's names after ``fixedpoint.fig-``."""
     q, speed = FIGURES[size, kind]
     ranking, claim = LOW_PASS_BEST, "low-pass-best"
     found = {f"{speed}.kalman-hectic": in_both_forms(study, HECTIC)}
@@ -57,7 +57,7 @@ def figure_statements(study: dict[str, Study], size: str, kind: str) -> dict[str
         found[f"{figure}.{claim}.printed"] = statements(study, LITERAL, quantity)[ranking]
     if kind == "gaussian":
         found[f"{q}.{claim}.corrected"] = statements(study, KALMAN)[ranking]
-    return {f"fixedpoint.{name}": obeyed for name, obeyed in found.items()}
+    return found
 
 
 def in_both_forms(
