@@ -162,6 +162,15 @@ def test_the_unstable_cycle_separates_return_from_divergence(exact, approximate)
     assert wild.diverged_at is not None
 
 
+def test_a_right_model_has_a_weak_edge_too(exact, approximate):
+    """Both edges are those with the wrong mass times f': a gain acts by its product with the plant's response."""
+    controller = replace(published_controllers(approximate)["low pass"], transformation=RobustTransformation())
+    wrong, right = (
+        stable_range(linear_loop(plant, controller, SAMPLE_TIME)).limits for plant in (exact, approximate)
+    )
+    assert np.divide(right, wrong) == pytest.approx(np.full(2, response_gain(exact, approximate)), rel=0.02)
+
+
 def test_the_widest_stable_range_counts(monkeypatch, exact, approximate):
     edges = [fixed_point_convergence.Crossing(gain, 1.0) for gain in (-5.0, -4.5, -2.0)]
 
