@@ -17,7 +17,8 @@ DRIVER = """
 
 /* A plant x+ = A x + B (f, a0, change of a0) with the acceleration C x, {fine} steps a sample; f comes `late` samples late. */
 int simulate(long samples, int states, int late, int adapting, const double *a, const double *b, const double *c,
-             const double *floor, const double *noise, double *weights, long first, {name}_state *s, double *out)
+             const double *floor, const double *noise, double *weights, long first, {name}_state *s, double *out,
+             double *forces)
 {{
     enum {{ A = {NAME}_AXES, S = {NAME}_SENSORS, I = A + 2 * S, N = {NAME}_REGRESSORS }};
     static double x[256], ring[16][A];
@@ -37,6 +38,7 @@ int simulate(long samples, int states, int late, int adapting, const double *a, 
         for (int j = 0; j < A; j++) {{
             ring[(first + k + late) % (late + 1)][j] = command[j];
             in[j] = ring[(first + k) % (late + 1)][j];
+            forces[k * A + j] = command[j];
         }}
         for (int step = 0; step < {fine}; step++) {{
             for (int i = 0; i < A; i++) {{
@@ -225,6 +227,8 @@ class CompiledLoop:
     def run(self, machine: TrueIsolator, floor, seed, adapting=True):
         """Platform acceleration at every step of the plant, weights and all flags; plant and loop go on where they were.
 
+        The commands of each sample are kept as `commands`.
+
         The floor has FINE samples for each one of the loop.
         """
         n, s = machine.floor.shape
@@ -233,16 +237,17 @@ class CompiledLoop:
         noise = np.random.default_rng(seed).standard_normal((samples, n + s))
         noise *= level * np.r_[np.full(n, machine.platform_noise), np.full(s, machine.floor_noise)]
         arrays = [np.ascontiguousarray(each, float) for each in (*machine.matrices(), floor.T, noise)]
-        weights, out = np.zeros((n, 3 * s)), np.zeros((FINE * samples, n))
+        weights, out, forces = np.zeros((n, 3 * s)), np.zeros((FINE * samples, n)), np.zeros((samples, n))
 
         def pointer(each):
             return each.ctypes.data_as(ctypes.c_void_p)
 
         flags = self.library.simulate(
             ctypes.c_long(samples), len(arrays[0]), machine.late, int(adapting), *map(pointer, arrays),
-            pointer(weights), ctypes.c_long(self.done), self.state, pointer(out),
+            pointer(weights), ctypes.c_long(self.done), self.state, pointer(out), pointer(forces),
         )  # fmt: skip
         self.done += samples
+        self.commands = forces.T
         return out.T, weights, flags
 
 

@@ -513,8 +513,9 @@ class IsolationPrediction:
     remains: Float64[np.ndarray, "3 axes"]  # rms acceleration in the band, m/s^2
     without: Float64[np.ndarray, " axes"]  # the same without any control
     feedback: Float64[np.ndarray, " axes"]  # and with the skyhook alone
-    # rms of each command over all of the floor's frequencies, scatter of the weights included, largest over the box, N
-    force: Float64[np.ndarray, " axes"]
+    # rms of each command over all of the floor's frequencies, scatter of the weights included, largest over the box, N:
+    # expected, and highest in a time as long as the floor's record
+    force: Float64[np.ndarray, "2 axes"]
     # root of the sum over the floor sensors of |T|^2
     transmissibility: Float64[np.ndarray, "3 axes frequencies"]
     without_transmissibility: Float64[np.ndarray, "axes frequencies"]
@@ -551,7 +552,9 @@ def predict(
     covariance = design.step * floor.bursts[0] * design.scatter.covariance
     seen = floor.density + noises[0] ** 2 * np.eye(isolator.sensors)
     psi = design.paths.seen.regressors
-    power = np.einsum("f,fis,fst,fjt->ij", widths, psi, seen, np.conj(psi), optimize=True).real
+    plain = np.einsum("fis,fst,fjt->fij", psi, seen, np.conj(psi), optimize=True)
+    power = np.einsum("f,fij->ij", widths, plain).real
+    axes, n = design.steady.weights.shape
     force = design.step**2 * floor.bursts[1] * _jitter_density(design.scatter, power, design.loop.rate)
 
     def jitter(paths):
@@ -571,16 +574,22 @@ def predict(
         strength = JITTER ** rng.uniform(0, 1.5)
         sizes.append(rms(_motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
         gains.append(gain(each.paths.transmissibility(weights)))
-    density = _motion_density(design.paths, design.steady.weights, floor, noises) + jitter(design.paths)
+    secondary = design.paths.seen.secondary
+    wandering = np.einsum(
+        "fab,fac,bicj,fij->af", secondary, np.conj(secondary), covariance.reshape(axes, n, axes, n), plain,
+        optimize=True,
+    ).real  # fmt: skip
+    fixed = _motion_density(design.paths, design.steady.weights, floor, noises)
+    density = fixed + wandering + jitter(design.paths)
     # Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines; bursts
     # make the time shorter.
-    varies = WIDE / 2 * np.sqrt(density**2 @ counted * floor.bursts[0] / floor.duration) / (density @ counted)
-    axes, n = design.steady.weights.shape
+    varies = _varying(density, counted, floor, density @ counted)
     scattered = np.einsum("aiaj,ij->a", covariance.reshape(axes, n, axes, n), power)
-    forces = [
-        np.sqrt(_density(floor, noises, *each.paths.commands(each.steady.weights)) @ widths + scattered)
-        for each in (design, *around)
-    ]
+    forces = []
+    for each in (design, *around):
+        command = _density(floor, noises, *each.paths.commands(each.steady.weights))
+        whole = command @ widths + scattered
+        forces.append(np.sqrt(whole) * [np.ones(axes), np.exp(_varying(command, widths, floor, whole))])
     bare = replace(design.paths, skyhook=0 * design.paths.skyhook)
     silent = np.zeros_like(design.steady.weights)
     return IsolationPrediction(
@@ -595,6 +604,11 @@ def predict(
         without_transmissibility=gain(bare.transmissibility(silent)),
         density=density,
     )
+
+
+def _varying(density, widths, floor: FloorSpectra, power) -> np.ndarray:
+    """How far the logarithm of an rms over the floor's record strays: `WIDE` standard deviations."""
+    return WIDE / 2 * np.sqrt(density**2 @ widths * floor.bursts[0] / floor.duration) / power
 
 
 def _banded(draws: np.ndarray, expected: np.ndarray, varies: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from stillwork.base.toml_files import Table, read_toml
 from stillwork.control.c_code import isolation_code, require_names
 from stillwork.control.isolation import FloorSpectra, Isolator
 from stillwork.control.isolation_design import (
+    DRAWS,
     HIGHEST_PHASE,
     HIGHEST_SENSITIVITY_DB,
     RED_LIMIT,
@@ -165,9 +166,13 @@ def isolate_file(
         ],
         [
             "scatter of the weights",
-            f"raises the power of the filtered error by {100 * design.variance:.2g} %",
+            f"raises the power of what remains by {100 * design.variance:.2g} %",
         ],
-        ["command", f"{_listed(found.force)} N rms, the largest expected of 24 isolators in the box"],
+        [
+            "command",
+            f"{_listed(found.force[0])} N rms, the largest expected of {DRAWS} isolators in the box; over "
+            f"{spectra.duration:.3g} s up to {_listed(found.force[1])} N rms",
+        ],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["taken", each] for each in (*notes, *said)),
         *(["look at the floor", each] for each in seen),
@@ -190,7 +195,8 @@ def isolate_file(
         "judged_hz": list(found.band_hz),
         "remains": found.remains.tolist(),
         "without": found.without.tolist(),
-        "command_rms": found.force.tolist(),
+        "command_rms": found.force[0].tolist(),
+        "command_rms_highest": found.force[1].tolist(),
     }
     files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
     write_folder(folder, files)  # before the page: what was computed is not lost with a picture
@@ -224,7 +230,7 @@ def isolate_file(
 
 def require_force(found: IsolationPrediction, limit: float) -> None:
     """A `limit` that the commands stay within, or `InputError`: a command at its limit isolates nothing."""
-    largest = float(found.force.max())
+    largest = float(found.force[0].max())
     if limit < PEAKS * largest:
         raise InputError(
             f"not to be switched on: limit is {limit:g} N, and on this floor a command has {largest:.3g} N rms; give "
