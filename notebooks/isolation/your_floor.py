@@ -399,8 +399,8 @@ def warnings(floor: RecordedFloor) -> Iterator[str]:
         yield (
             f"At {SLOW_HZ[0]:g} to {SLOW_HZ[1]:g} Hz the floor's acceleration per √Hz is {ratio:.2g} times that at "
             f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, and from about 8 times on the "
-            "adaptation breaks although its mean converges. Take a high-pass of 2 Hz over the record; a smaller start "
-            "does not help."
+            "adaptation breaks although its mean converges. Take a high-pass of 2 Hz over the record, of 4 Hz "
+            "where that is not enough; a smaller start does not help."
         )
 
 
