@@ -32,18 +32,24 @@ def rigid_poles_after_placement(model: ModalModel, increase: float, machines: in
 
 
 def paint_pole_zero(systems: Mapping[str, StateModel]):
-    """Poles and zeros in the upper half-plane beside the magnitude, for systems with a few modes."""
+    """Poles and zeros in the upper half-plane beside the magnitude, for systems with a few modes.
+
+    What comes later is drawn smaller, so that what coincides stays visible.
+    """
     figure, axes = figures.new(1, 2, height=3.2)
     colours = [figures.BLUE, figures.GREEN, figures.RED]
     top = max(np.abs(system.poles).max() for system in systems.values())
     omega = np.geomspace(top / 30, top * 2, 1500)
-    for colour, (label, system) in zip(colours, systems.items(), strict=True):
+    sizes = zip(colours, (10, 7, 4), (3.0, 2.0, 1.0), strict=True)
+    for (colour, marker_size, width), (label, system) in zip(sizes, systems.items(), strict=True):
         for kind, marker, values in (("poles", "x", system.poles), ("zeros", "o", system.zeros)):
             values = top * in_order(values / top)
             upper = values[(values.imag >= -1e-6) & (np.abs(values) < 3 * top)]
-            style = {"color": colour, "markerfacecolor": "none"}
+            style = {"color": colour, "markerfacecolor": "none", "markersize": marker_size}
             axes[0].plot(upper.real, upper.imag / (2 * np.pi), marker, label=f"{label}, {kind}", **style)
-        add_magnitude(axes[1], omega, system.frequency_response(omega)[0, 0], color=colour, label=label)
+        add_magnitude(
+            axes[1], omega, system.frequency_response(omega)[0, 0], color=colour, label=label, lw=width
+        )
     axes[0].set(xlabel="real part (1/s)", ylabel="imaginary part (Hz)")
     axes[0].legend(fontsize=7)
     axes[1].set(xlabel="frequency (Hz)", ylabel="magnitude (dB re 1 m/N)")
