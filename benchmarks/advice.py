@@ -633,11 +633,12 @@ GENERATORS = {
 }  # fmt: skip
 
 
-def judge(problem: Problem) -> tuple[str, str, np.ndarray, np.ndarray]:
-    """Who is advised, who is best, and over the best and over ignoring the features: (with the noise of y, without)."""
+def judge(problem: Problem) -> tuple[str, str, np.ndarray, np.ndarray, bool]:
+    """Who is advised, who is best, over the best and over ignoring the features: (with the noise of y, without); if warned."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        ranking = advise(problem.X, problem.y, problem.noise, problem.instruments).ranking
+        advised = advise(problem.X, problem.y, problem.noise, problem.instruments)
+        ranking = advised.ranking
         fitted = {each.name: each.estimator for each in ranking}
         if (
             problem.noise is not None
@@ -656,7 +657,7 @@ def judge(problem: Problem) -> tuple[str, str, np.ndarray, np.ndarray]:
     best = min(errors, key=errors.__getitem__)
     floors = np.array([problem.deviation, 0.0])
     own, least, none = (np.hypot(each, floors) for each in (errors[ranking[0].name], errors[best], ignored))
-    return ranking[0].name, best, own / least, own / none
+    return ranking[0].name, best, own / least, own / none, bool(advised.warnings)
 
 
 def main() -> None:
@@ -677,8 +678,14 @@ def main() -> None:
             problem.noise = size * problem.noise
             rows.append((name, *judge(problem)))
     print(f"{'':34s} within 10 % of the best   at worst over ignoring, over the best   advised most")
-    for kind in [*dict.fromkeys(row[0] for row in rows), "all"]:
-        own = [row for row in rows if kind in (row[0], "all")]
+    groups = {kind: [row for row in rows if row[0] == kind] for kind in dict.fromkeys(row[0] for row in rows)}
+    groups |= {
+        f"{word} warning": [row for row in rows if row[5] == warned]
+        for word, warned in (("no", False), ("with a", True))
+    }
+    for kind, own in {
+        f"{name}, {len(own)}": own for name, own in (groups | {"all": rows}).items() if own
+    }.items():
         over, ignoring = np.array([row[3] for row in own]), np.array([row[4] for row in own])
         names = [row[1] for row in own]
         shares, worst = np.mean(over < 1.1, axis=0), ignoring.max(axis=0)

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from benchmarks import advice as problems
 from stillwork.base.checks import InputError
@@ -44,7 +45,7 @@ def test_instruments_that_explain_nothing_are_left_aside():
 
 def test_a_mean_square_below_zero_is_no_merit():
     # of a single feature whose noise is above what it holds: bias compensation, 1.7 times the error of ignoring it
-    name, _, _, ignoring = problems.judge(problems.SECOND["drowned"](np.random.default_rng([4, 11])))
+    name, _, _, ignoring, _ = problems.judge(problems.SECOND["drowned"](np.random.default_rng([4, 11])))
     assert name != "bias compensation"
     assert ignoring[0] <= 1.0
 
@@ -97,6 +98,22 @@ def test_a_record_to_rely_on_has_no_warning_and_a_flawed_one_says_why():
     assert "times as much as its noise" in warned(clean + rng.standard_normal(X.shape), y, noise=1.0)
     assert "instruments" in warned(X, y, instruments=rng.standard_normal(X.shape))
     assert "contradict the given noise" in warned(clean, y, noise=2.0)
+
+
+def test_instruments_that_miss_the_difference_of_two_features_are_warned_of():
+    X, y, clean, rng = record(noise=0.05)
+    twins = np.column_stack([X[:, 0], X[:, 0] + 0.01 * X[:, 1], X[:, 2]])
+    seen = clean[:, [0, 2]]
+    other = np.column_stack([seen, seen[:, 0]]) + 0.3 * rng.standard_normal((400, 3))
+    advice = advise(twins, y, instruments=other)
+    assert "left aside" not in str(advice)
+    (warning,) = [each for each in advice.warnings if "instruments" in each]
+    # the smallest eigenvalue of V^-1/2 X'PX V^-1/2 over the instruments, V the covariance of what is not explained
+    centred, given = twins - twins.mean(axis=0), other - other.mean(axis=0)
+    explained = given @ np.linalg.lstsq(given, centred)[0]
+    left = (centred - explained).T @ (centred - explained) / 396
+    expected = scipy.linalg.eigh(explained.T @ explained, left, eigvals_only=True)[0] / 3
+    assert float(re.search(r"F = ([\d.]+)", warning)[1]) == pytest.approx(expected, rel=0.05)
 
 
 def test_constant_features_are_advised_upon_all_the_same():

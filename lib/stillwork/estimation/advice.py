@@ -139,7 +139,8 @@ def advise(
     ----------
     Nadeau and Bengio, Inference for the generalization error (2003), of the intervals; Stefanski and Carroll, Conditional
     scores and optimal scores for generalized linear measurement-error models (1987), of the score with noise; Staiger and
-    Stock, Instrumental variables regression with weak instruments (1997), of the limit on F; Anderson and Rubin, Estimation
+    Stock, Instrumental variables regression with weak instruments (1997), of the limit on F; Cragg and Donald, Testing
+    identifiability and specification in instrumental variable models (1993), of the F that is warned of; Anderson and Rubin, Estimation
     of the parameters of a single equation (1949), of the test of the noise.
 
     Examples
@@ -364,10 +365,7 @@ class _Study:
         if self.instruments is not None:
             given = np.column_stack([self.instruments, np.ones(len(self.y))])
             features = given @ np.linalg.lstsq(given, features)[0]
-        directions, sizes, _ = np.linalg.svd(
-            features - self.fit_intercept * features.mean(axis=0), full_matrices=False
-        )
-        directions = directions[:, sizes > 1e-6 * sizes[0]]
+        directions = _directions(features - self.fit_intercept * features.mean(axis=0))
         coefficients = directions.shape[1] + int(self.fit_intercept)
         warned = []
         if len(self.y) < SAMPLES_EACH * coefficients:
@@ -387,6 +385,10 @@ class _Study:
         if equal < EQUAL_PARTS * len(self.parts):
             warned.append(
                 f"the held-out errors are those of {equal:.1f} of {len(self.parts)} parts; give a longer record."
+            )
+        if self.instruments is not None and (strength := _joint_strength(self.X, self.instruments)) < STRONG:
+            warned.append(
+                f"the instruments hardly explain one combination of the features (F = {strength:.2g})."
             )
         if (reliable := self.reliability()) < RELIABLE:
             warned.append(
@@ -434,6 +436,27 @@ def _strength(X, instruments) -> float:
     return float(
         np.min(explained / count / (np.maximum(left, least) / (samples - count - 1)), initial=np.inf)
     )
+
+
+def _joint_strength(X, instruments) -> float:
+    """The smallest F of any combination of the features, by their smallest canonical correlation with the instruments.
+
+    Near-collinear features may be explained well one by one, and their difference not at all (Cragg and Donald, 1993).
+    """
+    samples, count = instruments.shape
+    table, given = _directions(X - X.mean(axis=0)), instruments - instruments.mean(axis=0)
+    units = np.abs(given).max(axis=0)
+    given = _directions(given / np.where(units > 0, units, 1.0))
+    if not table.size or given.shape[1] < table.shape[1] or samples <= count + 1:
+        return 0.0
+    share = np.linalg.svd(given.T @ table, compute_uv=False)[-1] ** 2
+    return float(share / count / (max(1 - share, np.finfo(float).eps) / (samples - count - 1)))
+
+
+def _directions(table) -> np.ndarray:
+    """Orthonormal columns that span those of a table, but for what is near rounding."""
+    directions, sizes, _ = np.linalg.svd(table, full_matrices=False)
+    return directions[:, sizes > 1e-6 * sizes[0]]
 
 
 def _upper(differences, errors: float) -> float:
