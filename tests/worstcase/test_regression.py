@@ -240,15 +240,40 @@ def test_a_prediction_is_the_same_in_any_unit(estimator, fit_intercept):
             assert again.predict(X) / size == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.parametrize("seed", [21, 22])
 @pytest.mark.parametrize(
-    "estimator", [*SCALED[1:4], RidgeRegressor(0.0), InstrumentalRegressor(), HuberRegressor()], ids=repr
+    "estimator",
+    [
+        *SCALED[1:4],
+        RidgeRegressor(0.0),
+        InstrumentalRegressor(),
+        HuberRegressor(),
+        MinMaxRegressor([0.3, 0.2, 0.1], "sample"),
+        MinMaxRegressor([0.3, 0.2, 0.1], "sample", forgetting=0.9, fit_intercept=False),
+        TotalLeastSquares([0.1, 0.0, 0.2], 0.3),
+        BiasCompensatedRegressor([0.1, 0.0, 0.2]),
+    ],
+    ids=repr,
 )
-def test_each_feature_may_have_a_unit_of_its_own(estimator):
-    X, y = record(21)
+def test_each_feature_may_have_a_unit_of_its_own(estimator, seed):
+    """Of regressors without a penalty on all coefficients alike; what is known of a feature is in its unit.
+
+    Min-max refuses bounds that differ by more than 1e12.
+    """
+    X, y = record(seed)
     X[:5, 2] = 0
-    units = np.array([1e-9, 1.0, 1e9])
-    expected = clone(estimator).fit(X, y).predict(X)
-    assert clone(estimator).fit(X * units, y).predict(X * units) == pytest.approx(expected, rel=1e-7)
+    rng = np.random.default_rng(seed)
+    widest = 1e5 if isinstance(estimator, MinMaxRegressor) else 1e9
+    units, unit = rng.permutation([1 / widest, 1.0, widest]), 10 ** rng.uniform(-9, 9)
+    given = estimator.get_params()
+    own = {
+        name: np.multiply(given[name], units) for name in ("bound", "noise") if given.get(name) is not None
+    }
+    own |= {"output_noise": given["output_noise"] * unit} if "output_noise" in given else {}
+    for stream in (False, True)[: 1 + hasattr(estimator, "partial_fit")]:
+        expected = learn(clone(estimator), X, y, stream).predict(X)
+        again = learn(clone(estimator).set_params(**own), X * units, y * unit, stream)
+        assert again.predict(X * units) / unit == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("constant", [5.0, 1e-9, 1e6, 0.1])
