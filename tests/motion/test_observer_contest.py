@@ -23,12 +23,15 @@ from contest.noise_map import (
 from contest.noise_map import (
     MAPPED,
     NOISES,
+    PUBLICS,
     SEEDS,
     SIZES,
     ahead_of,
     crossings,
     flexible_errors,
     leads,
+    map_variants,
+    stored_map,
     turning,
 )
 from contest.nominal import OwnObserver, nominal_of
@@ -537,12 +540,27 @@ def test_tabulated_numbers_have_four_digits():
 
 
 def test_the_committed_map_holds_every_cell_and_seed():
-    errors = pd.read_csv(MAP)
-    assert list(errors.columns) == ["size", "noise", "seed", *MAPPED]
+    rows = pd.read_csv(MAP)
+    assert list(rows.columns) == ["public", "size", "noise", "seed", *MAPPED]
+    assert set(rows["public"].astype(str)) == set(PUBLICS)
     cells = {(size, noise, seed) for size in SIZES for noise in NOISES for seed in range(SEEDS)}
-    assert set(errors[["size", "noise", "seed"]].itertuples(index=False, name=None)) == cells
-    assert len(errors) == len(cells)
-    assert np.isfinite(errors.to_numpy()).all() and (errors[list(MAPPED)] > 0).all(axis=None)
+    for public in PUBLICS:
+        errors = stored_map(public)
+        assert set(errors[["size", "noise", "seed"]].itertuples(index=False, name=None)) == cells
+        assert len(errors) == len(cells)
+        assert np.isfinite(errors.to_numpy()).all() and (errors[list(MAPPED)] > 0).all(axis=None)
+    assert sorted(len(each) for each in map_variants().values()) == [600] * 4 + [1200] * 2
+
+
+@pytest.mark.slow
+def test_the_committed_map_is_of_this_code():
+    """Of the second public number, whose settings are those of the first; the Kalman filter has none."""
+    errors = stored_map(PUBLICS[1])
+    kept = errors[(errors["size"] == 0.02) & (errors["noise"] == 30)]["Kalman"].to_numpy()[:5]
+    found = flexible_errors(
+        plant_of("stage"), 0.02, 30.0, PUBLICS[1], range(5), {"Kalman": OwnObserver(ENTRANTS["Kalman"])}
+    )
+    assert found["Kalman"] == pytest.approx(kept, rel=2e-3)
 
 
 def test_a_lead_is_over_the_same_scans():
