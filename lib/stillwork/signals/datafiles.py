@@ -120,7 +120,9 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
                 skipinitialspace=True,
                 encoding="utf-8-sig",
             )
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError:
+        raise InputError(f"{path.name} is not text in UTF-8; save it as such") from None
+    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         raise InputError(f"{path.name} is not a table ({error}); give rows of equally many numbers") from None
     # A separator at the end of every row makes one more, empty column.
     table = table[
@@ -135,7 +137,9 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
                 f"{path.name}, column {name}: a number is beyond the largest floating-point number; correct it"
             ) from None
         text = column[np.isnan(numbers) & column.notna().to_numpy()]
-        if len(text):
+        if len(text) and (whole := _complex(column)) is not None:
+            numbers = whole
+        elif len(text):
             wrong = "not a number; correct it"
             if MOMENT.fullmatch(text.iloc[0]):
                 wrong = "a date or a time of day; give seconds from any start, or leave the column out"
@@ -144,6 +148,15 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
             )
         columns[str(name).strip() if named else f"column {number}"] = numbers
     return columns
+
+
+def _complex(column) -> np.ndarray | None:
+    """A column of complex numbers in the usual forms, 1+2j, (1+2i) or 1 + 2i; None where one of them is none."""
+    plain = column.fillna("nan").astype(str).str.replace(r"[\s()]", "", regex=True)
+    try:
+        return np.array([complex(each.replace("i", "j") if each[-1:] == "i" else each) for each in plain])
+    except ValueError:
+        return None
 
 
 def _fields(line: str, separator: str) -> list[str]:
