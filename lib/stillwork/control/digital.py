@@ -752,7 +752,11 @@ def load_controller(file: str | Path) -> DigitalController:
     """
     file = Path(file)
     if file.suffix.lower() == ".toml":
-        return _from_table(read_toml(file).table("controller"))
+        try:
+            return _from_table(read_toml(file).table("controller"))
+        except InputError as error:
+            named = str(error) if file.name in str(error) else f"{file.name}: {error}"
+            raise InputError(named) from None
     try:
         entries = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
@@ -783,7 +787,10 @@ def load_controller(file: str | Path) -> DigitalController:
 
 def _from_table(table: Table) -> DigitalController:
     sample_time = 1 / require_number("rate_hz", table["rate_hz"], above=0.0)
-    model = from_biquads(table["biquads"], sample_time) if "biquads" in table else _model(table, sample_time)
+    if "biquads" in table:
+        model = from_biquads(require_array("biquads", table["biquads"], shape=(None, 6)), sample_time)
+    else:
+        model = _model(table, sample_time)
     outputs, inputs = model.d.shape
     read: dict[str, Any] = {
         name: tuple(table.get(name, [f"{name[:-1]} {k + 1}" for k in range(count)]))

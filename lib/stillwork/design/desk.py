@@ -12,6 +12,7 @@ from stillwork.base.extras import require_package
 from stillwork.control.machine_designs import UNCERTAINTY, asked_uncertainty
 from stillwork.control.uncertainty import NAMES, uncertainty_of
 from stillwork.design.desk_page import offline_page
+from stillwork.design.html_page import require_new
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine
@@ -35,9 +36,7 @@ def desk_file(file: str = "", out: str = "", **options) -> list[str]:
     Where `out` ends in ``.json`` it is the machine alone, which any such page opens. `options` are those of
     `machine_to_begin_with`.
     """
-    target = Path(out or f"{Path(file).name or 'desk'}.html")
-    if target.exists():
-        raise InputError(f"{target} exists; move it away, or give another --out")
+    target = require_new(out or f"{Path(file).name or 'desk'}.html")
     machine = machine_to_begin_with(file, **options)
     if target.suffix == ".json":
         text = json.dumps(machine, allow_nan=False) + "\n"

@@ -8,6 +8,7 @@ from stillwork.base.checks import InputError, require_choice
 from stillwork.base.toml_files import Table, read_toml
 from stillwork.control.c_code import adaptation_code, controller_code
 from stillwork.control.digital import load_controller
+from stillwork.design.html_page import require_writable
 from stillwork.estimation.adaptive import FeLms, FeRls
 
 ADAPTATIONS = {"FeRls": FeRls, "FeLms": FeLms}
@@ -52,7 +53,8 @@ def write_folder(folder: str | Path, files: dict[str, str]) -> None:
 
 
 def require_free(folder: str | Path) -> None:
-    """Refuse a folder in which something stands: nothing is overwritten."""
+    """Refuse a folder in which something stands, nothing is overwritten; and one that cannot be written."""
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} is not empty; nothing is overwritten: name a new folder, or move it away")
+    require_writable(folder.absolute().parent)

@@ -13,7 +13,7 @@ from stillwork.base.checks import InputError, one_line
 from stillwork.base.extras import require_package
 from stillwork.control.machine_designs import DELAY, EACH, asked_uncertainty, search_designs
 from stillwork.design.design import USES, paint_machine, paint_stabilisation, uses_table
-from stillwork.design.html_page import page, picture, table
+from stillwork.design.html_page import page, picture, require_new, table
 from stillwork.design.inspect import inspect_file
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import (
@@ -96,9 +96,7 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
         raise InputError(
             f"{source.name} is a model, not a measurement; `stillwork inspect` says what takes it"
         )
-    target = Path(out or f"{source.name}.html")
-    if target.exists():
-        raise InputError(f"{target} exists; move it away, or give another --out")
+    target = require_new(out or f"{source.name}.html")
     arrays = read_arrays(source)
     if all(array.size < 2 for array in arrays.values()):
         raise InputError(f"{source.name} holds no rows of numbers; export the measurement again")
@@ -130,8 +128,12 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     if kind == "hammer records":
         _rate(source, arrays, said)
     if kind != "matrices":
+        try:
+            units = stated_units(arrays)
+        except InputError as error:
+            raise InputError(f"{source.name}: {error}") from None
         for name, stated, usual in zip(
-            ("response_unit", "force_unit"), stated_units(arrays), ("m/s^2, g or um", "N or kN"), strict=True
+            ("response_unit", "force_unit"), units, ("m/s^2, g or um", "N or kN"), strict=True
         ):
             if not stated and name not in said:
                 whose = name.partition("_")[0]

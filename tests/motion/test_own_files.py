@@ -1,0 +1,140 @@
+"""Files of a machine as they come from other people's programs: obeyed, or refused with what, where and what to do."""
+
+import json
+import os
+import re
+
+import numpy as np
+import pytest
+
+from motion.true_machines import TrueMachine
+from stillwork.__main__ import main
+
+TRUE = TrueMachine(mass=12.0, hertz=(180.0,), damping=(0.01,), position=(-0.5,))
+HERTZ = np.geomspace(10, 800, 300)
+RESPONSE = TRUE.response(HERTZ)
+PARTS = "frequency (Hz),real (m/N),imag (m/N)"
+
+
+def table(rows, head=PARTS, mark=",", end="\n"):
+    return end.join([head, *(mark.join(str(each) for each in row) for row in rows)]) + end
+
+
+ROWS = [(f"{f:.8g}", f"{z.real:.8g}", f"{z.imag:.8g}") for f, z in zip(HERTZ, RESPONSE, strict=True)]
+SEMICOLONS = table(ROWS, PARTS.replace(",", ";"), ";", "\r\n").replace(".", ",")
+
+
+def complex_rows(write):
+    return table(
+        [(row[0], write(z)) for row, z in zip(ROWS, RESPONSE, strict=True)], "frequency (Hz),h (m/N)"
+    )
+
+
+OBEYED = {
+    "plain": table(ROWS).encode(),
+    "byte order mark": table(ROWS).encode("utf-8-sig"),
+    "carriage returns": table(ROWS, end="\r\n").encode(),
+    "semicolons, decimal commas": SEMICOLONS.encode("utf-8-sig"),
+    "tabs": table(ROWS, PARTS.replace(",", "\t"), "\t").encode(),
+    "complex j": complex_rows(lambda z: f"{z.real:.8g}{z.imag:+.8g}j").encode(),
+    "complex i": complex_rows(lambda z: f"{z.real:.8g}{z.imag:+.8g}i").encode(),
+    "complex in brackets": complex_rows(lambda z: f"({z.real:.8g}{z.imag:+.8g}j)").encode(),
+    "complex with spaces": complex_rows(
+        lambda z: f"{z.real:.8g} {'+-'[int(z.imag < 0)]} {abs(z.imag):.8g}i"
+    ).encode(),
+    "negative frequencies, too": table(
+        [(f"-{f}", re, f"{-float(im):.8g}") for f, re, im in ROWS[::-1]] + ROWS
+    ).encode(),
+}
+GAP = [*ROWS[:50], (ROWS[50][0], "nan", ROWS[50][2]), *ROWS[51:]]
+REFUSED = {
+    "nan": (table(GAP), "1 NaN .* first at index .50.* remove or repair"),
+    "word": (table([("10", "oops", "0"), *ROWS]), "column real .*'oops' in row 1"),
+    "complex word": (
+        table([("10", "1+j2"), ("20", "3i")], "frequency (Hz),h (m/N)"),
+        "in row 1 is not a number",
+    ),
+    "empty": ("", "is empty; give a line of names"),
+    "names alone": (PARTS + "\n", "no rows; give rows"),
+    "five lines": (table(ROWS[:5]), "5 usable lines are too few.* at least 32"),
+    "twice": (table([*ROWS[:9], *ROWS[8:]]), "does not rise from line to line; sort"),
+    "unsorted": (table(ROWS[::-1]), "does not rise from line to line; sort"),
+    "units": (table(ROWS, PARTS.replace("imag (m", "imag (mm")), "in m and in mm; give one unit"),
+    "unknown": (table(ROWS, PARTS.replace("(m/N", "(furlong/N")), "furlong/N.* not known; convert"),
+    "utf-16": (table(ROWS).encode("utf-16"), "not text in UTF-8; save it"),
+}
+
+
+def run(capsys, *arguments):
+    status = main([str(each) for each in arguments])
+    shown = capsys.readouterr()
+    return status, shown.err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", OBEYED)
+def test_a_file_is_read_however_it_was_written(tmp_path, capsys, kind):
+    file = tmp_path / "of a machine" / "my file.csv"
+    file.parent.mkdir()
+    file.write_bytes(OBEYED[kind])
+    assert run(capsys, "inspect", file)[0] == 0
+    assert run(capsys, "desk", file, "--out", tmp_path / "machine.json")[0] == 0
+    machine = json.loads((tmp_path / "machine.json").read_text(encoding="utf-8"))
+    assert machine["mass"] == pytest.approx(12, rel=1e-4) and machine["units"]["position"] == "m"
+    assert np.divide(machine["model"]["omega"][1:], 2 * np.pi) == pytest.approx([180], rel=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", REFUSED)
+def test_a_file_that_is_wrong_is_refused_and_nothing_written(tmp_path, capsys, kind):
+    content, message = REFUSED[kind]
+    file = tmp_path / "mine.csv"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    for command in (["desk"], ["report"], ["design", "--rate", "8000"]):
+        status, said = run(capsys, command[0], file, *command[1:], "--out", tmp_path / "out")
+        assert status == 2 and "mine.csv" in said and os.listdir(tmp_path) == ["mine.csv"]
+        if command != ["report"]:  # it asks for what is missing
+            assert re.search(message, " ".join(said.split()))
+
+
+@pytest.mark.slow
+def test_what_cannot_be_written_is_refused_before_anything_is_computed(tmp_path, capsys, monkeypatch):
+    file, table_file = tmp_path / "mine.csv", tmp_path / "my.toml"
+    file.write_bytes(OBEYED["plain"])
+    table_file.write_text("[controller]\nrate_hz = 1e4\nbiquads = [[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]\n")
+    before = sorted(os.listdir(tmp_path))
+    for out, why in (
+        (file / "page.html", "is a file|no folder"),
+        (tmp_path / "no" / "page.html", "no folder"),
+    ):
+        for command in ("desk", "report"):
+            status, said = run(capsys, command, file, "--out", out)
+            assert status == 2 and re.search(rf"({why}).*another --out", said)
+            assert "of 10" not in said  # nothing was searched
+    for command in (["design", file, "--rate", "8000"], ["export", table_file]):
+        status, said = run(capsys, *command, "--out", file / "code")
+        assert status == 2 and "is a file; give another --out" in said and " of 1" not in said
+    monkeypatch.setattr("tempfile._os.mkdir", _read_only)
+    for command in (["design", file, "--rate", "8000"], ["export", table_file]):
+        status, said = run(capsys, *command, "--out", tmp_path / "code")
+        assert status == 2 and "nothing can be written into" in said and "Read-only" in said
+    assert sorted(os.listdir(tmp_path)) == before
+
+
+def _read_only(path, mode=0o777):
+    raise OSError(30, os.strerror(30), path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("rate_hz = 'fast'\nbiquads = [[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]", "my.toml: rate_hz is 'fast'"),
+        ("rate_hz = 1e4\nbiquads = [[1.0, 0.0, 0.0, 1.0, 0.0]]", "my.toml: biquads has shape"),
+        ("rate_hz = 1e4\nbiquads = [[nan, 0.0, 0.0, 1.0, 0.0, 0.0]]", "my.toml: biquads holds 1 NaN"),
+        ("biquads = [[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]", "rate_hz"),
+    ],
+)
+def test_a_controller_that_is_wrong_is_refused_by_its_own_names(tmp_path, capsys, text, message):
+    (tmp_path / "my.toml").write_text(f"[controller]\n{text}\n")
+    status, said = run(capsys, "export", tmp_path / "my.toml", "--out", tmp_path / "code")
+    assert status == 2 and message in said and not (tmp_path / "code").exists()
