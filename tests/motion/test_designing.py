@@ -251,13 +251,47 @@ def test_a_sensitivity_measured_in_the_loop_is_a_retest(written, tmp_path):
     assert "the promise holds" in said[0]
     sizes = dict(re.findall(r"(S_I|S_O) ([-.\d]+) dB", said[1]))
     assert float(sizes["S_O"]) == pytest.approx(20 * np.log10(np.abs(sensitivity).max()), abs=0.006)
-    np.savez(
-        tmp_path / "p.npz", **{"frequency (Hz)": hertz, "p": plant}
-    )  # the machine, which is no sensitivity
-    with pytest.raises(InputError, match=r"^p\.npz\b"):
-        retest_file(
-            str(written[0] / "controller.json"), str(tmp_path / "p.npz"), str(tmp_path / "no.html"), closed_loop=True
-        )  # fmt: skip
+    assert not any("outside the box" in line for line in said)
+    # The machine is no sensitivity, nor is what is left of 1; a file that ends below the crossing proves nothing.
+    low = hertz < 5
+    for name, axis, values in (
+        ("p", hertz, plant),
+        ("t", hertz, 1 - sensitivity),
+        ("low", hertz[low], sensitivity[low] / np.abs(sensitivity[low]).max()),
+    ):
+        np.savez(tmp_path / f"{name}.npz", **{"frequency (Hz)": axis, name: values})
+        with pytest.raises(InputError, match=rf"^{name}\.npz\b"):
+            retest_file(
+                str(written[0] / "controller.json"), str(tmp_path / f"{name}.npz"), str(tmp_path / "no.html"), closed_loop=True
+            )  # fmt: skip
+    assert not (tmp_path / "no.html").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("gain", "frequency"), [(1.0, 1.0), (1.04, 0.96), (1.3, 1.0), (0.75, 1.0), (1.0, 0.7)]
+)
+def test_a_retest_in_the_loop_judges_machines_that_moved(written, tmp_path, gain, frequency):
+    """Inside the box, 30 % stronger, 25 % weaker, and with the mode moved out of the box: peaks and gain are SciPy's."""
+    controller = load_controller(written[0] / "controller.json")
+    hertz = np.unique(np.concatenate([np.geomspace(1.0, 4e3, 2000), np.linspace(120, 260, 900)]))
+    moved = modal_model(MASS, frequency**2 * STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005)
+    k = controller.linear.frequency_response(2 * np.pi * hertz)[0, 0]
+    sensitivity = 1 / (1 + gain * k * held_response(moved, hertz))
+    np.savez(tmp_path / "s.npz", **{"frequency (Hz)": hertz, "s": sensitivity})
+    said = retest_file(
+        str(written[0] / "controller.json"), str(tmp_path / "s.npz"), str(tmp_path / "page.html"), closed_loop=True
+    )  # fmt: skip
+    size = 20 * np.log10(np.abs(sensitivity).max())
+    shown = {name: float(each) for name, each in re.findall(r"(S_I|S_O) ([-.\d]+) dB", said[1])}
+    assert shown["S_O"] == pytest.approx(size, abs=0.006)
+    assert ("the promise holds" in said[0]) == (max(shown.values()) <= 6.01)
+    outside = [line for line in said if "outside the box" in line]
+    if frequency == 1.0:
+        assert bool(outside) == (abs(gain - 1) > 0.05)
+        assert not outside or f"{100 * (gain - 1):+.2g} %" in outside[0]
+    if (gain, frequency) == (1.04, 0.96):
+        assert "the promise holds" in said[0]
 
 
 @pytest.mark.slow

@@ -155,7 +155,7 @@ def test_two_sensitivities_of_one_sensor_are_two_places_to_open_the_loop():
     """As the guide explains them: signals of the block diagram, added at the sensor and at the output of the PID."""
     larger = {"input_sensitivity": 0, "output_sensitivity": 0}
     for seed in range(20):
-        _, loop, pid, design = drawn(seed)
+        _, loop, pid, _ = drawn(seed)
         omega = np.geomspace(loop.omega[0], 0.49 * TURN / loop.sample_time, 40)
         found, observer = loop.at(pid, omega), loop.compensator.frequency_response(omega)
         for k in range(len(omega)):

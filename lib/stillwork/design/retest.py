@@ -15,7 +15,7 @@ from stillwork.control.digital import DigitalController, in_units, load_controll
 from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference, on_measurement
 from stillwork.control.pid import Notch, Pid
 from stillwork.design.hardware import ALLOWED_DB, own_functions
-from stillwork.design.html_page import page, picture, table
+from stillwork.design.html_page import page, picture, require_new, table
 from stillwork.design.inspect import inspect_file
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
@@ -23,6 +23,9 @@ from stillwork.identification.machine_files import load_machine, load_ratio
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 from workbook import figures
+
+AROUND = 1.5  # the crossing: lines from which the gain of a machine in its loop is read
+STRANGE = 5.0  # times the machine of the design, or less of it: another machine, or another quantity
 
 
 def retest_file(
@@ -65,9 +68,7 @@ def retest_file(
         When a file cannot be used, or the page exists.
     """
     require_package("matplotlib")
-    target = Path(out or f"{Path(file).name}.retest.html")
-    if target.exists():
-        raise InputError(f"{target} exists; move it away, or give another --out")
+    target = require_new(out or f"{Path(file).name}.retest.html")
     written = load_controller(controller)
     about = Table(dict(written.about), Path(controller).name)
     made = about.table("provenance")
@@ -85,8 +86,9 @@ def retest_file(
     gains = about["gains"]
     pid = Pid(**gains | {"notches": tuple(Notch(**each) for each in gains["notches"])})
     if closed_loop:
-        loops, changes = {"measured": _from_sensitivity(before, written, file, loop_hz, reading)}, []
-        stable, turns = True, None  # it ran
+        seen = _from_sensitivity(before, written, file, loop_hz, reading)
+        loops, stable, turns = {"measured": seen}, True, None  # it ran
+        changes = _gain_change(before, seen, pid, made, Path(file).name)
     else:
         machine = build_machine(
             load_machine(file, **reading), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False
@@ -194,6 +196,28 @@ def _from_sensitivity(
         plant_response=(1 - 1 / seen.response) * (1 - k_f) / k_y,
         compensator_response=before.compensator.frequency_response(seen.omega),
     )
+
+
+def _gain_change(before: Loop, seen: Loop, pid: Pid, made: Table, name: str) -> list[list[str]]:
+    """A row: the machine that follows from a measured sensitivity over that of the design, about the crossing."""
+    crossing = before.crossing_hz(pid)
+    near = np.abs(np.log(seen.omega / (2 * np.pi * crossing))) < np.log(AROUND)
+    if not near.any():
+        raise InputError(
+            f"{name} holds no line from {crossing / AROUND:.3g} to {crossing * AROUND:.3g} Hz, about the loop's crossing; "
+            "measure there, or widen loop_hz"
+        )
+    ratios = seen.plant_response[near] / before.plant_at(seen.omega[near])
+    ratio = np.median(ratios.real) + 1j * np.median(ratios.imag)
+    if abs(np.angle(ratio)) > np.pi / 4 or not 1 / STRANGE < abs(ratio) < STRANGE:
+        raise InputError(
+            f"{name} is of another machine, or no output sensitivity: about the crossing at {crossing:.3g} Hz the machine "
+            f"that follows from it is {abs(ratio):.3g} times that of the design, turned by {np.degrees(np.angle(ratio)):.0f} "
+            "degrees; give the force that reaches the machine over the injected one"
+        )
+    change, box = abs(ratio) - 1, made.table("uncertainty")
+    held = "in the box" if abs(change) <= box["mass"] + box["gain"] else "outside the box"
+    return [[f"gain about {crossing:.3g} Hz", "1", f"{abs(ratio):.4g}", f"{100 * change:+.2g} %", held]]
 
 
 def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -> list[list[str]]:
