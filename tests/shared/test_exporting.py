@@ -53,7 +53,7 @@ BAD = {
     "[FeRsl]\nactuators = 2\n": "did you mean 'FeRls'?",
     "": "table is None; use one of",
     "[controller]\nbiquads = []\n": "'rate_hz' is missing",
-    "[controller]\nrate_hz = 1\nbiquads = [[1, 2]]\n": "sections has shape",
+    "[controller]\nrate_hz = 1\nbiquads = [[1, 2]]\n": "a.toml: biquads has shape",
     "FeLms = 3\n": "make it a table [FeLms]",
 }
 
