@@ -1,5 +1,7 @@
 """Pictures of measurement noise: correlations, beliefs of a Kalman filter, tuned filters and their cost."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from experiments.fixedpoint.axes import COLOURS, METRICS, legend_above, log_axis, points_with_intervals
@@ -92,15 +94,21 @@ def motion_at_rest(sample_time: float):
     return semi_implicit_motion(slopes, sample_time)[0]
 
 
-def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
-    """Computed and true standard deviation of the Kalman filter's errors when its R is scaled."""
+@lru_cache(maxsize=8)
+def _expected_beliefs(noise_deviation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scales of R, and the computed and the true variances; they stay while the assumed scale alone moves."""
     scales, sample_time, nothing = np.geomspace(1e-4, 1e4, 25), 1e-3, np.zeros((2, 2))
     still, process, assumed = motion_at_rest(sample_time), np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
     settled = [
         steady_errors(still, process, scale * assumed, noise_deviation, sample_time, nothing)
         for scale in scales
     ]
-    computed, true = (np.array([np.diag(getattr(s, n)) for s in settled]) for n in ("computed", "true"))
+    return scales, *(np.array([np.diag(getattr(s, n)) for s in settled]) for n in ("computed", "true"))
+
+
+def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
+    """Computed and true standard deviation of the Kalman filter's errors when its R is scaled."""
+    scales, computed, true = _expected_beliefs(noise_deviation)
     figure = paint_beliefs(scales, computed, true, "factor on the assumed R", (assumed_scale,))
     for axes in figure.axes:
         log_axis(axes.xaxis)
