@@ -164,7 +164,9 @@ def test_the_unstable_cycle_separates_return_from_divergence(exact, approximate)
 
 def test_a_right_model_has_a_weak_edge_too(exact, approximate):
     """Both edges are those with the wrong mass times f': a gain acts by its product with the plant's response."""
-    controller = replace(published_controllers(approximate)["low pass"], transformation=RobustTransformation())
+    controller = replace(
+        published_controllers(approximate)["low pass"], transformation=RobustTransformation()
+    )
     wrong, right = (
         stable_range(linear_loop(plant, controller, SAMPLE_TIME)).limits for plant in (exact, approximate)
     )
