@@ -1,8 +1,11 @@
 """Pictures of the measured case."""
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 
-from experiments.worstcase.measured import bound_sweep
+from experiments.worstcase.measured import bound_sweep, window_residuals
 from experiments.worstcase.pairs import MeasuredPair, Spectra, load_pair
 from workbook import figures
 
@@ -63,3 +66,26 @@ def explore_sweep(taps: int, length: int):
     pair, _ = load_pair((100.0, 1500.0), (300.0, 600.0))
     factors = np.geomspace(0.1, 5, 9)
     return paint_sweep(factors, {int(length): bound_sweep(pair, int(taps), int(length), factors, 10)})
+
+
+SHIFT = 500  # samples by which the windows are moved
+
+
+def over_models(pair: MeasuredPair, taps: tuple[int, ...], longest: int, most: int) -> dict[str, np.ndarray]:
+    """What is concluded of 32 taps and one place of the windows, for each of `taps` at two places; by entry.
+
+    ``short-windows``: the smallest share of the windows of two and of five times the taps in which min-max beats least
+    squares. ``long-windows`` and ``ridge``: median residual of min-max over that of least squares, and that of ridge over
+    that of min-max, with the longest window.
+    """
+    found = {"short-windows": [], "long-windows": [], "ridge": []}
+    shifted = replace(pair, input=pair.input[SHIFT:], output=pair.output[SHIFT:])
+    for each, count in product((pair, shifted), taps):
+        residuals = window_residuals(each, count, [2 * count, 5 * count, longest], most)
+        least, ridge, ours = (
+            residuals[name] for name in ("least squares", "ridge", "min-max, typical bound")
+        )
+        found["short-windows"].append(min(np.mean(ours[k] < least[k]) for k in (0, 1)))
+        found["long-windows"].append(np.median(ours[2]) / np.median(least[2]))
+        found["ridge"].append(np.median(ridge[2]) / np.median(ours[2]))
+    return {name: np.array(values) for name, values in found.items()}

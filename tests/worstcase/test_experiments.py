@@ -2,7 +2,7 @@ import warnings
 
 import numpy as np
 import pytest
-from scipy import optimize
+from scipy import optimize, signal
 
 from experiments.worstcase import measured
 from experiments.worstcase.pairs import load_pair, open_pair
@@ -180,6 +180,24 @@ def test_an_exchanged_pair_has_the_other_sensor_s_noise():
         band_hz=(100.0, 1500.0), quiet_hz=(300.0, 600.0),
     )[0]  # fmt: skip
     assert other.noise == pytest.approx(again.noise[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("samples", [1000, 20000])
+def test_the_quietest_tenth_is_low_where_noise_fills_the_band_and_high_where_the_input_does(
+    samples, tmp_path
+):
+    found = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        tone = np.sin(0.3 * np.arange(samples))
+        loud = 0.3 * signal.lfilter([1.0], [1.0, -0.95], rng.standard_normal(samples))
+        file = tmp_path / f"{seed}.csv"
+        table = np.column_stack([tone, loud]) + 0.1 * rng.standard_normal((samples, 2))
+        np.savetxt(file, table, delimiter=",", header="tone,loud", comments="")
+        found.append(open_pair(file, sample_rate=1000.0)[0].noise)
+    low, high = np.transpose(found) / 0.1
+    assert 0.75 < low.min() <= low.max() < 1
+    assert high.min() > 1.2
 
 
 def test_counter_example_is_steep_by_plain_differences():

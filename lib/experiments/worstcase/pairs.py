@@ -94,7 +94,7 @@ def open_pair(
     Empty `channels` take the file's only two, in order: input and output, as `units` and `noise` have them; `sample_rate`
     is for files without a time or a rate. Without a `band_hz` everything passes but the mean. In `quiet_hz` the machine
     rests, so that what is seen is sensor noise, taken as white over the pass band; by default the quietest tenth of it,
-    an upper bound on a white floor. `noise` are standard deviations in the pass band from a data sheet or a measurement
+    up to a quarter low where nearly all of the band is noise alone. `noise` are standard deviations in the pass band from a data sheet or a measurement
     at rest, in the file's units; 0: from `quiet_hz`.
     """
     named = [name for name in channels if name]
