@@ -141,7 +141,12 @@ def summary_of(notebook: str) -> Summary:
     topic = notebook.partition("/")[0]
     source = "\n".join(read_notebook(notebook).cells.values())
     ids = notebook_source.claims_checked(source, list(load_entries(topic)))
-    mine = [claim for claim in ledger(topic=topic) if claim.notebook == notebook or claim.entry.id in ids]
+    # One that no build has judged yet belongs to the page whose code names it.
+    mine = [
+        claim
+        for claim in ledger(topic=topic)
+        if (claim.notebook == notebook if claim.notebook else claim.entry.id in ids)
+    ]
     found = judged(topic) if mine else {}
     first = next(
         iter(notebook_source.figures_saved(source, [claim.entry.id.split(".")[1] for claim in mine])), ""

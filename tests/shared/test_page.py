@@ -202,6 +202,12 @@ def test_the_summary_has_what_was_published_and_found():
     assert "<li>◐ <strong>achievable bandwidth</strong>" in summary._repr_html_()
 
 
+@pytest.mark.parametrize("name", ["fixedpoint/02-small-noise", "fixedpoint/05-differentiation-noise"])
+def test_a_summary_has_its_own_page_s_entries_alone(name):
+    """Though the code of the page makes the ends of ids, which fit those of other pages."""
+    assert {line.claim.notebook for line in summary_of(name).lines} == {name}
+
+
 def test_a_statement_is_said_to_hold_and_holds_in_a_share_of_the_cases():
     entry = Entry("motion.order.a", "section 1", "runs in which it holds", "1", "ordering", 1.0)
     line = headlines([Claim(entry, 0.075, (0.0258, 0.199))], {})[0]
