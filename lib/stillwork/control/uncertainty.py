@@ -320,7 +320,10 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
     delays = np.maximum(delays, -loop.delay * sample_time)
     middle = len(delays) // 2
     delays = np.append(delays[middle], np.delete(delays, middle))
-    return Box(omega, parts, sizes, places, ratios, fixed, low, high, uncertainty.gain, delays, drags)
+    late_by = np.exp(-1j * omega[:, None] * delays)
+    gain = uncertainty.gain
+    discs = _discs(parts, sizes, fixed, low, high, 1 - gain, 1 + gain, late_by)
+    return Box(omega, parts, sizes, places, ratios, fixed, low, high, gain, delays, drags, *discs)
 
 
 def _drags(drag: float, spread: float) -> np.ndarray:
@@ -390,6 +393,8 @@ class Box(NamedTuple):
     gain: float
     delays: np.ndarray  # s, the middle first
     drags: np.ndarray  # 1/s, by the places of a rigid body
+    middles: np.ndarray  # (frequencies,), m/N: centres of discs that the plant does not leave ...
+    radii: np.ndarray  # ... and their radii
 
     @checked(infinite=True)
     def worst(
@@ -434,7 +439,7 @@ class Box(NamedTuple):
             least = BETWEEN * limit if exact else limit
             size, row, taken, parts, gain, delay = _worst(
                 ratio, self.parts, self.sizes, self.fixed, self.low, self.high,
-                1 - self.gain, 1 + self.gain, late, least**2, starts, SWEEPS, first,
+                1 - self.gain, 1 + self.gain, late, self.middles, self.radii, least**2, starts, SWEEPS, first,
             )  # fmt: skip
             if row < 0:
                 continue
@@ -455,15 +460,12 @@ class Box(NamedTuple):
 
 
 @kernel
-def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, least, starts, sweeps, first):
-    """Largest square of |1 + (a + bP)/(c + dP)| above `least`, P anywhere in the box: its row and what P is made of."""
+def _discs(parts, sizes, fixed, low, high, least_gain, most_gain, late):
+    """Centre and radius, at each frequency, of a disc that holds what the plant may be: by the triangle inequality."""
     rows, modes = parts.shape[0], parts.shape[1]
-    best, best_row, best_gain, best_late = least, -1, 1.0, 0
-    best_taken, best_parts = np.zeros(modes, np.int64), np.ones(modes)
-    taken, factors = np.zeros(modes, np.int64), np.ones(modes)
+    middles, radii = np.zeros(rows, np.complex128), np.zeros(rows)
+    scale = max(most_gain - 1, 1 - least_gain)
     for row in range(rows):
-        a, b, c, d = ratio[row, 0], ratio[row, 1], ratio[row, 2], ratio[row, 3]
-        # No place can exceed what is sought where even the triangle inequality does not.
         middle, radius = fixed[row], 0.0
         for k in range(modes):
             nominal = 2 if sizes[k] > 2 and sizes[k] != 3 else 0
@@ -474,11 +476,27 @@ def _worst(ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, l
                 far = max(far, abs(parts[row, k, j] - own))
                 size = max(size, abs(parts[row, k, j]))
             radius += far + max(high[k] - 1, 1 - low[k]) * size
-        scale = max(most_gain - 1, 1 - least_gain)
         turned = 0.0
         for j in range(late.shape[1]):
             turned = max(turned, abs(late[row, j] - 1))
         radius += (scale + turned * (1 + scale)) * (abs(middle) + radius)
+        middles[row], radii[row] = middle, radius
+    return middles, radii
+
+
+@kernel
+def _worst(
+    ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, middles, radii, least, starts, sweeps, first
+):
+    """Largest square of |1 + (a + bP)/(c + dP)| above `least`, P anywhere in the box: its row and what P is made of."""
+    rows, modes = parts.shape[0], parts.shape[1]
+    best, best_row, best_gain, best_late = least, -1, 1.0, 0
+    best_taken, best_parts = np.zeros(modes, np.int64), np.ones(modes)
+    taken, factors = np.zeros(modes, np.int64), np.ones(modes)
+    for row in range(rows):
+        a, b, c, d = ratio[row, 0], ratio[row, 1], ratio[row, 2], ratio[row, 3]
+        # No place can exceed what is sought where even the triangle inequality does not.
+        middle, radius = middles[row], radii[row]
         below = abs(c + d * middle) - abs(d) * radius
         if below > 0 and (abs(a + c + (b + d) * middle) + abs(b + d) * radius) ** 2 <= best * below**2:
             continue
