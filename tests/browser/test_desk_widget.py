@@ -3,6 +3,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
@@ -32,6 +33,7 @@ const model = {{
 const source = URL.createObjectURL(new Blob([{module}], {{ type: "text/javascript" }}));
 const {{ default: widget }} = await import(source);
 window.model = model;
+window.widget = widget;
 window.values = values;
 window.listeners = listeners;
 window.ends = ["above", "below"].map((id) => widget.render({{ model, el: document.getElementById(id) }}));
@@ -116,6 +118,51 @@ def test_a_design_from_python_is_shown_and_what_is_none_refused(cells):
     design["blocks"] = [each for each in design["blocks"] if each["kind"] != "sampling"]
     cells.browser.run("window.model.set('design', arguments[0])", design)
     cells.wait(lambda: cells.python("controller") == "")
+
+
+def test_what_is_refused_does_not_stay_in_python(cells):
+    before = cells.python("design")
+    for block in (
+        {"kind": "pid"},
+        {"kind": "delay", "delay_us": -100.0},
+        {"kind": "sampling", "rate_hz": 1e4},
+    ):
+        wrong = {**before, "blocks": [*before["blocks"], block]}
+        cells.browser.run("window.model.set('design', arguments[0])", wrong)
+        assert cells.python("design") == before
+        assert "the desk keeps its own" in cells.by("above", "message").text
+    wrong = {**before, "limit": "50"}
+    cells.browser.run("window.model.set('design', arguments[0])", wrong)
+    assert cells.python("design") == before
+
+
+def test_a_dropped_machine_is_in_every_cell(cells):
+    """Also in one that is shown later, which leaves the design as it is."""
+    hertz = np.linspace(2, 400, 300)
+    rows = "\n".join(f"{f},{1 / 3 * (1 + 0.1 * (f / 300) ** 2):.8g},{-1e-3 * f:.8g}" for f in hertz)
+    cells.browser.run(
+        """const files = new DataTransfer(), input = document.querySelector('#above > div').shadowRoot.querySelector('#desk-file');
+        files.items.add(new File([arguments[0]], 'own.csv'));
+        input.files = files.files;
+        input.dispatchEvent(new Event('change'));""",
+        f"frequency (Hz),real (m/s^2/N),imaginary (m/s^2/N)\n{rows}\n",
+    )
+    cells.wait(lambda: cells.python("machine") == "own.csv")
+    cells.wait(lambda: cells.by("below", "machine").get_property("value") == "own.csv")
+    assert [each["name"] for each in cells.python("machines")][1:] == ["own.csv"]
+    field, gain = cells.by("above", "0-gain"), cells.value("above", "0-gain")
+    cells.browser.run("arguments[0].focus(); arguments[0].select()", field)
+    ActionChains(cells.driver).send_keys(f"{0.7 * gain:.7g}", Keys.TAB).perform()
+    cells.wait(lambda: cells.value("below", "0-gain") == pytest.approx(0.7 * gain, rel=1e-5))
+    before = cells.python("design")
+    cells.browser.run(
+        """const cell = document.createElement('div');
+        cell.id = 'third';
+        document.body.append(cell);
+        window.widget.render({ model: window.model, el: cell });"""
+    )
+    cells.wait(lambda: cells.value("third", "0-gain") == pytest.approx(0.7 * gain, rel=1e-5))
+    assert cells.python("machine") == "own.csv" and cells.python("design") == before
 
 
 def test_a_cell_keeps_to_itself_and_ends(cells):

@@ -729,3 +729,19 @@ def test_a_machine_without_a_stable_first_design_says_so(node):
     late = machine_to_begin_with() | {"start": {"rate_hz": 4000.0, "delay_samples": 1.2e5}}
     (found,) = values(node([("here", "first", late)]))
     assert "next to no gain" in found["words"][0] and found["design"]["blocks"][0]["gain"] < 1e-5
+
+
+def test_a_design_is_changed_in_python():
+    desk, seen = show_desk(), []
+    desk.observe(lambda change: seen.append(change["new"]["blocks"][0]["value"]), "design")
+    desk.design = {"blocks": [{"kind": "gain", "value": 1e5}], "limit": None}
+    design = desk.design
+    design["blocks"][0]["value"] *= 0.5
+    assert desk.design["blocks"][0]["value"] == 1e5
+    desk.design = design
+    design["blocks"][0]["value"] = np.float32(3)
+    desk.design = design
+    assert seen == [1e5, 5e4, 3.0] and type(desk.design["blocks"][0]["value"]) is float
+    for wrong in ({"blocks": [1]}, {"blocks": ["kind"]}, {"blocks": [{"kind": "gain", "value": np.nan}]}):
+        with pytest.raises(InputError, match="design must"):
+            desk.design = wrong

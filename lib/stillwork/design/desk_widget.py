@@ -1,6 +1,8 @@
 """The desk as a widget of Jupyter: the modules of the offline page, and what is designed on it as traits."""
 
+import json
 from collections.abc import Mapping
+from copy import deepcopy
 from typing import Any
 
 import anywidget
@@ -8,6 +10,13 @@ import traitlets
 
 from stillwork.base.checks import InputError
 from stillwork.design.desk_page import widget_module
+
+
+class _Design(traitlets.Dict):
+    """Read as a copy: what is changed in place differs from what stands on the desk, so that setting it is a change."""
+
+    def get(self, obj, cls=None):
+        return deepcopy(super().get(obj, cls))
 
 
 class DeskWidget(anywidget.AnyWidget):
@@ -22,7 +31,8 @@ class DeskWidget(anywidget.AnyWidget):
     ----------
     design : dict
         The blocks as they stand (``{"blocks": [{"kind": ..., numbers}, ...], "limit": ...}``); set it, and the desk shows
-        it. Empty until the cell is shown, here as in the two that follow.
+        it. What it cannot show it refuses: then its own comes back. Empty until the cell is shown, here as in the two that
+        follow, which are also empty where nothing can be computed.
     controller : str
         ``controller.toml`` of it, as `stillwork export` and `stillwork.control.load_controller` read it; empty without a
         sampling block.
@@ -45,7 +55,7 @@ class DeskWidget(anywidget.AnyWidget):
     _esm = widget_module()
     machines = traitlets.List().tag(sync=True)
     machine = traitlets.Unicode().tag(sync=True)
-    design = traitlets.Dict().tag(sync=True)
+    design = _Design().tag(sync=True)
     controller = traitlets.Unicode().tag(sync=True)
     reached = traitlets.Dict().tag(sync=True)
 
@@ -54,12 +64,18 @@ class DeskWidget(anywidget.AnyWidget):
 
     @traitlets.validate("design")
     def _check_design(self, proposal):
-        blocks = proposal["value"].get("blocks")
-        if proposal["value"] and not (isinstance(blocks, list) and all("kind" in each for each in blocks)):
+        value = proposal["value"]
+        blocks = value.get("blocks")
+        if value and not (
+            isinstance(blocks, list) and all(isinstance(each, dict) and "kind" in each for each in blocks)
+        ):
             raise InputError(
                 'design must have "blocks", a list of dicts with a "kind"; take the desk\'s own, and change it'
             )
-        return proposal["value"]
+        try:  # what reaches the browser: numbers of NumPy are numbers
+            return json.loads(json.dumps(value, allow_nan=False, default=lambda each: each.item()))
+        except (AttributeError, TypeError, ValueError):
+            raise InputError("design must hold finite numbers, words and lists alone") from None
 
     def __repr__(self) -> str:
         bandwidth = self.reached.get("bandwidth_hz")

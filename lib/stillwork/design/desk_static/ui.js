@@ -14,6 +14,7 @@ const TIME_FRAMES = 100; // ms between two simulations during a drag, at least
 const MOST_PLACES = 12; // of the box that are kept beside its corners
 const MOST_SAMPLES = 20000; // of a step or a scan
 const MOVE = { distance: 0.01, velocity: 0.1, acceleration: 2, jerk: 200, feedforward: true };
+const REFUSED = "the design that was given has a block of no known kind, or one that lacks numbers or has impossible ones; the desk keeps its own";
 const ALTOGETHER = ["magnitude", "phase", "functions", "nyquist", "process", "step", "scan"];
 
 // What a handle moves: the number along the frequency, and the one along the magnitude with its exponent.
@@ -47,11 +48,18 @@ export function startDesk(root, machines, inside = null) {
     element.append(...children);
     return element;
   };
-  machines = machines.map((each) => (each.model ? each : measuredAlone(each)));
+  const completed = (each) => (each.model ? each : measuredAlone(each));
+  machines = machines.map(completed);
   const kept = inside ? inside.kept : fromAddress(location.hash);
   let machine = machines.find((each) => each.name === kept?.machine) ?? machines[0];
+  // Beyond the bounds of the fields a number is still one that can be computed with; below zero it is not.
+  const sound = (value, { low, high, whole }) => Number.isFinite(value) && (low > 0 ? value > 0 : value >= 0) && (!whole || (Number.isInteger(value) && value >= low && value <= high));
+  const usableBlock = (block) =>
+    Object.hasOwn(BLOCKS, block?.kind) && Object.entries(BLOCKS[block.kind].numbers).every(([name, about]) => sound(block[name], about)) && Array.isArray(block.fixed ?? []);
   const usable = (design) =>
-    design.blocks.every((block) => Object.hasOwn(BLOCKS, block?.kind) && Object.keys(BLOCKS[block.kind].numbers).every((name) => Number.isFinite(block[name])));
+    design.blocks.every(usableBlock) &&
+    ["sampling", "observer"].every((kind) => design.blocks.filter((block) => block.kind === kind).length <= 1) &&
+    (design.limit ?? null) === (design.limit > 0 && Number.isFinite(design.limit) ? design.limit : null);
   const whole = (found) => (found && usable(found.design) ? found : null);
   const begun = kept?.machine === machine.name && usable(kept.design) ? { design: kept.design, words: [] } : stableFirstDesign(machine);
   let history = makeHistory(begun.design);
@@ -89,6 +97,7 @@ export function startDesk(root, machines, inside = null) {
       warn("");
     } catch (error) {
       warn(error.message);
+      if (history.now === history.settled) inside?.changed(machine, history.now, null);
       return;
     }
     const before = pinned ?? (history.now !== history.settled ? history.settled : null);
@@ -899,10 +908,15 @@ export function startDesk(root, machines, inside = null) {
     request();
   };
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", schemeChanged, { signal });
-  // A design of a machine, {machine, design}, from outside: from the address, or from the page that the desk is part of.
+  // A design of a machine, {machine, design} and perhaps the `whole` machine, from outside: from the address, or from the page that the desk is part of.
   function take(found) {
-    if (!usable(found.design)) return warn("the design that was given has a block of no known kind, or one that lacks numbers");
+    if (!usable(found.design)) {
+      say(REFUSED);
+      if (result) tell();
+      return;
+    }
     if (JSON.stringify(found.design) === JSON.stringify(history.settled)) return;
+    if (found.whole && !machines.some((each) => each.name === found.machine)) machines.push(completed(found.whole));
     const other = machines.find((each) => each.name === found.machine);
     waiting = other ? null : found;
     if (!other) askForFile();
@@ -928,6 +942,7 @@ export function startDesk(root, machines, inside = null) {
   refresh();
   describe();
   if (begun.words.length) say(begun.words.join("; "));
+  if (kept && !whole(kept)) say(REFUSED);
   askForFile();
   root.dataset.ready = "yes";
   return { get result() { return result; }, get design() { return history.now; }, hold, settle, refresh, take, resize, stop };

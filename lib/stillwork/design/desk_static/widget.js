@@ -22,15 +22,24 @@ export function render({ model, el }, body, style) {
   shadow.innerHTML = `<style>${style.replaceAll("@media (max-width", "@container (max-width")}</style>${body}`;
   el.append(host);
   let desk = null;
+  const shared = new WeakSet(), contents = (machine) => JSON.stringify([machine?.model, machine?.measured]);
   const kept = () => {
-    const design = model.get("design");
-    return Array.isArray(design?.blocks) ? { machine: model.get("machine"), design } : null;
+    const design = model.get("design"), machine = model.get("machine");
+    return Array.isArray(design?.blocks) ? { machine, design, whole: model.get("machines").find((each) => each.name === machine) } : null;
+  };
+  // A machine of a file that was dropped is for the other views, too, and for those that come.
+  const share = (machine) => {
+    if (shared.has(machine)) return;
+    shared.add(machine);
+    const known = model.get("machines"), same = known.find((each) => each.name === machine.name);
+    if (contents(same) !== contents(machine)) model.set("machines", [...known.filter((each) => each !== same), machine]);
   };
   const changed = (machine, design, result) => {
+    share(machine);
     model.set("machine", machine.name);
     model.set("design", design);
-    model.set("controller", controllerOf(machine, design));
-    model.set("reached", {
+    model.set("controller", result ? controllerOf(machine, design) : "");
+    model.set("reached", !result ? {} : {
       stable: result.stable,
       bandwidth_hz: result.bandwidth > 0 ? result.bandwidth : null,
       peaks_db: peaks(result.stable, result.nominal),
