@@ -56,7 +56,7 @@ export function newBlock(kind, machine, design, crossing) {
 // may be two numbers, or none, is refused.
 export function typedNumber(text) {
   const plain = text.trim().replace(/[\u2212\u2013]/g, "-"), ungrouped = plain.replace(/(?<=\d)[\s](?=\d{3}(?!\d))/g, "");
-  if (/^[+-]?[1-9]\d{0,2},\d{3}$/.test(ungrouped)) {
+  if (/^[+-]?[1-9]\d{0,2},\d{3}(e[+-]?\d+)?$/i.test(ungrouped)) {
     throw new Error(`${plain} may be ${ungrouped.replace(",", ".")} or ${ungrouped.replace(",", "")}: write one of them`);
   }
   if (!/^[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?$/i.test(ungrouped)) throw new Error(plain ? `${plain} is no number` : "it is empty");
