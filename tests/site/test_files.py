@@ -279,9 +279,9 @@ def test_how_a_statement_stands_is_told_by_its_combinations_else_by_its_verdict(
     assert status(Claim(entry, None), None) == "not built"
     assert class_of(None) == "not tried"
     for agreeing, words, name in (
-        (4, "under all 4 combinations", "robust"),
-        (0, "under none of 4 combinations", "not reproduced"),
-        (1, "under 1 of 4 combinations", "depends"),
+        (4, "claim holds under all 4 combinations", "robust"),
+        (0, "claim holds under none of 4 combinations", "not reproduced"),
+        (1, "claim holds under 1 of 4 combinations", "depends"),
     ):
         agrees = np.arange(4)[:, None] < agreeing
         settings = tuple((k,) for k in range(4))
@@ -298,6 +298,11 @@ def test_what_is_not_found_is_said_as_a_negation():
     general = {"says": "The filter settles in 2 s"}
     assert sentence(general, Claim(entry, 4.0), None) == "We did not find this: the filter settles in 2 s."
     assert sentence(general, Claim(entry), None) == "Not computed yet: the filter settles in 2 s."
+    agrees = np.arange(3)[:, None] < 1
+    settings = tuple((k,) for k in range(3))
+    standing = Robustness(entry, (), settings, np.ones((3, 1)), agrees, np.zeros((3, 1), bool))
+    assert sentence(said, Claim(entry, 2.1), standing) == "It settles in 2.1 s, not in 2 s."
+    assert status(Claim(entry, 2.1), standing) == "claim holds under 1 of 3 combinations"
     for agreeing, negated in ((3, False), (1, True)):
         agrees = np.arange(4)[:, None] < agreeing
         settings = tuple((k,) for k in range(4))

@@ -139,7 +139,7 @@ def _paths(x: np.ndarray, y: float | np.ndarray, kinds: np.ndarray, shown: np.nd
 
 
 def status(claim: Claim, standing: Robustness | None) -> str:
-    """Under how many combinations a claim agrees, or where none were tried or judged, what comes out here."""
+    """Under how many combinations the claim holds, not its negation; where none were judged, what comes out here."""
     if standing is None or standing.share is None:
         if claim.verdict in AGREEMENT:
             return "agrees here"
@@ -148,10 +148,10 @@ def status(claim: Claim, standing: Robustness | None) -> str:
         ours = our_quantity(claim)
         return f"not here: {ours}" if claim.verdict in ("deviates", "fails") else f"here {ours}"
     if standing.agree == standing.tried:
-        return f"under all {standing.tried} combinations"
+        return f"claim holds under all {standing.tried} combinations"
     if standing.agree == 0:
-        return f"under none of {standing.tried} combinations"
-    return f"under {standing.agree} of {standing.tried} combinations"
+        return f"claim holds under none of {standing.tried} combinations"
+    return f"claim holds under {standing.agree} of {standing.tried} combinations"
 
 
 def sentence(said: Mapping[str, str], claim: Claim, standing: Robustness | None) -> str:
