@@ -1,7 +1,7 @@
 """Solutions of the track on least squares with bounded uncertainty.
 
-Each function answers the exercise of its number with the toolbox, holds the answer against something that shares no
-code with it, and returns what the exercise prints as its check. Its arguments are the numbers of the exercise: with others
+Each function answers the exercise of its number with the toolbox, compares the answer with something that shares no
+code with it, and returns the check of the exercise. Its arguments are the numbers of the exercise: with others
 it gives the answer to a new one.
 """
 
