@@ -257,9 +257,10 @@ def _unstable(status: int, sample: int, twin: Twin, adaptation, weights, peak: f
         return UnstableAdaptation(sample, cause, "that is beyond 1 g: check the floor's unit", "the platform")
     if adaptation is not None:
         small = "step_size" if isinstance(adaptation, FeLms) else "initial_covariance"
-        return UnstableAdaptation(
-            sample, cause, f"start with a smaller {small}, better weights or a better path estimate"
-        )
+        advice = f"start with a smaller {small}, better weights or a better path estimate"
+        if isinstance(adaptation, FeRls):  # a start only delays what the memory lets happen
+            advice += "; against strong motion of the floor at 0.5 to 1 Hz only a high-pass over it helps"
+        return UnstableAdaptation(sample, cause, advice)
     if weights.any():
         advice = "nothing adapts here: give smaller weights, or a smaller skyhook gain"
         return UnstableAdaptation(sample, cause, advice, "the loop with the given weights")
