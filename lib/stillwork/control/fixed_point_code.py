@@ -49,7 +49,8 @@ def fixed_point_code(
     name : str
         What all names in it begin with.
     precision : str
-        ``double`` or ``single``.
+        ``double`` or ``single``; with the latter velocities are small differences of rounded positions, and the force
+        may err by a hundredth: compare it with that of `FixedPointStepper` on a run of your own.
     force_limits : list of float, optional
         Largest force of each actuator; by default any.
     lost : str
@@ -147,10 +148,9 @@ def fixed_point_code(
             tables(each.packed().noise for each in filters),
         ]
     if kind == "u":
-        spread, mean_first, square_first, other = packed.options[:4]
+        spread, _, square_first, other = packed.options[:4]
         values |= {
             "spread": write(np.sqrt(spread)),
-            "first": write(mean_first),
             "first_square": write(square_first),
             "other": write(other),
             "variance": row(each.initial_variance for each in filters),

@@ -125,6 +125,7 @@ u|    }
 u|    return true;
 u|}
 u|
+u|/* Sigma points less the mean: a small spread about a large mean would be lost in single precision. */
 u|static bool spread(${name}_state *s, int j, real points[POINTS][2])
 u|{
 u|    real root[2][2] = {{$zero, $zero}, {$zero, $zero}};
@@ -136,33 +137,34 @@ u|    if (!lower_root(s->covariance[j], 2, root)) {
 u|        return false;
 u|    }
 u|    for (k = 0; k < 2; k++) {
-u|        points[0][k] = s->mean[j][k];
+u|        points[0][k] = $zero;
 u|        for (i = 0; i < 2; i++) {
 u|            const real column = (k >= i) ? (scale * root[k][i]) : $zero;
 u|
-u|            points[1 + i][k] = s->mean[j][k] + column;
-u|            points[3 + i][k] = s->mean[j][k] - column;
+u|            points[1 + i][k] = column;
+u|            points[3 + i][k] = -column;
 u|        }
 u|    }
 u|    return true;
 u|}
 u|
+u|/* Weighted mean of points less the first of them, whose own weight leaves them out. */
 u|static void mean_of(real points[POINTS][2], int size, real mean[2])
 u|{
 u|    int i;
 u|    int k;
 u|
 u|    for (k = 0; k < size; k++) {
-u|        mean[k] = $first * points[0][k];
-u|        for (i = 1; i < POINTS; i++) {
-u|            mean[k] += $other * points[i][k];
+u|        mean[k] = $zero;
+u|        for (i = 1; i <= 2; i++) {
+u|            mean[k] += $other * (points[i][k] + points[2 + i][k]);
 u|        }
 u|    }
 u|}
 u|
 u|static real product(real one[POINTS][2], const real mean[2], int a, real two[POINTS][2], const real other[2], int b)
 u|{
-u|    real total = $first_square * (one[0][a] - mean[a]) * (two[0][b] - other[b]);
+u|    real total = $first_square * mean[a] * other[b];
 u|    int i;
 u|
 u|    for (i = 1; i < POINTS; i++) {
@@ -172,12 +174,11 @@ u|    return total;
 u|}
 u|
 u|static bool correct(${name}_state *s, const ${name}_tuning *t, int j, real points[POINTS][2], real observed[POINTS][2],
-u|                    const real z[2], int outputs)
+u|                    const real error[2], int outputs)
 u|{
 u|    const int missing = 2 - outputs;
 u|    real *mean = s->mean[j];
-u|    real before[2];
-u|    real expected[2] = {$zero, $zero};
+u|    const real centre[2] = {$zero, $zero}; /* the points are symmetric, and what they observe is linear */
 u|    real innovation[2][2] = {{$zero, $zero}, {$zero, $zero}};
 u|    real root[2][2] = {{$zero, $zero}, {$zero, $zero}};
 u|    real cross[2][2];
@@ -186,23 +187,20 @@ u|    int a;
 u|    int b;
 u|    int k;
 u|
-u|    mean_of(observed, outputs, expected);
 u|    for (a = 0; a < outputs; a++) {
 u|        for (b = 0; b <= a; b++) {
-u|            innovation[a][b] = product(observed, expected, a, observed, expected, b) + t->noise[j][missing + a][missing + b];
+u|            innovation[a][b] = product(observed, centre, a, observed, centre, b) + t->noise[j][missing + a][missing + b];
 u|            innovation[b][a] = innovation[a][b];
 u|        }
 u|    }
 u|    if (!lower_root(innovation, outputs, root)) {
 u|        return false;
 u|    }
-u|    before[0] = mean[0];
-u|    before[1] = mean[1];
 u|    for (a = 0; a < 2; a++) {
 u|        real solved[2] = {$zero, $zero};
 u|
 u|        for (b = 0; b < outputs; b++) {
-u|            cross[a][b] = product(points, before, a, observed, expected, b);
+u|            cross[a][b] = product(points, centre, a, observed, centre, b);
 u|            solved[b] = cross[a][b];
 u|            for (k = 0; k < b; k++) {
 u|                solved[b] -= root[b][k] * solved[k];
@@ -219,7 +217,7 @@ u|        }
 u|    }
 u|    for (a = 0; a < 2; a++) {
 u|        for (b = 0; b < outputs; b++) {
-u|            mean[a] += gain[a][b] * (z[b] - expected[b]);
+u|            mean[a] += gain[a][b] * error[b];
 u|        }
 u|        for (b = 0; b <= a; b++) {
 u|            for (k = 0; k < outputs; k++) {
@@ -237,7 +235,9 @@ u|    real *mean = s->mean[j];
 u|    real *estimate = s->estimate[j];
 u|    real points[POINTS][2];
 u|    real observed[POINTS][2];
-u|    real z[2];
+u|    real error[2];
+u|    real moved[2];
+u|    real rest;
 u|    real last;
 u|    bool right = true;
 u|    int i;
@@ -254,14 +254,18 @@ u|    last = mean[0];
 u|    if (!spread(s, j, points)) {
 u|        return false;
 u|    }
-u|    for (i = 0; i < POINTS; i++) {
-u|        points[i][0] += dt * believed(t, points[i][1], points[i][0], s->push[j]);
+u|    rest = believed(t, mean[1], mean[0], s->push[j]);
+u|    for (i = 1; i < POINTS; i++) {
+u|        points[i][0] += dt * (believed(t, mean[1] + points[i][1], mean[0] + points[i][0], s->push[j]) - rest);
 u|        points[i][1] += dt * points[i][0];
 u|    }
-u|    mean_of(points, 2, mean);
+u|    mean[0] += dt * rest;
+u|    mean[1] += dt * mean[0];
+u|    mean_of(points, 2, moved);
 u|    for (i = 0; i < 2; i++) {
+u|        mean[i] += moved[i];
 u|        for (k = 0; k <= i; k++) {
-u|            s->covariance[j][i][k] = product(points, mean, i, points, mean, k) + t->process[j][i][k];
+u|            s->covariance[j][i][k] = product(points, moved, i, points, moved, k) + t->process[j][i][k];
 u|            s->covariance[j][k][i] = s->covariance[j][i][k];
 u|        }
 u|    }
@@ -278,16 +282,16 @@ u|    } else if (s->missing[j] != 0) { /* there is no difference quotient: the p
 u|        for (i = 0; i < POINTS; i++) {
 u|            observed[i][0] = observed[i][1];
 u|        }
-u|        z[0] = measured;
-u|        z[1] = $zero;
-u|        right = correct(s, t, j, points, observed, z, 1);
+u|        error[0] = measured - mean[1];
+u|        error[1] = $zero;
+u|        right = correct(s, t, j, points, observed, error, 1);
 u|        s->past[j] = measured;
 u|        s->missing[j] = 0;
 u|    } else {
-u|        z[0] = (measured - s->past[j]) / dt;
-u|        z[1] = measured;
+u|        error[0] = ((measured - s->past[j]) / dt) - mean[0];
+u|        error[1] = measured - mean[1];
 u|        s->past[j] = measured;
-u|        right = correct(s, t, j, points, observed, z, 2);
+u|        right = correct(s, t, j, points, observed, error, 2);
 u|    }
 u|    estimate[0] = mean[1];
 u|    estimate[1] = mean[0];
