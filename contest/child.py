@@ -141,7 +141,7 @@ CALLS = """
     clock_nanosleep 230 115, exit_group 231 94, tgkill 234 131, openat 257 56, mkdirat 258 34, newfstatat 262 79,
     unlinkat 263 35, renameat 264 38, symlinkat 266 36, readlinkat 267 78, fchmodat 268 53, faccessat 269 48,
     pselect6 270 72, ppoll 271 73, set_robust_list 273 99, utimensat 280 88, dup3 292 24, prlimit64 302 261,
-    getcpu 309 168, renameat2 316 276, getrandom 318 278, membarrier 324 283, statx 332 291, rseq 334 293,
+    getcpu 309 168, renameat2 316 276, getrandom 318 278, membarrier 324 283, rseq 334 293,
     faccessat2 439 439
 """
 # Calls that it needs with some values of one argument: the number of the argument, then values or a bit it has to have.

@@ -239,6 +239,11 @@ CHEATS = {
             seen += os.path.lexists("/proc/" + each)
         return seen + (ctypes.CDLL(None).sysinfo(held) == 0) + (ctypes.CDLL(None).statfs(b"/usr", held) == 0)
     """,
+    "the number of the next mount": """
+        # A number that is never used again grows by as much with each scan.
+        number, held = {"x86_64": 332, "aarch64": 291}[os.uname().machine], ctypes.create_string_buffer(256)
+        return ctypes.CDLL(None).syscall(number, -100, b"/tmp", 0, 0x5000, held) == 0
+    """,
     "the number of the next pipe": """
         made = 0
         for way in (os.pipe, lambda: os.memfd_create("x"), lambda: os.eventfd(0)):
