@@ -27,7 +27,7 @@ from contest.plants import PLANTS, plant_of
 from contest.ranking import KEYS, block, by_track, critical_difference, mean_ranks, standings
 from contest.record import FILE as RECORDED
 from contest.record import record_standings, record_table
-from contest.runner import UNREACHED, ExternalObserver, declared_knobs
+from contest.runner import UNREACHED, Disqualified, ExternalObserver, declared_knobs
 from contest.scores import ENTRANTS, ORACLE, Scan, Scored, contest_trial
 from contest.tuning import TUNINGS, scans_of, settings_for, tune, write_development_set
 from contest.uncertainties import hidden_seed
@@ -78,12 +78,18 @@ def run_contest(
     submit = partial(_now) if executor is None else executor.submit
     # Whoever is out on the first scan is not waited for on all others.
     first = scans_of(plants[0], public, 0)[0]
-    reasons = contest_trial([(first, dict.fromkeys(sources, ()))], sources)[1]
+    knobs, reasons = {}, {}
+    for name, source in sources.items():
+        try:
+            knobs[name] = declared_knobs(source)
+        except Disqualified as reason:
+            reasons[name] = str(reason)
+    defaults = {name: tuple(knob.default for knob in some) for name, some in knobs.items()}
+    reasons |= contest_trial([(first, defaults)], sources)[1]
     for name, reason in reasons.items():
         if reason.startswith(UNREACHED):
             raise InputError(f"{name} {reason}; start its program first, or give another tcp:HOST:PORT")
     sources = {name: source for name, source in sources.items() if name not in reasons}
-    knobs = {name: declared_knobs(source) for name, source in sources.items()}
     places = [(plant, name, each) for plant in plants for name in sources for each in range(TUNINGS)]
     chosen = {
         place: submit(tune, place[1], sources[place[1]], knobs[place[1]], place[0], place[2])
@@ -98,7 +104,7 @@ def run_contest(
                 theirs = {
                     name: tuple(chosen[plant, name, seed % TUNINGS].result())
                     if (plant, name, seed % TUNINGS) in chosen
-                    else tuple(knob.default for knob in knobs[name])
+                    else defaults[name]
                     for name in sources
                 }
                 settings[seed] = settings_for(plant, seed, names) | {ORACLE: ()} | theirs
@@ -262,10 +268,11 @@ def own_record(files: Sequence[str | Path], out: dict[str, str], tuned: bool) ->
 
 
 REMARKS = {
-    "Estimate": "Errors of the flexible states over those of the estimate *zero*, whose row has 1 by definition; intervals "
-    "of 95 % over machines, tunings and seeds together.",
-    "Loop": "Medians over the judged loops, over a cautious loop without an observer; *bandwidth* over that which the true "
-    "states, the *oracle*, allow with the nominal model.",
+    "Estimate": "Errors of the flexible states over those of the estimate *zero*, whose row has 1 by definition, "
+    "none counted beyond 2 in the columns *error*, *rigid-body error* and *minus Kalman*; intervals of 95 % over machines, "
+    "tunings and seeds together.",
+    "Loop": "*Tracking* and *rejection*: medians over the judged loops, over a cautious loop without an observer; "
+    "*bandwidth*: mean over machines, over that which the true states, the *oracle*, allow with the nominal model.",
     "Compute": "Medians over machines, in brackets the least and the largest machine. *Time* is that of the processor over "
     "the Kalman filter's, which took {unit:.2g} µs: all in one process on one core, each in turn with the Kalman filter, "
     "median of {rounds} blocks of {block} samples, designs not counted. *Operations* are counted in a run of the same code "

@@ -212,7 +212,7 @@ COMMANDS = {
                 help="each defines a class Observer; or a library MY_OBSERVER.so, or tcp:HOST:PORT",
             ),
             number("seeds", "N", "scans a machine and uncertainty (default: 1)", default=1),
-            flag("hidden", "read the public number that the seeds follow from from standard input"),
+            flag("hidden", "read the public number that the seeds follow from, on standard input"),
             flag("tuned", "set the knobs that a file declares by the official tuner first"),
             number("loops", "N", "seeds of which the loops are run, too; 0 for none (default: all)", int),
             option(

@@ -98,6 +98,9 @@ class Observer:
 """
 
 
+CHECKED = "        assert size == 3.0\n        self.model,"
+
+
 def estimates_of(source, scan):
     record, given = recorded(scan), scan.given()
     with opened("mine", str(source), given, ()) as observer:
@@ -470,6 +473,21 @@ def test_the_contest_goes_on_without_the_disqualified(written, monkeypatch, caps
     assert (
         out == {"hopeless": "raises ValueError: an estimate that is not finite"} and "hopeless" not in table
     )
+
+
+@pytest.mark.slow
+def test_a_file_that_needs_its_knobs_runs_at_their_defaults(written):
+    knob = 'KNOBS = [("size", 0.5, 8.0, 3.0)]\n' + MODEL_ALONE.replace("sample_time):", "sample_time, size):")
+    file = written(
+        knob.replace("return self.x", "return 0 * self.x").replace("        self.model,", CHECKED, 1)
+    )
+    assert "assert size == 3.0" in file.read_text()
+    wrong = written('KNOBS = [("a", 1.0)]\n' + MODEL_ALONE, "wrong.py")
+    given = {"only": ["zero"], "plants": ("drive",), "loops": 0}
+    table, out = run_contest("a test", 1, [str(file), str(wrong)], **given)
+    assert list(out) == ["wrong"] and "KNOBS" in out["wrong"]
+    flexible = table[table["score"] == "flexible"]
+    assert (flexible["mine"] == flexible["zero"]).all() and len(flexible) == 12
 
 
 def test_the_results_say_what_ran_and_who_was_isolated(written, tmp_path):
