@@ -442,12 +442,7 @@ def make_loop(
         raise InputError(
             "compensator has another sample time than sample_time, or there is a delay without one"
         )
-    poles = continuous_poles(observer.poles, sample_time) if sample_time else observer.poles
-    if not low_hz:
-        slowest = float(plant.frequencies[1]) if len(plant.frequencies) > 1 else np.inf
-        low_hz = min(LOWEST_HZ, BELOW_RESONANCE * slowest / (2 * np.pi))
-    high_hz = min(high_hz, 0.499 / sample_time) if sample_time else high_hz
-    omega = resonance_grid(np.concatenate([plant.poles, poles]), low_hz, high_hz, points, around)
+    omega = loop_grid(plant, observer, low_hz, high_hz, points, around, sample_time)
     loop = Loop(
         plant,
         observer,
@@ -458,6 +453,28 @@ def make_loop(
         delay,
     )
     return replace(loop, plant_response=loop.plant_at(omega))
+
+
+@checked
+def loop_grid(
+    plant: ModalModel,
+    observer: StateModel | None,
+    low_hz: float = 0.0,
+    high_hz: float = 2e4,
+    points: int = 600,
+    around: int = 40,
+    sample_time: float = 0.0,
+) -> Float64[np.ndarray, " frequencies"]:
+    """Frequencies of a loop, rad/s: the same without an observer, but for its poles; see `make_loop`."""
+    poles = plant.poles
+    if observer is not None:
+        own = continuous_poles(observer.poles, sample_time) if sample_time else observer.poles
+        poles = np.concatenate([poles, own])
+    if not low_hz:
+        slowest = float(plant.frequencies[1]) if len(plant.frequencies) > 1 else np.inf
+        low_hz = min(LOWEST_HZ, BELOW_RESONANCE * slowest / (2 * np.pi))
+    high_hz = min(high_hz, 0.499 / sample_time) if sample_time else high_hz
+    return resonance_grid(poles, low_hz, high_hz, points, around)
 
 
 @by_value

@@ -1,6 +1,7 @@
 """A machine that is not quite its model: the box of its numbers, the place in it that does most harm, the loop there."""
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ from jaxtyping import Float64
 from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, check_fields, checked
-from stillwork.control.bandwidth import FUNCTIONS, Loop, PeakConstraint, make_loop
+from stillwork.control.bandwidth import FUNCTIONS, Loop, PeakConstraint, loop_grid, make_loop
 from stillwork.control.pid import Pid
 from stillwork.identification.machine import Machine
 from stillwork.lti.delays import split_delay
@@ -275,11 +276,29 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
     """What the plant of a loop may be at each frequency; `fine`: also on the loop's own grid."""
     plant, sample_time = loop.plant, loop.sample_time
     uncertainty = uncertainty._of_modes(plant)
-    top = min(loop.omega[-1], 0.998 * np.pi / sample_time if sample_time else np.inf)
-    omega = _grid(plant, uncertainty, sample_time, loop.omega[0], top)
+    ends = float(loop.omega[0]), min(loop.omega[-1], 0.998 * np.pi / sample_time if sample_time else np.inf)
+    omega = _grid(plant, uncertainty, sample_time, *ends)
     if fine:
         omega = np.unique(np.concatenate([omega, loop.omega]))
-    whole, late = split_delay(loop.delay)
+    asked = plant, uncertainty, sample_time, loop.delay
+    known = next((box for key, box in tuple(_recent) if key == asked), None)
+    if known is None:
+        # What each observer's grid has beside that of the plant is computed for itself.
+        own = loop_grid(plant, None, sample_time=sample_time)
+        known = _box_on(np.union1d(_grid(plant, uncertainty, sample_time, *ends), own), *asked)
+        _recent.append((asked, known))
+    return known.at(omega, *asked)
+
+
+# The uses of an observer share a plant and its box: what was computed of the last few.
+_recent: deque[tuple[tuple, "Box"]] = deque(maxlen=4)
+
+
+def _box_on(
+    omega: np.ndarray, plant: ModalModel, uncertainty: Uncertainty, sample_time: float, delay: float
+) -> "Box":
+    """The box on a grid."""
+    whole, late = split_delay(delay)
     turn = np.exp(-1j * omega * sample_time * whole)
     gains = plant.output_shapes[0] * plant.input_shapes[:, 0]
     count = 3 + len(STEPS)
@@ -317,7 +336,7 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
     low[0], high[0] = 1 / (1 + uncertainty.mass), 1 / (1 - uncertainty.mass)
     delays = uncertainty.delay * TURNS if uncertainty.delay and sample_time else np.zeros(1)
     # A delay of less than nothing there is not.
-    delays = np.maximum(delays, -loop.delay * sample_time)
+    delays = np.maximum(delays, -delay * sample_time)
     middle = len(delays) // 2
     delays = np.append(delays[middle], np.delete(delays, middle))
     late_by = np.exp(-1j * omega[:, None] * delays)
@@ -395,6 +414,19 @@ class Box(NamedTuple):
     drags: np.ndarray  # 1/s, by the places of a rigid body
     middles: np.ndarray  # (frequencies,), m/N: centres of discs that the plant does not leave ...
     radii: np.ndarray  # ... and their radii
+
+    def at(
+        self, omega: np.ndarray, plant: ModalModel, uncertainty: Uncertainty, sample_time: float, delay: float
+    ) -> "Box":
+        """The same box on another grid, of which only the frequencies that this one lacks are computed."""
+        more = np.setdiff1d(omega, self.omega)
+        boxes = [self, _box_on(more, plant, uncertainty, sample_time, delay)] if len(more) else [self]
+        every = np.concatenate([box.omega for box in boxes])
+        order = every.argsort()
+        order = order[np.isin(every[order], omega)]
+        rows = ("omega", "parts", "places", "fixed", "middles", "radii")
+        joined = {name: np.concatenate([getattr(box, name) for box in boxes])[order] for name in rows}
+        return self._replace(**joined)
 
     @checked(infinite=True)
     def worst(
@@ -486,7 +518,21 @@ def _discs(parts, sizes, fixed, low, high, least_gain, most_gain, late):
 
 @kernel
 def _worst(
-    ratio, parts, sizes, fixed, low, high, least_gain, most_gain, late, middles, radii, least, starts, sweeps, first
+    ratio,
+    parts,
+    sizes,
+    fixed,
+    low,
+    high,
+    least_gain,
+    most_gain,
+    late,
+    middles,
+    radii,
+    least,
+    starts,
+    sweeps,
+    first,
 ):
     """Largest square of |1 + (a + bP)/(c + dP)| above `least`, P anywhere in the box: its row and what P is made of."""
     rows, modes = parts.shape[0], parts.shape[1]
