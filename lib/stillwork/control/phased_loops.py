@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from stillwork.base.validation import checked
-from stillwork.control.bandwidth import Loop, make_loop
-from stillwork.control.uncertainty import Perturbation, Uncertainty, perturbed_loop
+from stillwork.control.bandwidth import Loop, loop_grid
+from stillwork.control.uncertainty import Perturbation, Uncertainty, perturbed_plant
 from stillwork.identification.phased import PhasedModel
 
 CORNERED = 5  # modes of which all corners are tried
@@ -21,18 +21,25 @@ def phased_loop(loop: Loop, phased: PhasedModel, place: Perturbation) -> Loop:
 
     As of a measurement: `encirclement_difference` says whether it is stable.
     """
-    base = make_loop(phased.model, loop.compensator, sample_time=loop.sample_time, delay=loop.delay)
-    there = perturbed_loop(base, place)
-    omega = np.union1d(loop.omega, there.omega)
+    plant = perturbed_plant(phased.model, place)
+    late = place.delay / loop.sample_time if loop.sample_time else 0.0
+    there = replace(loop, plant=plant, delay=max(loop.delay + late, 0.0))
+    # The lines of the compensator are the loop's own, and so is what it answers there.
+    more = np.setdiff1d(loop_grid(plant, None, sample_time=loop.sample_time), loop.omega)
+    omega = np.concatenate([loop.omega, more])
+    order = omega.argsort()
+    answers = [loop.compensator_response]
+    if len(more):
+        answers.append(loop.compensator.frequency_response(more))
     # The moved model has its modes in their order.
-    order = np.argsort(phased.model.frequencies * place.frequencies, kind="stable")
-    velocity = (phased.velocity * place.gain * place.residues / place.frequencies)[order]
-    added = phased.velocity_response(there.plant, velocity, omega, loop.sample_time, there.delay)
+    modes = np.argsort(phased.model.frequencies * place.frequencies, kind="stable")
+    velocity = (phased.velocity * place.gain * place.residues / place.frequencies)[modes]
+    added = phased.velocity_response(plant, velocity, omega[order], loop.sample_time, there.delay)
     return replace(
         loop,
-        omega=omega,
-        plant_response=there.plant_at(omega) + added,
-        compensator_response=loop.compensator.frequency_response(omega),
+        omega=omega[order],
+        plant_response=there.plant_at(omega[order]) + added,
+        compensator_response=np.concatenate(answers, axis=2)[..., order],
     )
 
 
