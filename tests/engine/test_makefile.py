@@ -1,5 +1,6 @@
 """The commands of make: as they are documented, wherever they are called, and never in a half-made environment."""
 
+import json
 import os
 import re
 import shlex
@@ -280,3 +281,25 @@ def test_an_environment_works_in_a_place_that_its_locale_cannot_spell(checkout):
     assert run(checkout, ["sh", "-c", command], LC_ALL="C").returncode == 0
     folders = listed.read_text(encoding="ascii").splitlines()
     assert [(listed.parent / each).resolve() for each in folders] == [checkout, checkout / "lib"]
+
+
+def command_texts():
+    """Markdown of the guides and of the notebooks, by the file's name."""
+    for file in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]:
+        yield file.name, file.read_text(encoding="utf-8")
+    for file in sorted((ROOT / "notebooks").rglob("*.ipynb")):
+        cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+        yield (
+            file.name,
+            "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"),
+        )
+
+
+def test_arguments_that_a_reader_copies_are_words_of_the_shell():
+    found = 0
+    for name, text in command_texts():
+        for arguments in re.findall(r'make \w+ ARGS="([^"<]*)"', text):
+            parsed = subprocess.run(["sh", "-n", "-c", f"true {arguments}"], capture_output=True, text=True)
+            assert parsed.returncode == 0, f"{name}: {arguments}: {parsed.stderr}"
+            found += 1
+    assert found > 10
