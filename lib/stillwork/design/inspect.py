@@ -19,6 +19,7 @@ from stillwork.signals.records import (
     load_unscaled,
     stated_unit,
     unit_factor,
+    unknown_unit,
 )
 from workbook.own_files import command, figures_command, in_checkout, model_file
 
@@ -120,29 +121,34 @@ def _record(path: Path) -> Iterator[str]:
         yield f"not a record as it stands: {error}"
         return
     units = [stated_unit(name) for name in record.names]
+    odd = {name: said for name in record.names if (said := unknown_unit(name))}
+    known = [(name, unit) for name, unit in zip(record.names, units, strict=True) if name not in odd]
     yield f"a record of {pluralise(len(record.names), 'channel')}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
-    if "" in units:
+    if odd:
+        yield f"no unit that is known: {', '.join(odd.values())}; convert {', '.join(odd)} to one of these: {UNITS_SAID}"
+    if any(not unit for _, unit in known):
         yield f"it does not say every unit; put one of these for UNIT: {UNITS_SAID}"
 
     def measuring(wanted: tuple[str, ...]) -> list[tuple[str, str]]:
         """Channels in one of these SI units, or in one that the file does not say."""
-        named = zip(record.names, units, strict=True)
-        return [(name, unit) for name, unit in named if not unit or unit_factor(unit)[1] in wanted]
+        return [(name, unit) for name, unit in known if not unit or unit_factor(unit)[1] in wanted]
 
     motions = measuring(MOTION_UNITS)
     if motions and record.duration >= SHORTEST_FLOOR_S:
         unit = motions[0][1]
-        alike = [name for name, other in motions if other == unit]
-        yield _isolate(
-            "MACHINE", str(path.resolve()), unit or "UNIT", alike if len(alike) < len(record.names) else ()
-        )
-        settings = {"floor_record": path.resolve(), "floor_unit": unit or "UNIT"}
+        # Each in its own unit of the same quantity, as its name says; then no unit is given.
+        quantity = unit and unit_factor(unit)[1]
+        alike = [name for name, other in motions if (other and unit_factor(other)[1]) == quantity]
+        own = {other for name, other in motions if name in alike}
+        given = "" if len(own) > 1 else unit or "UNIT"
+        yield _isolate("MACHINE", str(path.resolve()), given, alike if len(alike) < len(record.names) else ())
+        settings = {"floor_record": path.resolve()} | ({"floor_unit": given} if given else {})
         if len(record.names) > 1:
             settings["floor_channels"] = json.dumps(alike[:FLOOR_SENSORS], ensure_ascii=False)
         yield figures_command("isolation/08-your-floor", settings)
-    if len(record.names) >= 2:
+    if len(known) >= 2:
         settings = {"record_file": path.resolve()}
-        for side, name, unit in zip(("input", "output"), record.names, units, strict=False):
+        for side, (name, unit) in zip(("input", "output"), known, strict=False):
             settings |= {f"{side}_channel": name, f"{side}_unit": unit or "UNIT"}
         settings |= {"band_hz": "0,0", "quiet_hz": "0,0"}  # the defaults are those of the shipped record
         yield figures_command("worstcase/07-your-record", settings)
