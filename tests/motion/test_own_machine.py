@@ -197,6 +197,33 @@ def test_modes_that_a_damper_couples_have_phases():
     assert identify_modes(measured, (8.0, 250.0)).phased is None
 
 
+@pytest.mark.parametrize(
+    ("noise", "top", "ground"), [(0.0, 1800.0, 0.05), (0.02, 1800.0, 0.05), (0.0, 800.0, 0.005)]
+)
+def test_a_machine_on_springs_with_phases_keeps_its_mass_and_its_gain_below_its_modes(noise, top, ground):
+    """A chain on the ground by its first mass alone: the fit without phases took its suspension for a free body."""
+    mass, suspension = np.diag([15.0, 4.0, 1.5]), 2 * np.pi * 4.0
+    stiffness = [20.5 * suspension**2, *((2 * np.pi * np.array([120.0, 330.0])) ** 2 * [60 / 19, 6 / 5.5])]
+    losses = [2 * ground * suspension * 20.5, *(0.02 * np.sqrt(stiffness[1:] * np.array([60 / 19, 6 / 5.5])))]
+    links = np.array([[1.0, 0, 0], [1, -1, 0], [0, 1, -1]])
+    spring, damper = (links.T @ np.diag(each) @ links for each in (stiffness, losses))
+    omega = 2 * np.pi * np.arange(0.5, top, 0.5)
+    true = np.array([np.linalg.solve(spring + 1j * w * damper - w * w * mass, [1, 0, 0])[1] for w in omega])
+    true *= np.exp(-20e-6j * omega)
+    errors = np.random.default_rng(3).standard_normal((2, len(omega)))
+    seen = true * (1 + noise * (errors[0] + 1j * errors[1]) / np.sqrt(2))
+    fit = identify_modes(
+        Identified(omega, -(omega**2) * seen, np.full(len(omega), 1 / (1 + noise**2))), (0.5, top)
+    )
+    assert fit.phased is not None and not fit.model.rigid_modes
+    assert 1 / (fit.model.input_shapes[0, 0] * fit.model.output_shapes[0, 0]) == pytest.approx(
+        20.5, rel=0.005
+    )
+    below = omega < 2 * np.pi * 60
+    ratio = np.abs(fit.model.frequency_response(omega[below])[0, 0] / true[below])
+    assert np.median(ratio) == pytest.approx(1, abs=0.005)
+
+
 @pytest.mark.slow
 def test_the_promise_holds_where_a_damper_couples_two_modes(tmp_path):
     """A minute of CPU: without the phases of its modes this machine reached 8.7 dB in a box in which 6.00 was promised."""

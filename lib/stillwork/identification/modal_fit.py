@@ -379,6 +379,9 @@ class _Accelerance:
         )
         if not modes.size:
             return None
+        if not self.grounded and self.on_springs(modes):
+            # Without phases its suspension was no mode of its own.
+            self.grounded, self.drag = True, 0.0
         self.bring_forward(modes)
         modes = self.refined(modes, 60)
         left = self.cost(modes)
@@ -413,7 +416,7 @@ class _Accelerance:
         return modes
 
     def phased_parts(self, modes):
-        """By fields of `ModalFit`: the model with the phases of these modes' parts, and what it leaves unknown."""
+        """By fields of `ModalFit`: the model with the phases of these modes' parts, without them, and what it leaves unknown."""
         modes = modes[:, np.argsort(modes[0])]
         self.phased = True
         gains, residual, _ = self.solved(modes)
@@ -434,9 +437,11 @@ class _Accelerance:
         sign = float(np.sign(own[0] if self.grounded else free[0]))
         velocity = np.append(np.zeros(len(free)), sign * beside / self.omega[-1])
         left = self.goal - kept @ gains
+        model = self._model(modes, free.sum(), own, compliance, sign)
         return {
+            "model": model,
             "error": np.hypot(*left.reshape(2, -1)) / (self.weight * np.abs(self.target)),
-            "phased": PhasedModel(self._model(modes, free.sum(), own, compliance, sign), velocity),
+            "phased": PhasedModel(model, velocity),
             "deviation": frequencies * spread[-2 * count : -count],
             "damping_deviation": np.exp(modes[1]) * spread[-count:],
             "residue_deviation": noise / parts,
