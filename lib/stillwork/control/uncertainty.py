@@ -287,11 +287,25 @@ def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
         own = loop_grid(plant, None, sample_time=sample_time)
         known = _box_on(np.union1d(_grid(plant, uncertainty, sample_time, *ends), own), *asked)
         _recent.append((asked, known))
-    return known.at(omega, *asked)
+    return _moved_to(omega, known, asked)
 
 
 # The uses of an observer share a plant and its box: what was computed of the last few.
 _recent: deque[tuple[tuple, "Box"]] = deque(maxlen=4)
+
+
+def _moved_to(omega: np.ndarray, known: "Box", asked: tuple) -> "Box":
+    """A box on another grid, of which only the frequencies that its own lacks are computed."""
+    more = np.setdiff1d(omega, known.omega)
+    boxes = [known, _box_on(more, *asked)] if len(more) else [known]
+    every = np.concatenate([box.omega for box in boxes])
+    order = every.argsort()
+    order = order[np.isin(every[order], omega)]
+    rows = ("omega", "parts", "places", "fixed", "middles", "radii")
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(box, name) for box in boxes])[order] for name in rows
+    }
+    return known._replace(**joined)
 
 
 def _box_on(
@@ -414,19 +428,6 @@ class Box(NamedTuple):
     drags: np.ndarray  # 1/s, by the places of a rigid body
     middles: np.ndarray  # (frequencies,), m/N: centres of discs that the plant does not leave ...
     radii: np.ndarray  # ... and their radii
-
-    def at(
-        self, omega: np.ndarray, plant: ModalModel, uncertainty: Uncertainty, sample_time: float, delay: float
-    ) -> "Box":
-        """The same box on another grid, of which only the frequencies that this one lacks are computed."""
-        more = np.setdiff1d(omega, self.omega)
-        boxes = [self, _box_on(more, plant, uncertainty, sample_time, delay)] if len(more) else [self]
-        every = np.concatenate([box.omega for box in boxes])
-        order = every.argsort()
-        order = order[np.isin(every[order], omega)]
-        rows = ("omega", "parts", "places", "fixed", "middles", "radii")
-        joined = {name: np.concatenate([getattr(box, name) for box in boxes])[order] for name in rows}
-        return self._replace(**joined)
 
     @checked(infinite=True)
     def worst(
