@@ -2,7 +2,7 @@
 
 What agrees with the committed results keeps its committed bytes, so an accept that moves nothing changes nothing.
 What somebody changes in the tree meanwhile stays: accepting writes only what it changed itself, and nothing at all
-where that is no longer what it read when it begins to write (`workbook.publish.replace_all`).
+where that is no longer what it read (`workbook.publish.replace_all`).
 """
 
 import contextlib
@@ -27,7 +27,7 @@ OWN = (".png", ".csv", ".json")  # what builds write there; anything else is som
 
 
 def accept(refresh: Callable[[], object]) -> int:
-    """Accept the published-settings build of the whole workbook.
+    """Accept the published-settings build of the whole workbook, or nothing of it.
 
     Parameters
     ----------
@@ -61,11 +61,8 @@ def accept(refresh: Callable[[], object]) -> int:
             with interrupts() as caught:
                 names = _differing(before, after)
                 replace_all(paths.root(), {name: (before.get(name), after.get(name)) for name in names})
-        except Edited as error:
+        except (OSError, Edited) as error:
             print(f"nothing accepted: {error}")
-            return 1
-        except OSError as error:
-            print(f"accept failed: {error}; `git status` shows what was written, repeat")
             return 1
     for _, comparison in compared:
         for line in comparison.moved:

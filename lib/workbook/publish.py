@@ -144,11 +144,12 @@ def replace_file(target: Path, content: bytes) -> None:
 
 
 def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]]) -> None:
-    """Change many files below `root`, unless somebody else has changed one of them.
+    """Change many files below `root` as one, unless somebody else has changed one of them.
 
-    All are written beside their places before the first is put in its own, so that a full disk changes nothing. An
-    error or a kill within the milliseconds of the renames leaves some old and some new: the same change again writes
-    the rest, and `git restore` takes it back.
+    All are written beside their places before the first is put in its own, so that a full disk changes nothing. What
+    stands in a place is looked at until just before it is replaced; where that is not what it should be, or an error
+    comes, all is taken back. Only a kill within the milliseconds of the renames leaves some old and some new: the same
+    change again writes the rest, and `git restore` takes it back.
 
     Parameters
     ----------
@@ -159,29 +160,57 @@ def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]
     Raises
     ------
     OSError
-        When the disk refuses.
+        When the disk refuses; nothing was changed.
     Edited
-        When somebody else changed a file; nothing was written.
+        When somebody else changed a file; nothing else was.
+    InputError
+        When the disk refuses to take back, too.
     """
     if others := [name for name, (before, _) in sorted(changed.items()) if _content(root / name) != before]:
         raise Edited(others)
     new = {
         name: _beside(root / name, "accepting") for name, (_, after) in changed.items() if after is not None
     }
+    done: list[str] = []
     try:
         for name, beside in new.items():
             _write(beside, changed[name][1])
             with contextlib.suppress(FileNotFoundError):
                 shutil.copymode(root / name, beside)
-        for name in changed:
+        for name, (before, _) in changed.items():
+            if _content(root / name) != before:
+                raise Edited([name])
+            done.append(name)
             if name in new:
                 os.replace(new[name], root / name)
             else:
-                (root / name).unlink(missing_ok=True)
-    finally:
-        for beside in new.values():
-            with contextlib.suppress(OSError):
-                beside.unlink(missing_ok=True)
+                (root / name).unlink()
+    except BaseException:
+        try:
+            for name in done:
+                _take_back(root, name, *changed[name])
+        except OSError as error:
+            raise InputError(
+                f"accepted in part, as the disk refuses more ({error}): `make accept` writes the rest, "
+                "`git restore` takes it back"
+            ) from None
+        finally:
+            for name, beside in new.items():
+                with contextlib.suppress(OSError):  # a folder that holds something stays
+                    beside.unlink(missing_ok=True)
+                    for folder in [*Path(name).parents][:-1]:
+                        (root / folder).rmdir()
+        raise
+
+
+def _take_back(root: Path, name: str, before: bytes | None, after: bytes | None) -> None:
+    """Put back what stood in a place, unless others have put something there since."""
+    if _content(root / name) != after:
+        return
+    if before is not None:
+        replace_file(root / name, before)
+    elif after is not None:
+        (root / name).unlink()
 
 
 class Edited(InputError):

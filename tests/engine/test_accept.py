@@ -221,7 +221,7 @@ def test_a_full_disk_leaves_everything_as_it_was(built):
         [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
     )
     assert done.returncode == 1
-    assert done.stdout.startswith("accept failed: ")
+    assert done.stdout.startswith("nothing accepted: ")
     assert done.stderr == ""
     assert toy.stamps("notebooks", "data", "figures") == before
     assert toy.leftovers() == []
