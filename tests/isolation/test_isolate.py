@@ -513,7 +513,7 @@ def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
         "isolator.c", "isolator.h", "isolator_adapt.c", "isolator_adapt.h", "isolator.json", "report.html",
     }  # fmt: skip
     assert (
-        f"of {len(RATIOS) * len(CUTOFFS_HZ) * len(HIGHPASSES)} tried" in guide
+        f"of at most {len(RATIOS) * len(CUTOFFS_HZ) * len(HIGHPASSES)} tried" in guide
         and f"for {DRAWS} others" in guide
     )
     assert f"up to {LONGEST_S:g} s" in guide and any("modes at 20.13 Hz" in each for each in lines)
