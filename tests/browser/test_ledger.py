@@ -121,7 +121,9 @@ def test_rows_with_combinations_tell_their_class(front):
         choose(front, "choices", name)
         wanted = [row for row, claim in BY_ID.items() if class_of(standings.get(claim.entry.id)) == name]
         assert front.run(ROWS) == wanted
-        assert all(f"{name}: claim holds under" in front.driver.find_element(By.ID, row).text for row in wanted)
+        assert all(
+            f"{name}: claim holds under" in front.driver.find_element(By.ID, row).text for row in wanted
+        )
 
 
 def test_a_row_leads_to_its_place_and_its_figure(front):
