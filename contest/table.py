@@ -33,6 +33,7 @@ from contest.tuning import TUNINGS, scans_of, settings_for, tune, write_developm
 from contest.uncertainties import hidden_seed
 from stillwork.base.checks import InputError, pluralise, require_choice, require_count
 from workbook import paths
+from workbook.progress import Progress
 from workbook.workers import client_of, cores, processes
 
 EDITION = 2
@@ -77,7 +78,7 @@ def run_contest(
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
     submit = partial(_now) if executor is None else executor.submit
     # Whoever is out on the first scan is not waited for on all others.
-    first = scans_of(plants[0], public, 0)[0]
+    trial = scans_of(plants[0], public, 0)[0]
     knobs, reasons = {}, {}
     for name, source in sources.items():
         try:
@@ -85,7 +86,7 @@ def run_contest(
         except Disqualified as reason:
             reasons[name] = str(reason)
     defaults = {name: tuple(knob.default for knob in some) for name, some in knobs.items()}
-    reasons |= contest_trial([(first, defaults)], sources)[1]
+    reasons |= contest_trial([(trial, defaults)], sources)[1]
     for name, reason in reasons.items():
         if reason.startswith(UNREACHED):
             raise InputError(f"{name} {reason}; start its program first, or give another tcp:HOST:PORT")
@@ -120,7 +121,12 @@ def run_contest(
     order = np.random.default_rng(hidden_seed(public, "order")).permutation(len(trials))
     # The longest first, so that workers end together; which machine it is on an observer knows anyhow.
     order = sorted(order, key=lambda k: -cost_of([scan for scan, _ in trials[k]]))
-    done = [future.result() for future in [submit(contest_trial, trials[k], sources) for k in order]]
+    running = (submit(contest_trial, trials[k], sources) for k in order)
+    done = []
+    with Progress(len(trials), task="contest", unit="machine", tell=True, aside=True) as progress:
+        for future in running if executor is None else list(running):
+            done.append(future.result())
+            progress.step()
     reasons |= {name: reason for _, out in done for name, reason in out.items()}
     return tabulated([each for found, _ in done for each in found if each.entrant not in reasons]), reasons
 
