@@ -7,7 +7,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import optimize, signal
 
-from experiments.isolation.floors import ShapedFloor, colored_floor, flat_floor
+from experiments.isolation.floors import ShapedFloor, coloured_floor, flat_floor
 from experiments.isolation.responses import control_paths, responses, series, thinned
 from experiments.isolation.rig import Rig
 from experiments.isolation.twin import Twin, equal_struts
@@ -220,10 +220,10 @@ def paint_paths(twins: dict[str, Twin], frequencies_hz: np.ndarray):
 
 
 def explore_floor(low_pass_hz: float, gain: float):
-    """Explorer: the two readings of the flat floor and the height of the colored bands, against BBN-A to -D."""
+    """Explorer: the two readings of the flat floor and the height of the coloured bands, against BBN-A to -D."""
     figure, axes = figures.new(1, 1, height=3.2)
     f = np.geomspace(1, 1000, 300)
-    floor = colored_floor(low_pass_hz, gain=gain)
+    floor = coloured_floor(low_pass_hz, gain=gain)
     axes.loglog(f, floor.density(f)[0], color=figures.BLUE, label="floor")
     band = np.geomspace(1, 80, 60)
     colors = {"A": figures.PURPLE, "B": figures.RED, "C": figures.ORANGE, "D": figures.GREEN}

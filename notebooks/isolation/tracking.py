@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from experiments.isolation.algorithm_styles import COLORS, STYLES
 from experiments.isolation.convergence import ALGORITHMS
-from experiments.isolation.floors import ShapedFloor, colored_floor, flat_floor
+from experiments.isolation.floors import ShapedFloor, coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.simulation import TOGETHER, sample_seeds, simulate_together
 from experiments.isolation.steady import steady_state
@@ -273,7 +273,7 @@ def quiet_twin(platform_noise: float = QUIET) -> Twin:
 def switch_runs(
     *, trace: str = "regressors", step_size: float = STEP_SIZE, memory_s: float = MEMORY_S, **common
 ) -> tuple[Switched, Switched]:
-    """Runs from flat to colored, and from colored to flat, of both algorithms on the same floors and noises.
+    """Runs from flat to coloured, and from coloured to flat, of both algorithms on the same floors and noises.
 
     `common` are the other arguments of `one_switch`.
     """
@@ -293,7 +293,7 @@ def one_switch(
     back: bool,
     *,
     low_pass_hz: float = 80.0,
-    color_gain: float = 4.0,
+    colour_gain: float = 4.0,
     seed: int,
     runs: int = RUNS,
     platform_noise: float = QUIET,
@@ -301,9 +301,9 @@ def one_switch(
     memory_s: float = MEMORY_S,
     duration_s: float = TRACKED_S,
 ) -> Switched:
-    """Runs of one algorithm from flat to colored, or `back`."""
+    """Runs of one algorithm from flat to coloured, or `back`."""
     twin = quiet_twin(platform_noise)
-    floors = [flat_floor(low_pass_hz), colored_floor(low_pass_hz, gain=color_gain)]
+    floors = [flat_floor(low_pass_hz), coloured_floor(low_pass_hz, gain=colour_gain)]
     switch = switch_between(twin, *(reversed(floors) if back else floors))
     both = settled(switch, step_size, float(np.exp(-twin.sample_time / memory_s)))
     options = {"twin": twin, "switch": switch, "both": {name: both[name]}, "duration_s": duration_s}
@@ -313,10 +313,10 @@ def one_switch(
 
 
 def follow(
-    *, trace: str, floor_upper_end: float, color_gain: float, seed: int
+    *, trace: str, floor_upper_end: float, colour_gain: float, seed: int
 ) -> dict[str, tuple[float, tuple[float, float]]]:
     """Fig. 6 by `RUNS` runs each way, as notebook 03 judges it."""
-    return judged(*switch_runs(trace=trace, low_pass_hz=floor_upper_end, color_gain=color_gain, seed=seed))
+    return judged(*switch_runs(trace=trace, low_pass_hz=floor_upper_end, colour_gain=colour_gain, seed=seed))
 
 
 def judged(into: Switched, back: Switched) -> dict[str, tuple[float, tuple[float, float]]]:
@@ -324,9 +324,9 @@ def judged(into: Switched, back: Switched) -> dict[str, tuple[float, tuple[float
     with np.errstate(invalid="ignore"):
         shrinks = back.gain() < into.gain()
     obeyed = {
-        "flat-to-colored": into.gain() > 1,
-        "colored-to-flat": back.felms_first(),
-        "colored-to-flat-w4-w6": back.felms_first("w4-w6"),
+        "flat-to-coloured": into.gain() > 1,
+        "coloured-to-flat": back.felms_first(),
+        "coloured-to-flat-w4-w6": back.felms_first("w4-w6"),
         "benefit-shrinks": shrinks,
     }
     return {f"isolation.tracking.{entry}": fraction(each) for entry, each in obeyed.items()}

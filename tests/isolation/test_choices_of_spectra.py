@@ -68,7 +68,7 @@ def test_a_study_gives_at_its_defaults_what_the_notebook_gave(study):
 @pytest.mark.slow
 def test_what_the_notebooks_say_of_other_choices_was_found():
     found = robustness_of("isolation")
-    assert found["isolation.tracking.colored-to-flat"].share <= 0.05
+    assert found["isolation.tracking.coloured-to-flat"].share <= 0.05
     limit = found["isolation.fig-8.reaches-the-limit"]
     assert (round(limit.share * 24), limit.tried) == (20, 24)
     assert found["isolation.fig-7.lower-end"].share <= 0.05
@@ -96,12 +96,12 @@ def test_the_edges_over_eight_seeds_are_those_of_notebook_04(damping, pole, ends
 
 
 def test_when_felms_is_first_on_the_way_back_is_as_notebook_03_says():
-    entry = "isolation.tracking.colored-to-flat"
+    entry = "isolation.tracking.coloured-to-flat"
     literal = [float(row[entry]) for row in stored("tracking") if row["trace"] == "literal"]
     low = [
         float(row[entry])
         for row in stored("tracking")
-        if row["trace"] == "regressors" and row["color-gain"] == "2.0"
+        if row["trace"] == "regressors" and row["colour-gain"] == "2.0"
     ]
     assert max(literal) == 0 and max(low) == 0.7
 

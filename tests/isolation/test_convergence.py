@@ -11,7 +11,7 @@ from experiments.isolation.convergence import (
     settling_times,
     try_starts,
 )
-from experiments.isolation.floors import colored_floor, flat_floor
+from experiments.isolation.floors import coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
@@ -134,7 +134,7 @@ def test_sideways_error_follows_the_mean_update():
 
 @pytest.mark.slow
 def test_weights_follow_a_switch_to_the_new_optimum_and_as_expected():
-    switch = switch_between(FITTED, FLOOR, colored_floor(80.0))
+    switch = switch_between(FITTED, FLOOR, coloured_floor(80.0))
     both = settled(switch, 1e-4, float(np.exp(-2e-5)))
     later, response = respond(FITTED, switch, both, 40.0, [1])[0].values()
     assert response.left()[response.time_s < 0] == pytest.approx(1, abs=0.25)
@@ -162,7 +162,7 @@ def test_expected_course_wants_rising_times():
 
 @pytest.mark.slow
 def test_a_run_that_still_leaves_the_band_at_its_end_has_not_settled():
-    switch = switch_between(FITTED, FLOOR, colored_floor(80.0))
+    switch = switch_between(FITTED, FLOOR, coloured_floor(80.0))
     time = np.arange(1.0, 101.0)
     left = np.where(time <= 20, 1.0, 0.0)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from experiments.isolation.floors import colored_floor, flat_floor
+from experiments.isolation.floors import coloured_floor, flat_floor
 from experiments.isolation.simulation import simulate_together
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
@@ -92,7 +92,7 @@ def test_beta_on_signals_follows_the_floor():
     twin, f = load_twin("fitted"), np.geomspace(0.5, 2000, 4000)
     gain = signal.freqz_sos(twin.integrator, f, fs=5000.0)[1] / twin.feedforward.beta
     found = []
-    for floor in (flat_floor(80.0), colored_floor(1500.0)):
+    for floor in (flat_floor(80.0), coloured_floor(1500.0)):
         density = floor.density(f)[0]
         found.append(np.sqrt(np.trapezoid(density, f) / np.trapezoid(density * np.abs(gain) ** 2, f)))
     assert found == pytest.approx([90, 417], rel=0.02)

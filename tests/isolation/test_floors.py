@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from experiments.isolation.floors import FLAT_LEVEL, SAMPLE_RATE, ShapedFloor, colored_floor, flat_floor
+from experiments.isolation.floors import FLAT_LEVEL, SAMPLE_RATE, ShapedFloor, coloured_floor, flat_floor
 from experiments.isolation.recorded_floors import (
     GROUND_CRITERION,
     ground_floor,
@@ -34,15 +34,15 @@ def test_flat_floor_has_the_published_plateau_and_corners():
     assert decade[:, 1] / decade[:, 0] == pytest.approx(100, rel=2e-2)  # second order
 
 
-def test_colored_floor_raises_only_its_bands():
+def test_coloured_floor_raises_only_its_bands():
     f = np.array([5.0, 40.0, 60.0, 90.0, 150.0, 400.0])
-    ratio = np.sqrt(colored_floor(1500.0, gain=4.0).density(f) / flat_floor(1500.0).density(f))[0]
+    ratio = np.sqrt(coloured_floor(1500.0, gain=4.0).density(f) / flat_floor(1500.0).density(f))[0]
     assert ratio[[2, 4]] == pytest.approx(4.0, rel=0.15)  # the tail of the other peak
     assert np.all(ratio[[1, 3]] > 2.5) and np.all(ratio[[0, 5]] < 1.3)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("floor", [flat_floor(80.0), flat_floor(1500.0), colored_floor(80.0)])
+@pytest.mark.parametrize("floor", [flat_floor(80.0), flat_floor(1500.0), coloured_floor(80.0)])
 def test_realisation_has_the_promised_density(floor):
     motion = floor.acceleration(400_000, seed=3)
     spectrum = estimate_spectrum(motion[:, 20_000:], SAMPLE_RATE, 2.0)
@@ -156,7 +156,7 @@ def test_floors_that_cannot_be_are_refused():
     for call, message in (
         (lambda: flat_floor(2.0), "low_pass_hz"),
         (lambda: flat_floor(3000.0), "low_pass_hz"),
-        (lambda: colored_floor(gain=0.5), "gain"),
+        (lambda: coloured_floor(gain=0.5), "gain"),
         (lambda: ShapedFloor(unstable[None], np.ones(1)), r"^sections\b"),
         (lambda: synthesise_floor([1.0, 0.5], [1.0, 1.0], 1.0, 0), r"^frequencies_hz\b"),
         (lambda: synthesise_floor([1.0, 2.0], [1.0, -1.0], 1.0, 0), r"^density\b"),

@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 
 from experiments.isolation import simulation as module
-from experiments.isolation.floors import colored_floor, flat_floor
+from experiments.isolation.floors import coloured_floor, flat_floor
 from experiments.isolation.recorded_floors import RecordedFloor
 from experiments.isolation.simulation import simulate, simulate_together
 from experiments.isolation.sources import Sources
@@ -127,7 +127,7 @@ def test_same_seed_same_floor_whatever_the_controller_does():
 
 
 def test_algorithms_side_by_side_run_as_each_alone():
-    twin, floors = RIGS["fitted"], [(0.9, flat_floor(80.0)), (0.6, colored_floor(80.0))]
+    twin, floors = RIGS["fitted"], [(0.9, flat_floor(80.0)), (0.6, coloured_floor(80.0))]
     adaptations = {"FeLMS": FeLms(), "FeRLS": FeRls(np.full(9, 1e-3), 0.9999), "none": None}
     weights = np.full((6, 9), 0.01)
     together = simulate_together(twin, floors, adaptations=adaptations, weights=weights, seeds=[7])[0]
@@ -141,7 +141,7 @@ def test_algorithms_side_by_side_run_as_each_alone():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["fitted", "full estimate", "order 2"])
 def test_seeds_side_by_side_run_as_each_alone(name):
-    twin, floors = RIGS[name], [(0.5, flat_floor(80.0)), (0.2, colored_floor(80.0))]
+    twin, floors = RIGS[name], [(0.5, flat_floor(80.0)), (0.2, coloured_floor(80.0))]
     held = FeRls(np.full(9, 1e-3), 0.999, growth_limit=1.0)  # its limit acts in every run
     adaptations = {"FeLMS": FeLms(trace="literal"), "FeRLS": held, "none": None}
     options = {"weights": np.full((6, 9), 0.01), "keep_every_s": 0.0302, "signals_from_s": 0.6}

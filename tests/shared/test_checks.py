@@ -92,9 +92,9 @@ def test_one_of_a_thing_is_no_plural():
 
 
 def test_choice():
-    assert require_choice("floor", "flat", ["flat", "colored"]) == "flat"
-    with pytest.raises(InputError, match=r"^floor\b.*'flt'.*'flat', 'colored'.*'flat'"):
-        require_choice("floor", "flt", ["flat", "colored"])
+    assert require_choice("floor", "flat", ["flat", "coloured"]) == "flat"
+    with pytest.raises(InputError, match=r"^floor\b.*'flt'.*'flat', 'coloured'.*'flat'"):
+        require_choice("floor", "flt", ["flat", "coloured"])
 
 
 @given(numbers)

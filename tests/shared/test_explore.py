@@ -11,7 +11,7 @@ CONTROLS = {
     "gain": Slider(0.0, 10.0, 2.0, "V", basis="printed", place="Table 1"),
     "rate": Slider(1.0, 1e4, start=100.0, log=True),
     "order": Slider(1, 5, start=3, step=1, basis="assumed"),
-    "floor": Choice(("flat", "colored"), start="flat", basis="our result"),
+    "floor": Choice(("flat", "coloured"), start="flat", basis="our result"),
 }
 
 
@@ -46,7 +46,7 @@ def test_moving_a_control_redraws_and_reset_returns():
     at_home = picture.value
     assert bytes(at_home).startswith(b"\x89PNG")
     assert message.value == "at the start"
-    for name, value in (("gain", 5.0), ("rate", 1000.0), ("order", 2), ("floor", "colored")):
+    for name, value in (("gain", 5.0), ("rate", 1000.0), ("order", 2), ("floor", "coloured")):
         before = picture.value
         controls[name].value = value
         assert picture.value != before
@@ -67,13 +67,13 @@ def test_a_preset_leads_all_controls_to_a_named_design_with_one_picture():
         seen.append(settings)
         return draw(**settings)
 
-    box = explore(note, {"loud": {"gain": 8.0, "floor": "colored"}, "start": {}}, **CONTROLS)
+    box = explore(note, {"loud": {"gain": 8.0, "floor": "coloured"}, "start": {}}, **CONTROLS)
     buttons, *rows = box.children[: 1 + len(CONTROLS)]
     rows[1].children[0].value = 1000.0
     before = len(seen)
     loud, start = buttons.children
     loud.click()
-    assert seen[before:] == [{"gain": 8.0, "rate": 100.0, "order": 3, "floor": "colored"}]
+    assert seen[before:] == [{"gain": 8.0, "rate": 100.0, "order": 3, "floor": "coloured"}]
     start.click()
     assert seen[before + 1 :] == [{name: control.start for name, control in CONTROLS.items()}]
 
@@ -177,7 +177,7 @@ def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
     [
         (lambda: Slider(0, 1, start=2), r"^start\b"),
         (lambda: Slider(0, 1, start=0.5, log=True), r"^low\b"),
-        (lambda: Choice(("flat", "colored"), "flt"), r"^start\b.*'flat'"),
+        (lambda: Choice(("flat", "coloured"), "flt"), r"^start\b.*'flat'"),
     ],
 )
 def test_a_start_must_be_on_the_control(make, message):

@@ -74,8 +74,8 @@ def flat_floor(
     return ShapedFloor(sections, level * np.sqrt(sample_rate / 2), float(sample_rate))
 
 
-def colored_floor(low_pass_hz: float = 80.0, *, gain: float = 4.0) -> ShapedFloor:
-    """The 'colored' floor of Fig. 2: `flat_floor` raised at 40-90 Hz and around 150 Hz.
+def coloured_floor(low_pass_hz: float = 80.0, *, gain: float = 4.0) -> ShapedFloor:
+    """The 'coloured' floor of Fig. 2: `flat_floor` raised at 40-90 Hz and around 150 Hz.
 
     The paper names the bands, not the heights: each is a second-order peak of about `gain` times the amplitude
     (4: 12 dB, assumed), at 60 Hz (the band's geometric mean), 50 Hz wide, and at 150 Hz, 30 Hz wide (assumed).
