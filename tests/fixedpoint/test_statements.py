@@ -5,9 +5,9 @@ from experiments.fixedpoint import Noise, published_controllers
 from experiments.fixedpoint.metrics import noisy_run, sweep
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from experiments.fixedpoint.statements import (
-    HECTIC,
     KALMAN_WORST,
     LOW_PASS_BEST,
+    NOISIEST,
     SMOOTHEST,
     WINDOW_PRECISE,
     changed,
@@ -40,7 +40,7 @@ def test_statements_by_hand():
     found = {name: list(obeyed) for name, obeyed in statements(CASE, KALMAN).items()}
     assert found == {
         SMOOTHEST: [True, False],
-        HECTIC: [True, False],
+        NOISIEST: [True, False],
         WINDOW_PRECISE: [True, False],
         LOW_PASS_BEST: [False, True],
         KALMAN_WORST: [True, False],
@@ -58,14 +58,14 @@ def test_the_quantity_decides_what_is_precise():
 def test_what_figures_are_said_to_show():
     found = figure_statements(CASE, "small", "gaussian")
     assert {name: list(obeyed) for name, obeyed in found.items()} == {
-        "6.kalman-hectic": [True, False],
+        "6.kalman-noisiest": [True, False],
         "5.smoothest": [True, False],
         "5.window-most-precise.printed": [False, False],
         "6.window-most-precise.printed": [False, True],
         "5.window-most-precise.corrected": [True, False],
     }
     large = figure_statements(CASE, "large", "logistic")
-    assert list(large) == ["15.kalman-hectic", "14.low-pass-best.printed", "15.low-pass-best.printed"]
+    assert list(large) == ["15.kalman-noisiest", "14.low-pass-best.printed", "15.low-pass-best.printed"]
     assert list(large["14.low-pass-best.printed"]) == [False, True]
 
 
@@ -83,7 +83,7 @@ def test_rankings_take_each_statement_in_its_noise():
 def test_changed_names_what_moved():
     assert changed(CASE, CASE, KALMAN) == "none"
     other = CASE | {LOW_PASS: study([2, 1], [9, 9])}
-    assert changed(CASE, other, KALMAN) == "low pass smoothest 0.5 -> 0; Kalman filter most hectic 0.5 -> 0"
+    assert changed(CASE, other, KALMAN) == "low pass smoothest 0.5 -> 0; Kalman filter noisiest 0.5 -> 0"
 
 
 def test_repeated_runs_get_no_interval():

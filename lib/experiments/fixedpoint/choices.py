@@ -82,7 +82,7 @@ def rankings(
     kalman_model: str,
     kalman_acceleration: str,
     window_samples: int,
-    hectic_by: str,
+    noisy_by: str,
     error_measure: str,
     seed: int,
     lean: bool,
@@ -95,7 +95,7 @@ def rankings(
 
     def ranked_trial(rng, controller, noise) -> dict[str, float]:
         run = noisy_run(exact, controller, nominal, noise, rng, **options)
-        return _judged(run, judged_from, hectic_by, error_measure)
+        return _judged(run, judged_from, noisy_by, error_measure)
 
     runs, studies = RECORDS if lean else 40, {}
     found: Values = {}
@@ -118,10 +118,10 @@ def rankings(
     return found
 
 
-def _judged(run: ControlledRun, settle: float, hectic_by: str, error_measure: str) -> dict[str, float]:
-    """A run in the quantities of `metrics.judge`, by other measures of an error and of what is hectic."""
+def _judged(run: ControlledRun, settle: float, noisy_by: str, error_measure: str) -> dict[str, float]:
+    """A run in the quantities of `metrics.judge`, by other measures of an error and of what is noisy."""
     found = judge(run, settle)
-    if hectic_by == "velocity":
+    if noisy_by == "velocity":
         found["roughness"] = found["velocity_roughness"]
     if error_measure == "largest" and run.diverged_at is None:
         part = slice(round(settle / run.trajectory.sample_time), None)
@@ -142,7 +142,7 @@ def noise_free(
     integration: str,
     kalman_acceleration: str,
     window_samples: int,
-    hectic_by: str,
+    noisy_by: str,
     kick: float,
     seed: int,
 ) -> Values:
@@ -153,7 +153,7 @@ def noise_free(
     for frequency in SWEEP_HZ:
         nominal = trajectory(trajectory_shape, frequency, trajectory_amplitude)
         found = {
-            name: _judged(simulate(exact, each, nominal, integration=integration), 2.0, hectic_by, "rms")
+            name: _judged(simulate(exact, each, nominal, integration=integration), 2.0, noisy_by, "rms")
             for name, each in who.items()
         }
         rough = {name: each["roughness"] for name, each in found.items()}

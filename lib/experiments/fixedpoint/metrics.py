@@ -19,7 +19,7 @@ def judge(run: ControlledRun, settle: float = 2.0) -> dict[str, float]:
     """Numbers of one run, from `settle` seconds on; all are infinite when the run diverged.
 
     position, velocity: RMS tracking error, m and m/s. roughness: RMS change of the true acceleration
-    from sample to sample, m/s^2: what "hectic" means here, and the opposite of smooth. velocity_roughness: the
+    from sample to sample, m/s^2: what noisy means here, and the opposite of smooth. velocity_roughness: the
     same of the velocity's error, m/s. position_shift, velocity_shift: by how many seconds the filter's estimate
     runs ahead of the truth (behind: negative): regression of its error on the true velocity, and on the deformed
     acceleration, which is what the controller's model believes the acceleration to be; both averaged over 50

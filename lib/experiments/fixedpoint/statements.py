@@ -9,27 +9,27 @@ from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from workbook.studies import Study, fraction, mean_interval
 
 SMOOTHEST = "low pass smoothest"
-HECTIC = "Kalman filter most hectic"
+NOISIEST = "Kalman filter noisiest"
 WINDOW_PRECISE = "window most precise"
 LOW_PASS_BEST = "low pass tracks best"
 KALMAN_WORST = "Kalman filter tracks worst"
 
 
 def statements(
-    study: dict[str, Study], kalman: str, quantity: str = "position", hectic_by: str = "roughness"
+    study: dict[str, Study], kalman: str, quantity: str = "position", noisy_by: str = "roughness"
 ) -> dict[str, Bool[np.ndarray, " runs"]]:
     """Which runs obey each statement, among window, low pass and one form of the Kalman filter.
 
-    Smooth and hectic are judged by the roughness of the motion or another quantity, precise and best by the RMS error
+    Smooth and noisy are judged by the roughness of the motion or another quantity, precise and best by the RMS error
     of `quantity`. The paper shows errors of q and of q' and does not say which it ranks by. A run that diverged is
     neither.
     """
     names = (WINDOW, LOW_PASS, kalman)
-    rough = np.array([study[name][hectic_by] for name in names])
+    rough = np.array([study[name][noisy_by] for name in names])
     error = np.array([study[name][quantity] for name in names])
     return {
         SMOOTHEST: (rough.argmin(axis=0) == 1) & np.isfinite(rough[1]),
-        HECTIC: (rough.argmax(axis=0) == 2) & np.isfinite(rough[2]),
+        NOISIEST: (rough.argmax(axis=0) == 2) & np.isfinite(rough[2]),
         WINDOW_PRECISE: (error.argmin(axis=0) == 0) & np.isfinite(error[0]),
         LOW_PASS_BEST: (error.argmin(axis=0) == 1) & np.isfinite(error[1]),
         KALMAN_WORST: error.argmax(axis=0) == 2,
@@ -49,7 +49,7 @@ def figure_statements(study: dict[str, Study], size: str, kind: str) -> dict[str
     """Which runs in a noise obey what its figures are said to show, by the ledger's names after ``fixedpoint.fig-``."""
     q, speed = FIGURES[size, kind]
     ranking, claim = LOW_PASS_BEST, "low-pass-best"
-    found = {f"{speed}.kalman-hectic": in_both_forms(study, HECTIC)}
+    found = {f"{speed}.kalman-noisiest": in_both_forms(study, NOISIEST)}
     if size == "small":
         ranking, claim = WINDOW_PRECISE, "window-most-precise"
         found[f"{q}.smoothest"] = in_both_forms(study, SMOOTHEST)
@@ -61,10 +61,10 @@ def figure_statements(study: dict[str, Study], size: str, kind: str) -> dict[str
 
 
 def in_both_forms(
-    study: dict[str, Study], name: str, hectic_by: str = "roughness"
+    study: dict[str, Study], name: str, noisy_by: str = "roughness"
 ) -> Bool[np.ndarray, " runs"]:
     """Which runs obey a statement with (14) as printed and with it corrected."""
-    printed, corrected = (statements(study, form, hectic_by=hectic_by)[name] for form in (LITERAL, KALMAN))
+    printed, corrected = (statements(study, form, noisy_by=noisy_by)[name] for form in (LITERAL, KALMAN))
     return printed & corrected
 
 
@@ -88,8 +88,8 @@ def rankings(small: list[dict[str, Study]], large: list[dict[str, Study]]) -> di
 
     return {
         "small noise: low pass smoothest": share(small, LITERAL, SMOOTHEST),
-        "small noise: Kalman filter most hectic": share(small, LITERAL, HECTIC),
-        "large noise: Kalman filter most hectic": share(large, LITERAL, HECTIC),
+        "small noise: Kalman filter noisiest": share(small, LITERAL, NOISIEST),
+        "large noise: Kalman filter noisiest": share(large, LITERAL, NOISIEST),
         "small noise: window most precise, printed": share(small, LITERAL, WINDOW_PRECISE),
         "small noise: window most precise, corrected": share(small, KALMAN, WINDOW_PRECISE),
         "small noise: window most precise in q', printed": share(small, LITERAL, WINDOW_PRECISE, "velocity"),
