@@ -100,8 +100,8 @@ SPOT_CHECKS = {
         / (2 * np.pi)
     ),
     ("observers", 7): butterworth,
-    ("doubt", 1): lambda: optimize.minimize_scalar(lambda x: np.hypot(x - 2, x - 1) + 0.5 * abs(x), (0, 2)).x,
-    ("doubt", 8): lambda: SEEN.sum(0) @ SEEN[0] / (SEEN.sum(0) @ SEEN.sum(0)),
+    ("uncertainty", 1): lambda: optimize.minimize_scalar(lambda x: np.hypot(x - 2, x - 1) + 0.5 * abs(x), (0, 2)).x,
+    ("uncertainty", 8): lambda: SEEN.sum(0) @ SEEN[0] / (SEEN.sum(0) @ SEEN.sum(0)),
     ("noise", 4): lambda: np.sqrt(np.linalg.inv(sum(np.outer(t, t) for t in WINDOW))[1, 1] / 2),
     ("budget", 1): lambda: np.sqrt(
         integrate.quad(lambda w: 1e8 / abs(RING**2 - w**2 + 0.08j * RING * w) ** 2, 0, 1e4, points=[RING])[0]
