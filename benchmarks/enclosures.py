@@ -1,4 +1,4 @@
-"""Enclosures of H-infinity norms, held against 70 digits: `python benchmarks/enclosures.py [FIRST [LAST]]`, one model a seed."""
+"""Enclosures of H-infinity norms, compared with 70 digits: `python benchmarks/enclosures.py [FIRST [LAST]]`, one model a seed."""
 
 import sys
 import time

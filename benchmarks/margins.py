@@ -1,4 +1,4 @@
-"""Enclosures of crossings and margins, held against 70 digits: `python benchmarks/margins.py [FIRST [LAST]]`, one loop a seed."""
+"""Enclosures of crossings and margins, compared with 70 digits: `python benchmarks/margins.py [FIRST [LAST]]`, one loop a seed."""
 
 import sys
 import time

@@ -168,7 +168,7 @@ def noise_values(errors: pd.DataFrame, size: float = 0.05, loud: float = NOISES[
 
 
 def noise_study(*, map_size: float, loud_noise: float, seed: int, lean: bool) -> dict:
-    """The same for another size of the errors or another noise, from the stored map; it has no leaner form."""
+    """The same for another size of the errors or another noise, from the stored map; it has no faster variant."""
     return noise_values(stored_map(), map_size, loud_noise)
 
 

@@ -77,7 +77,7 @@ def run_contest(
             raise InputError(f"the name {name!r} would spoil a table; take letters, digits and spaces")
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
     submit = partial(_now) if executor is None else executor.submit
-    # Whoever is out on the first scan is not waited for on all others.
+    # An observer that is out on the first scan is not run on the others.
     trial = scans_of(plants[0], public, 0)[0]
     knobs, reasons = {}, {}
     for name, source in sources.items():

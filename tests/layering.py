@@ -34,7 +34,7 @@ def plain(cell: str) -> str:
 def imports(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
     """Each module with those of the same tree that it imports, at its top or within a function.
 
-    A name that a package hands out (`stillwork.base.lazy_exports`) counts as an import of the module that defines it.
+    A public name of a package (`stillwork.base.lazy_exports`) counts as an import of the module that defines it.
     """
     faces = {module: face_names(tree) for module, tree in trees.items()}
     found = {}

@@ -206,13 +206,13 @@ def catalogue() -> dict:
     )  # fmt: skip
     matrices = fields(walk)
     gains = robust.kalman_gains(walk)
-    doubt = {
+    uncertain = {
         "m": np.ones((20, 1, 1)),
         "e_a": 0.1 * np.eye(2),
         "e_b": np.zeros((2, 1)),
         "e_g": np.zeros((2, 1)),
     }
-    bound = robust.NormBound(**doubt)
+    bound = robust.NormBound(**uncertain)
     slopes = robust.Derivatives(
         np.eye(2)[None], np.ones((1, 2, 1)), np.ones((1, 2, 1)), np.zeros((20, 1, 1, 2))
     )
@@ -349,7 +349,7 @@ def catalogue() -> dict:
         "kalman_gains": (lambda **named: robust.kalman_gains(TimeVaryingModel(**named)), matrices),
         "sensitivity_gains": (robust.sensitivity_gains, {"model": walk, "derivatives": slopes, "weight": 0.5}),
         "regularised_gains": (robust.regularised_gains, {"model": walk, "bound": bound, "margin": 1.0}),
-        "regularised_gains, bound": (lambda **named: robust.regularised_gains(walk, robust.NormBound(**named)), doubt),
+        "regularised_gains, bound": (lambda **named: robust.regularised_gains(walk, robust.NormBound(**named)), uncertain),
         "estimate": (estimate, {"gains": gains, **two, "initial": np.zeros(2)}),
         "hinfinity_gains": (hinfinity_gains, {"model": walk, "wanted": np.eye(2), "level": 9.0}),
         "smallest_level": (smallest_level, {"model": walk, "wanted": np.eye(2), "tolerance": 1e-2}),

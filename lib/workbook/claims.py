@@ -92,7 +92,7 @@ class Entry:
         Why it deviates or cannot be judged.
     threshold : float or None
         For an ordering, and a check that is a fraction of runs: the least fraction that must obey it. The lower
-        end of the fraction's interval over runs is held against it. Without one, all runs must obey it.
+        end of the fraction's interval over runs is compared with it. Without one, all runs must obey it.
     better : str or None
         ``larger`` or ``smaller`` where a value on that side of the published one is better.
     counterfactual : bool
@@ -194,7 +194,7 @@ class Entry:
 
     @property
     def is_replication(self) -> bool:
-        """Whether it counts among the numbers of the work that were held against ours."""
+        """Whether it counts among the published numbers that were compared with ours."""
         return not self.is_own and not self.counterfactual
 
     @property

@@ -1,7 +1,7 @@
 """One notebook in one kernel: from its source to the bytes of its results.
 
 `execute` writes nothing that outlives it and returns plain values, so it runs alike in a thread and on a
-worker of a cluster. Whoever called it publishes the results.
+worker of a cluster. The caller publishes the results.
 """
 
 import contextlib

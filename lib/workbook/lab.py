@@ -1,6 +1,6 @@
 """An extension of Jupyter's server: a committed notebook is saved in its committed form, whatever a run changed.
 
-The page shows what was run; the file takes over what a person wrote. Results come into it by `accept` alone.
+The page shows what was run; the file keeps what a person wrote. Results come into it by `accept` alone.
 """
 
 from pathlib import Path

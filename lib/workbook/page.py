@@ -1,4 +1,4 @@
-"""A notebook's page: where its figures go and where its numbers are held against the ledger."""
+"""A notebook's page: where its figures go and where its numbers are compared with the ledger."""
 
 import contextlib
 import json

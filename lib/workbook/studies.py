@@ -121,7 +121,7 @@ def mean_interval(values, level: float = 0.95) -> tuple[float, float]:
 def spread_interval(values, level: float = 0.95) -> tuple[float, float]:
     """Prediction interval: where the next single run falls with probability `level` (Student's t).
 
-    A published experiment is one run, so this is what it is held against.
+    A published experiment is one run, so this is what it is compared with.
     """
     values = require_array("values", values, ndim=1)
     low, high = mean_interval(values, level)

@@ -221,7 +221,7 @@ MACHINES = {
 
 @dataclass(frozen=True)
 class Scenario:
-    """One plant, and what may befall it from the middle of a run on."""
+    """One plant, and what may happen to it from the middle of a run on."""
 
     plant: Mechanism
     laden: np.ndarray  # its parameters with the payload

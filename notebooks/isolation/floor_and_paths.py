@@ -50,7 +50,7 @@ def suspension_modes(twin: Twin, feedback: bool = True) -> Modes:
 
 
 # === Path fit =====================================================================================================
-# The published fit (2) of the secondary path, held against a twin's own path (section 2.1, Fig. 3).
+# The published fit (2) of the secondary path, compared with a twin's own path (section 2.1, Fig. 3).
 
 
 def parametric_fit(twin: Twin, frequencies_hz: ArrayLike) -> Complex128[np.ndarray, " frequencies"]:

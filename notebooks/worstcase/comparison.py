@@ -486,7 +486,7 @@ def _paint_geometric_means(axes, logs: np.ndarray, rows: np.ndarray, **style):
 def explore_comparison(input_noise: float, output_noise: float, gain: float, delay: float, taps: int):
     """Errors of all methods in a setting of one's own, with the 95 % interval of their geometric mean over 6 records.
 
-    A record takes 4 ms, so that four times 20 of them are half a second behind the hand.
+    A record takes 4 ms, so that four times 20 of them would delay the picture by half a second.
     """
     setting = {"yours": Setting(input_noise, output_noise, gain, delay)}
     errors = compare(setting, 6, 1, int(taps), 200, 0.98)["errors"][0]

@@ -65,7 +65,7 @@ def test_seeds_are_an_axis_of_their_own():
 
 
 def test_a_noisy_sample_comes_close_and_blames_the_seeds():
-    """Noise of 47/12, as much as the axes: 256 points with 4 seeds leave about 0.05 of doubt in a share."""
+    """Noise of 47/12, as much as the axes: 256 points with 4 seeds leave an uncertainty of about 0.05 in a share."""
     rng = np.random.default_rng(4)
     whole = grid(3, 2, 4, 3, 4)
     design = [whole[k] for k in rng.permutation(len(whole))[:256]]

@@ -1,4 +1,4 @@
-"""Accepting takes over text and numbers, and nothing that differs from run to run."""
+"""Accepting copies text and numbers, and nothing that differs from run to run."""
 
 import fcntl
 import json

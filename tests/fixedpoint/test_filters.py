@@ -234,7 +234,7 @@ def test_a_step_gives_the_numbers_of_the_record(kind, approximate, record):
         variances.append(state.covariance[1, 1])
     assert np.array_equal(
         variances[51:53], np.sort(variances[51:53])
-    )  # doubt grows while nothing is measured
+    )  # the uncertainty grows while nothing is measured
     assert variances[52] > variances[53]
     assert not first.work.any()  # a step leaves the state that it is given
 

@@ -1,4 +1,4 @@
-"""The simulations that the convergence analysis is held against, and what they hold."""
+"""The simulations that the convergence analysis is compared with, and what they hold."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The guard against wind-up in runs side by side, held against each run alone and against sums of its own."""
+"""The guard against wind-up in runs side by side, compared with each run alone and against sums of its own."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Proven peaks of loops, held against matrices that are written apart and against the composed state-space loop."""
+"""Proven peaks of loops, compared with matrices that are written apart and against the composed state-space loop."""
 
 from dataclasses import replace
 

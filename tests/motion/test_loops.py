@@ -1,4 +1,4 @@
-"""Loop functions and the bandwidth search, held against state-space loops, exact norms and python-control."""
+"""Loop functions and the bandwidth search, compared with state-space loops, exact norms and python-control."""
 
 from types import SimpleNamespace
 

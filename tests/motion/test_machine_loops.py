@@ -1,4 +1,4 @@
-"""Loops that are recommended on six machines, held against the equations of motion; sampled loops against python-control."""
+"""Loops that are recommended on six machines, compared with the equations of motion; sampled loops against python-control."""
 
 import numpy as np
 import pytest

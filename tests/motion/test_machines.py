@@ -1,4 +1,4 @@
-"""Machines and their reduction, held against the published parameters and direct solutions in nodal form."""
+"""Machines and their reduction, compared with the published parameters and direct solutions in nodal form."""
 
 from dataclasses import replace
 

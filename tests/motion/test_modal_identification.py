@@ -249,7 +249,7 @@ def test_a_suspension_in_an_octave_of_few_lines_is_found(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_mass_that_the_lowest_lines_contradict_is_doubted(tmp_path):
+def test_a_mass_that_the_lowest_lines_contradict_is_questioned(tmp_path):
     """Modes given by hand to a machine on springs: taken for free, its lowest lines are off by more than half."""
     hertz = np.arange(2.0, 640.0, 0.8)
     np.savez(tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": on_springs(hertz, 12.0)})

@@ -1,4 +1,4 @@
-"""Setpoints, judgement of a scan, feedforward and exact simulation, held against brute force."""
+"""Setpoints, judgement of a scan, feedforward and exact simulation, compared with brute force."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What was asked for is what comes: each answer is held against its question by other means, in any unit.
+"""What was asked for is what comes: each answer is compared with its question by other means, in any unit.
 
 One line of a table for each function whose answer shall have a property that was asked for.
 """
@@ -162,7 +162,7 @@ def test_the_answer_is_what_was_asked_for(name, seed, unit):
 
 
 def worst_residual(rng, unit):
-    """The largest residual under a doubt, of an estimate: what min-max estimation makes small."""
+    """The largest residual under bounded uncertainty, of an estimate: what min-max estimation makes small."""
     matrix, target, bound = unit * rng.standard_normal((9, 3)), unit * rng.standard_normal(9), 0.4 * unit
     found = estimation.min_max_solve(matrix, target, bound).estimate
     return found, lambda x: np.linalg.norm(matrix @ x - target) + bound * np.linalg.norm(x)

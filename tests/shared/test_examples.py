@@ -23,7 +23,7 @@ def handed_out(face):
 
 
 def given_back():
-    """Classes of the toolbox that a face hands out, or that it returns, under their names."""
+    """Classes of the toolbox of a public API, or that it returns, under their names."""
     found = {}
     for face in FACES:
         thing = handed_out(face)

@@ -1,4 +1,4 @@
-"""The layers: which folder imports which, held against the imports of the library and the notebooks."""
+"""The layers: which folder imports which, compared with the imports of the library and the notebooks."""
 
 import ast
 import importlib

@@ -1,4 +1,4 @@
-"""The shared linear models, held against python-control, high precision and closed forms."""
+"""The shared linear models, compared with python-control, high precision and closed forms."""
 
 import warnings
 from contextlib import suppress

@@ -100,7 +100,9 @@ SPOT_CHECKS = {
         / (2 * np.pi)
     ),
     ("observers", 7): butterworth,
-    ("uncertainty", 1): lambda: optimize.minimize_scalar(lambda x: np.hypot(x - 2, x - 1) + 0.5 * abs(x), (0, 2)).x,
+    ("uncertainty", 1): lambda: (
+        optimize.minimize_scalar(lambda x: np.hypot(x - 2, x - 1) + 0.5 * abs(x), (0, 2)).x
+    ),
     ("uncertainty", 8): lambda: SEEN.sum(0) @ SEEN[0] / (SEEN.sum(0) @ SEEN.sum(0)),
     ("noise", 4): lambda: np.sqrt(np.linalg.inv(sum(np.outer(t, t) for t in WINDOW))[1, 1] / 2),
     ("budget", 1): lambda: np.sqrt(

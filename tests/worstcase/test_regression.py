@@ -489,7 +489,7 @@ def test_endless_unexcited_samples_stay_finite_and_learning_resumes(estimator, l
     assert np.isfinite(estimator.coef_).all()
     estimator.partial_fit(X[400:], y[400:])
     X, y = (X, y) if getattr(estimator, "forgetting", 0) == 1 else (X[400:], y[400:])
-    # what 0.95 forgets, the initial estimate and the little doubt all count for less than a thousandth
+    # what 0.95 forgets, the initial estimate and the little uncertainty all count for less than a thousandth
     tolerance = 0.3 if isinstance(estimator, LeastMeanSquares) else 2e-3
     A, b = weighted(X, y, getattr(estimator, "forgetting", 1.0))
     assert estimator.coef_ == pytest.approx(np.linalg.lstsq(A, b)[0], abs=tolerance)

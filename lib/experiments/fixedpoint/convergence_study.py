@@ -1,4 +1,4 @@
-"""Simulations that the convergence analysis is held against."""
+"""Simulations that the convergence analysis is compared with."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The front door of the toolbox: arguments and fields are held against their annotations, results are finite.
+"""Validation of the toolbox: arguments and fields are checked against their annotations, results are finite.
 
 An annotation may hold bounds, too (`stillwork.base.bounds`). A function keeps to its own what no annotation says: which
 sizes fit together, what is stable.

@@ -1,4 +1,4 @@
-"""Adaptive filters, estimation under bounded doubt, Kalman, robust and optimal observers, low passes."""
+"""Adaptive filters, estimation under bounded uncertainty, Kalman, robust and optimal observers, low passes."""
 
 from stillwork.base.lazy_exports import lazy_exports
 

@@ -282,7 +282,7 @@ def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor
 def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner, regressor, error, sample):
     """`ferls_update` with Bierman's factors.
 
-    They show P's diagonal at the price of a product, so one element a sample is held against its limit.
+    They show P's diagonal at the price of a product, so one element a sample is compared with its limit.
     """
     n, forget = len(regressor), matrix.dtype.type(forgetting)
     denominator = update_ud(matrix, regressor, forget, gain, inner)

@@ -112,7 +112,7 @@ def advise(
         In the order of time.
     y : array_like, shape (samples,)
     noise : array_like, shape () or (features,), optional
-        Standard deviation of the white noise of each feature, or one for all, in its unit. If in doubt, the smaller.
+        Standard deviation of the white noise of each feature, or one for all, in its unit. If unsure, use the smaller value.
     instruments : array_like, shape (samples, instruments), optional
         What goes with the features but not with their noise: a second sensor, older inputs.
     fit_intercept : bool

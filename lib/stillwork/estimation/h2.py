@@ -250,7 +250,7 @@ def _covariance(a, b, c, d, r) -> np.ndarray:
     known = np.linalg.solve(r, d).T  # what a measurement says of the noise in it
     free, noise = a - b @ known @ c, b - b @ known @ d
     if len(d) == d.shape[1] and np.all(linalg.eigvals(free).real < 0):
-        return np.zeros_like(a)  # the measurements know all noise, so nothing is left to doubt
+        return np.zeros_like(a)  # the measurements know all noise, so nothing is left uncertain
     try:
         p = linalg.solve_continuous_are(a.T, c.T, b @ b.T, r, s=b @ d.T)
         if np.isfinite(p).all():

@@ -112,7 +112,7 @@ class KalmanRecord:
         Raises
         ------
         InputError
-            When an estimate leaves the finite numbers.
+            When an estimate overflows.
 
         References
         ----------
@@ -230,7 +230,7 @@ def kalman_filter(
     Raises
     ------
     InputError
-        When the model is in continuous time, sizes do not fit, or an estimate leaves the finite numbers.
+        When the model is in continuous time, sizes do not fit, or an estimate overflows.
 
     References
     ----------

@@ -30,7 +30,7 @@ class Track:
 class _Recursion:
     # The state stands apart from the settings, so one estimator serves many records.
     def bounds(self, first: int, count: int) -> np.ndarray:
-        """eta of `count` samples from sample `first` on; zero where nothing is doubted.
+        """eta of `count` samples from sample `first` on; zero where everything is known exactly.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class _MinMaxUpdate(_Recursion):
         >>> state, estimates = settings.start(unknowns=1), np.zeros((3, 1))
         >>> rows, track = np.ones((3, 1)), (estimates, np.zeros(3), np.zeros(3), np.zeros(3, int))
         >>> settings.fill(state, settings.bounds(0, 3), rows, 2 * np.ones(3), *track)
-        >>> bool(0 < estimates[-1, 0] < 2)  # doubt shrinks
+        >>> bool(0 < estimates[-1, 0] < 2)  # the uncertainty shrinks
         True
         """
         iterations = self.iterations if self.update == "approximate" else 0
@@ -215,7 +215,7 @@ class MinMax(_MinMaxUpdate):
     --------
     >>> rows = identification.fir_regressors(np.random.default_rng(1).standard_normal(500), taps=2)
     >>> track = estimation.run(estimation.MinMax(bound=1.0, forgetting=0.98), rows, [0.7, 0.2] @ rows)
-    >>> bool(np.linalg.norm(track.estimates[:, -1]) <= np.hypot(0.7, 0.2))  # doubt only shrinks
+    >>> bool(np.linalg.norm(track.estimates[:, -1]) <= np.hypot(0.7, 0.2))  # the uncertainty only shrinks
     True
     """
 
@@ -288,7 +288,7 @@ class LeastSquares(_Recursion):
         millionth as much as the sample in which the regressor was largest so far.
     growth_limit : float
         How far an element of the diagonal of P may grow beyond P_0, at least 1; ``inf`` for the textbook's
-        recursion. Without excitation P grows as 1 / forgetting^t: it leaves the finite numbers, and long before
+        recursion. Without excitation P grows as 1 / forgetting^t: it overflows, and long before
         that its return breaks the recursion. Information is added only where P exceeds the limit; `held` of the
         track tells for which unknowns it was at the last sample.
 

@@ -94,7 +94,7 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     colour, whiten = np.linalg.cholesky(model.process), np.linalg.inv(np.linalg.cholesky(model.sensor))
     _kalman_kernel(states, outputs)(model.a, model.g, model.c, colour, whiten, gain, covariance)
     require_finite_run("the filter's gain", gain, RESCALE)
-    if not np.isfinite(covariance[-1]).all():  # what leaves the finite numbers does not come back
+    if not np.isfinite(covariance[-1]).all():  # what overflows does not come back
         require_finite_run("the filter's covariance", covariance, RESCALE)
     # It shares the model's matrices: of a long record to copy them takes longer.
     return made(

@@ -198,7 +198,7 @@ class SecularFunction:
         Raises
         ------
         InputError
-            When it leaves the finite numbers there.
+            When it overflows there.
         """
         alpha = require_array("alpha", alpha)
         norm, residual, slope = self._terms(alpha)
@@ -218,7 +218,7 @@ class SecularFunction:
         Raises
         ------
         InputError
-            When an iterate leaves the finite numbers.
+            When an iterate overflows.
         """
         values = [start]
         for _ in range(require_samples("steps", steps)):

@@ -16,7 +16,7 @@ from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.gaussian import require_covariance
 
-RESCALE = "rescale the model, its noises or the penalty"  # where a filter's matrices leave the finite numbers
+RESCALE = "rescale the model, its noises or the penalty"  # where a filter's matrices overflow
 
 
 @checked

@@ -15,7 +15,7 @@ from stillwork.lti.state_space import StateModel, unit_of
 NOTHING = 1e-15
 TOLERANCE = 1e-10  # of the H-infinity norm, relative
 GRID = 200  # frequencies at which a model that no pole lifts above its feedthrough is looked at first
-MOST_DOUBT = 1e-6  # of the power that a Lyapunov equation gives, relative
+MAX_UNCERTAINTY = 1e-6  # of the power that a Lyapunov equation gives, relative
 APART = 1e-3  # by which the power may differ, relative, where the dual equation gives it
 MOST_SPREAD = 1e-4  # of the H-infinity norm: by how much it may move with the rounding of A
 
@@ -240,7 +240,7 @@ def h2_norm(model: StateModel) -> float:
     units, power, uncertainty, nothing = _squared(model)
     if nothing:
         return direct
-    if not uncertainty <= MOST_DOUBT * power:
+    if not uncertainty <= MAX_UNCERTAINTY * power:
         raise InputError(
             f"the Lyapunov equation leaves an uncertainty of {uncertainty:.1e} in a squared norm of {power:.1e} (scaled); the "
             "model is too close to instability, or needs other units"

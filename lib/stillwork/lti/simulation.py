@@ -34,7 +34,7 @@ def simulate(
     Raises
     ------
     InputError
-        When the model is in continuous time, or its outputs leave the finite numbers; the message names the sample.
+        When the model is in continuous time, or its outputs overflow; the message names the sample.
 
     Examples
     --------

@@ -45,7 +45,7 @@ def read_universal(path: str | Path) -> dict[str, np.ndarray]:
     pyuff = require_package("pyuff")
     path = Path(path)
     try:
-        # pyuff prints where it is in doubt, and numpy warns; what counts is checked below.
+        # pyuff prints where it is unsure, and numpy warns; what counts is checked below.
         with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
             warnings.simplefilter("ignore")
             file = pyuff.UFF(str(path))

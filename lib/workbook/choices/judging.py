@@ -257,7 +257,7 @@ def agreement(study: Outcomes, entry: Entry) -> np.ndarray:
     """Whether an entry agrees, by the ledger's own rule, under each combination: (points, seeds).
 
     Where the rule asks for an interval over runs and the study gives none, it is the one over the seeds at the point;
-    of a fraction of runs, each seed's own fraction is held against the threshold.
+    of a fraction of runs, each seed's own fraction is compared with the threshold.
     """
     values = study.values[entry.id]
     nothing = np.full(values.shape, np.nan)

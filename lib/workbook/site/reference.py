@@ -78,7 +78,7 @@ class Module:
 
 @dataclass(frozen=True)
 class Folder:
-    """A concept or a topic: what it is, the places and items that it hands out, and its modules."""
+    """A concept or a topic: what it is, its places and public items, and its modules."""
 
     name: str
     doc: str
@@ -110,7 +110,7 @@ def folders(modules: list[Module]) -> list[Folder]:
 
 
 def face_names(tree: ast.Module) -> dict[str, str]:
-    """The names that a package hands out, with the module that defines each."""
+    """The public names of a package, with the module that defines each."""
     for statement in tree.body:
         match statement:
             case ast.Assign(value=ast.Call(func=ast.Name(id="lazy_exports"), args=[_, by_module])):
