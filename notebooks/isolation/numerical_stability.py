@@ -509,9 +509,9 @@ def paint_map(
                 values = [run.worst for run in runs.values()]
                 axes.plot(np.full(len(values), condition), values, mark, color=figures.GREY, label=name)
         certain, mean = condition_bounds(forgettings[0], precision)
-        for bound, line, text in ((certain, ":", "errors of one sign "), (mean, "--", "independent errors ")):
+        for bound, line, text in ((certain, ":", " errors of one sign"), (mean, "--", " independent errors")):
             axes.axvline(bound, color=figures.BLACK, lw=0.8, ls=line)
-            axes.annotate(text, (bound, 5), rotation=90, ha="right", va="top", fontsize=7)
+            axes.annotate(text, (bound, 3e-13), rotation=90, ha="right", va="bottom", fontsize=7)
         axes.axhline(1.0, color=figures.GREY, lw=0.8)
         axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 10))
         axes.set(xlabel="condition number of the scaled regressors")

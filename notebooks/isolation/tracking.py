@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.isolation.algorithm_styles import COLORS, STYLES
+from experiments.isolation.algorithm_styles import COLOURS, STYLES
 from experiments.isolation.convergence import ALGORITHMS
 from experiments.isolation.floors import ShapedFloor, coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
@@ -195,7 +195,7 @@ def paint_settling(
     at = np.arange(len(GROUPS))
     for panel, (title, study) in zip(axes[0], studies.items(), strict=True):
         for shift, name in zip((-0.15, 0.15), ALGORITHMS, strict=True):
-            color = COLORS[name]
+            color = COLOURS[name]
             times = np.array([study[f"{name} {group}"] for group in GROUPS]).ravel()
             places = np.repeat(at + shift, study.runs)
             ended = np.isfinite(times)
@@ -228,7 +228,7 @@ def expected_switch_painter(twin: Twin, switches: Mapping[str, Switch], duration
         for name in ALGORITHMS:
             moved = {"step_size": step_size, "memory_s": memory_s, "start": switch.start}
             left = Response(time, mean_course(twin, switch.end, name, time, **moved), switch).left()
-            style = {"color": COLORS[name], "label": name}
+            style = {"color": COLOURS[name], "label": name}
             axes.plot(np.append(0.0, time), np.append(1.0, left), STYLES[name], **style)
         axes.axhline(SHARE, color=figures.GREY, lw=0.8)
         axes.set(xlabel="time after the switch (s)", ylabel="share of the shift to go")

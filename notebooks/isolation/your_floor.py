@@ -479,7 +479,7 @@ def _list(words) -> str:
     return ", ".join(map(str, words))
 
 
-_COLORS = {"floor": figures.RED, "passive": figures.SKY, "feedback": figures.BLUE, "FeRLS": figures.BLACK}
+_COLOURS = {"floor": figures.RED, "passive": figures.PURPLE, "feedback": figures.BLUE, "FeRLS": figures.BLACK}
 _SHOWN_HZ = (1.0, 400.0)
 _GROUPS = {
     "weights of acceleration": figures.BLUE,
@@ -525,7 +525,7 @@ def paint_isolated(isolated: Isolated):
             f = spectrum.frequencies_hz
             inside = np.flatnonzero((f >= _SHOWN_HZ[0]) & (f <= _SHOWN_HZ[1]))
             points = inside[thinned(f[inside], spectrum.density[k, inside])]
-            panel.loglog(f[points], spectrum.density[k, points], lw=0.9, color=_COLORS[name], label=name)
+            panel.loglog(f[points], spectrum.density[k, points], lw=0.9, color=_COLOURS[name], label=name)
         top = max(line.get_ydata().max() for line in panel.lines)
         panel.set(title=DIRECTIONS[k], xlabel="frequency (Hz)", ylabel=f"PSD ({units[k]})")
         panel.set(ylim=(top * 1e-6, top * 3))
@@ -544,8 +544,8 @@ def paint_adaptation(isolated: Isolated):
     whole = len(isolated.progress) // WINDOW * WINDOW
     time_s = run.time_s[:whole].reshape(-1, WINDOW).mean(axis=1)
     low, middle, high = np.quantile(isolated.progress[:whole].reshape(-1, WINDOW), [0.1, 0.5, 0.9], axis=1)
-    left.fill_between(time_s, low, high, color=_COLORS["FeRLS"], alpha=0.2, lw=0, label="central 80 %")
-    left.plot(time_s, middle, color=_COLORS["FeRLS"], lw=1.2, label=f"median of {WINDOW * KEEP_EVERY_S:g} s")
+    left.fill_between(time_s, low, high, color=_COLOURS["FeRLS"], alpha=0.2, lw=0, label="central 80 %")
+    left.plot(time_s, middle, color=_COLOURS["FeRLS"], lw=1.2, label=f"median of {WINDOW * KEEP_EVERY_S:g} s")
     left.axhline(1, color=figures.GREY, lw=0.8)
     left.set(xlabel="time (s)", ylabel="filtered error, power over\nthat without feedforward", ylim=(0, None))
     left.legend(loc="best")
@@ -563,7 +563,7 @@ def paint_gain(gains: np.ndarray, left: dict[str, np.ndarray]):
     """Rms motion in z over that of the floor, 1-300 Hz, for a louder or quieter floor; optimum weights."""
     figure, axes = figures.new(1, 1, height=2.8)
     for name, values in left.items():
-        axes.loglog(gains, values, color=_COLORS[name], label=name)
+        axes.loglog(gains, values, color=_COLOURS[name], label=name)
     axes.axhline(1, color=figures.GREY, lw=0.8)
     axes.axvline(1, color=figures.GREY, lw=0.8, ls="--")
     axes.set(xlabel="amplitude over this floor's", ylabel="platform over floor in z, rms")
@@ -586,7 +586,7 @@ def explore_floor(twin: Twin, floor: SpectralFloor):
             curves[name] = _expected(changed, louder, f, options)
         for name, density in curves.items():
             centres, velocity = one_third_octave_velocity(f, density)
-            axes.loglog(centres, velocity, "o-", ms=2.5, lw=0.9, color=_COLORS[name], label=name)
+            axes.loglog(centres, velocity, "o-", ms=2.5, lw=0.9, color=_COLOURS[name], label=name)
         _criteria(axes)
         axes.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity in z (m/s)")
         axes.set_ylim(bottom=1e-9)

@@ -115,10 +115,13 @@ def sampled_frequencies(sample_time: float) -> np.ndarray:
 
 
 def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
-    """Magnitude of sampled plants, one panel a group; lines that coincide are distinguished by their dashes."""
-    styles = [{"color": figures.GREY, "linewidth": 2.5}]
-    styles += [{"color": colour, "linewidth": 1.1} for colour in (figures.BLUE, figures.RED, figures.GREEN)]
-    styles[3]["linestyle"] = "--"
+    """Magnitude of sampled plants, one panel a group; lines that coincide are distinguished by width and dashes."""
+    styles = [
+        {"color": figures.GREY, "linewidth": 1.5},
+        {"color": figures.SKY, "linewidth": 4.0},
+        {"color": figures.RED, "linewidth": 1.1},
+        {"color": figures.BLACK, "linewidth": 1.3, "linestyle": "--"},
+    ]
     curves = {title: {} for title in panels}
     for title, plants in panels.items():
         for (name, plant), style in zip(plants.items(), styles, strict=False):

@@ -3,4 +3,4 @@
 from workbook import figures
 
 STYLES = {"FeLMS": "--", "FeRLS": "-"}
-COLORS = {"FeLMS": figures.GREEN, "FeRLS": figures.BLACK}  # as in Figs. 7 and 8
+COLOURS = {"FeLMS": figures.GREEN, "FeRLS": figures.BLACK}  # as in Figs. 7 and 8

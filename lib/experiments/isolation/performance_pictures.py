@@ -14,7 +14,7 @@ from experiments.isolation.twin import load_twin
 from workbook import figures
 
 _STYLES = {
-    "passive": {"color": figures.SKY},
+    "passive": {"color": figures.PURPLE},
     "feedback": {"color": figures.BLUE},
     "FeLMS": {"color": figures.GREEN, "ls": "--", "zorder": 3},  # lies on FeRLS
     "FeRLS": {"color": figures.BLACK},
