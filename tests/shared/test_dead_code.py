@@ -89,14 +89,3 @@ def test_every_top_level_name_is_used():
         for names in NAMED.findall(file.read_text(encoding="utf-8")):
             others |= set(names)
     assert dead(modules, others) == []
-
-
-def test_what_only_itself_or_nobody_uses_is_found():
-    modules = {
-        "lib/a": ast.parse(
-            "LIMIT, MORE = 3, 4\ndef lost(n):\n    return lost(n - 1)\ndef kept():\n    return LIMIT"
-        ),
-        "lib/b": ast.parse("from a import kept\nUNREAD: int = 1\nclass Written: ...\nclass Offered: ..."),
-        "lib/__init__": ast.parse("names = lazy_exports(__name__, {'b': ('Offered',)})"),
-    }
-    assert dead(modules, {"Written", "names"}) == ["lib/a: lost", "lib/b: UNREAD"]

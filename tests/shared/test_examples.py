@@ -64,13 +64,6 @@ def test_every_argument_is_described(name):
     assert inspect.isclass(thing) or undescribed(thing) == []
 
 
-def test_an_argument_without_a_word_is_found():
-    def half(matrix, step):
-        """Of `matrix` alone."""
-
-    assert undescribed(half) == ["step"]
-
-
 def run_examples():
     """What went wrong in each example; numpy is `np`, as everywhere, and the folders have their names."""
     found = {}

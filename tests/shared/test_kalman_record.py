@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stillwork.base.checks import InputError
 from stillwork.estimation import NoiseCovariances, kalman_filter, kalman_gain
 from stillwork.lti import StateModel
 
@@ -205,23 +204,3 @@ def test_units_of_states_and_outputs_do_not_matter(unit):
     two = kalman_filter(other, scaled, u, unit * y, unit**2 * start, unit * mean)
     assert two.filtered / unit == pytest.approx(one.filtered, rel=1e-9)
     assert two.smooth()[0] / unit == pytest.approx(one.smooth()[0], rel=1e-9)
-
-
-def test_what_does_not_fit_is_refused_by_name():
-    model, noise, u, y, start, _ = drawn(1)
-    with pytest.raises(InputError, match="model"):
-        kalman_filter(StateModel(model.a, model.b, model.c, model.d), noise, u, y, start)
-    with pytest.raises(InputError, match="y has"):
-        kalman_filter(model, noise, u, y[:1], start)
-    with pytest.raises(InputError, match="u"):
-        kalman_filter(model, noise, u[:, 1:], y, start)
-    with pytest.raises(InputError, match="initial_covariance"):
-        kalman_filter(model, noise, u, y, -start)
-    with pytest.raises(InputError, match=r"noise\.process"):
-        kalman_filter(model, NoiseCovariances(np.eye(2), noise.sensor), u, y, start)
-    with pytest.raises(InputError, match="sensor"):
-        NoiseCovariances(np.eye(2), np.zeros((1, 1)))
-    with pytest.raises(InputError, match="cross"):
-        NoiseCovariances(np.eye(2), np.eye(1), np.array([[2.0], [0.0]]))
-    with pytest.raises(InputError, match="y"):
-        kalman_filter(model, noise, u, np.where(np.isnan(y), 0.0, np.inf), start)

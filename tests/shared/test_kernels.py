@@ -387,13 +387,3 @@ def counted(trees):
 def test_what_counts_no_references_calls_nothing_that_does():
     """It would fail to compile where that makes an array and has not been compiled for another caller before."""
     assert list(counted(modules(paths.root()))) == []
-
-
-def test_a_call_of_what_counts_references_is_found():
-    sources = {
-        "stillwork.a": "@kernel\ndef make():\n    return np.zeros(3)\n@pasted_kernel\ndef add():\n    pass",
-        "stillwork.b": "from stillwork.a import add, make\n@borrowing_kernel\ndef both():\n    add()\n    make()",
-    }
-    assert list(counted({name: ast.parse(text) for name, text in sources.items()})) == [
-        (("stillwork.b", "both"), ("stillwork.a", "make"))
-    ]

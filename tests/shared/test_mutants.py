@@ -55,34 +55,6 @@ def test_a_seed_draws_the_same_mutants_again_and_another_one_others(mutants):
     assert one == again and len(set(one)) == 30 and set(one) != set(other)
 
 
-LIBRARY = """
-def area(width, height):
-    total = width * height
-    return total
-
-class Box:
-    def __init__(self, side):
-        self.side = side + 0
-
-    def volume(self):
-        def cube(side):
-            return side**3
-        return cube(self.side) + 1 - 1
-
-def unused(width):
-    return width + 1
-"""
-TESTS = """
-from library import Box, area
-
-def test_area():
-    assert area(2, 3) == 6
-
-def test_volume():
-    assert Box(2).volume() == 8
-"""
-
-
 def test_what_is_said_to_change_nothing_is_a_mutant_and_says_why(mutants):
     """An entry whose line was changed since says nothing."""
     for each in mutants.read_toml(mutants.FORKED / "equivalent.toml")["mutant"]:

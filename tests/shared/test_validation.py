@@ -5,8 +5,6 @@ import gc
 import inspect
 import pkgutil
 import re
-import subprocess
-import sys
 import typing
 import warnings
 from collections.abc import Callable, Sequence
@@ -27,7 +25,6 @@ from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control import PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.feedforward import least_squares
 from stillwork.control.setpoint import segment_times
-from stillwork.estimation import FeLms, FeRls, adapt, identify
 from stillwork.identification import complex_frequency_poles
 from stillwork.lti import ModalModel
 from stillwork.lti.peaks import refine_peak
@@ -388,28 +385,6 @@ def test_what_may_be_anything_is_taken_as_it_is():
     assert kept("text") == ["text", None] and kept(None, kept) == [None, kept]
 
 
-def test_a_record_without_rows_is_named():
-    regressors, disturbance = np.ones((3, 200)), np.ones((1, 200))
-    with pytest.raises(InputError, match=r"^disturbance\b"):
-        identify(FeRls(1.0), regressors, disturbance[:0])
-    with pytest.raises(InputError, match=r"^regressors\b"):
-        adapt(FeLms(0.1), regressors[:0], disturbance)
-
-
-@pytest.mark.parametrize("settings", [FeRls(1.0), FeLms(0.1)])
-@pytest.mark.parametrize("run", [adapt, identify])
-def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
-    """As a column of a table or a memory map gives them."""
-    rng = np.random.default_rng(1)
-    regressors, signal = rng.standard_normal((3, 200)), rng.standard_normal((1, 200))
-    np.save(tmp_path / "rows.npy", regressors)
-    mapped = np.load(tmp_path / "rows.npy", mmap_mode="r")
-    frozen = signal.copy()
-    frozen.flags.writeable = False
-    wanted = run(settings, regressors, signal)
-    np.testing.assert_array_equal(run(settings, mapped, frozen).weights, wanted.weights)
-
-
 # What asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
 OWN_DOORS = re.compile(
     r"from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares|floor_level)|(Adaptation|Recursive)Stepper\.update|(\w+Regressor|LeastMeanSquares)\.((partial_)?fit|predict|score)"
@@ -473,121 +448,3 @@ def test_every_public_function_has_a_front_door():
         if name not in PARTS and not OWN_DOORS.fullmatch(name) and (gaps := unasked(function))
     }
     assert doorless == {}
-
-
-def test_what_nobody_asks_is_found():
-    def open_to_all(number: float, other):
-        return number, other
-
-    assert unasked(open_to_all) == ["number", "other"]
-    assert unasked(checked(open_to_all)) == ["other"]
-
-
-MODELS = """
-import numpy as np
-from stillwork.base.checks import InputError
-from stillwork.control import FlowTransformation
-from stillwork.control.crossover import crossover
-from stillwork.control.digital import biquads
-from stillwork.control.feedback import fed_back
-from stillwork.control.feedforward import Feedforward
-from stillwork.control.fixed_point import ending, require_noise
-from stillwork.control.fixed_point_convergence import LimitCycle, Oscillation, iterate
-from stillwork.control.fixed_point_linear import LinearFilter, semi_implicit_motion
-from stillwork.control.machine_loops import Intensities
-from stillwork.control.machine_tuning import DesignSettings, varied
-from stillwork.control.setpoint import Setpoint
-from stillwork.estimation import AdaptationStepper, FeLms, adapt
-from stillwork.estimation.covariance_forms import factor_of
-from stillwork.estimation.observer import Observer
-from stillwork.estimation.plant import Plant, force_slope, partial_derivatives
-from stillwork.estimation.secular import SecularFunction
-from stillwork.estimation.windows import end_point_weights
-from stillwork.identification.complex_frequency import Stabilisation
-from stillwork.identification.frequency_response import impact_response
-from stillwork.identification.machine_files import MachineFile, complex_responses, kind_of
-from stillwork.identification.regressors import exponential_weights
-from stillwork.lti import ModalModel, StateModel, interconnect
-from stillwork.lti.peaks import refine_peak
-from stillwork.lti.state_space import constant
-from stillwork.signals.criteria import criterion_velocity
-from stillwork.signals.densities import frequency_axis
-from stillwork.signals.records import sampling_rate
-from stillwork.signals.spectra import ResponseEstimate, Spectrum, band_power
-
-model = ModalModel([0, 10], [0, 0.01], [[1], [1]], [[1, -1]], [[0]])
-assert model.frequencies.dtype == np.float64
-one = StateModel([[-1]], [[1]], [[1]], [[0]])
-noises = Intensities(1.0, 1.0, 1.0)
-stage = ModalModel([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
-hits = np.random.default_rng(1).standard_normal((2, 64))
-ending_plant = Plant(lambda q, v, f, p: f / p[0] if q < 1 else np.nan, lambda q, v, a, p: a * p[0], [2.0])
-for call, message in (
-    (lambda: ModalModel([0.0], [0.0], [[1.0]], [[1.0]], 0.0), "feedthrough"),
-    (lambda: Observer(None, np.eye(2), np.eye(2), np.eye(2), np.eye(2)), "model"),
-    (lambda: Observer(model, -np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.ones((3, 1))), "gain"),
-    (lambda: refine_peak(np.sin, np.ones(3), np.ones(2)), "omega"),
-    (lambda: crossover(np.sin, np.ones(3), np.ones(2)), "omega"),
-    (lambda: SecularFunction([2.0, 1.0], [1.0, 1.0, 1.0], 1.0, 0.1), "coefficients"),
-    (lambda: Spectrum([0.0, 1.0], [[1.0]], 1), "density"),
-    (lambda: AdaptationStepper("rls", np.zeros((1, 2))), "settings"),
-    (lambda: Setpoint(0.1, np.zeros((5, 0)), (0.0, 0.5), 0.1), "Setpoint"),
-    (lambda: Feedforward(np.inf), "velocity"),
-    (lambda: Setpoint(0.1, np.zeros((5, 10)), ("a", 0.5), 0.1), "scan[0]"),
-    (lambda: fed_back(model, [[1.0]]), "gain"),
-    (lambda: interconnect([one], np.eye(2), [[1.0]], [[1.0]]), "feedback"),
-    (lambda: interconnect([], [[1.0]], [[1.0]], [[1.0]]), "models"),
-    (lambda: iterate(FlowTransformation(), 1e300, 5, response_gain=1e300), "iterate"),
-    (lambda: kind_of({1: 2}), "arrays"),
-    (lambda: frequency_axis({1: 2}), "columns"),
-    (lambda: sampling_rate("x", {"rate": "fast"}), "rate']"),
-    (lambda: complex_responses({}), "frequency"),
-    (lambda: ending(99, 0.0, "x"), "status"),
-    (lambda: require_noise(0, ""), "shape"),
-    (lambda: require_noise(0, ()), "shape"),
-    (
-        lambda: LinearFilter(np.eye(2), np.ones((3, 2)), np.ones((3, 2)), np.ones((3, 2))),
-        "A, B, C",
-    ),
-    (lambda: Stabilisation([1], [1.0, 2.0], [0.1], [True]), "order"),
-    (lambda: MachineFile("response", "x", accelerance="x"), "accelerance"),
-    (lambda: DesignSettings(None, 10**400, noises), "retained"),
-    (lambda: varied(DesignSettings(None, 2, noises), "foo", 2.0), "name"),
-    (lambda: Oscillation(np.nan, 1.0), "frequency_hz"),
-    (lambda: LimitCycle(np.nan, 1.0, 1.0, 1.0, True), "frequency_hz"),
-    (lambda: ResponseEstimate("x", *np.ones((3, 1, 1, 1)), 1), "frequencies_hz"),
-    (lambda: force_slope(ending_plant, 9.0, 0.0, 0.0), "force_slope"),
-    (lambda: partial_derivatives(ending_plant, 9.0, 0.0, 0.0), "partial_derivatives"),
-    (lambda: impact_response(hits, hits, 1e308), "rate"),
-    (lambda: biquads(constant([[1, 2], [3, 4]], 1e-3)), "model"),
-    (lambda: biquads(constant([[1]])), "model"),
-    (lambda: exponential_weights(0, 0.9), "rows"),
-    (lambda: exponential_weights(3, 1.5), "forgetting"),
-    (lambda: semi_implicit_motion((1.0, 2.0, 3.0), 0.0), "sample_time"),
-    (lambda: criterion_velocity("VC-A", [-1.0]), "frequencies_hz"),
-    (lambda: factor_of("triangle", np.ones((2, 3))), "covariance"),
-    (lambda: end_point_weights(3, 5), "degree"),
-    (lambda: constant(np.zeros((0, 0))), "gain"),
-    (lambda: stage.state_space().select([], []), "inputs"),
-    (lambda: stage.at([], []), "feedthrough"),
-    (lambda: stage.frequency_response([]), "omega"),
-    (lambda: stage.state_space().frequency_response([]), "omega"),
-    (lambda: adapt(FeLms(0.1), np.ones((3, 0)), np.ones((1, 0))), "regressors"),
-    (lambda: band_power([1, 2, 3], [1, 1, 1], 3, 1), "high_hz"),
-):
-    try:
-        result = call()
-    except InputError as error:
-        assert message in str(error), (message, error)
-    else:
-        raise AssertionError((message, result))
-assert abs(sampling_rate("x", {"time": [0, 0.1, 0.2]}) - 10.0) < 1e-9
-assert complex_responses({"frequency": [1, 2], "h": [1j, 2]})["h"].dtype == complex
-"""
-
-
-@pytest.mark.slow
-def test_models_check_themselves():
-    """In a process of its own: here the tests' type checker would answer first."""
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", MODELS], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
