@@ -273,31 +273,6 @@ raise SystemExit(main(["accept"]))
         assert b"# mine" in (toy.root / name).read_bytes()
 
 
-def test_what_somebody_changes_meanwhile_elsewhere_stays_beside_what_is_accepted(built):
-    toy = built
-    script = f"""
-from pathlib import Path
-from stillwork.__main__ import main
-from workbook.site import derived
-refresh = derived.refresh
-def edited():
-    Path({str(toy.root)!r}, "data/isolation/own.csv").write_text("mine")
-    Path({str(toy.root)!r}, "data/motion/rig.toml").write_text("mass = 3.0")
-    Path({str(toy.root)!r}, "environment.txt").unlink()
-    return refresh()
-derived.refresh = edited
-raise SystemExit(main(["accept"]))
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
-    )
-    assert "accepted 1 notebooks" in done.stdout
-    assert (toy.root / "data/isolation/own.csv").read_text() == "mine"
-    assert (toy.root / "data/motion/rig.toml").read_text() == "mass = 3.0"
-    assert not (toy.root / "environment.txt").exists()
-    assert toy.leftovers() == []
-
-
 def test_two_at_once_are_refused(toy):
     toy.write("build/lock", "")
     with (toy.root / "build/lock").open("a") as lock:

@@ -73,6 +73,15 @@ def stale(toy) -> set[str]:
     return {name for name, reason in lines if reason != "up to date"}
 
 
+def require_style(toy, *places):
+    """The style of this checkout; the toy has a library of its own, which ruff takes for the first party's."""
+    settings = ["--config", f"{Path(__file__).parents[2]}/pyproject.toml"]
+    settings += ["--config", 'lint.isort.known-first-party=["notebooks", "workbook"]']
+    for style in (["format", "--check"], ["check"]):
+        done = subprocess.run([sys.executable, "-m", "ruff", *style, *settings, *places], cwd=toy.root)
+        assert done.returncode == 0
+
+
 def test_a_cell_added_in_jupyter_is_accepted_as_it_is(toy, monkeypatch):
     file = toy.root / f"notebooks/{NAME}.ipynb"
     notebook = json.loads(file.read_text(encoding="utf-8"))
@@ -86,10 +95,7 @@ def test_a_cell_added_in_jupyter_is_accepted_as_it_is(toy, monkeypatch):
     assert [cell["id"] for cell in cells[-3:]] == [cell["id"] for cell in ADDED]
     assert cells[-3]["outputs"][0]["data"] == {"text/plain": ["4"]}
     assert committed(toy, monkeypatch).failed == set()
-    settings = ["--config", f"{Path(__file__).parents[2]}/pyproject.toml"]
-    for style in (["format", "--check"], ["check"]):
-        done = subprocess.run([sys.executable, "-m", "ruff", *style, *settings, "notebooks"], cwd=toy.root)
-        assert done.returncode == 0
+    require_style(toy, "notebooks")
     assert f"notebooks.{NAME.replace('/', '.')}" in modules(toy.root)  # the rules of imports read it
 
 
@@ -119,3 +125,19 @@ def test_a_new_result_and_a_new_topic_pass_as_they_are_written(toy, monkeypatch)
     assert readme.index("| `isolation` | 2 |") < readme.index("| `crane` | 1 |")
     index = (toy.root / "notebooks/index.ipynb").read_text(encoding="utf-8")
     assert "## Crane (`crane`)" in index and "(crane/01-sway.ipynb)" in index
+    require_style(toy, "notebooks", "tests")
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "no:cacheprovider",
+        "-o",
+        "addopts=",
+        "-o",
+        "pythonpath=lib .",
+    ]
+    done = subprocess.run(
+        [*command, "tests"], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+    )
+    assert "4 passed" in done.stdout, done.stdout

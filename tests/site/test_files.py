@@ -393,20 +393,3 @@ def test_pages_lead_to_binder_and_the_source_once_there_is_an_address(toy):
     for page, file in (("notebooks/isolation/01-first", "isolation/01-first"), ("replicate", "index")):
         start = f"https://mybinder.org/v2/git/{public}/v{version}?labpath=notebooks/{file}.ipynb"
         assert leading(f"{page}.html") == [start, public]
-
-
-def test_the_front_page_counts_what_was_predicted_apart(toy):
-    """One number is built and agrees; what it is counted as follows from its entry."""
-    counted = {
-        "": "replicated, predicted",
-        'basis = "calibrated"\n': "replicated, calibrated",
-        "counterfactual = true\n": "counterfactual",
-    }
-    file = "data/isolation/published.toml"
-    before = (toy.root / file).read_text()
-    toy.write("figures/isolation/01-first/claims.json", json.dumps({"isolation.gain": {"ours": 2.0}}))
-    for field, column in counted.items():
-        toy.write(file, before + field)
-        links = elements(site_files()["index.html"]).of("a")
-        shown = [unquote(each["href"].partition("?")[2]) for each in links if "?" in each["href"]]
-        assert [each for each in shown if "not built" not in each] == [f"topic=isolation&counted={column}"]
