@@ -120,12 +120,8 @@ def test_channels_are_chosen_by_name_and_order(good_csv):
         ("g", 9.80665, "m/s^2"),
         ("µg", 9.80665e-6, "m/s^2"),
         ("mm/s", 1e-3, "m/s"),
-        ("um/s", 1e-6, "m/s"),
-        ("m", 1, "m"),
         ("nm", 1e-9, "m"),
         ("m/s²", 1, "m/s^2"),
-        ("m/s2", 1, "m/s^2"),
-        ("kN", 1e3, "N"),
         ("mV", 1e-3, "V"),
         ("urad", 1e-6, "rad"),
         ("1", 1, "1"),
@@ -186,20 +182,15 @@ def test_defects_are_named_with_the_way_out(tmp_path, name, message):
         load_record(path, "m/s^2")
 
 
-def test_missing_values_in_a_csv_are_found(tmp_path):
+@pytest.mark.parametrize(
+    ("lost", "message"), [({5}, r"right\b.* 1 .*\brow 6\b"), (range(SAMPLES), r"right\b.*\b1000\b")]
+)
+def test_missing_values_in_a_csv_are_found_and_no_empty_channel_dropped(tmp_path, lost, message):
     rows = [
-        f"{t},{a}," if n == 5 else f"{t},{a},{b}"
-        for n, (t, a, b) in enumerate(zip(TIME, *SIGNALS, strict=True))
+        f"{t},{a},{'' if n in lost else b}" for n, (t, a, b) in enumerate(zip(TIME, *SIGNALS, strict=True))
     ]
     (tmp_path / "a.csv").write_text("time,left,right\n" + "\n".join(rows))
-    with pytest.raises(InputError, match=r"channel right\b.* 1 .*\brow 6\b"):
-        load_record(tmp_path / "a.csv", "m/s^2")
-
-
-def test_an_empty_channel_is_not_dropped_in_silence(tmp_path):
-    rows = [f"{t},{a},nan" for t, a in zip(TIME, SIGNALS[0], strict=True)]
-    (tmp_path / "a.csv").write_text("time,left,right\n" + "\n".join(rows))
-    with pytest.raises(InputError, match=r"channel right\b.*\b1000\b"):
+    with pytest.raises(InputError, match=f"channel {message}"):
         load_record(tmp_path / "a.csv", "m/s^2")
 
 
@@ -453,17 +444,8 @@ def test_a_channel_that_never_moves_is_refused(tmp_path):
 
 
 def test_a_unit_in_the_header_is_obeyed(tmp_path):
-    table = np.column_stack([np.arange(SIGNALS.shape[1]) / RATE, *SIGNALS])
     for unit, factor in (("mm/s^2", 1e-3), ("cm/s^2", 0.01), ("Gal", 0.01), ("g", 9.80665), ("m/s²", 1.0)):
-        file = tmp_path / "floor.csv"
-        np.savetxt(
-            file,
-            table,
-            header=f"time (s),a ({unit}),b [{unit}]",
-            comments="",
-            delimiter=",",
-            encoding="utf-8",
-        )
+        file = write_csv(tmp_path / "floor.csv", [TIME, *SIGNALS], ["time (s)", f"a ({unit})", f"b [{unit}]"])
         for asked in ("", unit):
             record = load_record(file, asked)
             assert record.unit == "m/s^2" and record.signals == pytest.approx(factor * SIGNALS)
@@ -472,14 +454,12 @@ def test_a_unit_in_the_header_is_obeyed(tmp_path):
 
 
 def test_a_unit_is_asked_for_where_the_header_has_none_and_channels_of_one_quantity_are_taken(tmp_path):
-    table = np.column_stack([np.arange(SIGNALS.shape[1]) / RATE, *SIGNALS])
-    file = tmp_path / "a.csv"
-    np.savetxt(file, table, header="time,left,right (mV)", comments="", delimiter=",")
+    file = write_csv(tmp_path / "a.csv", [TIME, *SIGNALS], ["time", "left", "right (mV)"])
     with pytest.raises(InputError, match=r"^unit\b.*left"):
         load_record(file)
     assert load_record(file, "mV").signals == pytest.approx(1e-3 * SIGNALS)
     assert load_record(file, channels=["right (mV)"]).unit == "V"
-    np.savetxt(file, table, header="time,left (m/s),right (mV)", comments="", delimiter=",")
+    write_csv(file, [TIME, *SIGNALS], ["time", "left (m/s)", "right (mV)"])
     with pytest.raises(InputError, match=r"\bchannels\b"):
         load_record(file)
 

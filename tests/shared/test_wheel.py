@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.wheel import megabytes
 from stillwork.base.extras import BY_PACKAGE
 
 ROOT = Path(__file__).parents[2]
@@ -135,14 +134,6 @@ def test_a_package_is_missed_by_who_has_a_checkout_alone(wheel, tmp_path):
     done = _run(wheel, tmp_path, "site", STILLWORK_ROOT=str(ROOT))
     assert done.returncode == 2, done.stderr
     assert "pip install 'stillwork[site]'" in done.stderr and "Traceback" not in done.stderr
-
-
-def test_its_weight_is_that_of_what_it_brings(tmp_path):
-    for name, size in {"numpy/a.so": 3, "numpy/__pycache__/a.pyc": 2, "pip/b.py": 7, "c.py": 1}.items():
-        file = tmp_path / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(bytes(size * 1000))
-    assert megabytes(tmp_path) == (0.004, 0.002)
 
 
 def test_what_is_missing_is_asked_of_the_extra_that_brings_it():

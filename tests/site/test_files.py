@@ -271,9 +271,18 @@ def test_every_page_describes_itself(files):
             assert len(described[0]) > 20, name
 
 
+ENTRY = Entry("topic.fig-1.a", "Fig. 1", "time", "s", "value", 2.0, Tolerance("digits", relative=0.1))
+
+
+def agreeing_in(entry, some, of):
+    """An entry that agrees in some of its combinations."""
+    settings = tuple((k,) for k in range(of))
+    agrees = np.arange(of)[:, None] < some
+    return Robustness(entry, (), settings, np.ones((of, 1)), agrees, np.zeros((of, 1), bool))
+
+
 def test_how_a_statement_stands_is_told_by_its_combinations_else_by_its_verdict():
-    entry = Entry("topic.fig-1.a", "Fig. 1", "time", "s", "value", 2.0, Tolerance("digits", relative=0.1))
-    claim = Claim(entry, 4.0)
+    entry, claim = ENTRY, Claim(ENTRY, 4.0)
     assert status(claim, None) == "not here: 4 s"
     assert status(Claim(entry, 2.1), None) == "agrees here"
     assert status(Claim(entry, None), None) == "not built"
@@ -283,30 +292,26 @@ def test_how_a_statement_stands_is_told_by_its_combinations_else_by_its_verdict(
         (0, "claim holds under none of 4 combinations", "not reproduced"),
         (1, "claim holds under 1 of 4 combinations", "depends"),
     ):
-        agrees = np.arange(4)[:, None] < agreeing
-        settings = tuple((k,) for k in range(4))
-        standing = Robustness(entry, (), settings, np.ones((4, 1)), agrees, np.zeros((4, 1), bool))
+        standing = agreeing_in(entry, agreeing, 4)
         assert status(claim, standing) == words
         assert class_of(standing) == name
 
 
 def test_what_is_not_found_is_said_as_a_negation():
-    entry = Entry("topic.fig-1.a", "Fig. 1", "time", "s", "value", 2.0, Tolerance("digits", relative=0.1))
-    said = {"says": "FeRLS settles in 2 s", "otherwise": "it settles in {ours}, not in {published}"}
+    entry, said = (
+        ENTRY,
+        {"says": "FeRLS settles in 2 s", "otherwise": "it settles in {ours}, not in {published}"},
+    )
     assert sentence(said, Claim(entry, 2.1), None) == "FeRLS settles in 2 s."
     assert sentence(said, Claim(entry, 4.0), None) == "It settles in 4 s, not in 2 s."
     general = {"says": "The filter settles in 2 s"}
     assert sentence(general, Claim(entry, 4.0), None) == "We did not find this: the filter settles in 2 s."
     assert sentence(general, Claim(entry), None) == "Not computed yet: the filter settles in 2 s."
-    agrees = np.arange(3)[:, None] < 1
-    settings = tuple((k,) for k in range(3))
-    standing = Robustness(entry, (), settings, np.ones((3, 1)), agrees, np.zeros((3, 1), bool))
+    standing = agreeing_in(entry, 1, 3)
     assert sentence(said, Claim(entry, 2.1), standing) == "It settles in 2.1 s, not in 2 s."
     assert status(Claim(entry, 2.1), standing) == "claim holds under 1 of 3 combinations"
     for agreeing, negated in ((3, False), (1, True)):
-        agrees = np.arange(4)[:, None] < agreeing
-        settings = tuple((k,) for k in range(4))
-        standing = Robustness(entry, (), settings, np.ones((4, 1)), agrees, np.zeros((4, 1), bool))
+        standing = agreeing_in(entry, agreeing, 4)
         assert sentence(general, Claim(entry, 4.0), standing).startswith("We did not") == negated
 
 
