@@ -44,6 +44,10 @@ def _forms(array: np.ndarray, file: Path) -> Iterator[tuple[str, object, np.ndar
     yield "backwards in memory", np.ascontiguousarray(plain[..., ::-1])[..., ::-1], plain
     yield "on disk", np.load(file, mmap_mode="r"), plain
     yield "in single precision", single, single.astype(plain.dtype)
+    yield "big-endian", plain.astype(plain.dtype.newbyteorder(">")), plain
+    if plain.dtype.kind == "f":
+        whole = np.rint(plain).astype(np.int64)
+        yield "of integers", whole, whole.astype(float)
 
 
 def _difference(function, good: dict, key: str, other, plain: np.ndarray) -> str:

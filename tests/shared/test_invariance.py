@@ -1,4 +1,4 @@
-"""What no answer may depend on: the unit of a length or a force, that of time, the order and the type of an array.
+"""What no answer may depend on: the unit of a length or a force, that of time, and the order of an array.
 
 One line of a table for each function, so that a new function gets one, too.
 """
@@ -328,44 +328,6 @@ ORDERS = {
 @pytest.mark.parametrize("name", ORDERS)
 def test_the_order_of_channels_changes_no_answer(name):
     agrees(ORDERS[name](ORDER, BACK), ORDERS[name](np.arange(3), np.arange(3)), "FeLMS")
-
-
-FORMS = {
-    "column by column": np.asfortranarray,
-    "strided": lambda array: np.repeat(array, 2, axis=-1)[..., ::2],
-    "list": lambda array: array.tolist(),
-    "big-endian": lambda array: array.astype(">f8"),
-    "integers": lambda array: array.astype(np.int64),
-    "unsigned": lambda array: array.astype(np.uint16),
-    "single": lambda array: array.astype(np.float32),
-}
-# Whole numbers from 0 on, which every type holds.
-COUNTS = np.random.default_rng(2).integers(0, 1000, (2, 600)).astype(float)
-TYPES = {
-    "spectrum": lambda form: signals.estimate_spectrum(form(COUNTS), 1000.0, 5.0).density,
-    "response": lambda form: (
-        signals.estimate_response(form(COUNTS), form(COUNTS[::-1]), 1000.0, 20.0).response
-    ),
-    "moving average": lambda form: signals.moving(form(COUNTS[0]), 1e-3, 7e-3).rms,
-    "simulation": lambda form: lti.simulate(lti.zoh(filtered(), 0.1), form(COUNTS)),
-    "FeRLS": lambda form: adapted(estimation.FeRls(1e3, 0.99), form(COUNTS), form(COUNTS[:1])),
-    "min-max": lambda form: estimation.min_max_solve(form(COUNTS.T), form(COUNTS[0, ::-1]), 5.0).estimate,
-    "least squares": lambda form: (
-        estimation.run(estimation.LeastSquares(0.98), form(COUNTS), form(COUNTS[0, ::-1])).estimates
-    ),
-    "low pass": lambda form: estimation.filter_signal(estimation.LowPass(350.0), form(COUNTS[0])).velocity,
-    "moving window": lambda form: (
-        estimation.filter_signal(
-            estimation.coordinate_filters.MovingWindow(length=7), form(COUNTS[0])
-        ).velocity
-    ),
-}
-
-
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", TYPES)
-def test_the_type_of_an_array_changes_no_answer(name, form):
-    np.testing.assert_array_equal(TYPES[name](FORMS[form]), TYPES[name](np.asarray))
 
 
 def test_a_record_played_backwards_has_the_same_spectrum_and_the_mirrored_response():
