@@ -196,19 +196,8 @@ def test_a_dropped_response_is_shaped_and_leaves_as_c(desk):
     compiler = shutil.which("cc") or shutil.which("gcc")
     assert compiler, "a C compiler is not installed: apt-get install gcc"
     for source in (code, desk.folder / "code" / "controller.c"):
-        command = [
-            compiler,
-            "-std=c99",
-            "-Wall",
-            "-Wextra",
-            "-Wconversion",
-            "-pedantic",
-            "-Werror",
-            "-c",
-            str(source),
-            "-o",
-            f"{source}.o",
-        ]
+        strict = "-std=c99 -Wall -Wextra -Wconversion -pedantic -Werror".split()
+        command = [compiler, *strict, "-c", str(source), "-o", f"{source}.o"]
         done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
     desk.browser.run(DROP, "notes.csv", "time,force\n0,1\n1,2\n")

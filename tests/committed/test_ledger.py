@@ -52,40 +52,10 @@ def test_no_tolerance_comes_from_a_picture():
     assert [name for name, rule in rules if FROM_A_PICTURE.search(rule.source)] == []
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        "reading of Fig. 7's logarithmic frequency axis",
-        "read from Fig. 7",
-        "a line's width in Fig. 7",
-        "a comparison by eye",
-        "seen in a Bode plot",
-    ],
-)
-def test_such_a_source_is_recognised(source):
-    assert FROM_A_PICTURE.search(source)
-
-
 def is_half_a_digit(published: float, half: float) -> bool:
     """Whether a number can have been printed with a last digit of which `half` is the half."""
     unit = 2 * Decimal(str(half))
     return unit.normalize().as_tuple().digits == (1,) and Decimal(str(published)) % unit == 0
-
-
-@pytest.mark.parametrize(
-    ("published", "half", "whole"),
-    [
-        (9.6, 0.05, True),
-        (37.0, 0.5, True),
-        (40.0, 5.0, True),
-        (0.04, 5e-5, True),
-        (9.6, 0.5, False),
-        (9.6, 0.04, False),
-        (35.0, 5.0, False),
-    ],
-)
-def test_half_a_digit_is_half_a_power_of_ten_that_the_number_is_a_multiple_of(published, half, whole):
-    assert is_half_a_digit(published, half) == whole
 
 
 def test_half_the_last_printed_digit_is_that():

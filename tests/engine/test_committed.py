@@ -30,15 +30,7 @@ def nbval(toy, *options: str) -> subprocess.CompletedProcess:
         "STILLWORK_OUTPUT": str(toy.root / "build" / "nbval"),
         "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
     }
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-p",
-        "workbook.nbval_check",
-        "-p",
-        "no:cacheprovider",
-    ]
+    command = [sys.executable, *"-m pytest -p workbook.nbval_check -p no:cacheprovider".split()]
     command += ["--color=no", "-o", "addopts=", str(toy.root / "notebooks"), "--nbval", "--nbval-current-env"]
     command += options
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)

@@ -165,24 +165,6 @@ def test_a_table_gives_a_controller(tmp_path):
     assert found.inputs == ("input 1",)
 
 
-BAD = {
-    "no file": (None, r"a\.json\b"),
-    "text": ("hello", r"^a\.json\b"),
-    "a list": ("[1]", r"^a\.json\b"),
-    "another file": ("{}", r"^a\.json: 'format'"),
-    "another format": ('{"format": "x"}', r"^a\.json: format\b"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_files_that_hold_no_controller_say_why(tmp_path, name):
-    text, message = BAD[name]
-    if text is not None:
-        (tmp_path / "a.json").write_text(text)
-    with pytest.raises(InputError, match=message):
-        load_controller(tmp_path / "a.json")
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

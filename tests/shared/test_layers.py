@@ -268,48 +268,31 @@ def test_what_the_benchmarks_import_exists():
     ]
 
 
+def undefined(file, text):
+    """Names that the style of the checkout finds undefined in a file that is none."""
+    ruff = [sys.executable, *"-m ruff check --output-format concise --stdin-filename".split(), file, "-"]
+    said = subprocess.run(ruff, cwd=paths.root(), input=text, capture_output=True, text=True).stdout
+    assert "All checks passed" in said or "F821" in said, said
+    return re.findall(r"F821 Undefined name `(\w+)`", said)
+
+
 @pytest.mark.parametrize("file", ["lib/experiments/a.py", "notebooks/isolation/a.py", "benchmarks/a.py"])
 def test_a_name_that_is_defined_nowhere_is_found(file):
-    """The style of the checkout, on a file that is none: an annotation of one axis is no name, a forgotten import is."""
+    """An annotation of one axis is no name, a forgotten import is."""
     source = (
         '"""Of nothing."""\n\nimport numpy as np\nfrom jaxtyping import Float64\n\n\n'
         'def scaled(values: Float64[np.ndarray, " samples"]):\n    """Of its largest."""\n    return values / {}\n'
     )
-
-    def said(text):
-        ruff = [
-            sys.executable,
-            "-m",
-            "ruff",
-            "check",
-            "--output-format",
-            "concise",
-            "--stdin-filename",
-            file,
-            "-",
-        ]
-        return subprocess.run(ruff, cwd=paths.root(), input=text, capture_output=True, text=True).stdout
-
-    assert "All checks passed" in said(source.format("np.abs(values).max()"))
-    assert "F821 Undefined name `largest`" in said(source.format("largest(values)"))
+    assert undefined(file, source.format("np.abs(values).max()")) == []
+    assert undefined(file, source.format("largest(values)")) == ["largest"]
 
 
 def test_a_cell_s_name_that_no_cell_defines_is_found():
     cell = {"cell_type": "code", "id": "one", "metadata": {}, "outputs": [], "execution_count": None}
     book = {
-        "cells": [cell | {"source": "print(forgotten)"}],
         "metadata": {},
         "nbformat": 4,
         "nbformat_minor": 5,
+        "cells": [cell | {"source": "print(forgotten)"}],
     }
-    ruff = [
-        sys.executable,
-        "-m",
-        "ruff",
-        "check",
-        "--stdin-filename",
-        "notebooks/isolation/99-none.ipynb",
-        "-",
-    ]
-    done = subprocess.run(ruff, cwd=paths.root(), input=json.dumps(book), capture_output=True, text=True)
-    assert "F821 Undefined name `forgotten`" in done.stdout
+    assert undefined("notebooks/isolation/99-none.ipynb", json.dumps(book)) == ["forgotten"]

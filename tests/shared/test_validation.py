@@ -1,12 +1,9 @@
 """Arguments and fields against their annotations: what is taken as it is meant, what is refused by name."""
 
-import contextlib
-import gc
 import inspect
 import pkgutil
 import re
 import typing
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import import_module
@@ -23,14 +20,8 @@ from stillwork.base.bounds import Fraction, Positive, Vector, at_least
 from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control import PeakConstraint, make_loop, maximise_bandwidth
-from stillwork.control.feedforward import least_squares
-from stillwork.control.setpoint import segment_times
-from stillwork.identification import complex_frequency_poles
 from stillwork.lti import ModalModel
 from stillwork.lti.peaks import refine_peak
-from stillwork.signals import load_record
-from stillwork.signals.moving_average import rms
-from workbook.parameters import Parameter
 
 
 @dataclass(frozen=True)
@@ -183,37 +174,6 @@ def test_numpy_warns_of_a_readers_own_function_alone(recwarn):
     with np.errstate(divide="ignore"):
         overflown(1.0, lambda number: np.float64(number) / 0.0)
     assert len(recwarn) == 1
-
-
-OMEGA = np.linspace(50.0, 1500.0, 120)
-LEAKED = {
-    "an overflow": lambda _: rms(np.full(9, 1e160)),
-    "a division by zero": lambda _: segment_times(1e4, 100.0, 2.0, 5e-324),
-    "LAPACK's least squares": lambda _: complex_frequency_poles(
-        OMEGA, 1 / (1j * OMEGA - 300.0)[:, None, None], np.full(120, 1e308), 4
-    ),
-    "numbers beyond a matrix's": lambda _: least_squares(np.array([[1e308, 1.0], [1e308, 2.0]]), np.ones(2)),
-    "a text that is nearly Python": lambda _: Parameter("x", "int | str", 1).read("1inf"),
-    "a damaged archive": lambda folder: load_record(damaged(folder), "m"),
-}
-
-
-def damaged(folder: Path) -> Path:
-    file = folder / "a.npz"
-    np.savez(file, a=np.zeros(300))
-    content = bytearray(file.read_bytes())
-    content[content.index(b"PK\x01\x02")] = 0  # where the list of members begins
-    file.write_bytes(content)
-    return file
-
-
-@pytest.mark.parametrize("name", LEAKED)
-def test_nothing_but_the_error_leaves_a_call(name, tmp_path, capfd):
-    with warnings.catch_warnings(record=True, action="always") as caught:
-        with contextlib.suppress(InputError):
-            LEAKED[name](tmp_path)
-        gc.collect()  # what was left open is found now
-    assert capfd.readouterr() == ("", "") and [str(each.message) for each in caught] == []
 
 
 def test_what_a_library_said_is_quoted_as_it_said_it():

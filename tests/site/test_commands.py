@@ -204,24 +204,15 @@ def test_an_input_output_record_in_volts_is_for_the_topic_that_takes_it():
     }
 
 
+MEASURED = {"response_unit": "m/s^2", "force_unit": "N", "fit_hz": (0.0, 0.0), "loop_hz": (0.0, 0.0)}
+
+
 @pytest.mark.parametrize(
     ("name", "said", "settings"),
     [
-        (
-            "frequency_response",
-            "frequency response of a machine: 996 lines from 5 to 1000 Hz",
-            {"response_unit": "m/s^2", "force_unit": "N", "fit_hz": (0.0, 0.0), "loop_hz": (0.0, 0.0)},
-        ),
-        (
-            "hammer_records",
-            "hammer records of a machine: 2048 lines from 0.5 to 1024 Hz",
-            {"response_unit": "m/s^2", "force_unit": "N", "fit_hz": (0.0, 0.0), "loop_hz": (0.0, 0.0)},
-        ),
-        (
-            "matrices",
-            "matrices of a machine of 12 kg, first resonances at 355.9, 616.4 Hz",
-            {},
-        ),
+        ("frequency_response", "frequency response of a machine: 996 lines from 5 to 1000 Hz", MEASURED),
+        ("hammer_records", "hammer records of a machine: 2048 lines from 0.5 to 1024 Hz", MEASURED),
+        ("matrices", "matrices of a machine of 12 kg, first resonances at 355.9, 616.4 Hz", {}),
     ],
 )
 def test_every_form_of_a_machine_is_recognised(name, said, settings):
