@@ -76,18 +76,12 @@ TEXTS = axis("trace", '["literal", "regressors"]', '"literal"', "text")
     ("text", "message"),
     [
         (A.replace("default = 0", "default = 3"), r"^motion\.a: default\b"),
-        (
-            TEXTS.replace('default = "literal"', 'default = "litral"'),
-            r"\bdefault\b",
-        ),
+        (TEXTS.replace('default = "literal"', 'default = "litral"'), r"\bdefault\b"),
         (A.replace("kind =", "knid ="), r"^motion\.a\b.*'knid'.*'kind'"),
         (A.replace('kind = "number"', 'kind = "nmber"'), r"^motion\.a: kind\b"),
         (A.replace('source = "section 1 leaves it open"', ""), r"^motion\.a: source\b"),
         (A.replace('"section 1 leaves it open"', '""'), r"^motion\.a: source\b"),
-        (
-            A.replace("motion.order", "motion.ordr"),
-            r"\btouches\b.*'motion\.ordr'.*'motion\.order'",
-        ),
+        (A.replace("motion.order", "motion.ordr"), r"\btouches\b.*'motion\.ordr'.*'motion\.order'"),
         (A.replace("[0, 1, 2]", "[0]"), r"\boptions\b"),
         (A.replace("[0, 1, 2]", "[0, 0]"), r"^motion\.a\b.*options"),
         (A.replace("[0, 1, 2]", '[0, "0"]'), r"^motion\.a\b.*options"),
@@ -103,10 +97,7 @@ TEXTS = axis("trace", '["literal", "regressors"]', '"literal"', "text")
         ("[motin.a]", "'motin'"),
         ("[motion]\na = 1", r"^motion\.a\b"),
         ("[motion.a", r"choices\.toml\b"),
-        (
-            A + study().replace("choices.toy_work:sums", "choices.toy_work"),
-            r"^studies\.toy: function\b",
-        ),
+        (A + study().replace("choices.toy_work:sums", "choices.toy_work"), r"^studies\.toy: function\b"),
         (A + study(more="point = 3"), r"^studies\.toy\b.*'point'.*'points'"),
         (A + study(more="defaults = 0"), r"^studies\.toy: defaults\b"),
         (A + study(more="defaults = { b = 0 }"), r"^studies\.toy: defaults\b.*'b'"),

@@ -35,14 +35,7 @@ def test_a_block_is_plain_csv_with_names_once(outcomes):
     first, head, *rows = text.splitlines()
     assert first.startswith("# study toy code ")
     assert text.count("motion.order") == 1
-    assert head.split(",")[:6] == [
-        "point",
-        "seed",
-        "a",
-        "b",
-        "motion.table-1.sum",
-        "motion.table-1.sum low",
-    ]
+    assert head.split(",")[:6] == ["point", "seed", "a", "b", "motion.table-1.sum", "motion.table-1.sum low"]
     assert next(csv.reader([rows[3]]))[:7] == ["3", "1", "1", "1", "1.333333", "0.3333333", "11"]
 
 

@@ -119,8 +119,7 @@ def test_the_order_of_the_axes_does_not_matter_in_a_sample(values, order, seed):
 
 
 @pytest.mark.parametrize(
-    "values",
-    [np.ones((6, 1)), np.full((6, 1), np.nan), 5 + 1e-7 * np.arange(6.0).reshape(6, 1)],
+    "values", [np.ones((6, 1)), np.full((6, 1), np.nan), 5 + 1e-7 * np.arange(6.0).reshape(6, 1)]
 )
 def test_where_nothing_varies_there_are_no_shares(values):
     assert variance_shares(values, grid(3, 2), {"a": 3, "b": 2}, False) is None

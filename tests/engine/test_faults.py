@@ -13,8 +13,7 @@ FAULTS = Path(__file__).parents[2] / "benchmarks/faults.py"
 
 
 @pytest.mark.parametrize(
-    ("kinds", "faults", "at_least"),
-    [("publish", 140, 40), ("accept", 100, 16), ("build", 50, 12)],
+    ("kinds", "faults", "at_least"), [("publish", 140, 40), ("accept", 100, 16), ("build", 50, 12)]
 )
 def test_what_stands_after_a_fault_is_whole(kinds, faults, at_least):
     """40 s of CPU: only real kills and full disks, at moments by chance, find a half-written result that nobody thought of."""

@@ -7,15 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from stillwork.base.checks import InputError
-from workbook.claims import (
-    Claim,
-    ClaimsTable,
-    Entry,
-    Tolerance,
-    ledger,
-    load_entries,
-    make_claim,
-)
+from workbook.claims import Claim, ClaimsTable, Entry, Tolerance, ledger, load_entries, make_claim
 
 values = st.floats(-1e6, 1e6).filter(lambda v: abs(v) > 1e-6)
 levels = st.floats(0, 1)
@@ -51,10 +43,7 @@ def test_interval_tolerance_looks_at_the_interval_only(published, ours, one, oth
 
 @pytest.mark.parametrize(
     "asking",
-    [
-        entry(tolerance=Tolerance("x", interval=0.95)),
-        entry("ordering", published=1.0, threshold=0.9),
-    ],
+    [entry(tolerance=Tolerance("x", interval=0.95)), entry("ordering", published=1.0, threshold=0.9)],
 )
 def test_a_rule_of_an_interval_needs_one(asking):
     with pytest.raises(InputError, match=r"interval=\(low, high\)"):
@@ -262,25 +251,13 @@ def test_a_ledger_is_parsed_once_and_again_when_its_text_changes(workbook, monke
     [
         ("published = 37.0", "publishd = 37.0", r"^motion\.table-1\.pid\b.*'publishd'.*'published'"),
         ("published = 37.0", "", r"^motion\.table-1\.pid\b.*published"),
-        (
-            "published = 37.0",
-            "published = 37.0\ncounterfactual = 1",
-            r"\bcounterfactual\b",
-        ),
+        ("published = 37.0", "published = 37.0\ncounterfactual = 1", r"\bcounterfactual\b"),
         ('source = "digits"', 'sauce = "digits"', r"^motion\.table-1\.pid\b.*'sauce'"),
-        (
-            "tolerance",
-            "drift = { absolut = 1 }\ntolerance",
-            "'absolut'.*'absolute'",
-        ),
+        ("tolerance", "drift = { absolut = 1 }\ntolerance", "'absolut'.*'absolute'"),
         ("tolerance", "drift = { absolute = 1 }\ntolerance", r"^motion\.table-1\.pid\b.*source"),
         ("37.0", "'high'", r"(?s)^motion\.table-1\.pid\b.*published"),
         ("[motion.order]", "[motion.order", r"published\.toml\b"),
-        (
-            "[motion.table-1.pid]",
-            "[motion]\nx = 1\n[motion.table-1.pid]",
-            r"^motion\.x\b",
-        ),
+        ("[motion.table-1.pid]", "[motion]\nx = 1\n[motion.table-1.pid]", r"^motion\.x\b"),
     ],
 )
 def test_a_wrong_ledger_names_the_entry(workbook, old, new, message):

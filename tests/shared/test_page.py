@@ -66,8 +66,7 @@ def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_p
 
 
 @pytest.mark.parametrize(
-    "name",
-    [*"../x a/b /tmp/x a\\b .x x. a..b .. -x é a:b".split(), "", "a b", "a\n", "n" * 300],
+    "name", [*"../x a/b /tmp/x a\\b .x x. a..b .. -x é a:b".split(), "", "a b", "a\n", "n" * 300]
 )
 def test_a_figure_has_a_name_and_no_path(workbook, name):
     page, figure = Page("motion/01-x"), drawing()

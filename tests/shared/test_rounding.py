@@ -20,11 +20,7 @@ def test_a_residual_beyond_its_bound_shows_itself(residual, text):
 
 @pytest.mark.parametrize(
     ("residual", "bound", "message"),
-    [
-        (np.nan, 1e-9, r"^residual\b"),
-        (np.inf, 1e-9, r"^residual\b"),
-        (0.0, 0.0, r"^bound\b"),
-    ],
+    [(np.nan, 1e-9, r"^residual\b"), (np.inf, 1e-9, r"^residual\b"), (0.0, 0.0, r"^bound\b")],
 )
 def test_what_is_no_residual_or_no_bound_is_refused(residual, bound, message):
     with pytest.raises(InputError, match=message):

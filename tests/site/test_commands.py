@@ -494,11 +494,7 @@ def test_what_a_paper_cannot_say_is_named(toy, text, field):
 def test_a_new_result_overwrites_nothing(toy):
     new_result("isolation", "09-a")
     before = toy.files("notebooks", "data", "tests")
-    for name, message in [
-        ("09-a", r"09-a\.ipynb"),
-        ("10-a", r"\ba\.py"),
-        ("09-b", r"\b09-a\b"),
-    ]:
+    for name, message in [("09-a", r"09-a\.ipynb"), ("10-a", r"\ba\.py"), ("09-b", r"\b09-a\b")]:
         with pytest.raises(InputError, match=message):
             new_result("isolation", name)
     assert toy.files("notebooks", "data", "tests") == before

@@ -164,8 +164,7 @@ class Opened(HTMLParser):
 
 
 @pytest.mark.parametrize(
-    "command",
-    "text textbf textrm mathrm operatorname mbox hbox fbox tag emph mathit color".split(),
+    "command", "text textbf textrm mathrm operatorname mbox hbox fbox tag emph mathit color".split()
 )
 @pytest.mark.parametrize("place", ["{}", "# {}", "a | b\n-|-\n{} | x", "$${}$$"])
 def test_no_text_in_a_formula_becomes_an_element(command, place):

@@ -62,8 +62,7 @@ def test_a_tree_that_changes_while_the_release_is_made_is_not_released(workbook,
 
 
 @pytest.mark.parametrize(
-    ("file", "text"),
-    [("CITATION.cff", "version: 0.2.0\n"), ("CHANGELOG.md", "# Changelog\n\n## 0.2.0\n")],
+    ("file", "text"), [("CITATION.cff", "version: 0.2.0\n"), ("CHANGELOG.md", "# Changelog\n\n## 0.2.0\n")]
 )
 def test_versions_that_differ_are_found(workbook, file, text):
     assert release.same_version() == "0.1.0"
