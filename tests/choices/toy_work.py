@@ -13,53 +13,28 @@ from pathlib import Path
 FIRST = {"a": 18 / 47, "b": 27 / 47}
 TOTAL = {"a": 20 / 47, "b": 29 / 47}
 
-LEDGER = """\
-[motion.table-1.sum]
-place = "Table 1"
-quantity = "sum"
-unit = "m"
-published = 3.0
-kind = "value"
-tolerance = { absolute = 1.0, source = "printed digits" }
-
-[motion.table-1.product]
-place = "Table 1"
-quantity = "product"
-unit = "m"
-published = 2.0
-kind = "value"
-tolerance = { absolute = 0.1, source = "printed digits" }
-
-[motion.order]
-place = "section 1"
-quantity = "a at most b"
-unit = "1"
-published = 1.0
-kind = "ordering"
-
-[motion.never]
-place = "section 2"
-quantity = "what no combination gives"
-unit = "1"
-published = 100.0
-kind = "value"
-tolerance = { relative = 0.1, source = "printed digits" }
-
-[motion.always]
-place = "section 2"
-quantity = "what every combination gives"
-unit = "1"
-published = 1.0
-kind = "value"
-tolerance = { relative = 0.1, source = "printed digits" }
-
-[motion.shown]
-place = "section 2"
-quantity = "what is not judged"
-unit = "1"
-kind = "reported"
-reason = "the work gives no number"
+ENTRY = """\
+[motion.{}]
+place = "{}"
+quantity = "{}"
+unit = "{}"
+{}
 """
+DIGITS = 'kind = "value"\ntolerance = {{ {}, source = "printed digits" }}'
+SUM, PRODUCT, RELATIVE = (
+    DIGITS.format(each) for each in ("absolute = 1.0", "absolute = 0.1", "relative = 0.1")
+)
+LEDGER = "\n".join(
+    ENTRY.format(*fields)
+    for fields in (
+        ("table-1.sum", "Table 1", "sum", "m", f"published = 3.0\n{SUM}"),
+        ("table-1.product", "Table 1", "product", "m", f"published = 2.0\n{PRODUCT}"),
+        ("order", "section 1", "a at most b", "1", 'published = 1.0\nkind = "ordering"'),
+        ("never", "section 2", "what no combination gives", "1", f"published = 100.0\n{RELATIVE}"),
+        ("always", "section 2", "what every combination gives", "1", f"published = 1.0\n{RELATIVE}"),
+        ("shown", "section 2", "not judged", "1", 'kind = "reported"\nreason = "the work gives no number"'),
+    )
+)
 
 AXIS = """\
 [motion.{name}]

@@ -4,8 +4,6 @@ import fcntl
 import json
 import os
 import signal
-import subprocess
-import sys
 
 import pytest
 
@@ -158,14 +156,7 @@ raise SystemExit(main(["accept"]))
 """
     toy = built
     before = toy.stamps("notebooks", "data", "figures", "README.md")
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=toy.root,
-        env=toy.environment(),
-        capture_output=True,
-        text=True,
-        preexec_fn=toys.set_signals,
-    )
+    done = toy.run(script=script, preexec_fn=toys.set_signals)
     assert done.returncode == (-number if number == signal.SIGKILL else 128 + number)
     assert "Traceback" not in done.stderr
     assert number == signal.SIGKILL or toy.leftovers() == []
@@ -217,9 +208,7 @@ def test_a_full_disk_leaves_everything_as_it_was(built):
     limit = "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
     limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
     script = f"{limit}from stillwork.__main__ import main\nraise SystemExit(main(['accept']))"
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
-    )
+    done = toy.run(script=script)
     assert done.returncode == 1
     assert done.stdout.startswith("nothing accepted: ")
     assert done.stderr == ""
@@ -256,9 +245,7 @@ derived.refresh = edited
 raise SystemExit(main(["accept"]))
 """
     before = toy.files("notebooks", "data", "figures") | {"README.md": (toy.root / "README.md").read_bytes()}
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
-    )
+    done = toy.run(script=script)
     said = f"nothing accepted: changed while accepting: {name}; nothing was written, repeat\n"
     assert (done.returncode, done.stdout, done.stderr) == (1, said, "")
     now = toy.files("notebooks", "data", "figures")

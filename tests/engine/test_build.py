@@ -58,8 +58,7 @@ def test_a_second_build_touches_nothing_and_loads_little(toy):
         "import sys\nfrom stillwork.__main__ import main\nassert main(['figures']) == 0\n"
         "print([name for name in ('papermill', 'nbformat', 'matplotlib', 'pandas', 'numba') if name in sys.modules])"
     )
-    command = [sys.executable, "-c", script]
-    done = subprocess.run(command, cwd=toy.root, env=toy.environment(), capture_output=True, text=True)
+    done = toy.run(script=script)
     assert done.stdout == "nothing to do: 3 up to date in build/figures/\n[]\n", done.stderr
     assert toy.stamps() == before
 
@@ -533,21 +532,15 @@ def test_provenance(toy):
 
 @pytest.mark.slow
 def test_provenance_names_the_commit_and_whether_inputs_differ_from_it(toy):
-    def git(*arguments):
-        identity = ["-c", "user.name=toy", "-c", "user.email=toy@example.org"]
-        command = ["git", "-C", str(toy.root), *identity, *arguments]
-        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
-
-    git("init", "--quiet")
-    git("add", "lib", "data", "notebooks", "environment.txt")
-    git("commit", "--quiet", "-m", "toy")
+    toy.write(".gitignore", "build/\n__pycache__/\n")
+    toy.commit()
     change_data(toy)
     assert toy.run("figures", "--force").returncode == 0
     records = {
         name: json.loads((toy.root / f"build/figures/{name}/provenance.json").read_text())
         for name in (FIRST, OTHER)
     }
-    assert {record["commit"] for record in records.values()} == {git("rev-parse", "HEAD")}
+    assert {record["commit"] for record in records.values()} == {toy.git("rev-parse", "HEAD")}
     assert not records[FIRST]["dirty"]
     assert records[OTHER]["dirty"]
 

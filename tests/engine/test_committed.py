@@ -18,11 +18,6 @@ NAME = "isolation/01-first"
 README = "# Toy\n\n<!-- ledger:begin -->\n<!-- ledger:end -->\n"
 
 
-def git(toy, *arguments):
-    identity = ["-c", "user.name=toy", "-c", "user.email=toy@example.org"]
-    subprocess.run(["git", "-C", str(toy.root), *identity, *arguments], check=True, capture_output=True)
-
-
 def nbval(toy, *options: str) -> subprocess.CompletedProcess:
     """Compare what the notebooks print with what is committed; without `options` they are executed for it."""
     environment = toy.environment() | {
@@ -84,9 +79,7 @@ def accepted(tmp_path_factory):
     (toy.root / "environment.txt").write_text("")
     toy.write("README.md", README)
     toy.write(".gitignore", "build/\n__pycache__/\n")
-    git(toy, "init", "--quiet")
-    git(toy, "add", ".")
-    git(toy, "commit", "--quiet", "-m", "toy")
+    toy.commit()
     assert toy.run("figures").returncode == 0
     assert toy.run("accept").returncode == 0
     done = nbval(toy)
@@ -138,20 +131,12 @@ def test_every_notebook_has_its_turn_to_be_executed_again(count, notebooks, day)
     assert {len(each) for each in turns} == {min(count, notebooks)}
 
 
-def move_a_number(toy):
+def scale_a_number(toy, factor, more=0.0):
+    """One of the fresh run's figure; a little is what another machine may do."""
     file = toy.root / f"build/figures/{NAME}/fig-1.csv"
     lines = file.read_text().splitlines()
     *start, y, z = lines[2].split(",")
-    lines[2] = ",".join([*start, str(float(y) + 0.01), z])
-    file.write_text("\n".join(lines) + "\n")
-
-
-def round_a_number(toy):
-    """What another machine may do."""
-    file = toy.root / f"build/figures/{NAME}/fig-1.csv"
-    lines = file.read_text().splitlines()
-    *start, y, z = lines[2].split(",")
-    lines[2] = ",".join([*start, str(float(y) * (1 + 1e-5)), z])
+    lines[2] = ",".join([*start, str(float(y) * factor + more), z])
     file.write_text("\n".join(lines) + "\n")
 
 
@@ -160,69 +145,53 @@ def drop_a_figure(toy):
     toy.write(f"figures/{NAME}/fig-2.csv", "panel,series,x,y,z\n")
 
 
-def move_the_accepted_value(toy):
-    toy.replace(f"figures/{NAME}/claims.json", '"ours": 2.0', '"ours": 2.01')
-
-
 def add_an_entry(toy):
     ledger = toy.root / "data/isolation/published.toml"
     ledger.write_text(ledger.read_text() + toys.LEDGER.format(topic="isolation").replace(".gain", ".other"))
-
-
-def deviate(toy):
-    toy.replace("data/isolation/published.toml", "published = 2.0", "published = 2.5")
-
-
-def edit_the_readme(toy):
-    toy.replace("README.md", "| `isolation` | 1 |", "| `isolation` | 2 |")
 
 
 def forget_the_outputs(toy):
     toy.add_page(NAME)
 
 
-def rename_the_page(toy):
-    toy.replace(f"notebooks/{NAME}.ipynb", "Page('isolation/01-first')", "Page('isolation/01-frst')")
+def replaced(*text: str):
+    return lambda toy: toy.replace(*text)
 
 
-def change_a_pin(toy):
-    toy.replace(f"figures/{NAME}/provenance.json", '"environment_sha256": "', '"environment_sha256": "0')
+def moved(factor: float, more: float = 0.0):
+    return lambda toy: scale_a_number(toy, factor, more)
 
 
 LEDGER, FRESH = (
     "test_every_entry_is_accepted_and_explained",
     "test_a_fresh_run_finds_the_accepted_value_and_verdict",
 )
+DERIVED, PLOTTED = "test_a_derived_file_is_current", "test_a_fresh_run_plots_the_committed_numbers"
+REBUILT = "test_every_figure_was_rebuilt_and_every_rebuilt_one_is_committed"
+CLEAN, PRINTED = "test_was_accepted_with_clean_text_outputs", "test_a_fresh_run_prints_what_is_committed"
+BOOK, FOUND, MADE = (
+    f"notebooks/{NAME}.ipynb",
+    f"figures/{NAME}/claims.json",
+    f"figures/{NAME}/provenance.json",
+)
 
 
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (round_a_number, set()),
-        (move_a_number, {"test_a_fresh_run_plots_the_committed_numbers"}),
+        (moved(1 + 1e-5), set()),
+        (moved(1.0, 0.01), {PLOTTED}),
+        (drop_a_figure, {DERIVED, REBUILT, "test_every_table_has_its_picture", PLOTTED}),
+        (replaced(FOUND, '"ours": 2.0', '"ours": 2.01'), {FRESH}),
+        (add_an_entry, {LEDGER, DERIVED}),
+        (replaced("data/isolation/published.toml", "published = 2.0", "published = 2.5"), {LEDGER, DERIVED}),
+        (replaced("README.md", "| `isolation` | 1 |", "| `isolation` | 2 |"), {DERIVED}),
+        (forget_the_outputs, {CLEAN, PRINTED, "test_its_file_is_the_one_that_accept_writes"}),
+        (replaced(BOOK, "/01-first')", "/01-frst')"), {"test_its_page_is_named_after_its_file"}),
         (
-            drop_a_figure,
-            {
-                "test_a_derived_file_is_current",
-                "test_every_figure_was_rebuilt_and_every_rebuilt_one_is_committed",
-                "test_every_table_has_its_picture",
-                "test_a_fresh_run_plots_the_committed_numbers",
-            },
+            replaced(MADE, '"environment_sha256": "', '"environment_sha256": "0'),
+            {"test_figures_come_from_a_commit_and_the_pinned_environment"},
         ),
-        (move_the_accepted_value, {FRESH}),
-        (add_an_entry, {LEDGER, "test_a_derived_file_is_current"}),
-        (deviate, {LEDGER, "test_a_derived_file_is_current"}),
-        (edit_the_readme, {"test_a_derived_file_is_current"}),
-        (
-            forget_the_outputs,
-            {
-                "test_was_accepted_with_clean_text_outputs",
-                "test_a_fresh_run_prints_what_is_committed",
-                "test_its_file_is_the_one_that_accept_writes",
-            },
-        ),
-        (rename_the_page, {"test_its_page_is_named_after_its_file"}),
-        (change_a_pin, {"test_figures_come_from_a_commit_and_the_pinned_environment"}),
     ],
 )
 def test_what_differs_is_noticed(toy, monkeypatch, change, expected):

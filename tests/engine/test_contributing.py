@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from engine import toy as toys
-from engine.test_committed import NAME, README, committed, git
+from engine.test_committed import NAME, README, committed
 from layering import modules
 
 pytestmark = pytest.mark.slow
@@ -40,8 +40,7 @@ def begun(tmp_path_factory):
     (toy.root / "environment.txt").write_text("")
     toy.write("README.md", README)
     toy.write(".gitignore", "build/\n__pycache__/\n")
-    git(toy, "init", "--quiet")
-    save(toy)
+    toy.commit()
     build_and_accept(toy)
     yield toy
     toys.clean_up(toy)
@@ -53,16 +52,11 @@ def toy(begun, tmp_path):
         yield copy
 
 
-def save(toy):
-    git(toy, "add", ".")
-    git(toy, "commit", "--quiet", "-m", "contribution")
-
-
 def build_and_accept(toy):
     for command in ("figures", "accept"):
         done = toy.run(command)
         assert done.returncode == 0, done.stdout + done.stderr
-    save(toy)
+    toy.commit()
 
 
 def stale(toy) -> set[str]:
@@ -89,7 +83,7 @@ def test_a_cell_added_in_jupyter_is_accepted_as_it_is(toy, monkeypatch):
         made = {"cell_type": "code", "metadata": {}, "outputs": [], "execution_count": None}
         notebook["cells"].append(made | cell)
     file.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    save(toy)
+    toy.commit()
     build_and_accept(toy)
     cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
     assert [cell["id"] for cell in cells[-3:]] == [cell["id"] for cell in ADDED]
@@ -106,7 +100,7 @@ def test_what_was_accepted_before_it_was_committed_is_made_of_a_commit_by_the_ne
         done = toy.run(command)
         assert done.returncode == 0, done.stdout + done.stderr
     assert "isolation/09-payload" in done.stdout and "commit it" in done.stdout
-    save(toy)
+    toy.commit()
     assert committed(toy, monkeypatch).failed  # no commit holds what it was made from
     build_and_accept(toy)
     assert committed(toy, monkeypatch).failed == set()
@@ -117,7 +111,7 @@ def test_a_new_result_and_a_new_topic_pass_as_they_are_written(toy, monkeypatch)
     assert first.returncode == 0, first.stderr
     other = toy.run("new", "crane", "01-sway", "--create")
     assert other.returncode == 0, other.stderr
-    save(toy)
+    toy.commit()
     assert stale(toy) == {"isolation/09-payload", "crane/01-sway"}
     build_and_accept(toy)
     assert committed(toy, monkeypatch).failed == set()

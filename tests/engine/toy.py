@@ -120,9 +120,21 @@ class Toy:
     def command(self, *arguments: str) -> list[str]:
         return [sys.executable, "-m", "stillwork", *arguments]
 
-    def run(self, *arguments: str, **options) -> subprocess.CompletedProcess:
+    def git(self, *arguments: str) -> str:
+        identity = ["-c", "user.name=toy", "-c", "user.email=toy@example.org"]
+        command = ["git", "-C", str(self.root), *identity, *arguments]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    def commit(self) -> None:
+        """Everything, in a repository that is made where there is none."""
+        self.git("init", "--quiet")
+        self.git("add", ".")
+        self.git("commit", "--quiet", "-m", "toy")
+
+    def run(self, *arguments: str, script: str = "", **options) -> subprocess.CompletedProcess:
+        """A command of the toy's, or a script of Python."""
         return subprocess.run(
-            self.command(*arguments),
+            [sys.executable, "-c", script] if script else self.command(*arguments),
             cwd=self.root,
             env=self.environment(),
             capture_output=True,

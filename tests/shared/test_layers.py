@@ -154,41 +154,6 @@ def test_what_stands_beside_a_notebook_is_its_own(imported):
     assert foreign(imported) == []
 
 
-def written(**sources):
-    return {name.replace("__", "."): ast.parse(source) for name, source in sources.items()}
-
-
-def test_the_rules_find_what_breaks_them():
-    broken = imports(
-        written(
-            stillwork="",
-            stillwork__lti="from stillwork.base.lazy_exports import lazy_exports\nall = lazy_exports(__name__, {'zoh': ('hold',)})",
-            stillwork__lti__zoh="def hold():\n    from stillwork.signals import spectra",
-            stillwork__signals="",
-            stillwork__signals__spectra="from stillwork.lti import hold",
-            experiments__motion__rig="import experiments.isolation.twin",
-            experiments__isolation__twin="",
-            notebooks__motion__bandwidth_table="",
-            **{"notebooks.motion.09-bandwidth-table": "from notebooks.motion.bandwidth_table import a"},
-            **{"notebooks.motion.11-tracking": "from notebooks.motion import bandwidth_table"},
-            stillwork__base="",
-            workbook="",
-            workbook__paths="",
-            stillwork__lti__a="from workbook.paths import data",
-            stillwork__lti__b="from workbook import paths",
-            stillwork__lti__c="def read():\n    import workbook.paths as places",
-            workbook__site__d="from workbook.paths import data",
-        )
-    )
-    assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
-    assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
-    assert between_topics(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
-    assert foreign(broken) == [("notebooks.motion.11-tracking", "notebooks.motion.bandwidth_table")]
-    assert [("stillwork.lti." + name, "workbook.paths") for name in "abc"] == [
-        pair for pair in rising(broken) if pair[1] == "workbook.paths"
-    ]
-
-
 def read(place, root=None):
     """Every module's syntax tree under the name by which what has `root` (or `place`) on its path imports it."""
     trees = {}

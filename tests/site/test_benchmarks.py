@@ -78,9 +78,7 @@ def test_a_build_is_measured_beside_that_of_a_commit(toy):
     toy.write(".gitignore", "build/\n__pycache__/\n")
     toy.add("isolation/01-first", "import time\nwhile time.process_time() < 5:\n    pass")
     toy.add("motion/01-first", "1 / 0")
-    git = ["git", "-c", "user.name=toy", "-c", "user.email=toy@example.com", "-C", str(toy.root)]
-    for command in (["init", "-q"], ["add", "-A"], ["commit", "-q", "-m", "toy"]):
-        subprocess.run([*git, *command], check=True)
+    toy.commit()
     toy.add("isolation/01-first")
     done = measured(toy, "isolation", "--beside", "HEAD")
     rows = re.findall(r"^(as it stands|HEAD) +([\d.]+) +([\d.]+)$", done.stdout, re.MULTILINE)
