@@ -77,6 +77,12 @@ class Browser:
             if entry["method"] == "Network.requestWillBeSent"
         ]
 
+    def require_quiet(self) -> None:
+        """That nothing was asked for but what is here, and nothing was said, since the last call."""
+        local = ("file:", "data:", "blob:", "chrome:", "about:")
+        assert not [each for each in self.requests() if not each.startswith(local)]
+        assert not self.messages()
+
     def messages(self) -> list[str]:
         """What the console said since the last call."""
         return [each["message"] for each in self.driver.get_log("browser")]

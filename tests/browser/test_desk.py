@@ -94,12 +94,7 @@ def desk(browser, tmp_path):
     found.folder, found.page = folder, page
     found.wait(lambda: browser.run("return document.getElementById('desk').dataset.ready") == "yes")
     yield found
-    outside = [
-        each
-        for each in browser.requests()
-        if not each.startswith(("file:", "data:", "blob:", "chrome:", "about:"))
-    ]
-    assert not outside and not browser.messages()
+    browser.require_quiet()
 
 
 def downloaded(desk, name):

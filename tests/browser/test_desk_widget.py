@@ -80,9 +80,7 @@ def cells(browser, tmp_path):
     found = Cells(browser)
     found.wait(lambda: found.python("controller"))
     yield found
-    local = ("file:", "data:", "blob:", "chrome:", "about:")
-    assert not [each for each in browser.requests() if not each.startswith(local)]
-    assert not browser.messages()
+    browser.require_quiet()
 
 
 def test_what_is_shaped_in_a_cell_is_in_python(cells, tmp_path):

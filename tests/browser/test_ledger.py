@@ -126,16 +126,6 @@ def test_rows_with_combinations_tell_their_class(front):
         )
 
 
-def test_a_row_leads_to_its_place_and_its_figure(front):
-    built = next(claim for claim in CLAIMS if claim.notebook)
-    row = f"[id='row-{built.entry.id}']"
-    front.driver.find_element(By.CSS_SELECTOR, f"{row} td:last-child a").click()
-    assert built.notebook in front.driver.current_url
-    target = front.run("return document.querySelector(':target').textContent")
-    assert built.entry.quantity in target
-    assert built.verdict in target
-
-
 def test_the_table_is_there_without_the_script(front, site):
     front.driver.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
     try:

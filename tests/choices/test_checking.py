@@ -1,7 +1,6 @@
 """Committed values are computed again, all within a month, and what moved is named."""
 
 import datetime
-import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -161,13 +160,8 @@ def test_results_say_that_older_code_gave_them(outcomes, tmp_path):
 
 def run(root, *arguments):
     """A command on the toy at `root`."""
-    environment = os.environ | {
-        "STILLWORK_ROOT": str(root),
-        "PYTHONPATH": os.pathsep.join([str(ROOT / "lib"), str(ROOT), str(ROOT / "tests")]),
-    }
-    return subprocess.run(
-        [sys.executable, "-m", *arguments], env=environment, cwd=ROOT, capture_output=True, text=True
-    )
+    command = [sys.executable, "-m", *arguments]
+    return subprocess.run(command, env=toy_work.environment(root), cwd=ROOT, capture_output=True, text=True)
 
 
 TEST = ("pytest", "tests/committed/test_choices.py", "-q", "-p", "no:nbval", "-p", "no:anyio")

@@ -1,7 +1,6 @@
 """The same numbers on any workers, after any interruption, whatever fails."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -9,7 +8,6 @@ import time
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import psutil
@@ -26,7 +24,6 @@ from workbook.lock import held
 from workbook.workers import processes
 
 NOISY = A + B + SEEDS + study("noisy")
-ROOT = Path(__file__).parents[2]
 
 
 def run(multiverses, folder, executor=None, **options):
@@ -202,11 +199,7 @@ def command(root, *arguments):
     """``python -m stillwork choices`` on the toy, ended at the end with all it started."""
     process = subprocess.Popen(
         [sys.executable, "-m", "stillwork", "choices", "motion", *arguments],
-        env=os.environ
-        | {
-            "STILLWORK_ROOT": str(root),
-            "PYTHONPATH": os.pathsep.join([str(ROOT / "lib"), str(ROOT), str(ROOT / "tests")]),
-        },
+        env=toy_work.environment(root),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -69,6 +69,13 @@ TOY = A + B + study()
 SEEDS = axis("seeds", [7, 8, 9], 8, "seed")
 
 
+def environment(root: Path) -> dict[str, str]:
+    """Of a process on the toy at `root`, with this checkout's library."""
+    here = Path(__file__).parents[2]
+    places = os.pathsep.join(map(str, (here / "lib", here, here / "tests")))
+    return os.environ | {"STILLWORK_ROOT": str(root), "PYTHONPATH": places}
+
+
 def write(root: Path, combinations: str = TOY, ledger: str = LEDGER) -> None:
     """Make `root` a workbook whose topic `motion` is the toy."""
     folder = root / "data" / "motion"

@@ -147,7 +147,6 @@ def test_what_cannot_change_a_result_makes_nothing_stale(toy):
     assert reasons(toy) == {}
 
 
-@pytest.mark.slow
 def test_what_a_notebook_read_is_what_makes_it_stale(toy):
     toy.write("mylab/stage.py", "from mylab.parts import mass\n")
     toy.write("mylab/parts.py", "mass = 1.0\n")
@@ -257,7 +256,6 @@ def test_a_variable_of_the_user_s_hides_no_tree(tmp_path, monkeypatch):
         assert left_out.holds(str(tmp_path / name))
 
 
-@pytest.mark.slow
 def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
     edit = (
         "from pathlib import Path\nfile = Path(paths.root(), 'lib/experiments/motion/late.py')\n"
@@ -272,7 +270,6 @@ def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
     assert reasons(toy) == {"motion/02-late": "never built"}
 
 
-@pytest.mark.slow
 def test_bytecode_of_another_source_is_not_run(toy):
     """Python matches it by size and second of change, which an edit right after an import keeps."""
     model = toy.root / "lib/experiments/isolation/model.py"
@@ -384,7 +381,6 @@ def test_a_folder_that_is_listed_is_read_wherever_it_lies(tmp_path, code, noted)
     assert [path for path in read if path.endswith("/")] == [f"{tmp_path}/records/"] * noted
 
 
-@pytest.mark.slow
 def test_a_build_builds_what_why_says_and_nothing_else(toy):
     before = toy.stamps()
     change_data(toy)
@@ -399,7 +395,6 @@ def test_a_build_builds_what_why_says_and_nothing_else(toy):
     assert reasons(toy) == {}
 
 
-@pytest.mark.slow
 def test_builds_are_byte_identical_whatever_the_number_of_kernels(toy):
     with_three = toy.results()
     assert {name.rpartition(".")[2] for name in with_three} == {"png", "csv", "json", "ipynb"}
@@ -410,7 +405,6 @@ def test_builds_are_byte_identical_whatever_the_number_of_kernels(toy):
     assert toy.results() == with_three
 
 
-@pytest.mark.slow
 def test_other_settings_go_to_a_folder_of_their_own(toy):
     before = toy.files("data", "notebooks", "build/figures")
     done = toy.run("figures", SECOND, "-p", "seed=3", "-p", "level=2")
@@ -428,7 +422,6 @@ def test_other_settings_go_to_a_folder_of_their_own(toy):
     ]
 
 
-@pytest.mark.slow
 def test_settings_of_every_type_reach_the_notebook(toy):
     toy.add(
         "motion/02-types",
@@ -445,7 +438,6 @@ def test_settings_of_every_type_reach_the_notebook(toy):
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.slow
 def test_kernels_are_alike_whatever_a_user_has_at_home(toy):
     toy.write("home/ipython/profile_default/startup/00.py", "seed_of_the_user = 1\n")
     toy.write("home/jupyter/kernels/python3/kernel.json", '{"argv": ["false"], "display_name": "Mine"}')
@@ -478,7 +470,6 @@ def test_a_setting_goes_to_every_notebook_that_has_the_parameter(toy):
     assert len(reasons(toy, "isolation", "-p", "seed=2")) == 2
 
 
-@pytest.mark.slow
 def test_a_file_named_by_a_parameter_is_an_input(toy):
     toy.write("mine.csv", "1\n")
     assert toy.run("figures", "-p", "record=mine.csv").returncode == 0
@@ -530,7 +521,6 @@ def test_provenance(toy):
     assert len(record["environment_sha256"]) == 64
 
 
-@pytest.mark.slow
 def test_provenance_names_the_commit_and_whether_inputs_differ_from_it(toy):
     toy.write(".gitignore", "build/\n__pycache__/\n")
     toy.commit()

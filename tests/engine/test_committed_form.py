@@ -159,21 +159,14 @@ def test_cells_may_come_go_and_change_places(checkout):
     before, page = checkout.cells(), as_run(checkout.open())
     kept = page["cells"][::-1]
     gone = kept.pop(3)
-    new = {
-        "cell_type": "code",
-        "id": "5f2b9c1e-0000",
-        "metadata": {"trusted": True},
-        "source": "1 + 1",
+    shown = {
+        "output_type": "execute_result",
         "execution_count": 90,
-        "outputs": [
-            {
-                "output_type": "execute_result",
-                "execution_count": 90,
-                "data": {"text/plain": "2"},
-                "metadata": {},
-            }
-        ],
+        "data": {"text/plain": "2"},
+        "metadata": {},
     }
+    new = {"cell_type": "code", "id": "5f2b9c1e-0000", "metadata": {"trusted": True}, "source": "1 + 1"}
+    new |= {"execution_count": 90, "outputs": [shown]}
     words = {"cell_type": "markdown", "id": "words", "metadata": {}, "source": "![](attachment:a.png)"}
     words["attachments"] = {"a.png": {"image/png": "iVBO"}}
     checkout.save({**page, "cells": [new, *kept, words]})

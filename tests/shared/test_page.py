@@ -84,27 +84,18 @@ def test_only_a_whole_figure_is_saved(workbook, wrong):
         Page("motion/01-x").save("fig-1", wrong)
 
 
-def test_series_that_are_rounding_are_noted_with_the_reason(workbook):
-    page = Page("motion/01-x")
-    page.save("fig-1", drawing())
-    page.save("fig-2", drawing(), rounding={"line": "residual of an identity"})
-    page.save("fig-3", drawing(), rounding={"line": "ε times the condition"})
-    folder = workbook / "build" / "interactive" / "motion" / "01-x"
-    assert json.loads((folder / "rounding.json").read_text(encoding="utf-8")) == {
-        "fig-2": {"line": "residual of an identity"},
-        "fig-3": {"line": "ε times the condition"},
-    }
-
-
 @pytest.mark.slow
-def test_a_figure_that_is_saved_anew_without_a_note_loses_it(workbook):
+def test_series_that_are_rounding_are_noted_with_the_reason_until_saved_without(workbook):
     page = Page("motion/01-x")
-    page.save("fig-1", drawing(), rounding={"line": "residual"})
-    page.save("fig-2", drawing(), rounding={"line": "residual"})
-    page.save("fig-1", drawing())
     noted = workbook / "build" / "interactive" / "motion" / "01-x" / "rounding.json"
-    assert json.loads(noted.read_text(encoding="utf-8")) == {"fig-2": {"line": "residual"}}
-    Page("motion/01-x").save("fig-2", drawing())  # a notebook that is run again
+    notes = {"fig-2": {"line": "residual of an identity"}, "fig-3": {"line": "ε times the condition"}}
+    page.save("fig-1", drawing())
+    for name, rounding in notes.items():
+        page.save(name, drawing(), rounding=rounding)
+    assert json.loads(noted.read_text(encoding="utf-8")) == notes
+    page.save("fig-2", drawing())
+    assert json.loads(noted.read_text(encoding="utf-8")) == {"fig-3": notes["fig-3"]}
+    Page("motion/01-x").save("fig-3", drawing())  # a notebook that is run again
     assert not noted.exists()
 
 

@@ -141,19 +141,8 @@ def shared_offsets():
 
 
 KINDS = (
-    log_axes,
-    less_than_a_decade,
-    minor_ticks_of_every_kind,
-    linear_minor_ticks,
-    twins,
-    insets,
-    maps,
-    bars_and_texts,
-    hidden,
-    equal_aspect,
-    without_a_layout,
-    polar,
-    shared_offsets,
+    *(log_axes, less_than_a_decade, minor_ticks_of_every_kind, linear_minor_ticks, twins, insets, maps),
+    *(bars_and_texts, hidden, equal_aspect, without_a_layout, polar, shared_offsets),
 )
 
 
