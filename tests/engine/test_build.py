@@ -44,14 +44,6 @@ def toy(built, tmp_path):
         yield copy
 
 
-def reasons(toy, *arguments) -> dict[str, str]:
-    """What ``--why`` says, by notebook, without those that are up to date."""
-    done = toy.run("figures", "--why", *arguments)
-    assert done.returncode == 0, done.stderr
-    lines = (line.split(": ", 1) for line in done.stdout.splitlines())
-    return {name: reason for name, reason in lines if reason != "up to date"}
-
-
 def test_a_second_build_touches_nothing_and_loads_little(toy):
     before = toy.stamps()
     script = (
@@ -125,7 +117,7 @@ def forget_state(toy):
 )
 def test_a_change_makes_exactly_its_dependents_stale(toy, change, stale, reason):
     change(toy)
-    assert reasons(toy) == dict.fromkeys(stale, reason)
+    assert toy.reasons() == dict.fromkeys(stale, reason)
 
 
 def test_what_cannot_change_a_result_makes_nothing_stale(toy):
@@ -144,7 +136,7 @@ def test_what_cannot_change_a_result_makes_nothing_stale(toy):
         "def gain(level):\n    return 2.0 * level",
         'def gain(level: float) -> float:\n    """In V."""\n\n    return (2.0 * level)',
     )
-    assert reasons(toy) == {}
+    assert toy.reasons() == {}
 
 
 def test_what_a_notebook_read_is_what_makes_it_stale(toy):
@@ -160,7 +152,7 @@ def test_what_a_notebook_read_is_what_makes_it_stale(toy):
     )
     toy.write("data/motion/records/floor.csv", "1,2\n")
     assert toy.run("figures").returncode == 0
-    assert reasons(toy) == {}
+    assert toy.reasons() == {}
     for name in (
         "mylab/stage.py",
         "mylab/parts.py",
@@ -169,10 +161,10 @@ def test_what_a_notebook_read_is_what_makes_it_stale(toy):
     ):
         before = (toy.root / name).read_text()
         toy.write(name, before + "more = 1\n")
-        assert reasons(toy) == {"motion/02-reads": f"{name} changed"}
+        assert toy.reasons() == {"motion/02-reads": f"{name} changed"}
         toy.write(name, before)
     toy.write("data/motion/records/second.csv", "1,2\n")
-    assert reasons(toy) == {"motion/02-reads": "data/motion/records/ changed"}
+    assert toy.reasons() == {"motion/02-reads": "data/motion/records/ changed"}
 
 
 @pytest.mark.parametrize(
@@ -267,7 +259,7 @@ def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
     done = toy.run("figures", "motion/02-late")
     assert done.returncode == 1
     assert "lib/experiments/motion/late.py changed" in done.stdout
-    assert reasons(toy) == {"motion/02-late": "never built"}
+    assert toy.reasons() == {"motion/02-late": "never built"}
 
 
 def test_bytecode_of_another_source_is_not_run(toy):
@@ -392,7 +384,7 @@ def test_a_build_builds_what_why_says_and_nothing_else(toy):
         path for path in after if "build/figures/isolation" in path and before.get(path) != after[path]
     }
     assert not changed
-    assert reasons(toy) == {}
+    assert toy.reasons() == {}
 
 
 def test_builds_are_byte_identical_whatever_the_number_of_kernels(toy):
@@ -415,9 +407,9 @@ def test_other_settings_go_to_a_folder_of_their_own(toy):
         f"{variant}/{n}" for n in ("out.csv", "provenance.json", "record.json", "02-second.ipynb")
     }
     assert toy.files("data", "notebooks", "build/figures") == before
-    assert reasons(toy, SECOND, "-p", "seed=3", "-p", "level=2") == {}
+    assert toy.reasons(SECOND, "-p", "seed=3", "-p", "level=2") == {}
     change_library(toy)
-    assert list(reasons(toy, SECOND, "-p", "seed=3", "-p", "level=2").values()) == [
+    assert list(toy.reasons(SECOND, "-p", "seed=3", "-p", "level=2").values()) == [
         "lib/experiments/isolation/model.py changed"
     ]
 
@@ -461,21 +453,21 @@ def test_kernels_are_alike_whatever_a_user_has_at_home(toy):
 
 
 def test_the_published_setting_given_by_hand_is_the_published_build(toy):
-    assert reasons(toy, "-p", "seed=1", "-p", "level=1") == {}
+    assert toy.reasons("-p", "seed=1", "-p", "level=1") == {}
 
 
 def test_a_setting_goes_to_every_notebook_that_has_the_parameter(toy):
-    assert set(reasons(toy, "-p", "record=a.csv")) == {f"{SECOND} (record='a.csv')"}
-    assert len(reasons(toy, "-p", "seed=2")) == 3
-    assert len(reasons(toy, "isolation", "-p", "seed=2")) == 2
+    assert set(toy.reasons("-p", "record=a.csv")) == {f"{SECOND} (record='a.csv')"}
+    assert len(toy.reasons("-p", "seed=2")) == 3
+    assert len(toy.reasons("isolation", "-p", "seed=2")) == 2
 
 
 def test_a_file_named_by_a_parameter_is_an_input(toy):
     toy.write("mine.csv", "1\n")
     assert toy.run("figures", "-p", "record=mine.csv").returncode == 0
-    assert reasons(toy, "-p", "record=mine.csv") == {}
+    assert toy.reasons("-p", "record=mine.csv") == {}
     toy.write("mine.csv", "2\n")
-    assert list(reasons(toy, "-p", "record=mine.csv").values()) == ["file mine.csv changed"]
+    assert list(toy.reasons("-p", "record=mine.csv").values()) == ["file mine.csv changed"]
 
 
 @pytest.mark.parametrize(

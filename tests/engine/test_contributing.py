@@ -59,14 +59,6 @@ def build_and_accept(toy):
     toy.commit()
 
 
-def stale(toy) -> set[str]:
-    """The notebooks that a build would make."""
-    done = toy.run("figures", "--why")
-    assert done.returncode == 0, done.stderr
-    lines = (line.split(": ", 1) for line in done.stdout.splitlines())
-    return {name for name, reason in lines if reason != "up to date"}
-
-
 def require_style(toy, *places):
     """The style of this checkout; the toy has a library of its own, which ruff takes for the first party's."""
     settings = ["--config", f"{Path(__file__).parents[2]}/pyproject.toml"]
@@ -112,7 +104,7 @@ def test_a_new_result_and_a_new_topic_pass_as_they_are_written(toy, monkeypatch)
     other = toy.run("new", "crane", "01-sway", "--create")
     assert other.returncode == 0, other.stderr
     toy.commit()
-    assert stale(toy) == {"isolation/09-payload", "crane/01-sway"}
+    assert toy.reasons().keys() == {"isolation/09-payload", "crane/01-sway"}
     build_and_accept(toy)
     assert committed(toy, monkeypatch).failed == set()
     readme = (toy.root / "README.md").read_text(encoding="utf-8")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.toy import cell, clean_up, make
+from engine.toy import cell
 from workbook.inputs import environment_inputs
 from workbook.pinned import environment, pins, settings, treatment, variables
 
@@ -171,43 +171,34 @@ print(sorted(name for name in os.environ if name in NAMES))""",
 
 @pytest.mark.slow
 @pytest.mark.parametrize("home", ["/proc", None])
-def test_a_build_under_odd_variables_gives_the_same_bytes(tmp_path, home):
+def test_a_build_under_odd_variables_gives_the_same_bytes(toy, home):
     """All at once: one build for two hundred variables, of which the last cell shows that none arrives."""
-    toy = make(tmp_path / "toy")
-    try:
-        toy.add_page("motion/01-odd")
-        file = toy.root / "notebooks/motion/01-odd.ipynb"
-        whole = json.loads(file.read_text())
-        odd = {name: "1" for name in names_read() if treatment(name) in ("cleared", "pinned")} | ODD
-        odd = {name: value.format(root=toy.root) for name, value in odd.items()}
-        sources = [text.replace("NAMES", repr(sorted(odd))) for text in CELLS]
-        whole["cells"] += [cell(f"odd-{number}", source) for number, source in enumerate(sources)]
-        toy.write("notebooks/motion/01-odd.ipynb", json.dumps(whole))
-        toy.write("startup.py", "of_the_user = 1\n")
-        toy.write("matplotlibrc", "lines.linewidth: 9\n")
-        command = toy.command("figures", "motion/01-odd", "--force")
-        results = []
-        for variables_now in ({}, odd):
-            around = {name: value for name, value in toy.environment().items() if treatment(name) == "passed"}
-            around = {name: value for name, value in around.items() if name != "HOME" or home}
-            around |= {**variables_now, **({"HOME": home} if home and variables_now else {})}
-            done = subprocess.run(
-                command, cwd=toy.root, env=around, capture_output=True, text=True, errors="replace"
-            )
-            assert done.returncode == 0, done.stdout + done.stderr
-            results.append(toy.results())
-        outputs = [outputs_of(files["build/figures/motion/01-odd/01-odd.ipynb"]) for files in results]
-        assert outputs[0] == outputs[1]
-        assert results[0] == results[1]
-        assert reasons(toy) == {}
-    finally:
-        clean_up(toy)
+    toy.add_page("motion/01-odd")
+    file = toy.root / "notebooks/motion/01-odd.ipynb"
+    whole = json.loads(file.read_text())
+    odd = {name: "1" for name in names_read() if treatment(name) in ("cleared", "pinned")} | ODD
+    odd = {name: value.format(root=toy.root) for name, value in odd.items()}
+    sources = [text.replace("NAMES", repr(sorted(odd))) for text in CELLS]
+    whole["cells"] += [cell(f"odd-{number}", source) for number, source in enumerate(sources)]
+    toy.write("notebooks/motion/01-odd.ipynb", json.dumps(whole))
+    toy.write("startup.py", "of_the_user = 1\n")
+    toy.write("matplotlibrc", "lines.linewidth: 9\n")
+    command = toy.command("figures", "motion/01-odd", "--force")
+    results = []
+    for variables_now in ({}, odd):
+        around = {name: value for name, value in toy.environment().items() if treatment(name) == "passed"}
+        around = {name: value for name, value in around.items() if name != "HOME" or home}
+        around |= {**variables_now, **({"HOME": home} if home and variables_now else {})}
+        done = subprocess.run(
+            command, cwd=toy.root, env=around, capture_output=True, text=True, errors="replace"
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        results.append(toy.results())
+    outputs = [outputs_of(files["build/figures/motion/01-odd/01-odd.ipynb"]) for files in results]
+    assert outputs[0] == outputs[1]
+    assert results[0] == results[1]
+    assert toy.reasons() == {}
 
 
 def outputs_of(executed: bytes) -> list:
     return [each.get("outputs") for each in json.loads(executed)["cells"]]
-
-
-def reasons(toy) -> dict[str, str]:
-    lines = [line.split(": ", 1) for line in toy.run("figures", "--why").stdout.splitlines()]
-    return {name: why for name, why in lines if why != "up to date"}

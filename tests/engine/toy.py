@@ -143,6 +143,13 @@ class Toy:
             **options,
         )
 
+    def reasons(self, *arguments: str) -> dict[str, str]:
+        """What ``--why`` says, by notebook, without those that are up to date."""
+        done = self.run("figures", "--why", *arguments)
+        assert done.returncode == 0, done.stderr
+        lines = (line.split(": ", 1) for line in done.stdout.splitlines())
+        return {name: reason for name, reason in lines if reason != "up to date"}
+
     def start(self, *arguments: str, ignored: tuple[int, ...] = ()) -> subprocess.Popen:
         """Run in a session of its own, as a terminal does, and do not wait."""
         return subprocess.Popen(
