@@ -179,9 +179,9 @@ class StaticPicture:
 class Redraw:
     """Pictures of one drawing function, quick from the second on.
 
-    Two thirds of a picture's time go into its layout, its minor ticks and the measuring of its texts. So the
-    panels stay where they were laid out first, a logarithmic axis shows its decades alone, and one renderer,
-    which remembers the texts that it has set, serves all pictures.
+    Two thirds of a picture's time go into its layout, its minor ticks, and its texts. So the panels stay where
+    they were laid out first, a logarithmic axis shows its decades alone, and one renderer, which remembers the
+    texts that it has drawn, serves all pictures.
 
     Parameters
     ----------
@@ -216,15 +216,13 @@ class Redraw:
         return self._png()
 
     def _render(self, figure) -> None:
-        from matplotlib.backends.backend_agg import RendererAgg
-
-        from workbook.rendering import ticks_once
+        from workbook.rendering import RememberingRenderer, ticks_once
 
         for axes in figure.axes:
             axes.minorticks_off()
         size = figure.bbox.size
         if self._renderer is None or (self._renderer.width, self._renderer.height) != tuple(size):
-            self._renderer = RendererAgg(*size, figure.dpi)
+            self._renderer = RememberingRenderer(*size, figure.dpi)
         self._renderer.clear()
         with ticks_once(figure):
             figure.draw(self._renderer)

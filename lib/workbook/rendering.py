@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 
 import numpy as np
+from matplotlib.backends.backend_agg import RendererAgg
 
 from stillwork.base.checks import InputError, short_repr
 from stillwork.base.garbage import no_collection
@@ -259,3 +260,50 @@ def _strokes(axis) -> list:
             line.set_zorder(np.nextafter(axis.get_zorder(), np.inf))  # right behind the major ticks
             lines.append(line)
     return lines
+
+
+TEXTS = 512  # that a renderer remembers, a few kilobytes each
+
+
+class RememberingRenderer(RendererAgg):
+    """A renderer that makes the glyphs of a text in one place once: that takes longer than to put them there."""
+
+    def __init__(self, width: float, height: float, dpi: float):
+        super().__init__(width, height, dpi)
+        self._texts = {}
+
+    def draw_text(self, gc, x, y, s, prop, angle, ismath=False, mtext=None):
+        # matplotlib 3.11's words for a font, which 3.10 does not know
+        words = [getattr(mtext, name, tuple)() for name in ("get_fontfeatures", "get_language")]
+        text = (x, y, s, hash(prop), *words, angle, ismath, gc.get_antialiased())
+        glyphs = self._texts.get(text)
+        if glyphs is not None:
+            for glyph in glyphs:
+                self._renderer.draw_text_image(*glyph, gc)
+            return
+        kernel, self._renderer = self._renderer, _Noting(self._renderer)
+        try:
+            super().draw_text(gc, x, y, s, prop, angle, ismath, mtext)
+            glyphs = self._renderer.glyphs
+        finally:
+            self._renderer = kernel
+        if glyphs is not None:
+            if len(self._texts) == TEXTS:
+                self._texts.clear()
+            self._texts[text] = glyphs
+
+
+class _Noting:
+    """Agg, and the glyphs that it was told to draw; None with the bar of a fraction or a root among them."""
+
+    def __init__(self, kernel):
+        self._kernel, self.glyphs = kernel, []
+
+    def draw_text_image(self, pixels, x, y, angle, gc):
+        self._kernel.draw_text_image(pixels, x, y, angle, gc)
+        if self.glyphs is not None:
+            self.glyphs.append((pixels, x, y, angle))
+
+    def draw_path(self, *arguments):
+        self._kernel.draw_path(*arguments)
+        self.glyphs = None

@@ -1,11 +1,14 @@
 import ipywidgets
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from stillwork.base.checks import InputError
 from workbook import figures
 from workbook.explorer import Choice, Redraw, Slider, StaticPicture, explore, label
+from workbook.rendering import RememberingRenderer
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, 2.0, "V", basis="printed", place="Table 1"),
@@ -259,3 +262,31 @@ def test_another_number_of_panels_makes_a_new_layout():
     redraw = Redraw(scaled)
     redraw(top=10)
     assert redraw(top=10, panels=2) == Redraw(scaled)(top=10, panels=2)
+
+
+def test_remembered_texts_are_what_matplotlib_draws():
+    """Each text twice, among others that differ from it in one respect alone."""
+    remembering = RememberingRenderer(300, 200, 100)
+    looks = [
+        {},
+        {"x": 0.101},
+        {"rotation": 30},
+        {"color": "red", "alpha": 0.5},
+        {"fontsize": 9},
+        {"fontweight": "bold"},
+        {"s": "gain of 3"},
+        {"s": r"$\frac{a}{\sqrt{b}}$ of 2"},
+        {"antialiased": False},
+        {"fontfeatures": ("-kern",), "s": "AVAVA"},
+        {"s": "AVAVA"},
+    ]
+    for look in looks * 2:
+        drawn = []
+        for renderer in (RendererAgg(300, 200, 100), remembering):
+            renderer.clear()
+            figure = Figure(figsize=(3, 2), dpi=100)
+            figure.text(**({"x": 0.1, "y": 0.5, "s": "gain of 2"} | look))
+            figure.draw(renderer)
+            drawn.append(np.array(renderer.buffer_rgba()))
+        assert (drawn[0] != 255).any()
+        np.testing.assert_array_equal(*drawn)
