@@ -1,6 +1,7 @@
 import ast
 import fcntl
 import importlib.util
+import math
 import os
 import random
 import shutil
@@ -16,9 +17,12 @@ import pytest
 
 import stillwork
 from layering import modules
-from stillwork.base import kernel_cache
+from stillwork import estimation, lti
+from stillwork.base import kernel_cache, kernels
+from stillwork.base.checks import InputError
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.base.kernels import callback
+from stillwork.estimation import coordinate_filters, filtering, hinfinity, kalman, min_max, time_varying
 from workbook import paths
 
 CALLED = """
@@ -380,3 +384,112 @@ def counted(trees):
 def test_what_counts_no_references_calls_nothing_that_does():
     """It would fail to compile where that makes an array and has not been compiled for another caller before."""
     assert list(counted(modules(paths.root()))) == []
+
+
+def free_mass(position, velocity, force, parameters):
+    return force / parameters[0] - math.sqrt(parameters[1])
+
+
+def mass_inverted(position, velocity, acceleration, parameters):
+    return parameters[0] * (acceleration + math.sqrt(parameters[1]))
+
+
+def wall(position, velocity, force, parameters):
+    return force / parameters[0] + math.sqrt(1.0 - position)
+
+
+def wall_inverted(position, velocity, acceleration, parameters):
+    return parameters[0] * (acceleration - math.sqrt(1.0 - position))
+
+
+def filtered(kind):
+    """A coordinate through a filter over a record of which a sample is lost, where it can be."""
+    plant = estimation.Plant(free_mass, mass_inverted, np.array([2.0, 0.1]))
+    chosen = kind(plant) if kind in (estimation.ExtendedKalman, estimation.UnscentedKalman) else kind()
+    position = np.cumsum(np.random.default_rng(3).normal(size=60)) / 100
+    if kind in (estimation.ExtendedKalman, estimation.UnscentedKalman):
+        position[20] = np.nan
+    found = estimation.filter_signal(chosen, position)
+    return np.array([found.position, found.velocity, found.acceleration])
+
+
+def stepped(kind):
+    """The same one sample at a time."""
+    chosen = kind(estimation.Plant(free_mass, mass_inverted, np.array([2.0, 0.1])))
+    state = chosen.start(velocity=1.0)
+    for position in (0.1, 0.2, np.nan, 0.25):
+        state = chosen.step(state, position, force=0.3)
+    return state.estimate
+
+
+def smoothed():
+    rng = np.random.default_rng(4)
+    a, b, c = np.array([[0.9, 0.2], [0.0, 0.8]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0], [1.0, 1.0]])
+    model = lti.StateModel(a, b, c, np.zeros((2, 1)), 1.0)
+    noise = estimation.NoiseCovariances(np.eye(2) / 10, np.eye(2), np.full((2, 2), 0.05))
+    y = rng.normal(size=(2, 30))
+    y[0, 7] = np.nan
+    record = estimation.kalman_filter(model, noise, rng.normal(size=(1, 30)), y, np.eye(2))
+    return np.concatenate([record.filtered, record.smooth()[0]])
+
+
+def solved():
+    rng = np.random.default_rng(5)
+    matrix, target = rng.normal(size=(20, 3)), rng.normal(size=20)
+    least_norm = np.linalg.norm(matrix.T @ target) / np.linalg.norm(target)
+    found = [estimation.min_max_solve(matrix, target, share * least_norm) for share in (0.0, 0.3, 0.9)]
+    robust = estimation.HinfinityRegressor().fit(matrix, target)
+    return np.array([*(each.estimate for each in found), robust.coef_])
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        estimation.LowPass,
+        coordinate_filters.MovingWindow,
+        coordinate_filters.SavitzkyGolay,
+        estimation.ExtendedKalman,
+        estimation.UnscentedKalman,
+        "extended steps",
+        "unscented steps",
+        "smoother",
+        "block",
+    ],
+)
+def test_python_gives_the_numbers_of_the_kernels(kind, monkeypatch):
+    """Those of a short record, which is not worth a compilation; `tests/worstcase/test_recursive.py` has the recursions."""
+    calls = {
+        "extended steps": lambda: stepped(estimation.ExtendedKalman),
+        "unscented steps": lambda: stepped(estimation.UnscentedKalman),
+        "smoother": smoothed,
+        "block": solved,
+    }
+    call = calls.get(kind, lambda: filtered(kind))
+    modules, found, run = (coordinate_filters, filtering, hinfinity, kalman, min_max, time_varying), [], []
+    for choose in (
+        lambda kernel, *_: kernel,
+        lambda kernel, *_: run.append(kernel) or kernels.uncompiled(kernel),
+    ):
+        for module in modules:
+            monkeypatch.setattr(module, "kernel_for", choose)
+        found.append(call())
+    compiled, python = found
+    assert run and np.array_equal(np.isnan(python), np.isnan(compiled))
+    assert python == pytest.approx(compiled, rel=1e-9, abs=1e-9 * np.nanmax(np.abs(compiled)), nan_ok=True)
+
+
+@pytest.mark.parametrize("kind", [estimation.ExtendedKalman, estimation.UnscentedKalman])
+def test_a_model_that_python_refuses_goes_on_as_its_machine_code_does(kind, monkeypatch):
+    """The root of a number below zero raises in Python and is NaN in machine code: one message, whatever is compiled."""
+
+    def refused():
+        plant = estimation.Plant(wall, wall_inverted, np.array([1.0]))
+        with pytest.raises(InputError, match=r"finite|definite") as caught:
+            estimation.filter_signal(kind(plant), np.linspace(0, 2, 30), sample_time=1e-3)
+        return str(caught.value)
+
+    messages = []
+    for choose in (lambda kernel, *_: kernel, lambda kernel, *_: kernels.uncompiled(kernel)):
+        monkeypatch.setattr(filtering, "kernel_for", choose)
+        messages.append(refused())
+    assert messages[0] == messages[1]

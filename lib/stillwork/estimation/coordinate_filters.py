@@ -14,9 +14,18 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Count, NonNegative, Positive, at_least
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.kernels import kernel_for
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.extended import plant_extended_step
-from stillwork.estimation.filter_step import EXTENDED, LOW_PASS, SAVITZKY_GOLAY, UNSCENTED, WINDOW, Packed
+from stillwork.estimation.filter_step import (
+    EXTENDED,
+    LOW_PASS,
+    OPERATIONS,
+    SAVITZKY_GOLAY,
+    UNSCENTED,
+    WINDOW,
+    Packed,
+)
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, require_covariance
 from stillwork.estimation.plant import Plant
 from stillwork.estimation.unscented import SigmaPoints, plant_unscented_step
@@ -218,13 +227,21 @@ class _KalmanFilter:
             raise InputError(f"state is none of {type(self).__name__}; give one of its own start or step")
         advance = plant_unscented_step if kind == UNSCENTED else plant_extended_step
         acceleration, _, parameters = self.plant.compiled
-        estimate, work = state.estimate.copy(), state.work.copy()
         numbers = (
             require_number("sample_time", sample_time, above=0),
             measured,
             require_number("force", force),
         )
-        definite = advance(options, process, noise, work, acceleration, parameters, *numbers, estimate)
+
+        def step_by(run) -> tuple[bool, np.ndarray, np.ndarray]:
+            estimate, work = state.estimate.copy(), state.work.copy()
+            definite = run(options, process, noise, work, acceleration, parameters, *numbers, estimate)
+            return definite, estimate, work
+
+        try:
+            definite, estimate, work = step_by(kernel_for(advance, 1, OPERATIONS))
+        except (ArithmeticError, ValueError):  # of a model: compiled it goes on with NaN or infinity
+            definite, estimate, work = step_by(advance)
         if not (definite and np.isfinite(estimate).all()):
             raise InputError(
                 "the covariance stops being positive definite, or the estimate finite; raise process or noise, or check "

@@ -10,6 +10,7 @@ from stillwork.estimation.low_pass import low_pass_step
 from stillwork.estimation.unscented import plant_unscented_step
 from stillwork.estimation.windows import moving_window_step, savitzky_golay_step
 
+OPERATIONS = 400  # of a sample in the unscented filter, which takes most
 WINDOW, LOW_PASS, UNSCENTED, EXTENDED, SAVITZKY_GOLAY = range(5)
 
 

@@ -16,7 +16,7 @@ from stillwork.base.algebra import (
     set_product,
 )
 from stillwork.base.checks import InputError, require_array, require_finite_run
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import kernel, kernel_for
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.gaussian import ASYMMETRY, in_deviations, require_covariance
 from stillwork.estimation.riccati import KalmanGain, continuous_gain, covariance_root, discrete_gain
@@ -128,7 +128,8 @@ class KalmanRecord:
         """
         samples = self.filtered.shape[1]
         smoothed, covariance = np.empty_like(self.filtered), np.empty_like(self.filtered_covariance)
-        _smooth(
+        run = kernel_for(_smooth, samples, _operations(self.model))
+        run(
             self.model.a,
             self.model.c,
             self.noise.sensor,
@@ -263,7 +264,8 @@ def kalman_filter(
     filtered, predicted = np.empty((n, samples)), np.empty((n, samples))
     after, before = np.empty((samples, n, n)), np.empty((samples, n, n))
     innovations = np.empty_like(y)
-    likelihood = _filter(
+    run = kernel_for(_filter, samples, _operations(model))
+    likelihood = run(
         model.a,
         model.b,
         model.c,
@@ -295,6 +297,11 @@ def _require_fit(model: StateModel, noise: NoiseCovariances) -> None:
         shape = getattr(noise, name).shape
         if shape != (size, size):
             raise InputError(f"noise.{name} has shape {shape}; give {size} x {size} for this model")
+
+
+def _operations(model: StateModel) -> int:
+    n, outputs = len(model.a), len(model.c)
+    return 2 * (n + outputs) ** 3
 
 
 @kernel

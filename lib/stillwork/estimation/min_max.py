@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Matrix, NonNegative, Vector
 from stillwork.base.checks import require_array
+from stillwork.base.kernels import kernel_for
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.secular import CASES, ROUNDING, ZERO, decompose, min_max_root, spectrum
 
@@ -127,7 +128,8 @@ def _in_units(matrix, target) -> tuple[np.ndarray, np.ndarray, tuple[float, floa
 def _solved(parts, rows, bound):
     # in units of the data: what `min_max_root` gives, and the estimate
     eigenvalues, coefficients, excess, right = parts
-    found = min_max_root(eigenvalues, coefficients, excess, bound, rows * ROUNDING)
+    run = kernel_for(min_max_root, 10, 10 * len(eigenvalues))
+    found = run(eigenvalues, coefficients, excess, bound, rows * ROUNDING)
     return *found, right @ (np.sqrt(eigenvalues) * coefficients / (eigenvalues + found[1]))
 
 
