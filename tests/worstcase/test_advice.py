@@ -85,19 +85,19 @@ def test_a_record_to_rely_on_has_no_warning_and_a_flawed_one_says_why():
 
     def warned(X, y, **known):
         advice = advise(X, y, **known)
-        assert all(f"Not to be relied upon: {each}" in str(advice) for each in advice.warnings)
+        assert all(f"Do not rely on this ranking: {each}" in str(advice) for each in advice.warnings)
         return " ".join(advice.warnings)
 
     assert "40 samples for 4 coefficients" in warned(X[:40], y[:40])
     rests = np.where(np.arange(400) // 40 == 3, 1.0, 0.01)[:, None] * X
-    assert "lies in a tenth of the record" in warned(
+    assert "a tenth of the record holds" in warned(
         rests, rests @ [1.0, 2.0, 3.0] + y - clean @ [1.0, -2.0, 3.0]
     )
     loud = np.where(np.arange(400) // 80 == 3, 1.0, 0.3) * rng.standard_normal(400)
-    assert "of 10 parts" in warned(X, loud)
-    assert "times as much as its noise" in warned(clean + rng.standard_normal(X.shape), y, noise=1.0)
+    assert "of the 10 parts" in warned(X, loud)
+    assert "signal-to-noise ratio" in warned(clean + rng.standard_normal(X.shape), y, noise=1.0)
     assert "instruments" in warned(X, y, instruments=rng.standard_normal(X.shape))
-    assert "contradict the given noise" in warned(clean, y, noise=2.0)
+    assert "less noise than was given" in warned(clean, y, noise=2.0)
 
 
 def test_instruments_that_miss_the_difference_of_two_features_are_warned_of():

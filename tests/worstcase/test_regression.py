@@ -38,7 +38,7 @@ from stillwork.estimation.hinfinity import smallest_level
 from stillwork.estimation.linear_fits import cross_validated_penalty, evidence_penalty, hinfinity_model
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive import GrowthLimitWarning
-from stillwork.estimation.regression import UnweightedRegressor
+from stillwork.estimation.regression import UnlikeScalesWarning, UnweightedRegressor
 
 EVERY = [
     LeastMeanSquares(),
@@ -274,6 +274,65 @@ def test_each_feature_may_have_a_unit_of_its_own(estimator, seed):
         expected = learn(clone(estimator), X, y, stream).predict(X)
         again = learn(clone(estimator).set_params(**own), X * units, y * unit, stream)
         assert again.predict(X * units) / unit == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(40, 45))
+@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize(
+    "estimator",
+    [LeastMeanSquares(), RidgeRegressor(), RidgeRegressor("cross-validation"), RidgeRegressor(1.0)],
+    ids=repr,
+)
+def test_unlike_units_that_change_a_prediction_are_warned_of(estimator, fit_intercept, seed):
+    """Of regressors whose one step or penalty meets all features: no word and the same numbers, or a warning."""
+    X, y = record(seed)
+    y = y + 0.3 * np.random.default_rng(seed).standard_normal(y.shape)
+    estimator = clone(estimator).set_params(fit_intercept=fit_intercept)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        expected = clone(estimator).fit(X, y)
+    assert expected.scale_ratio_ < 10
+    rng = np.random.default_rng(seed)
+    for ratio in (1e3, 1e5, 1e8):
+        units = rng.permutation([1.0, 1.0, ratio]) * 10 ** rng.uniform(-5, 5)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            found = clone(estimator).fit(X * units, y)
+        assert 0.1 * ratio < found.scale_ratio_ < 10 * ratio
+        if not caught:
+            assert found.predict(X * units) == pytest.approx(expected.predict(X), rel=0.1, abs=0.1 * y.std())
+        assert all(each.category is UnlikeScalesWarning for each in caught)
+        if isinstance(estimator, LeastMeanSquares):
+            assert caught
+
+
+def test_unlike_units_are_found_in_a_stream_and_reported_for_what_they_do():
+    X, y = record(46)
+    units = np.array([1.0, 1e4, 0.0])
+    for estimator in (LeastMeanSquares(fit_intercept=False), RidgeRegressor(0.5, fit_intercept=False)):
+        batch = clone(estimator)
+        with pytest.warns(UnlikeScalesWarning, match="StandardScaler"):
+            batch.fit(X * units, y)
+        stream = learn(clone(estimator), X * units, y, True)  # a part of a stream warns of nothing
+        sizes = np.sqrt(np.mean(X**2, axis=0)) * units
+        assert stream.scale_ratio_ == pytest.approx(batch.scale_ratio_)
+        assert stream.scale_ratio_ == pytest.approx(sizes[1] / sizes[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        RidgeRegressor(1e-9).fit(X * [1.0, 1e4, 1.0], y)  # it shrinks nothing
+        make_pipeline(StandardScaler(), LeastMeanSquares()).fit(X * [1.0, 1e4, 1.0], y)
+
+
+def test_hinfinity_row_by_row_says_where_its_level_comes_from():
+    X, y = record(47)
+    stream = HinfinityRegressor().partial_fit(X[:1], y[:1])
+    with pytest.raises(
+        InputError, match=r"level .* of the first call .* give level, or more samples in the first"
+    ):
+        for row, output in zip(X[1:], y[1:], strict=True):
+            stream.partial_fit(row[None], [output])
+    with pytest.raises(InputError, match=r"y is a single value.*\[y\]"):
+        stream.partial_fit(X[:1], y[0])
 
 
 @pytest.mark.parametrize("constant", [5.0, 1e-9, 1e6, 0.1])

@@ -19,7 +19,7 @@ from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.linear_fits import admitted_noise
 from stillwork.estimation.min_max import ZeroEstimateWarning
-from stillwork.estimation.regression import RecursiveLeastSquares
+from stillwork.estimation.regression import RecursiveLeastSquares, UnlikeScalesWarning
 from stillwork.estimation.robust_regression import HinfinityRegressor, HuberRegressor
 from stillwork.estimation.triangle_regression import (
     BiasCompensatedRegressor,
@@ -80,7 +80,7 @@ class Advice:
             for each in self.ranking
         ]
         turns = [f"With noise of {share:g} of each feature: {name}." for share, name in self.turns.items()]
-        warned = [f"Not to be relied upon: {each}" for each in self.warnings]
+        warned = [f"Do not rely on this ranking: {each}" for each in self.warnings]
         return "\n".join([f"{'':36s}    error   over the first", *rows, *self.assumed, *turns, *warned])
 
 
@@ -208,9 +208,9 @@ def advise(
                 turns[share] = name
     warned = study.warnings(ranking[0].name)
     if study.strength < STRONG:
-        warned.append("instruments were given that cannot be used.")
+        warned.append("the given instruments are too weak to be used; give other instruments.")
     if admitted < 1:
-        warned.append("the data contradict the given noise.")
+        warned.append("the data hold less noise than was given; measure the noise again.")
     return Advice(tuple(ranking), tuple(assumed), turns, tuple(warned))
 
 
@@ -313,6 +313,9 @@ class _Study:
             given["instruments"] = self.instruments[kept]
         with warnings.catch_warnings():  # an estimate of zero is a result
             warnings.simplefilter("ignore", ZeroEstimateWarning)
+            warnings.simplefilter(
+                "ignore", UnlikeScalesWarning
+            )  # of a part at rest: over the record they are alike
             return estimator.fit(self.X[kept], self.y[kept], **given)
 
     def fitted(self, estimator) -> tuple[Any, np.ndarray]:
@@ -374,7 +377,7 @@ class _Study:
         warned = []
         if len(self.y) < SAMPLES_EACH * coefficients:
             warned.append(
-                f"{pluralise(len(self.y), 'sample')} for {pluralise(coefficients, 'coefficient')}; give {SAMPLES_EACH} for each."
+                f"there are {pluralise(len(self.y), 'sample')} for {pluralise(coefficients, 'coefficient')}; record at least {SAMPLES_EACH} for each."
             )
         share = (
             max(np.linalg.norm(tenth, 2) ** 2 for tenth in np.array_split(directions, 10))
@@ -383,20 +386,20 @@ class _Study:
         )
         if share > TENTH:
             warned.append(
-                f"{share:.0%} of one combination of the features lies in a tenth of the record; record more moves or turns."
+                f"a tenth of the record holds {share:.0%} of the energy of one combination of the features; record more moves or turns."
             )
         equal = min(_equal_parts(self.losses(name)) for name in (first, IGNORE))
         if equal < EQUAL_PARTS * len(self.parts):
             warned.append(
-                f"the held-out errors are those of {equal:.1f} of {len(self.parts)} parts; give a longer record."
+                f"the held-out error comes mainly from a few of the {len(self.parts)} parts (as if from {equal:.0f} equal ones); give a longer record."
             )
         if self.instruments is not None and (strength := _joint_strength(self.X, self.instruments)) < STRONG:
             warned.append(
-                f"the instruments hardly explain one combination of the features (F = {strength:.2g})."
+                f"the instruments hardly explain one combination of the features (F = {strength:.2g}, below {STRONG:g}); give other instruments."
             )
         if (reliable := self.reliability()) < RELIABLE:
             warned.append(
-                f"one combination of the features holds {max(reliable - 1, 0):.2g} times as much as its noise; a second sensor as instrument needs no size of the noise."
+                f"one combination of the features has a signal-to-noise ratio of only {max(reliable - 1, 0):.2g} in power; measure the features with a second sensor and give it as instruments, then no noise need be given."
             )
         return warned
 
@@ -406,8 +409,8 @@ class _Study:
             return np.inf
         noisy = self.noise > 0
         known = np.column_stack([self.X[:, ~noisy], np.ones((len(self.y), int(self.fit_intercept)))])
-        doubtful = self.X[:, noisy] / self.noise[noisy]
-        left = doubtful - known @ np.linalg.lstsq(known, doubtful)[0]
+        whitened = self.X[:, noisy] / self.noise[noisy]
+        left = whitened - known @ np.linalg.lstsq(known, whitened)[0]
         freedom = max(len(self.y) - len(self.noise) - self.fit_intercept, 1)
         return float(np.linalg.svd(left, compute_uv=False)[-1] ** 2 / freedom)
 

@@ -92,10 +92,10 @@ def _noise_taken_out(matrix, variances, samples) -> float:
     return float(min(samples, least * (1 - 1 / np.sqrt(max(samples, 1.0)))))
 
 
-def _least_square(known, doubtful) -> float:
-    """Square of the shortest combination of the doubtful columns and any of the known ones."""
+def _least_square(known, uncertain) -> float:
+    """Square of the shortest combination of the uncertain columns and any of the known ones."""
     count = known.shape[1]
-    _, whole = np.linalg.qr(np.column_stack([known, doubtful]))
+    _, whole = np.linalg.qr(np.column_stack([known, uncertain]))
     corner = whole[count:, count:]
     return float(np.linalg.svd(corner, compute_uv=False)[-1] ** 2) if len(corner) >= corner.shape[1] else 0.0
 

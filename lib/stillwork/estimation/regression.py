@@ -5,6 +5,7 @@ A call that is refused changes nothing.
 """
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +31,28 @@ from stillwork.estimation.recursive_settings import START
 NUMBERS = {"dtype": np.float64, "ensure_all_finite": "allow-nan"}  # what scikit-learn's checks are to return
 ONE = np.ones(1)  # the weight of a sample that needs none
 SHARE = 1e-5  # regularisation of least mean squares over the largest |x|^2, where it follows from the data
+
+
+UNLIKE = 100.0  # largest over smallest root mean square of features, from which one may be learned by itself
+
+
+class UnlikeScalesWarning(UserWarning):
+    """Features are so unlike in size that the small ones are not learned: give them in like units."""
+
+
+def warn_unlike(ratio: float, what: str) -> None:
+    warnings.warn(
+        f"the largest feature is {ratio:.3g} times as large as the smallest, whose coefficient {what}; give the features "
+        "in units in which they are alike, as sklearn.preprocessing.StandardScaler does",
+        UnlikeScalesWarning,
+        stacklevel=5,
+    )
+
+
+def scale_ratio(squares: np.ndarray) -> float:
+    """Largest over smallest size of features, from sums of their squares; those that are zero throughout left out."""
+    sizes = np.sqrt(squares[squares > 0])
+    return float(sizes.max() / sizes.min()) if len(sizes) else 1.0
 
 
 class _InputTypeError(InputError, TypeError):
@@ -182,6 +205,10 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if y is None:
             raise InputError(
                 f"{type(self).__name__} requires y to be passed, but the target y is None; give it"
+            )
+        if np.isscalar(y) or getattr(y, "ndim", None) == 0:
+            raise InputError(
+                "y is a single value; give one output for each sample, such as [y] for one sample"
             )
         if not _is_plain(y):
             y = _as_input_error("y", check_array, y, ensure_2d=False, input_name="y", **NUMBERS)
@@ -370,6 +397,8 @@ class LeastMeanSquares(UnweightedRegressor):
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)
         Output where the features are 0; 0 without `fit_intercept`.
+    scale_ratio_ : float
+        Largest over smallest root mean square of the features: the smallest one takes so many times squared longer.
     n_features_in_ : int
         Number of features.
 
@@ -377,6 +406,11 @@ class LeastMeanSquares(UnweightedRegressor):
     ------
     InputError
         When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+
+    Warns
+    -----
+    UnlikeScalesWarning
+        From `fit`, when features are so unlike in size that there were too few samples to learn that of the smallest.
 
     Notes
     -----
@@ -401,14 +435,22 @@ class LeastMeanSquares(UnweightedRegressor):
     fit_intercept: Any = True
 
     def _start(self, columns, outputs):
-        # the estimate, and the largest |x|^2 so far
-        return self._initial(self.initial_coef, columns, outputs), 0.0
+        # the estimate, the largest |x|^2 so far, sums of the features' squares, and how many samples
+        return self._initial(self.initial_coef, columns, outputs), 0.0, np.zeros(self.n_features_in_), 0
+
+    def _warn(self):
+        _, _, sums, samples = self._state
+        # of the smallest feature so much is learned in a sample
+        share = float(self.step_size) * np.min(sums[sums > 0], initial=np.inf) / (sums.sum() or 1.0)
+        if self.scale_ratio_ > UNLIKE and samples * share < 1:
+            warn_unlike(self.scale_ratio_, f"is not learned in fewer than {1 / share:.2g} samples")
 
     def _advance(self, state, rows, outputs, weights):
         coef = state[0].copy()
         settings = FeLms(self.step_size, SHARE if self.regularisation is None else self.regularisation)
         require_number("step_size", self.step_size, below=2.0)
         squares = np.einsum("ij,ij->i", rows, rows)
+        squares_of_features = np.einsum("ij,ij->j", rows, rows)[: self.n_features_in_]
         largest = np.maximum.accumulate(np.append(state[1], squares))
         if self.regularisation is None:
             # a share of the largest so far is a constant beside rows in units of that one
@@ -417,7 +459,9 @@ class LeastMeanSquares(UnweightedRegressor):
         steps = settings.step_size, settings.regularisation, settings.trace_copies(1)
         run = kernel_for(run_felms, len(rows), coef.size)
         run(coef, *steps, *_record(rows, outputs), False)
-        return (coef, largest[-1]), coef
+        sums = state[2] + squares_of_features
+        self.scale_ratio_ = scale_ratio(sums)
+        return (coef, largest[-1], sums, state[3] + len(rows)), coef
 
 
 @dataclass(eq=False, repr=False)

@@ -163,7 +163,16 @@ class HinfinityRegressor(UnweightedRegressor):
         if level is None:
             level, gains = _least_level(model, rows, forgetting)
         else:
-            gains = hinfinity_gains(model, np.eye(columns), float(require_number("level", level, above=0.0)))
+            level = float(require_number("level", level, above=0.0))
+            try:
+                gains = hinfinity_gains(model, np.eye(columns), level)
+            except InputError:
+                if self.level is not None:
+                    raise
+                raise InputError(
+                    f"no filter keeps the level {level:.3g} of the first call for the samples of this one; give level, or "
+                    "more samples in the first call, from which it follows"
+                ) from None
         self.level_ = level
         coef = np.array(
             [

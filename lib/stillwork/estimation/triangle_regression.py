@@ -21,7 +21,7 @@ from stillwork.estimation.linear_fits import (
     total_least_squares,
 )
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_plain
-from stillwork.estimation.regression import WeightedRegressor
+from stillwork.estimation.regression import UNLIKE, WeightedRegressor, scale_ratio, warn_unlike
 from stillwork.estimation.secular import ROUNDING
 from stillwork.estimation.triangle_kernels import advance_min_max
 
@@ -99,13 +99,13 @@ def _solve_around_known(matrix, target, known, estimate: Callable) -> np.ndarray
     if basis.shape[1] > 1:
         left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
         basis = left[:, sizes > len(matrix) * ROUNDING * np.max(sizes, initial=0.0)]
-    doubtful, aimed = ((part - basis @ (basis.T @ part)) for part in (matrix[:, ~known], target))
+    uncertain, aimed = ((part - basis @ (basis.T @ part)) for part in (matrix[:, ~known], target))
     # of a feature that the known ones explain, such as a constant one beside an intercept, rounding is left
-    left = np.sqrt((doubtful**2).sum(axis=0))
-    doubtful[:, left <= 100 * len(matrix) * ROUNDING * _column_sizes(matrix[:, ~known])] = 0.0
+    left = np.sqrt((uncertain**2).sum(axis=0))
+    uncertain[:, left <= 100 * len(matrix) * ROUNDING * _column_sizes(matrix[:, ~known])] = 0.0
     coef = np.zeros(len(known))
     if not known.all():
-        coef[~known] = estimate(doubtful, aimed)
+        coef[~known] = estimate(uncertain, aimed)
     left = target - matrix @ coef
     several = basis.shape[1] > 1 or len(units) > 1
     coef[known] = (np.linalg.lstsq(columns / units, left)[0] if several else basis.T @ left) / units
@@ -292,6 +292,8 @@ class RidgeRegressor(TriangleRegressor):
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)
         Output where the features are 0; 0 without `fit_intercept`.
+    scale_ratio_ : float
+        Largest over smallest root mean square of the features, with an intercept of their deviations from the mean.
     n_features_in_ : int
         Number of features.
 
@@ -299,6 +301,12 @@ class RidgeRegressor(TriangleRegressor):
     ------
     InputError
         When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+
+    Warns
+    -----
+    UnlikeScalesWarning
+        From `fit`, when features are more than 100 times unlike in size and the penalty takes more than 1 % of the
+        coefficient of the smallest.
 
     Notes
     -----
@@ -322,12 +330,24 @@ class RidgeRegressor(TriangleRegressor):
     forgetting: Any = 1.0
     fit_intercept: Any = True
 
+    def _warn(self):
+        if self.scale_ratio_ > UNLIKE and self._shrunk > 0.01:
+            warn_unlike(self.scale_ratio_, f"is shrunk by {self._shrunk:.0%}")
+
+    def _solve(self, corner, columns, outputs, mass):
+        self._shrunk = 0.0  # share that the penalty takes of the coefficient of the smallest feature
+        return super()._solve(corner, columns, outputs, mass)
+
     def _estimate(self, matrix, target, mass):
         if isinstance(self.penalty, str):
             choose = PENALTIES[require_choice("penalty", self.penalty, PENALTIES)]
             penalty = choose(matrix, target, float(max(mass, matrix.shape[1] + 1.0)))
         else:
             penalty = require_number("penalty", self.penalty, at_least=0.0)
+        squares = np.einsum("ij,ij->j", matrix, matrix)
+        self.scale_ratio_ = scale_ratio(squares)
+        smallest = np.min(squares[squares > 0], initial=np.inf)
+        self._shrunk = max(self._shrunk, float(penalty / (smallest + penalty)))
         # without a penalty each feature may have a unit of its own
         units = np.ones(matrix.shape[1]) if penalty else _column_sizes(matrix)
         left, sizes, right = np.linalg.svd(matrix / units, full_matrices=False)
