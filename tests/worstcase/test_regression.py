@@ -280,7 +280,14 @@ def test_each_feature_may_have_a_unit_of_its_own(estimator, seed):
 @pytest.mark.parametrize("fit_intercept", [False, True])
 @pytest.mark.parametrize(
     "estimator",
-    [LeastMeanSquares(), RidgeRegressor(), RidgeRegressor("cross-validation"), RidgeRegressor(1.0)],
+    [
+        LeastMeanSquares(),
+        RidgeRegressor(),
+        RidgeRegressor("cross-validation"),
+        RidgeRegressor(1.0),
+        BiasCompensatedRegressor(penalty="cross-validation"),
+        BiasCompensatedRegressor(penalty=1.0),
+    ],
     ids=repr,
 )
 def test_unlike_units_that_change_a_prediction_are_warned_of(estimator, fit_intercept, seed):

@@ -57,8 +57,8 @@ def evidence_penalty(matrix: Matrix, target: Vector, samples: float) -> float:
 @checked
 def compensated_ridge(
     matrix: Matrix, target: Vector, variances: Vector, samples: float, penalty: float | None = None
-) -> Float64[np.ndarray, " unknowns"]:
-    """Ridge regression without the share that noise of these variances in the rows has of A'A.
+) -> tuple[Float64[np.ndarray, " unknowns"], float]:
+    """Ridge regression without the share that noise of these variances in the rows has of A'A, and its penalty.
 
     Without a penalty that with the smallest estimate of the error of predictions from rows without noise, on a grid: the
     mean square of the residuals less that of the coefficients' share of the noise, and twice the noise of b times the
@@ -70,8 +70,9 @@ def compensated_ridge(
     taken = _noise_taken_out(matrix, variances, samples)
     sizes, axes = np.linalg.eigh(products - taken * np.diag(variances))
     if not sizes[-1] > 0:
-        return np.zeros(matrix.shape[1])
-    used = sizes > 1e-12 * sizes[-1]  # the others are rounding of squares
+        return np.zeros(matrix.shape[1]), 0.0
+    least = 1e-12 * sizes[-1]
+    used = sizes > least  # the others are rounding of squares
     sizes, axes = sizes[used], axes[:, used]
     penalties = np.append(0.0, sizes[-1] * PENALTIES) if penalty is None else np.array([penalty])
     shrunk = 1 / (sizes + penalties[:, None])
@@ -80,7 +81,8 @@ def compensated_ridge(
     freedom = shrunk @ np.einsum("ij,ji->i", axes.T @ products, axes)
     noise = np.min(left * samples / np.maximum(samples - freedom, 1.0) ** 2)
     scores = left - taken * coefs**2 @ variances + 2 * noise * freedom
-    return np.array(coefs[scores.argmin()])
+    best = scores.argmin()
+    return np.array(coefs[best]), float(penalties[best] if used.all() else max(penalties[best], least))
 
 
 def _noise_taken_out(matrix, variances, samples) -> float:

@@ -273,8 +273,26 @@ class MinMaxRegressor(TriangleRegressor):
         return np.array([_solve_around_known(corner[:, :columns], each, known, estimate) for each in targets])
 
 
+class _PenalisedRegressor(TriangleRegressor):
+    # One penalty on all coefficients, which unlike features feel unlike.
+    def _warn(self):
+        if self.scale_ratio_ > UNLIKE and self._shrunk > 0.01:
+            warn_unlike(self.scale_ratio_, f"is shrunk by {self._shrunk:.0%}")
+
+    def _solve(self, corner, columns, outputs, mass):
+        self.scale_ratio_ = 1.0
+        self._shrunk = 0.0  # share that the penalty takes of the coefficient of the smallest feature
+        return super()._solve(corner, columns, outputs, mass)
+
+    def _note_scales(self, matrix, penalty) -> None:
+        squares = np.einsum("ij,ij->j", matrix, matrix)
+        self.scale_ratio_ = scale_ratio(squares)
+        smallest = np.min(squares[squares > 0], initial=np.inf)
+        self._shrunk = max(self._shrunk, float(penalty / (smallest + penalty)))
+
+
 @dataclass(eq=False, repr=False)
-class RidgeRegressor(TriangleRegressor):
+class RidgeRegressor(_PenalisedRegressor):
     """Ridge regression whose penalty follows from the data: the smallest |y - X coef|^2 + penalty |coef|^2.
 
     Scale the features alike: all coefficients are shrunk by one penalty. An intercept is not.
@@ -330,24 +348,13 @@ class RidgeRegressor(TriangleRegressor):
     forgetting: Any = 1.0
     fit_intercept: Any = True
 
-    def _warn(self):
-        if self.scale_ratio_ > UNLIKE and self._shrunk > 0.01:
-            warn_unlike(self.scale_ratio_, f"is shrunk by {self._shrunk:.0%}")
-
-    def _solve(self, corner, columns, outputs, mass):
-        self._shrunk = 0.0  # share that the penalty takes of the coefficient of the smallest feature
-        return super()._solve(corner, columns, outputs, mass)
-
     def _estimate(self, matrix, target, mass):
         if isinstance(self.penalty, str):
             choose = PENALTIES[require_choice("penalty", self.penalty, PENALTIES)]
             penalty = choose(matrix, target, float(max(mass, matrix.shape[1] + 1.0)))
         else:
             penalty = require_number("penalty", self.penalty, at_least=0.0)
-        squares = np.einsum("ij,ij->j", matrix, matrix)
-        self.scale_ratio_ = scale_ratio(squares)
-        smallest = np.min(squares[squares > 0], initial=np.inf)
-        self._shrunk = max(self._shrunk, float(penalty / (smallest + penalty)))
+        self._note_scales(matrix, penalty)
         # without a penalty each feature may have a unit of its own
         units = np.ones(matrix.shape[1]) if penalty else _column_sizes(matrix)
         left, sizes, right = np.linalg.svd(matrix / units, full_matrices=False)
@@ -365,7 +372,7 @@ class _NoisyFeatures(TriangleRegressor):
 
 
 @dataclass(eq=False, repr=False)
-class BiasCompensatedRegressor(_NoisyFeatures):
+class BiasCompensatedRegressor(_PenalisedRegressor, _NoisyFeatures):
     """Least squares for features that hold white noise of known size, whose share of X'X is taken out.
 
     Attributes
@@ -383,6 +390,8 @@ class BiasCompensatedRegressor(_NoisyFeatures):
         The estimate: of the relation between y and the features without noise.
     intercept_ : float or ndarray, shape (outputs,)
         Output where the features are 0; 0 without `fit_intercept`.
+    scale_ratio_ : float
+        Of the features that a penalty shrinks, as of `RidgeRegressor`; 1 without a penalty.
     n_features_in_ : int
         Number of features.
 
@@ -390,6 +399,11 @@ class BiasCompensatedRegressor(_NoisyFeatures):
     ------
     InputError
         When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+
+    Warns
+    -----
+    UnlikeScalesWarning
+        As of `RidgeRegressor`.
 
     References
     ----------
@@ -423,9 +437,11 @@ class BiasCompensatedRegressor(_NoisyFeatures):
     def _estimate(self, matrix, target, mass):
         if self._penalty != 0:
             variances = self._noises[: matrix.shape[1]] ** 2
-            return compensated_ridge(
+            coef, penalty = compensated_ridge(
                 matrix, target, variances, float(max(mass, matrix.shape[1] + 1.0)), self._penalty
             )
+            self._note_scales(matrix, penalty)
+            return coef
         noises = self._noises[self._noises > 0]
         whitened = matrix / noises
         products, correlation = whitened.T @ whitened, whitened.T @ target
