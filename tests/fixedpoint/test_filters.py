@@ -19,10 +19,9 @@ from stillwork.estimation.coordinate_filters import (
     SavitzkyGolay,
     UnscentedKalman,
 )
-from stillwork.estimation.filter_step import filter_step
+from stillwork.estimation.filter_step import end_point_weights, filter_step
 from stillwork.estimation.filtering import filter_record, model_of
 from stillwork.estimation.unscented import SigmaPoints
-from stillwork.estimation.windows import end_point_weights
 
 SAMPLE_TIME = 1e-3
 LOST = (1, 50, 51, 52, 100, 102, 398, 399)

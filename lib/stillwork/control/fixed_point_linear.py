@@ -22,9 +22,9 @@ from stillwork.estimation.coordinate_filters import (
     UnscentedKalman,
     require_sample_time,
 )
+from stillwork.estimation.filter_step import end_point_weights
 from stillwork.estimation.plant import Plant, partial_derivatives, slope
 from stillwork.estimation.riccati import covariance_root, discrete_gain
-from stillwork.estimation.windows import end_point_weights
 
 
 @by_value

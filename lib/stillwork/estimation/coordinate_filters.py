@@ -25,11 +25,11 @@ from stillwork.estimation.filter_step import (
     UNSCENTED,
     WINDOW,
     Packed,
+    end_point_weights,
 )
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, require_covariance
 from stillwork.estimation.plant import Plant
 from stillwork.estimation.unscented import SigmaPoints, plant_unscented_step
-from stillwork.estimation.windows import end_point_weights
 
 
 def _packed(kind, options, work_shape, process=((),), noise=((),)):
