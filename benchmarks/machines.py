@@ -1,7 +1,8 @@
 """Random machines through the command `design`; what its C does on the true ones, by SciPy and a compiler alone.
 
 A machine has 1 to 6 flexible modes of either sign, perhaps viscous friction, and a delay of 0 to 3 samples, whole or
-not. It is given as matrices or as a noisy frequency response. The C that is written is compiled, its linear map read
+not. It is given as matrices or as a noisy frequency response. From number 1000 on it is a chain of masses, free or on
+springs to the ground, whose dampers its mode shapes do not decouple, and always measured. The C that is written is compiled, its linear map read
 out of its states, and closed around the sampled plant with its exact zero-order hold and delay, everywhere in the box
 that was asked for, of frequencies, gain and damping: `python benchmarks/machines.py [FIRST [LAST [RESULTS.jsonl]]]`. A file
 of results is gone on with.
@@ -28,6 +29,7 @@ from stillwork.base.checks import InputError  # noqa: E402
 from stillwork.design.design import design_file  # noqa: E402
 
 LIMIT_DB = 6.01
+COUPLED = 1000  # the first number of machines with coupled dampers
 DRAWS, SWEEPS = 60, 1  # random places in the box, and looks along each axis from the worst of them
 
 
@@ -41,24 +43,35 @@ class TrueMachine:
     damping: np.ndarray
     shares: np.ndarray  # residues over that of the rigid body
     delay: float  # s, from command to force
+    ground: float = 0.0  # rad/s, of the suspension of a machine on springs
+    velocity: np.ndarray | None = (
+        None  # s, share of each mode's part that grows with s, the whole body's first
+    )
 
     def response(self, omega):
         """Force to position in continuous time."""
         s = 1j * omega
-        whole = 1 / (s * (s + self.friction))
-        for w, z, share in zip(self.frequencies, self.damping, self.shares, strict=True):
-            whole = whole + share / (s * s + 2 * z * w * s + w * w)
+        whole = 0.0
+        for (stiffness, loss), share, rising in zip(*self.parts, strict=True):
+            whole = whole + (share + s * rising) / (s * s + loss * s + stiffness)
         return whole * np.exp(-s * self.delay) / self.mass
+
+    @property
+    def parts(self):
+        """Of the whole body and of each mode: stiffness and loss over mass, and the shares of position and velocity."""
+        w, z = self.frequencies, self.damping
+        rates = [(self.ground**2, self.friction), *zip(w * w, 2 * z * w, strict=True)]
+        return (
+            rates,
+            np.append(1.0, self.shares),
+            np.zeros(len(rates)) if self.velocity is None else self.velocity,
+        )
 
     def sampled(self, sample_time):
         """A, b, c of the exact zero-order hold: the force of a period arrives late by the delay."""
         whole = int(np.floor(self.delay / sample_time + 1e-9))
         part = max(self.delay - whole * sample_time, 0.0)
-        rates = [
-            (0.0, self.friction),
-            *((w * w, 2 * z * w) for w, z in zip(self.frequencies, self.damping, strict=True)),
-        ]
-        gains = np.append(1.0, self.shares) / self.mass
+        rates, gains, rising = self.parts
         n = 2 * len(rates)
         a, old, new, c = np.zeros((n, n)), np.zeros(n), np.zeros(n), np.zeros(n)
         for k, (stiffness, loss) in enumerate(rates):
@@ -66,7 +79,7 @@ class TrueMachine:
             after, held = _held(stiffness, loss, sample_time - part)
             before, earlier = _held(stiffness, loss, part)
             a[place, place], new[place], old[place] = after @ before, held, after @ earlier
-            c[2 * k] = gains[k]
+            c[2 * k : 2 * k + 2] = gains[k] / self.mass, rising[k] / self.mass
         size = n + whole + 1  # the force of the period before, and those under way
         big, b, out = np.zeros((size, size)), np.zeros(size), np.append(c, np.zeros(whole + 1))
         big[:n, :n] = a
@@ -106,11 +119,50 @@ def draw_machine(rng: np.random.Generator, sample_time: float, highest_hz: float
     )
 
 
+def draw_coupled(rng: np.random.Generator, sample_time: float, highest_hz: float) -> TrueMachine:
+    """A chain of three to five masses, pushed at the first, with a damper of its own beside each spring."""
+    n = int(rng.integers(3, 6))
+    masses = 10 ** rng.uniform(-1, 2) * 10 ** rng.uniform(-1, 0, n)
+    links = np.eye(n) - np.eye(n, k=-1)  # the first to the ground
+    lighter = masses[1:] * masses[:-1] / (masses[1:] + masses[:-1])
+    ends = 2 * np.pi * 10 ** rng.uniform(1.8, 2.5, n - 1)
+    springs = np.append(0.0, lighter * ends**2)
+    dampers = np.append(0.0, 2 * 10 ** rng.uniform(-2.7, -1.0, n - 1) * lighter * ends)
+    if rng.integers(2):
+        soft = 2 * np.pi * rng.uniform(1, 4)
+        springs[0], dampers[0] = masses.sum() * soft**2, 2 * rng.uniform(0.01, 0.1) * masses.sum() * soft
+    spring, damper = (links.T @ np.diag(each) @ links for each in (springs, dampers))
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [-spring / masses[:, None], -damper / masses[:, None]]])
+    into, out = np.zeros(2 * n), np.zeros(2 * n)
+    into[n], out[int(rng.integers(0, n))] = 1 / masses[0], 1.0
+    poles, left, right = linalg.eig(a, left=True)
+    residues = (out @ right) * (left.conj().T @ into) / np.sum(left.conj() * right, axis=0)
+    chosen = np.flatnonzero(poles.imag > 1e-3)
+    chosen = chosen[np.abs(poles[chosen]).argsort()]
+    p, r = poles[chosen], residues[chosen]
+    gains, rising = -2 * (r * p.conj()).real, 2 * r.real
+    if not springs[0]:  # the rigid body's poles are no pair
+        p, gains, rising = np.append(0.0, p), np.append(1 / masses.sum(), gains), np.append(0.0, rising)
+    seen = np.abs(p[1:]) < 2 * np.pi * highest_hz
+    keep = np.append(True, seen)
+    return TrueMachine(
+        mass=float(1 / gains[0]),
+        friction=2 * abs(float(p[0].real)),
+        frequencies=np.abs(p[1:])[seen],
+        damping=(-p[1:].real / np.abs(p[1:]))[seen],
+        shares=(gains[1:] / gains[0])[seen],
+        delay=rng.uniform(0, 2) * sample_time,
+        ground=float(np.abs(p[0])),
+        velocity=(rising / gains[0])[keep],
+    )
+
+
 def write_response(file: Path, machine: TrueMachine, noise: float, rng: np.random.Generator) -> None:
     """A noisy frequency response with its coherence, lines that resolve every mode."""
     hertz = machine.frequencies / (2 * np.pi)
     width = float((machine.damping * hertz).min())
-    lines = np.arange(hertz[0] / 20, 1.4 * hertz[-1], max(0.4 * width, hertz[-1] / 20_000))
+    first = machine.ground / (8 * np.pi) or hertz[0] / 20
+    lines = np.arange(first, 1.4 * hertz[-1], max(0.4 * width, hertz[-1] / 20_000))
     omega = 2 * np.pi * lines
     errors = rng.standard_normal((2, len(lines)))
     seen = machine.response(omega) * (1 + noise * (errors[0] + 1j * errors[1]) / np.sqrt(2))
@@ -217,6 +269,9 @@ def moved(machine: TrueMachine, box: dict, place: np.ndarray) -> TrueMachine:
         shares=machine.shares * residue * stays,  # the flexible part does not change with the rigid body
         frequencies=machine.frequencies * frequency,
         damping=machine.damping * damping,
+        velocity=None
+        if machine.velocity is None
+        else machine.velocity * np.append(1.0, residue * stays / frequency),
         delay=max(machine.delay + box.get("delay", 0.0) * delay, 0.0),
     )
 
@@ -259,13 +314,14 @@ def try_machine(number: int, draws: int = DRAWS) -> dict:
     """A machine by its number: drawn, designed for and judged; what was promised, and what is true."""
     rng = np.random.default_rng(number)
     rate = float(rng.choice([2e3, 4e3, 1e4, 2e4]))
-    machine = draw_machine(rng, 1 / rate, 0.45 * rate)
-    measured = bool(rng.integers(2))
+    coupled = number >= COUPLED
+    machine = (draw_coupled if coupled else draw_machine)(rng, 1 / rate, 0.45 * rate)
+    measured = bool(rng.integers(2)) or coupled
     noise = 10 ** rng.uniform(-4, -2)
     own = min(int(rng.integers(0, 2)), int(machine.delay * rate + 1e-9)) if measured else machine.delay * rate
     found = {
         "number": number,
-        "form": "measured" if measured else "matrices",
+        "form": ("coupled" if coupled else "measured") if measured else "matrices",
         "modes": len(machine.frequencies),
         "negative": int((machine.shares < 0).sum()),
         "friction_1_s": machine.friction,
@@ -295,6 +351,8 @@ def try_machine(number: int, draws: int = DRAWS) -> dict:
     )
     return found | {
         "use": held["provenance"]["use"],
+        "phases": any("phases of their own" in line for line in said),
+        "mass_error": held["provenance"]["mass"] / machine.mass - 1,
         "design_hz": held["provenance"]["design_hz"],
         "promised_db": max(sizes, default=None),
         "sensitivity_db": float(sensitivity),
@@ -310,7 +368,7 @@ def line_of(each: dict) -> str:
     return (
         f"{each['number']:3d} {each['form']} {each['modes']} modes {each['negative']} negative, "
         f"b/m {each['friction_1_s']:.2g}, {each['rate_hz']:6.0f} Hz, {each['delay_samples']:.2f} late, "
-        f"{each['use']:16s} {each['design_hz']:6.1f} Hz; promised {each['promised_db']:.2f} dB, S "
+        f"mass {100 * each['mass_error']:+.2g} %{', phases' * each['phases']}, {each['use']:16s} {each['design_hz']:6.1f} Hz; promised {each['promised_db']:.2f} dB, S "
         f"{each['sensitivity_db']:.2f} dB, r to e {each['r_to_e_db']:.2f} dB, poles {each['largest_pole']:.6f}; "
         f"{each['seconds']:.0f} s"
     )

@@ -312,7 +312,7 @@ def test_bad_arguments_are_refused():
             identify_modes(measured._replace(response=size * measured.response), band)
     with pytest.raises(InputError, match=r"^omega\b"):
         stabilisation(np.arange(50.0), np.ones((50, 1, 1)))
-    with pytest.raises(InputError, match=r"\b98 Hz.*modes_hz"):
+    with pytest.raises(InputError, match=r"\b98 Hz.*fit_hz"):
         identify_modes(measured, (5.0, 98.0))
 
 

@@ -415,7 +415,7 @@ def test_bands_outside_the_measurement_and_flat_responses_are_refused(tmp_path):
         whole_band(measured, (2000.0, 3000.0))
     found = identify_modes(measured, (5.0, 999.0)).model.frequencies[1:] / (2 * np.pi)
     assert found == pytest.approx([356.0, 616.0], rel=0.01)
-    with pytest.raises(InputError, match=r"\b5 \w+ 100 Hz.*modes_hz"):
+    with pytest.raises(InputError, match=r"\b5 \w+ 100 Hz.*fit_hz"):
         identify_modes(measured, (5.0, 100.0))
     with pytest.raises(InputError, match=r"^disturbance\b"):
         Intensities(0.0, 1e-9, 1e-4)

@@ -188,7 +188,7 @@ def _fitted(
         notes.append(
             f"all over the band the model is off by {100 * fit.rms_error:.2g} % (root mean square), and noise by the coherence is "
             f"{100 * noise:.2g} %: what is promised in the box around the model may not hold around this machine; strong or "
-            "dry damping, play, or modes that were not found: end fit_hz before them, or name them with modes_hz"
+            "dry damping, play, or modes that were not found: end fit_hz before them"
         )
     below = fit.omega < model.frequencies[1] / 2
     missed = float(np.sqrt(np.mean(fit.error[below] ** 2))) if below.any() else 0.0

@@ -1,6 +1,7 @@
 """A modal model fitted to a measured accelerance."""
 
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
@@ -187,12 +188,13 @@ def identify_modes(
     problem = _Accelerance(measured, band_hz)
     diagram = stabilisation(problem.omega, problem.target[:, None, None])
     free = _identified(problem, diagram, guesses, band_hz)
-    chosen = _rubbed(measured, band_hz, diagram, guesses, free)
+    problem, modes = _rubbed(measured, band_hz, diagram, guesses, free)
     if not len(guesses):
-        phased = _Accelerance(measured, band_hz)
-        if (modes := phased.phase(chosen, np.log(diagram.settled()))) is not None:
-            return replace(phased.fit(modes, diagram), **phased.phased_parts(modes))
-    return chosen[0].fit(chosen[1], diagram)
+        phased = _Accelerance(measured, band_hz, phased=True)
+        found = phased.phase(problem, modes, np.log(diagram.settled()))
+        if found is not None:
+            problem, modes = phased, found
+    return problem.fit(modes, diagram)
 
 
 def _rubbed(measured, band_hz, diagram, guesses, free):
@@ -241,8 +243,8 @@ def _identified(problem, diagram, guesses, band_hz):
         modes = modes if len(guesses) else problem.pruned(modes, MIN_MODE_ERROR)
     if not np.any(modes[0] <= np.log(problem.omega[-1])):
         raise InputError(
-            f"no resonance stands out from {band_hz[0]:g} to {band_hz[1]:g} Hz; say where the modes are with "
-            "modes_hz, or widen fit_hz"
+            f"no resonance stands out from {band_hz[0]:g} to {band_hz[1]:g} Hz; widen fit_hz, or let it "
+            "be the band in which the response stands out of its noise"
         )
     problem.bring_forward(modes)
     problem.rub_again(modes)
@@ -252,7 +254,7 @@ def _identified(problem, diagram, guesses, band_hz):
 class _Accelerance:
     """An accelerance in a band, its weights, and what is linear in the residues."""
 
-    def __init__(self, measured: Identified, band_hz: tuple[float, float]):
+    def __init__(self, measured: Identified, band_hz: tuple[float, float], phased: bool = False):
         inside = (measured.omega >= 2 * np.pi * band_hz[0]) & (measured.omega <= 2 * np.pi * band_hz[1])
         self.omega, self.target = measured.omega[inside], measured.response[inside]
         if (
@@ -272,7 +274,7 @@ class _Accelerance:
         self.goal = _stacked(self.target * self.weight)
         self.delay = 0.0  # s, by which the response was late
         self.drag = 0.0  # 1/s, of the rigid body
-        self.phased = False  # whether each mode's part has a velocity's beside it
+        self.phased = phased  # whether each mode's part has a velocity's beside it
         self.grounded = False  # then no rigid body is free, and a third term of the series takes its column
 
     def columns(self, modes, derivatives=True):
@@ -364,19 +366,16 @@ class _Accelerance:
         residual = self.solved(modes)[1]
         return residual @ residual
 
-    def phase(self, chosen, settled):
+    def phase(self, plain, before, settled):
         """Modes with phases of their own, where these explain the response far better than the same modes without."""
-        plain, before = chosen
-        self.drag, self.grounded, self.phased = plain.drag, plain.grounded, True
+        self.drag, self.grounded = plain.drag, plain.grounded
         taken = np.zeros((2, 0))
         inside = settled[:, settled[0] <= np.log(self.omega[-1])][:, :MOST_FITTED]
         for mode in np.hstack([inside, before[:, before[0] <= np.log(self.omega[-1])]]).T:
             if not np.any(np.abs(taken[0] - mode[0]) < 0.5 * np.exp(mode[1])):
                 taken = np.column_stack([taken, mode])
         self.bring_forward(taken)
-        modes = self.pruned_phases(
-            self.refined(self.pruned_phases(taken, MIN_MODE_ERROR / 2), 20), MIN_MODE_ERROR
-        )
+        modes = self.pruned(self.refined(self.pruned(taken, MIN_MODE_ERROR / 2), 20), MIN_MODE_ERROR)
         if not modes.size:
             return None
         if not self.grounded and self.on_springs(modes):
@@ -384,69 +383,13 @@ class _Accelerance:
             self.grounded, self.drag = True, 0.0
         self.bring_forward(modes)
         modes = self.refined(modes, 60)
-        left = self.cost(modes)
-        self.phased = False
-        without = min(self.cost(self.refined(modes, 60)), plain.cost(before))
+        left, decoupled = self.cost(modes), copy(self)
+        decoupled.phased = False
+        without = min(decoupled.cost(decoupled.refined(modes, 60)), plain.cost(before))
         noise = left / (2 * len(self.omega))
         if left > PHASED * without or without - left < F_RATIO * modes.shape[1] * noise:
             return None
         return modes
-
-    def pruned_phases(self, modes, least):
-        """As `pruned`, of modes with phases of their own."""
-        while modes.size:
-            linear, _ = self.columns(modes, derivatives=False)
-            linear = linear / np.linalg.norm(linear, axis=0)
-            inverse = np.linalg.pinv(linear.T @ linear, rcond=1e-13, hermitian=True)
-            gains = inverse @ (linear.T @ self.goal)
-            error = np.sum((linear @ gains - self.goal).reshape(2, -1) ** 2, axis=0)
-            standing = np.zeros(modes.shape[1])
-            for k, (frequency, damping) in enumerate(np.exp(modes).T):
-                pair = FIXED + np.array([k, modes.shape[1] + k])
-                growth = (
-                    gains[pair] @ np.linalg.lstsq(inverse[np.ix_(pair, pair)], gains[pair], rcond=None)[0]
-                )
-                inside, noise, _ = self._about(frequency, damping, error)
-                if growth >= F_RATIO * noise:
-                    standing[k] = np.sqrt(growth / inside)
-            worst = int(standing.argmin())
-            if standing[worst] >= least:
-                break
-            modes = np.delete(modes, worst, axis=1)
-        return modes
-
-    def phased_parts(self, modes):
-        """By fields of `ModalFit`: the model with the phases of these modes' parts, without them, and what it leaves unknown."""
-        modes = modes[:, np.argsort(modes[0])]
-        self.phased = True
-        gains, residual, _ = self.solved(modes)
-        linear, moving = self.columns(modes)
-        spread = _spread(np.hstack([linear, self.slopes(moving, gains)]), residual)
-        self.phased = False
-        count, rigid = modes.shape[1], FIXED if self.grounded else 0
-        own, beside = np.split(gains[FIXED:], 2)
-        frequencies = np.exp(modes[0])
-        parts = np.hypot(own, beside * frequencies / self.omega[-1])
-        noise = np.hypot(spread[FIXED : FIXED + count], spread[FIXED + count :][:count])
-        # Without the growth of the compliance.
-        kept = np.delete(linear, [0, 2] if self.grounded else [2], axis=1)
-        sizes = np.linalg.norm(kept, axis=0)
-        gains = np.linalg.lstsq(kept / sizes, self.goal, rcond=None)[0] / sizes
-        free, (compliance, *flexible) = gains[: 1 - self.grounded], gains[1 - self.grounded :]
-        own, beside = np.split(np.array(flexible), 2)
-        sign = float(np.sign(own[0] if self.grounded else free[0]))
-        velocity = np.append(np.zeros(len(free)), sign * beside / self.omega[-1])
-        left = self.goal - kept @ gains
-        model = self._model(modes, free.sum(), own, compliance, sign)
-        return {
-            "model": model,
-            "error": np.hypot(*left.reshape(2, -1)) / (self.weight * np.abs(self.target)),
-            "phased": PhasedModel(model, velocity),
-            "deviation": frequencies * spread[-2 * count : -count],
-            "damping_deviation": np.exp(modes[1]) * spread[-count:],
-            "residue_deviation": noise / parts,
-            "mass_deviation": float(spread[rigid] / abs((own if self.grounded else free)[0])),
-        }
 
     def _model(self, modes, rigid, own, compliance, sign):
         """A model of gains as `columns` counts them, all times a sign."""
@@ -553,22 +496,27 @@ class _Accelerance:
             worst = int(standing.argmin())
             if standing[worst] >= least:
                 break
-            place = FIXED + worst
-            modes, linear = np.delete(modes, worst, axis=1), np.delete(linear, place, axis=1)
-            gram, right = np.delete(np.delete(gram, place, axis=0), place, axis=1), np.delete(right, place)
+            own = self.places(modes)[:, worst]
+            modes, linear = np.delete(modes, worst, axis=1), np.delete(linear, own, axis=1)
+            gram, right = np.delete(np.delete(gram, own, axis=0), own, axis=1), np.delete(right, own)
         return modes
+
+    def places(self, modes):
+        """Which columns hold each mode's part, and in a second row its velocity's if the modes have phases."""
+        return np.arange((1 + self.phased) * modes.shape[1]).reshape(-1, modes.shape[1]) + FIXED
 
     def _standing(self, modes, linear, gram, right):
         """Relative error that each mode prevents over its own width; 0 for one that noise or cancelling could make."""
         inverse = np.linalg.pinv(gram, rcond=1e-13, hermitian=True)
-        gains = inverse @ right
-        growth = (gains**2 / np.diag(inverse))[FIXED:]
+        gains, places = inverse @ right, self.places(modes).T
+        blocks = np.linalg.pinv(inverse[places[:, :, None], places[:, None, :]], hermitian=True)
+        growth = np.einsum("ki,kij,kj->k", gains[places], blocks, gains[places])
         error = np.sum((linear @ gains - self.goal).reshape(2, -1) ** 2, axis=0)
         found = np.zeros(len(growth))
         for k, (frequency, damping) in enumerate(np.exp(modes).T):
             inside, noise, nearest = self._about(frequency, damping, error)
             part = np.hypot(*linear[:, FIXED + k].reshape(2, -1)[:, nearest]) * abs(gains[FIXED + k])
-            if growth[k] >= F_RATIO * noise and part <= CANCELLED:
+            if growth[k] >= F_RATIO * noise and (self.phased or part <= CANCELLED):
                 found[k] = np.sqrt(growth[k] / inside)
         return found
 
@@ -599,28 +547,36 @@ class _Accelerance:
             # The mass by itself: what the flexible part leaves of the lines below half the first resonance.
             line = linear[below, 0]
             gains[0] -= line @ residual[below] / (line @ line)
-        jacobian = np.hstack([linear, moving * np.tile(gains[FIXED:], 2)])
-        spread = _spread(jacobian, linear @ gains - self.goal)
-        # What a delay would add is a part of no other number's error: the model is without.
+        jacobian = np.hstack([linear, self.slopes(moving, gains)])
         seen = linear @ gains
+        spread = _spread(jacobian, seen - self.goal)
+        # What a delay would add is a part of no other number's error: the model is without, and phases hold what they take up.
+        places = self.places(modes)
+        beside_phases = np.delete(jacobian, places[1:], axis=1)
         lag = -1j * self.omega * (seen[: len(self.omega)] + 1j * seen[len(self.omega) :])
-        late = float(_spread(np.column_stack([jacobian, _stacked(lag)]), seen - self.goal)[-1])
+        late = float(_spread(np.column_stack([beside_phases, _stacked(lag)]), seen - self.goal)[-1])
         rubbed = 0.0
         if self.drag and not self.grounded:
             slope = -1j * self.omega / (1j * self.omega + self.drag) ** 2 * self.weight * gains[0]
-            columns = np.column_stack([jacobian, _stacked(lag), _stacked(slope)])
+            columns = np.column_stack([beside_phases, _stacked(lag), _stacked(slope)])
             rubbed = float(_spread(columns, seen - self.goal)[-1])
         # The model has no growth of the compliance and no mode beyond the band: its gains are those that do best without.
         every, count = modes.shape[1], int(np.sum(modes[0] <= np.log(self.omega[-1])))
-        kept = linear[:, [1, *range(FIXED, FIXED + count)]]
+        places = places[:, :count]
+        kept = linear[:, [1, *places.ravel()]]
         left = self.goal - (0.0 if self.grounded else gains[0] * linear[:, 0])
         sizes = np.linalg.norm(kept, axis=0)
-        own = np.linalg.lstsq(np.asarray_chkfinite(kept / sizes), left, rcond=None)[0] / sizes
-        residual = left - kept @ own
+        compliance, *own = np.linalg.lstsq(np.asarray_chkfinite(kept / sizes), left, rcond=None)[0] / sizes
+        residual = left - kept @ np.array([compliance, *own])
+        own, *beside = np.reshape(own, places.shape)
         sign = float(np.sign(gains[rigid]))
         frequencies, damping = np.exp(modes[:, :count])
+        model = self._model(modes[:, :count], gains[0], own, compliance, sign)
+        # Of a mode's part at its resonance, where a velocity's stands beside it.
+        shares = np.stack([np.ones(count), frequencies / self.omega[-1]])[: len(places)]
+        residue = np.hypot.reduce(shares * gains[places])
         return ModalFit(
-            self._model(modes[:, :count], gains[0], own[1:], own[0], sign),
+            model,
             self.omega,
             np.hypot(*residual.reshape(2, -1)) / (self.weight * np.abs(self.target)),
             frequencies * spread[-2 * every :][:count],
@@ -628,11 +584,16 @@ class _Accelerance:
             float(spread[rigid] / abs(gains[rigid])),
             sign < 0,
             diagram,
-            residue_deviation=np.abs(spread[FIXED : FIXED + count] / gains[FIXED : FIXED + count]),
+            residue_deviation=np.abs(np.hypot.reduce(shares * spread[places]) / residue),
             delay=self.delay,
             delay_deviation=late,
             drag_deviation=rubbed,
             cut=np.exp(modes[0, count:]),
+            phased=PhasedModel(
+                model, np.append(np.zeros(model.rigid_modes), sign * beside[0] / self.omega[-1])
+            )
+            if self.phased
+            else None,
         )
 
 
