@@ -237,14 +237,7 @@ def test_a_variable_of_the_user_s_hides_no_tree(tmp_path, monkeypatch):
     left_out = IgnoredPaths("/nowhere/reads")
     for name in ("record.csv", "lab/plant.py", "root/lib/experiments/motion/model.py"):
         assert not left_out.holds(str(tmp_path / name))
-    for name in (
-        "fontlist-v390.json",
-        "stylelib/a.mplstyle",
-        "matplotlibrc",
-        "base_0/a.nbi",
-        "lab/a.nbc",
-        "a.pyc",
-    ):
+    for name in "fontlist-v390.json stylelib/a.mplstyle matplotlibrc base_0/a.nbi lab/a.nbc a.pyc".split():
         assert left_out.holds(str(tmp_path / name))
 
 

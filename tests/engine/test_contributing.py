@@ -112,18 +112,7 @@ def test_a_new_result_and_a_new_topic_pass_as_they_are_written(toy, monkeypatch)
     index = (toy.root / "notebooks/index.ipynb").read_text(encoding="utf-8")
     assert "## Crane (`crane`)" in index and "(crane/01-sway.ipynb)" in index
     require_style(toy, "notebooks", "tests")
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-p",
-        "no:cacheprovider",
-        "-o",
-        "addopts=",
-        "-o",
-        "pythonpath=lib .",
-    ]
-    done = subprocess.run(
-        [*command, "tests"], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
-    )
+    options = [*"-p no:cacheprovider -o addopts= -o".split(), "pythonpath=lib ."]
+    command = [sys.executable, "-m", "pytest", *options, "tests"]
+    done = subprocess.run(command, cwd=toy.root, env=toy.environment(), capture_output=True, text=True)
     assert "4 passed" in done.stdout, done.stdout

@@ -13,20 +13,8 @@ from engine.toy import cell
 from workbook.inputs import environment_inputs
 from workbook.pinned import environment, pins, settings, treatment, variables
 
-READERS = (
-    *("numba", "llvmlite", "numpy", "scipy", "matplotlib", "pandas", "control", "PIL", "cvxpy", "jaxtyping"),
-    *(
-        "IPython",
-        "ipykernel",
-        "ipywidgets",
-        "comm",
-        "jupyter_client",
-        "jupyter_core",
-        "traitlets",
-        "nbclient",
-    ),
-    *("nbformat", "zmq", "tornado", "papermill", "debugpy"),
-)
+READERS = """numba llvmlite numpy scipy matplotlib pandas control PIL cvxpy jaxtyping IPython ipykernel ipywidgets
+comm jupyter_client jupyter_core traitlets nbclient nbformat zmq tornado papermill debugpy""".split()
 # Parts that build extensions, test the package, or serve another system; and programs that we do not start.
 OTHERS = re.compile(
     r"/(tests?|testing|distutils|f2py|_build_utils|conftest\.py|_vendored|cuda|vendored)(/|$)"

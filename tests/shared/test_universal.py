@@ -105,14 +105,7 @@ def test_what_cannot_be_used_says_why(tmp_path):
     binary.write_bytes(b"\n".join(lines))
     with pytest.raises(InputError, match=r"^e\.uff\b.*\b600\b.*\b0\b"):
         read_universal(tmp_path / "e.uff")
-    inches = pyuff.prepare_164(
-        units_code=7,
-        units_description="inch",
-        temp_mode=1,
-        length=39.37,
-        force=0.2248,
-        temp=1.8,
-        temp_offset=459.67,
-    )
+    units = {"length": 39.37, "force": 0.2248, "temp": 1.8, "temp_offset": 459.67, "temp_mode": 1}
+    inches = pyuff.prepare_164(units_code=7, units_description="inch", **units)
     with pytest.raises(InputError, match=r"^f\.uff\b.*unit system 7\b"):
         read_universal(write_universal(tmp_path / "f.uff", [inches, long]))

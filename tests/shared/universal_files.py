@@ -17,14 +17,8 @@ def function(kind, x, data, *, node=1, reference=0, unit="NONE", binary=0, **mor
     spaced = {"abscissa_spacing": 1, "abscissa_min": float(x[0]), "abscissa_inc": float(x[1] - x[0])}
     kinds |= {"abscissa_spec_data_type": abscissa, "ordinate_spec_data_type": ordinate}
     return {
-        **{
-            "type": 58,
-            "binary": binary,
-            "func_type": func_type,
-            "func_id": 0,
-            "ver_num": 0,
-            "load_case_id": 0,
-        },
+        **{"type": 58, "binary": binary},
+        **{"func_type": func_type, "func_id": 0, "ver_num": 0, "load_case_id": 0},
         **{f"id{k}": "NONE" for k in range(1, 6)},
         **(ends | spaced | kinds | units | labels),
         "orddenom_spec_data_type": denominator,

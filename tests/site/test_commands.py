@@ -84,22 +84,8 @@ def test_the_numbers_of_a_column_are_those_of_the_file(tmp_path):
 def hostile_names():
     """Names that a shell, a terminal or the reader of ``-p`` could take for something else."""
     names = ["$(touch X)", "`touch X`", "$HOME", "; touch X", "> X", "'; touch X; '", '"; touch X; "', "a'b"]
-    names += [
-        "\\",
-        "a\\nb",
-        "$'\\n'",
-        "-p seed=3",
-        "a=b",
-        "~",
-        "*",
-        "{a,b}",
-        "!!",
-        "# a",
-        " a",
-        "a,",
-        "-3",
-        "none",
-    ]
+    names += ["\\", "a\\nb", "$'\\n'", "-p seed=3", "a=b", "~", "*", "{a,b}", "!!", "# a"]
+    names += [" a", "a,", "-3", "none"]
     names += ["['a']", "UNIT", "'a'", "0x10", "µ² (m)", "加速度", "\u202e", "\xa0"]
     names += ["a\nb", "a\ttab", "a\x1b[2Jb", "a\x07", "a\u2028b", "a\x85b", "a\nfor x: touch X"]
     random = np.random.default_rng(11)
