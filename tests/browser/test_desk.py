@@ -98,8 +98,9 @@ def desk(browser, tmp_path):
 
 
 def downloaded(desk, name):
-    desk.wait(lambda: (desk.folder / name).is_file())
-    return desk.folder / name
+    file = desk.folder / name
+    desk.wait(lambda: file.is_file() and file.stat().st_size)  # it is there before it is full
+    return file
 
 
 def test_a_handle_is_dragged_and_the_drag_undone(desk):
