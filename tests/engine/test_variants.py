@@ -6,15 +6,11 @@ import shutil
 import pytest
 from PIL import Image
 
-from engine import toy as toys
-
 
 @pytest.fixture
-def toy(tmp_path):
-    made = toys.make(tmp_path / "toy")
-    made.add_page("motion/01-page")
-    yield made
-    toys.clean_up(made)
+def toy(toy):
+    toy.add_page("motion/01-page")
+    return toy
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ import sys
 
 import pytest
 
-from engine import toy as toys
 from workbook import paths
 from workbook.site.benchmarks import benchmarks
 
@@ -55,13 +54,6 @@ def test_what_cannot_be_measured_is_refused_in_a_sentence(arguments, told):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2
     assert f"error: {told}" in done.stderr and "Traceback" not in done.stderr
-
-
-@pytest.fixture
-def toy(tmp_path):
-    made = toys.make(tmp_path)
-    yield made
-    toys.clean_up(made)
 
 
 def measured(toy, *arguments):

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine import toy as toys
 from stillwork.base.checks import InputError
 from workbook import paths
 from workbook.choices.command import robustness_of
@@ -68,28 +67,26 @@ def written(files, tmp_path_factory):
 
 
 @pytest.fixture
-def toy(tmp_path, monkeypatch):
+def toy(toy, monkeypatch):
     """A workbook of one built notebook, full of text that a page must not take for its own."""
-    made = toys.make(tmp_path / "toy")
     name = "isolation/01-first"
-    made.add_page(name)
-    made.replace(f"notebooks/{name}.ipynb", "# A toy", json.dumps(f"# A toy {HOSTILE}")[1:-1])
-    made.replace(f"notebooks/{name}.ipynb", "# V", json.dumps(f"# V {HOSTILE}")[1:-1])
-    made.replace("data/isolation/published.toml", 'quantity = "gain"', f"quantity = '''{HOSTILE}'''")
-    made.write(
+    toy.add_page(name)
+    toy.replace(f"notebooks/{name}.ipynb", "# A toy", json.dumps(f"# A toy {HOSTILE}")[1:-1])
+    toy.replace(f"notebooks/{name}.ipynb", "# V", json.dumps(f"# V {HOSTILE}")[1:-1])
+    toy.replace("data/isolation/published.toml", 'quantity = "gain"', f"quantity = '''{HOSTILE}'''")
+    toy.write(
         "data/isolation/published.toml",
-        (made.root / "data/isolation/published.toml").read_text() + f"reason = '''{HOSTILE}'''\n",
+        (toy.root / "data/isolation/published.toml").read_text() + f"reason = '''{HOSTILE}'''\n",
     )
-    made.write(f"figures/{name}/claims.json", json.dumps({"isolation.gain": {"ours": 2.5}}))
+    toy.write(f"figures/{name}/claims.json", json.dumps({"isolation.gain": {"ours": 2.5}}))
 
     picture = io.BytesIO()
     Image.new("RGB", (7, 5)).save(picture, "PNG")
     for stem in ("fig-1", "<b>&'quoted'"):
-        (made.root / f"figures/{name}/{stem}.png").write_bytes(picture.getvalue())
-        (made.root / f"figures/{name}/{stem}.csv").write_text("panel,series,x,y,z\n")
-    monkeypatch.setenv("STILLWORK_ROOT", str(made.root))
-    yield made
-    toys.clean_up(made)
+        (toy.root / f"figures/{name}/{stem}.png").write_bytes(picture.getvalue())
+        (toy.root / f"figures/{name}/{stem}.csv").write_text("panel,series,x,y,z\n")
+    monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
+    return toy
 
 
 def test_every_link_leads_somewhere(written):

@@ -7,7 +7,6 @@ import zlib
 import numpy as np
 import pytest
 
-from engine import toy as toys
 from stillwork.base.checks import InputError
 from workbook import figures
 from workbook.explorer import Choice, Slider
@@ -285,22 +284,18 @@ explore(draw, x=Slider(0, 4, 1))
 
 
 @pytest.mark.slow
-def test_pictures_are_computed_once_for_each_build(tmp_path, monkeypatch):
-    toy = toys.make(tmp_path / "toy")
+def test_pictures_are_computed_once_for_each_build(toy, monkeypatch):
     name = "isolation/01-first"
     toy.add(name, EXPLORER)
     monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
-    try:
-        assert make_states(tasks()) == {}  # not built: nobody knows what the notebook reads
-        toy.run("figures")
-        made = make_states(tasks())
-        assert made[name]["count"] == 5
-        assert kept_states(tasks()) == made
-        file = toy.root / "build" / "explorers" / f"{name}.json"
-        before = file.stat().st_mtime_ns
-        assert make_states(tasks()) == made
-        assert file.stat().st_mtime_ns == before
-        toy.replace(f"notebooks/{name}.ipynb", "level, x", "2 * level, x")
-        assert kept_states(tasks()) == {}
-    finally:
-        toys.clean_up(toy)
+    assert make_states(tasks()) == {}  # not built: nobody knows what the notebook reads
+    toy.run("figures")
+    made = make_states(tasks())
+    assert made[name]["count"] == 5
+    assert kept_states(tasks()) == made
+    file = toy.root / "build" / "explorers" / f"{name}.json"
+    before = file.stat().st_mtime_ns
+    assert make_states(tasks()) == made
+    assert file.stat().st_mtime_ns == before
+    toy.replace(f"notebooks/{name}.ipynb", "level, x", "2 * level, x")
+    assert kept_states(tasks()) == {}
