@@ -1,0 +1,140 @@
+"""What no annotation can say is refused by the argument's name."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from stillwork.base.checks import InputError
+from stillwork.control.crossover import crossover
+from stillwork.control.digital import biquads
+from stillwork.control.feedback import fed_back
+from stillwork.control.feedforward import Feedforward
+from stillwork.control.fixed_point import ending, require_noise
+from stillwork.control.fixed_point_convergence import LimitCycle, Oscillation
+from stillwork.control.fixed_point_linear import LinearFilter, semi_implicit_motion
+from stillwork.control.machine_loops import Intensities
+from stillwork.control.machine_tuning import DesignSettings, varied
+from stillwork.control.setpoint import Setpoint
+from stillwork.estimation import FeLms, FeRls, NoiseCovariances, adapt, kalman_filter
+from stillwork.estimation.covariance_forms import factor_of
+from stillwork.estimation.observer import Observer
+from stillwork.estimation.secular import SecularFunction
+from stillwork.estimation.windows import end_point_weights
+from stillwork.identification.complex_frequency import Stabilisation
+from stillwork.identification.frequency_response import impact_response
+from stillwork.identification.machine_files import MachineFile, complex_responses
+from stillwork.identification.regressors import exponential_weights, fir_regressors
+from stillwork.lti import ModalModel, StateModel, interconnect, resonance_grid
+from stillwork.lti.delays import delayed
+from stillwork.lti.peaks import refine_peak
+from stillwork.lti.state_space import constant
+from stillwork.signals.criteria import criterion_met, criterion_velocity, one_third_octave_velocity
+from stillwork.signals.spectra import (
+    ResponseEstimate,
+    Spectrum,
+    band_power,
+    estimate_response,
+    estimate_spectrum,
+)
+
+EYE, ONE, NONE = np.eye(2), np.eye(1), np.zeros((1, 1))
+STAGE = ModalModel(np.array([0.0, 300.0]), np.array([0.0, 0.01]), EYE[:, :1], EYE[:1], NONE)
+LAG, SAMPLED = StateModel(-ONE, ONE, ONE, NONE), StateModel(0.5 * ONE, ONE, ONE, NONE, 0.1)
+NOISE, NOISES = NoiseCovariances(ONE, ONE), Intensities(1.0, 1.0, 1.0)
+HITS, ROWS = np.random.default_rng(1).standard_normal((2, 2, 2000))
+RECORD = np.zeros((1, 9))
+
+REFUSED = [
+    (lambda: ModalModel([0.0], [0.0], [[1.0]], [[1.0]], 0.0), "feedthrough"),
+    (lambda: ModalModel([2.0, 1.0], [0, 0], EYE, EYE, np.zeros((2, 2))), "frequencies"),
+    (lambda: ModalModel([0.0], [0.1], [[1]], [[1]], [[0]]), "damping"),
+    (lambda: ModalModel([1.0], [1.0], [[1]], [[1]], [[0]]), "damping"),
+    (lambda: Observer(None, EYE, EYE, EYE, EYE), "model"),
+    (lambda: Observer(STAGE, -EYE, np.ones((2, 1)), np.ones((1, 2)), np.ones((3, 1))), "gain"),
+    (lambda: refine_peak(np.sin, np.ones(3), np.ones(2)), "omega"),
+    (lambda: crossover(np.sin, np.ones(3), np.ones(2)), "omega"),
+    (lambda: resonance_grid([1j], 10.0, 5.0), "high_hz"),
+    (lambda: SecularFunction([2.0, 1.0], [1.0, 1.0, 1.0], 1.0, 0.1), "coefficients"),
+    (lambda: Spectrum([0.0, 1.0], [[1.0]], 1), "density"),
+    (lambda: Feedforward(np.inf), "velocity"),
+    (lambda: Setpoint(0.1, np.zeros((5, 10)), ("a", 0.5), 0.1), "scan[0]"),
+    (lambda: fed_back(STAGE, [[1.0]]), "gain"),
+    (lambda: interconnect([LAG], EYE, [[1.0]], [[1.0]]), "feedback"),
+    (lambda: interconnect([], [[1.0]], [[1.0]], [[1.0]]), "models"),
+    (lambda: complex_responses({}), "frequency"),
+    (lambda: ending(99, 0.0, "x"), "status"),
+    (lambda: require_noise(0, ""), "shape"),
+    (lambda: require_noise(0, ()), "shape"),
+    (lambda: LinearFilter(EYE, np.ones((3, 2)), np.ones((3, 2)), np.ones((3, 2))), "A, B, C"),
+    (lambda: Stabilisation([1], [1.0, 2.0], [0.1], [True]), "order"),
+    (lambda: MachineFile("response", "x", accelerance="x"), "accelerance"),
+    (lambda: DesignSettings(None, 10**400, NOISES), "retained"),
+    (lambda: varied(DesignSettings(None, 2, NOISES), "foo", 2.0), "name"),
+    (lambda: Oscillation(np.nan, 1.0), "frequency_hz"),
+    (lambda: LimitCycle(np.nan, 1.0, 1.0, 1.0, True), "frequency_hz"),
+    (lambda: ResponseEstimate("x", *np.ones((3, 1, 1, 1)), 1), "frequencies_hz"),
+    (lambda: impact_response(HITS, HITS, 1e308), "rate"),
+    (lambda: biquads(constant([[1, 2], [3, 4]], 1e-3)), "model"),
+    (lambda: biquads(constant([[1]])), "model"),
+    (lambda: semi_implicit_motion((1.0, 2.0, 3.0), 0.0), "sample_time"),
+    (lambda: factor_of("triangle", np.ones((2, 3))), "covariance"),
+    (lambda: end_point_weights(3, 5), "degree"),
+    (lambda: constant(np.zeros((0, 0))), "gain"),
+    (lambda: STAGE.state_space().select([], []), "inputs"),
+    (lambda: STAGE.at([], []), "feedthrough"),
+    (lambda: STAGE.frequency_response([]), "omega"),
+    (lambda: STAGE.state_space().frequency_response([]), "omega"),
+    (lambda: adapt(FeLms(0.1), np.ones((3, 0)), np.ones((1, 0))), "regressors"),
+    (lambda: band_power([1, 2, 3], [1, 1, 1], 3, 1), "high_hz"),
+    (lambda: band_power([1.0, 2.0], [1.0, 1.0], 0.5, 2.0), "low_hz"),
+    (lambda: estimate_spectrum(np.ones(100), 1000.0, 1.0), "signals"),
+    (lambda: estimate_spectrum(np.ones(5000), 1000.0, 900.0), "resolution_hz"),
+    (lambda: estimate_spectrum(np.ones((2, 2, 500)), 1000.0, 10.0), "signals"),
+    (lambda: estimate_response(ROWS, HITS[:, :-1], 1000.0, 1.0), "outputs"),
+    (lambda: estimate_response(np.vstack([ROWS, HITS]), HITS, 1000.0, 1.0), "resolution_hz"),
+    (lambda: criterion_velocity("VC-A", [-1.0]), "frequencies_hz"),
+    (lambda: criterion_velocity("VCC", [10.0]), "'VC-C'"),
+    (lambda: criterion_met([1.0], [1e-6]), "centres_hz"),
+    (lambda: one_third_octave_velocity([10.0, 10.1], [1.0, 1.0]), "frequencies_hz"),
+    (lambda: kalman_filter(LAG, NOISE, RECORD, RECORD, [[1.0]]), "model"),
+    (lambda: kalman_filter(SAMPLED, NOISE, RECORD, np.zeros((2, 9)), [[1.0]]), "y has"),
+    (lambda: kalman_filter(SAMPLED, NOISE, RECORD[:, 1:], RECORD, [[1.0]]), "u"),
+    (lambda: kalman_filter(SAMPLED, NOISE, RECORD, RECORD, [[-1.0]]), "initial_covariance"),
+    (
+        lambda: kalman_filter(SAMPLED, NoiseCovariances(EYE, [[1.0]]), RECORD, RECORD, [[1.0]]),
+        "noise.process",
+    ),
+    (lambda: kalman_filter(SAMPLED, NOISE, RECORD, RECORD + np.inf, [[1.0]]), "y"),
+    (lambda: NoiseCovariances(EYE, [[0.0]]), "sensor"),
+    (lambda: NoiseCovariances(EYE, [[1.0]], [[2.0], [0.0]]), "cross"),
+    # What cannot end is refused with its size.
+    (lambda: FeRls(1.0).start(30_000), "regressors asks for"),
+    (lambda: fir_regressors(np.ones(60), taps=30_000_000), "taps asks for"),
+    (lambda: exponential_weights(10**12, 0.9), "rows asks for"),
+    (lambda: end_point_weights(10**12, 2), "samples asks for"),
+    (lambda: delayed(SAMPLED, 30_000), "samples asks for"),
+    (lambda: resonance_grid(np.array([-1 + 9j]), 1.0, 2.0, points=9, around=10**12), "around asks for"),
+]
+
+
+def answered():
+    """Calls that gave a result, and errors that do not name what they should."""
+    for number, (call, name) in enumerate(REFUSED):
+        try:
+            yield number, name, call()
+        except InputError as error:
+            if name not in str(error):
+                yield number, name, error
+
+
+@pytest.mark.slow
+def test_each_names_its_argument():
+    """In a process of its own: here the tests' type checker would answer first."""
+    done = subprocess.run([sys.executable, "-W", "ignore", __file__], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+
+
+if __name__ == "__main__":
+    print(*answered(), sep="\n", end="")
