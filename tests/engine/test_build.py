@@ -167,6 +167,17 @@ def test_what_a_notebook_read_is_what_makes_it_stale(toy):
     assert toy.reasons() == {"motion/02-reads": "data/motion/records/ changed"}
 
 
+def test_what_a_notebook_read_elsewhere_makes_it_stale_too(toy, tmp_path):
+    plant = tmp_path / "plant.py"
+    plant.write_text("mass = 1.0\n")
+    toy.add("motion/02-own", f"import runpy\nlevel = runpy.run_path({str(plant)!r})['mass']")
+    assert toy.run("figures", "motion/02-own").returncode == 0
+    assert toy.reasons() == {}
+    plant.write_text("mass = 2.0\n")
+    (reason,) = toy.reasons().values()
+    assert reason.removeprefix("file ") == f"{plant} changed"
+
+
 @pytest.mark.parametrize(
     ("path", "left_out"),
     [
@@ -295,7 +306,7 @@ def read_by(folder, imports, code):
         f"{imports}\nfrom workbook.kernel_process import IgnoredPaths, watch\n"
         f"watch('reads', IgnoredPaths('/nowhere/reads'))\n{code}"
     )
-    environment = os.environ | {"STILLWORK_ROOT": str(folder)}
+    environment = os.environ | {"STILLWORK_ROOT": str(folder / "root")}  # outside of which they read
     subprocess.run([sys.executable, "-c", script], cwd=folder, env=environment, check=True)
     return [json.loads(line) for line in (folder / "reads").read_text().splitlines()]
 
