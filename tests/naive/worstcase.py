@@ -1,7 +1,7 @@
 """Slow, obvious twins of the worstcase topic: normal equations, bisection, Theorem 2 letter by letter."""
 
 import numpy as np
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq
 
 
 def secular_value(A, b, bound, alpha):
@@ -27,24 +27,6 @@ def min_max(A, b, bound):
         return np.zeros(A.shape[1]), np.inf
     alpha = secular_root(A, b, bound)
     return np.linalg.solve(A.T @ A + alpha * np.eye(A.shape[1]), A.T @ b), alpha
-
-
-def minimise_cost(A, b, bound):
-    """Smallest |A x - b| + eta |x| by a derivative-free search from two starts, and the zero estimate."""
-
-    def cost(x):
-        return np.linalg.norm(A @ x - b) + bound * np.linalg.norm(x)
-
-    best = np.linalg.norm(b)
-    x = np.linalg.lstsq(A, b, rcond=None)[0]
-    for start in (x, 0.3 * x):
-        for _ in range(3):
-            found = minimize(
-                cost, start, method="Nelder-Mead", options={"xatol": 1e-12, "fatol": 1e-14, "maxiter": 20000}
-            )
-            start = found.x
-        best = min(best, found.fun)
-    return best
 
 
 def weighted(rows, outputs, forgetting):

@@ -169,7 +169,6 @@ def test_advice_is_the_same_in_any_unit():
         ({"y": np.append(np.ones(399), np.nan)}, r"^y\b.*1 NaN.*X\[ok\]"),
         ({"X": np.where(np.eye(400, 3) > 0, np.nan, 1.0)}, r"^X\b.*3 NaN.*y\[ok\]"),
         ({"instruments": np.ones((400, 2))}, r"^instruments\b"),
-        ({"folds": 2}, r"^folds\b"),
     ],
 )
 def test_what_does_not_fit_is_refused(changed, message):

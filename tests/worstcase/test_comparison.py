@@ -26,10 +26,7 @@ from stillwork.estimation.linear_fits import (
     evidence_penalty,
     hinfinity_estimate,
     hinfinity_model,
-    huber_estimate,
-    instrumental_variables,
 )
-from workbook import figures
 
 FORGETTING = 0.9
 
@@ -72,22 +69,6 @@ def test_every_estimate_minimises_its_own_criterion():
     mild = estimates(record(SETTINGS["noise 0.1, 0.1"]), FORGETTING)
     # one step of the iteration leaves a share f' of alpha's error, which is small for a small bound
     assert mild["approximate"] == pytest.approx(mild["min_max"], abs=1e-3)
-
-
-def test_instruments_are_two_regressions():
-    one = record()
-    projection = one.instruments @ np.linalg.pinv(one.instruments)
-    inner = one.matrix.T @ projection
-    expected = np.linalg.inv(inner @ one.matrix) @ inner @ one.target
-    assert instrumental_variables(one.matrix, one.target, one.instruments) == pytest.approx(expected)
-
-
-def test_long_records_tell_consistent_methods_from_the_others():
-    """White noise of known size: least squares stays off, three methods come nearer with the root of the length."""
-    one = record(Setting(0.5, 0.5), "three tones", rows=20000, seed=2)
-    errors = {name: np.linalg.norm(x - one.truth) for name, x in estimates(one, 1 - 1e-9).items()}
-    assert all(errors[name] < 0.06 for name in ("total", "compensated", "instrumental"))
-    assert errors["least"] > 0.15 and errors["min_max"] > errors["ridge"] > errors["least"]
 
 
 def gain_of(matrix, level):
@@ -199,19 +180,6 @@ def test_the_judgement_of_a_cell():
     assert recommend(rows).tolist() == [1]
 
 
-@pytest.mark.slow
-def test_pictures_show_every_cell():
-    names = ["noise 0.5, 0.5", "gain 0.8"]
-    errors = compare({name: SETTINGS[name] for name in names}, 4, 3, 3, 60, FORGETTING)["errors"]
-    drawn = figures.plotted(comparison.paint_map(names, errors))
-    cells = [row for row in drawn if row[-1]]
-    assert len(cells) == len(names) * len(EXCITATIONS) * len(METHODS)
-    ratios = figures.plotted(comparison.paint_ratios(names, errors))
-    assert {row[1] for row in ratios} >= {METHODS[name] for name, _ in comparison.AGAINST}
-    figures.plotted(comparison.paint_turning((1.0, 3.0), errors))
-    comparison.explore_comparison(0.1, 0.1, 1.0, 0.0, 2)
-
-
 def test_penalties_are_those_of_the_plain_criteria():
     """Leave-one-out and the likelihood of the data written out, on the grid that the functions search."""
     rng = np.random.default_rng(4)
@@ -232,38 +200,6 @@ def test_penalties_are_those_of_the_plain_criteria():
     for found, criterion in ((cross_validated_penalty, cross_validated), (evidence_penalty, unlikely)):
         best = min(criterion(penalty) for penalty in penalties)
         assert criterion(found(matrix, target, 12)) == pytest.approx(best, rel=1e-9)
-
-
-def test_huber_is_scikit_learn_s_at_its_scale():
-    from sklearn.linear_model import HuberRegressor
-
-    rng = np.random.default_rng(5)
-    matrix = rng.standard_normal((400, 2))
-    noise = rng.standard_normal(400) * np.where(rng.random(400) < 0.1, 30.0, 1.0)
-    target = matrix @ [2.0, -1.0] + noise
-    peer = HuberRegressor(alpha=0.0, fit_intercept=False, tol=1e-9).fit(matrix, target).coef_
-    least = np.linalg.lstsq(matrix, target)[0]
-    found = huber_estimate(matrix, target, np.ones(400))
-    # their scales differ: his is estimated with the parameters, ours is the median's
-    assert np.linalg.norm(found - peer) < 0.1 * np.linalg.norm(least - [2.0, -1.0])
-
-
-def test_structured_records_are_what_they_say():
-    decay = record(comparison.STRUCTURED["free decay"], rows=60)
-    assert (decay.matrix + decay.perturbation) @ decay.truth + decay.noise == pytest.approx(decay.target)
-    assert decay.matrix[1:, 1] == pytest.approx(decay.matrix[:-1, 0])
-    assert decay.instruments[1:, 0] == pytest.approx(decay.matrix[:-1, 1])
-    near = record(comparison.STRUCTURED["near-collinear"], rows=400)
-    clean = near.matrix + near.perturbation
-    assert np.ptp(clean[:, 1] - clean[:, 0]) < 0.02 * np.ptp(clean[:, 0])
-    assert near.perturbation.std() == pytest.approx(0.01, rel=0.1)
-    second = record(comparison.STRUCTURED["second sensor"], rows=4000)
-    clean = second.matrix + second.perturbation
-    others = second.instruments - clean
-    assert others.std() == pytest.approx(0.5, rel=0.05)
-    assert abs(np.corrcoef(others[:, 0], second.perturbation[:, 0])[0, 1]) < 0.05
-    outliers = record(comparison.STRUCTURED["outliers"], rows=4000).noise
-    assert np.mean(np.abs(outliers) > 1.0) == pytest.approx(0.05 * 0.92, abs=0.012)
 
 
 def test_turning_points_lie_where_the_errors_cross():

@@ -10,19 +10,15 @@ from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
     criterion_trial,
     fir_trial,
-    forgetting_trial,
     gain_trial,
     least_squares_limit,
     path,
     settled,
-    tracking_record,
     tracking_trial,
 )
 from experiments.worstcase.theory import (
     convergence_trial,
     counter_example,
-    non_unique_trial,
-    recursion_trial,
     scalar_trial,
     solution_trial,
     weighting_trial,
@@ -35,12 +31,11 @@ from notebooks.worstcase import real_record as measured_pictures
 from notebooks.worstcase import time_updates as update_pictures
 from notebooks.worstcase import tracking as tracking_pictures
 from stillwork.base.checks import InputError
-from stillwork.estimation import LeastSquares, min_max_solve
+from stillwork.estimation import min_max_solve
 from stillwork.estimation.linear_fits import total_least_squares
-from stillwork.estimation.recursive import run_silently
 from stillwork.identification import fir_regressors
 from stillwork.identification.regressors import exponential_bound
-from workbook import figures, paths
+from workbook import paths
 from workbook.studies import run_study
 
 FIG_1 = {"parameters": (1.0, 0.5), "period": 20, "samples": 60, "input_noise": 0.1, "output_noise": 1.0}
@@ -145,26 +140,6 @@ def test_trials_of_the_theory_agree_with_naive_solutions():
     assert convergence_trial(np.random.default_rng(0), 3, 400)["converged"] == 1
 
 
-def test_in_the_degenerate_case_a_whole_segment_is_optimal():
-    found = run_study(non_unique_trial, 30, 1, progress=False)
-    assert found["spread"].max() < 1e-12
-    assert np.abs(found["solver"]).max() < 1e-7
-    assert (found["elsewhere"] > 0).all()  # nothing off the segment costs as little
-
-
-def test_forgetting_helps_after_a_jump_and_hurts_where_nothing_changes():
-    truth = {kind: 5 * path(kind, FIG_2_PARAMETERS, 200) for kind in ("jump", "constant")}
-    settings = {"forgetting": 0.95, "row_error": 0.25, "noise": 0.05, "progress": False}
-    jump, still = (run_study(forgetting_trial, 8, 1, truth=truth[kind], **settings) for kind in truth)
-    assert (jump["least"] < jump["least_kept"]).all() and (still["least"] > still["least_kept"]).all()
-    assert (jump["min_max"] < jump["min_max_kept"]).all()
-    regressors, outputs = tracking_record(np.random.default_rng(3), truth["jump"], 0.25, 0.05)
-    batch = np.linalg.lstsq(regressors.T, outputs)[0]
-    assert run_silently(LeastSquares(1 - 1e-12, 1e4), regressors, outputs).estimates[:, -1] == pytest.approx(
-        batch, abs=1e-4
-    )
-
-
 def test_break_even_noise_lies_where_the_map_crosses_one():
     noises, bounds = np.array([0.01, 0.1, 1.0]), np.array([0.5, 2.0])
     ratios = np.array([[2.0, 2.0, 0.5], [2.0, 2.0, 0.5]])
@@ -212,14 +187,6 @@ def test_counter_example_is_steep_by_plain_differences():
     assert function(0.01) == pytest.approx(naive.secular_value(A, b, 0.5, 0.01), rel=1e-12)
 
 
-def test_recursion_trial_finds_the_misprint():
-    truth = path("constant", FIG_2_PARAMETERS, 40)
-    found = recursion_trial(np.random.default_rng(0), truth, 0.8, 0.95, 0.1)
-    assert np.nanmax(found["corrected"]) < 1e-11
-    assert np.nanmedian(found["as_printed"]) > 1e-3
-    assert found["exact"].max() < 1e-12
-
-
 def test_measured_pair_is_the_shipped_record():
     pair, spectra = load_pair((100.0, 1500.0), (300.0, 600.0))
     assert pair.input.shape == pair.output.shape == (60_800,)
@@ -240,24 +207,6 @@ def test_measured_pair_is_the_shipped_record():
 
 
 @pytest.mark.slow
-def test_pictures_can_be_saved_with_their_numbers(tmp_path):
-    pictures = {
-        "geometry": geometry_pictures.explore_geometry(0.4, 0.5),
-        "contraction": contraction_pictures.explore_counter_example(0.5, 0.02),
-        "updates": update_pictures.explore_accuracy(1.118, 0.1),
-        "counts": update_pictures.paint_counts([5, 50], 2.0),
-        "times": update_pictures.paint_times(update_pictures.times_by_name()),
-        "fig-1": identification_pictures.explore_fig_1(20, 0.1, 1.0, 0.5),
-        "fig-2": tracking_pictures.explore_tracking(1.34, 0.1, 1.0, "jump"),
-        "measured": measured_pictures.explore_sweep(8, 128),
-    }
-    for name, figure in pictures.items():
-        saved = figures.save(figure, tmp_path / name)
-        assert len(saved.png) > 5000
-        assert len((tmp_path / f"{name}.csv").read_text().splitlines()) > 5
-
-
-@pytest.mark.slow
 def test_extreme_settings_of_the_explorers_draw_without_warnings():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -272,22 +221,6 @@ def test_extreme_settings_of_the_explorers_draw_without_warnings():
         identification_pictures.explore_fig_1(4, 1.0, 0.01, -1.0)
         tracking_pictures.explore_tracking(5.0, 1.0, 50.0, "drift")
         measured_pictures.explore_sweep(48, 64)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: path("jmp", (1.0, 2.0), 10), r"^kind\b"),
-        (lambda: path("drift", (1.0,), 10), r"^kind\b"),
-        (
-            lambda: measured.window_residuals(load_pair((100.0, 1500.0), (300.0, 600.0))[0], 8, [8], 5),
-            r"^lengths\b",
-        ),
-    ],
-)
-def test_bad_input_is_named(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
 
 
 def test_a_tone_is_the_loudest_band():

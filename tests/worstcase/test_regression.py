@@ -9,14 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
 from sklearn import config_context
-from sklearn.exceptions import NotFittedError
 from sklearn.metrics import r2_score
 from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator
 
-from naive import worstcase as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation import (
     BiasCompensatedRegressor,
@@ -31,7 +29,6 @@ from stillwork.estimation import (
     RidgeRegressor,
     TotalLeastSquares,
     identify,
-    min_max_solve,
     run,
 )
 from stillwork.estimation.hinfinity import smallest_level
@@ -138,14 +135,6 @@ def test_least_mean_squares_learn_an_offset():
     found = LeastMeanSquares(step_size=0.2).fit(1e-6 * X, X @ [1.0, -2.0, 3.0] + 5.0)
     assert 1e-6 * found.coef_ == pytest.approx([1.0, -2.0, 3.0], rel=1e-6)
     assert found.intercept_ == pytest.approx(5.0, rel=1e-6)
-
-
-def test_a_weight_is_the_same_sample_given_again():
-    X, y = record(27)
-    twice = np.repeat(X, 2, axis=0), np.repeat(y, 2)
-    for estimator in (RecursiveLeastSquares(), MinMaxRegressor(0.2)):
-        weighted_once = clone(estimator).fit(X, y, np.full(60, 2.0))
-        assert weighted_once.coef_ == pytest.approx(clone(estimator).fit(*twice).coef_, rel=1e-6)
 
 
 def test_sample_weight_is_routed_to_the_last_step():
@@ -396,16 +385,6 @@ def test_min_max_is_the_cone_program(bound, bound_on):
     found = MinMaxRegressor(bound, bound_on, forgetting=0.9, fit_intercept=False).fit(X, y, weights)
     for coef, target in zip(found.coef_, b.T, strict=True):
         assert_cone_program(coef, A, target, bounds)
-
-
-def test_min_max_without_options_is_theorem_one():
-    X, y = record(6)
-    assert MinMaxRegressor(0.7, fit_intercept=False).fit(X, y).coef_ == pytest.approx(
-        min_max_solve(X, y, 0.7).estimate, rel=1e-12
-    )
-    assert MinMaxRegressor(0.7, fit_intercept=False).fit(X, y).coef_ == pytest.approx(
-        naive.min_max(X, y, 0.7)[0], rel=1e-9
-    )
 
 
 @pytest.mark.slow
@@ -732,12 +711,6 @@ def test_a_bound_that_explains_everything_away_warns():
 def test_bad_input_is_named(call, message):
     with pytest.raises(InputError, match=message):
         call()
-
-
-def test_an_estimator_that_has_learned_nothing_says_so():
-    for estimator in KINDS:
-        with pytest.raises(NotFittedError, match=type(estimator).__name__):
-            clone(estimator).predict(np.ones((2, 3)))
 
 
 @pytest.mark.parametrize("fit_intercept", [False, True])

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from experiments.worstcase.measured import window_residuals
 from experiments.worstcase.pairs import MeasuredPair, load_pair, open_pair, residual
-from notebooks.worstcase import your_record as draw
 from notebooks.worstcase.your_record import (
     delay_of,
     fit_pair,
@@ -21,7 +19,6 @@ from notebooks.worstcase.your_record import (
 from stillwork.base.checks import InputError
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
-from stillwork.estimation.recursive_kernels import FEW
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.identification.regressors import fir_regressors, noise_bound
 from workbook import paths
@@ -129,45 +126,6 @@ def test_the_zero_model_leaves_everything_and_the_threshold_is_where_it_begins(t
     assert np.all(fitted.judging[etas < 0.9 * fitted.threshold] < 1.0)
     assert fitted.chosen == fitted.factors[fitted.choosing.argmin()]
     assert residual(np.ones((3, 1)), np.ones(3), np.zeros(1)) == 1.0
-
-
-def test_parts_cover_the_record_once():
-    fit, choose, judge = parts(1001)
-    assert (fit.start, fit.stop, choose.start, choose.stop, judge.start, judge.stop) == (
-        0,
-        500,
-        500,
-        751,
-        751,
-        1001,
-    )
-
-
-@pytest.mark.slow
-def test_pictures_and_explorer(template):
-    pair, spectra, fitted = template
-    lengths = window_lengths(24, len(pair.input))
-    found = window_residuals(pair.normalised, 24, lengths[:2], 5)
-    figures = [
-        draw.paint_pair(pair, spectra),
-        draw.paint_models(pair, fitted),
-        draw.paint_bounds(pair, fitted),
-        draw.paint_lengths(lengths[:2], found),
-        *(draw.record_explorer(pair, 640)(*place) for place in ((4, 0.01), (64, 10.0))),
-    ]
-    assert figures[3].axes[0].get_yscale() == "log"
-    for figure in figures:
-        assert all(
-            np.isfinite(line.get_ydata(orig=False)).all() for axes in figure.axes for line in axes.lines
-        )
-
-
-def test_a_useless_model_is_named_and_not_drawn():
-    pair, _ = open_pair(SHIPPED, band_hz=(100.0, 1500.0), quiet_hz=(300.0, 600.0))
-    fitted = fit_pair(pair, FEW + 1, 100, np.array([1.0]))  # by the kernel of every length
-    fitted.held_out["total least squares"] = 9.0
-    labels = [line.get_label() for line in draw.paint_models(pair, fitted).axes[0].lines]
-    assert any(label.startswith("total least squares:") for label in labels)
 
 
 @pytest.mark.parametrize(
