@@ -6,7 +6,7 @@ import pytest
 from choices.defaults import accepted_claims, at_the_defaults, require_accepted
 from experiments.fixedpoint import Noise, choices, load_oscillator
 from experiments.fixedpoint.metrics import noisy_run
-from experiments.fixedpoint.published import KALMAN, LITERAL, WINDOW, published_controllers
+from experiments.fixedpoint.published import published_controllers
 
 
 @pytest.mark.slow
@@ -32,19 +32,6 @@ def test_at_the_defaults_the_controllers_are_the_published_ones():
     for name in published:
         runs = [noisy_run(exact, who[name], nominal, noise, 1).position for who in (ours, published)]
         assert np.array_equal(*runs)
-
-
-def test_each_choice_reaches_the_loop():
-    who = choices.controllers("measured", "(10)", 12)
-    assert who[WINDOW].signal_filter.length == 11
-    by_model = choices.controllers("estimate", "(11)", 13, "model")
-    assert all(by_model[name].signal_filter.model_acceleration for name in (KALMAN, LITERAL))
-    assert not any(who[name].signal_filter.model_acceleration for name in (KALMAN, LITERAL))
-    for name in (KALMAN, LITERAL):
-        assert who[name].signal_filter.error_from_measurement
-        assert who[name].signal_filter.literal == (name == LITERAL)
-        assert list(who[name].signal_filter.plant.parameters[-2:]) == [0.0, 0.0]  # b2 and d
-        assert all(who[name].model.parameters[-2:] > 0)  # the force still has them
 
 
 def test_the_amplitude_of_a_noise_by_its_three_meanings():

@@ -135,10 +135,3 @@ def test_runs_that_diverge_can_be_left_out():
 def test_a_search_finds_again_what_is_stored():
     found = beside.tune("oscillator", beside.COMPUTED, 13, "position")
     assert found == pytest.approx(beside.tuned("oscillator", beside.COMPUTED, 13), rel=1e-2)
-
-
-def test_stored_are_all_searches():
-    assert {key[0] for key in beside.stored()} == set(beside.MACHINES)
-    for machine in beside.MACHINES:
-        for law, seed, criterion in beside.SEARCHES:
-            assert set(beside.tuned(machine, law, seed, criterion)) == set(beside.RANGES[law])

@@ -225,9 +225,3 @@ def test_bad_input(exact, approximate):
         linear_loop(exact, published_controllers(approximate)["low pass"], 0.0)
     with pytest.raises(InputError, match=r"^values\b"):
         strongest_oscillation(np.full(100, np.nan), SAMPLE_TIME)
-
-
-def test_a_range_of_one_edge_holds_no_gain():
-    half = fixed_point_convergence.StableRange(fixed_point_convergence.Crossing(-1.0, 100.0), None)
-    assert -0.5 not in half
-    assert np.isnan(half.limits).all()

@@ -12,12 +12,10 @@ from experiments.fixedpoint import (
     steady_errors,
 )
 from experiments.fixedpoint.differentiation import quotient_trial
-from stillwork.base.checks import InputError
 from stillwork.control.fixed_point_linear import linear_filter
 from stillwork.estimation.coordinate_filters import UnscentedKalman
 
 SAMPLE_TIME = 1e-3
-HALF = 0.5 * np.eye(2)
 
 
 def test_covariance_of_quotient_and_position(rng):
@@ -83,29 +81,3 @@ def test_white_and_independent_noise_is_what_the_filter_believes():
     F, Q, R = np.diag([0.9, 0.8]), np.diag([1.0, 2.0]), np.diag([0.5, 0.7])
     found = steady_errors(F, Q, R, 0.0, SAMPLE_TIME)
     assert (np.linalg.eigvalsh(found.computed - found.true) > 0).all()
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: quotient_covariance(-1.0, SAMPLE_TIME), "deviation"),
-        (lambda: quotient_covariance(1.0, 0.0), "sample_time"),
-        (lambda: correlations(np.zeros((2, 2)), SAMPLE_TIME), r"^error\b"),
-        (lambda: rejects_gaussian(np.zeros(9), level=2.0), "level"),
-        (lambda: correlations(np.arange(9.0), SAMPLE_TIME), r"^error\b"),
-        (lambda: correlations(np.zeros(5), SAMPLE_TIME), r"^error\b"),
-        (
-            lambda: steady_errors(HALF, np.diag([1, -1]), np.eye(2), 1.0, SAMPLE_TIME),
-            r"^process\b",
-        ),
-        (
-            lambda: steady_errors(HALF, np.eye(2), np.zeros((2, 2)), 1.0, SAMPLE_TIME),
-            r"^assumed\b",
-        ),
-        (lambda: steady_errors(np.eye(2), np.zeros((2, 2)), np.eye(2), 1.0, SAMPLE_TIME), r"^process\b"),
-        (lambda: steady_errors(np.eye(3), np.eye(2), np.eye(2), 1.0, SAMPLE_TIME), r"^transition\b"),
-    ],
-)
-def test_bad_input(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -259,21 +259,6 @@ def test_iterations_contract_in_the_energy_norm_as_the_gains_say_and_grow_beyond
         assert growth[-1] == pytest.approx(radius, rel=1e-3)
 
 
-def test_in_the_euclidean_norm_a_step_may_grow_where_the_iteration_contracts():
-    """The spectral norm is no condition: two masses that answer each other's commands."""
-    exact, believed = np.array([[1.0, 0.95], [0.95, 1.0]]), np.diag([1.0, 0.05])
-
-    def constant(matrix):
-        def inertia(position, parameters, out):
-            out[:] = matrix
-
-        return Mechanism(inertia, cart_bias, 2, [1.0, 0.0, 0.0])
-
-    response = response_matrix(constant(exact), constant(believed), [0.0, 0.0])
-    step = np.eye(2) - 1.0 / response_gains(constant(exact), constant(believed), [0.0, 0.0])[-1] * response
-    assert np.abs(np.linalg.eigvals(step)).max() < 1 < np.linalg.norm(step, 2)
-
-
 def test_stable_gains_of_the_whole_loop_are_those_with_which_it_settles(arm):
     """The arm at rest, kicked: decays with a gain inside the range, grows outside."""
     controller = Controller(

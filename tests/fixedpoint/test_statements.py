@@ -1,8 +1,5 @@
 import numpy as np
-import pytest
 
-from experiments.fixedpoint import Noise, published_controllers
-from experiments.fixedpoint.metrics import noisy_run, sweep
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from experiments.fixedpoint.statements import (
     KALMAN_WORST,
@@ -10,16 +7,11 @@ from experiments.fixedpoint.statements import (
     NOISIEST,
     SMOOTHEST,
     WINDOW_PRECISE,
-    changed,
     figure_statements,
-    fraction,
     longest_replaced,
-    pooled,
     rankings,
     statements,
-    table,
 )
-from stillwork.control import asin_trajectory
 from workbook.studies import Study
 
 
@@ -48,11 +40,6 @@ def test_statements_by_hand():
     # The other form of the Kalman filter changes the ranking, its own form takes no part.
     assert list(statements(CASE, LITERAL)[WINDOW_PRECISE]) == [False, False]
     assert list(statements(CASE, LITERAL)[KALMAN_WORST]) == [False, True]
-
-
-def test_the_quantity_decides_what_is_precise():
-    assert list(statements(CASE, KALMAN, "velocity")[WINDOW_PRECISE]) == [False, True]
-    assert list(statements(CASE, KALMAN, "velocity")[SMOOTHEST]) == [True, False]  # not its matter
 
 
 def test_what_figures_are_said_to_show():
@@ -136,27 +123,6 @@ def test_the_longest_gap_that_a_simple_filter_bridges_as_well_by_hand():
     lost = gap([np.inf, 1.0], [np.inf, 1.0], [np.inf, 5.0])
     assert longest_replaced([0.01, 0.02, 0.05], [worse, level, lost], KALMAN) == 0.02
     assert longest_replaced([0.01, 0.05], [worse, lost], KALMAN) == 0.0
-
-
-def test_signals_are_lost_in_every_run_alike(exact, approximate, short):
-    controller = published_controllers(approximate)[KALMAN]
-    options = {"lost_every": 0.1, "lost_for": 0.02}
-    runs = [noisy_run(exact, controller, short, Noise("gaussian", 1e-5), seed, **options) for seed in (1, 2)]
-    for run in runs:
-        assert np.flatnonzero(np.isnan(run.measured))[:21].tolist() == [*range(80, 100), 180]
-    held = noisy_run(exact, controller, short, Noise("gaussian", 1e-5), 1, lost="hold", **options)
-    assert (held.measured[80:100] == held.measured[79]).all()
-
-
-def test_the_forces_place_is_the_filtered_one_where_it_is_asked_for(exact, approximate, short):
-    """The force is the approximate model's answer, at one position or the other."""
-    controller = published_controllers(approximate)[LOW_PASS]
-    for asked, place in ((False, "measured"), (True, "position_estimate")):
-        run = noisy_run(exact, controller, short, Noise("gaussian", 1e-4), 1, force_from_estimate=asked)
-        states = zip(getattr(run, place), run.velocity_estimate, run.deformed, strict=True)
-        assert run.force == pytest.approx(
-            [approximate.force(*each, approximate.parameters) for each in states]
-        )
 
 
 def test_a_run_that_diverged_is_neither_smooth_nor_precise():

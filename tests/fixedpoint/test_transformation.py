@@ -72,10 +72,6 @@ def test_kinematics_places_all_poles(integrals, order):
     assert [1.0, *gains[::-1]] == pytest.approx(expected, rel=1e-12)
 
 
-def test_published_kinematics():
-    assert KinematicDesign(24.0).gains == pytest.approx([24.0**3, 3 * 24.0**2, 3 * 24.0])
-
-
 def test_a_gain_outside_the_range_warns_with_the_range(exact, approximate):
     assert response_gain(exact, approximate) == pytest.approx(2.0 / 1.5)
     strong = Controller(LowPass(), FlowTransformation(gain=-6.0), KinematicDesign(16.0), approximate)

@@ -77,20 +77,6 @@ def test_divergence_is_counted(monkeypatch, exact, approximate, training):
         )
 
 
-def test_whole_numbers_are_shown_as_they_are_used(approximate):
-    for name, knob in (("moving window", "length"), ("Savitzky-Golay", "samples")):
-        family = families()[name]
-        knobs = family.bounds.mean(axis=1)
-        used = family.controller(approximate, 1e-3, knobs).signal_filter
-        assert family.numbers(knobs)[knob] == getattr(used, knob)
-
-
-def test_same_seed_same_result(exact, approximate, training):
-    arguments = families()["low pass"], exact, approximate, training, NOISE
-    [once], [again] = (tune(*arguments, budget=12, runs=1, seed=5) for _ in range(2))
-    assert once.settings == again.settings
-
-
 def test_criteria_share_a_sequence_and_find_what_each_finds_alone(exact, approximate, training):
     arguments = families()["low pass"], exact, approximate, training, NOISE
     how = {"budget": 16, "runs": 1, "seed": 5}
@@ -99,15 +85,6 @@ def test_criteria_share_a_sequence_and_find_what_each_finds_alone(exact, approxi
         [alone] = tune(*arguments, criteria=(criterion,), **how)
         assert (found.settings, found.evaluations) == (alone.settings, alone.evaluations)
     assert both[0].settings != both[1].settings
-
-
-def test_bad_input(exact, approximate, training):
-    family = families()["low pass"]
-    arguments = (family, exact, approximate, training, NOISE)
-    with pytest.raises(InputError, match="budget"):
-        tune(*arguments, budget=3, runs=1, seed=1)
-    with pytest.raises(InputError, match="criterion"):
-        tune(*arguments, budget=16, runs=1, seed=1, criteria=("speed",))
 
 
 def test_the_low_pass_is_searched_where_euler_s_rule_is_stable(approximate):

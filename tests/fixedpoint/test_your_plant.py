@@ -175,11 +175,6 @@ def test_motions_that_cannot_be_used(options, message):
         open_trajectory(**options)
 
 
-def test_shapes_of_the_formula():
-    for shape in ("sine", "asin", "trapezoid"):
-        assert open_trajectory(shape=shape, amplitude=0.2).position.max() == pytest.approx(0.2, rel=1e-3)
-
-
 # ---------------------------------------------------------------------------------------------------- bad plants
 
 
@@ -316,23 +311,6 @@ def test_a_joint_in_mrad_with_all_its_numbers_moves_as_before(name, tmp_path):
     assert np.abs(errors[1] - errors[0]).max() < 1e-6 * np.abs(errors[0]).max()
 
 
-@pytest.mark.slow
-def test_on_the_arm_the_window_wants_a_wider_sigmoid_and_a_smaller_gain():
-    models = load_models("arm.py")
-    motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[1.0], duration=3.0)
-    ends = []
-    for numbers in (Numbers(), Numbers(flow_gains=[-0.24]), WIDE):
-        runs = drive(
-            models,
-            controllers(models, numbers),
-            motion,
-            [Noise("gaussian", 1e-5)] * 2,
-            1,
-        )
-        ends.append(runs["moving window"][0].diverged_at)
-    assert ends[0] < 1 and ends[1] < 1 and ends[2] is None
-
-
 def test_a_recorded_motion_of_two_joints(tmp_path):
     t = np.arange(2000) / 200.0
     np.savez(tmp_path / "a.npz", time=t, one=np.sin(t), two=1 - np.cos(t))
@@ -349,19 +327,6 @@ def test_a_recorded_motion_of_two_joints(tmp_path):
             open_trajectories(units, str(tmp_path / "a.npz"), unit, channel="one; two", amplitudes=[1.0])
     with pytest.raises(InputError, match=r"^amplitudes\b"):
         open_trajectories(("rad", "rad"), "", "m", channel="", amplitudes=[1.0] * 3)
-
-
-@pytest.mark.slow
-def test_one_angle_is_said_in_rad(tmp_path):
-    (tmp_path / "a.py").write_text(
-        TEMPLATE.read_text(encoding="utf-8") + "\nUNITS = ('rad',)\n", encoding="utf-8"
-    )
-    models = load_models(str(tmp_path / "a.py"))
-    runs = drive(models, controllers(models, Numbers()), [sine_trajectory(duration=3.0)], [Noise()], 0)
-    assert [axes.get_ylabel() for axes in paint_runs(runs, models.units, 2.0).axes] == [
-        "q (rad)",
-        "error of q (mrad)",
-    ]
 
 
 @pytest.mark.parametrize(
@@ -433,18 +398,3 @@ def test_an_outline_executes_nothing(tmp_path):
         "no table APPROXIMATE",
     ]
     assert outline(TEMPLATE) == []
-
-
-def test_pictures_and_explorer(cam):
-    models, trajectories, chosen = cam
-    runs = drive(models, chosen, trajectories, [Noise("gaussian", 1e-5)], 1)
-    draw = plant_explorer(models, chosen, trajectories, [Noise("gaussian", 1e-5)], 2.0, 1)
-    figures = [
-        paint_contraction(contraction_along(models, trajectories), chosen),
-        paint_runs(runs, models.units, 2.0),
-        draw(30.0, 1.0, 1.0),
-    ]
-    labels = [text.get_text() for text in figures[2].axes[0].get_legend().get_texts()]
-    assert "Kalman filter: diverges" in labels[2] and "outside the contraction range" in labels[2]
-    for figure in figures[:2]:
-        assert all(np.isfinite(line.get_ydata()).all() for axes in figure.axes for line in axes.lines)
