@@ -9,7 +9,6 @@ from experiments.isolation.convergence import (
     converge,
     convergence_trial,
     settling_times,
-    try_starts,
 )
 from experiments.isolation.floors import coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
@@ -17,8 +16,6 @@ from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
 from notebooks.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
 from stillwork.base.checks import InputError
-from stillwork.estimation.adaptive import FeLms, FeRls
-from workbook.studies import run_study
 
 FITTED = load_twin("fitted").varied(platform_noise=1e-6, mains_hz=[], floor_mains=[], platform_mains=[])
 FLOOR = flat_floor(80.0)
@@ -73,13 +70,6 @@ def test_expected_course_is_the_mean_of_simulations(name, duration):
     assert np.sqrt(np.mean((mean - expected) ** 2)) < 0.025
 
 
-@pytest.mark.slow
-def test_literal_trace_is_six_times_slower():
-    quick = course_of(FeLms(), 20.0, 1)
-    slow = course_of(FeLms(trace="literal"), 120.0, 1)
-    assert slow.weights[-1, 6:] == pytest.approx(quick.weights[-1, 6:], rel=0.15)
-
-
 def test_algorithms_start_from_multiples_of_the_steady_diagonal():
     both = algorithms(STEADY, **{**SETTINGS, "initial_covariance": 10.0})
     assert both["FeRLS"].initial_covariance == pytest.approx(10 * np.diag(STEADY.covariance), rel=1e-4)
@@ -87,17 +77,6 @@ def test_algorithms_start_from_multiples_of_the_steady_diagonal():
     for name, bad in (("memory_s", 0.0), ("initial_covariance", -1.0)):
         with pytest.raises(InputError, match=name):
             algorithms(STEADY, **{**SETTINGS, name: bad})
-
-
-@pytest.mark.slow
-def test_trial_is_reproducible_and_complete():
-    both = algorithms(STEADY, **SETTINGS)
-    options = {"twin": FITTED, "floor": FLOOR, "both": both, "duration_s": 2.0, "progress": False}
-    one = run_study(convergence_trial, 2, 5, together=8, **options)
-    two = run_study(convergence_trial, 2, 5, together=2, **options)
-    assert one["FeRLS final"].shape == (2, 9)
-    assert np.array_equal(one["FeLMS tau"], two["FeLMS tau"])
-    assert not np.array_equal(one["FeLMS final"][0], one["FeLMS final"][1])
 
 
 def test_a_short_run_is_judged_by_where_the_weights_settle():
@@ -113,12 +92,6 @@ def test_a_short_run_is_judged_by_where_the_weights_settle():
             assert found[key] == pytest.approx(settling_times(course.time_s, course.weights, towards, share))
         assert np.all(found["FeRLS tau 37"] >= found["FeRLS tau"])
     assert np.any(own["FeRLS tau"] != given["FeRLS tau"])
-
-
-def test_small_epsilon_diverges_and_large_does_not():
-    starts = try_starts(FITTED, FLOOR, [1e-5, 1.0], FeRls(1.0).forgetting, 1.0, 1)
-    assert starts.stopped_s[0] < 0.2 and np.isnan(starts.stopped_s[1])
-    assert starts.peak_command[0] > 100 > starts.peak_command[1]
 
 
 @pytest.mark.slow
@@ -151,13 +124,6 @@ def test_weights_follow_a_switch_to_the_new_optimum_and_as_expected():
     assert set(found) >= {"FeLMS all", "FeRLS w4-w6", "FeRLS noise"}
     with pytest.raises(InputError, match="'w4-w6'"):
         response.left("w4-w5")
-
-
-def test_expected_course_wants_rising_times():
-    with pytest.raises(InputError, match=r"^time_s\b"):
-        mean_course(FITTED, STEADY, "FeRLS", [0.0, 1.0])
-    with pytest.raises(InputError, match=r"^algorithm\b"):
-        mean_course(FITTED, STEADY, "FeRL", [1.0])
 
 
 @pytest.mark.slow

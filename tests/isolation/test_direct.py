@@ -54,12 +54,6 @@ def test_largest_condition_is_seen_on_the_way():
     assert largest_condition(regressors, 0.1, 0.95) > last
 
 
-def test_average_gain_falls_to_its_limit():
-    alpha = average_gain(0.99, 5000)
-    assert np.all(np.diff(alpha) <= 0)
-    assert alpha[-1] == pytest.approx(0.01, rel=1e-12)
-
-
 @pytest.mark.parametrize(("actuators", "n"), [(1, 1), (2, 3), (3, 2)])
 def test_multiplications_are_those_of_the_update_written_out(actuators, n, monkeypatch):
     rng = np.random.default_rng(1)

@@ -11,9 +11,8 @@ from experiments.isolation.performance import (
     expected_density,
     record_case,
     reduction_db,
-    tune,
 )
-from experiments.isolation.power import floor_level_for, power_trial, reduction_percent, without_lines
+from experiments.isolation.power import floor_level_for, reduction_percent, without_lines
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
 from notebooks.isolation.floor_and_paths import suspension_modes
@@ -76,23 +75,6 @@ def test_platform_follows_the_floor_at_low_frequency_and_rolls_off(twin):
 
 
 @pytest.mark.slow
-def test_feedforward_removes_most_of_the_power_and_the_output_noise_is_the_limit(twin):
-    floor = flat_floor(1500.0)
-    weights = tune(twin, floor, 0.1, 40.0, [1])[0]["FeRLS"]
-    before = record_case(twin, floor, "feedback", 30.0, 2)
-    after = record_case(twin, floor, "FeRLS", 30.0, 2, weights=weights)
-    total, left, limit = (
-        spectrum.power(1.0, 300.0)
-        for spectrum in (before.spectrum(1.0), after.spectrum(1.0), before.output_noise(1.0))
-    )
-    assert np.all(left < 0.09 * total)
-    assert np.all(left > limit)
-    # The limit is n1 through the skyhook loop: compare with the model.
-    model = expected_density(twin, floor, np.arange(1.0, 301.0))["output noise"].sum(axis=1)
-    assert limit == pytest.approx(model, rel=0.15)
-
-
-@pytest.mark.slow
 def test_a_weaker_floor_leaves_the_asked_share(twin, weights):
     removed = np.array([80.0, 90.0, 93.0])
     level = floor_level_for(twin, flat_floor(), weights, removed)
@@ -112,23 +94,6 @@ def test_reduction_in_bands_of_a_constant_factor():
     before = np.ones((3, 3, 1)) * np.exp(1j * f)
     centres, found = reduction_db(f, before, before / 100)
     assert found == pytest.approx(40.0) and centres[0] < 3.2 and centres[-1] > 200
-
-
-@pytest.mark.slow
-def test_trial_holds_together(twin):
-    [trial] = power_trial(
-        [np.random.default_rng(0)],
-        twin=twin,
-        floor=flat_floor(1500.0),
-        felms_s=1.0,
-        ferls_s=30.0,
-        record_s=25.0,
-    )
-    removed = {name: trial[f"removed {name}"] for name in ("FeLMS", "FeRLS", "limit", "with mains")}
-    assert np.all(removed["FeLMS"] < removed["FeRLS"]) and np.all(removed["FeRLS"] < removed["limit"])
-    # Without mains in the twin a bridge changes nothing but the noise under it.
-    assert removed["with mains"] == pytest.approx(removed["FeRLS"], abs=0.3)
-    assert trial["density FeRLS"].shape == (3, 10_001)
 
 
 def test_lines_are_bridged():
@@ -168,23 +133,3 @@ def test_means_over_bands_keep_what_is_there_and_average_noise():
     high = bands > 400  # a band of a twelfth of an octave holds over 90 lines there
     assert np.std(means["noise"][..., high]) < 2 * np.sqrt(2 / 90)
     np.testing.assert_allclose(means["noise"][..., 0], noise[..., 0])
-
-
-def test_questions_that_have_no_answer(twin):
-    with pytest.raises(InputError, match="geometry"):
-        central_axes(load_twin("fitted").rig)
-    with pytest.raises(InputError, match="skyhook"):
-        suspension_modes(twin.varied(gain=2000.0))
-    with pytest.raises(InputError, match=r"^name\b"):
-        record_case(twin, flat_floor(), "FERLS", 1.0, 0)
-
-
-@pytest.mark.parametrize("line", [3, 50, 401, 1999])
-def test_a_drawn_curve_keeps_a_peak_one_line_wide(line):
-    from experiments.isolation.responses import thinned
-
-    density = np.full(4001, 1e-6)
-    density[line] = 1.0
-    points = thinned(np.arange(4001) * 0.25, density)
-    assert line in points
-    assert len(points) <= 480 and np.all(np.diff(points) > 0)

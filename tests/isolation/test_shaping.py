@@ -144,11 +144,6 @@ def test_skyhook_is_eq_1():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: shaping.weak_integrator(0, CUTOFF, 1.0, SAMPLE_TIME), r"^order\b"),
-        (lambda: shaping.weak_integrator(3, -1.0, 1.0, SAMPLE_TIME), r"^cutoff\b"),
-        (lambda: shaping.weak_integrator(3, CUTOFF, 1.0, 0.0), r"^sample_time\b"),
-        (lambda: replace(PATH, mass=0.0), r"^mass\b"),
-        (lambda: shaping.FrequencyNotch(50.0, depth=2.0), r"^depth\b"),
         (lambda: replace(SHAPING, lowpass_hz=5.0), r"^lowpass_hz\b"),
         (
             lambda: shaping.noise_shaping(replace(SHAPING, lowpass_hz=3000.0), PATH, SAMPLE_TIME),

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from experiments.isolation import performance_pictures
 from experiments.isolation.performance import exact_transmissibility
 from experiments.isolation.recorded_floors import (
     RecordedFloor,
@@ -17,7 +16,6 @@ from experiments.isolation.recorded_floors import (
 )
 from experiments.isolation.simulation import simulate
 from experiments.isolation.twin import load_twin, twin_from_table
-from notebooks.isolation import floor_and_paths as rig_pictures
 from notebooks.isolation import your_floor
 from notebooks.isolation.your_floor import (
     Isolated,
@@ -26,9 +24,7 @@ from notebooks.isolation.your_floor import (
     findings,
     isolate,
     open_floor,
-    optimal_residual_ratio,
     select_floor_sensors,
-    translating_spectrum,
 )
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
@@ -373,57 +369,6 @@ def test_adaptation_stays_small_where_the_sensors_hear_mostly_noise(twin, seed):
     assert quiet.left("FeRLS") == pytest.approx(quiet.left("feedback"), rel=0.1)
 
 
-@pytest.mark.slow
-def test_a_louder_ground_is_isolated_better(twin):
-    spectrum = translating_spectrum(ground_floor(60.0, 1, common=1.0))
-    left = optimal_residual_ratio(twin, spectrum, [1.0, 30.0, 1000.0])
-    assert np.ptp(left["passive"]) < 1e-9  # linear, and no sensor takes part
-    assert left["feedback"][0] > 1 and left["FeRLS"][0] == pytest.approx(left["feedback"][0], rel=0.01)
-    assert np.all(np.diff(left["FeRLS"]) < 0) and left["FeRLS"][2] < 0.05
-    moved = isolate(twin, ground_floor(60.0, 1, common=1.0), 1)
-    assert left["passive"][0] == pytest.approx(
-        moved.left("passive")[0], rel=0.1
-    )  # the same, from a simulation
-
-
-@pytest.mark.parametrize(
-    ("draw", "settings"),
-    [
-        (rig_pictures.explore_floor, {"low_pass_hz": 300.0, "gain": 2.0}),
-        (
-            performance_pictures.explore_transmissibility,
-            {"integrator_cutoff_hz": 1.0, "shaping_hz": 200.0, "floor_hz": 300.0},
-        ),
-        (
-            performance_pictures.explore_power,
-            {"output_noise": 0.5, "floor_noise": 3.0, "low_pass_hz": 300.0},
-        ),
-    ],
-)
-def test_explorers_draw_away_from_home(draw, settings):
-    figure = draw(**settings)
-    assert all(np.isfinite(line.get_ydata()).all() for axes in figure.axes for line in axes.lines)
-
-
-@pytest.mark.slow
-def test_the_explorer_moves_the_floor_that_was_given(twin):
-    spectrum = translating_spectrum(ground_floor(20.0, 1))
-    paint = your_floor.explore_floor(twin, spectrum)
-    once, louder = (paint(gain=gain, output_noise=0.1).axes[0].lines for gain in (1.0, 50.0))
-    assert louder[0].get_ydata() == pytest.approx(50 * once[0].get_ydata())
-    assert all(np.isfinite(line.get_ydata()).all() for line in louder)
-
-
-@pytest.mark.slow
-def test_pictures_show_what_moves(twin):
-    shaken = isolate(twin, opened(twin, SLAB), 1)
-    assert len(your_floor.paint_isolated(shaken).axes) == 1  # no empty panels of tilts
-    left, right = your_floor.paint_adaptation(shaken).axes
-    assert len(left.lines) == 2 and len(right.lines) == 3  # a median and 1; one line a group of weights
-    windows = shaken.progress.reshape(10, -1)
-    assert left.lines[0].get_ydata() == pytest.approx(np.median(windows, axis=1))
-
-
 def record_of(rows):
     return RecordedFloor(np.atleast_2d(rows), 5000.0, "mine.csv")
 
@@ -477,23 +422,3 @@ def test_advice_takes_the_least_in_each_direction_and_names_its_price():
     assert text[0].startswith("z: struts of 65 N s/m without the skyhook loop leave 0.3 instead of 1")
     assert text[1] == "  The price is 2 instead of 1 in θy."
     assert text[2].startswith("θx: no skyhook gain or damping tried") and len(text) == 4
-
-
-@pytest.mark.slow
-def test_without_the_skyhook_a_quiet_floor_leaves_less(twin):
-    floor = ground_floor(30.0, 3, common=0.9)
-    isolated = isolate(twin, floor, 3)
-    with_loop, without, *_ = your_floor.try_damping(twin, floor, 3, 1.0, isolated)
-    assert with_loop.left == pytest.approx(isolated.left("FeRLS"))
-    assert np.all(without.left < with_loop.left / 1.5)
-
-
-@pytest.mark.slow
-def test_the_tilts_need_a_louder_floor_than_the_vertical(twin):
-    floor = ground_floor(60.0, 1, common=0.9)
-    text = list(your_floor.crossings(twin, floor, np.geomspace(0.01, 1000, 7)))
-    levels = [float(re.search(r"from ([\d.]+) times", each)[1]) for each in text]
-    assert [each[:5] for each in text] == ["In z ", "In θx", "In θy"]
-    assert min(levels[1:]) > 3 * levels[0]
-    one = replace(floor, acceleration=floor.acceleration[:1])
-    assert len(list(your_floor.crossings(twin, one, np.array([1.0, 10.0])))) == 1

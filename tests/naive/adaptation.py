@@ -28,21 +28,6 @@ def full_inverse_ferls(regressors, disturbance, epsilon, forgetting):
     return np.array(history), gain
 
 
-def newton_ferls(regressors, disturbance, epsilon, forgetting):
-    """Eq. (20)-(24): Newton's step alpha A^-1 with the exponentially weighted Hessian of eq. (21)-(22)."""
-    n, samples = regressors.shape
-    w = np.zeros((len(disturbance), n))
-    for k in range(samples):
-        alpha = (1 - forgetting) / (1 - forgetting ** (k + 1)) if forgetting < 1 else 1 / (1 + k)
-        hessian = forgetting ** (k + 1) * epsilon * np.eye(n)
-        for j in range(k + 1):
-            hessian = hessian + forgetting ** (k - j) * np.outer(regressors[:, j], regressors[:, j])
-        hessian = alpha * hessian
-        e = disturbance[:, k] + w @ regressors[:, k]
-        w = w - alpha * np.outer(e, np.linalg.solve(hessian, regressors[:, k]))
-    return w
-
-
 def felms(regressors, disturbance, step_size, regularisation, literal):
     """Eq. (18)-(19) with the regression matrix written out; without `literal` the trace of one block."""
     actuators, (n, samples) = len(disturbance), regressors.shape
