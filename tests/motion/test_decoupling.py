@@ -17,7 +17,6 @@ from experiments.motion.decoupled_damping import (
     coupling_onset,
     rigid_coupling,
 )
-from experiments.motion.decoupling_pictures import paint_slope_ranges, paint_transfer_matrix
 from experiments.motion.decoupling_schemes import (
     ROUNDED,
     SCHEMES,
@@ -30,17 +29,14 @@ from experiments.motion.decoupling_schemes import (
     half_power_selectivity,
     kept_out_trial,
     low_frequency_slopes,
-    minimal_order,
     off_diagonal_peak,
     oscillates_stably,
     published_settings,
     sample_beam,
-    sample_places,
     scheme_gain,
     with_compensation,
     with_scheme,
 )
-from experiments.motion.loop_conditions import observable_noise_models
 from experiments.motion.machines import published_noise
 from stillwork.base.checks import InputError
 from stillwork.control.decoupling import decouple, decoupled_plant
@@ -212,25 +208,6 @@ def test_own_filters_keep_the_force_of_one_mode_off_the_resonance_of_another():
     assert 1 / passed > 5
 
 
-def test_symmetry_decouples_by_itself_and_defeats_minimal_actuation():
-    plant = beam([0.2, 0.8], [0.1, 0.9])
-    gain = damping_gain(plant.modes([0, 1, 2, 3]), 0.05)
-    coupling = rigid_coupling(plant, gain, decouple(plant))
-    assert np.abs(coupling[[0, 1], [1, 0]]).max() < 1e-12 * np.abs(coupling).max()
-    with pytest.raises(InputError, match=r"^input_shapes\b.*mode 2\b"):
-        scheme_gain("minimal actuation", plant, SETTINGS)
-
-
-def test_decoupling_inverts_the_shapes_that_are_told_apart():
-    plant = published_beam(4)
-    both = decouple(plant, (0, 1, 3), (0, 1))
-    assert np.allclose(plant.input_shapes[[0, 1, 3]] @ both.actuation, np.eye(3, 2), atol=1e-12)
-    assert np.allclose(both.sensing @ plant.output_shapes[:, :2], np.eye(2), atol=1e-12)
-    # The least norm: nothing of it lies in the directions that no counted mode feels.
-    free = np.linalg.svd(plant.input_shapes[[0, 1, 3]])[2][3]
-    assert np.allclose(free @ both.actuation, 0, atol=1e-12)
-
-
 def test_decoupling_made_for_another_place_leaves_rigid_coupling():
     # Both sensors a tenth further on: a rotation theta moves what was read as the translation by 0.1 theta.
     built, moved = (beam([0.1, 0.85], [0.03 + shift, 0.82 + shift]) for shift in (0.0, 0.1))
@@ -257,13 +234,6 @@ def test_constrained_gain_is_the_least_norm_solution(constrained):
     assert not np.any(gain)
 
 
-def test_printed_sign_takes_damping_away():
-    plant = published_beam(5)
-    gain = constrained_damping(plant, 0.002)
-    added, _ = added_damping(plant, decoupled_plant(plant, decouple(plant), -gain))
-    assert np.allclose(added, -0.002, atol=1e-9)
-
-
 def test_band_passes_are_one_at_the_resonances():
     gain = damping_gain(PLANT.modes(range(4)), 0.05)
     resonances = PLANT.frequencies[2:4]
@@ -280,22 +250,6 @@ def test_band_passes_are_one_at_the_resonances():
     phases = np.angle(response[:, [5, 7], [0, 1]] / gain[:, [5, 7]])
     np.testing.assert_allclose(phases, [np.pi / 4 * np.array([1, -1])] * 2)
     assert common_centre(PLANT, gain) == pytest.approx(np.sqrt(np.prod(resonances)))
-
-
-@pytest.mark.parametrize(("actuators", "order"), [(1, 2), (2, 4), (3, 4)])
-def test_common_band_pass_has_twice_the_rank_of_the_gain(actuators, order):
-    plant = published_beam(actuators)
-    common = common_band_passed(plant, damping_gain(plant.modes(range(4)), 0.05), 0.8)
-    rate = np.abs(common.poles).max()
-    powers = [np.linalg.matrix_power(common.a / rate, k) for k in range(8)]
-    hankel = np.block([[common.c @ powers[i + j] @ common.b for j in range(4)] for i in range(4)])
-    assert np.linalg.matrix_rank(hankel, tol=1e-9 * np.linalg.norm(hankel)) == order
-    assert minimal_order(common) == len(common.a) == order
-
-
-def test_equal_filters_side_by_side_count_once_for_one_output():
-    one = common_band_passed(PLANT, damping_gain(PLANT.modes(range(4)), 0.05), 0.8)
-    assert minimal_order(replace(one, c=one.c[:1], d=one.d[:1])) == 2
 
 
 def test_exact_observer_changes_nothing():
@@ -320,16 +274,6 @@ def test_compensation_leaves_the_compliance_of_the_unknown_mode():
     assert [found[0, 1], found[1, 0]] == pytest.approx([third[0, 1], third[1, 0]], rel=0.02)
 
 
-def test_noise_models_are_limited_by_the_sensors():
-    assert [observable_noise_models(published_beam(n)) for n in (1, 2, 3, 5)] == [1, 2, 2, 2]
-    assert len(kalman_observer(published_beam(2), published_noise(), 0.03).a) == 12
-    # On u, one an axis, they always are.
-    on_u = [observable_noise_models(decouple(plant).apply(plant)) for plant in map(published_beam, (2, 3, 5))]
-    assert on_u == [2, 2, 2]
-    with pytest.raises(InputError, match="observable"):
-        kalman_observer(published_beam(3), published_noise(), 0.03)
-
-
 @pytest.mark.parametrize(
     ("name", "sections"), [("stiffness, second order", 1), ("stiffness, fourth order", 2)]
 )
@@ -346,18 +290,6 @@ def test_band_passed_stiffness_takes_damping_away(name, sections):
     assert added[0] < -0.005
     assert not oscillates_stably(system)
     assert oscillates_stably(with_scheme("stiffness", single, Settings(0.05, 1, q, factor)))
-
-
-@pytest.mark.slow
-def test_trials_depend_on_their_stream_alone():
-    first, again = (
-        geometry_trial(np.random.default_rng(4), ("undamped", "band-passes", "compensation"), SETTINGS)
-        for _ in "ab"
-    )
-    assert first.keys() == again.keys()
-    assert all(np.array_equal(first[key], again[key]) for key in first)
-    assert first["compensation: at modes"].shape == (2, 2, 2)
-    assert kept_out_trial(np.random.default_rng(4), SETTINGS)["peaks"].shape == (2, 2)
 
 
 @pytest.mark.slow
@@ -411,37 +343,6 @@ def test_mode_that_is_kept_out_has_a_tail_only():
             peaks = [np.abs(one.frequency_response(dense))[entries].max() for one in (system, bare)]
             assert off_diagonal_peak(system, w) == pytest.approx(peaks[0], rel=1e-3)
             assert found[row, column] == pytest.approx(peaks[0] / peaks[1], rel=2e-3)
-
-
-def test_slopes_are_drawn_at_their_entries():
-    slopes = {"one": np.array([[[9, 0.1], [0.2, 9]]]), "two": np.array([[[9, -1.0], [-2.0, 9]]])}
-    above = {name: value + 0.05 for name, value in slopes.items()}
-    figure = paint_slope_ranges(slopes, above, {"one": (0, 0), "two": (-1, -2)})
-    for axis, place, published in zip(figure.axes, ((0, 1), (1, 0)), ((0, -1), (0, -2)), strict=True):
-        drawn = [line.get_xdata().tolist() for line in axis.lines]
-        assert drawn[-1] == list(published)
-        expected = [[part[name][(0, *place)]] for name in slopes for part in (above, slopes)]
-        assert drawn[:-1] == expected
-
-
-def test_guides_have_the_published_slope():
-    figure = paint_transfer_matrix(
-        {"undamped": with_scheme("undamped", PLANT, SETTINGS)}, slopes={(1, 0): -2}
-    )
-    frequency, level = figure.axes[2].lines[-1].get_data()
-    assert np.diff(level) / np.diff(np.log10(frequency)) == pytest.approx(-40)
-
-
-def test_drawn_places_keep_their_distance():
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        places = np.sort(sample_places(rng, 5, 0.1))
-        assert places[0] >= 0 and places[-1] <= 1 and np.diff(places).min() >= 0.1 - 1e-12
-
-
-def test_entries_of_mere_rounding_are_not_drawn():
-    figure = paint_transfer_matrix({"total": with_scheme("total actuation", published_beam(5), SETTINGS)})
-    assert [len(axis.lines) for axis in figure.axes] == [1, 0, 0, 1]
 
 
 @pytest.mark.parametrize(

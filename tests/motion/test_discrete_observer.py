@@ -11,7 +11,6 @@ from experiments.motion.machines import published_noise, stage
 from notebooks.motion.discrete_observer import (
     equivalent_plant,
     gain_by_placement,
-    paint_sampled,
     placement_error,
     typical_placement_error,
 )
@@ -279,10 +278,6 @@ def test_bad_delays_forms_and_models_are_refused(reduced, observer):
         blind = reduced.output_shapes.copy()
         blind[:, 0] = 0
         discrete_kalman_observer(replace(reduced, output_shapes=blind), published_noise(), SAMPLE_TIME)
-
-
-def test_the_explorer_draws_a_late_loop():
-    assert paint_sampled(10.0, 0.035, "yes", "filter, one sample late").axes
 
 
 def braked(drag):

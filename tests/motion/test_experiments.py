@@ -6,18 +6,11 @@ import numpy as np
 import pytest
 
 from experiments.motion.machines import as_stage, drive, measured_accelerance, published_noise
-from notebooks.motion.scan_performance import (
-    designed_for_second,
-    scaled_springs,
-    stability_trial,
-    three_masses,
-)
 from notebooks.motion.two_inertia_drive import (
     closed_loop_response,
     drive_loop,
     drive_observer,
     identify,
-    residual_trial,
     seen_by_controller,
 )
 from stillwork.base.checks import InputError
@@ -108,21 +101,6 @@ def test_identified_drive_is_the_exact_one_without_noise():
     exact = seen_by_controller(loop, found.omega[inside])
     assert np.median(np.abs(found.response[inside] / exact - 1)) < 0.03
     assert found.coherence[inside].mean() > 0.99
-
-
-def test_no_model_error_leaves_the_rigid_body():
-    peaks = residual_trial(np.random.default_rng(0), PLANT, {"MC": Application(compensate=True)}, 4.0, 0.0)
-    assert peaks["MC"] == pytest.approx(1.0, abs=1e-6)
-
-
-@pytest.mark.slow
-def test_example_of_the_three_masses():
-    masses = np.array([4.0, 4.0, 4.0])
-    loops, best = designed_for_second(three_masses(masses, scaled_springs(masses, 45.0)), 12.0)
-    assert best.crossing_hz[0] == pytest.approx(45.0, rel=1e-3)
-    assert loops[1].is_stable(best.controller)
-    assert not loops[0].is_stable(best.controller)
-    assert stability_trial(np.random.default_rng(5), 0.2) == {"first_unstable": 1.0, "second_stable": 1.0}
 
 
 @pytest.mark.slow

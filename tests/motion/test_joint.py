@@ -11,16 +11,11 @@ from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import parameters, published_setpoint, stage
 from naive import joint
 from notebooks.motion.joint_design import (
-    ASKED,
     DELAY,
     LEFT,
-    LEFT_LIMIT,
     PEAKS,
     SAMPLE_TIME,
-    SIZES,
     JointDesign,
-    as_toml,
-    at_bounds,
     closed_poles,
     compensated,
     crossing_hz,
@@ -35,19 +30,14 @@ from notebooks.motion.joint_design import (
     learn_gains,
     moves,
     noise_floor,
-    paint_joint,
-    robust_search,
     rough_crossing_hz,
-    rounded,
     sample_plants,
     sampled_compensator,
-    search,
     six,
     stage_response,
     steps_of,
     stored_designs,
 )
-from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedforward import error_loop, fit_feedforward, tracking_error
 from stillwork.control.loops import INPUTS, OUTPUTS, channel, closed_loop
@@ -193,22 +183,6 @@ def test_learning_comes_to_the_gains_that_are_fitted_without_noise():
     assert np.hypot(move.hidden, judge(design, plants[:1]).quiet[0]) == pytest.approx(learnt[-1, 0], rel=0.03)
 
 
-def test_numbers_at_a_bound_are_named():
-    assert at_bounds(PUBLISHED) == []
-    assert at_bounds(replace(PUBLISHED, integrator=0.03, selectivity=(2.0, 0.1, 2.0))) == [
-        "integrator",
-        "selectivity of mode 2",
-    ]
-
-
-@pytest.mark.slow
-def test_designs_that_must_forget_a_step_do():
-    for stored in STORED.values():
-        if stored.left:
-            assert stored.left == LEFT_LIMIT
-            assert judge(stored.design, [stage()]).left[0] <= stored.left * 1.01
-
-
 @pytest.mark.slow
 def test_noise_floor_is_what_all_measurements_together_leave_unknown():
     """Conditional variance in the joint Gaussian of all positions and measurements: no recursion, no Riccati equation."""
@@ -288,14 +262,6 @@ def test_stored_designs_keep_what_they_say(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES[1:])
-def test_robust_designs_serve_stages_that_they_have_not_seen(size):
-    fresh = sample_plants(size, 12, 99)
-    assert judge(STORED[f"joint, for {size:.0%}"].design, fresh).feasible.all()
-    assert not judge(STORED["joint, for 0%"].design, fresh).feasible.any()
-
-
-@pytest.mark.slow
 def test_no_small_step_lowers_the_error_within_the_limits():
     """A local optimum: of random small steps none wins more than a thousandth without breaking a limit."""
     design, rng = STORED["joint, for 0%"].design, np.random.default_rng(5)
@@ -308,30 +274,6 @@ def test_no_small_step_lowers_the_error_within_the_limits():
         }
         found = evaluate(replace(design, **moved), served)[0]
         assert found.error > before * 0.998 or found.tops.max() > np.log(SIX_DB)
-
-
-@pytest.mark.slow
-def test_searches_keep_their_limits():
-    """From a start that keeps none of them: peaks, and the force under noise."""
-    served = [stage_response(stage())]
-    start = replace(PUBLISHED, bandwidth_hz=60.0)
-    free = search(start, "controller", served, steps=12)
-    assert free.excess < 1e-2 and free.error < evaluate(start, served)[0].error
-    quiet = search(free.design, "controller", served, force=0.004, steps=12)
-    assert evaluate(quiet.design, served)[0].force < 0.00404
-    fast = search(free.design, "controller", served, steps=6, aim="bandwidth")
-    assert crossing_hz(fast.design, stage()).min() > crossing_hz(free.design, stage()).min()
-
-
-@pytest.mark.slow
-def test_robust_search_keeps_its_limit_on_the_pool():
-    plants = [stage(), *sample_plants(0.05, 4, 7)]
-    slow = replace(STORED["joint, for 5%"].design, integrator=1.0)
-    found = robust_search(
-        slow, "controller", [stage_response(p) for p in plants], ASKED, counted=2, turns=3, steps=4
-    )
-    assert found.excess < 2e-2
-    assert judge(found.design, plants).feasible.all()
 
 
 def test_a_search_sees_nearly_the_crossing_that_is_told():
@@ -349,37 +291,3 @@ def test_first_crossing_is_that_of_the_open_loop():
     sensitivity = ((around.share - around.seen * late_response(late(stage()), omega)) * output)[4, 0]
     assert np.abs(1 / sensitivity - 1) == pytest.approx(1.0, rel=1e-9)
     assert np.all(found > grid()[1] / (2 * np.pi))
-
-
-def test_stored_designs_are_rounded_and_survive_the_file():
-    for name, stored in STORED.items():
-        assert rounded(stored.design) == stored.design
-        read = tomllib.loads(as_toml(name, stored))[name]
-        assert read["size"] == stored.size and tuple(read["ends"]) == stored.ends
-        assert tuple(read["damping"]) == stored.design.damping
-
-
-@pytest.mark.slow
-def test_explorer_says_when_a_loop_is_unstable():
-    designs = {"published": PUBLISHED, "fast": STORED["largest bandwidth, for 0%"].design}
-
-    def title(*setting):
-        return paint_joint(designs, *setting).axes[0].get_title(loc="left")
-
-    assert "7.4 dB" in title("published", 0.0, 100.0, 1.5)
-    assert "unstable" in title("fast", 5.0, 100.0, 1.5)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: search(replace(PUBLISHED, bandwidth_hz=400.0), "joint", [stage_response(stage())]),
-            r"^start\b.*unstable",
-        ),
-        (lambda: evaluate(PUBLISHED, [stage_response(stage(), 0.3)], 0.3), r"^delay\b"),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -12,7 +12,7 @@ from experiments.motion.ideal_feedforward import (
     respond,
     sampled_ideal_force,
 )
-from experiments.motion.machines import chain, published_setpoint, stage, stage_mass
+from experiments.motion.machines import published_setpoint, stage, stage_mass
 from experiments.motion.position_dependence import stage_grid
 from notebooks.motion.twenty_nine_scans import (
     LocationStudy,
@@ -20,12 +20,9 @@ from notebooks.motion.twenty_nine_scans import (
     fit_to_force,
     location_loops,
     location_noise,
-    paint_location,
     ranges,
-    stage_error,
     study_locations,
 )
-from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
     Feedforward,
     error_loop,
@@ -33,9 +30,8 @@ from stillwork.control.feedforward import (
     noise_error,
     tracking_error,
 )
-from stillwork.control.loops import channel, closed_loop
+from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.lti.reduction import truncate
 from stillwork.signals.moving_average import rms
 
 GRID = stage_grid()
@@ -93,22 +89,6 @@ def test_a_force_fed_into_the_loop_gives_the_tracking_error(plant, setpoint, for
         np.testing.assert_allclose(study.errors["one"][0], wanted, atol=1e-7 * np.abs(wanted).max())
 
 
-def test_the_sample_time_does_not_matter(plant, setpoint, force):
-    fine = published_setpoint(1e-4)
-    finer = feedforward_error(ideal_force(invert(plant), fine), APPLIED)
-    loop = closed_loop(plant, None, PidFamily(stage_mass())(30.0).state_space()).select([2], [0])
-    coarse, exact = respond(loop, force), respond(loop, finer)
-    n = len(setpoint.time)
-    np.testing.assert_allclose(coarse[0, -n:], exact[0, -2 * n + 1 :: 2], atol=1e-9 * np.abs(exact).max())
-
-
-def test_a_reduced_model_has_an_ideal_force_too(setpoint):
-    inverse = invert(truncate(stage().at([0], [4]), 4, 3))
-    assert len(inverse.zeros) == 8
-    still = ideal_force(inverse, setpoint).values
-    np.testing.assert_allclose(still[-1], 0, atol=1e-2 * np.abs(still).max())
-
-
 def test_rms_settling_and_ranges_by_hand(setpoint):
     time = setpoint.time
     decay = np.where(time >= 0.02, np.exp(-(time - 0.02) / 0.01), 0.0)
@@ -125,17 +105,6 @@ def test_rms_settling_and_ranges_by_hand(setpoint):
     assert np.all(found[:, 1] - found[:, 0] > 0.1499)
 
 
-def test_noise_adds_to_the_error_and_is_the_same_for_all_cases(setpoint, force):
-    pid = PidFamily(stage_mass())(30.0)
-    cases = {"a": ("PID", pid), "b": ("PID", pid)}
-    loops = location_loops(stage(), GRID, [0.1], cases)
-    quiet = study_locations(loops, force, setpoint)
-    noisy = quiet.noisy(location_noise(loops, setpoint, {"d": 1e-9}, [1])[0])
-    np.testing.assert_array_equal(noisy.errors["a"], noisy.errors["b"])
-    added = (noisy.errors["a"] - quiet.errors["a"])[0]
-    assert 1e-11 < added.std() < 5e-10  # the true error follows 1 nm of sensor noise to the bandwidth only
-
-
 def test_runs_together_are_the_runs_by_themselves(setpoint, force):
     """Drawn in the order of the places, the same for all cases of one."""
     pid = PidFamily(stage_mass())(30.0)
@@ -150,30 +119,6 @@ def test_runs_together_are_the_runs_by_themselves(setpoint, force):
             for name, loop in cases.items():
                 alone = noise_error(loop, setpoint.sample_time, samples, noise, np.random.default_rng(draw))
                 np.testing.assert_array_equal(run.errors[name][k], quiet.errors[name][k] + alone[0, 3000:])
-
-
-def test_whether_the_observer_sees_the_force_matters_to_it_alone(setpoint, force):
-    pid = PidFamily(stage_mass())(30.0)
-    loops = location_loops(stage(), GRID, [0.07], {"bare": ("PID", pid), "AD": ("AD", pid)})
-    seen, unseen = (study_locations(loops, force, setpoint, source) for source in ("u_ff", "w"))
-    np.testing.assert_allclose(seen.errors["bare"], unseen.errors["bare"], atol=1e-15)
-    ahead = len(force.time) - len(setpoint.time)
-    wanted = -respond(channel(loops[0.07]["AD"], "u_ff", "e_true"), force)[:, ahead:]
-    np.testing.assert_array_equal(seen.errors["AD"], wanted)
-    assert np.abs(wanted - unseen.errors["AD"]).max() > 1e-2 * np.abs(wanted).max()
-
-
-def test_bad_plants_places_and_loops_are_refused():
-    with pytest.raises(InputError, match=r"^plant\b.*imaginary"):
-        invert(stage(0.0).at([0], [4]))
-    with pytest.raises(InputError, match=r"^plant\b.*snap"):
-        masses = chain(np.full(8, 2.0)).at([0], [7])
-        invert(masses)
-    pid, wild = PidFamily(stage_mass())(30.0), PidFamily(stage_mass())(140.0)
-    with pytest.raises(InputError, match=r"^wild\b.* 0\.1 m\b"):
-        location_loops(stage(), GRID, [0.1], {"wild": ("PID", wild)})
-    with pytest.raises(InputError, match=r"^places\b.*0\.4 m"):
-        location_loops(stage(), GRID, [0.4], {"one": ("PID", pid)})
 
 
 @pytest.mark.parametrize("mass", [1, 5, 7])
@@ -197,18 +142,6 @@ def test_the_held_ideal_force_meets_the_setpoint_at_every_sample(mass):
     np.testing.assert_allclose(reached, wanted, rtol=0, atol=1e-11)  # 0.01 nm of 0.17 m
 
 
-def test_the_spikes_of_the_continuous_force_do_not_reach_the_scan(plant):
-    setpoint, controller = published_setpoint(1e-4), PidFamily(stage_mass())(35.0)
-    loop = bare_error(controller)
-    peaks, errors = [], []
-    for ideal in (ideal_force(invert(plant), setpoint), sampled_ideal_force(plant, setpoint)):
-        left = feedforward_error(ideal, fit_to_force(loop, ideal))
-        peaks.append(np.abs(left.values).max())
-        errors.append(rms(respond(loop, left)[0, -len(setpoint.time) :][setpoint.scanning]))
-    assert peaks[0] > 4 * peaks[1]
-    assert errors[1] == pytest.approx(errors[0], rel=0.01)
-
-
 def test_gains_fitted_to_a_force_are_those_fitted_to_the_move(plant, setpoint):
     controller = PidFamily(stage_mass())(35.0)
     loop = closed_loop(plant, None, controller.state_space())
@@ -230,14 +163,3 @@ def test_fitted_gains_leave_the_least_error_and_take_noise_along(plant):
     more = respond(loop, replace(ideal, row=np.array([0, 0, 0, 0, 1.0])))[0, -len(setpoint.time) :]
     noisy = fit_to_force(loop, ideal, 1e-7 * more)
     np.testing.assert_allclose(noisy.gains, found.gains + np.array([0, 0, 0, 1e-7]), rtol=1e-6, atol=1e-9)
-
-
-def test_the_error_signal_stays_within_the_axis_of_its_figure_at_ten_kilohertz():
-    found = stage_error(published_setpoint(1e-4), PidFamily(stage_mass())(35.0))
-    assert 10 < np.abs(found.values).max() < 30
-    with pytest.raises(InputError, match=r"^plant\b.*circle"):
-        sampled_ideal_force(stage(0.0).at([0], [4]), published_setpoint(1e-4))
-
-
-def test_the_explorer_draws_a_location():
-    assert paint_location(0.12, 0.035, "yes", 30.0).axes

@@ -10,7 +10,6 @@ from notebooks.motion.optimal_observer import (
     control_bandwidth_hz,
     emphasised,
     front,
-    low_pass,
     sensitivity_weight,
     tipping_corner,
     weighted_peak,
@@ -18,10 +17,9 @@ from notebooks.motion.optimal_observer import (
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.estimation import h2_riccati, mixed_lmi
-from stillwork.estimation.h2 import regularised
+from stillwork.estimation import h2_riccati
 from stillwork.estimation.observer import kalman_observer
-from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm
+from stillwork.lti import h2_norm, hinf_norm
 from stillwork.lti.reduction import truncate
 
 SCALES = (0.06, 6e-9, 6e-9)
@@ -40,12 +38,6 @@ def on_stage(modes):
 def regularisation(problem, size=0.01):
     effort = size * np.concatenate([[1.0], 1 / problem.plant.frequencies[1:]])
     return effort, size * np.array([4e6, 1.0]) / np.sqrt(2 * np.pi * 700)
-
-
-def test_the_generalised_plant_has_the_published_order(problem):
-    generalised = problem.generalised()
-    assert len(generalised.model.a) == 20
-    assert generalised.exogenous == 4
 
 
 def test_closing_it_with_a_kalman_observer_is_the_loop_of_chapter_3(problem):
@@ -118,57 +110,6 @@ def test_the_front_is_verified_and_monotone(problem):
     assert points[-1].weighted_peak == pytest.approx(response.max(), rel=1e-4)
     assert points[-1].weighted_peak >= response.max() * (1 - 1e-9)
     assert len(emphasised(generalised, weight, 1.0).model.a) == 23
-
-
-TOY_WEIGHT = low_pass(0.2)
-
-
-def single(seed, n=4):
-    """A small random plant with one performance output, the optimum of its two-norm and the peak there."""
-    rng = np.random.default_rng(seed)
-    a = rng.normal(size=(n, n)) / np.sqrt(n)
-    model = StateModel(a, rng.normal(size=(n, 5)), rng.normal(size=(3, n)), np.zeros((3, 5)))
-    plant = GeneralisedPlant(model, exogenous=4, performance=1)
-    best = h2_riccati(plant, 0.7, 0.4)
-    return plant, best, weighted_peak(plant.close(best.controller), TOY_WEIGHT)
-
-
-@pytest.mark.slow
-def test_inequalities_reach_loops_that_the_emphasis_misses():
-    """The front by emphasis is no lower bound: with cost and noise this large another loop is better twice."""
-    plant, _, peak = single(1)
-    mixed = mixed_lmi(emphasised(plant, TOY_WEIGHT, 1.0), 0.8 * peak, 300.0, 0.7, 0.4)
-    reached = weighted_peak(plant.close(mixed.controller), TOY_WEIGHT)
-    (point,) = front(plant, TOY_WEIGHT, [8.0], 0.7, 0.4)
-    other = h2_norm(regularised(plant, 0.7, 0.4).close(point.synthesis.controller))
-    assert reached < point.weighted_peak
-    assert mixed.regular_norm < other
-
-
-def meeting(problem, level, ratio, emphases):
-    """Peak and two-norm by inequalities, and the front by emphasis at that peak; enough added cost for the solver."""
-    generalised, cost = problem.generalised(), regularisation(problem, 0.1)
-    kalman = generalised.close(problem.read(kalman_observer(problem.plant, published_noise(), 1e3)))
-    weight = sensitivity_weight(tipping_corner(kalman))
-    mixed = mixed_lmi(emphasised(generalised, weight, 1.0), level, ratio, *cost)
-    peak = weighted_peak(generalised.close(mixed.controller), weight)
-    assert mixed.norm < h2_norm(kalman)
-    points = front(generalised, weight, emphases, *cost)
-    peaks, norms = np.array([(p.weighted_peak, p.h2) for p in points]).T
-    assert peaks[-1] < peak < peaks[0]
-    return peak, mixed.norm, np.interp(-np.log(peak), -np.log(peaks), norms)
-
-
-# Neither road is exact, one for its common Lyapunov matrix, one for its single emphasis: they meet to 5 parts in 1000.
-MEETING = 5e-3
-
-
-@pytest.mark.slow
-def test_mixed_inequalities_and_emphasis_meet_on_the_stage():
-    """With its first bending mode alone: with two more they meet no worse, and the solver takes nine times as long."""
-    peak, norm, beside = meeting(on_stage(2), 3.0, 100.0, [0.3, 0.5, 1.0])
-    assert peak <= 3.0
-    assert norm == pytest.approx(beside, rel=MEETING)
 
 
 def test_sensitivity_weight_has_its_slope_and_its_limit():

@@ -21,7 +21,6 @@ from experiments.motion.position_dependence import (
     stage_grid,
 )
 from experiments.motion.scan_study import output_rows
-from notebooks.motion.position_dependent_observers import paint_place
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
@@ -151,7 +150,3 @@ def test_standing_on_a_node_loses_the_mode_and_passing_it_faster_loses_less(plan
         for v in (0.5, 5.0)
     )
     assert fast < slow < 1
-
-
-def test_the_explorer_draws_a_place_between_the_masses():
-    assert paint_place(0.12, 0.035, "yes", 0.0, 40.0).axes

@@ -23,14 +23,12 @@ from experiments.motion.rig_designs import observer_model, published_settings, r
 from experiments.motion.rig_loops import (
     MEASURES,
     Positions,
-    RigLoop,
     make_rig_loop,
     maximise_rig_bandwidth,
     sampled_controller,
 )
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
-from stillwork.control.loops import channel
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import continuous_poles, prewarped, tustin, zoh_modes, zoh_response
@@ -288,17 +286,6 @@ def test_band_passes_keep_the_decoupling_and_plain_damping_spoils_it(loops):
     assert slopes["none"] == pytest.approx(-1, abs=0.1)
 
 
-def test_each_use_of_the_observer_does_only_its_own(loops):
-    blocks = {case: loops[case][0].compensator for case in ("MC", "AD", "MC and AD")}
-    assert loops["Original"][0].compensator is None
-    for case, block in blocks.items():
-        states = block.realised
-        forces, compensation = np.split(states.c, 2)
-        assert np.any(forces) == ("AD" in case)
-        assert np.any(compensation) == ("MC" in case)
-        assert len(block.observer.a) == 22 + 3 * ("MC" in case)  # the noise model serves MC alone
-
-
 def test_observer_knows_eight_modes_and_the_compliance_of_the_others(plant):
     known = observer_model(plant)
     assert len(known.frequencies) == 3 + 8
@@ -349,23 +336,6 @@ def test_poles_are_those_of_the_whole_loop(loops, case):
     assert np.all(far.min(axis=0) < 1e-6 * np.abs(whole))  # three integrators in a row meet at zero
 
 
-def test_a_search_looks_for_the_crossings_once_and_for_no_poles_twice(loops, monkeypatch):
-    asked = {"crossing_hz": [], "poles": []}
-    for name, seen in asked.items():
-        own = getattr(RigLoop, name)
-        monkeypatch.setattr(
-            RigLoop, name, lambda loop, pids, own=own, seen=seen: seen.append(tuple(pids)) or own(loop, pids)
-        )
-    found = maximise_rig_bandwidth(loops["AD"], rig_controllers(GEOMETRY.edge_masses))
-    assert asked["crossing_hz"] == [found.pids] * len(loops["AD"])
-    assert all(asked["poles"].count(pids) <= len(loops["AD"]) for pids in asked["poles"])
-
-
-def test_equal_peaks_name_the_first_function(loops):
-    family = rig_controllers(GEOMETRY.edge_masses)
-    assert maximise_rig_bandwidth(loops["AD"], family, "diagonal").active == "S_I"  # equal to r to e_true
-
-
 def test_an_exact_observer_without_sensor_noise_takes_the_modes_out(plant):
     """MC on a plant without unknown modes: what the controller sees is the rigid body."""
     eight = plant.modes(slice(0, 11))
@@ -376,36 +346,6 @@ def test_an_exact_observer_without_sensor_noise_takes_the_modes_out(plant):
     rigid = zoh_response(eight.modes(slice(0, 3)), SAMPLE_TIME, omega)
     rigid = np.einsum("ij,jkw,kl->ilw", d.sensing, rigid, d.actuation)
     np.testing.assert_allclose(seen, rigid, atol=2e-6 * np.abs(rigid[0, 0]).max())
-
-
-def test_channels_of_the_closed_loop_are_three_wide(loops):
-    closed = loops["Original"][0].closed(rig_controllers(GEOMETRY.edge_masses)(3.0, 3.0))
-    assert channel(closed, "v", "e_true", 3, 3).d.shape == (3, 3)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: rig_compensator(
-                rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, SAMPLE_TIME), target_damping=0.001
-            ),
-            r"^target_damping\b",
-        ),
-        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, SAMPLE_TIME, 0.0), r"^noise_model\b"),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()
-
-
-def test_infeasible_and_unbounded_searches_say_so(loops):
-    family = rig_controllers(GEOMETRY.edge_masses)
-    with pytest.raises(InputError, match=r"\b20 \w+ 60 Hz"):
-        maximise_rig_bandwidth(loops["Original"], family, low_hz=20.0)
-    with pytest.raises(InputError, match=r"high_hz = 2\b"):
-        maximise_rig_bandwidth(loops["Original"], family, high_hz=2.0)
 
 
 def test_actuators_on_a_nodal_line_are_refused():

@@ -241,13 +241,6 @@ def test_bounds_of_the_wrong_shape_are_named(change, named):
         regularised_gains(model, NormBound(**{**good, **change}))
 
 
-@pytest.mark.parametrize("weight", [0.0, 1.5, np.nan])
-def test_weight_outside_its_range_is_refused(weight):
-    rng, model, _, _ = problem(1)
-    with pytest.raises(InputError, match="weight"):
-        sensitivity_gains(model, derivatives(rng, model), weight)
-
-
 def test_margin_at_the_limit_is_refused():
     rng, model, _, _ = problem(1)
     with pytest.raises(InputError, match="margin"):

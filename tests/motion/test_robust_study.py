@@ -3,25 +3,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.motion.machines import shapes_along, stage
-from experiments.motion.perturbed_tracking import CASES, published_blocks, tracking_trial
+from experiments.motion.machines import stage
 from experiments.motion.scan_study import (
     filter_model,
     judge,
-    output_rows,
     published_scan,
     record_scans,
 )
 from experiments.motion.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from naive import motion_filters as naive
 from notebooks.motion import robust_comparison as contests
-from notebooks.motion.robust_comparison import figure_statements, output_errors
+from notebooks.motion.robust_comparison import output_errors
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.lti.discretisation import zoh_modes
-from workbook.studies import run_study
 
 
 @pytest.fixture(scope="module")
@@ -106,15 +103,6 @@ def test_errors_have_the_law_that_was_asked_for():
     assert abs(many.std() - 0.05) < 4 * 0.05 / np.sqrt(2 * many.size)
 
 
-def test_shapes_follow_the_grid_and_refuse_to_leave_it():
-    plant, grid = stage(), np.arange(7.0)
-    np.testing.assert_allclose(shapes_along(plant, grid, [2.0, 5.0]), plant.output_shapes[[2, 5]], atol=1e-14)
-    with pytest.raises(InputError, match=r"^places\b"):
-        shapes_along(plant, grid, [3.0, 6.1])
-    with pytest.raises(InputError, match=r"^places\b"):
-        published_scan(spacing=0.02)
-
-
 def test_recorded_scan_is_its_naive_twin(scan):
     errors = [sample_errors(np.random.default_rng(k), scan.nominal, 0.05, rigid=True) for k in range(2)]
     records = record_scans(scan, errors, np.random.default_rng(7))
@@ -127,18 +115,6 @@ def test_recorded_scan_is_its_naive_twin(scan):
         states, u, y = naive.scan(plant.a, plant.b, shapes, reference, forward, scan.controller, noise[run])
         for ours, twin in ((records.states[run], states), (records.u[run, 0], u), (records.y[run, 0], y)):
             np.testing.assert_allclose(ours, twin, rtol=1e-7, atol=1e-9 * np.abs(twin).max())
-
-
-def test_errors_are_counted_in_the_scanning_phase(scan):
-    records = record_scans(scan, [np.zeros((3, 4))], np.random.default_rng(0))
-    window = scan.setpoint.scanning
-    ramp = np.zeros_like(records.states)
-    ramp[:, :, window] = np.linspace(1.0, 3.0, window.sum())
-    found = judge(scan, records, records.states - ramp)
-    np.testing.assert_allclose(found.bias, 2.0)
-    np.testing.assert_allclose(found.drift, 2.0, rtol=1e-9)
-    np.testing.assert_allclose(found.end, 3.0)
-    np.testing.assert_allclose(found.accelerating, 0.0)
 
 
 @pytest.mark.slow
@@ -191,29 +167,6 @@ def test_hinfinity_filter_below_the_smallest_level_is_refused():
         hinfinity_gains(model, np.eye(3), 0.9 * smallest_level(model, np.eye(3)))
 
 
-def test_entrants_fall_back_to_the_kalman_filter(scan):
-    told = contests.prepare(scan, 0.05, rigid=False)
-    records = contests.sample_scans(scan, 2, 4, 0.05, "ends", False)
-    plain = contests.run_entrant("Kalman", told, 1.0, records)
-    weak = {
-        "sensitivity penalised": 1.0,
-        "fictitious noise": 1e-12,
-    }
-    for name, knob in weak.items():
-        found = contests.run_entrant(name, told, knob, records)
-        size = np.abs(plain).max(axis=(0, 2))
-        assert np.abs(found - plain).max(axis=(0, 2)) == pytest.approx(0, abs=1e-3 * size.min()), name
-
-
-def test_the_rule_of_thumb_halves_the_sensor_noise_however_small_the_errors(scan):
-    told = contests.prepare(scan, 0.05, rigid=False)
-    records = contests.sample_scans(scan, 2, 4, 0.05, "ends", False)
-    found = contests.run_entrant("regularised least squares", told, 1e-12, records)
-    halved = replace(told.model, sensor=told.model.sensor / 2)
-    twin = estimate(kalman_gains(halved), records.u, records.y)
-    np.testing.assert_allclose(found, twin, rtol=0, atol=1e-6 * np.abs(twin[:, 4]).max())
-
-
 def test_tuning_takes_the_setting_of_least_error_and_judges_on_other_plants(scan):
     """Every filter's errors again, from its estimates and the judge of Fig. 5.10."""
     told, rng = contests.prepare(scan, 0.05, rigid=False), np.random.default_rng(4)
@@ -232,80 +185,6 @@ def test_tuning_takes_the_setting_of_least_error_and_judges_on_other_plants(scan
         assert found[name][0] == pytest.approx(np.median(errors.flexible()), rel=1e-9)
         first = np.sqrt(np.mean((errors.rms[:, 2:4] / errors.size[:, 2:4]) ** 2, axis=1))
         assert found[name][1] == pytest.approx(np.median(first), rel=1e-9)
-
-
-def test_the_order_counts_pairs_in_which_neither_robust_filter_is_ahead():
-    errors = {
-        "Kalman": [1.0, 1.0, 0.9],
-        contests.ROBUST[0]: [1.0, 0.9, 1.0],
-        contests.ROBUST[1]: [1.1, 1.1, 1.1],
-    }
-    study = {name: np.array(each)[:, None] for name, each in errors.items()}
-    assert contests.kalman_ahead(study).tolist() == [True, False, True]
-
-
-def test_medians_drawn_again_are_as_wide_as_the_law_of_order_statistics():
-    """300 uniform plants: the median's deviation is 1/(2 sqrt(n)) of the range; the printed values have no deviation."""
-    percent = {
-        case: np.random.default_rng(3).uniform(0.0, 2.0, 300) * value
-        for case, value in contests.PRINTED.items()
-    }
-    medians, off = contests.resampled(percent)
-    for case, each in medians.items():
-        assert each.std() == pytest.approx(contests.PRINTED[case] / np.sqrt(300), rel=0.35)
-    assert np.quantile(off, 0.025) <= contests.largest_deviation(percent) <= np.quantile(off, 0.975)
-    exact = {case: np.full(3, value) for case, value in contests.PRINTED.items()}
-    assert contests.largest_deviation(exact) == 0.0
-
-
-def test_output_rows_pick_positions():
-    c = output_rows(np.array([[2.0, 3.0]]))
-    np.testing.assert_array_equal(c, [[[2.0, 0.0, 3.0, 0.0]]])
-
-
-@pytest.mark.slow
-def test_tracking_trial_repeats_and_compares_all_cases():
-    blocks = published_blocks()
-    one = tracking_trial(np.random.default_rng(1), blocks, 0.05)
-    two = tracking_trial(np.random.default_rng(1), blocks, 0.05)
-    assert one == two
-    assert list(one) == list(CASES)
-    exact = tracking_trial(np.random.default_rng(1), blocks, 0.0)
-    # Damping the modes must pay on the exact plant.
-    assert exact["AD"] < exact["none"]
-
-
-@pytest.mark.slow
-def test_an_exact_plant_is_known_by_its_designs():
-    """What it answers is kept from run to run: a plant whose errors vanish beside 1 is computed each time."""
-    designs = published_blocks()
-    for chosen in (["none", "AD"], ["none"]):
-        blocks = {case: designs["none" if case == "none" else chosen[-1]] for case in ("none", "AD")}
-        for seed in (1, 2):
-            kept, computed = (
-                tracking_trial(np.random.default_rng(seed), blocks, size) for size in (0.0, 1e-300)
-            )
-            assert kept == computed
-        assert (kept["AD"] == kept["none"]) == (len(chosen) == 1)
-
-
-@pytest.mark.slow
-def test_the_contest_on_a_cluster_gives_identical_numbers():
-    """Two workers, trials in any order: the same bits as one after the other."""
-    from distributed import Client, LocalCluster
-
-    contest = contests.prepare(published_scan(sample_time=1e-3), 0.05, rigid=False)
-    settings = {"contest": contest, "tried": contests.candidates(contest, 2), "law": "ends", "rigid": False}
-    settings |= {"tuning_plants": 2, "plants": 2}
-    here = run_study(contests.order_trial, 3, 5, progress=False, **settings)
-    options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
-    with LocalCluster(**options) as cluster, Client(cluster) as client:
-        there = run_study(
-            contests.order_trial, 3, 5, executor=client.get_executor(), progress=False, **settings
-        )
-    for name in contests.ENTRANTS:
-        assert here[name].shape == (3, 3)
-        np.testing.assert_array_equal(here[name], there[name])
 
 
 def test_the_pseudo_inverse_is_the_shortest_error_that_explains_the_output(scan):
@@ -327,19 +206,3 @@ def test_the_pseudo_inverse_is_the_shortest_error_that_explains_the_output(scan)
     exact = output_errors(scan, np.zeros((2, 3, 4)), records, records.states)
     np.testing.assert_allclose(exact.innovation, exact.noise, rtol=1e-12)
     np.testing.assert_allclose(exact.deformation_error, 0, atol=1e-20)
-
-
-def test_a_filter_without_error_obeys_and_one_that_tells_nothing_does_not(scan):
-    errors = [sample_errors(np.random.default_rng(k), scan.nominal, 0.05) for k in range(3)]
-    records = record_scans(scan, errors, np.random.default_rng(3))
-    time = scan.setpoint.time
-    near = judge(scan, records, records.states + 1e-3 * records.states.std(axis=2, keepdims=True))
-    drifting = judge(scan, records, records.states * 1.001 + 1e3 * time * (np.arange(6) >= 2)[:, None])
-    poor = judge(scan, records, 1e6 * records.states)
-    said = figure_statements(near, drifting, poor)
-    assert said["sensitivity-drift"].all()
-    assert said["sensitivity-end-above-state"].all()
-    assert said["kalman-below-state-move"].all()
-    assert said["regularised-above-state"].all()
-    assert not said["regularised-best-on-rigid"].any()
-    assert not figure_statements(poor, near, near)["kalman-below-state-scan"].any()

@@ -7,13 +7,11 @@ from experiments.motion.machines import shapes_along, stage, stage_mass
 from experiments.motion.position_dependence import GainTable, gain_table, scheduled_gains
 from experiments.motion.scan_study import output_rows
 from notebooks.motion.scheduled_or_online import (
-    compare_schedules,
     observer_model,
     position_scan,
     published_fast_setpoint,
     run_applied,
 )
-from stillwork.base.checks import InputError
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.riccati import discrete_gain
@@ -110,19 +108,3 @@ def test_applied_scan_is_its_naive_twin(scan, increase, compensate):
     again = estimate(gains, shifted[None], np.array(y)[None])
     scale = np.abs(again).max(axis=1, keepdims=True)
     np.testing.assert_allclose(ran.estimates / scale, again / scale, rtol=0, atol=1e-6)
-
-
-def test_unstable_loops_and_moves_that_do_not_fit_are_refused(scan):
-    noise = np.zeros((3, len(scan.places)))
-    gains = kalman_gains(observer_model(scan, 1e-4, 2e-18))
-    with pytest.raises(InputError, match="unstable"):
-        run_applied(scan, gains, PidFamily(stage_mass())(900.0), stage_mass(), noise)
-    with pytest.raises(InputError, match=r"^places\b"):
-        position_scan(stage(), GRID, scan.setpoint, 0.2)
-    cases = {"AD": ("AD", PidFamily(stage_mass())(40.0))}
-    rest = (2, 0.005, 12.5, (0.01, 1e-9, 1e-9), np.random.default_rng(0))
-    with pytest.raises(InputError, match=r"^places\b"):
-        compare_schedules(stage(), 0.2 * GRID, scan.setpoint, cases, *rest)
-    found = compare_schedules(stage(), GRID, scan.setpoint, cases, *rest)["AD"]
-    assert found.ratio.shape == (2, 2, 8)
-    assert np.all((found.ratio > 0.3) & (found.ratio < 3))

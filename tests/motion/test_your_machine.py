@@ -8,10 +8,6 @@ from scipy.io import savemat
 
 from experiments.motion.machines import measured_accelerance
 from notebooks.motion.your_machine import (
-    envelope,
-    machine_explorer,
-    paint_machine,
-    paint_reached,
     paint_sensitivities,
 )
 from shared.universal_files import function, write_universal
@@ -274,24 +270,6 @@ def test_a_use_without_a_feasible_bandwidth_is_a_result(found):
     assert asked["PID"].summary == {"on the model (Hz)": "none", "on the measurement (Hz)": "none"}
     with pytest.raises(InputError, match="feasible"):
         paint_sensitivities(asked, machine)
-
-
-@pytest.mark.slow
-def test_pictures_and_explorer(found):
-    machine, reached = found
-    for figure in (paint_machine(machine), paint_reached(reached), paint_sensitivities(reached, machine)):
-        assert all(np.isfinite(line.get_ydata()).all() for axes in figure.axes for line in axes.lines)
-    draw = machine_explorer(machine, INTENSITIES, 3, 2.0)
-    for damping, drift in ((0.0, 1e-5), (0.05, 1e3)):
-        assert "dB lower" in draw(damping, drift).axes[0].get_title(loc="left")
-
-
-def test_an_envelope_loses_no_peak():
-    x = np.geomspace(1, 1000, 40_000)
-    y = np.random.default_rng(0).uniform(1, 2, len(x))
-    y[[123, 20_000]] = 50, 0.01
-    kept = envelope(x, y)
-    assert {123, 20_000} <= set(kept.tolist()) and len(kept) <= 1000 and np.all(np.diff(kept) > 0)
 
 
 # ------------------------------------------------------------------------------------------------- bad input
