@@ -37,19 +37,13 @@ def test_grid_is_fine_enough(twin, low_pass_hz):
 
 def test_a_perfect_estimate_without_delay_converges_like_one():
     """Without the skyhook's and the conditioner's phase the path error is one sample of delay alone."""
-    path = FITTED.feedforward.path
-    plant = FITTED.plant
-    perfect = type(plant)(
-        **{
-            **{name: getattr(plant, name) for name in plant.__dataclass_fields__},
-            "mass": path.mass * np.eye(6),
-            "damping": path.damping * np.eye(6),
-            "stiffness": path.stiffness * np.eye(6),
-        }
+    path, one = FITTED.feedforward.path, np.eye(6)
+    perfect = replace(
+        FITTED.plant, mass=path.mass * one, damping=path.damping * one, stiffness=path.stiffness * one
     )
-    twin = type(FITTED)(
-        **{**{name: getattr(FITTED, name) for name in FITTED.__dataclass_fields__}, "plant": perfect}
-    ).varied(gain=0.0, parasitic_gain=0.0, conditioning_highpass_hz=1e-3, conditioning_lowpass_hz=1e6)
+    twin = replace(FITTED, plant=perfect).varied(
+        gain=0.0, parasitic_gain=0.0, conditioning_highpass_hz=1e-3, conditioning_lowpass_hz=1e6
+    )
     steady = steady_state(twin, flat_floor(30.0), noise=False)
     assert steady.rls_eigenvalues.real == pytest.approx(1, abs=5e-3)
     # FeLMS then sees the spread of R itself, the same for every actuator.

@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from scipy import signal
 
+from motion.true_machines import TrueMachine
 from shared.compiled import run_controller
 from stillwork.base.checks import InputError
 from stillwork.control import single_precision
@@ -31,35 +31,15 @@ from stillwork.identification.machine_files import load_machine
 from stillwork.lti.modal import modal_model
 
 RATE = 2e3
-INERTIA, FRICTION, HERTZ, DAMPING, SHARE = (
-    3e-3,
-    2.0,
-    31.0,
-    0.012,
-    0.4,
-)  # kg m^2, 1/s; of the mode: its share of 1/J
+INERTIA, FRICTION = 3e-3, 2.0  # kg m^2, 1/s
+HERTZ, DAMPING, SHARE = 31.0, 0.012, 0.4  # of the mode: its share of 1/J
 
 
 def sampled(delay):
     """A, b, c of an inertia on friction with one mode, force late by 0 to 1 samples: by SciPy, from poles and residues."""
-    parts = [
-        ([1.0], [1.0, FRICTION, 0.0]),
-        ([SHARE], [1.0, 4 * np.pi * DAMPING * HERTZ, (2 * np.pi * HERTZ) ** 2]),
-    ]
-    found = []
-    for top, bottom in parts:
-        a, b, c, _ = signal.tf2ss(np.array(top) / INERTIA, bottom)
-        full = signal.cont2discrete((a, b, c, [[0.0]]), (1 - delay) / RATE)
-        late = signal.cont2discrete((a, b, c, [[0.0]]), delay / RATE) if delay else (np.eye(len(a)), 0 * b)
-        found.append((full[0] @ late[0], full[1], full[0] @ late[1], c))
-    size = 2 * len(found) + 1  # the last state: the force before
-    a, b, c = np.zeros((size, size)), np.zeros(size), np.zeros(size)
-    for k, (turn, new, old, out) in enumerate(found):
-        place = slice(2 * k, 2 * k + 2)
-        a[place, place], b[place], c[place] = turn, new[:, 0], out[0]
-        a[place, -1] = old[:, 0]
-    b[-1] = 1.0
-    return a, b, c
+    return TrueMachine(
+        INERTIA, (HERTZ,), (DAMPING,), (SHARE,), friction=FRICTION, delay=delay / RATE
+    ).sampled(RATE)
 
 
 def write_machine(folder):
