@@ -7,10 +7,8 @@ import pytest
 from scipy import linalg
 
 from experiments.budget.machine import FLOORS, budget_of, machine, on_every_floor, parameters, stage
-from experiments.budget.waterfall import explore_waterfall
-from notebooks.budget import robust, the_budget, the_machine, which_one_pays
+from notebooks.budget import robust, the_machine, which_one_pays
 from notebooks.budget.which_one_pays import CHOICES, NOISES, SAMPLE_S, differentiator, purchases, tuning_trial
-from stillwork.control.error_budget import UnstableLoop
 from stillwork.control.uncertainty import Perturbation
 
 
@@ -86,13 +84,6 @@ def test_the_printed_specification_and_the_estimate():
     assert again["37"][1][0] == pytest.approx(again["37"][0][0] / 10**1.5, rel=0.02)  # 30 dB
 
 
-def test_an_explorer_leaves_out_what_is_unstable():
-    assert len(explore_waterfall("VC-C", 35.0, 1.4, 30.0).axes[0].patches) == 4
-    with pytest.raises(UnstableLoop):
-        machine(bandwidth_hz=400.0).network()
-    assert len(explore_waterfall("VC-C", 100.0, 1.4, 30.0).axes[0].patches) >= 1
-
-
 @pytest.mark.parametrize("offset", [0.0, 0.12])
 def test_six_axes_are_what_the_equations_of_motion_give(offset):
     """Passive, by dynamic stiffness at each frequency: six equations of the body, one of the stage, one of its PID."""
@@ -123,24 +114,6 @@ def test_six_axes_are_what_the_equations_of_motion_give(offset):
             wanted = x[6] - beside @ x[:6]
             found = network.paths([hertz])[0, axis, 0]
             assert abs(found - wanted) < 1e-6 * max(abs(wanted), 1e-9)
-
-
-def test_the_drawn_rests_are_those_of_the_setpoint_and_the_setpoint_closes():
-    period = the_budget.there_and_back(0.02, 0.2, 0.1)
-    assert len(period) == 12000 and period[0] == 0 and period[-1] == 0 and period.max() == 0.02
-    share = the_budget.resting(period).mean()
-    assert share == pytest.approx(1 / 3, abs=0.01)
-
-
-def test_a_statement_of_the_waterfall_holds_where_all_its_floors_obey():
-    errors = {
-        name: np.ones(len(FLOORS)) for name in ("passive, PID", "skyhook", "feedforward", "observer", "all")
-    }
-    errors["feedforward"] = np.full(len(FLOORS), 0.5)
-    assert the_budget.statements([errors])["feedforward-first-loud"] == 1
-    errors["skyhook"][FLOORS.index("VC-B")] = 0.4
-    assert the_budget.statements([errors])["feedforward-first-loud"] == 0
-    assert the_budget.statements([errors])["observer-costs-quietest"] == 0
 
 
 def test_each_part_of_the_box_alone_moves_its_number_both_ways():
