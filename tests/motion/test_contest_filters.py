@@ -435,23 +435,6 @@ def test_the_evolution_strategy_finds_the_minimum_of_a_quadratic():
     assert np.abs(found - goal).max() < 0.05
 
 
-def test_a_constant_force_deceives_the_kalman_filter_and_not_the_disturbance_observer():
-    given, record = scan(samples=600)
-    model, noise, _ = given
-    force = 300 * np.sqrt(noise.process[0])
-    x, pushed = np.zeros(4), []
-    for u in record.inputs:
-        x = model.a @ x + model.b @ (u + force)
-        pushed.append(x)
-    states = np.array(pushed)
-    quiet = bench.ScanRecord(record.inputs, states @ model.c.T, states)
-    off = {
-        name: np.abs(run(name, settings, given, quiet)[0] - states)[-100:, 2].mean()
-        for name, settings in (("Kalman", ()), ("disturbance observer", (1.0,)))
-    }
-    assert off["disturbance observer"] < 0.1 * off["Kalman"]
-
-
 def test_the_gate_forgets_what_late_samples_taught():
     """Errors under a delay of one sample: the gated filter considers its parameters, the other learns them wrong."""
     given, record = scan("two masses", "delay", 1200)

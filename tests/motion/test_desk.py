@@ -151,40 +151,6 @@ def test_every_function_of_a_loop_is_that_of_the_library(node):
     assert 20 < np.count_nonzero(unstable) < DESIGNS - 20  # both kinds were seen
 
 
-def test_two_sensitivities_of_one_sensor_are_two_places_to_open_the_loop():
-    """As the guide explains them: signals of the block diagram, added at the sensor and at the output of the PID."""
-    larger = {"input_sensitivity": 0, "output_sensitivity": 0}
-    for seed in range(20):
-        _, loop, pid, _ = drawn(seed)
-        omega = np.geomspace(loop.omega[0], 0.49 * TURN / loop.sample_time, 40)
-        found, observer = loop.at(pid, omega), loop.compensator.frequency_response(omega)
-        for k in range(len(omega)):
-            size = abs(
-                found.controller[k]
-            )  # positions are in this part of their unit, so that no digits are lost
-            plant, controller = found.plant[k] * size, found.controller[k] / size
-            (uu, uy), (yu, yy) = observer[..., k] * [[1, 1 / size], [size, 1]]
-            # y = P f; v = -C (m - y_flex); y_flex = yu f + yy m; f = v + d + uu f + uy m; m = y + n: of y, v, f
-            matrix = np.array(
-                [
-                    [1, 0, -plant],
-                    [-controller * (yy - 1), 1, -controller * yu],
-                    [-uy, -1, 1 - uu],
-                ]
-            )
-            _, v, _ = np.linalg.solve(matrix, [0, 0, 1.0])
-            y, _, _ = np.linalg.solve(matrix, [0, controller * (yy - 1), uy])
-            np.testing.assert_allclose(abs(v + 1), abs(found.input_sensitivity[k]), rtol=1e-7)
-            np.testing.assert_allclose(abs(y + 1), abs(found.output_sensitivity[k]), rtol=1e-7)
-        sizes = {name: np.abs(getattr(found, name)) for name in larger}
-        if seed % 2:
-            for name, other in (tuple(larger), tuple(larger)[::-1]):
-                larger[name] += sizes[name].max() > 1.05 * sizes[other].max()
-        else:
-            np.testing.assert_allclose(*sizes.values(), rtol=1e-9)
-    assert min(larger.values()) > 0  # neither bounds the other
-
-
 def chain(rng):
     """Random blocks of every kind, and SciPy's zeros and poles of each in continuous time: (numerator, denominator)."""
     f = lambda: float(np.exp(rng.uniform(0, 6)))  # noqa: E731

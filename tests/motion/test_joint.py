@@ -38,7 +38,6 @@ from notebooks.motion.joint_design import (
     steps_of,
     stored_designs,
 )
-from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedforward import error_loop, fit_feedforward, tracking_error
 from stillwork.control.loops import INPUTS, OUTPUTS, channel, closed_loop
 from stillwork.lti.discretisation import tustin, zoh
@@ -259,21 +258,6 @@ def test_stored_designs_keep_what_they_say(name):
     assert found.feasible[0] or not stored.ends
     if stored.force:
         assert found.force[0] <= stored.force * 1.01
-
-
-@pytest.mark.slow
-def test_no_small_step_lowers_the_error_within_the_limits():
-    """A local optimum: of random small steps none wins more than a thousandth without breaking a limit."""
-    design, rng = STORED["joint, for 0%"].design, np.random.default_rng(5)
-    served = [stage_response(stage())]
-    before = evaluate(design, served)[0].error
-    for _ in range(60):
-        moved = {
-            name: float(getattr(design, name) * np.exp(rng.normal(0, 0.005)))
-            for name in ("bandwidth_hz", "integrator", "differentiator", "low_pass", "process", "noise_model")
-        }
-        found = evaluate(replace(design, **moved), served)[0]
-        assert found.error > before * 0.998 or found.tops.max() > np.log(SIX_DB)
 
 
 def test_a_search_sees_nearly_the_crossing_that_is_told():

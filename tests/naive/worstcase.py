@@ -45,30 +45,6 @@ def batch_estimates(rows, outputs, forgetting, bounds):
     return estimates, alphas
 
 
-def theorem_two(rows, outputs, forgetting, bound):
-    """Theorem 2 as it must read (lam alpha in h): h, P+ and x+ with an explicit inverse; exact alpha each step."""
-    samples, n = rows.shape
-    estimates = np.zeros((samples, n))
-    P = alpha = None
-    for t in range(n, samples):
-        A, b = weighted(rows[: t + 1], outputs[: t + 1], forgetting)
-        x, new_alpha = min_max(A, b, bound)
-        if np.isinf(new_alpha):
-            P = None
-            continue
-        if P is None:  # start, or restart out of the zero solution
-            P = np.linalg.inv(A.T @ A + new_alpha * np.eye(n))
-            estimates[t] = x
-        else:
-            a, y = rows[t], outputs[t]
-            h = estimates[t - 1] + P @ a * (y - a @ estimates[t - 1]) / (forgetting + a @ P @ a)
-            shift = new_alpha - forgetting * alpha
-            P = np.linalg.inv(forgetting * np.linalg.inv(P) + np.outer(a, a) + shift * np.eye(n))
-            estimates[t] = h - shift * P @ h
-        alpha = new_alpha
-    return estimates
-
-
 def iterative_algorithm(rows, outputs, forgetting, bound, iterations):
     """Algorithm (20) with P^-1, z, p and q as written (h with lam alpha); further iterations call f again."""
     samples, n = rows.shape
