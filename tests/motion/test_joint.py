@@ -30,6 +30,7 @@ from notebooks.motion.joint_design import (
     learn_gains,
     moves,
     noise_floor,
+    paint_joint,
     rough_crossing_hz,
     sample_plants,
     sampled_compensator,
@@ -275,3 +276,14 @@ def test_first_crossing_is_that_of_the_open_loop():
     sensitivity = ((around.share - around.seen * late_response(late(stage()), omega)) * output)[4, 0]
     assert np.abs(1 / sensitivity - 1) == pytest.approx(1.0, rel=1e-9)
     assert np.all(found > grid()[1] / (2 * np.pi))
+
+
+@pytest.mark.slow
+def test_explorer_says_when_a_loop_is_unstable():
+    designs = {"published": PUBLISHED, "fast": STORED["largest bandwidth, for 0%"].design}
+
+    def title(*setting):
+        return paint_joint(designs, *setting).axes[0].get_title(loc="left")
+
+    assert "7.4 dB" in title("published", 0.0, 100.0, 1.5)
+    assert "unstable" in title("fast", 5.0, 100.0, 1.5)
