@@ -1,12 +1,14 @@
 """The waterfall: the error as built by nobody, with each paper's method alone, and with all, as bars by source."""
 
 from dataclasses import replace
+from functools import lru_cache
 from itertools import cycle
 
 import numpy as np
 
-from experiments.budget.machine import FLOORS, budget_of, machine, parameters
-from stillwork.control.error_budget import ErrorBudget, UnstableLoop
+from experiments.budget.machine import BAND_HZ, FLOORS, budget_of, machine, noises, parameters
+from experiments.budget.machine import floor as source_of
+from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.floor_machine import FloorMachine
 from workbook import Choice, Slider, figures
 
@@ -49,26 +51,45 @@ def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
     return figure
 
 
+EXPLORED = {
+    "passive": {},
+    "and skyhook": {"skyhook": True},
+    "and feedforward": {"skyhook": True, "feedforward": True},
+    "and observer": {"skyhook": True, "feedforward": True, "used": "MC and AD"},
+}
+
+
 def explore_waterfall(floor: str, bandwidth_hz: float, sensor_nm: float, feedforward_db: float):
     """Passive, then with skyhook, then with feedforward, then with the observer, at one bandwidth of the stage."""
-    parts = {
-        "passive": {},
-        "and skyhook": {"skyhook": True},
-        "and feedforward": {"skyhook": True, "feedforward": True},
-        "and observer": {"skyhook": True, "feedforward": True, "used": "MC and AD"},
-    }
     budgets = {}
-    for name, step in parts.items():
-        built = machine(**step, bandwidth_hz=bandwidth_hz)
-        if built.feedforward:
-            built = with_feedforward(built, feedforward_db)
+    for name, step in EXPLORED.items():
+        decibels = feedforward_db if "feedforward" in step else 0.0
         try:
-            budgets[name] = budget_of(built, floor, 1e-9 * sensor_nm)
+            budgets[name] = _with_sensor(_explored(name, floor, bandwidth_hz, decibels), 1e-9 * sensor_nm)
         except UnstableLoop:
             continue
     return paint_waterfall(
         budgets, f"{floor}, {bandwidth_hz:.0f} Hz, {sensor_nm:.2g} nm/√Hz, {feedforward_db:.0f} dB"
     )
+
+
+@lru_cache(maxsize=2 * len(EXPLORED))
+def _explored(name: str, floor: str, bandwidth_hz: float, decibels: float) -> ErrorBudget:
+    """One of `EXPLORED` with the sensor as filed."""
+    built = machine(**EXPLORED[name], bandwidth_hz=bandwidth_hz)
+    network = (with_feedforward(built, decibels) if built.feedforward else built).network()
+    inputs = [0, *range(len(network.disturbances), network.plant.d.shape[1])]  # of disturbances the floor alone acts
+    plant = network.plant.select(inputs, range(len(network.plant.d)))
+    network = replace(network, plant=plant, disturbances={"floor": network.disturbances["floor"]})
+    return error_budget(network, [source_of(floor), *noises()], BAND_HZ)
+
+
+def _with_sensor(budget: ErrorBudget, sensor: float) -> ErrorBudget:
+    """A budget with another noise of the stage's sensor, whose density is its square's."""
+    row = budget.names.index("stage sensor")
+    density = budget.density.copy()
+    density[row] *= (sensor / parameters().table("noise")["sensor"]) ** 2
+    return replace(budget, density=density)
 
 
 def with_feedforward(built: FloorMachine, decibels: float) -> FloorMachine:
