@@ -78,8 +78,8 @@ def _explored(name: str, floor: str, bandwidth_hz: float, decibels: float) -> Er
     """One of `EXPLORED` with the sensor as filed."""
     built = machine(**EXPLORED[name], bandwidth_hz=bandwidth_hz)
     network = (with_feedforward(built, decibels) if built.feedforward else built).network()
-    inputs = [0, *range(len(network.disturbances), network.plant.d.shape[1])]  # of disturbances the floor alone acts
-    plant = network.plant.select(inputs, range(len(network.plant.d)))
+    acting = [0, *range(len(network.disturbances), network.plant.d.shape[1])]  # the floor and the commands
+    plant = network.plant.select(acting, range(len(network.plant.d)))
     network = replace(network, plant=plant, disturbances={"floor": network.disturbances["floor"]})
     return error_budget(network, [source_of(floor), *noises()], BAND_HZ)
 
