@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.feedback import SELECTIONS, band_pass, damping_gain, per_flexible_mode, stiffness_gain
@@ -54,23 +55,22 @@ class Application:
     # AD: wanted increase of the damping ratios, one for all modes or each
     damping: float | tuple[float, ...] = 0.0
     selection: str = "each mode"  # of the damping gains
-    stiffness: float = 1.0  # active stiffness: wanted factor on the resonance frequencies
+    stiffness: Positive = 1.0  # active stiffness: wanted factor on the resonance frequencies
     # Q of the band-pass on the damping gains, one for all modes or each; None: no filter
     selectivity: float | tuple[float, ...] | None = None
     # rad/s, centre of one band-pass for all gains; None: one a mode at its resonance
-    common: float | None = None
-    high_pass_hz: float | None = None  # corner of a high-pass on the compensation, instead of a noise model
+    common: Positive | None = None
+    high_pass_hz: Positive | None = (
+        None  # corner of a high-pass on the compensation, instead of a noise model
+    )
 
     def __post_init__(self):
         check_fields(self)
         for each in np.atleast_1d(self.damping):
             require_number("damping", each, at_least=0.0, below=1.0)
         require_choice("selection", self.selection, SELECTIONS)
-        require_number("stiffness", self.stiffness, above=0.0)
-        for name in ("selectivity", "common", "high_pass_hz"):
-            if getattr(self, name) is not None:
-                for each in np.atleast_1d(getattr(self, name)):
-                    require_number(name, each, above=0.0)
+        for each in () if self.selectivity is None else np.atleast_1d(self.selectivity):
+            require_number("selectivity", each, above=0.0)
 
 
 @checked

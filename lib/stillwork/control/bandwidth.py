@@ -4,13 +4,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from types import SimpleNamespace
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_choice, require_count, require_kind, require_number
+from stillwork.base.bounds import NonNegative, Positive, at_least, within
+from stillwork.base.checks import InputError, require_choice, require_kind, require_number
 from stillwork.base.rounding import TIE
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.crossover import crossover
@@ -76,12 +77,11 @@ class PeakConstraint:
     """
 
     function: str
-    limit: float = SIX_DB  # largest magnitude, above 1
+    limit: Annotated[float, within(above=1.0)] = SIX_DB  # largest magnitude, above 1
 
     def __post_init__(self):
         check_fields(self)
         require_choice("function", self.function, (*FUNCTIONS, *OTHER_ORDER))
-        require_number("limit", self.limit, above=1.0)
 
 
 @runtime_checkable
@@ -394,7 +394,7 @@ def make_loop(
     points: int = 600,
     around: int = 40,
     sample_time: float = 0.0,
-    delay: float = 0.0,
+    delay: NonNegative = 0.0,
 ) -> Loop:
     """Prepare a loop: responses of everything but the controller, on a grid refined around every pole.
 
@@ -437,7 +437,6 @@ def make_loop(
     observer = no_observer(plant) if compensator is None else compensator
     if compensator is None:
         observer = replace(observer, sample_time=sample_time)
-    require_number("delay", delay, at_least=0.0)
     if observer.sample_time != sample_time or (delay and not sample_time):
         raise InputError(
             "compensator has another sample time than sample_time, or there is a delay without one"
@@ -496,13 +495,13 @@ def maximise_bandwidth(
     loops: Sequence[SearchLoop],
     family: Callable[[float], Pid | tuple[Pid, ...]],
     constraints: Sequence[PeakConstraint],
-    low_hz: float = 10.0,
+    low_hz: Positive = 10.0,
     high_hz: float = 150.0,
-    scan: int = 141,
-    tolerance_hz: float = 1e-4,
+    scan: Annotated[int, at_least(2)] = 141,
+    tolerance_hz: Positive = 1e-4,
     refine: bool = True,
     lowest: bool = False,
-    ratio: float = 1.02,
+    ratio: Annotated[float, within(at_least=1.001, at_most=2.0)] = 1.02,
 ) -> Bandwidth:
     """Largest design parameter for which every loop is stable and below every constraint.
 
@@ -556,9 +555,7 @@ def maximise_bandwidth(
     (19.06, 'input_sensitivity')
     """
     loops = _ready(loops, constraints)
-    require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
-    require_number("ratio", ratio, at_least=1.001, at_most=2.0)
-    require_count("scan", scan, at_least=2)
+    require_number("high_hz", high_hz, above=low_hz)
     if lowest:
         return _lowest(loops, family, constraints, low_hz, high_hz, tolerance_hz, refine, ratio)
     grid = np.linspace(low_hz, high_hz, scan)
@@ -610,7 +607,7 @@ def _bisected(
     Only what stopped a design so far is looked at on the way, the whole of it at the end; what is found there is
     looked at from then on, too.
     """
-    resolved = max(require_number("tolerance_hz", tolerance_hz, above=0.0), np.spacing(bad))
+    resolved = max(tolerance_hz, np.spacing(bad))
     watched = {stopped[:2]}
     feasible, first = good, bad
     designs: dict[float, _Design] = {}
@@ -706,11 +703,10 @@ def is_feasible(
     loops: Sequence[SearchLoop],
     controller: Pid | tuple[Pid, ...],
     constraints: Sequence[PeakConstraint],
-    refine: bool = True,
 ) -> bool:
     """Whether every loop is stable and below every constraint, the cheapest refusal first."""
     loops = _ready(loops, constraints)
-    design = _Design(loops, controller, constraints, refine)
+    design = _Design(loops, controller, constraints, refine=True)
     return design.above() is None and design.violation() is None
 
 

@@ -3,27 +3,27 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.bounds import NonNegative, Positive
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import checked
 from stillwork.control.error_budget import KNOWN, Source
 from stillwork.lti.state_space import StateModel
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.spectra import Spectrum
 
+LEAST = 1e-12  # of the power of a signal that repeats itself: lines with less are left out
+
 
 @checked
-def white(name: str, place: str, unit: str, level: float, corner_hz: float = 0.0) -> Source:
+def white(name: str, place: str, unit: str, level: NonNegative, corner_hz: NonNegative = 0.0) -> Source:
     """White noise of `level` unit/sqrt(Hz), one-sided, with a 1/f part that equals it at `corner_hz`: a sensor, an amplifier."""
-    require_number("level", level, at_least=0.0)
-    require_number("corner_hz", corner_hz, at_least=0.0)
     return Source(name, (place,), unit, lambda f: level**2 * (1 + corner_hz / np.maximum(f, 1e-12)))
 
 
 @checked
-def quantiser(name: str, place: str, unit: str, step: float, rate_hz: float) -> Source:
+def quantiser(name: str, place: str, unit: str, step: Positive, rate_hz: Positive) -> Source:
     """Rounding to multiples of `step` at `rate_hz`, as white noise of variance step^2 / 12: an ADC, a DAC, an encoder."""
-    require_number("step", step, above=0.0)
-    return white(name, place, unit, step / np.sqrt(6 * require_number("rate_hz", rate_hz, above=0.0)))
+    return white(name, place, unit, step / np.sqrt(6 * rate_hz))
 
 
 @checked
@@ -83,31 +83,36 @@ def shaped(name: str, places: tuple[str, ...], unit: str, filter: StateModel) ->
 
 
 @checked
-def periodic(
-    name: str, place: str, unit: str, period: ArrayLike, sample_rate: float, least: float = 1e-12
-) -> Source:
+def periodic(name: str, place: str, unit: str, period: ArrayLike, sample_rate: Positive) -> Source:
     """A signal that repeats itself, such as the error of a feedforward over a scan or a ripple, as its Fourier series.
 
-    Its mean is left out, and lines with less than `least` of the power.
+    Its mean is left out, and lines with less than `LEAST` of the power.
     """
-    signal = require_array("period", period, ndim=1)
-    if len(signal) < 3 or not np.ptp(signal):
-        raise InputError(f"{name}: period is constant or shorter than 3 samples; give one whole period")
+    signal = _whole_period(name, period)
     amplitudes = 2 * np.abs(np.fft.rfft(signal)) / len(signal)
     if len(signal) % 2 == 0:
         amplitudes[-1] /= np.sqrt(
             2
         )  # half the samples see it at its peak: its power is the amplitude squared
     amplitudes[0] = 0.0
-    lines = np.flatnonzero(amplitudes**2 > least * np.sum(amplitudes**2))
-    spacing = require_number("sample_rate", sample_rate, above=0.0) / len(signal)
+    lines = np.flatnonzero(amplitudes**2 > LEAST * np.sum(amplitudes**2))
+    spacing = sample_rate / len(signal)
     return Source(
         name, (place,), unit, tones=tuple((float(k * spacing), float(amplitudes[k])) for k in lines)
     )
 
 
+def _whole_period(name: str, period: ArrayLike) -> np.ndarray:
+    signal = require_array("period", period, ndim=1)
+    if len(signal) < 3 or not np.ptp(signal):
+        raise InputError(f"{name}: period is constant or shorter than 3 samples; give one whole period")
+    return signal
+
+
 @checked
-def setpoint(name: str, period: ArrayLike, sample_rate: float, mass: float, advance: float = 0.0) -> Source:
+def setpoint(
+    name: str, period: ArrayLike, sample_rate: Positive, mass: NonNegative, advance: float = 0.0
+) -> Source:
     """A setpoint that repeats itself, and the force mass x acceleration that is fed forward, at the two places of a machine.
 
     It acts at ``setpoint`` and ``stage drive`` of a `FloorMachine`: what it leaves in the error is what the feedforward does
@@ -125,15 +130,12 @@ def setpoint(name: str, period: ArrayLike, sample_rate: float, mass: float, adva
     advance : float
         s, by which the feedforward is ahead of the setpoint, to make up for the delay.
     """
-    positions = require_array("period", period, ndim=1)
-    if len(positions) < 3 or not np.ptp(positions):
-        raise InputError(f"{name}: period is constant or shorter than 3 samples; give one whole period")
-    require_number("mass", mass, at_least=0.0)
-    spacing = require_number("sample_rate", sample_rate, above=0.0) / len(positions)
+    positions = _whole_period(name, period)
+    spacing = sample_rate / len(positions)
     lines = np.arange(1, (len(positions) + 1) // 2)
     sizes = 2 * np.fft.rfft(positions)[lines] / len(positions)
     omega = 2 * np.pi * spacing * lines
-    forces = -mass * omega**2 * sizes * np.exp(1j * omega * require_number("advance", advance))
+    forces = -mass * omega**2 * sizes * np.exp(1j * omega * advance)
     tones = tuple(
         (float(f), complex(size), complex(force))
         for f, size, force in zip(spacing * lines, sizes, forces, strict=True)

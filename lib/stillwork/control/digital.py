@@ -10,13 +10,13 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg, signal
 
+from stillwork.base.bounds import Natural, Positive
 from stillwork.base.checks import (
     Converted,
     InputError,
     pluralise,
     require_array,
     require_choice,
-    require_count,
     require_number,
     short_repr,
 )
@@ -103,9 +103,9 @@ class DigitalController:
     low: Converted = -np.inf
     high: Converted = np.inf
     anti_windup: Converted = 0.0
-    delay: int = 0
+    delay: Natural = 0
     about: dict = field(default_factory=dict)
-    patience: int = PATIENCE
+    patience: Natural = PATIENCE
     motion: Motion | None = None
 
     @checked
@@ -124,8 +124,6 @@ class DigitalController:
             raise InputError(
                 "model: its output follows from the limited output of the same sample; delay that"
             )
-        require_count("delay", self.delay, at_least=0)
-        require_count("patience", self.patience, at_least=0)
         for name, shape in (("low", (outputs,)), ("high", (outputs,)), ("anti_windup", (states, outputs))):
             value = require_array(name, getattr(self, name), infinite=name != "anti_windup")
             if value.ndim and value.shape != shape:
@@ -480,11 +478,9 @@ def runnable(
 
 @checked(infinite=True)
 def in_units(
-    controller: DigitalController, position: float, drive: float, units: tuple[str, str]
+    controller: DigitalController, position: Positive, drive: Positive, units: tuple[str, str]
 ) -> DigitalController:
     """A controller of `runnable` in other units, of which a unit of its position and of its force hold so many."""
-    require_number("position", position, above=0.0)
-    require_number("drive", drive, above=0.0)
     m, n = controller.model, len(controller.inputs)
     b = np.hstack([m.b[:, :n] / position, m.b[:, n:] / drive])
     model = StateModel(m.a, b, m.c * drive, m.d * drive / position, m.sample_time)
@@ -500,13 +496,12 @@ def in_units(
 
 
 @checked
-def anti_windup(model: StateModel, tracking_time: float) -> Float64[np.ndarray, "states outputs"]:
+def anti_windup(model: StateModel, tracking_time: Positive) -> Float64[np.ndarray, "states outputs"]:
     """Back-calculation L that takes every integrator to the limited output within `tracking_time` (s).
 
     It acts on the poles at 1 alone, which become exp(-sample_time/tracking_time) in A - LC; the others stay. For a PID
     the root of integral and differential time is usual: Astrom and Hagglund, PID Controllers (1995), section 3.5.
     """
-    require_number("tracking_time", tracking_time, above=0.0)
     poles, left, right = (
         linalg.eig(model.a, left=True) if len(model.a) else (np.zeros(0), *np.zeros((2, 0, 0)))
     )
@@ -524,13 +519,12 @@ def anti_windup(model: StateModel, tracking_time: float) -> Float64[np.ndarray, 
 
 
 @checked
-def from_biquads(sections: ArrayLike, sample_time: float) -> StateModel:
+def from_biquads(sections: ArrayLike, sample_time: Positive) -> StateModel:
     """Model of biquads in a row, (b0, b1, b2, 1, a1, a2) each as SciPy has them, in a form that single precision can hold.
 
     The states turn as the poles do; of b and a themselves a few digits near z = 1 would be all that is left.
     """
     sections = require_array("sections", sections, shape=(None, 6))
-    require_number("sample_time", sample_time, above=0.0)
     if not len(sections) or np.any(sections[:, 3] != 1):
         raise InputError("sections must hold at least one (b0, b1, b2, 1, a1, a2)")
     models = []

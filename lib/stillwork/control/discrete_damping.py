@@ -5,7 +5,8 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.bounds import Positive
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import checked
 from stillwork.control.feedback import DampedModes, damped_modes, per_flexible_mode, require_reach
 from stillwork.lti.delays import delayed
@@ -29,7 +30,7 @@ def damped_poles(model: ModalModel, increase: float | ArrayLike) -> Complex128[n
 
 @checked
 def discrete_damping_gain(
-    model: ModalModel, increase: float | ArrayLike, sample_time: float
+    model: ModalModel, increase: float | ArrayLike, sample_time: Positive
 ) -> Float64[np.ndarray, "1 states"]:
     r"""Gain K of (4.3): :math:`\lambda(A^d + B^dK) = e^{p^*T_s}` with the damped continuous poles :math:`p^*`.
 
@@ -38,7 +39,6 @@ def discrete_damping_gain(
     :math:`\delta = (z-1)/T_s`, no difference of nearly equal poles remains, so that the numerical trouble of
     Remark 4.1.1 does not arise at any sampling rate. The rigid body stays as it is.
     """
-    require_number("sample_time", sample_time, above=0.0)
     if model.input_shapes.shape[1] != 1:
         raise InputError(f"model has {model.input_shapes.shape[1]} inputs; this formula is for one")
     wanted = damped_poles(model, increase)

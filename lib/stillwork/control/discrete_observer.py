@@ -7,14 +7,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import (
-    Converted,
-    InputError,
-    require_array,
-    require_choice,
-    require_count,
-    require_number,
-)
+from stillwork.base.bounds import Positive
+from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_count
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application, filtered_estimates
 from stillwork.control.discrete_damping import discrete_damping_gain
@@ -44,7 +38,7 @@ class DiscreteObserver(FlexibleEstimates):
     c: Float64[np.ndarray, "outputs states"]
     gain: ArrayLike  # (states, outputs), of the filter, K; the predictor's is L = AK
     covariance: Float64[np.ndarray, "states states"]  # P(k|k-1)
-    sample_time: float  # s
+    sample_time: Positive  # s
     before: Converted = 0.0  # (states, inputs), of the force of the sample before, which a late one follows
 
     @checked
@@ -55,7 +49,6 @@ class DiscreteObserver(FlexibleEstimates):
         before = np.broadcast_to(require_array("before", self.before), self.b.shape).copy()
         object.__setattr__(self, "before", before)
         require_array("covariance", self.covariance, shape=self.a.shape)
-        require_number("sample_time", self.sample_time, above=0.0)
         if np.any(np.abs(linalg.eigvals(self.a - self.a @ self.gain @ self.c)) >= 1):
             raise InputError("the observer is unstable; its gain must stabilise A - AKC")
 
@@ -107,7 +100,7 @@ def discrete_kalman_observer(
     model: ModalModel,
     noise: NoiseIntensities,
     sample_time: float,
-    noise_model: float | None = None,
+    noise_model: Positive | None = None,
     late: float = 0.0,
 ) -> DiscreteObserver:
     r"""Stationary discrete Kalman observer, (4.7) and section 4.1.3, with the process noise at the plant input.
@@ -123,7 +116,6 @@ def discrete_kalman_observer(
     inputs = b.shape[1]
     g, q = b, noise.process / sample_time * np.eye(inputs)
     if noise_model is not None:
-        require_number("noise_model", noise_model, above=0.0)
         a, b, g, c = augment_random_walk(a, b, c, np.eye(inputs))
         q = linalg.block_diag(q, noise_model * sample_time * np.eye(inputs))
     solved = discrete_gain(a, g, c, q, noise.sensor / sample_time)

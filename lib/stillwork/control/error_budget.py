@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from scipy import stats
 from scipy.stats import qmc
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.bounds import Count, Fraction, NonNegative, Positive
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.uncertainty import Perturbation, Uncertainty
 from stillwork.lti.delays import delayed, split_delay
@@ -23,6 +24,7 @@ from stillwork.signals.moving_average import average_filter
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 PANELS = 5  # a decade, and beside each pole at the powers of this ratio times its width:
 RATIO = 2.2
+CHANGE = 0.01  # of a parameter to either side, relative
 # Squared correlation of Hann-windowed lines with themselves and with their next two neighbours.
 NEIGHBOURS = (1.0, 4 / 9, 1 / 36)
 KNOWN = 1e12  # degrees of freedom of what is known exactly, and Hz to which a density without an end is known
@@ -157,7 +159,7 @@ class Network:
     commands: Mapping[str, str]
     errors: Mapping[str, str]
     measurements: Mapping[str, str]
-    delay: float = 0.0
+    delay: NonNegative = 0.0
 
     def __post_init__(self):
         check_fields(self)
@@ -173,7 +175,6 @@ class Network:
             )
         if len(self.places) < w + u + y:
             raise InputError("disturbances, commands and measurements share a name; give each its own")
-        require_number("delay", self.delay, at_least=0.0)
         if self.delay and not self.rate_hz:
             raise InputError("delay is for a sampled controller; discretise it, or give 0")
         if not self.loop.is_stable:
@@ -344,7 +345,7 @@ class ErrorBudget:
         return self.powers / np.maximum(self.powers.sum(axis=0), np.finfo(float).tiny)
 
     @checked
-    def saved(self, factor: float = 0.5) -> Float64[np.ndarray, "sources errors"]:
+    def saved(self, factor: NonNegative = 0.5) -> Float64[np.ndarray, "sources errors"]:
         """By how much the rms falls when the level of one source falls to `factor` of it: what to buy next.
 
         Parameters
@@ -366,9 +367,7 @@ class ErrorBudget:
         >>> budget.saved(0.5).round(4)
         array([[0.0913]])
         """
-        left = (
-            self.powers.sum(axis=0) - (1 - require_number("factor", factor, at_least=0.0) ** 2) * self.powers
-        )
+        left = self.powers.sum(axis=0) - (1 - factor**2) * self.powers
         return self.rms - np.sqrt(np.maximum(left, 0))
 
     @checked
@@ -430,7 +429,7 @@ class ErrorBudget:
         return np.sqrt(whole @ (self.weights_hz * passed)), np.sqrt(whole @ (self.weights_hz * (1 - passed)))
 
     @checked
-    def peak(self, duration: float) -> Float64[np.ndarray, " errors"]:
+    def peak(self, duration: Positive) -> Float64[np.ndarray, " errors"]:
         """Largest size expected within `duration` seconds of a Gaussian error, by Rice's crossings (Davenport 1964).
 
         The crossings count as independent: an error of a narrow band stays a few per cent below.
@@ -458,9 +457,7 @@ class ErrorBudget:
         rate = np.sqrt(whole @ (self.weights_hz * self.frequencies_hz**2)) / np.maximum(
             self.rms, np.finfo(float).tiny
         )
-        count = np.sqrt(
-            2 * np.log(np.maximum(2 * rate * require_number("duration", duration, above=0.0), np.e))
-        )
+        count = np.sqrt(2 * np.log(np.maximum(2 * rate * duration, np.e)))
         return self.rms * (count + np.euler_gamma / count)
 
     def _freedom(self) -> Float64[np.ndarray, " errors"]:
@@ -479,7 +476,9 @@ class ErrorBudget:
         return np.minimum(2 * self.rms**4 / np.maximum(spread, np.finfo(float).tiny), KNOWN)
 
     @checked
-    def interval(self, confidence: float = 0.95, duration: float = 0.0) -> Float64[np.ndarray, "2 errors"]:
+    def interval(
+        self, confidence: Fraction = 0.95, duration: NonNegative = 0.0
+    ) -> Float64[np.ndarray, "2 errors"]:
         """Where the true rms lies, for densities estimated from records; with `duration` what a record of so many s shows.
 
         The mean square of an estimated density is chi-squared, apart from the leakage of its windows, which no interval
@@ -509,9 +508,9 @@ class ErrorBudget:
         >>> bool(low[0] < budget.rms[0] < high[0])
         True
         """
-        tail = (1 - require_number("confidence", confidence, above=0.0, below=1.0)) / 2
+        tail = (1 - confidence) / 2
         of_record = np.full(len(self.errors), KNOWN)
-        if require_number("duration", duration, at_least=0.0):
+        if duration:
             random = self.density.sum(axis=0) * ~self.is_tone
             of_record = (
                 2 * self.rms**4 * duration / np.maximum(random**2 @ self.weights_hz, np.finfo(float).tiny)
@@ -552,7 +551,7 @@ class ErrorBudget:
 
 
 @checked
-def error_budget(network: Network, sources: Sequence[Source], band_hz: tuple[float, float]) -> ErrorBudget:
+def error_budget(network: Network, sources: Sequence[Source], band_hz: tuple[Positive, float]) -> ErrorBudget:
     """Spectra of the errors by source, with cumulative spectra, intervals, moving averages and what to buy next.
 
     Of a sampled loop these are the errors in continuous time, averaged over a sample, with all that sampling folds.
@@ -590,7 +589,6 @@ def error_budget(network: Network, sources: Sequence[Source], band_hz: tuple[flo
     array([0.1826])
     """
     low, high = band_hz
-    require_number("band_hz[0]", low, above=0.0)
     require_number("band_hz[1]", high, above=low)
     names = tuple(source.name for source in sources)
     if not names or len(set(names)) < len(names):
@@ -686,7 +684,7 @@ def _lines(
 
 @checked
 def tone_response(
-    network: Network, source: Source, time: ArrayLike, band_hz: tuple[float, float]
+    network: Network, source: Source, time: ArrayLike, band_hz: tuple[Positive, float]
 ) -> Float64[np.ndarray, "errors samples"]:
     """The errors over time that the tones of a source make, such as a setpoint's, once the start is forgotten.
 
@@ -714,7 +712,6 @@ def tone_response(
     array([[0.2]])
     """
     _require_units(network, source)
-    require_number("band_hz[0]", band_hz[0], above=0.0)
     require_number("band_hz[1]", band_hz[1], above=band_hz[0])
     t = require_array("time", time, ndim=1)
     at, sizes = _lines(network, source, *band_hz)
@@ -744,9 +741,7 @@ def _quadrature(
 
 
 @checked
-def sensitivities(
-    rms: Callable[..., Any], values: Mapping[str, float], step: float = 0.01
-) -> dict[str, float]:
+def sensitivities(rms: Callable[..., Any], values: Mapping[str, float]) -> dict[str, float]:
     """Relative change of the error by that of each parameter, d ln rms / d ln p, by central differences.
 
     Parameters
@@ -755,8 +750,6 @@ def sensitivities(
         The error as a function of the parameters, which it gets by name.
     values : mapping of str to float
         Where, above 0: bandwidth, damping, mass, delay, level of a sensor.
-    step : float
-        Relative.
 
     Returns
     -------
@@ -773,14 +766,13 @@ def sensitivities(
     >>> round(found["bandwidth"], 6)
     -2.0
     """
-    require_number("step", step, above=0.0, below=0.5)
     found = {}
     for name, value in values.items():
         require_number(name, value, above=0.0)
         ends = [
-            float(user_callback(rms)(**{**values, name: value * np.exp(sign * step)})) for sign in (-1, 1)
+            float(user_callback(rms)(**{**values, name: value * np.exp(sign * CHANGE)})) for sign in (-1, 1)
         ]
-        found[name] = float(np.log(ends[1] / ends[0]) / (2 * step))
+        found[name] = float(np.log(ends[1] / ends[0]) / (2 * CHANGE))
     return found
 
 
@@ -792,13 +784,13 @@ class BoxBand(NamedTuple):
 
 
 @checked
-def box_places(uncertainty: Uncertainty, plant: ModalModel, count: int, seed: int = 0) -> list[Perturbation]:
+def box_places(
+    uncertainty: Uncertainty, plant: ModalModel, count: Count, seed: int = 0
+) -> list[Perturbation]:
     """Places that fill the box around a plant evenly, a scrambled Sobol sequence; the rigid body's mass among them."""
     box = uncertainty._of_modes(plant)
     n = len(plant.frequencies)
-    whole = (
-        1 << (require_count("count", count) - 1).bit_length()
-    )  # of other numbers than powers of 2 scipy warns
+    whole = 1 << (count - 1).bit_length()  # of other numbers than powers of 2 scipy warns
     size = 3 * n + 3 + bool(box.friction)
     draws = qmc.Sobol(size, seed=seed).random(whole)[:count] * 2 - 1
     places = []

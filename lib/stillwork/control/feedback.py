@@ -7,6 +7,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.validation import checked
 from stillwork.lti.modal import ModalModel
@@ -192,9 +193,7 @@ def damped_modes(upper: Complex128[np.ndarray, " modes"], rigid: int) -> DampedM
 
 
 @checked
-def band_pass(omega: float, selectivity: float) -> StateModel:
+def band_pass(omega: Positive, selectivity: Positive) -> StateModel:
     r"""Band-pass :math:`\frac{(\omega/Q)s}{s^2 + (\omega/Q)s + \omega^2}`, (3.34)."""
-    require_number("omega", omega, above=0.0)
-    require_number("selectivity", selectivity, above=0.0)
     a = np.array([[0, omega], [-omega, -omega / selectivity]])
     return StateModel(a, np.array([[0.0], [omega / selectivity]]), np.array([[0.0, 1.0]]), np.zeros((1, 1)))

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
+from stillwork.base.bounds import NonNegative
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.loops import INPUTS, OUTPUTS, require_deviations, require_stable
 from stillwork.control.setpoint import Move, MoveLimits, Setpoint, largest_of
@@ -42,11 +43,10 @@ class Feedforward:
     acceleration: float = 0.0  # kg
     jerk: float = 0.0  # kg s
     snap: float = 0.0  # kg s^2
-    coulomb: float = 0.0  # N, with the sign of the velocity
+    coulomb: NonNegative = 0.0  # N, with the sign of the velocity
 
     def __post_init__(self):
         check_fields(self)
-        require_number("coulomb", self.coulomb, at_least=0.0)
 
     @property
     def gains(self) -> Float64[np.ndarray, "4"]:
@@ -110,12 +110,11 @@ class Motion:
     """
 
     feedforward: Feedforward = Feedforward()
-    lag: float = 0.0
+    lag: NonNegative = 0.0
     limits: MoveLimits | None = None
 
     def __post_init__(self):
         check_fields(self)
-        require_number("lag", self.lag, at_least=0.0)
 
     @checked
     def most_force(self, peaks: Float64[np.ndarray, "4"]) -> float:

@@ -1,11 +1,13 @@
 """A stage on a frame on an isolator on a shaking floor, along one axis, as the network of an error budget."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from scipy import signal
 
-from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.bounds import Count, NonNegative, Positive, at_least
+from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.digital import observed_controller
 from stillwork.control.error_budget import Network
@@ -74,27 +76,22 @@ class FloorMachine:
     3.4e-08
     """
 
-    frame_mass: float
-    suspension_hz: float
-    suspension_damping: float
+    frame_mass: Positive
+    suspension_hz: Positive
+    suspension_damping: NonNegative
     stage: ModalModel
     controller: Pid | StateModel
     compensator: StateModel | None = None
-    skyhook: float = 0.0
-    skyhook_hz: float = field(default=1 / (2 * np.pi))
+    skyhook: NonNegative = 0.0
+    skyhook_hz: Positive = field(default=1 / (2 * np.pi))
     feedforward: float = 0.0
-    integrator_hz: float = 2.0
-    integrator_order: int = 3
-    sample_time: float = 0.0
-    delay: float = 0.0
+    integrator_hz: Positive = 2.0
+    integrator_order: Annotated[int, at_least(2)] = 3
+    sample_time: NonNegative = 0.0
+    delay: NonNegative = 0.0
 
     def __post_init__(self):
         check_fields(self)
-        for name in ("frame_mass", "suspension_hz", "skyhook_hz", "integrator_hz"):
-            require_number(name, getattr(self, name), above=0.0)
-        for name in ("suspension_damping", "skyhook", "sample_time", "delay"):
-            require_number(name, getattr(self, name), at_least=0.0)
-        require_count("integrator_order", self.integrator_order, at_least=2)
         if (
             self.stage.rigid_modes != 1
             or self.stage.input_shapes.shape[1] != 1
@@ -201,9 +198,9 @@ def force_law(model: StateModel) -> StateModel:
 
 
 @checked
-def weak_integrator(corner_hz: float, order: int) -> StateModel:
+def weak_integrator(corner_hz: Positive, order: Count) -> StateModel:
     """(1 - (a / (s + a))^n) / s, an integrator that forgets what is slower than its corner."""
-    alpha = 2 * np.pi * require_number("corner_hz", corner_hz, above=0.0)
-    whole = np.poly(-np.ones(require_count("order", order)))  # in s / a, so that all states are of one size
+    alpha = 2 * np.pi * corner_hz
+    whole = np.poly(-np.ones(order))  # in s / a, so that all states are of one size
     a, b, c, d = signal.tf2ss(whole[:-1], whole)
     return StateModel(a * alpha, b, c, d)

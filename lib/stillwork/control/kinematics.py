@@ -6,7 +6,7 @@ from math import comb
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import require_count, require_number
+from stillwork.base.bounds import Count, Natural, Positive
 from stillwork.base.validation import by_value, check_fields, checked
 
 
@@ -43,15 +43,12 @@ class KinematicDesign:
     array([1000.,  300.,   30.])
     """
 
-    exponent: float
-    integrals: int = 1
-    order: int = 2
+    exponent: Positive
+    integrals: Natural = 1
+    order: Count = 2
 
     def __post_init__(self):
         check_fields(self)
-        require_number("exponent", self.exponent, above=0)
-        require_count("integrals", self.integrals, at_least=0)
-        require_count("order", self.order)
 
     @property
     @checked

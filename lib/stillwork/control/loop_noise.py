@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_number
+from stillwork.base.bounds import Positive
+from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.bandwidth import Bandwidth, Loop
 from stillwork.control.pid import Pid
@@ -19,10 +19,6 @@ SHARE = 0.05  # of the limit that the noise of the sensor may take, root mean sq
 RATIO = 30.0  # where noise or limit are not known; PID by the rules of the bandwidth has about 6 to 10
 DESIGNS = 1.02  # ratio of two bandwidths that are tried on the way down
 RESOLVED = 1e-4  # of a bandwidth
-
-
-def _bound(name: str, value) -> float:
-    return np.inf if isinstance(value, float) and value == np.inf else require_number(name, value, above=0.0)
 
 
 @by_value
@@ -39,11 +35,11 @@ class NoiseBound:
         the same at every rate, and in every unit.
     """
 
-    gain: Annotated[float, _bound] = np.inf
-    ratio: Annotated[float, _bound] = np.inf
+    gain: Positive = np.inf
+    ratio: Positive = np.inf
 
     def __post_init__(self):
-        check_fields(self)
+        check_fields(self, infinite=("gain", "ratio"))
 
     @checked
     def words(self, units: tuple[str, str]) -> list[str]:

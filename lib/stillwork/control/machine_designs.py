@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stillwork.base.bounds import NonNegative
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.validation import checked
 from stillwork.control.loop_noise import USUAL, NoiseBound
@@ -127,8 +128,8 @@ def search_designs(
     machine: Machine,
     others: Sequence[Machine] = (),
     *,
-    rate: float = 0.0,
-    delay: float = DELAY,
+    rate: NonNegative = 0.0,
+    delay: NonNegative = DELAY,
     uncertainty: str | Mapping[str, float] = "",
     loop_hz: tuple[float, float] = (0.0, 0.0),
     search_hz: tuple[float, float] = (0.0, 0.0),
@@ -174,8 +175,7 @@ def search_designs(
     """
     shares = asked_uncertainty(uncertainty)
     chosen = not rate
-    rate = require_number("rate", rate, at_least=0.0) or default_rate(machine)
-    delay = require_number("delay", delay, at_least=0.0)
+    rate = rate or default_rate(machine)
     lowest, resonance = search_range(machine, 0.0)[0], float(machine.resonances_hz[0])
     # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
     require_number("rate", rate, above=10 * lowest, at_most=resonance / np.sqrt(np.finfo(float).eps))

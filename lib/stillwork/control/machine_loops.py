@@ -4,10 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.bounds import Positive, at_least
+from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import (
@@ -71,14 +73,12 @@ class Intensities:
         (m/s^2)^2/s, intensity of the random walk of the disturbance that gives MC its integral action.
     """
 
-    disturbance: float
-    sensor: float
-    drift: float
+    disturbance: Positive
+    sensor: Positive
+    drift: Positive
 
     def __post_init__(self):
         check_fields(self)
-        for name in ("disturbance", "sensor", "drift"):
-            require_number(name, getattr(self, name), above=0.0)
 
     @checked
     def noise(self, mass: float) -> NoiseIntensities:
@@ -100,10 +100,13 @@ def applications(added_damping: float, selectivity: float) -> dict[str, Applicat
 
 @checked
 def observer_settings(
-    machine: Machine, application: Application | None, retained: int, intensities: Intensities
+    machine: Machine,
+    application: Application | None,
+    retained: Annotated[int, at_least(2)],
+    intensities: Intensities,
 ) -> tuple[int, NoiseIntensities, float | None]:
     """Modes in the observer, its noise, and the intensity of its noise model, which only MC has."""
-    retained = min(require_count("retained", retained, at_least=2), len(machine.sensors[0].frequencies))
+    retained = min(retained, len(machine.sensors[0].frequencies))
     compensates = application is not None and application.compensate
     drift = intensities.drift * machine.mass**2 if compensates else None
     return retained, intensities.noise(machine.mass), drift

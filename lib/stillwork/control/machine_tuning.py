@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.bounds import NonNegative, Positive
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, PeakConstraint, is_feasible, make_loop
@@ -48,11 +49,11 @@ class DesignSettings:
 def tuned(
     machine: Machine,
     settings: DesignSettings,
-    design_hz: float,
+    design_hz: Positive,
     *,
     uncertainty: Mapping[str, float],
-    sample_time: float,
-    delay: float,
+    sample_time: Positive,
+    delay: NonNegative,
     constraints: Sequence[PeakConstraint] = OF_ERROR,
     others: Sequence[tuple[Machine, float]] = (),
     noise: NoiseBound = UNBOUNDED,
@@ -84,9 +85,6 @@ def tuned(
             reached *= PUSH
         return reached
 
-    require_number("design_hz", design_hz, above=0.0)
-    require_number("sample_time", sample_time, above=0.0)
-    require_number("delay", delay, at_least=0.0)
     limits = constraints if settings.application else as_one(constraints)
     # One grid for all settings: what the box holds there is the same for each.
     boxes = [

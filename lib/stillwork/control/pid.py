@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from stillwork.base.checks import require_number
+from stillwork.base.bounds import NonNegative, Positive, within
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel, interconnect
 
@@ -16,15 +17,12 @@ from stillwork.lti.state_space import StateModel, interconnect
 class Notch:
     r"""Notch :math:`(s^2 + 2\zeta_1\omega s + \omega^2)/(s^2 + 2\zeta_2\omega s + \omega^2)`."""
 
-    omega: float  # rad/s
-    depth: float = 0.001  # zeta_1; the thesis prints 0.002 = 2 zeta_1
-    width: float = 0.1  # zeta_2; the thesis prints 0.2 = 2 zeta_2
+    omega: Positive  # rad/s
+    depth: NonNegative = 0.001  # zeta_1; the thesis prints 0.002 = 2 zeta_1
+    width: Positive = 0.1  # zeta_2; the thesis prints 0.2 = 2 zeta_2
 
     def __post_init__(self):
         check_fields(self)
-        require_number("omega", self.omega, above=0.0)
-        require_number("depth", self.depth, at_least=0.0)
-        require_number("width", self.width, above=0.0)
 
     @checked
     def at(self, s: Complex128[np.ndarray, "..."]) -> Complex128[np.ndarray, "..."]:
@@ -51,17 +49,15 @@ class Notch:
 class Pid:
     r"""Controller (3.1), :math:`K_p\frac{s+\omega_i}{s}(\frac{s}{\omega_d}+1)\frac{\omega_{lp}^2}{s^2+2z\omega_{lp}s+\omega_{lp}^2}`."""
 
-    gain: float  # Kp, N/m
-    integrator: float  # omega_i, rad/s
-    differentiator: float  # omega_d, rad/s
-    low_pass: float  # omega_lp, rad/s
-    low_pass_damping: float = 0.7
+    gain: Positive  # Kp, N/m
+    integrator: Positive  # omega_i, rad/s
+    differentiator: Positive  # omega_d, rad/s
+    low_pass: Positive  # omega_lp, rad/s
+    low_pass_damping: Positive = 0.7
     notches: tuple[Notch, ...] = ()
 
     def __post_init__(self):
         check_fields(self)
-        for name in ("gain", "integrator", "differentiator", "low_pass", "low_pass_damping"):
-            require_number(name, getattr(self, name), above=0.0)
 
     @checked
     def frequency_response(
@@ -136,19 +132,19 @@ class PidFamily:
     328987
     """
 
-    mass: float  # kg
+    mass: Positive  # kg
     notch_frequencies: tuple[float, ...] = ()  # rad/s
-    lead: float = 3.0  # of the bandwidth to the zero below it, and of the low-pass above it
+    lead: Annotated[float, within(above=1.0)] = (
+        3.0  # of the bandwidth to the zero below it, and of the low-pass above it
+    )
 
     def __post_init__(self):
         check_fields(self)
-        require_number("mass", self.mass, above=0.0)
-        require_number("lead", self.lead, above=1.0)
 
     @checked
-    def __call__(self, bandwidth_hz: float) -> Pid:
+    def __call__(self, bandwidth_hz: Positive) -> Pid:
         """The controller with design parameter f_bw (Hz)."""
-        w = 2 * np.pi * require_number("bandwidth_hz", bandwidth_hz, above=0.0)
+        w = 2 * np.pi * bandwidth_hz
         notches = tuple(Notch(omega) for omega in self.notch_frequencies)
         lead = self.lead
         return Pid(self.mass * w**2 / lead, w / (lead * lead), w / lead, lead * w, notches=notches)

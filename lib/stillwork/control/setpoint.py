@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError, require_array, require_number, require_samples
 from stillwork.base.validation import by_value, check_fields, checked
 
@@ -17,7 +18,7 @@ HALVINGS = 60  # of the largest velocity that a short move reaches: to the last 
 class Setpoint:
     """A sampled setpoint; between samples the snap is constant, so every row is exact."""
 
-    sample_time: float  # s
+    sample_time: Positive  # s
     derivatives: Float64[np.ndarray, "5 samples"]  # position, velocity, acceleration, jerk, snap (SI)
     scan: tuple[float, float]  # s, start and end of the scanning phase
     acceleration_end: float  # s, where the constant velocity begins
@@ -25,7 +26,6 @@ class Setpoint:
     @checked
     def __post_init__(self):
         check_fields(self)
-        require_number("sample_time", self.sample_time, above=0.0)
         rows = require_array("derivatives", self.derivatives, shape=(5, None))
         # Positions are sums of many steps: allow them the rounding of the longest one.
         backwards = np.diff(rows[0], prepend=rows[0, :1]) < -1e-12 * np.abs(rows[0]).max()
@@ -51,14 +51,13 @@ class Setpoint:
 
 @checked
 def from_snap(
-    segments: ArrayLike, durations: ArrayLike, sample_time: float
+    segments: ArrayLike, durations: ArrayLike, sample_time: Positive
 ) -> Float64[np.ndarray, "5 samples"]:
     """Position, velocity, acceleration, jerk and snap at every sample, from constant-snap segments."""
     segments = require_array("segments", segments, ndim=1)
     if not len(segments):
         raise InputError("segments is empty; give the snap of at least one segment in m/s^4")
     durations = require_array("durations", durations, shape=segments.shape)
-    sample_time = require_number("sample_time", sample_time, above=0.0)
     require_samples("sample_time", float(np.sum(durations / sample_time)))
     counts = np.rint(durations / sample_time).astype(int)
     if np.any(counts < 1) or np.any(np.abs(counts * sample_time - durations) > 1e-9 * durations):
@@ -89,7 +88,7 @@ def point_to_point(
     jerk: float,
     acceleration: float,
     velocity: float,
-    cruise: float,
+    cruise: Positive,
     settling: float,
     sample_time: float,
 ) -> Setpoint:
@@ -128,7 +127,6 @@ def point_to_point(
     >>> float(move.derivatives[1].max().round(6))  # m/s
     0.1
     """
-    require_number("cruise", cruise, above=0.0)
     require_number("settling", settling, at_least=0.0, below=cruise)
     t_snap, t_jerk, t_acceleration = segment_times(snap, jerk, acceleration, velocity)
     signs, times = [], []
@@ -174,16 +172,13 @@ class MoveLimits:
     inf
     """
 
-    velocity: float
-    acceleration: float
-    jerk: float
-    snap: float = np.inf
+    velocity: Positive
+    acceleration: Positive
+    jerk: Positive
+    snap: Positive = np.inf
 
     def __post_init__(self):
         check_fields(self, infinite=("snap",))
-        for name in ("velocity", "acceleration", "jerk", "snap"):
-            if getattr(self, name) != np.inf:
-                require_number(name, getattr(self, name), above=0.0)
 
 
 def _segments(limits: MoveLimits, top: float) -> tuple[float, float, float, float]:

@@ -1,11 +1,13 @@
 """Nominal trajectories with exact first and second derivatives."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Fraction, Positive, within
 from stillwork.base.checks import Converted, InputError, require_array, require_number, require_samples
 from stillwork.base.validation import by_value, check_fields, checked
 
@@ -15,7 +17,7 @@ from stillwork.base.validation import by_value, check_fields, checked
 class Trajectory:
     """What the coordinate shall do, sampled, with both derivatives, each that of what stands before it."""
 
-    sample_time: float  # s
+    sample_time: Positive  # s
     position: Converted  # q^N, m, shape (samples,)
     velocity: Converted = ()  # m/s, shape (samples,)
     acceleration: Converted = ()  # m/s^2, shape (samples,)
@@ -23,7 +25,6 @@ class Trajectory:
     @checked
     def __post_init__(self):
         check_fields(self)
-        require_number("sample_time", self.sample_time, above=0)
         for name in ("position", "velocity", "acceleration"):
             object.__setattr__(self, name, require_array(name, getattr(self, name), ndim=1))
         if len(self.position) < 2:
@@ -52,9 +53,8 @@ class Trajectory:
 
 
 @checked
-def sampled(duration: float, sample_time: float) -> Float64[np.ndarray, " samples"]:
+def sampled(duration: float, sample_time: Positive) -> Float64[np.ndarray, " samples"]:
     """Sample times 0, sample_time, ... below `duration`, s."""
-    require_number("sample_time", sample_time, above=0)
     require_number("duration", duration, above=2 * sample_time)
     return np.arange(require_samples("sample_time", duration / sample_time)) * sample_time
 
@@ -64,7 +64,7 @@ def sine_trajectory(
     amplitude: float = 1.0, frequency_hz: float = 0.2, duration: float = 12.0, sample_time: float = 1e-3
 ) -> Trajectory:
     """q = A sin(w t)."""
-    phase, rate = _phase(amplitude, frequency_hz, duration, sample_time)
+    phase, rate = _phase(frequency_hz, duration, sample_time)
     return Trajectory(
         sample_time,
         amplitude * np.sin(phase),
@@ -76,7 +76,7 @@ def sine_trajectory(
 @checked
 def asin_trajectory(
     amplitude: float = 1.0,
-    sharpness: float = 0.98,
+    sharpness: Fraction = 0.98,
     frequency_hz: float = 0.2,
     duration: float = 12.0,
     sample_time: float = 1e-3,
@@ -111,8 +111,7 @@ def asin_trajectory(
     >>> float(corner.position.max().round(6))  # m
     0.1
     """
-    require_number("sharpness", sharpness, above=0, below=1)
-    phase, rate = _phase(amplitude, frequency_hz, duration, sample_time)
+    phase, rate = _phase(frequency_hz, duration, sample_time)
     scale = amplitude / np.arcsin(sharpness)
     inner = 1 - (sharpness * np.sin(phase)) ** 2
     return Trajectory(
@@ -126,7 +125,7 @@ def asin_trajectory(
 @checked
 def trapezoid_trajectory(
     amplitude: float = 1.0,
-    rounding: float = 0.5,
+    rounding: Annotated[float, within(above=0.0, at_most=1.0)] = 0.5,
     frequency_hz: float = 0.2,
     duration: float = 12.0,
     sample_time: float = 1e-3,
@@ -136,8 +135,7 @@ def trapezoid_trajectory(
     Ramps and dwells take a quarter of the period each. At a corner, whose length is `rounding` of a ramp, the
     velocity follows 3 x^2 - 2 x^3.
     """
-    require_number("rounding", rounding, above=0, at_most=1)
-    phase, rate = _phase(amplitude, frequency_hz, duration, sample_time)
+    phase, rate = _phase(frequency_hz, duration, sample_time)
     time, period = phase / rate, 2 * np.pi / rate
     ramp = period / 4
     corner = rounding * ramp
@@ -156,11 +154,10 @@ def trapezoid_trajectory(
 
 
 @checked
-def record_trajectory(time: ArrayLike, position: ArrayLike, sample_time: float = 1e-3) -> Trajectory:
+def record_trajectory(time: ArrayLike, position: ArrayLike, sample_time: Positive = 1e-3) -> Trajectory:
     """A recorded motion as a trajectory: the quintic spline through the record, and its exact derivatives."""
     from scipy.interpolate import make_interp_spline
 
-    require_number("sample_time", sample_time, above=0)
     time = require_array("time", time, ndim=1)
     position = require_array("position", position, shape=time.shape)
     if len(time) < 6 or np.any(np.diff(time) <= 0):
@@ -171,8 +168,7 @@ def record_trajectory(time: ArrayLike, position: ArrayLike, sample_time: float =
     return Trajectory(sample_time, spline(at), spline(at, 1), spline(at, 2))
 
 
-def _phase(amplitude, frequency_hz, duration, sample_time):
-    require_number("amplitude", amplitude)
+def _phase(frequency_hz, duration, sample_time):
     time = sampled(duration, sample_time)
     # From half the sample rate on the samples tell nothing of the motion between them.
     rate = 2 * np.pi * require_number("frequency_hz", frequency_hz, above=0, below=0.5 / sample_time)

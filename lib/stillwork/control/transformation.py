@@ -2,11 +2,13 @@
 
 import warnings
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, require_number
+from stillwork.base.bounds import Positive, within
+from stillwork.base.checks import InputError
 from stillwork.base.kernels import pasted_kernel
 from stillwork.base.validation import by_value, check_fields, checked
 
@@ -44,13 +46,12 @@ class FlowTransformation:
     """
 
     gain: float = -1.1
-    width: float = 3.0
+    width: Positive = 3.0
 
     def __post_init__(self):
         check_fields(self)
-        if require_number("gain", self.gain) == 0:
+        if self.gain == 0:
             raise InputError("gain is 0, which never adapts; give a negative number")
-        require_number("width", self.width, above=0)
 
     @property
     @checked
@@ -70,16 +71,14 @@ class FlowTransformation:
 class RobustTransformation:
     """Transformation (8): deformed = (deformed + K) (1 + B sigma(A (response - desired))) - K."""
 
-    offset: float = 4e7  # K_c, m/s^2, far above every acceleration
+    offset: Positive = 4e7  # K_c, m/s^2, far above every acceleration
     factor: float = -1.05  # B_c
-    slope: float = 9e-2 / 4e7  # A_c, s^2/m
+    slope: Positive = 9e-2 / 4e7  # A_c, s^2/m
 
     def __post_init__(self):
         check_fields(self)
-        require_number("offset", self.offset, above=0)
-        if require_number("factor", self.factor) == 0:
+        if self.factor == 0:
             raise InputError("factor is 0, which never adapts; give a negative number")
-        require_number("slope", self.slope, above=0)
 
     @property
     @checked
@@ -122,11 +121,10 @@ class DisturbanceObserver:
     -0.05
     """
 
-    gain: float = 0.0
+    gain: Annotated[float, within(at_least=0.0, at_most=1.0)] = 0.0
 
     def __post_init__(self):
         check_fields(self)
-        require_number("gain", self.gain, at_least=0.0, at_most=1.0)
 
     @property
     @checked
@@ -152,7 +150,7 @@ def contraction_range(response_gain: float) -> tuple[float, float]:
     of an iteration is 1 + local_gain f'; Banach's theorem wants it within (-1, 1). A filter or a delay in the loop
     narrows the range: `stable_range` finds it.
     """
-    if require_number("response_gain", response_gain) == 0:
+    if response_gain == 0:
         raise InputError("response_gain is 0: the plant does not answer its command")
     edge = -2.0 / response_gain
     return min(edge, 0.0), max(edge, 0.0)

@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
-from stillwork.base.checks import InputError, require_number
+from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
+from stillwork.control.uncertainty import Share
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
@@ -19,9 +21,9 @@ def uncertain_channel(
     source: str,
     target: str,
     *,
-    frequency: float = 0.0,
-    damping: float = 0.0,
-    gain: float = 0.0,
+    frequency: Share = 0.0,
+    damping: Share = 0.0,
+    gain: Share = 0.0,
 ) -> tuple[StateModel, int]:
     r"""One channel of a `closed_loop` of a plant with uncertain modes, for `lti.prove_gain`.
 
@@ -67,8 +69,6 @@ def uncertain_channel(
     >>> lti.prove_gain(model, uncertain, level=2.0).proven
     True
     """
-    for name, value in (("frequency", frequency), ("damping", damping), ("gain", gain)):
-        require_number(name, value, at_least=0.0, below=1.0)
     if len(plant.output_shapes) != 1 or plant.input_shapes.shape[1] != 1:
         raise InputError("plant has several inputs or outputs; give one of each")
     if source not in INPUTS or target not in OUTPUTS:
@@ -96,21 +96,11 @@ def uncertain_channel(
     c = np.array(out).reshape(uncertain, len(loop.a))
     inputs, outputs = [INPUTS.index(source)], [OUTPUTS.index(target)]
     if gain:  # the force is (1 + gain delta) times what is asked for
-        inputs, outputs, uncertain = (
-            [INPUTS.index("w"), *inputs],
-            [OUTPUTS.index("f"), *outputs],
-            uncertain + 1,
-        )
-    d = loop.d[np.ix_(outputs, inputs)]
+        inputs, outputs = [INPUTS.index("w"), *inputs], [OUTPUTS.index("f"), *outputs]
+    d = linalg.block_diag(np.zeros((uncertain, uncertain)), loop.d[np.ix_(outputs, inputs)])
     b, c = np.hstack([b, loop.b[:, inputs]]), np.vstack([c, loop.c[outputs]])
-    d = np.block(
-        [
-            [np.zeros((len(b.T) - len(inputs), b.shape[1]))],
-            [np.zeros((len(outputs), b.shape[1] - len(inputs))), d],
-        ]
-    )
     if gain:
-        place = uncertain - 1
-        b[:, place] *= gain
-        d[:, place] *= gain
+        b[:, uncertain] *= gain
+        d[:, uncertain] *= gain
+        uncertain += 1
     return StateModel(loop.a, b, c, d), uncertain

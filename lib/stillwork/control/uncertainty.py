@@ -4,11 +4,12 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
+from stillwork.base.bounds import NonNegative, within
 from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, check_fields, checked
@@ -20,6 +21,7 @@ from stillwork.lti.discretisation import sampled_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
 
+Share = Annotated[float, within(at_least=0.0, below=1.0)]
 NAMES = ("frequency", "residue", "damping", "gain", "mass", "delay", "friction")
 ABSOLUTE = {"delay": "s", "friction": "1/s"}  # the others are shares
 NORMAL = 1.96  # standard deviations either side of a number, 95 %
@@ -69,10 +71,10 @@ class Uncertainty:
     frequency: Converted = 0.0
     residue: Converted = 0.0
     damping: Converted = 0.0
-    gain: float = 0.0
-    mass: float = 0.0
-    delay: float = 0.0
-    friction: float = 0.0
+    gain: Share = 0.0
+    mass: Share = 0.0
+    delay: NonNegative = 0.0
+    friction: NonNegative = 0.0
 
     @checked
     def __post_init__(self):
@@ -82,10 +84,6 @@ class Uncertainty:
             if shares.ndim > 1 or not np.all((shares >= 0) & (shares < 1)):
                 raise InputError(f"{name} must hold shares of at least 0 and below 1; 0 for what is known")
             object.__setattr__(self, name, shares)
-        for name in ("gain", "mass"):
-            require_number(name, getattr(self, name), at_least=0.0, below=1.0)
-        for name in ABSOLUTE:
-            require_number(name, getattr(self, name), at_least=0.0)
 
     def _of_modes(self, plant: ModalModel) -> "Uncertainty":
         """The same with a number for each mode of a plant, 0 for its first, the rigid body or the suspension."""

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from stillwork.base.bounds import Natural
-from stillwork.base.checks import InputError, require_memory, require_number
+from stillwork.base.bounds import Natural, NonNegative
+from stillwork.base.checks import InputError, require_memory
 from stillwork.base.validation import checked
 from stillwork.lti.state_space import StateModel
 
 
 @checked
-def split_delay(samples: float) -> tuple[int, float]:
+def split_delay(samples: NonNegative) -> tuple[int, float]:
     """Whole samples of a delay and the part of one beside them; what is whole but for rounding counts as whole."""
-    whole = int(np.floor(require_number("samples", samples, at_least=0.0) + 1e-9))
+    whole = int(np.floor(samples + 1e-9))
     return whole, max(samples - whole, 0.0) if samples - whole > 1e-9 else 0.0
 
 
