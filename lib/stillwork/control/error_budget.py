@@ -14,7 +14,7 @@ from scipy.stats import qmc
 from stillwork.base.bounds import Count, Fraction, NonNegative, Positive
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
-from stillwork.control.uncertainty import Perturbation, Uncertainty
+from stillwork.control.uncertainty import Perturbation, Uncertainty, place_at
 from stillwork.lti.delays import delayed, split_delay
 from stillwork.lti.discretisation import continuous_poles, zoh
 from stillwork.lti.modal import ModalModel
@@ -793,19 +793,10 @@ def box_places(
     whole = 1 << (count - 1).bit_length()  # of other numbers than powers of 2 scipy warns
     size = 3 * n + 3 + bool(box.friction)
     draws = qmc.Sobol(size, seed=seed).random(whole)[:count] * 2 - 1
-    places = []
-    for draw in draws:
-        frequency, residue, damping = (
-            1 + part * share
-            for part, share in zip(
-                draw[: 3 * n].reshape(3, n), (box.frequency, box.residue, box.damping), strict=True
-            )
-        )
-        delay, gain, mass, *friction = (float(each) for each in draw[3 * n :])
-        residue[0] = residue[0] / (1 + mass * box.mass)
-        place = Perturbation(frequency, residue, damping, 1 + gain * box.gain, delay * box.delay)
-        places.append(place._replace(friction=box.friction * sum(friction)))
-    return places
+    if not box.friction:
+        draws = np.hstack([draws, np.zeros((count, 1))])
+    order = [*range(3 * n), 3 * n + 1, 3 * n + 2, 3 * n, 3 * n + 3]  # gain, mass, delay, friction
+    return [place_at(box, draw) for draw in draws[:, order]]
 
 
 @checked(missing=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillwork.base.validation import checked
 from stillwork.control.bandwidth import Loop, loop_grid
-from stillwork.control.uncertainty import Perturbation, Uncertainty, perturbed_plant
+from stillwork.control.uncertainty import Perturbation, Uncertainty, perturbed_plant, place_at
 from stillwork.identification.phased import PhasedModel
 
 CORNERED = 5  # modes of which all corners are tried
@@ -54,7 +54,7 @@ def phased_corners(uncertainty: Uncertainty) -> list[Perturbation]:
         sides += [np.where(np.arange(modes) == k, -sign, sign) for k in range(1, modes) for sign in (-1, 1)]
     damped = np.append(np.zeros(modes), -np.ones(modes))
     return [
-        _place(uncertainty, np.concatenate([side, damped, [gain, 0.0, 0.0, 0.0]]))
+        place_at(uncertainty, np.concatenate([side, damped, [gain, 0.0, 0.0, 0.0]]))
         for side in sides
         for gain in (-1.0, 1.0)
     ]
@@ -69,27 +69,11 @@ def phased_places(uncertainty: Uncertainty, rng: np.random.Generator) -> list[Pe
     for corner in itertools.product([-1.0, 1.0], repeat=ends + 1):
         signs = rng.choice([-1.0, 1.0], size)
         signs[3 * modes], signs[1 : ends + 1] = corner[0], corner[1:]
-        places.append(_place(uncertainty, signs))
+        places.append(place_at(uncertainty, signs))
     for draw in range(DRAWS):
         signs = rng.choice([-1.0, 0.0, 1.0], size) if draw % 2 else rng.uniform(-1, 1, size)
-        places.append(_place(uncertainty, signs))
+        places.append(place_at(uncertainty, signs))
     return places
-
-
-def _place(box: Uncertainty, signs: np.ndarray) -> Perturbation:
-    """The place of signs from -1 to 1: frequency, residue and damping of each mode; gain, mass, delay and friction."""
-    frequency, residue, damping = signs[:-4].reshape(3, -1)
-    gain, mass, delay, friction = map(float, signs[-4:])
-    residues = 1 + box.residue * residue
-    residues[0] = 1 / (1 + box.mass * mass)
-    return Perturbation(
-        1 + box.frequency * frequency,
-        residues,
-        1 + box.damping * damping,
-        1 + box.gain * gain,
-        box.delay * delay,
-        box.friction * friction,
-    )
 
 
 @checked

@@ -67,19 +67,20 @@ def from_snap(
     rows, state = [], np.zeros(4)
     for snap, count in zip(segments, counts, strict=True):
         t = np.arange(count + 1) * sample_time
-        p, v, a, j = state
-        whole = np.array(
-            [
-                p + t * (v + t * (a / 2 + t * (j / 6 + t * snap / 24))),
-                v + t * (a + t * (j / 2 + t * snap / 6)),
-                a + t * (j + t * snap / 2),
-                j + t * snap,
-                np.full(count + 1, snap),
-            ]
-        )
+        whole = np.array([*_integrated(t, *state, snap), np.full(count + 1, snap)])
         rows.append(whole[:, :-1])
         state = whole[:4, -1]
     return np.hstack([*rows, np.append(state, 0.0)[:, None]])
+
+
+def _integrated(t, p, v, a, j, s) -> tuple:
+    """Position, velocity, acceleration and jerk a time t after these, while the snap stays s."""
+    return (
+        p + t * (v + t * (a / 2 + t * (j / 6 + t * s / 24))),
+        v + t * (a + t * (j / 2 + t * s / 6)),
+        a + t * (j + t * s / 2),
+        j + t * s,
+    )
 
 
 @checked
@@ -250,17 +251,10 @@ class Move:
         moving, back = (t >= 0) & (t < self.duration), t > self.duration / 2
         u = np.where(back, self.duration - t, t)
         places = np.clip(np.searchsorted(self.knots[:, 0], u, side="right") - 1, 0, 7)
-        begin, p, v, a, j, s = self.knots[places].T
-        u = u - begin
-        position = p + u * (v + u * (a / 2 + u * (j / 6 + u * s / 24)))
+        begin, *start, snap = self.knots[places].T
+        p, v, a, j = _integrated(u - begin, *start, snap)
         mirror = np.where(back, -1.0, 1.0)
-        rows = [
-            np.where(back, abs(self.distance) - position, position),
-            v + u * (a + u * (j / 2 + u * s / 6)),
-            mirror * (a + u * (j + u * s / 2)),
-            j + u * s,
-            mirror * s,
-        ]
+        rows = [np.where(back, abs(self.distance) - p, p), v, mirror * a, j, mirror * snap]
         sign = np.copysign(1.0, self.distance)
         found = np.where(moving, sign * np.array(rows), 0.0)
         found[0] = self.start + np.where(moving, found[0], np.where(t < 0, 0.0, self.distance))
@@ -336,12 +330,7 @@ def _knots(limits: MoveLimits, top: float) -> np.ndarray:
     for k in range(8):
         knots[k, 4:] = jerk * jerks[k], snap * snaps[k]
         if k < 7:
-            u, (begin, p, v, a, j, s) = lengths[k], knots[k]
-            knots[k + 1, :4] = (
-                begin + u,
-                p + u * (v + u * (a / 2 + u * (j / 6 + u * s / 24))),
-                v + u * (a + u * (j / 2 + u * s / 6)),
-                a + u * (j + u * s / 2),
-            )
+            begin, *start = knots[k]
+            knots[k + 1, :4] = begin + lengths[k], *_integrated(lengths[k], *start)[:3]
     knots[7, 3] = 0.0
     return knots

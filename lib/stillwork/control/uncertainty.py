@@ -117,6 +117,23 @@ class Perturbation(NamedTuple):
 
 
 @checked
+def place_at(box: Uncertainty, signs: Float64[np.ndarray, " numbers"]) -> Perturbation:
+    """The place of signs from -1 to 1: frequency, residue and damping of each mode; gain, mass, delay and friction."""
+    frequency, residue, damping = signs[:-4].reshape(3, -1)
+    gain, mass, delay, friction = map(float, signs[-4:])
+    residues = 1 + box.residue * residue
+    residues[0] = 1 / (1 + box.mass * mass)
+    return Perturbation(
+        1 + box.frequency * frequency,
+        residues,
+        1 + box.damping * damping,
+        1 + box.gain * gain,
+        box.delay * delay,
+        box.friction * friction,
+    )
+
+
+@checked
 def require_shares(asked: Mapping[str, float]) -> None:
     """Refuse other names than `NAMES`, and what is no share, delay or friction."""
     for name, value in asked.items():
