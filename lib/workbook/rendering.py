@@ -15,8 +15,7 @@ def pixels(figure, dpi: float) -> np.ndarray:
     """The picture of a figure, as `matplotlib.figure.Figure.savefig` draws it; the figure stays as it is.
 
     `savefig` draws twice where a figure has a layout engine, the first time to find the layout alone. Here the
-    engine is asked directly. A minor tick without a label is a stroke that the layout need not know, and all
-    strokes of an axis are one line: as ticks each of them is three lines and two texts.
+    engine is asked directly.
 
     Parameters
     ----------
@@ -39,22 +38,14 @@ def pixels(figure, dpi: float) -> np.ndarray:
         stack.enter_context(_text_named(figure))
         stack.enter_context(house_style() if isinstance(figure, HouseFigure) else nullcontext())
         canvas = stack.enter_context(_canvas(figure, dpi))
-        groups = _bare_groups(figure)
         stack.enter_context(ticks_once(figure))
         stack.enter_context(_places(figure))
         engine = figure.get_layout_engine()
         if engine is not None:
-            with _without_minor_ticks(groups):
-                _lay_out(figure, engine)
+            _lay_out(figure, engine)
             stack.callback(figure.set_layout_engine, engine)
             figure.set_layout_engine("none")
-        for axis in (axis for group in groups for axis in group if _drawn(axis)):
-            for strokes in _strokes(axis):
-                axis.axes.add_artist(strokes)
-                strokes.set_clip_on(False)
-                stack.callback(strokes.remove)
-        with _without_minor_ticks(groups):
-            canvas.draw()
+        canvas.draw()
         return np.array(canvas.buffer_rgba())
 
 
@@ -179,30 +170,6 @@ class _Ticks:
         if self._boxes is None:
             self._boxes = self._measure(ticks, renderer)
         return self._boxes
-
-
-@contextmanager
-def _without_minor_ticks(groups: list[list]) -> Iterator[None]:
-    from matplotlib.ticker import NullLocator
-
-    before = [(group[0].minor, group[0].minor.locator) for group in groups]
-    for ticker, _ in before:
-        ticker.locator = NullLocator()
-    try:
-        yield
-    finally:
-        for ticker, locator in before:
-            ticker.locator = locator
-
-
-def _bare_groups(figure) -> list[list]:
-    """Axes that share their minor ticks, where none of these needs more than a stroke."""
-    groups = {}
-    for axes in figure.axes:
-        for panel in (axes, *axes.child_axes):
-            for axis in _axes_of(panel):
-                groups.setdefault(id(axis.minor), []).append(axis)
-    return [group for group in groups.values() if all(not _drawn(axis) or _bare(axis) for axis in group)]
 
 
 def _axes_of(panel) -> tuple:
