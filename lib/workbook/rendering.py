@@ -176,59 +176,6 @@ def _axes_of(panel) -> tuple:
     return panel.xaxis, panel.yaxis
 
 
-def _drawn(axis) -> bool:
-    return axis.axes.get_visible() and axis.axes.axison and axis.get_visible()
-
-
-def _bare(axis) -> bool:
-    """Whether the minor ticks are strokes alone, and a longer major tick tells a layout all it has to know."""
-    axes = axis.axes
-    if (
-        axes.name != "rectilinear" or axes.get_aspect() != "auto"
-    ):  # the latter changes size or view when drawn
-        return False
-    if not len(locations := axis.get_minorticklocs()):
-        return False
-    if any(axis.get_minor_formatter().format_ticks(locations)):
-        return False
-    low, high = sorted(axis.get_view_interval())
-    if not any(low <= place <= high for place in axis.get_majorticklocs()):
-        return False
-    (major,), (minor,) = axis.get_major_ticks(1), axis.get_minor_ticks(1)
-    return (
-        not minor.gridline.get_visible()
-        and major.get_tick_padding() >= minor.get_tick_padding()
-        and major.get_pad() >= minor.get_pad()
-        and all(
-            getattr(major, part).get_visible() or not getattr(minor, part).get_visible()
-            for part in ("tick1line", "tick2line", "label1", "label2")
-        )
-    )
-
-
-def _strokes(axis) -> list:
-    """The minor ticks of an axis in view, as one line a side."""
-    from matplotlib.lines import Line2D
-
-    locations = axis.get_minorticklocs()
-    scaled, (low, high) = (axis.get_transform().transform(v) for v in (locations, axis.get_view_interval()))
-    room = 1e-10 * abs(high - low)  # as matplotlib: a tick on the edge is in view
-    locations = locations[(scaled >= min(low, high) - room) & (scaled <= max(low, high) + room)]
-    lines = []
-    (tick,) = axis.get_minor_ticks(1)
-    for end in (tick.tick1line, tick.tick2line):
-        if end.get_visible():
-            x, y = end.get_data()
-            ends = (locations, np.full(len(locations), y[0]))
-            if axis.axis_name == "y":
-                ends = (np.full(len(locations), x[0]), locations)
-            line = Line2D(*ends)
-            line.update_from(end)
-            line.set_zorder(np.nextafter(axis.get_zorder(), np.inf))  # right behind the major ticks
-            lines.append(line)
-    return lines
-
-
 TEXTS = 512  # that a renderer remembers, a few kilobytes each
 
 

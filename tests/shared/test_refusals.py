@@ -19,9 +19,9 @@ from stillwork.control.machine_tuning import DesignSettings, varied
 from stillwork.control.setpoint import Setpoint
 from stillwork.estimation import FeLms, FeRls, NoiseCovariances, adapt, kalman_filter
 from stillwork.estimation.covariance_forms import factor_of
+from stillwork.estimation.filter_step import end_point_weights
 from stillwork.estimation.observer import Observer
 from stillwork.estimation.secular import SecularFunction
-from stillwork.estimation.windows import end_point_weights
 from stillwork.identification.complex_frequency import Stabilisation
 from stillwork.identification.frequency_response import impact_response
 from stillwork.identification.machine_files import MachineFile, complex_responses
