@@ -45,14 +45,14 @@ def test_statements_by_hand():
 def test_what_figures_are_said_to_show():
     found = figure_statements(CASE, "small", "gaussian")
     assert {name: list(obeyed) for name, obeyed in found.items()} == {
-        "6.kalman-hectic": [True, False],
+        "6.kalman-noisiest": [True, False],
         "5.smoothest": [True, False],
         "5.window-most-precise.printed": [False, False],
         "6.window-most-precise.printed": [False, True],
         "5.window-most-precise.corrected": [True, False],
     }
     large = figure_statements(CASE, "large", "logistic")
-    assert list(large) == ["15.kalman-hectic", "14.low-pass-best.printed", "15.low-pass-best.printed"]
+    assert list(large) == ["15.kalman-noisiest", "14.low-pass-best.printed", "15.low-pass-best.printed"]
     assert list(large["14.low-pass-best.printed"]) == [False, True]
 
 
