@@ -11,11 +11,13 @@ from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import parameters, published_setpoint, stage
 from naive import joint
 from notebooks.motion.joint_design import (
+    ASKED,
     DELAY,
     LEFT,
     PEAKS,
     SAMPLE_TIME,
     JointDesign,
+    as_toml,
     closed_poles,
     compensated,
     crossing_hz,
@@ -31,9 +33,12 @@ from notebooks.motion.joint_design import (
     moves,
     noise_floor,
     paint_joint,
+    robust_search,
     rough_crossing_hz,
+    rounded,
     sample_plants,
     sampled_compensator,
+    search,
     six,
     stage_response,
     steps_of,
@@ -287,3 +292,35 @@ def test_explorer_says_when_a_loop_is_unstable():
 
     assert "7.4 dB" in title("published", 0.0, 100.0, 1.5)
     assert "unstable" in title("fast", 5.0, 100.0, 1.5)
+
+
+@pytest.mark.slow
+def test_searches_keep_their_limits():
+    """From a start that keeps none of them: peaks, and the force under noise."""
+    served = [stage_response(stage())]
+    start = replace(PUBLISHED, bandwidth_hz=60.0)
+    free = search(start, "controller", served, steps=12)
+    assert free.excess < 1e-2 and free.error < evaluate(start, served)[0].error
+    quiet = search(free.design, "controller", served, force=0.004, steps=12)
+    assert evaluate(quiet.design, served)[0].force < 0.00404
+    fast = search(free.design, "controller", served, steps=6, aim="bandwidth")
+    assert crossing_hz(fast.design, stage()).min() > crossing_hz(free.design, stage()).min()
+
+
+@pytest.mark.slow
+def test_robust_search_keeps_its_limit_on_the_pool():
+    plants = [stage(), *sample_plants(0.05, 4, 7)]
+    slow = replace(STORED["joint, for 5%"].design, integrator=1.0)
+    found = robust_search(
+        slow, "controller", [stage_response(p) for p in plants], ASKED, counted=2, turns=3, steps=4
+    )
+    assert found.excess < 2e-2
+    assert judge(found.design, plants).feasible.all()
+
+
+def test_stored_designs_are_rounded_and_survive_the_file():
+    for name, stored in STORED.items():
+        assert rounded(stored.design) == stored.design
+        read = tomllib.loads(as_toml(name, stored))[name]
+        assert read["size"] == stored.size and tuple(read["ends"]) == stored.ends
+        assert tuple(read["damping"]) == stored.design.damping
