@@ -93,32 +93,6 @@ def test_the_oscillator_is_the_paper_s(rng):
         assert machine.model.force([q], [v], [a]) == pytest.approx(expected)
 
 
-def test_cases_are_apart_and_scores_are_what_they_say(rng):
-    machine = beside.MACHINES["oscillator"]
-    scenario = beside.draw_scenario(machine, rng)
-    law = beside.law_of(machine, beside.COMPUTED, {"exponent": 10.0, "bandwidth": 200.0})
-    calm = beside.drive(machine, law, scenario)
-    half = len(calm[0].position) // 2
-    for case in beside.CASES[1:]:
-        other = beside.drive(machine, law, scenario, case)
-        assert np.array_equal(other[0].position[:half], calm[0].position[:half])
-        assert not np.allclose(other[0].position[half:], calm[0].position[half:], atol=1e-6)
-    error = np.sqrt(np.mean(calm[0].position_error[half:] ** 2))
-    assert beside.error_of(calm) == pytest.approx(error)
-    found = {
-        "oscillator": {
-            law: np.full((4, 2, 3), value)
-            for law, value in zip(beside.LAWS, (4.0, 2.0, 1.0, 3.0), strict=True)
-        }
-    }
-    assert beside.compared(found, beside.OBSERVER, beside.COMPUTED, ("oscillator",)) == (
-        pytest.approx(0.5),
-        pytest.approx((0.5, 0.5)),
-    )
-    assert beside.best_share(found, beside.ADAPTIVE)[0] == 1.0
-    assert beside.best_share(found, beside.FIXED)[0] == 0.0
-
-
 def test_runs_that_diverge_can_be_left_out():
     """A diverged run is an error of 1; a plant on which all runs diverge is left out with them."""
     errors = {law: np.full((4, 2, 3), value) for law, value in ((beside.FIXED, 0.1), (beside.COMPUTED, 0.2))}

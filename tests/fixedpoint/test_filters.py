@@ -38,8 +38,7 @@ def record(approximate, rng):
 
 def twins(approximate):
     p = approximate.parameters
-    kalman, extended = UnscentedKalman(approximate), ExtendedKalman(approximate)
-    process, noise = extended.packed().process, extended.packed().noise
+    kalman = UnscentedKalman(approximate)
     return {
         "window": (MovingWindow(), naive.MovingWindow(12, SAMPLE_TIME)),
         "short window": (MovingWindow(1), naive.MovingWindow(1, SAMPLE_TIME)),
@@ -51,7 +50,6 @@ def twins(approximate):
             UnscentedKalman(approximate, literal=True),
             naive.PlantUnscented(p, kalman.process, kalman.noise, 1e-3, SAMPLE_TIME, literal=True),
         ),
-        "EKF": (extended, naive.PlantExtended(p, process, noise, (1e-2, 1.0, 10.0), SAMPLE_TIME)),
     }
 
 
@@ -63,7 +61,6 @@ NAMES = [
     "Savitzky-Golay",
     "UKF",
     "literal UKF",
-    "EKF",
 ]
 
 

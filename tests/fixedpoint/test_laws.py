@@ -65,24 +65,19 @@ def test_the_observer_is_its_twin(gain, arm, short, rng):
     noise = 1e-5 * rng.standard_normal((2, len(short.position)))
     controller = Controller(LowPass(), DisturbanceObserver(gain), KinematicDesign(16.0), arm.approximate)
     runs = simulate_mechanism(arm.exact, controller, [short] * 2, noise, integration="semi-implicit")
-    devices = [naive.LowPass(350.0, DT, past=1000) for _ in range(2)]
-    presumed = short.position[0], short.velocity[0], short.acceleration[0]
-    gains, integral, d, command = controller.kinematics.gains, np.zeros(2), np.zeros(2), None
-    q, v, rows = np.full(2, short.position[0]), np.full(2, short.velocity[0]), []
-    for i in range(len(short.position)):
-        measured = q + noise[:, i]
-        filtered = np.array([device(z, 0.0, presumed) for device, z in zip(devices, measured, strict=True)])
-        error = short.position[i] - measured
-        integral = integral + DT * error
-        desired = short.acceleration[i] + gains @ [integral, error, short.velocity[i] - filtered[:, 1]]
+    d, command = np.zeros(2), None
+
+    def answer(desired, response):
+        nonlocal d, command
         if command is not None:
-            d = d + gain * (filtered[:, 2] - command - d)
+            d = d + gain * (response - command - d)
         command = desired - d
-        rows.append(arm.approximate.force(measured, filtered[:, 1], command))
-        v = v + DT * arm.exact.acceleration(q, v, rows[-1])
-        q = q + DT * v
+        return command
+
+    nominal, gains = (short.position, short.velocity, short.acceleration), controller.kinematics.gains
+    _, forces = naive.loop_of_coordinates(arm.exact, arm.approximate, gains, nominal, noise, DT, answer)
     found = np.array([run.force for run in runs])
-    assert np.abs(np.array(rows).T - found).max() < 1e-7 * np.abs(found).max()
+    assert np.abs(forces - found).max() < 1e-7 * np.abs(found).max()
 
 
 def cart_inertia(position, parameters, out):

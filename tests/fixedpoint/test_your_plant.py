@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.fixedpoint import Noise, judge, load_oscillator, published_controllers
+from experiments.fixedpoint import Noise, load_oscillator, published_controllers
 from experiments.fixedpoint.noise import drop_samples
 from notebooks.fixedpoint.your_plant import (
     Numbers,
@@ -19,8 +19,6 @@ from notebooks.fixedpoint.your_plant import (
     open_trajectories,
     open_trajectory,
     paint_contraction,
-    paint_runs,
-    plant_explorer,
     stable_ranges,
     warnings_of,
 )
@@ -212,48 +210,6 @@ def test_plants_that_cannot_be_used_say_why(tmp_path, change, message):
 
 
 # ------------------------------------------------------------------------------------- several coordinates, in rad
-
-
-@pytest.mark.slow
-def test_the_arm_from_its_file_to_the_loop():
-    """By its bare name and by its path; both joints are driven, in rad, through losses and at their limits."""
-    models = load_models("arm.py")
-    assert load_models(str(ARM)).exact.parameters.tolist() == models.exact.parameters.tolist()
-    assert models.units == ("rad", "rad")
-    motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[1.0, 0.5], duration=4.0)
-    assert [each.position.max().round(3) for each in motion] == [1.0, 0.5]
-    chosen = controllers(models, replace(WIDE, exponents=[24.0, 16.0, 36.0, 19.2, 12.8, 28.8]))
-    found = contraction_along(models, motion)
-    assert found.gain.shape == (200, 2) and warnings_of(found, chosen) == []
-    assert all(
-        local_gains(chosen[name])[0] in each for name, each in stable_ranges(models, chosen, motion).items()
-    )
-    runs = drive(
-        models,
-        chosen,
-        motion,
-        [Noise("gaussian", 1e-5), Noise("gaussian", 2e-5)],
-        1,
-        lost_every=1.0,
-        lost_for=0.01,
-        force_limits=[40.0, 12.0],
-    )
-    for each in runs.values():
-        assert len(each) == 2
-        assert all(run.diverged_at is None and judge(run)["position"] < 5e-3 for run in each)
-        assert all(np.abs(run.force).max() <= limit for run, limit in zip(each, (40.0, 12.0), strict=True))
-    assert np.isnan(runs["Kalman filter"][0].measured[990:1000]).all()
-    figure = paint_runs(runs, models.units, 2.0)
-    assert [axes.get_ylabel() for axes in figure.axes] == [
-        "q1 (rad)",
-        "q2 (rad)",
-        "error of q1 (mrad)",
-        "error of q2 (mrad)",
-    ]
-    assert len(paint_contraction(found, chosen).axes[0].lines) == 8
-    draw = plant_explorer(models, chosen, motion, [Noise(), Noise()], 2.0, 1)
-    [said, *_] = [text.get_text() for text in draw(1.0, 1.0, 1.0).axes[1].get_legend().get_texts()]
-    assert said.endswith("mrad rms")
 
 
 def test_gains_of_two_joints_are_judged_together():

@@ -154,34 +154,6 @@ class PlantUnscented:
         return np.array([self.x[1], self.x[0], (self.x[0] - before) / sample_time])
 
 
-class PlantExtended:
-    """With the derivatives of (11) by hand."""
-
-    def __init__(self, parameters, Q, R, initial_deviation, sample_time):
-        self.parameters, self.Q, self.R, self.sample_time = parameters, Q, R, sample_time
-        position, velocity, disturbance = initial_deviation
-        self.P, self.x = np.diag([velocity**2, position**2, disturbance**2]), None
-
-    def __call__(self, measured, force, presumed):
-        m, k, a, b1, b2, d = self.parameters
-        sample_time = self.sample_time
-        if self.x is None:
-            self.x = np.array([presumed[1], measured - sample_time * presumed[1], 0.0])
-        v, q, w = self.x
-        by_v = (b1 * (a**2 - q**2) - b2 - 2 * d * abs(v)) / m
-        by_q = (-k - 2 * b1 * q * v) / m
-        F = np.array([[1 + sample_time * by_v, sample_time * by_q, sample_time], [0, 0, 0], [0, 0, 1]])
-        F[1] = sample_time * F[0] + [0, 1, 0]
-        velocity = v + sample_time * (oscillator(self.parameters, q, v, force) + w)
-        predicted = np.array([velocity, q + sample_time * velocity, w])
-        H = np.array([[0.0, 1.0, 0.0]])
-        self.x, self.P = kalman_step(
-            self.x, self.P, np.array([measured]), predicted, F, H, predicted[1:2], self.Q, self.R
-        )
-        acceleration = oscillator(self.parameters, self.x[1], self.x[0], force) + self.x[2]
-        return np.array([self.x[1], self.x[0], acceleration])
-
-
 def closed_loop(
     device,
     transformation,
@@ -219,3 +191,24 @@ def closed_loop(
         v = v + sample_time * acceleration
         q = q + sample_time * (v if semi_implicit else before)
     return np.array(rows).T
+
+
+def loop_of_coordinates(exact, approximate, gains, nominal, noise, sample_time, answer):
+    """Fig. 1 with vectors, a low pass on every coordinate; rows of position and force of all.
+
+    `answer(desired, response)` is the next command, after what the filters say of the last one.
+    """
+    devices = [LowPass(350.0, sample_time, past=1000) for _ in noise]
+    presumed = [each[0] for each in nominal]
+    q, v, integral = np.full(len(noise), presumed[0]), np.full(len(noise), presumed[1]), np.zeros(len(noise))
+    rows = []
+    for qn, vn, an, n in zip(*nominal, noise.T, strict=True):
+        measured = q + n
+        filtered = np.array([device(z, 0.0, presumed) for device, z in zip(devices, measured, strict=True)])
+        integral = integral + sample_time * (qn - measured)
+        desired = an + gains @ [integral, qn - measured, vn - filtered[:, 1]]
+        force = approximate.force(measured, filtered[:, 1], answer(desired, filtered[:, 2]))
+        rows.append([q, force])
+        v = v + sample_time * exact.acceleration(q, v, force)
+        q = q + sample_time * v
+    return np.array(rows).transpose(1, 2, 0)
