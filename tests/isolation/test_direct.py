@@ -128,7 +128,6 @@ def test_published_size_is_54_parameters():
         (lambda: direct_run("full", *record(), 0.1, 0.9), r"^form\b"),
         (lambda: direct_run("Newton", *record(), 0.0, 0.9), r"^epsilon\b"),
         (lambda: direct_run("Newton", *record(), 0.1, 1.1), r"^forgetting\b"),
-        (lambda: direct_run("Newton", np.ones((2, 5)), np.ones((1, 4)), 0.1, 0.9), r"^disturbance\b"),
         (lambda: multiplications(0, 9), r"^actuators\b"),
     ],
 )

@@ -52,17 +52,6 @@ def test_weak_integrator_is_eq_11(order):
     np.testing.assert_allclose(got, (1 - lowpass) / S, rtol=1e-9)
 
 
-def test_weak_integrator_is_controls_tustin():
-    s = control.tf("s")
-    lowpass = (CUTOFF / (s + CUTOFF)) ** 3
-    continuous = control.minreal((1 - lowpass) / s, 1e-6, verbose=False)
-    discrete = control.c2d(continuous, SAMPLE_TIME, "tustin")
-    expected = discrete(Z)
-    np.testing.assert_allclose(
-        response(shaping.weak_integrator(3, CUTOFF, 1.0, SAMPLE_TIME)), expected, rtol=1e-4
-    )
-
-
 def test_noise_shaping_is_section_4_2():
     path = PATH
     got = response(shaping.noise_shaping(SHAPING, path, SAMPLE_TIME))

@@ -20,12 +20,9 @@ from notebooks.worstcase.comparison import (
     sample_record,
     turning_points,
 )
-from stillwork.estimation.hinfinity import smallest_level
 from stillwork.estimation.linear_fits import (
     cross_validated_penalty,
     evidence_penalty,
-    hinfinity_estimate,
-    hinfinity_model,
 )
 
 FORGETTING = 0.9
@@ -69,52 +66,6 @@ def test_every_estimate_minimises_its_own_criterion():
     mild = estimates(record(SETTINGS["noise 0.1, 0.1"]), FORGETTING)
     # one step of the iteration leaves a share f' of alpha's error, which is small for a small bound
     assert mild["approximate"] == pytest.approx(mild["min_max"], abs=1e-3)
-
-
-def gain_of(matrix, level):
-    """Largest ratio of the errors' energy to that of what is unknown, by the filter run on each unknown of its own."""
-    rows, taps = matrix.shape
-    deviation = 0.7
-    columns = []
-    for unknown in np.eye(taps + rows):
-        truth, noise = unknown[:taps] / np.sqrt(taps), deviation * unknown[taps:]
-        # the state grows as forgetting^(-t/2) while white noise does not, so neither do the outputs of the model
-        growth = FORGETTING ** (-np.arange(1, rows + 1) / 2)
-        outputs = (matrix @ truth) + noise / growth
-        errors = [truth]
-        for t in range(1, rows):
-            found = filtered(matrix[:t], outputs[:t], deviation, level)
-            errors.append(growth[t - 1] * (truth - found))
-        columns.append(np.concatenate(errors))
-    return np.linalg.norm(np.array(columns).T, 2)
-
-
-def filtered(matrix, outputs, deviation, level):
-    # information form, with plain inverses: P^-1 - level^-2 I at the start of each step, then the sample
-    taps = matrix.shape[1]
-    information, state = taps * np.eye(taps), np.zeros(taps)
-    for t, (row, output) in enumerate(zip(matrix, outputs, strict=True), 1):
-        information = FORGETTING * (information - np.eye(taps) / level**2)
-        assert np.linalg.eigvalsh(information)[0] > 0
-        information = information + np.outer(row, row) / deviation**2
-        state = state / np.sqrt(FORGETTING)
-        scaled = FORGETTING ** (-t / 2) * output
-        state = state + np.linalg.inv(information) @ row * (scaled - row @ state) / deviation**2
-    return state * FORGETTING ** (len(outputs) / 2)
-
-
-def test_hinfinity_keeps_its_level_and_nothing_keeps_less():
-    matrix = record(rows=9).matrix
-    model = hinfinity_model(matrix, 0.49, np.eye(3) / 3, FORGETTING)
-    smallest = smallest_level(model, np.eye(3), 1e-3)
-    target = np.random.default_rng(3).standard_normal(9)
-    level = 1.3 * smallest_level(model, np.eye(3), 1e-2)
-    twin = filtered(matrix, target, 0.7, level)
-    found = hinfinity_estimate(matrix, target, 0.49, 1.0, FORGETTING, margin=1.3)
-    assert found == pytest.approx(twin, abs=1e-9)
-    assert smallest / 1.001 < gain_of(matrix, level) < level
-    with pytest.raises(AssertionError):  # below the smallest level the information loses its sign
-        filtered(matrix, target, 0.7, 0.99 * smallest)
 
 
 @pytest.mark.parametrize("excitation", EXCITATIONS)
