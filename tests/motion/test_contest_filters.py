@@ -8,7 +8,6 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from contest import bench
-from contest.adaptive import DELAYS, FOLLOWING, FORGETTING
 from contest.learned import FAST, FEATURES, FILE, FORCES, HIDDEN, SLOW
 from contest.moving_horizon import HORIZON
 from contest.nominal import OwnObserver, nominal_of
@@ -369,35 +368,6 @@ def test_the_moving_horizon_minimises_hubers_loss_with_its_arrival_cost():
     wanted, squares = solved(lambda left: cp.sum(cp.huber(left, threshold))), solved(cp.sum_squares)
     # Three rounds of reweighting come this near.
     assert np.all(np.abs(found[-1] - wanted) <= 0.1 * np.abs(squares - wanted))
-
-
-@pytest.mark.slow
-def test_clipped_filters_with_delays_are_their_slow_twin_and_find_the_delay():
-    clip, force = 3.0, 30.0
-    given, record = scan(uncertainty="delay", samples=1200)
-    model, noise, _ = given
-    found, observer = run("Huber with delays", (clip, force), given, record)
-    gain, least = observer.made.data[3], np.sqrt(np.diag(noise.sensor))
-    x, sizes = np.zeros((DELAYS, 4)), np.tile(least, (DELAYS, 1))
-    scores, past, wanted = np.zeros(DELAYS), [np.zeros(1)] * DELAYS, []
-    for u, y in zip(record.inputs, record.measurements, strict=True):
-        past = [u, *past[:-1]]
-        ends = []
-        for d in range(DELAYS):
-            x[d] = model.a @ x[d] + model.b @ past[d]
-            off = y - model.c @ x[d]
-            share = np.minimum(np.abs(off) / sizes[d], clip)
-            x[d] += gain @ (np.sign(off) * share * sizes[d])
-            scores[d] = FORGETTING * scores[d] + np.sum(np.log(sizes[d]) + share**2 / 2)
-            sizes[d] = np.maximum(sizes[d] * np.exp(FOLLOWING * (share - 0.8)), least)
-            end = x[d]
-            for later in reversed(past[:d]):
-                end = model.a @ end + model.b @ later
-            ends.append(end)
-        weights = np.exp(scores.min() - scores)
-        wanted.append(weights @ np.array(ends) / weights.sum())
-    assert_close(found, np.array(wanted), 1e-6)
-    assert weights.argmax() == 1
 
 
 @pytest.mark.slow

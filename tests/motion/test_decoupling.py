@@ -358,7 +358,6 @@ def test_mode_that_is_kept_out_has_a_tail_only():
         (lambda: decouple(PLANT).apply(published_beam(3)), r"^model\b.*\b3\b.*\b2\b"),
         (lambda: decoupled_plant(PLANT, decouple(PLANT), np.zeros((3, 10))), r"^gain\b"),
         (lambda: decoupled_plant(PLANT, decouple(PLANT), np.zeros((2, 12))), r"^gain\b.*\b12\b.*\b10\b"),
-        (lambda: constrained_damping(PLANT, [0.05, 0.05]), "increase"),
         (lambda: constrained_stiffness(PLANT, -1.0), "factor"),
         (lambda: constrained_damping(PLANT.modes([0, 1]), 0.1), r"^model\b.*flexible"),
         (lambda: band_passed(PLANT, damping_gain(PLANT, 0.1), 0.0), "selectivity"),

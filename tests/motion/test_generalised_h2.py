@@ -87,24 +87,6 @@ def test_gramians_are_the_covariances_of_the_riccati_recursion():
         np.testing.assert_allclose(found.gramians[k + 1], p, rtol=1e-10, atol=1e-12)
 
 
-def test_semidefinite_program_finds_the_same_gain():
-    """One step of Lemma 5.5.2 by a convex solver: the least P(k+1) over all gains."""
-    import cvxpy as cp
-
-    _, (a, g, c, q, r) = problem(7, samples=3)
-    gains = predictor_gains(a, g, c, q, r)
-    p = generalised_h2_norm(error_system(a, g, c, q, r, gains)).gramians[2]
-    gain = cp.Variable((3, 1))
-    following = cp.Variable((3, 3), symmetric=True)
-    rows = cp.hstack(
-        [(a - gain @ c[2]) @ np.linalg.cholesky(p), g @ np.linalg.cholesky(q), -gain * np.sqrt(r[0, 0])]
-    )
-    size = rows.shape[1]
-    whole = cp.bmat([[following, rows], [rows.T, np.eye(size)]])
-    cp.Problem(cp.Minimize(cp.trace(following)), [whole >> 0]).solve(solver=cp.CLARABEL)
-    np.testing.assert_allclose(gain.value, gains[2], rtol=1e-3, atol=1e-4)
-
-
 def test_bad_input_is_named():
     growing = ErrorSystem(np.full((400, 1, 1), 1e3), np.ones((400, 1, 1)))
     with pytest.raises(InputError, match="gains"):

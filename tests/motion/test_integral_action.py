@@ -6,14 +6,11 @@ import pytest
 from experiments.motion.designs import DESIGNS, RETAINED, stage_compensator, stage_observer
 from experiments.motion.loop_conditions import (
     keeps_integral_action,
-    required_integrators,
-    slope,
     small_gain,
     without_compliance,
 )
 from experiments.motion.machines import stage, stage_mass
 from stillwork.control.applications import Application, compensator
-from stillwork.control.bandwidth import make_loop
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
 
@@ -48,19 +45,6 @@ def test_a_constant_force_leaves_an_error_only_where_the_integrator_is_lost():
             force.frequency_response([30.0])[0, 0, 0]
         )
         assert (gain < 1e-5) == expected, name
-
-
-@pytest.mark.parametrize(("name", "expected"), [("PID", 3), ("MC", 3), ("AD", 3)])
-def test_slope_of_the_output_sensitivity(name, expected):
-    omega = 2 * np.pi * np.geomspace(1e-4, 1e-3, 8)
-    loop = make_loop(PLANT, stage_compensator(5, DESIGNS[name]))
-    assert slope(omega, loop.at(CONTROLLER, omega).output_sensitivity) == pytest.approx(expected, abs=0.01)
-
-
-def test_integrators_of_theorem_3_2_1():
-    assert required_integrators() == 1  # a step in w needs one
-    assert required_integrators(disturbance=2) == 2
-    assert required_integrators(reference=4, plant=2) == 2
 
 
 def test_small_gain_loop_is_the_whole_loop_opened_at_the_unknown_modes():

@@ -26,13 +26,10 @@ from contest.noise_map import (
     PUBLICS,
     SEEDS,
     SIZES,
-    ahead_of,
-    crossings,
     flexible_errors,
     leads,
     map_variants,
     stored_map,
-    turning,
 )
 from contest.nominal import OwnObserver, nominal_of
 from contest.plants import PLANTS, plant_of
@@ -51,7 +48,7 @@ from contest.ranking import (
 from contest.record import record_standings
 from contest.runner import can_isolate
 from contest.scores import ENTRANTS, ORACLE, Scan, opened, recorded, scores_of, truth_of
-from contest.table import FILE, as_markdown, digest_of, joined, run_contest, tabulated
+from contest.table import FILE, as_markdown, digest_of, joined, run_contest
 from contest.tuning import TUNINGS, scans_of, settings_for
 from contest.uncertainties import UNCERTAINTIES, hidden_seed, sample_truth
 from stillwork.base.checks import InputError
@@ -551,12 +548,6 @@ def test_the_committed_table_is_of_this_code():
             assert scores_of(name, None, scan, knobs)[score] == pytest.approx(row[name], rel=2e-3), name
 
 
-def test_tabulated_numbers_have_four_digits():
-    scan = Scan("estimate", "drive", "none", "1", 0)
-    row = tabulated([tables.Scored("zero", scan, "flexible", 0.123456)]).iloc[0]
-    assert row["zero"] == 0.1235 and row["public"] == "1"
-
-
 def test_the_committed_map_holds_every_cell_and_seed():
     rows = pd.read_csv(MAP)
     assert list(rows.columns) == ["public", "size", "noise", "seed", *MAPPED]
@@ -593,27 +584,6 @@ def test_a_lead_is_over_the_same_scans():
     # Student's t with two degrees of freedom: 4.30265 deviations of 0.1 over the root of three.
     assert (found["high"] - found["lead"]).to_numpy() == pytest.approx(0.248414, rel=1e-5)
     assert (found["lead"] - found["low"]).to_numpy() == pytest.approx(0.248414, rel=1e-5)
-
-
-def test_where_a_lead_begins_is_interpolated_in_the_logarithm_of_the_noise():
-    noises = [1.0, 10.0, 100.0, 1000.0]
-    assert turning(noises, [-1, 3, 1, 1]) == pytest.approx(10**0.25)
-    assert turning(noises, [-1, 3, -1, 1]) == pytest.approx(10**2.5)  # from there on it stays
-    assert turning(noises, [1, 2, 3, 4]) == 0.0
-    assert turning(noises, [1, 2, 3, -4]) == np.inf
-
-
-def test_the_line_of_a_map_moves_with_the_tuning():
-    """Seeds of one tuning cross at another noise than those of the other: the interval holds both."""
-    cells = [(size, noise, seed) for size in SIZES for noise in NOISES for seed in range(SEEDS)]
-    errors = pd.DataFrame(cells, columns=["size", "noise", "seed"])
-    errors["one"] = 0.0
-    errors["other"] = np.log10(errors["noise"] / np.where(errors["seed"] % TUNINGS == 0, 5, 50))
-    line = crossings(errors, ahead_of("one", "other"))
-    assert line["low"].to_numpy() == pytest.approx(5, rel=0.05)
-    assert line["high"].to_numpy() == pytest.approx(50, rel=0.05)
-    assert (line["crosses"] == 1).all()
-    assert np.isinf(crossings(errors, ahead_of("other", "one"))["noise"]).all()
 
 
 def test_a_seed_is_the_same_machine_in_every_cell_of_the_map_whoever_else_runs():

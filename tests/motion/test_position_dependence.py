@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from scipy import integrate
 
 from experiments.motion.designs import (
     DAMPING,
@@ -20,13 +19,8 @@ from experiments.motion.position_dependence import (
     place_loops,
     stage_grid,
 )
-from experiments.motion.scan_study import output_rows
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.observer import NoiseIntensities
-from stillwork.estimation.robust import kalman_gains
-from stillwork.estimation.time_varying import TimeVaryingModel
-from stillwork.lti import zoh
 
 GRID = stage_grid()
 SAMPLE_TIME = 1e-4
@@ -98,44 +92,6 @@ def test_a_table_errs_with_the_square_of_its_spacing(plant):
         for n in (11, 21)
     ]
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.25)
-
-
-@pytest.mark.slow
-def test_online_filter_follows_the_continuous_riccati_equation(plant):
-    model, noise, sample_time = plant.modes([0, 1]), NoiseIntensities(1e-4, 2e-16), 2e-5
-    places = move(0.05, 0.0, 1.0, 0.006, 0.0, sample_time)
-    states = model.state_space()
-    rows = output_rows(shapes_along(model, GRID, places))
-    start = np.diag([1e-16, 1e-11, 1e-16, 1e-11])
-    sampled = zoh(states, sample_time)
-    filters = kalman_gains(
-        TimeVaryingModel(
-            sampled.a,
-            sampled.b,
-            sampled.b,
-            rows,
-            [[noise.process / sample_time]],
-            [[noise.sensor / sample_time]],
-            start,
-        )
-    )
-    scale = np.sqrt(np.diag(start))
-    a, g = states.a * scale[None, :] / scale[:, None], states.b / scale[:, None]
-
-    def riccati(t, flat):
-        p = flat.reshape(4, 4)
-        c = output_rows(shapes_along(model, GRID, [0.05 + t]))[0] * scale
-        return (a @ p + p @ a.T + g @ g.T * noise.process - p @ c.T @ c @ p / noise.sensor).ravel()
-
-    end = (len(places) - 1) * sample_time
-    solved = integrate.solve_ivp(riccati, (0, end), np.eye(4).ravel(), rtol=1e-6, atol=1e-8)
-    wanted = solved.y[:, -1].reshape(4, 4) * scale[:, None] * scale
-    predicted = (
-        sampled.a @ filters.covariance[-2] @ sampled.a.T
-        + sampled.b @ sampled.b.T * noise.process / sample_time
-    )
-    found = (filters.covariance[-1] + predicted) / 2  # before and after the last update
-    np.testing.assert_allclose(np.diag(found), np.diag(wanted), rtol=0.03)
 
 
 def test_standing_on_a_node_loses_the_mode_and_passing_it_faster_loses_less(plant):

@@ -204,43 +204,6 @@ def test_many_runs_are_the_single_runs():
         np.testing.assert_array_equal(together[run], estimate(gains, u[run], y[run]))
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        ({"a": np.zeros((1, 2, 2))}, "derivatives.a"),
-        ({"b": np.zeros((2, 3, 2))}, "derivatives.b"),
-        ({"g": np.zeros((1, 3, 5))}, "derivatives.g"),
-        ({"c": np.zeros((2, 4, 2, 3))}, "derivatives.c"),
-    ],
-)
-def test_derivatives_of_the_wrong_shape_are_named(change, named):
-    _, model, _, _ = problem(1)
-    good = {
-        "a": np.zeros((1, 3, 3)),
-        "b": np.zeros((1, 3, 2)),
-        "g": np.zeros((1, 3, 2)),
-        "c": np.zeros((2, 1, 2, 3)),
-    }
-    with pytest.raises(InputError, match=named):
-        sensitivity_gains(model, Derivatives(**{**good, **change}), 0.5)
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        ({"m": np.zeros((3, 1))}, "bound.m"),
-        ({"e_a": np.zeros((1, 4))}, "bound.e_a"),
-        ({"e_b": np.zeros((2, 2))}, "bound.e_b"),
-        ({"e_g": np.zeros(2)}, "bound.e_g"),
-    ],
-)
-def test_bounds_of_the_wrong_shape_are_named(change, named):
-    _, model, _, _ = problem(1)
-    good = {"m": np.ones((2, 1)), "e_a": np.ones((1, 3)), "e_b": np.ones((1, 2)), "e_g": np.ones((1, 2))}
-    with pytest.raises(InputError, match=named):
-        regularised_gains(model, NormBound(**{**good, **change}))
-
-
 def test_margin_at_the_limit_is_refused():
     rng, model, _, _ = problem(1)
     with pytest.raises(InputError, match="margin"):

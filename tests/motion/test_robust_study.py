@@ -6,13 +6,11 @@ import pytest
 from experiments.motion.machines import stage
 from experiments.motion.scan_study import (
     filter_model,
-    judge,
     published_scan,
     record_scans,
 )
 from experiments.motion.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from naive import motion_filters as naive
-from notebooks.motion import robust_comparison as contests
 from notebooks.motion.robust_comparison import output_errors
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
@@ -165,26 +163,6 @@ def test_hinfinity_filter_below_the_smallest_level_is_refused():
     model, _, _ = small_model()
     with pytest.raises(InputError, match="level"):
         hinfinity_gains(model, np.eye(3), 0.9 * smallest_level(model, np.eye(3)))
-
-
-def test_tuning_takes_the_setting_of_least_error_and_judges_on_other_plants(scan):
-    """Every filter's errors again, from its estimates and the judge of Fig. 5.10."""
-    told, rng = contests.prepare(scan, 0.05, rigid=False), np.random.default_rng(4)
-    tried = contests.candidates(told, 3)
-    found = contests.order_trial(rng, told, tried, "uniform", False, 3, 4)
-    again = np.random.default_rng(4)
-    tuning, judged = (contests.sample_scans(scan, count, again, 0.05, "uniform", False) for count in (3, 4))
-    for name, (settings, _) in tried.items():
-        costs = [
-            np.median(judge(scan, tuning, contests.run_entrant(name, told, float(s), tuning)).flexible())
-            for s in settings
-        ]
-        best = float(settings[np.argmin(costs)])
-        errors = judge(scan, judged, contests.run_entrant(name, told, best, judged))
-        assert found[f"{name}: setting"] == best
-        assert found[name][0] == pytest.approx(np.median(errors.flexible()), rel=1e-9)
-        first = np.sqrt(np.mean((errors.rms[:, 2:4] / errors.size[:, 2:4]) ** 2, axis=1))
-        assert found[name][1] == pytest.approx(np.median(first), rel=1e-9)
 
 
 def test_the_pseudo_inverse_is_the_shortest_error_that_explains_the_output(scan):
