@@ -13,7 +13,6 @@ from notebooks.isolation.efficient_update import (
     multiplications,
 )
 from stillwork.base import algebra
-from stillwork.base.checks import InputError
 from stillwork.estimation import adaptive, covariance_forms
 
 
@@ -120,17 +119,3 @@ def test_published_size_is_54_parameters():
     counts = multiplications(6, 9)
     assert counts["full inverse"] > 54**3
     assert counts["recursion"] < 300
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: direct_run("full", *record(), 0.1, 0.9), r"^form\b"),
-        (lambda: direct_run("Newton", *record(), 0.0, 0.9), r"^epsilon\b"),
-        (lambda: direct_run("Newton", *record(), 0.1, 1.1), r"^forgetting\b"),
-        (lambda: multiplications(0, 9), r"^actuators\b"),
-    ],
-)
-def test_bad_input_is_refused(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -157,10 +157,6 @@ def test_closed_loop_with_each_cure_is_its_naive_twin(cure):
         assert np.abs(run.growth - free.growth).max() > 0.1
 
 
-def still_loop(samples):
-    return smallest_loop([(np.zeros((1, samples)), np.ones(2))], np.ones((1, 6)), np.ones((1, 6)))
-
-
 @pytest.mark.slow
 def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
     # A tenth of the published time constant: ten times the gain, so that a short silence is enough.
@@ -180,21 +176,3 @@ def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
         simulate_together(twin, stages, seeds=[1, 2], adaptations={"": None}, to_the_break=True)
     kept = simulate(twin, stages, adaptation=FeRls(start, forgetting), **options)
     assert kept.broke_s is None and peak_error(kept, 14.0) < 3
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: covariance_run("triangel", np.ones((2, 50)), 0.9, np.eye(2), 2), r"^form\b"),
-        (lambda: covariance_run("triangle", np.ones((2, 50)), 1.0, np.eye(2), 2), r"^forgetting\b"),
-        (lambda: covariance_run("triangle", np.ones((2, 1)), 0.9, np.eye(2), 2), r"^regressors\b"),
-        (lambda: covariance_run("triangle", np.ones((2, 50)), 0.9, np.eye(2), 2, "float16"), r"^precision\b"),
-        (
-            lambda: run_cure("leak", still_loop(10), np.ones(2), 0.9),
-            r"^cure\b",
-        ),
-    ],
-)
-def test_bad_input_is_refused(call, message):
-    with pytest.raises(InputError, match=message):
-        call()
