@@ -24,6 +24,7 @@ from workbook.claims import Claim, Entry, Tolerance, ledger
 from workbook.headlines import summary_of
 from workbook.notebooks import select
 from workbook.publish import replace_folder
+from workbook.report import column
 from workbook.site import reference
 from workbook.site.build import site_files
 from workbook.site.links import broken_links
@@ -180,6 +181,12 @@ def test_the_front_page_shows_each_work_by_its_picture_and_what_came_out(files):
         assert not paper["hero"] or f"thumbnails/{paper['hero']}.webp" in pictures
         assert paper["by"] in text
         assert paper["builder"] in text
+
+
+def test_every_count_of_the_front_page_leads_to_its_rows(files):
+    links = {unquote(each["href"]) for each in elements(files["index.html"]).of("a")}
+    wanted = {f"ledger.html?topic={claim.entry.topic}&counted={column(claim)}" for claim in ledger()}
+    assert {each for each in links if "counted=" in each} == wanted
 
 
 def test_what_came_out_is_a_sentence_that_the_combinations_end(files):
