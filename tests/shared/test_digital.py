@@ -166,6 +166,19 @@ def test_a_table_gives_a_controller(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        *(("hello", r"^a\.json\b"), ("[1]", r"^a\.json\b"), ("{}", r"^a\.json: 'format'")),
+        ('{"format": "x"}', r"^a\.json: format\b"),
+    ],
+)
+def test_files_that_hold_no_controller_say_why(tmp_path, text, message):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_controller(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"state_space": {"a": [[1]], "b": [[1]], "c": [[1]]}}, r"^a\.json: state_space: 'd'"),
