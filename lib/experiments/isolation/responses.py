@@ -1,5 +1,7 @@
 """Exact frequency responses of a twin as it is simulated, and the same paths as `control` objects."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import signal
@@ -53,7 +55,16 @@ def responses(twin: Twin, frequencies_hz: ArrayLike, feedback: bool = True) -> R
 
 
 def _of_sections(sections: np.ndarray, f: np.ndarray, rate: float) -> np.ndarray:
-    return signal.freqz_sos(sections, f, fs=rate)[1]
+    return _kept(np.ascontiguousarray(sections, float).tobytes(), f.tobytes(), rate)
+
+
+@lru_cache(maxsize=64)  # several questions about one floor ask for the same filters, half of their time
+def _kept(sections: bytes, frequencies_hz: bytes, rate: float) -> np.ndarray:
+    found = signal.freqz_sos(np.frombuffer(sections).reshape(-1, 6), np.frombuffer(frequencies_hz), fs=rate)[
+        1
+    ]
+    found.flags.writeable = False
+    return found
 
 
 def series(sections: np.ndarray, sample_time: float):
