@@ -117,6 +117,17 @@ def test_silence_winds_every_form_up(form):
     np.testing.assert_allclose(run.largest, FORGETTING ** (-run.time_constants / (1 - FORGETTING)), rtol=1e-6)
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_what_an_explorer_watches_is_that_of_the_whole_run(form):
+    whole, lean = (
+        covariance_run(form, regressors(), FORGETTING, np.eye(5), 60, "float32", against_exact=each)
+        for each in (True, False)
+    )
+    np.testing.assert_array_equal(lean.asymmetry, whole.asymmetry)
+    np.testing.assert_array_equal(lean.largest, whole.largest)
+    assert lean.breakdown == whole.breakdown
+
+
 def test_one_motion_breaks_the_triangle_in_float32_and_not_the_factors():
     psi = shared_motion(1e9, 2000, 0)
     found = runs_from_diagonal(psi, FORGETTING, ("triangle", "UD"), 30)
