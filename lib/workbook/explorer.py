@@ -98,6 +98,7 @@ class Slider:
         kind = widgets.FloatSlider
         if self.whole:
             kind, step = widgets.IntSlider, max(1, round(step))
+            step = next(each for each in range(step, 0, -1) if (self.start - self.low) % each == 0)
         else:
             step = _through(self.start - self.low, step)
         return kind(value=self.start, min=self.low, max=self.high, step=step, **shared)

@@ -131,6 +131,11 @@ def test_each_control_shows_its_name_unit_start_and_basis():
     assert (controls["rate"].min, controls["rate"].max) == (0, 4)
 
 
+def test_a_whole_slider_stands_on_a_step_at_its_start():
+    assert Slider(2, 200, start=20).widget("averages").step == 3  # of 4 no number leads from 2 to 20
+    assert Slider(4, 60, start=20, step=2).widget("period").step == 2
+
+
 def test_a_fractional_setting_gets_a_fractional_slider():
     assert isinstance(Slider(0, 1, start=0.5).widget("x"), ipywidgets.FloatSlider)
     assert Slider(0, 1, start=0.5).widget("x").step == pytest.approx(0.02)
