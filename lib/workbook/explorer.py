@@ -193,7 +193,7 @@ class Redraw:
     def __init__(self, draw: Callable):
         self._draw = draw
         self._renderer = None
-        self._places = []
+        self._places = {}  # of the panels, by how many there are
 
     def __call__(self, **settings) -> bytes:
         """The picture for ``draw(**settings)``, as PNG."""
@@ -202,9 +202,9 @@ class Redraw:
 
     def _picture(self, settings) -> bytes:
         figure = self._draw(**settings)
-        if len(figure.axes) == len(self._places):
+        if places := self._places.get(len(figure.axes)):
             figure.set_layout_engine("none")
-            for axes, place in zip(figure.axes, self._places, strict=True):
+            for axes, place in zip(figure.axes, places, strict=True):
                 axes.set_position(place)
             self._render(figure)
             if self._complete(figure):
@@ -213,7 +213,7 @@ class Redraw:
         if (engine := figure.get_layout_engine()) is not None:
             engine.set(w_pad=0.08, h_pad=0.06)  # inches: room for tick labels to grow
         self._render(figure)
-        self._places = [axes.get_position(original=True) for axes in figure.axes]
+        self._places[len(figure.axes)] = [axes.get_position(original=True) for axes in figure.axes]
         return self._png()
 
     def _render(self, figure) -> None:
