@@ -106,7 +106,7 @@ def robust_study(control_rate: float, *, seed: int, lean: bool = False) -> dict[
 
 
 def paint_box(size: float):
-    """Error of each design at each place, on three floors; crosses above: unstable places."""
+    """Error of each design at each place, on three floors; numbers above: unstable places."""
     shown = ("VC-A", "VC-C", "LIGO ground")
     figure, axes = figures.new(1, len(shown), height=3.0)
     for panel, name in zip(axes, shown, strict=True):
@@ -124,7 +124,11 @@ def paint_box(size: float):
                 fontsize=7,
             )
         panel.set_xticks(range(len(DESIGNS)), DESIGNS, fontsize=7)
-        panel.set(title=name, xlabel="use of the observer", xlim=(-0.5, len(DESIGNS) - 0.5))
+        panel.set(
+            title=name,
+            xlabel="use of the observer\n(above: unstable places)",
+            xlim=(-0.5, len(DESIGNS) - 0.5),
+        )
         panel.margins(y=0.25)
     figures.label(axes, y="error, rms (nm)")
     return figure

@@ -524,7 +524,7 @@ def scatter_ratio(above: np.ndarray, below: np.ndarray) -> tuple[float, tuple[fl
 
 
 def paint_trade_off(curves: Mapping[str, np.ndarray]):
-    """Settling time over scatter, both logarithmic; each curve's printed setting is filled."""
+    """Settling time over scatter, both logarithmic, each point with its step size or memory."""
     figure, axes = figures.new(1, 1, height=3.4)
     looks = (
         (figures.GREEN, "s--"),
@@ -537,7 +537,8 @@ def paint_trade_off(curves: Mapping[str, np.ndarray]):
         units, steps = ("μ", STEPS) if name == "FeLMS" else ("s", MEMORIES_S)
         for x, y, step in zip(scatter, times, steps, strict=True):
             text = f"{step:.2g}" if units == "μ" else f"{step:g} s"
-            style = {"xytext": (4, 4), "textcoords": "offset points", "fontsize": 7, "color": color}
+            place = {"xytext": (-4, -10), "ha": "right"} if marker == "o-" else {"xytext": (4, 4)}
+            style = {"textcoords": "offset points", "fontsize": 7, "color": color} | place
             axes.annotate(text, (x, y), **style)
     axes.axvline(1.0, color=figures.GREY, lw=0.8)
     axes.set(xlabel="variance over that of FeLMS as printed", ylabel="settling time of w4 to w9 (s)")

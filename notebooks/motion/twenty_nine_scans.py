@@ -337,8 +337,11 @@ def paint_rms_along(study: LocationStudy, cases: Sequence[str]):
     """Rms error in the scan over the place; dashed with a redesigned controller."""
     figure, axis = figures.new(1, 1, height=3.2)
     styles = case_styles(cases)
+    styles["AD"] = styles.get("AD", {}) | {"linewidth": 3.5}  # MC and AD lies on it
     for case in cases:
-        axis.semilogy(study.places, 1e9 * study.rms(case), label=case, linewidth=1.2, **styles.get(case, {}))
+        axis.semilogy(
+            study.places, 1e9 * study.rms(case), label=case, **{"linewidth": 1.2} | styles.get(case, {})
+        )
     axis.set(xlabel="place of the sensor (m)", ylabel="rms error in the scan (nm)")
     plain_numbers(axis.yaxis)
     axis.legend(ncols=3, fontsize=7, loc="upper center")

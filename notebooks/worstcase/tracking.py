@@ -104,6 +104,7 @@ def paint_win_map(
     figure, axes = figures.new(height=3.8)
     mesh = axes.pcolormesh(noises, bounds, np.log2(ratios), cmap="RdBu_r", vmin=-2, vmax=2, shading="nearest")
     axes.contour(noises, bounds, np.log2(ratios), levels=[0.0], colors=figures.BLACK, linewidths=1.0)
+    axes.plot([], [], color=figures.BLACK, linewidth=1.0, label="equal to RLS")
     figures.mark_published(axes, *zip(*published, strict=True), label="settings of Fig. 2 (noise assumed)")
     axes.set(xscale="log", yscale="log", xlabel="standard deviation of the output noise (unit of b)")
     axes.set(ylabel="bound η (unit of the regressors)")
