@@ -100,7 +100,7 @@ def statements(rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0) ->
     }
 
 
-def robust_study(control_rate: float, *, seed: int, lean: bool = False) -> dict[str, float]:
+def robust_study(control_rate: float, *, seed: int) -> dict[str, float]:
     """The statements at another rate, elsewhere in the box."""
     return statements(control_rate, PLACES, seed)
 

@@ -72,7 +72,6 @@ def waterfall_study(
     measured_mass: int,
     *,
     seed: int = 0,
-    lean: bool = False,
 ) -> dict[str, float]:
     """Whether each statement holds at one combination."""
     assumed = Assumed(frame, struts_damping, assumed_noise, feedforward_decibels)
@@ -164,9 +163,7 @@ def moving_statements(errors: dict[str, np.ndarray], rest: np.ndarray) -> dict[s
     }
 
 
-def moving_study(
-    frame: float, stroke_time: float, mass_share: float, *, seed: int = 0, lean: bool = False
-) -> dict[str, float]:
+def moving_study(frame: float, stroke_time: float, mass_share: float, *, seed: int = 0) -> dict[str, float]:
     """The statements on a moving machine with another frame, setpoint and feedforward."""
     period = there_and_back(0.02, stroke_time, 0.1)
     try:

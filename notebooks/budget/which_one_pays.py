@@ -100,7 +100,7 @@ def map_statements(assumed: Assumed = AS_FILED, advantage: float = ADVANTAGE) ->
     }
 
 
-def map_study(frame: float, advantage: float, *, seed: int = 0, lean: bool = False) -> dict[str, float]:
+def map_study(frame: float, advantage: float, *, seed: int = 0) -> dict[str, float]:
     """The map's statements with another frame and least advantage."""
     return map_statements(Assumed(frame=frame), advantage)
 
@@ -246,7 +246,7 @@ def tuning_statements(study: dict[tuple[str, float], list[Tuning]]) -> dict[str,
     }
 
 
-def tuning_choices(memory: float, *, seed: int, lean: bool = False) -> dict[str, float]:
+def tuning_choices(memory: float, *, seed: int) -> dict[str, float]:
     """The statements on who tunes, with memories of other lengths and other draws."""
     return tuning_statements(tuning_study(TUNED, range(seed, seed + 4), RECORD_S, memory))
 
@@ -403,9 +403,7 @@ def velocity_statements(
     }
 
 
-def velocity_choices(
-    velocity_rate: float, velocity_delay: float, *, seed: int = 0, lean: bool = False
-) -> dict[str, float]:
+def velocity_choices(velocity_rate: float, velocity_delay: float, *, seed: int = 0) -> dict[str, float]:
     """The statements on the velocity at another rate and delay."""
     return velocity_statements(BANDWIDTHS_HZ, 1 / velocity_rate, velocity_delay)
 

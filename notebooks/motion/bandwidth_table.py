@@ -184,7 +184,6 @@ def bandwidths(
     stage_damping: float,
     printed_hertz: str,
     seed: int,
-    lean: bool,
 ) -> Values:
     """Bandwidths of chapter 3 at one mass, each with what its print may leave off; it has no fast variant.
 

@@ -31,6 +31,6 @@ def stiffness_values(alone: float, reached: list[float]) -> Values:
     return {"motion.conclusion-3-4.stiffness-bandwidth": float(np.mean(np.array(reached) <= 1.1 * alone))}
 
 
-def stiffness(*, stage_damping: float, six: str, seed: int, lean: bool) -> Values:
+def stiffness(*, stage_damping: float, six: str, seed: int) -> Values:
     """The same for another stage or limit; it has no fast variant."""
     return stiffness_values(*stiff_bandwidths(SELECTIVITY, damping_ratio=stage_damping, limit=SIX[six]))

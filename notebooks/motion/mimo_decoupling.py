@@ -93,7 +93,7 @@ def moving_values(moved: Moved, seen: Seen, increase: float) -> Values:
     }
 
 
-def moving(*, second_actuator: float, beam_taper: float, seed: int, lean: bool) -> Values:
+def moving(*, second_actuator: float, beam_taper: float, seed: int) -> Values:
     """The same on another beam; it has no fast variant."""
     places, settings = ((ACTUATORS[0], second_actuator), SENSORS), published_settings()
     moved = move_actuators(*places, settings, TRAVEL, beam_taper)

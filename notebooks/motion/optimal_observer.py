@@ -385,9 +385,7 @@ def aspect_values(costs: np.ndarray) -> Values:
     }
 
 
-def optimum(
-    *, reference_size: float, measured_mass: int, regularisation_size: float, seed: int, lean: bool
-) -> Values:
+def optimum(*, reference_size: float, measured_mass: int, regularisation_size: float, seed: int) -> Values:
     """The same for another mass, scale or regularisation; it has no fast variant."""
     problem = published_problem(measured_mass, reference_size)
     generalised, kalman = problem.generalised(), kalman_block(problem)
@@ -406,7 +404,7 @@ def optimum(
     )
 
 
-def front_study(*, bandwidth_measure: str, bandwidth_plant: str, seed: int, lean: bool) -> Values:
+def front_study(*, bandwidth_measure: str, bandwidth_plant: str, seed: int) -> Values:
     """Conclusion 5.3 by one measure of bandwidth on one plant; it has no fast variant."""
     problem, generalised, kalman, weight = _compared()
     points = front(generalised, weight, np.array(EMPHASES), *regularisation(problem, 0.01))

@@ -157,7 +157,7 @@ def positions_apart(plants: ArrayLike, omega: np.ndarray) -> Bool[np.ndarray, "p
     return np.array([np.abs(level[i] - level[j]).max(axis=-1) for i, j in pairs]) > 3
 
 
-def positions(*, plate_aspect: float, rig_sensors: float, seed: int, lean: bool) -> Values:
+def positions(*, plate_aspect: float, rig_sensors: float, seed: int) -> Values:
     """How many of them, on another plate; it has no fast variant."""
     base = assumed_geometry()
     geometry = replace(base, width=plate_aspect * base.length, sensors=(rig_sensors, base.sensors[1]))

@@ -95,7 +95,6 @@ def rig_tables(
     rig_noise_floor: float,
     rig_feedforward: str,
     seed: int,
-    lean: bool,
 ) -> Values:
     """Bandwidths of Table 6.2 and ratios of Tables 6.3 and 6.4 over geometries; it has no fast variant.
 

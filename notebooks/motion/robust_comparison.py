@@ -591,7 +591,6 @@ def estimation(
     rigid_body_errs: bool,
     estimation_sample_time: float,
     seed: int,
-    lean: bool,
 ) -> Values:
     """Statements about Fig. 5.10, as fractions of 100 plants; it has no fast variant."""
     case = estimation_sample_time, rigid_body_errs, error_law, seed
@@ -605,7 +604,6 @@ def drawn(
     rigid_body_errs: bool,
     estimation_sample_time: float,
     seed: int,
-    lean: bool,
 ) -> Values:
     """The plotted scan of Fig. 5.10; it has no fast variant."""
     case = estimation_sample_time, rigid_body_errs, error_law, seed
@@ -643,9 +641,7 @@ def near_limit(search: LineSearch) -> Values:
     return {"motion.section-5-3-2.lambda-near-limit": float(np.mean(search.ratio[1:] <= 2))}
 
 
-def outputs(
-    *, error_law: str, rigid_body_errs: bool, estimation_sample_time: float, seed: int, lean: bool
-) -> Values:
+def outputs(*, error_law: str, rigid_body_errs: bool, estimation_sample_time: float, seed: int) -> Values:
     """Sections 5.3.2 (rigid body exact) and 5.4.3 under one law of the errors; it has no fast variant."""
     scan = published_scan(sample_time=estimation_sample_time)
     contest, calm = prepare(scan, 0.05, rigid_body_errs), prepare(scan, 0.05, False)
@@ -659,7 +655,7 @@ def outputs(
     return output_values(off, exact) | near_limit(search)
 
 
-def order(*, error_law: str, rigid_body_errs: bool, seed: int, lean: bool) -> Values:
+def order(*, error_law: str, rigid_body_errs: bool, seed: int) -> Values:
     """Conclusion 5.4 under one law of the errors, from `ORDERS`; it has no fast variant."""
     return order_values(stored_orders()[error_law, rigid_body_errs])
 

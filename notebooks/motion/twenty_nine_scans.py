@@ -407,7 +407,6 @@ def locations(
     gains_in: str,
     location_sample_time: float,
     seed: int,
-    lean: bool,
 ) -> Values:
     """Table 4.1 (nm), one draw of the noise and its spread over ranges of the places; it has no fast variant."""
     study = read_table(
@@ -438,7 +437,6 @@ def location_sentences(
     gains_in: str,
     location_sample_time: float,
     seed: int,
-    lean: bool,
 ) -> Values:
     """What the text says of Table 4.1 and Fig. 4.9, and Conclusion 2.2 at these places; it has no fast variant."""
     force = _table_force(gains_from == "noisy move", FIT_LOOPS[gains_in], location_sample_time, seed)
@@ -477,7 +475,6 @@ def bounded_energy(
     gains_in: str,
     location_sample_time: float,
     seed: int,
-    lean: bool,
 ) -> Values:
     """Conclusion 5.7 on the scans of Table 4.1; it has no fast variant."""
     case = location_masses, gains_from == "noisy move", FIT_LOOPS[gains_in], location_sample_time, seed

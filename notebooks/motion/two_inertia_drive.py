@@ -199,7 +199,7 @@ def paint_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
 
 
 def drive_figure(
-    *, stiffness_error: float, drive_damping: float, drive_weights: str, seed: int, lean: bool
+    *, stiffness_error: float, drive_damping: float, drive_weights: str, seed: int
 ) -> dict[str, float]:
     """What Fig. 3.36 shows, from exact responses between 5 and 30 Hz; it has no fast variant.
 
