@@ -67,14 +67,15 @@ def from_snap(
     rows, state = [], np.zeros(4)
     for snap, count in zip(segments, counts, strict=True):
         t = np.arange(count + 1) * sample_time
-        whole = np.array([*_integrated(t, *state, snap), np.full(count + 1, snap)])
+        whole = np.array([*_integrated(t, state, snap), np.full(count + 1, snap)])
         rows.append(whole[:, :-1])
         state = whole[:4, -1]
     return np.hstack([*rows, np.append(state, 0.0)[:, None]])
 
 
-def _integrated(t, p, v, a, j, s) -> tuple:
-    """Position, velocity, acceleration and jerk a time t after these, while the snap stays s."""
+def _integrated(t, state, s) -> tuple:
+    """Position, velocity, acceleration and jerk a time t after they were `state`, while the snap stays s."""
+    p, v, a, j = state
     return (
         p + t * (v + t * (a / 2 + t * (j / 6 + t * s / 24))),
         v + t * (a + t * (j / 2 + t * s / 6)),
@@ -252,7 +253,7 @@ class Move:
         u = np.where(back, self.duration - t, t)
         places = np.clip(np.searchsorted(self.knots[:, 0], u, side="right") - 1, 0, 7)
         begin, *start, snap = self.knots[places].T
-        p, v, a, j = _integrated(u - begin, *start, snap)
+        p, v, a, j = _integrated(u - begin, start, snap)
         mirror = np.where(back, -1.0, 1.0)
         rows = [np.where(back, abs(self.distance) - p, p), v, mirror * a, j, mirror * snap]
         sign = np.copysign(1.0, self.distance)
@@ -330,7 +331,7 @@ def _knots(limits: MoveLimits, top: float) -> np.ndarray:
     for k in range(8):
         knots[k, 4:] = jerk * jerks[k], snap * snaps[k]
         if k < 7:
-            begin, *start = knots[k]
-            knots[k + 1, :4] = begin + lengths[k], *_integrated(lengths[k], *start)[:3]
+            begin, *start, now = knots[k]
+            knots[k + 1, :4] = begin + lengths[k], *_integrated(lengths[k], start, now)[:3]
     knots[7, 3] = 0.0
     return knots
