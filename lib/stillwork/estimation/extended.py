@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from stillwork.base.algebra import plus_row
 from stillwork.base.kernels import borrowing_kernel
 from stillwork.estimation.gaussian import (
     COVARIANCE,
@@ -32,11 +33,7 @@ def predict_extended(work, process, size):
             product[i, j] = total
     for i in range(size):
         for j in range(i + 1):
-            total = process[i, j]
-            for k in range(size):
-                total += product[i, k] * jacobian[j, k]
-            covariance[i, j] = total
-            covariance[j, i] = total
+            covariance[i, j] = covariance[j, i] = plus_row(process[i, j], product, i, jacobian[j])
 
 
 @borrowing_kernel
@@ -45,10 +42,7 @@ def correct_extended(work, noise, size, outputs):
     covariance, observation, cross = work[COVARIANCE], work[OBSERVATION], work[CROSS]
     for i in range(size):
         for j in range(outputs):
-            total = 0.0
-            for k in range(size):
-                total += covariance[i, k] * observation[j, k]
-            cross[i, j] = total
+            cross[i, j] = plus_row(0.0, covariance, i, observation[j])
     for i in range(outputs):
         for j in range(outputs):
             total = noise[i, j]

@@ -6,7 +6,7 @@ Their workspace is a stack of square blocks, one a name below; the block MEANS h
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.algebra import cholesky_root
+from stillwork.base.algebra import cholesky_root, cholesky_solve
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import pasted_kernel
 from stillwork.base.validation import checked
@@ -14,7 +14,7 @@ from stillwork.base.validation import checked
 POINTS, OBSERVED, COVARIANCE, ROOT, INNOVATION, CROSS, GAIN, MEANS = range(8)
 BLOCKS = 8
 ASYMMETRY, LEAST_DEFINITE = 1e-9, 1e-14  # of a covariance whose variances are 1
-ESTIMATE, EXPECTED, MEASURED, SCRATCH, PAST = range(5)  # rows of MEANS
+ESTIMATE, EXPECTED, MEASURED, _, PAST = range(5)  # rows of MEANS
 
 
 def require_covariance(name: str, value, size: int, *, definite: bool = True) -> np.ndarray:
@@ -56,16 +56,7 @@ def correct_gaussian(work, size, outputs):
     if not cholesky_root(innovation, root, outputs):
         return False
     for i in range(size):
-        for j in range(outputs):
-            total = cross[i, j]
-            for k in range(j):
-                total -= root[j, k] * means[SCRATCH, k]
-            means[SCRATCH, j] = total / root[j, j]
-        for j in range(outputs - 1, -1, -1):
-            total = means[SCRATCH, j]
-            for k in range(j + 1, outputs):
-                total -= root[k, j] * gain[i, k]
-            gain[i, j] = total / root[j, j]
+        cholesky_solve(root, cross[i], gain[i, :outputs])
     for i in range(size):
         for j in range(outputs):
             means[ESTIMATE, i] += gain[i, j] * (means[MEASURED, j] - means[EXPECTED, j])

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from stillwork.base.algebra import cholesky_solve
 from stillwork.base.kernels import kernel
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
@@ -32,15 +33,6 @@ def _solve_back(triangle, values, count):
     for i in range(count - 1, -1, -1):
         for j in range(i + 1, count):
             values[i] -= triangle[i, j] * values[j]
-        values[i] /= triangle[i, i]
-
-
-@kernel
-def _solve_ahead(triangle, values, count):
-    # with the transpose of the triangle
-    for i in range(count):
-        for j in range(i):
-            values[i] -= triangle[j, i] * values[j]
         values[i] /= triangle[i, i]
 
 
@@ -94,9 +86,7 @@ def min_max_of_triangle(triangle, bound, start, x):
         if not alpha > LEAST_PENALTY:
             return -1.0
         residual = _ridge(triangle, alpha, factor, row, x)
-        turned[:] = x
-        _solve_ahead(factor, turned, count)
-        _solve_back(factor, turned, count)
+        cholesky_solve(factor.T, x, turned)
         norm, first, second = 0.0, 0.0, 0.0
         for i in range(count):
             norm += x[i] * x[i]
