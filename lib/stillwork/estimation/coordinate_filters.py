@@ -140,7 +140,6 @@ class FilterState:
 
     def __post_init__(self):
         check_fields(self)
-        require_array("estimate", self.estimate, shape=(3,))
 
     @property
     def covariance(self) -> Float64[np.ndarray, "states states"]:
@@ -181,11 +180,11 @@ class _KalmanFilter:
         >>> estimation.UnscentedKalman(slide).start(velocity=1.0).estimate  # m, m/s, m/s^2
         array([0., 1., 0.])
         """
-        return FilterState(np.array([0.0, require_number("velocity", velocity), 0.0]), self.packed().work)
+        return FilterState(np.array([0.0, velocity, 0.0]), self.packed().work)
 
     @checked
     def step(
-        self, state: FilterState, measured: ArrayLike, force: float = 0.0, *, sample_time: float = 1e-3
+        self, state: FilterState, measured: ArrayLike, force: float = 0.0, *, sample_time: Positive = 1e-3
     ) -> FilterState:
         """State after one sample; the numbers of `filter_signal`.
 
@@ -227,16 +226,11 @@ class _KalmanFilter:
             raise InputError(f"state is none of {type(self).__name__}; give one of its own start or step")
         advance = plant_unscented_step if kind == UNSCENTED else plant_extended_step
         acceleration, _, parameters = self.plant.compiled
-        numbers = (
-            require_number("sample_time", sample_time, above=0),
-            measured,
-            require_number("force", force),
-        )
+        given = acceleration, parameters, sample_time, measured, force
 
         def step_by(run) -> tuple[bool, np.ndarray, np.ndarray]:
             estimate, work = state.estimate.copy(), state.work.copy()
-            definite = run(options, process, noise, work, acceleration, parameters, *numbers, estimate)
-            return definite, estimate, work
+            return run(options, process, noise, work, *given, estimate), estimate, work
 
         try:
             definite, estimate, work = step_by(kernel_for(advance, 1, OPERATIONS))

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
+from stillwork.base.checks import InputError, require_array, require_finite_run
 from stillwork.base.kernels import borrowing_kernel, kernel_for
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.coordinate_filters import (
@@ -79,7 +79,6 @@ def filter_signal(
     force = np.zeros_like(measured) if force is None else require_array("force", force, shape=measured.shape)
     estimates = np.empty((len(measured), 3))
     given = *model_of(signal_filter), measured, force, float(sample_time)
-    require_number("start_velocity", start_velocity)
 
     def run_by(run) -> int:
         return run(signal_filter.packed(), *given, np.array([0.0, start_velocity, 0.0]), estimates)

@@ -11,7 +11,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.bounds import NonNegative
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.h2_discrete import discrete_h2, require_promised
 from stillwork.estimation.riccati import continuous_gain
@@ -56,15 +57,13 @@ class H2Synthesis:
     """
 
     controller: StateModel  # from y to u
-    regular_norm: float  # H2 norm of the regularised loop, recomputed on the closed loop
-    norm: float  # H2 norm of the loop as it was posed
-    claimed: float  # what the synthesis itself says of the regularised loop
+    regular_norm: NonNegative  # H2 norm of the regularised loop, recomputed on the closed loop
+    norm: NonNegative  # H2 norm of the loop as it was posed
+    claimed: NonNegative  # what the synthesis itself says of the regularised loop
     status: str = "solved"
 
     def __post_init__(self):
         check_fields(self)
-        for name in ("regular_norm", "norm", "claimed"):
-            require_number(name, getattr(self, name), at_least=0.0)
 
 
 @checked

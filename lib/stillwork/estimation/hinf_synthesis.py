@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import linalg
 
-from stillwork.base.bounds import Fraction
-from stillwork.base.checks import InputError, require_number
+from stillwork.base.bounds import Fraction, Positive
+from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.generalised_plant import GeneralisedPlant, with_feedthrough
@@ -67,7 +67,7 @@ class _Normal:
 @checked
 def hinf_riccati(
     plant: GeneralisedPlant,
-    level: float | None = None,
+    level: Positive | None = None,
     tolerance: Fraction = 1e-4,
 ) -> HinfSynthesis:
     r"""Controller u = K y that keeps the H-infinity norm from w to z below a level, or makes it as small as can be.
@@ -113,7 +113,6 @@ def hinf_riccati(
     """
     normal = _normalised(plant)
     if level is not None:
-        require_number("level", level, above=0.0)
         found = _closed(plant, normal, level)
         if found is None:
             raise InputError(

@@ -10,6 +10,7 @@ from stillwork.base.algebra import (
     cholesky_root,
     cholesky_solve,
     congruence,
+    minus_left,
     minus_row,
     multiply,
     plus_row,
@@ -217,8 +218,8 @@ def kalman_filter(
     u : array_like, shape (inputs, samples)
     y : array_like, shape (outputs, samples)
         NaN where a measurement is missing.
-    initial_covariance : array_like, shape (states, states)
-        Of the state at the first sample before anything is measured; large where nothing is known.
+    initial_covariance : array_like, shape (states, states) or (states,)
+        Or its diagonal, of the state at the first sample before anything is measured; large where nothing is known.
     initial : array_like, shape (states,), optional
         Its mean; zero without.
 
@@ -252,13 +253,7 @@ def kalman_filter(
     if not y.shape[1]:
         raise InputError(f"y has shape {y.shape}; give {outputs} x samples")
     u = require_array("u", u, shape=(inputs, y.shape[1]))
-    start = require_array("initial_covariance", initial_covariance, shape=(n, n))
-    scale = np.sqrt(np.maximum(np.diag(start), 0.0))
-    scale[scale == 0] = 1.0
-    balanced = start / scale / scale[:, None]
-    symmetric = np.allclose(balanced, balanced.T, rtol=0, atol=1e-9)
-    if np.any(np.diag(start) < 0) or not symmetric or np.linalg.eigvalsh(balanced)[0] < -1e-9:
-        raise InputError("initial_covariance is not symmetric and positive semidefinite; give a covariance")
+    start = require_covariance("initial_covariance", initial_covariance, n, definite=False)
     initial = require_array("initial", np.zeros(n) if initial is None else initial, shape=(n,))
     samples = y.shape[1]
     filtered, predicted = np.empty((n, samples)), np.empty((n, samples))
@@ -436,10 +431,7 @@ def _surprise(root, error, count):
     total = 0.5 * count * np.log(2 * np.pi)
     white = np.empty(count)
     for i in range(count):
-        white[i] = error[i]
-        for j in range(i):
-            white[i] -= root[i, j] * white[j]
-        white[i] /= root[i, i]
+        white[i] = minus_left(error[i], root, i, white) / root[i, i]
         total += 0.5 * white[i] ** 2 + np.log(root[i, i])
     return total
 

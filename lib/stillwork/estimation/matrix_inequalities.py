@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Positive
-from stillwork.base.checks import InputError, require_number
+from stillwork.base.checks import InputError
 from stillwork.base.extras import require_package
 from stillwork.base.validation import checked
 from stillwork.estimation.h2 import (
@@ -93,11 +93,11 @@ def h2_lmi(
 @checked
 def mixed_lmi(
     plant: GeneralisedPlant,
-    level: float,
-    ratio: float = 1.0,
+    level: Positive,
+    ratio: Positive = 1.0,
     effort: float | ArrayLike = 0.0,
     noise: float | ArrayLike = 0.0,
-    tolerance: float = 1e-3,
+    tolerance: Positive = 1e-3,
 ) -> H2Synthesis:
     r"""Controller u = K y with a small H2 norm whose weighted error keeps a level, from matrix inequalities.
 
@@ -151,8 +151,6 @@ def mixed_lmi(
     >>> bool(lti.hinf_norm(plant.close(found.controller).select([0], [1])).magnitude < 0.5)
     True
     """
-    for name, value in (("level", level), ("ratio", ratio), ("tolerance", tolerance)):
-        require_number(name, value, above=0.0)
     if plant.performance != 2:
         raise InputError(
             f"plant has {plant.performance} performance outputs; give the error and the weighted"

@@ -9,10 +9,9 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Matrix, NonNegative, Vector
-from stillwork.base.checks import require_array
 from stillwork.base.kernels import kernel_for
 from stillwork.base.validation import by_value, checked
-from stillwork.estimation.secular import CASES, ROUNDING, ZERO, decompose, min_max_root, spectrum
+from stillwork.estimation.secular import CASES, ROUNDING, ZERO, min_max_root, require_problem, spectrum
 
 
 class ZeroEstimateWarning(UserWarning):
@@ -104,11 +103,7 @@ def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: NonNegative) -> 
 @checked(infinite=True)
 def solve_sweep(matrix: Matrix, target: Vector, bounds: Iterable[NonNegative]) -> list[MinMaxSolution]:
     """`solve_silently` for several bounds, with one decomposition of the data."""
-    bounds = list(bounds)
-    if len(matrix) < matrix.shape[1] or not matrix.shape[1]:
-        decompose(matrix, target, 0.0)  # refuses it
-    target = require_array("target", target, shape=(len(matrix),))
-    scaled, aimed, units = _in_units(matrix, target)
+    scaled, aimed, units = _in_units(matrix, require_problem(matrix, target))
     parts = spectrum(scaled, aimed)
     return [_solution(scaled, aimed, units, parts, bound) for bound in bounds]
 

@@ -7,13 +7,8 @@ from jaxtyping import Float, Float64, Int64
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import copy_matrix, copy_vector, plus_row
-from stillwork.base.checks import (
-    InputError,
-    pluralise,
-    require_array,
-    require_count,
-    require_kind,
-)
+from stillwork.base.bounds import Count, Matrix
+from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.kernels import kernel, kernel_for
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_step
@@ -50,10 +45,10 @@ class Adaptation:
 @checked
 def adapt(
     settings: FeLms | FeRls,
-    regressors: ArrayLike,
-    errors: ArrayLike,
+    regressors: Matrix,
+    errors: Matrix,
     weights: ArrayLike | None = None,
-    every: int = 1000,
+    every: Count = 1000,
 ) -> Adaptation:
     """Run the updates over recorded regressors and recorded filtered errors.
 
@@ -104,10 +99,10 @@ def adapt(
 @checked
 def identify(
     settings: FeLms | FeRls,
-    regressors: ArrayLike,
-    disturbance: ArrayLike,
+    regressors: Matrix,
+    disturbance: Matrix,
     weights: ArrayLike | None = None,
-    every: int = 1000,
+    every: Count = 1000,
 ) -> Adaptation:
     """Fit weights to a record: the error of each sample is e = d + W psi with the weights of that moment.
 
@@ -188,9 +183,9 @@ class AdaptationStepper:
     """
 
     @checked
-    def __init__(self, settings: FeLms | FeRls, weights: ArrayLike):
-        self.settings = require_kind("settings", settings, (FeLms, FeRls))
-        self.weights = require_array("weights", weights, ndim=2).copy()
+    def __init__(self, settings: FeLms | FeRls, weights: Matrix):
+        self.settings = settings
+        self.weights = weights.copy()
         self.recursion = None
         if isinstance(settings, FeRls):
             self.recursion = settings.start(self.weights.shape[1])
@@ -262,8 +257,6 @@ class AdaptationStepper:
 
 
 def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
-    regressors = require_array("regressors", regressors, ndim=2)
-    signals = require_array(name, signals, ndim=2)
     n, samples = regressors.shape
     actuators = len(signals)
     for each, rows in (("regressors", n), (name, actuators)):
@@ -276,7 +269,6 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
         )
     if not samples:
         raise InputError(f"regressors and {name} hold no samples; give at least one")
-    every = require_count("every", every)
     start = np.zeros((actuators, n)) if weights is None else weights
     start = require_array("weights", start, shape=(actuators, n))
     history = np.empty((samples // every, actuators, n))

@@ -309,13 +309,11 @@ class LeastSquares(_Recursion):
     """
 
     forgetting: Fraction
-    initial_covariance: float | None = None
+    initial_covariance: Positive | None = None
     growth_limit: float = 1e6
 
     def __post_init__(self):
         check_fields(self, infinite=("growth_limit",))
-        if self.initial_covariance is not None:
-            require_number("initial_covariance", self.initial_covariance, above=0.0)
         if self.growth_limit != np.inf:
             require_number("growth_limit", self.growth_limit, at_least=1.0)
 

@@ -262,22 +262,19 @@ class SecularFunction:
 
 
 @checked
-def secular_function(matrix: ArrayLike, target: ArrayLike, bound: float) -> SecularFunction:
+def secular_function(matrix: Matrix, target: ArrayLike, bound: NonNegative) -> SecularFunction:
     """The secular function of min-max estimation for data A, b and a bound, eq. (3)-(4).
 
     A has at least as many rows as unknowns, and A'b = 0 is refused: then no bound gives a nonzero estimate.
     """
-    function, _, _ = decompose(matrix, target, bound)
-    if not np.any(function.coefficients):
+    eigenvalues, coefficients, excess, _ = spectrum(matrix, require_problem(matrix, target))
+    if not np.any(coefficients):
         raise InputError("target is orthogonal to every column of matrix; the estimate is zero for any bound")
-    return function
+    return SecularFunction(eigenvalues, coefficients, excess, bound)
 
 
-@checked(infinite=True)
-def decompose(
-    matrix: Matrix, target: ArrayLike, bound: NonNegative
-) -> tuple[SecularFunction, np.ndarray, int]:
-    """Secular function, right singular vectors (unknowns x rank) and rank of a checked problem."""
+def require_problem(matrix: np.ndarray, target: ArrayLike) -> np.ndarray:
+    """The target b as an array, of as many rows as A, which are no fewer than unknowns."""
     rows, unknowns = matrix.shape
     if unknowns == 0:
         raise InputError("matrix has no columns; give at least one unknown")
@@ -285,9 +282,7 @@ def decompose(
         raise InputError(
             f"matrix has {pluralise(rows, 'row')} for {pluralise(unknowns, 'unknown')}; give at least as many rows as unknowns"
         )
-    target = require_array("target", target, shape=(rows,))
-    eigenvalues, coefficients, excess, right = spectrum(matrix, target)
-    return SecularFunction(eigenvalues, coefficients, excess, bound), right, len(eigenvalues)
+    return require_array("target", target, shape=(rows,))
 
 
 def spectrum(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:

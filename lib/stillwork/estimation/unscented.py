@@ -12,7 +12,6 @@ from jaxtyping import Float64
 
 from stillwork.base.algebra import cholesky_root, copy_matrix
 from stillwork.base.bounds import Positive, within
-from stillwork.base.checks import require_number
 from stillwork.base.kernels import borrowing_kernel, pasted_kernel
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.gaussian import (
@@ -45,7 +44,6 @@ class SigmaPoints:
 
     def __post_init__(self):
         check_fields(self)
-        require_number("beta", self.beta)
 
     @checked
     def weights(self, size: int) -> Float64[np.ndarray, "4"]:

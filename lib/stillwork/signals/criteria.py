@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import Vector
 from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.base.validation import checked
 from stillwork.signals.spectra import band_power
@@ -59,7 +60,7 @@ def one_third_octave_velocity(
 
 
 @checked
-def criterion_velocity(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
+def criterion_velocity(name: str, frequencies_hz: Vector) -> Float64[np.ndarray, " frequencies"]:
     """Limit of a vibration criterion: rms velocity in m/s per one-third-octave band.
 
     ``VC-A`` to ``VC-M``, ``BBN-A`` to ``BBN-E`` (the earlier names of VC-A to VC-E) or an ISO level, e.g.
@@ -67,34 +68,31 @@ def criterion_velocity(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarr
     and the ISO levels rise below 8 Hz with constant acceleration; they are defined from 4 Hz.
     """
     require_choice("name", name, CRITERIA)
-    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    if np.any(f < 0):
+    if np.any(frequencies_hz < 0):
         raise InputError("frequencies_hz holds negative ones; give them from 0 on")
-    level = np.full(f.shape, _LEVELS[name])
+    level = np.full(frequencies_hz.shape, _LEVELS[name])
     if _LEVELS[name] >= _LEVELS["VC-B"]:
-        level *= np.maximum(1.0, 8.0 / np.where(f > 0, f, np.inf))
+        level *= np.maximum(1.0, 8.0 / np.where(frequencies_hz > 0, frequencies_hz, np.inf))
     return level
 
 
 @checked
-def criterion_density(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
+def criterion_density(name: str, frequencies_hz: Vector) -> Float64[np.ndarray, " frequencies"]:
     """Acceleration PSD in (m/s^2)^2/Hz that just meets a vibration criterion in every band.
 
     The band at f is 0.2316 f wide: S_a = (2 pi f)^2 v^2 / (0.2316 f). See `criterion_velocity`.
     """
-    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    return (2 * np.pi * criterion_velocity(name, f)) ** 2 * f / BAND_WIDTH
+    return (2 * np.pi * criterion_velocity(name, frequencies_hz)) ** 2 * frequencies_hz / BAND_WIDTH
 
 
 @checked
-def criterion_met(centres_hz: ArrayLike, velocity: ArrayLike) -> str:
+def criterion_met(centres_hz: Vector, velocity: ArrayLike) -> str:
     """Finest of VC-A to VC-M that one-third-octave velocities meet in every band from 8 to 80 Hz, or ``none``."""
-    f = require_array("centres_hz", centres_hz, ndim=1)
-    v = require_array("velocity", velocity, shape=f.shape)
-    judged = (f > 7.9) & (f < 81)
+    v = require_array("velocity", velocity, shape=centres_hz.shape)
+    judged = (centres_hz > 7.9) & (centres_hz < 81)
     if not judged.any():
         raise InputError("centres_hz holds no band from 8 to 80 Hz; the criteria cannot be judged")
     for name in reversed([name for name in CRITERIA if name.startswith("VC")]):
-        if np.all(v[judged] <= criterion_velocity(name, f[judged])):
+        if np.all(v[judged] <= criterion_velocity(name, centres_hz[judged])):
             return name
     return "none"

@@ -7,6 +7,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import signal
 
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError, pluralise, require_array, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 
@@ -73,7 +74,7 @@ class ResponseEstimate:
 
 
 @checked
-def estimate_spectrum(signals: ArrayLike, sample_rate: float, resolution_hz: float) -> Spectrum:
+def estimate_spectrum(signals: ArrayLike, sample_rate: Positive, resolution_hz: float) -> Spectrum:
     """Welch's estimate of the power spectral density: Hann windows, half overlap, means removed.
 
     Parameters
@@ -113,7 +114,7 @@ def estimate_spectrum(signals: ArrayLike, sample_rate: float, resolution_hz: flo
 
 @checked
 def estimate_response(
-    inputs: ArrayLike, outputs: ArrayLike, sample_rate: float, resolution_hz: float
+    inputs: ArrayLike, outputs: ArrayLike, sample_rate: Positive, resolution_hz: float
 ) -> ResponseEstimate:
     """Matrix of frequency responses from `inputs` to `outputs` by averaged cross spectra, H1 = S_yx S_xx^-1.
 
@@ -200,7 +201,6 @@ def _segments(name: str, signals: ArrayLike, sample_rate: float, resolution_hz: 
     rows = np.atleast_2d(require_array(name, signals))
     if rows.ndim != 2:
         raise InputError(f"{name} has shape {rows.shape}; give (channels, samples)")
-    require_number("sample_rate", sample_rate, above=0.0)
     require_number("resolution_hz", resolution_hz, above=0.0, below=sample_rate / 4)
     length = round(sample_rate / resolution_hz)
     if rows.shape[1] < length:
