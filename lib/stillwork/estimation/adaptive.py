@@ -27,13 +27,11 @@ from stillwork.base.kernels import borrowing_kernel, inlined_kernel, pasted_kern
 from stillwork.base.validation import by_value, check_fields, checked, copy_arrays
 from stillwork.estimation.covariance_forms import (
     FORMS,
-    UD,
     covariance_of,
     factor_of,
     hold_diagonal,
     update_covariance,
     update_form,
-    update_ud,
     variance,
 )
 from stillwork.estimation.gaussian import require_covariance
@@ -113,8 +111,8 @@ class Recursion(NamedTuple):
     levels: np.ndarray
     allowance: float  # limit times power that is granted to each regressor
     gain: np.ndarray  # (n,), room for work
-    # Room for work, (n,): none in the triangle, one in UD, both in the others. So kernels that ask whether they are
-    # None are compiled for the first two alone: asked for a form at every sample, they would take half as long again.
+    # Room for work, (n,): none in the triangle. So kernels that ask whether it is None are compiled for the triangle
+    # alone: asked for a form at every sample, it would take half as long again.
     inner: np.ndarray | None
     other: np.ndarray | None
 
@@ -255,8 +253,7 @@ class FeRls:
             levels,
             float(self.growth_limit * INFLATION),
             np.zeros(regressors, dtype),
-            None if form == "triangle" else np.zeros(regressors, dtype),
-            None if form in ("triangle", "UD") else np.zeros(regressors, dtype),
+            *(None if form == "triangle" else np.zeros(regressors, dtype) for _ in range(2)),
         )
 
 
@@ -296,7 +293,10 @@ def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner,
 def ferls_form_update(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
 ):
-    """One sample in any other form with its limit, by a call; returns the leverage."""
+    """One sample in any other form, by a call; returns the leverage.
+
+    Factors show P's diagonal at the price of a product, so one element a sample is held to its limit.
+    """
     one, n, axis = matrix.dtype.type(1), len(regressor), sample % len(regressor)
     forget = matrix.dtype.type(forgetting)
     denominator = update_form(form, matrix, regressor, forget, gain, inner)
@@ -304,7 +304,8 @@ def ferls_form_update(
     check_powers(levels, regressor, forget, allowance)
     found = variance(form, matrix, axis)
     if found > levels[0, axis]:
-        # As in `hold_ud`, here: in a function of its own the compiler would make machine code of all forms once more.
+        # A regressor along this axis, seen without forgetting. Here: in a function of its own the compiler would make
+        # machine code of all forms once more.
         for i in range(n):
             other[i] = 0
         other[axis] = np.sqrt(one / levels[0, axis] - one / found)
@@ -346,17 +347,6 @@ def hold_triangle(covariance, forgetting, levels, gain):
             levels[2, i] += covariance.dtype.type(1) - covariance.dtype.type(forgetting)
 
 
-@borrowing_kernel
-def hold_ud(factor, forgetting, levels, gain, inner, axis):
-    """The same for one element of Bierman's factors: a regressor along its axis, seen without forgetting."""
-    one, n, unit = factor.dtype.type(1), levels.shape[1], levels[3]
-    for i in range(n):
-        unit[i] = 0
-    unit[axis] = np.sqrt(one / levels[0, axis] - one / variance(UD, factor, axis))
-    update_ud(factor, unit, one, gain, inner)
-    levels[2, axis] = stretched(levels[2, axis], factor.dtype.type(forgetting), n)
-
-
 @inlined_kernel
 def stretched(share, forgetting, n):
     """Share of time at the limit, with one sample that stands for n: an element is looked at each n-th time."""
@@ -367,19 +357,13 @@ def stretched(share, forgetting, n):
 def ferls_step(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
 ):
-    """One sample in the form of a `Recursion`, which its `inner` and `other` tell at compile time; returns the leverage."""
+    """One sample in the form of a `Recursion`, of which `inner` says at compile time whether it is the triangle; the leverage."""
     if inner is None:
         leverage, reached = ferls_update(
             weights, matrix, forgetting, levels, allowance, gain, regressor, error
         )
         if reached:
             hold_triangle(matrix, forgetting, levels, gain)
-    elif other is None:
-        leverage, reached = ferls_ud_update(
-            weights, matrix, forgetting, levels, allowance, gain, inner, regressor, error, sample
-        )
-        if reached:
-            hold_ud(matrix, forgetting, levels, gain, inner, sample % len(gain))
     else:
         leverage = ferls_form_update(
             weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
