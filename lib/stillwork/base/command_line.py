@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
@@ -49,7 +50,7 @@ def run(
             raise
         if isinstance(told, OSError) and told.filename and told.strerror:
             told = f"{os.fsdecode(told.filename)}: {told.strerror}"
-        print(f"{program}: {one_line(str(told))}", file=sys.stderr)
+        print(f"{program}: {one_line(options.command.by_options(str(told)))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         if arguments is None:  # what was being made when it came goes half made, and without a word
@@ -65,7 +66,7 @@ def _run(command: "Command", **chosen) -> int:
     if isinstance(told, int):
         return told
     lines = told.split("\n") if isinstance(told, str) else told
-    print("\n".join(map(one_line, lines)))
+    print("\n".join(one_line(command.by_options(line)) for line in lines))
     return 0
 
 
@@ -128,6 +129,15 @@ class Command(NamedTuple):
     target: str  # ``module:function``, imported when it is called
     options: tuple[Option, ...] = ()
     before: tuple[str, ...] = ()  # functions to call first, which may refuse
+
+    def by_options(self, text: str) -> str:
+        """A text with the arguments of the function named as the options are: fit_hz is --fit-hz."""
+        longer = {word[2:].replace("-", "_"): word for word in self.words if "-" in word[2:]}
+        return (
+            re.sub(rf"(?<![\w./-])({'|'.join(longer)})(?![\w/]|\.\w)", lambda found: longer[found[0]], text)
+            if longer
+            else text
+        )
 
     @property
     def words(self) -> list[str]:
