@@ -295,6 +295,35 @@ def test_a_retest_in_the_loop_judges_machines_that_moved(written, tmp_path, gain
 
 
 @pytest.mark.slow
+def test_noise_makes_no_machine_worse_than_six_decibels(written, tmp_path):
+    """S by SciPy's hold, 10 % noise: no largest line decides; at 3 % what is clear is told, and the gain lies in its interval."""
+    controller = load_controller(written[0] / "controller.json")
+    hertz, said = np.geomspace(1.0, 4e3, 2000), {}
+    k = controller.linear.frequency_response(2 * np.pi * hertz)[0, 0]
+    for noise in (0.03, 0.1):
+        for gain in (0.9, 1.0, 1.4):
+            sensitivity = 1 / (1 + gain * k * held_response(PAIR, hertz))
+            errors = np.random.default_rng(5).standard_normal((2, len(hertz)))
+            seen = sensitivity * (1 + noise * (errors[0] + 1j * errors[1]) / np.sqrt(2))
+            assert (noise, gain) != (0.1, 1.0) or 20 * np.log10(np.abs(seen).max()) > 6.01
+            file = tmp_path / f"{noise}_{gain}.npz"
+            np.savez(file, **{"frequency (Hz)": hertz, "s": seen})
+            page = tmp_path / f"{file.stem}.html"
+            lines = retest_file(str(written[0] / "controller.json"), str(file), str(page), closed_loop=True)
+            size = 20 * np.log10(np.abs(sensitivity).max())
+            low, high = map(float, re.search(r"S_O [\d.]+ dB \(([\d.]+) to ([\d.]+)\)", lines[1]).groups())
+            assert low - 0.05 < size < high + 0.05
+            said[noise, gain] = lines[0]
+            change, spread = re.search(
+                r"gain about .*?<td>([-+\d.e]+) ± ([\d.e-]+) %", page.read_text(), re.DOTALL
+            ).groups()
+            assert abs(float(change) - 100 * (gain - 1)) < 1.5 * float(spread)
+    assert "the promise holds" in said[0.03, 0.9] and "does not hold" in said[0.03, 1.4]
+    assert not any("does not hold" in line for (_, gain), line in said.items() if gain <= 1)
+    assert any("cannot be told at this noise" in line for line in said.values())
+
+
+@pytest.mark.slow
 def test_a_retest_takes_the_units_of_the_design_alone(written, tmp_path):
     hertz = np.geomspace(1.0, 4e3, 2000)
     columns = {"frequency (Hz)": hertz, "H (rad/(N m))": held_response(PAIR, hertz)}
