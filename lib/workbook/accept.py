@@ -15,12 +15,11 @@ from pathlib import Path
 from workbook import paths
 from workbook.claims import Claim, claims_text, ledger
 from workbook.compare import Comparison, compare, found_claims, same_outputs
-from workbook.durations import FILE, durations, updated
 from workbook.lock import exclusive_lock, interrupts, unwound
 from workbook.notebooks import cleaned, notebook_text, select
 from workbook.provenance import commit, is_traceable, with_commit
 from workbook.publish import RECORD, Edited, read_record, replace_all, replace_file, seconds_taken
-from workbook.tasks import Task, tasks
+from workbook.tasks import DURATIONS, Task, durations, tasks, updated_durations
 
 SHELVES = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
 OWN = (".png", ".csv", ".json")  # what builds write there; anything else is somebody's
@@ -179,9 +178,9 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
 
 
 def _note_durations(built: list[Task], copy: Path) -> None:
-    noted = updated(durations(), {task.notebook.name: seconds_taken(task.target) for task in built})
+    noted = updated_durations(durations(), {task.notebook.name: seconds_taken(task.target) for task in built})
     if noted != durations():
-        replace_file(copy / FILE, (json.dumps(noted, indent=1) + "\n").encode())
+        replace_file(copy / DURATIONS, (json.dumps(noted, indent=1) + "\n").encode())
 
 
 def _read(file: Path) -> bytes | None:

@@ -1,8 +1,10 @@
-"""What a build is made of: notebooks at their settings, and why their results are stale."""
+"""What a build is made of: notebooks at their settings, why their results are stale, and how long each took as accepted."""
 
 import json
 import os
 import re
+import statistics
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from workbook.notebooks import Notebook, assign, select
 from workbook.publish import digest, read_record
 
 BUILT = "STILLWORK_BUILT"  # an environment variable that names another folder for the results
+DURATIONS = "figures/durations.json"  # below the checkout; no notebook reads it
 
 
 def built() -> Path:
@@ -90,3 +93,29 @@ def tasks(*targets: str, settings: dict[str, str] | None = None) -> list[Task]:
         Task(notebook, changed, {**notebook_inputs(notebook, changed), **around})
         for notebook, changed in assign(select(*targets), settings or {})
     ]
+
+
+def durations() -> dict[str, float]:
+    """Seconds of the clock by notebook, so that a build begins with the longest; none where nobody can read them."""
+    try:
+        noted = json.loads((paths.root() / DURATIONS).read_text(encoding="utf-8"))
+        return {name: float(seconds) for name, seconds in noted.items()}
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return {}
+
+
+def updated_durations(before: Mapping[str, float], found: Mapping[str, float | None]) -> dict[str, float]:
+    """What to note of the notebooks in `found`, whose seconds (None where none are known) are those of this machine.
+
+    A faster machine, or a busy one, is no news, and neither are a few seconds, or less than half of what was noted.
+    """
+    ratios = [found[name] / seconds for name, seconds in before.items() if seconds > 0 and found.get(name)]
+    pace = statistics.median(ratios) if ratios else 1.0
+    noted = {}
+    for name, seconds in sorted(found.items()):
+        known = before.get(name)
+        if seconds is not None and (known is None or abs(seconds / pace - known) > 5.0 + 0.5 * known):
+            known = float(f"{seconds / pace:.2g}")
+        if known is not None:
+            noted[name] = known
+    return noted

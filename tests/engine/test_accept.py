@@ -9,8 +9,8 @@ import pytest
 
 from engine import toy as toys
 from engine.toy import cell
-from workbook import durations
 from workbook.notebooks import cleaned
+from workbook.tasks import DURATIONS
 
 pytestmark = pytest.mark.slow
 
@@ -117,10 +117,10 @@ def test_a_parameter_that_is_renamed_is_renamed_in_the_provenance(accepted):
 
 def test_how_long_a_notebook_took_is_noted_and_makes_nothing_stale(accepted):
     """On a machine of another pace it is no news."""
-    file = accepted.root / durations.FILE
+    file = accepted.root / DURATIONS
     noted = json.loads(file.read_text())
     assert list(noted) == ["isolation/01-first"] and noted["isolation/01-first"] > 0
-    accepted.write(durations.FILE, json.dumps({"isolation/01-first": 1000.0}))
+    accepted.write(DURATIONS, json.dumps({"isolation/01-first": 1000.0}))
     before = accepted.stamps("notebooks", "data", "figures", "README.md")
     assert accepted.run("figures", "--why").stdout == "isolation/01-first: up to date\n"
     assert accepted.run("accept").returncode == 0

@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 
 from workbook import paths
 from workbook.build import longest_first
-from workbook.durations import FILE, durations, updated
 from workbook.notebooks import Notebook, select
-from workbook.tasks import Task
+from workbook.tasks import DURATIONS, Task, durations, updated_durations
 
 NAMES = ["isolation/01", "isolation/02", "motion/01", "motion/02"]
 
@@ -25,8 +24,8 @@ def noted(tmp_path, monkeypatch):
     """Write the file of durations of a workbook of one's own."""
     monkeypatch.setenv(paths.ROOT_VARIABLE, str(tmp_path))
     (tmp_path / "data").mkdir()
-    (tmp_path / FILE).parent.mkdir()
-    return (tmp_path / FILE).write_text
+    (tmp_path / DURATIONS).parent.mkdir()
+    return (tmp_path / DURATIONS).write_text
 
 
 def test_the_longest_begins_and_before_it_what_nobody_has_timed(noted):
@@ -48,19 +47,21 @@ SECONDS = st.dictionaries(st.sampled_from(NAMES), st.floats(0.1, 1000), min_size
 @given(SECONDS, SECONDS, st.integers(-6, 6))
 def test_another_pace_of_the_machine_is_no_news(before, found, pace):
     other = {name: 2.0**pace * seconds for name, seconds in found.items()}
-    assert updated(before, {name: 2.0**pace * seconds for name, seconds in before.items()}) == before
+    assert (
+        updated_durations(before, {name: 2.0**pace * seconds for name, seconds in before.items()}) == before
+    )
     if before.keys() & found.keys():
-        assert updated(before, other) == updated(before, found)
+        assert updated_durations(before, other) == updated_durations(before, found)
 
 
 def test_only_what_moves_much_is_written_anew():
     before = {"isolation/01": 20.0, "isolation/02": 1.0, "motion/01": 60.0, "motion/gone": 9.0}
     found = {"isolation/01": 27.0, "isolation/02": 3.0, "motion/01": 60.0, "motion/02": 4.567}
     kept = {name: seconds for name, seconds in before.items() if name != "motion/gone"}
-    assert updated(before, found | {"isolation/02": 1.0}) == kept | {"motion/02": 4.6}
-    assert updated(before, found | {"isolation/02": None, "motion/02": None}) == kept
+    assert updated_durations(before, found | {"isolation/02": 1.0}) == kept | {"motion/02": 4.6}
+    assert updated_durations(before, found | {"isolation/02": None, "motion/02": None}) == kept
     slower = {"isolation/01": 20.0, "isolation/02": 1.0, "motion/01": 101.2, "motion/02": None}
-    assert updated(before, slower) == kept | {"motion/01": 100.0}
+    assert updated_durations(before, slower) == kept | {"motion/01": 100.0}
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from workbook import paths
-from workbook.site.benchmarks import benchmarks
+from workbook.timings import benchmarks
 
 
 def test_ratios_are_those_of_the_committed_times():

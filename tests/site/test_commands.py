@@ -20,7 +20,7 @@ from workbook.choices import command
 from workbook.claims import load_entries
 from workbook.notebooks import read_notebook
 from workbook.site.mathematics import markdown
-from workbook.site.papers import papers
+from workbook.site.metadata import papers
 from workbook.site.scaffold import new_result
 
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")

@@ -29,7 +29,7 @@ from workbook.site import reference
 from workbook.site.build import site_files
 from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
-from workbook.site.papers import papers
+from workbook.site.metadata import papers
 from workbook.site.specification import class_of, sentence, status
 
 pytestmark = pytest.mark.slow

@@ -29,15 +29,14 @@ from workbook.report import (
     tally,
 )
 from workbook.site import picture, reference, search
-from workbook.site.benchmarks import benchmarks
 from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
-from workbook.site.metadata import about, address, binder, project
+from workbook.site.metadata import about, address, binder, papers, project
 from workbook.site.pages import NotebookPage, read_page
-from workbook.site.papers import papers
 from workbook.site.specification import class_of, curves, sentence, status
 from workbook.site.states import kept_states, make_states
 from workbook.tasks import tasks
+from workbook.timings import benchmarks
 
 HERE = Path(__file__).parent
 

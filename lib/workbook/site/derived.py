@@ -17,9 +17,8 @@ from workbook.report import (
     readme_with_summary,
     tally,
 )
-from workbook.site.metadata import about, project
+from workbook.site.metadata import about, papers, project
 from workbook.site.pages import NotebookPage, read_page
-from workbook.site.papers import papers
 from workbook.tasks import tasks
 
 GALLERY_BEGIN, GALLERY_END = "<!-- gallery:begin -->", "<!-- gallery:end -->"

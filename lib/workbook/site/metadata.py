@@ -1,8 +1,10 @@
-"""What pages and manifests say of the workbook, from pyproject.toml."""
+"""What pages and manifests say of the workbook, from pyproject.toml, and of each topic's paper, from ``data/<topic>/paper.toml``."""
 
 import tomllib
 from urllib.parse import quote
 
+from stillwork.base.checks import InputError, nearest
+from stillwork.base.toml_files import read_toml
 from workbook import paths
 
 SHELVES = (
@@ -10,6 +12,22 @@ SHELVES = (
     "pictures and their numbers (a build writes to `build/figures/`), `tests/` the tests."
 )
 NOTHING = {"license": "", "authors": []}
+# What a topic that does not say it goes without; CONTRIBUTING.md says what each is.
+PAPER = {
+    "title": "",
+    "paper": "",
+    "source": "",
+    "by": "",
+    "claimed": "",
+    "hero": "",
+    "on": "",
+    "moving": "",
+    "found": [],
+    "builder": "",
+    "rests": {},
+    "headline": [],
+    "machine": {},
+}
 
 
 def project() -> dict:
@@ -35,3 +53,37 @@ def binder(path: str) -> str:
         return ""
     place = f"{quote(address(), safe='')}/v{project()['version']}"
     return f"https://mybinder.org/v2/git/{place}?labpath={quote(path, safe='')}"
+
+
+def papers() -> dict[str, dict]:
+    """Of each topic, in their order, all fields of its ``paper.toml``.
+
+    Raises
+    ------
+    InputError
+        When a field is unknown or of another kind, or a statement lacks its words or its entry; the message names it.
+    """
+    return {topic: _paper(topic) for topic in paths.topics()}
+
+
+def _paper(topic: str) -> dict:
+    file = paths.data(topic, "paper.toml")
+    given = dict(read_toml(file)) if file.is_file() else {}
+    given.pop("order", None)  # which `paths.topics` reads
+    for name, value in given.items():
+        if name not in PAPER:
+            raise InputError(f"{file}: unknown field {name!r}{nearest(name, PAPER)}")
+        if not isinstance(value, kind := type(PAPER[name])):
+            raise InputError(f"{file}: {name} is no {kind.__name__}")
+    for name in ("found", "headline"):
+        for each in given.get(name, []):
+            if not isinstance(each, dict) or not {"says", "entry"} <= set(each) <= {
+                "says",
+                "entry",
+                "otherwise",
+            }:
+                raise InputError(
+                    f"{file}: {name} holds {each!r}; give {{ says = '...', entry = '...' }}, perhaps otherwise = '...'"
+                )
+    title = given.get("title") or topic.capitalize()
+    return {**PAPER, "paper": title, **given, "title": title}

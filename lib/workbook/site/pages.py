@@ -8,6 +8,7 @@ import struct
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cache
+from html import unescape
 from pathlib import Path
 
 from markupsafe import Markup
@@ -16,7 +17,6 @@ from stillwork.base.checks import InputError
 from workbook import notebook_source, paths
 from workbook.claims import VERDICTS, Claim
 from workbook.notebooks import Notebook
-from workbook.site.outline import Section, plain, sections
 from workbook.tasks import Task
 
 # What a cell that ends with `page.check` prints; its page shows the verdict with the claim.
@@ -24,6 +24,8 @@ VERDICTS_ALONE = tuple(map(repr, VERDICTS))
 # Small pictures are for lists of figures: a gallery of them in full size would weigh twenty megabytes.
 SMALL = 480  # pixels: two for each of a column's
 FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
+HEADING = re.compile(r'<h([1-6])\b[^>]*?\bid="([^"]*)"[^>]*>(.*?)</h\1>', re.DOTALL)
+ANCHOR = re.compile(r'<a class="anchor-link".*?</a>', re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,16 @@ class PageCell:
         found = re.match(r".*?</h1>(\s*<p><em>.*?</em>\s*</p>)?", self.html, re.DOTALL)
         head = found[0] if found else ""
         return Markup(head), Markup(self.html[len(head) :])
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page: its heading, and the place and the words below it."""
+
+    level: int
+    id: str
+    heading: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -303,3 +315,20 @@ def thumbnail(png: bytes) -> tuple[bytes, int, int]:
     small = io.BytesIO()
     picture.save(small, "WEBP", quality=75, method=4)
     return small.getvalue(), *picture.size
+
+
+def sections(html: str) -> list[Section]:
+    """The parts of a text that begin with a heading; what stands before the first has none."""
+    found = [
+        (int(each[1]), each[2], plain(each[3]), each.end(), each.start()) for each in HEADING.finditer(html)
+    ]
+    ends = [*(each[4] for each in found), len(html)][1:]
+    return [
+        Section(level, place, heading, plain(html[begin:end]))
+        for (level, place, heading, begin, _), end in zip(found, ends, strict=True)
+    ]
+
+
+def plain(html: str) -> str:
+    """The words of some HTML."""
+    return " ".join(unescape(re.sub(r"<[^>]*>", " ", ANCHOR.sub("", html))).split())

@@ -3,8 +3,7 @@
 import json
 
 from workbook.claims import Claim
-from workbook.site.outline import sections
-from workbook.site.pages import NotebookPage
+from workbook.site.pages import NotebookPage, sections
 from workbook.site.reference import Module
 
 
