@@ -10,7 +10,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 from stillwork.base.kernel_folder import cache_folder
 from workbook import paths
-from workbook.durations import durations
 from workbook.execution import Failure, Job, Outcome, execute, sweep
 from workbook.inputs import ENVIRONMENT, changes, environment_inputs, still, with_ledger
 from workbook.jupyter_kernel import stop
@@ -18,7 +17,7 @@ from workbook.lock import exclusive_lock, interrupts
 from workbook.progress import Progress
 from workbook.provenance import commit, modified, provenance
 from workbook.publish import read_record, replace_record, tidy
-from workbook.tasks import Task, built, tasks
+from workbook.tasks import Task, built, durations, tasks
 from workbook.warm import warmed
 from workbook.workers import client_of, cores
 
@@ -163,9 +162,8 @@ def _compare(wanted: list[Task]) -> None:
     """Say how the results agree with the committed ones, and where they are."""
     from workbook.compare import compare, summary
 
-    accepted = [
-        task for task in wanted if task.committed.is_dir()
-    ]  # nothing of a new notebook can have moved
+    # Nothing of a new notebook can have moved.
+    accepted = [task for task in wanted if task.committed.is_dir()]
     whole = [task for task in accepted if (found := read_record(task.target)) and not found[1]]
     if whole:
         for line in summary([compare(task) for task in whole]):
