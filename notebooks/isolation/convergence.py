@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from experiments.isolation import convergence as con
-from experiments.isolation.algorithm_styles import STYLES
-from experiments.isolation.convergence import ALGORITHMS, Course, Starts
+from experiments.isolation.convergence import ALGORITHMS, STYLES, Course, Starts
 from experiments.isolation.floors import ShapedFloor, flat_floor
 from experiments.isolation.mean_convergence import Sideways, mean_course
 from experiments.isolation.responses import responses
