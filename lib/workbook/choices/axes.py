@@ -3,12 +3,12 @@
 import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 from stillwork.base.checks import InputError, nearest, require_choice, require_count
+from stillwork.base.toml_files import read_toml
 from workbook import paths
 from workbook.claims import load_entries
 
@@ -222,10 +222,7 @@ def _read(topic: str) -> dict:
     file = paths.data(paths.require_topic(topic), "choices.toml")
     if not file.exists():
         return {}
-    try:
-        tree = tomllib.loads(file.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{file}: not valid TOML ({error}); correct that line") from None
+    tree = read_toml(file)
     for name in tree:
         if name not in (topic, "studies", "together"):
             raise InputError(f"{file}: table {name!r} is none of {topic!r}, 'studies', 'together'; rename it")
