@@ -11,11 +11,8 @@ from matplotlib.figure import Figure
 from workbook.palette import COLOURS, STYLE
 
 _SETTINGS = dict(RcParams({**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}))
-_KEPT = (
-    "get_data_ratio",
-    "get_cursor_data",
-    "cla",
-)  # matplotlib asks whether a class has others than its own
+# matplotlib asks whether a class has others than its own.
+_KEPT = ("get_data_ratio", "get_cursor_data", "cla")
 _LOGARITHMIC = {"semilogx": "x", "semilogy": "y", "loglog": "xy"}  # methods, and the axes that they make so
 _inside = False  # the settings are one for the process, and so is this
 

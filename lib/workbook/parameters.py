@@ -131,9 +131,8 @@ def _candidates(text: str):
     if text.lower() in words:
         yield words[text.lower()]
     try:
-        with warnings.catch_warnings(
-            action="ignore"
-        ):  # Python's doubts about a text such as 1if are not the user's
+        # Python's doubts about a text such as 1if are not the user's.
+        with warnings.catch_warnings(action="ignore"):
             value = ast.literal_eval(text)
         yield value
     except (ValueError, SyntaxError, MemoryError, RecursionError, OverflowError, TypeError):

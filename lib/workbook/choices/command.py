@@ -32,9 +32,8 @@ from workbook.publish import replace_file
 from workbook.report import screen, table
 from workbook.workers import client_of, cores, processes
 
-SAMPLED = (
-    4  # parts a day of `checking.DAYS`, at least, that decide whether a study is computed again: those of CI
-)
+# Parts a day of `checking.DAYS`, at least, that decide whether a study is computed again: those of CI.
+SAMPLED = 4
 SHOWN = 3  # of the values that moved
 
 RUNNING = "combinations of this checkout are being tried already; wait for them or stop them"
@@ -149,9 +148,8 @@ def _unmoved(topic: str, multiverses: list[Multiverse], run, journal: Journal) -
             continue
         if not has_moved(each.multiverse):
             (older if is_older(each) else kept).append(each)
-        elif not is_older(
-            each
-        ):  # not the code changed, but what it runs on: what it gave before is no answer
+        elif not is_older(each):
+            # Not the code changed, but what it runs on: what it gave before is no answer.
             for call in calls_of(each.multiverse).values():
                 journal.found.pop(call.key, None)
 

@@ -20,16 +20,12 @@ from workbook.choices.variance import SEED, Shares, variance_shares
 from workbook.claims import AGREEMENT, Claim, Entry
 
 ROBUST, DEPENDS, NOT_REPRODUCED = "robust", "depends", "not reproduced"
-CERTAIN = (
-    0.95  # share of combinations from which on an entry is robust; up to the rest of 1 it is not reproduced
-)
+# Share of combinations from which on an entry is robust; up to the rest of 1 it is not reproduced.
+CERTAIN = 0.95
 DECIDES = 0.1  # least share of variance, joint effects included, of an axis that is named
 NAMED = 2  # axes at most
-NEAR = (
-    0.05,
-    0.15,
-    0.25,
-)  # of a published value: relative distances within which a table's numbers are counted
+# Of a published value: relative distances within which a table's numbers are counted.
+NEAR = (0.05, 0.15, 0.25)
 
 
 @dataclass(frozen=True)

@@ -14,24 +14,11 @@ import stillwork
 from workbook import paths
 from workbook.site.mathematics import mathml
 
-TOOLBOX = (
-    "base",
-    "signals",
-    "lti",
-    "identification",
-    "estimation",
-    "control",
-)  # each imports those before it
+# Each imports those before it.
+TOOLBOX = ("base", "signals", "lti", "identification", "estimation", "control")
 LIBRARY = Path(stillwork.__file__).parents[1]
-FOR_NOTEBOOKS = (
-    "__init__",
-    "claims",
-    "explorer",
-    "figures",
-    "page",
-    "paths",
-    "studies",
-)  # modules of the workbook
+# Modules of the workbook.
+FOR_NOTEBOOKS = ("__init__", "claims", "explorer", "figures", "page", "paths", "studies")
 
 
 @dataclass(frozen=True)
