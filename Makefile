@@ -109,7 +109,7 @@ accept: $(READY) ## Copy a build into notebooks/ and figures/, and into what fol
 	@$(BIN)/python -m stillwork accept
 
 release: $(READY) ## Write wheel, site and archive to build/release
-	@$(BIN)/python -m stillwork release
+	@$(BIN)/python benchmarks/release.py
 
 doctor: $(READY) ## Compare the environment with environment.txt
 	@$(BIN)/python -m stillwork doctor

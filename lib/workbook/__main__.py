@@ -1,4 +1,4 @@
-"""Command line of the engine: ``python -m workbook figures|choices|claims|portable|accept|site|release|refresh|init|new|doctor``."""
+"""Command line of the engine: ``python -m workbook figures|choices|claims|portable|accept|site|refresh|init|new|doctor``."""
 
 import argparse
 import sys
@@ -101,11 +101,6 @@ COMMANDS = {
     ),
     "site": Command(
         "write the static site to build/site", "workbook.site.build:build_site", before=IN_A_WORKBOOK
-    ),
-    "release": Command(
-        "write wheel, site and archive to build/release",
-        "workbook.site.release:release",
-        before=IN_A_WORKBOOK,
     ),
     "refresh": Command(
         "rewrite what follows from ledger and notebooks: README tables, index, manifests",

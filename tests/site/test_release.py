@@ -8,8 +8,8 @@ import zipfile
 
 import pytest
 
+from benchmarks import release
 from stillwork.base.checks import InputError
-from workbook.site import release
 
 
 @pytest.fixture

@@ -105,3 +105,10 @@ def zipped(folder: Path, name: str) -> bytes:
             path = f"{name}/{file.relative_to(folder).as_posix()}"
             whole.writestr(zipfile.ZipInfo(path), file.read_bytes(), zipfile.ZIP_DEFLATED)
     return content.getvalue()
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(release())
+    except InputError as error:
+        sys.exit(f"release: {error}")
