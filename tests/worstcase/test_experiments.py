@@ -227,3 +227,9 @@ def test_a_blow_predicts_another_blow():
     assert np.median(noisy["least squares"]) > np.median(found["least squares"])
     with pytest.raises(InputError, match="noisier"):
         measured.blow_trial(np.random.default_rng(1), blows, 8, 40, 0.5)
+
+
+def test_without_noise_an_exact_filter_is_found_by_both():
+    motion = np.random.default_rng(2).standard_normal(2000)
+    found = measured.total_trial(np.random.default_rng(3), motion, 0.0, 8, 200)
+    assert max(found.values()) < 1e-9
