@@ -485,10 +485,7 @@ class Box(NamedTuple):
             ratio = np.stack([*beside[constraint.function], turn, slope], axis=1)
             limit = 0.0 if every else EXCESS * constraint.limit
             least = BETWEEN * limit if exact else limit
-            size, row, taken, parts, gain, delay = _worst(
-                ratio, self.parts, self.sizes, self.fixed, self.low, self.high,
-                1 - self.gain, 1 + self.gain, late, self.middles, self.radii, least**2, starts, SWEEPS, first,
-            )  # fmt: skip
+            size, row, taken, parts, gain, delay = _worst(self, ratio, late, least**2, starts, first)
             if row < 0:
                 continue
             frequencies = loop.plant.frequencies
@@ -533,24 +530,10 @@ def _discs(parts, sizes, fixed, low, high, least_gain, most_gain, late):
 
 
 @kernel
-def _worst(
-    ratio,
-    parts,
-    sizes,
-    fixed,
-    low,
-    high,
-    least_gain,
-    most_gain,
-    late,
-    middles,
-    radii,
-    least,
-    starts,
-    sweeps,
-    first,
-):
+def _worst(box, ratio, late, least, starts, first):
     """Largest square of |1 + (a + bP)/(c + dP)| above `least`, P anywhere in the box: its row and what P is made of."""
+    parts, sizes, fixed, low, high = box.parts, box.sizes, box.fixed, box.low, box.high
+    least_gain, most_gain = 1 - box.gain, 1 + box.gain
     rows, modes = parts.shape[0], parts.shape[1]
     best, best_row, best_gain, best_late = least, -1, 1.0, 0
     best_taken, best_parts = np.zeros(modes, np.int64), np.ones(modes)
@@ -558,7 +541,7 @@ def _worst(
     for row in range(rows):
         a, b, c, d = ratio[row, 0], ratio[row, 1], ratio[row, 2], ratio[row, 3]
         # No place can exceed what is sought where even the triangle inequality does not.
-        middle, radius = middles[row], radii[row]
+        middle, radius = box.middles[row], box.radii[row]
         below = abs(c + d * middle) - abs(d) * radius
         if below > 0 and (abs(a + c + (b + d) * middle) + abs(b + d) * radius) ** 2 <= best * below**2:
             continue
@@ -572,7 +555,7 @@ def _worst(
                     taken[k] = ((row + 1) * 7919 * (k + 1) + start * 104729) % sizes[k]
                 factors[k] = 1.0
                 whole += parts[row, k, taken[k]]
-            for _ in range(sweeps):
+            for _ in range(SWEEPS):
                 for k in range(modes):
                     others = whole - factors[k] * parts[row, k, taken[k]]
                     turn = gain * late[row, when]

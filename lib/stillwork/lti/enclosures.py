@@ -419,18 +419,22 @@ def _has_root(polynomial: Polynomial) -> bool | None:
     return _reaches_zero(polynomial, None)
 
 
+@checked
+def root_octaves(polynomial: Polynomial) -> range:
+    """Exponents of the powers of two from which on its roots above 0 may lie: Cauchy's bounds, by the coefficients' sizes."""
+    sizes = [(k, abs(each).bit_length()) for k, each in enumerate(polynomial) if each]
+    if len(sizes) < 2:
+        return range(0)
+    (first, least), (last, most) = sizes[0], sizes[-1]
+    lowest = min((least - size - 2) // (k - first) for k, size in sizes[1:]) - 1
+    highest = max(-((most - size - 2) // (last - k)) for k, size in sizes[:-1]) + 1
+    return range(lowest, highest + 1)
+
+
 def _reaches_zero(polynomial: Polynomial, bits: int | None) -> bool | None:
     """Whether it, rounded down to so many bits, has a root above 0; octave by octave."""
-    sizes = [(k, abs(each).bit_length()) for k, each in enumerate(polynomial) if each]
-    first, last = sizes[0], sizes[-1]
-    # Every root lies between these powers of two (Cauchy's bounds, by the sizes of the coefficients).
-    low = min((first[1] - size - 2) // (k - first[0]) for k, size in sizes[1:]) - 1 if len(sizes) > 1 else 0
-    high = (
-        max(-((last[1] - size - 2) // (last[0] - k)) for k, size in sizes[:-1]) + 1 if len(sizes) > 1 else 0
-    )
-    for octave in range(low, high + 1):
-        scaled = _scaled(polynomial, octave, bits)
-        beyond = shifted(scaled)  # from 2^octave on
+    for octave in root_octaves(polynomial):
+        beyond = shifted(scaled(polynomial, octave, bits))  # from 2^octave on
         if beyond[0] <= 0:
             return True
         if sign_changes(beyond) == 0:
@@ -440,7 +444,8 @@ def _reaches_zero(polynomial: Polynomial, bits: int | None) -> bool | None:
     return False
 
 
-def _scaled(polynomial: Polynomial, octave: int, bits: int | None) -> Polynomial:
+@checked
+def scaled(polynomial: Polynomial, octave: int, bits: int | None = None) -> Polynomial:
     """p(2^octave x) times a power of two, its coefficients rounded down to so many bits of the largest."""
     n = len(polynomial) - 1
     powers = [octave * k if octave >= 0 else -octave * (n - k) for k in range(n + 1)]

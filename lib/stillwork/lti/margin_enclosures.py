@@ -11,7 +11,17 @@ from math import atan, atan2, inf, nextafter, pi, sqrt
 from typing import NamedTuple
 
 from stillwork.base.validation import by_value, checked
-from stillwork.lti.enclosures import Enclosure, Polynomial, add, multiply, outward, shifted, sign_changes
+from stillwork.lti.enclosures import (
+    Enclosure,
+    Polynomial,
+    add,
+    multiply,
+    outward,
+    root_octaves,
+    scaled,
+    shifted,
+    sign_changes,
+)
 
 BITS = 160, 600, 2400  # to which a root is refined, in turn
 DEPTH = 600  # halvings of an interval in which several roots may lie
@@ -63,17 +73,8 @@ def _roots(polynomial: Polynomial) -> Iterator[_Root]:
         polynomial = polynomial[:-1]
     while polynomial and not polynomial[0]:
         polynomial = polynomial[1:]
-    sizes = [(k, abs(each).bit_length()) for k, each in enumerate(polynomial) if each]
-    if len(sizes) < 2:
-        return
-    (first, least), (last, most) = sizes[0], sizes[-1]
-    # Every root lies between these powers of two (Cauchy's bounds, by the sizes of the coefficients).
-    lowest = min((least - size - 2) // (k - first) for k, size in sizes[1:]) - 1
-    highest = max(-((most - size - 2) // (last - k)) for k, size in sizes[:-1]) + 1
-    n = len(polynomial) - 1
-    for octave in range(lowest, highest + 1):
-        powers = [octave * k if octave >= 0 else -octave * (n - k) for k in range(n + 1)]
-        beyond = shifted([each << power for each, power in zip(polynomial, powers, strict=True)])
+    for octave in root_octaves(polynomial):
+        beyond = shifted(scaled(polynomial, octave))
         if beyond[0] and not sign_changes(beyond):
             return
         yield from _within(beyond, octave)
