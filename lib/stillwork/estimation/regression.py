@@ -40,21 +40,6 @@ class UnlikeScalesWarning(UserWarning):
     """Features are so unlike in size that the small ones are not learned: give them in like units."""
 
 
-def warn_unlike(ratio: float, what: str) -> None:
-    warnings.warn(
-        f"the largest feature is {ratio:.3g} times as large as the smallest, whose coefficient {what}; give the features "
-        "in units in which they are alike, as sklearn.preprocessing.StandardScaler does",
-        UnlikeScalesWarning,
-        stacklevel=5,
-    )
-
-
-def scale_ratio(squares: np.ndarray) -> float:
-    """Largest over smallest size of features, from sums of their squares; those that are zero throughout left out."""
-    sizes = np.sqrt(squares[squares > 0])
-    return float(sizes.max() / sizes.min()) if len(sizes) else 1.0
-
-
 class _InputTypeError(InputError, TypeError):
     """What scikit-learn calls a TypeError and the toolbox an InputError."""
 
@@ -144,6 +129,19 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _warn(self) -> None:
         """Warn after `fit` of what the settings did to the estimate."""
+
+    def _note_scales(self, squares: np.ndarray) -> None:
+        # largest over smallest size of the features, from sums of their squares; those that are zero left out
+        sizes = np.sqrt(squares[squares > 0])
+        self.scale_ratio_ = float(sizes.max() / sizes.min()) if len(sizes) else 1.0
+
+    def _warn_unlike(self, what: str) -> None:
+        warnings.warn(
+            f"the largest feature is {self.scale_ratio_:.3g} times as large as the smallest, whose coefficient {what}; "
+            "give the features in units in which they are alike, as sklearn.preprocessing.StandardScaler does",
+            UnlikeScalesWarning,
+            stacklevel=5,
+        )
 
     def _learn(self, X, y, sample_weight, anew, whole=True):
         before = vars(self).copy()
@@ -443,7 +441,7 @@ class LeastMeanSquares(UnweightedRegressor):
         # of the smallest feature so much is learned in a sample
         share = float(self.step_size) * np.min(sums[sums > 0], initial=np.inf) / (sums.sum() or 1.0)
         if self.scale_ratio_ > UNLIKE and samples * share < 1:
-            warn_unlike(self.scale_ratio_, f"is not learned in fewer than {1 / share:.2g} samples")
+            self._warn_unlike(f"is not learned in fewer than {1 / share:.2g} samples")
 
     def _advance(self, state, rows, outputs, weights):
         coef = state[0].copy()
@@ -460,7 +458,7 @@ class LeastMeanSquares(UnweightedRegressor):
         run = kernel_for(run_felms, len(rows), coef.size)
         run(coef, *steps, *_record(rows, outputs), False)
         sums = state[2] + squares_of_features
-        self.scale_ratio_ = scale_ratio(sums)
+        self._note_scales(sums)
         return (coef, largest[-1], sums, state[3] + len(rows)), coef
 
 

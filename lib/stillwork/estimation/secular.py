@@ -273,7 +273,8 @@ def secular_function(matrix: Matrix, target: ArrayLike, bound: NonNegative) -> S
     return SecularFunction(eigenvalues, coefficients, excess, bound)
 
 
-def require_problem(matrix: np.ndarray, target: ArrayLike) -> np.ndarray:
+@checked
+def require_problem(matrix: Matrix, target: ArrayLike) -> np.ndarray:
     """The target b as an array, of as many rows as A, which are no fewer than unknowns."""
     rows, unknowns = matrix.shape
     if unknowns == 0:

@@ -21,7 +21,7 @@ from stillwork.estimation.linear_fits import (
     total_least_squares,
 )
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_plain
-from stillwork.estimation.regression import UNLIKE, WeightedRegressor, scale_ratio, warn_unlike
+from stillwork.estimation.regression import UNLIKE, WeightedRegressor
 from stillwork.estimation.secular import ROUNDING
 from stillwork.estimation.triangle_kernels import advance_min_max
 
@@ -277,16 +277,16 @@ class _PenalisedRegressor(TriangleRegressor):
     # One penalty on all coefficients, which unlike features feel unlike.
     def _warn(self):
         if self.scale_ratio_ > UNLIKE and self._shrunk > 0.01:
-            warn_unlike(self.scale_ratio_, f"is shrunk by {self._shrunk:.0%}")
+            self._warn_unlike(f"is shrunk by {self._shrunk:.0%}")
 
     def _solve(self, corner, columns, outputs, mass):
         self.scale_ratio_ = 1.0
         self._shrunk = 0.0  # share that the penalty takes of the coefficient of the smallest feature
         return super()._solve(corner, columns, outputs, mass)
 
-    def _note_scales(self, matrix, penalty) -> None:
+    def _note_penalty(self, matrix, penalty) -> None:
         squares = np.einsum("ij,ij->j", matrix, matrix)
-        self.scale_ratio_ = scale_ratio(squares)
+        self._note_scales(squares)
         smallest = np.min(squares[squares > 0], initial=np.inf)
         self._shrunk = max(self._shrunk, float(penalty / (smallest + penalty)))
 
@@ -354,7 +354,7 @@ class RidgeRegressor(_PenalisedRegressor):
             penalty = choose(matrix, target, float(max(mass, matrix.shape[1] + 1.0)))
         else:
             penalty = require_number("penalty", self.penalty, at_least=0.0)
-        self._note_scales(matrix, penalty)
+        self._note_penalty(matrix, penalty)
         # without a penalty each feature may have a unit of its own
         units = np.ones(matrix.shape[1]) if penalty else _column_sizes(matrix)
         left, sizes, right = np.linalg.svd(matrix / units, full_matrices=False)
@@ -440,7 +440,7 @@ class BiasCompensatedRegressor(_PenalisedRegressor, _NoisyFeatures):
             coef, penalty = compensated_ridge(
                 matrix, target, variances, float(max(mass, matrix.shape[1] + 1.0)), self._penalty
             )
-            self._note_scales(matrix, penalty)
+            self._note_penalty(matrix, penalty)
             return coef
         noises = self._noises[self._noises > 0]
         whitened = matrix / noises
