@@ -7,8 +7,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.isolation.algorithm_styles import COLOURS, STYLES
-from experiments.isolation.convergence import ALGORITHMS
+from experiments.isolation.convergence import ALGORITHMS, COLOURS, STYLES
 from experiments.isolation.floors import ShapedFloor, coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.simulation import TOGETHER, sample_seeds, simulate_together

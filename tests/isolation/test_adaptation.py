@@ -12,7 +12,7 @@ from stillwork.estimation.adaptive import (
     ferls_update,
     hold_triangle,
 )
-from stillwork.estimation.covariance_forms import FORMS, UD, covariance_of, factor_of
+from stillwork.estimation.covariance_forms import FORMS, covariance_of, factor_of
 from stillwork.estimation.online import (
     AdaptationStepper,
     UnstableAdaptation,

@@ -17,7 +17,7 @@ from workbook.palette import BLACK, GREEN
 
 ALGORITHMS = ("FeLMS", "FeRLS")
 STYLES = {"FeLMS": "--", "FeRLS": "-"}
-COLORS = {"FeLMS": GREEN, "FeRLS": BLACK}  # as in Figs. 7 and 8
+COLOURS = {"FeLMS": GREEN, "FeRLS": BLACK}  # as in Figs. 7 and 8
 SHARE = 0.63  # half width of the band around the final value, Table 1
 FINAL_SHARE = 0.1  # of a run, at its end, whose mean is the final value
 

@@ -275,20 +275,6 @@ def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor
     return denominator, reached
 
 
-@pasted_kernel
-def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner, regressor, error, sample):
-    """`ferls_update` with Bierman's factors.
-
-    They show P's diagonal at the price of a product, so one element a sample is compared with its limit.
-    """
-    n, forget = len(regressor), matrix.dtype.type(forgetting)
-    denominator = update_ud(matrix, regressor, forget, gain, inner)
-    step_weights(weights, gain, matrix.dtype.type(1) / denominator, error)
-    check_powers(levels, regressor, forget, allowance)
-    axis = sample % n
-    return denominator, variance(UD, matrix, axis) > levels[0, axis]
-
-
 @borrowing_kernel
 def ferls_form_update(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
