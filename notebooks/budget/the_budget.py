@@ -183,7 +183,8 @@ def paint_moving(errors: dict[str, np.ndarray], period: np.ndarray):
         axes.plot(
             1e3 * time,
             1e6 * scan,
-            linewidth=2.5 if name == "passive, PID" else 0.8,  # the feedforward's lies on it
+            linewidth=4.0 if name == "passive, PID" else 1.0,  # the feedforward's lies on it
+            alpha=0.4 if name == "passive, PID" else 1.0,
             label=name,
             linestyle="--" if name == "feedforward" else "-",
         )
