@@ -212,7 +212,7 @@ def test_a_loop_that_is_not_a_number_is_no_feasible_one():
     with pytest.raises(InputError, match=r"^input_sensitivity\b"):
         maximise_bandwidth([Broken()], family, limits, 1.5, 50.0, lowest=True)
     with pytest.raises(InputError, match=r"^input_sensitivity\b.*number"):
-        is_feasible([Broken()], family(2.0), limits, refine=False)
+        is_feasible([Broken()], family(2.0), limits)
 
 
 def test_an_error_of_a_readers_own_loop_comes_through():
