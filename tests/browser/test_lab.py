@@ -123,12 +123,12 @@ def until(browser, script: str, *arguments):
         pytest.fail(f"waited in vain for: {script}\nthe page: {page}\nthe console: {said}")
 
 
-def test_it_lands_on_the_map_of_the_house(browser, lab):
+def test_it_lands_on_the_index_of_the_notebooks(browser, lab):
     browser.resize(1440)
     browser.open(f"{lab}/?token={TOKEN}")
     until(browser, PANEL, "notebooks/index.ipynb")
     heading = until(browser, "return document.querySelector('.jp-Notebook h1')?.textContent")
-    assert heading.startswith("The house")
+    assert heading.startswith("The notebooks")
     assert browser.driver.current_url.startswith(f"{lab}/lab/tree/notebooks/index.ipynb")
     title = json.loads((ROOT / f"notebooks/{NOTEBOOK}.ipynb").read_text("utf-8"))["cells"][0]["source"]
     title = "".join(title).splitlines()[0].removeprefix("# ")

@@ -78,12 +78,12 @@ def _gallery(pages: list[NotebookPage]) -> str:
 def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
     shown = columns(claims)
     parts = [
-        "# The house\n\nA topic for each paper; one notebook a result. Run a notebook with "
+        "# The notebooks\n\nA topic for each paper, a notebook for each result. Run a notebook with "
         "*Run > Run All Cells*, change its cell of parameters, or move the sliders of its explorer.",
-        "## What agrees with the published works\n\n"
+        "## What agrees with the papers\n\n"
         + "\n".join(
             [
-                "| topic | work | " + " | ".join(shown) + " |",
+                "| topic | paper | " + " | ".join(shown) + " |",
                 "|---|---|" + "---:|" * len(shown),
                 *(_row(topic, paper, claims, shown) for topic, paper in papers().items()),
             ]
@@ -98,7 +98,7 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
             first = _headline(paper, claims)
             said = f"{paper['claimed']}\n\n" if paper["claimed"] else ""
             parts.append(f"## {paper['title']} (`{topic}`)\n\n{said}{first}{listing}")
-    parts.append(f"## The shelves\n\n{about()['shelves']}")
+    parts.append(f"## Folders\n\n{about()['shelves']}")
     cells = [
         # In lines, as Jupyter writes them.
         {"cell_type": "markdown", "id": f"part-{number}", "metadata": {}, "source": text.splitlines(True)}
@@ -108,7 +108,7 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
 
 
 def _headline(paper: dict, claims: list[Claim]) -> str:
-    """What the work says first, as a table that ends with a blank line; empty where the ledger has none of it."""
+    """What the paper claims first, as a table that ends with a blank line; empty where the ledger has none of it."""
     by_id = {claim.entry.id: claim for claim in claims}
     rows = [
         f"| {each['says']} | {published_quantity(claim)} | {our_quantity(claim)} | {claim.judgement} |"
@@ -117,7 +117,9 @@ def _headline(paper: dict, claims: list[Claim]) -> str:
     ]
     if not rows:
         return ""
-    return "\n".join(["| the work says | published | ours | verdict |", "|---|---|---|---|", *rows]) + "\n\n"
+    return (
+        "\n".join(["| the paper claims | published | ours | verdict |", "|---|---|---|---|", *rows]) + "\n\n"
+    )
 
 
 def _row(topic: str, paper: dict, claims: list[Claim], shown: list[str]) -> str:
