@@ -20,9 +20,17 @@ from notebooks.worstcase.comparison import (
     sample_record,
     turning_points,
 )
+from stillwork.base.checks import InputError
+from stillwork.estimation.hinfinity import smallest_level
 from stillwork.estimation.linear_fits import (
+    admitted_noise,
+    compensated_ridge,
     cross_validated_penalty,
     evidence_penalty,
+    hinfinity_estimate,
+    hinfinity_model,
+    huber_estimate,
+    instrumental_variables,
 )
 
 FORGETTING = 0.9
@@ -162,3 +170,87 @@ def test_turning_points_lie_where_the_errors_cross():
     found = turning_points(errors, noises)
     assert found["worstcase.comparison.pays-from"] == pytest.approx(2.0)
     assert found["worstcase.comparison.pays-to"] == pytest.approx(8.0)
+
+
+def test_instruments_are_two_regressions():
+    one = record()
+    projection = one.instruments @ np.linalg.pinv(one.instruments)
+    inner = one.matrix.T @ projection
+    expected = np.linalg.inv(inner @ one.matrix) @ inner @ one.target
+    assert instrumental_variables(one.matrix, one.target, one.instruments) == pytest.approx(expected)
+
+
+def gain_of(matrix, level):
+    """Largest ratio of the errors' energy to that of what is unknown, by the filter run on each unknown of its own."""
+    rows, taps = matrix.shape
+    deviation = 0.7
+    columns = []
+    for unknown in np.eye(taps + rows):
+        truth, noise = unknown[:taps] / np.sqrt(taps), deviation * unknown[taps:]
+        # the state grows as forgetting^(-t/2) while white noise does not, so neither do the outputs of the model
+        growth = FORGETTING ** (-np.arange(1, rows + 1) / 2)
+        outputs = (matrix @ truth) + noise / growth
+        errors = [truth]
+        for t in range(1, rows):
+            found = filtered(matrix[:t], outputs[:t], deviation, level)
+            errors.append(growth[t - 1] * (truth - found))
+        columns.append(np.concatenate(errors))
+    return np.linalg.norm(np.array(columns).T, 2)
+
+
+def filtered(matrix, outputs, deviation, level):
+    # information form, with plain inverses: P^-1 - level^-2 I at the start of each step, then the sample
+    taps = matrix.shape[1]
+    information, state = taps * np.eye(taps), np.zeros(taps)
+    for t, (row, output) in enumerate(zip(matrix, outputs, strict=True), 1):
+        information = FORGETTING * (information - np.eye(taps) / level**2)
+        assert np.linalg.eigvalsh(information)[0] > 0
+        information = information + np.outer(row, row) / deviation**2
+        state = state / np.sqrt(FORGETTING)
+        scaled = FORGETTING ** (-t / 2) * output
+        state = state + np.linalg.inv(information) @ row * (scaled - row @ state) / deviation**2
+    return state * FORGETTING ** (len(outputs) / 2)
+
+
+def test_hinfinity_keeps_its_level_and_nothing_keeps_less():
+    matrix = record(rows=9).matrix
+    model = hinfinity_model(matrix, 0.49, np.eye(3) / 3, FORGETTING)
+    smallest = smallest_level(model, np.eye(3), 1e-3)
+    target = np.random.default_rng(3).standard_normal(9)
+    level = 1.3 * smallest_level(model, np.eye(3), 1e-2)
+    twin = filtered(matrix, target, 0.7, level)
+    found = hinfinity_estimate(matrix, target, 0.49, 1.0, FORGETTING, margin=1.3)
+    assert found == pytest.approx(twin, abs=1e-9)
+    assert smallest / 1.001 < gain_of(matrix, level) < level
+    with pytest.raises(AssertionError):  # below the smallest level the information loses its sign
+        filtered(matrix, target, 0.7, 0.99 * smallest)
+
+
+def test_huber_is_scikit_learn_s_at_its_scale():
+    from sklearn.linear_model import HuberRegressor
+
+    rng = np.random.default_rng(5)
+    matrix = rng.standard_normal((400, 2))
+    noise = rng.standard_normal(400) * np.where(rng.random(400) < 0.1, 30.0, 1.0)
+    target = matrix @ [2.0, -1.0] + noise
+    peer = HuberRegressor(alpha=0.0, fit_intercept=False, tol=1e-9).fit(matrix, target).coef_
+    least = np.linalg.lstsq(matrix, target)[0]
+    found = huber_estimate(matrix, target, np.ones(400))
+    # their scales differ: his is estimated with the parameters, ours is the median's
+    assert np.linalg.norm(found - peer) < 0.1 * np.linalg.norm(least - [2.0, -1.0])
+
+
+@pytest.mark.parametrize("length", [1, 7])
+@pytest.mark.parametrize(
+    "fit",
+    [
+        lambda matrix, target: huber_estimate(matrix, target, np.ones(len(matrix))),
+        lambda matrix, target: instrumental_variables(matrix, target, matrix),
+        lambda matrix, target: compensated_ridge(matrix, target, np.zeros(2), 20.0),
+        lambda matrix, target: admitted_noise(matrix, target, np.ones(2)),
+        lambda matrix, target: evidence_penalty(matrix, target, 20.0),
+    ],
+)
+def test_a_target_of_another_length_is_named(fit, length):
+    with pytest.raises(InputError, match=r"^target\b"):
+        fit(np.random.default_rng(0).standard_normal((20, 2)), np.ones(length))

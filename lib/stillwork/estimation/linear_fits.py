@@ -24,6 +24,7 @@ PENALTIES = np.geomspace(1e-10, 1e6, 321)  # over the largest squared singular v
 
 def _spectrum(matrix, target) -> tuple[np.ndarray, np.ndarray, float]:
     """Squared singular values, squared coordinates of the target along them, and what of its square lies outside."""
+    target = require_array("target", target, shape=(len(matrix),))
     left, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
     along = (left.T @ target) ** 2
     return sizes**2, along, max(float(target @ target - along.sum()), 0.0)
@@ -63,6 +64,7 @@ def compensated_ridge(
     mean square of the residuals less that of the coefficients' share of the noise, and twice the noise of b times the
     degrees of freedom over the samples (Mallows, 1973). The noise of b is that of generalised cross-validation.
     """
+    target = require_array("target", target, shape=(len(matrix),))
     variances = require_array("variances", variances, shape=matrix.shape[1:])
     products, correlation = matrix.T @ matrix, matrix.T @ target
     taken = _noise_taken_out(matrix, variances, samples)
@@ -108,6 +110,7 @@ def admitted_noise(matrix: Matrix, target: Vector, deviations: Vector) -> float:
     is chi-square where b has no noise of its own, and larger where it has (Anderson and Rubin, 1949). Below its 1 %
     quantile the answer is its root mean square. Columns of deviation 0 are known exactly, such as a constant.
     """
+    target = require_array("target", target, shape=(len(matrix),))
     deviations = require_array("deviations", deviations, shape=matrix.shape[1:])
     if np.any(deviations < 0):
         raise InputError("deviations holds a negative number; give zero or above")
@@ -123,6 +126,7 @@ def admitted_noise(matrix: Matrix, target: Vector, deviations: Vector) -> float:
 @checked
 def huber_estimate(matrix: Matrix, target: Vector, weights: Vector) -> Float64[np.ndarray, " unknowns"]:
     """Huber's estimate by reweighting, its scale the weighted median of |residuals| over 0.6745; `weights` of squares."""
+    target = require_array("target", target, shape=(len(matrix),))
     counted = weights = require_array("weights", weights, shape=(len(matrix),))
     for _ in range(20):
         root = np.sqrt(counted)
@@ -142,6 +146,7 @@ def instrumental_variables(
     matrix: Matrix, target: Vector, instruments: Matrix
 ) -> Float64[np.ndarray, " unknowns"]:
     """Two-stage least squares: rows are replaced by what the instruments say of them (Söderström and Stoica, 1983)."""
+    target = require_array("target", target, shape=(len(matrix),))
     instruments = require_array("instruments", instruments, shape=(len(matrix), None))
     explained = instruments @ np.linalg.lstsq(instruments, matrix, rcond=None)[0]
     return np.linalg.lstsq(explained, target)[0]
