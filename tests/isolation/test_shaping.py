@@ -147,3 +147,14 @@ def test_skyhook_is_eq_1():
 def test_bad_input_is_refused(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+def test_weak_integrator_is_controls_tustin():
+    s = control.tf("s")
+    lowpass = (CUTOFF / (s + CUTOFF)) ** 3
+    continuous = control.minreal((1 - lowpass) / s, 1e-6, verbose=False)
+    discrete = control.c2d(continuous, SAMPLE_TIME, "tustin")
+    expected = discrete(Z)
+    np.testing.assert_allclose(
+        response(shaping.weak_integrator(3, CUTOFF, 1.0, SAMPLE_TIME)), expected, rtol=1e-4
+    )

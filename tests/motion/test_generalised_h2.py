@@ -141,3 +141,21 @@ def test_a_share_counts_runs_and_not_their_parts():
     value, interval = fraction([[True, True], [True, False], [True, True], [True, True]])
     assert value == pytest.approx(7 / 8)
     assert interval == proportion_interval(3, 4)
+
+
+def test_semidefinite_program_finds_the_same_gain():
+    """One step of Lemma 5.5.2 by a convex solver: the least P(k+1) over all gains."""
+    import cvxpy as cp
+
+    _, (a, g, c, q, r) = problem(7, samples=3)
+    gains = predictor_gains(a, g, c, q, r)
+    p = generalised_h2_norm(error_system(a, g, c, q, r, gains)).gramians[2]
+    gain = cp.Variable((3, 1))
+    following = cp.Variable((3, 3), symmetric=True)
+    rows = cp.hstack(
+        [(a - gain @ c[2]) @ np.linalg.cholesky(p), g @ np.linalg.cholesky(q), -gain * np.sqrt(r[0, 0])]
+    )
+    size = rows.shape[1]
+    whole = cp.bmat([[following, rows], [rows.T, np.eye(size)]])
+    cp.Problem(cp.Minimize(cp.trace(following)), [whole >> 0]).solve(solver=cp.CLARABEL)
+    np.testing.assert_allclose(gain.value, gains[2], rtol=1e-3, atol=1e-4)

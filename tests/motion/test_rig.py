@@ -5,7 +5,7 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import linalg, signal
 
 from experiments.motion.rig import (
     POSITIONS,
@@ -29,8 +29,9 @@ from experiments.motion.rig_loops import (
 )
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti.discretisation import continuous_poles, prewarped, zoh_modes, zoh_response
+from stillwork.lti.discretisation import continuous_poles, prewarped, tustin, zoh_modes, zoh_response
 
 SAMPLE_TIME = 1e-4
 GEOMETRY = assumed_geometry()
@@ -325,3 +326,28 @@ def test_actuators_on_a_nodal_line_are_refused():
         rig_compensator(
             rig_observer(model.modes(slice(0, 5)), SETTINGS.noise, SAMPLE_TIME), target_damping=0.04
         )
+
+
+def test_edges_of_the_plate_carry_no_bending_moment():
+    # w_xx + nu w_yy = 0 on the edge x = 1: natural, so met by the converged shapes only.
+    modes, h, nu = plate_modes(1.0, 0.3, 4, degree=17), 1e-4, 0.3
+    y = np.linspace(-0.6, 0.6, 7)
+    at = lambda dx, dy: modes.shapes(np.full(7, 1 - 2 * h) + dx * h, y + dy * h)  # noqa: E731
+    w_xx = (at(1, 0) - 2 * at(0, 0) + at(-1, 0)) / h**2
+    w_yy = (at(0, 1) - 2 * at(0, 0) + at(0, -1)) / h**2
+    assert np.abs(w_xx + nu * w_yy).max() < 0.05 * np.abs(w_yy).max()
+
+
+def test_tustin_is_the_bilinear_rule_and_holds_the_frequency_asked_for():
+    pid = PidFamily(20.0)(8.0)
+    model = pid.state_space()
+    ours = tustin(model, SAMPLE_TIME)
+    a, b, c, d, _ = signal.cont2discrete((model.a, model.b, model.c, model.d), SAMPLE_TIME, "bilinear")
+    omega = 2 * np.pi * np.array([1.0, 30.0, 2000.0])
+    _, theirs = signal.dfreqresp((a, b, c, d, SAMPLE_TIME), omega * SAMPLE_TIME)
+    np.testing.assert_allclose(ours.frequency_response(omega)[0, 0], theirs.ravel(), rtol=1e-6)
+    np.testing.assert_allclose(
+        pid.frequency_response(prewarped(omega, SAMPLE_TIME)), theirs.ravel(), rtol=1e-6
+    )
+    held = tustin(model, SAMPLE_TIME, omega[2]).frequency_response(omega[2:])[0, 0, 0]
+    assert held == pytest.approx(pid.frequency_response(omega[2:])[0])

@@ -35,6 +35,7 @@ from stillwork.estimation import min_max_solve
 from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.identification import fir_regressors
 from stillwork.identification.regressors import exponential_bound
+from workbook import paths
 from workbook.studies import run_study
 
 FIG_1 = {"parameters": (1.0, 0.5), "period": 20, "samples": 60, "input_noise": 0.1, "output_noise": 1.0}
@@ -233,3 +234,22 @@ def test_without_noise_an_exact_filter_is_found_by_both():
     motion = np.random.default_rng(2).standard_normal(2000)
     found = measured.total_trial(np.random.default_rng(3), motion, 0.0, 8, 200)
     assert max(found.values()) < 1e-9
+
+
+def test_an_exchanged_pair_has_the_other_sensor_s_noise():
+    pair, spectra = load_pair((100.0, 1500.0), (300.0, 600.0))
+    other = measured_pictures.exchange(pair, spectra, (300.0, 600.0))
+    assert np.array_equal(other.input, pair.output) and np.array_equal(other.output, pair.input)
+    again = open_pair(
+        paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"),
+        band_hz=(100.0, 1500.0), quiet_hz=(300.0, 600.0),
+    )[0]  # fmt: skip
+    assert other.noise == pytest.approx(again.noise[1], rel=1e-12)
+
+
+def test_a_tone_is_the_loudest_band():
+    t = np.arange(32000) / 3200
+    values = 3.0 * np.sin(2 * np.pi * 181.0 * t) + np.random.default_rng(1).standard_normal(len(t))
+    low, high, share = measured.loudest_band(values, 3200.0)
+    assert low < 181.0 < high and high - low <= 8.0
+    assert share == pytest.approx(4.5 / 5.5, abs=0.01)
