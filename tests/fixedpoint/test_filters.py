@@ -38,7 +38,8 @@ def record(approximate, rng):
 
 def twins(approximate):
     p = approximate.parameters
-    kalman = UnscentedKalman(approximate)
+    kalman, extended = UnscentedKalman(approximate), ExtendedKalman(approximate)
+    process, noise = extended.packed().process, extended.packed().noise
     return {
         "window": (MovingWindow(), naive.MovingWindow(12, SAMPLE_TIME)),
         "short window": (MovingWindow(1), naive.MovingWindow(1, SAMPLE_TIME)),
@@ -50,6 +51,7 @@ def twins(approximate):
             UnscentedKalman(approximate, literal=True),
             naive.PlantUnscented(p, kalman.process, kalman.noise, 1e-3, SAMPLE_TIME, literal=True),
         ),
+        "EKF": (extended, naive.PlantExtended(p, process, noise, (1e-2, 1.0, 10.0), SAMPLE_TIME)),
     }
 
 
@@ -61,6 +63,7 @@ NAMES = [
     "Savitzky-Golay",
     "UKF",
     "literal UKF",
+    "EKF",
 ]
 
 
