@@ -1,5 +1,7 @@
 """Performance from simulation against the same from the model's responses, and modes against closed forms."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -133,3 +135,17 @@ def test_means_over_bands_keep_what_is_there_and_average_noise():
     high = bands > 400  # a band of a twelfth of an octave holds over 90 lines there
     assert np.std(means["noise"][..., high]) < 2 * np.sqrt(2 / 90)
     np.testing.assert_allclose(means["noise"][..., 0], noise[..., 0])
+
+
+def test_a_band_holds_the_lines_of_a_twelfth_of_an_octave_and_a_line_near_the_mains_itself():
+    f = np.arange(8, 400) / 4  # Hz; the mains at 50 keeps the five lines from 49.5 to 50.5
+    response = np.random.default_rng(5).standard_normal((3, 3, f.size)).astype(complex)
+    groups = {}
+    for place, hertz in enumerate(f):
+        alone = 49.4 < hertz < 50.6
+        key = ("line", place) if alone else ("band", hertz > 50, math.floor(12 * math.log2(hertz)))
+        groups.setdefault(key, []).append(place)
+    centres, means = band_means(f, {"r": response}, [50.0])
+    np.testing.assert_allclose(centres, [f[group].mean() for group in groups.values()])
+    wanted = np.stack([response[:, :, group].mean(axis=2) for group in groups.values()], axis=2)
+    np.testing.assert_allclose(means["r"], wanted)

@@ -6,6 +6,7 @@ import pytest
 from experiments.motion.machines import stage
 from experiments.motion.scan_study import (
     filter_model,
+    judge,
     published_scan,
     record_scans,
 )
@@ -184,3 +185,15 @@ def test_the_pseudo_inverse_is_the_shortest_error_that_explains_the_output(scan)
     exact = output_errors(scan, np.zeros((2, 3, 4)), records, records.states)
     np.testing.assert_allclose(exact.innovation, exact.noise, rtol=1e-12)
     np.testing.assert_allclose(exact.deformation_error, 0, atol=1e-20)
+
+
+def test_errors_are_counted_in_the_scanning_phase(scan):
+    records = record_scans(scan, [np.zeros((3, 4))], np.random.default_rng(0))
+    window = scan.setpoint.scanning
+    ramp = np.zeros_like(records.states)
+    ramp[:, :, window] = np.linspace(1.0, 3.0, window.sum())
+    found = judge(scan, records, records.states - ramp)
+    np.testing.assert_allclose(found.bias, 2.0)
+    np.testing.assert_allclose(found.drift, 2.0, rtol=1e-9)
+    np.testing.assert_allclose(found.end, 3.0)
+    np.testing.assert_allclose(found.accelerating, 0.0)
