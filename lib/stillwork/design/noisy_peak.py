@@ -8,7 +8,7 @@ from scipy.stats import norm
 WIDTHS = (1, 5, 9, 17, 33, 65, 129, 257)  # lines that are averaged
 AGREE = 2.0  # standard deviations to which a wider average must agree with narrower ones; by what intervals then hold
 ABOUT = 25  # lines over which the noise's share of the response is the same
-DOUBT = 0.025  # probability either way
+TAIL = 0.025  # probability either way
 
 
 def smooth(
@@ -46,7 +46,7 @@ def largest(
     mean, spread, taken = smooth(omega, response, expected)
     size = np.abs(mean)
     # Half of the noise's power lies along the response; so many averages share no line.
-    reach = float(norm.isf(DOUBT / np.sum(1 / taken))) * spread / np.sqrt(2)
+    reach = float(norm.isf(TAIL / np.sum(1 / taken))) * spread / np.sqrt(2)
     place = int(size.argmax())
     return place, float(size[place]), float((size - reach).max()), float((size + reach).max())
 

@@ -112,7 +112,7 @@ def solve_plain(matrix: np.ndarray, target: np.ndarray, bound: float) -> tuple[n
     """The estimate alone of arrays that are known to fit, and whether a bound makes it zero."""
     scaled, aimed, units = _in_units(matrix, target)
     case, _, threshold, _, _, estimate = _solved(spectrum(scaled, aimed), len(scaled), bound / units[0])
-    return estimate * (units[1] / units[0]), case == ZERO and threshold > 0
+    return estimate * (units[1] / units[0]), bool(case == ZERO and threshold > 0)
 
 
 def _in_units(matrix, target) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
