@@ -202,6 +202,16 @@ def test_what_would_pass_unseen_or_unnamed_is_refused_by_its_name(old, fresh, sa
         budget_file(change(files["wafer-stage"], (old, fresh)), out=str(tmp_path / "out"))
 
 
+def test_ten_percent_more_of_a_number_saves_what_is_said(files, tmp_path):
+    """The bandwidth against a loud tone on the frame: the error follows a power of it over the whole step."""
+    file = files["wafer-stage"]
+    change(file, ('"10 mN"', '"10 N"'), ("tone_hz = 50.0", "tone_hz = 15.0"))
+    lines = budget_file(str(file), out=str(tmp_path / "1"))
+    saved = float(re.search(r"bandwidth 10 % higher saves ([\d.e+]+) nm", lines[2])[1])
+    more = budget_file(change(file, ("bandwidth_hz = 80.0", "bandwidth_hz = 88.0")), out=str(tmp_path / "2"))
+    assert saved == pytest.approx(rms(lines) - rms(more), rel=0.03)
+
+
 def add(file, *lines):
     file.write_text(file.read_text() + "\n" + "\n".join(lines) + "\n")
     entries = read_toml(file)
@@ -274,6 +284,11 @@ def test_a_stage_elsewhere_has_its_own_error(files, tmp_path):
     lines = budget_file(str(file), out=str(tmp_path / "out"))
     (said,) = [line for line in lines if line.startswith("over the stage's positions")]
     assert f"here {rms(lines):.3g} nm" in said and "there the closed loop is unstable" in said
+
+
+def test_only_what_has_a_path_is_asked_for(files, tmp_path):
+    lines = budget_file(str(files["microscope-stage"]), out=str(tmp_path / "out"))
+    assert "floor sensor" not in "\n".join(lines) and "hardly counts" in "\n".join(lines)
 
 
 def test_the_bandwidth_that_an_unstable_loop_is_offered_is_stable(files, tmp_path):
