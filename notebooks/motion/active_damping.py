@@ -46,11 +46,13 @@ def paint_pole_zero(systems: Mapping[str, StateModel]):
             values = top * in_order(values / top)
             upper = values[(values.imag >= -1e-6) & (np.abs(values) < 3 * top)]
             style = {"color": colour, "markerfacecolor": "none", "markersize": marker_size}
-            axes[0].plot(upper.real, upper.imag / (2 * np.pi), marker, label=f"{label}, {kind}", **style)
+            axes[0].plot(
+                *(np.array([upper.real, upper.imag]) / (2 * np.pi)), marker, label=f"{label}, {kind}", **style
+            )
         add_magnitude(
             axes[1], omega, system.frequency_response(omega)[0, 0], color=colour, label=label, lw=width
         )
-    axes[0].set(xlabel="real part (1/s)", ylabel="imaginary part (Hz)")
+    axes[0].set(xlabel="real part / 2π (Hz)", ylabel="imaginary part / 2π (Hz)")
     axes[0].legend(fontsize=7)
     axes[1].set(xlabel="frequency (Hz)", ylabel="magnitude (dB re 1 m/N)")
     axes[1].legend(fontsize=7)

@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 
 from experiments.motion.machines import loaded_modes
-from experiments.motion.pictures import turning_points
+from experiments.motion.pictures import (
+    add_zoom,
+    labelled_lines,
+    legend_with_limit,
+    mark_limit,
+    turning_points,
+)
 from motion.test_choices import open_loop_gain
 from notebooks.motion.bandwidth_table import LOOPS, WAYS, agreeing
+from workbook import figures
 
 PRINTED = [37.0, 43.0, 46.0, 59.0, 65.0, 72.0, 77.0, 83.0, 73.0]
 
@@ -16,6 +23,20 @@ def test_peaks_and_dips_of_a_line_are_found_and_ripples_are_not():
     line = 20 * np.exp(-((x - 3) ** 2) / 0.01) - 15 * np.exp(-((x - 7) ** 2) / 0.01) + 0.01 * np.sin(40 * x)
     assert turning_points(x, line, "peaks") == pytest.approx([3.0], abs=2e-3)
     assert turning_points(x, line, "dips") == pytest.approx([7.0], abs=2e-3)
+
+
+def test_a_limit_and_a_zoom_add_no_line_to_those_that_are_judged():
+    figure, axis = figures.new(1, 1)
+    (line,) = axis.plot([1.0, 2.0, 3.0], [0.0, 5.0, 0.0], "--", label="mass 1")
+    mark_limit(axis)
+    legend_with_limit(axis)
+    add_zoom(axis, (0.5, 0.1, 0.4, 0.4), (1.5, 2.5), (0.0, 6.0))
+    (inset,) = axis.child_axes
+    assert list(labelled_lines(axis)) == ["mass 1"]
+    assert figure.axes == [axis]
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["mass 1", "limit, 6 dB"]
+    assert (inset.lines[0].get_xydata() == line.get_xydata()).all()
+    assert (inset.lines[0].get_linestyle(), inset.get_xlim()) == ("--", (1.5, 2.5))
 
 
 @pytest.mark.slow

@@ -36,16 +36,22 @@ def paint_rejections(
     figures.label(axes, "frequency (Hz)")
     for axis in axes[-1]:
         axis.xaxis.set_minor_formatter(NullFormatter())
-    for axis in axes.ravel()[len(sources) :]:
-        axis.set_axis_off()
-    figures.legend_below(axes[0, 0], len(cases))
+    if len(sources) % 2:
+        axes[-1, 1].set_axis_off()
+        axes[-1, 1].legend(*axes[0, 0].get_legend_handles_labels(), loc="center")
+        axes[-2, 1].tick_params(labelbottom=True)
+        axes[-2, 1].set_xlabel("frequency (Hz)")
+    else:
+        figures.legend_below(axes[0, 0], len(cases))
     return figure
 
 
-def paint_controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
+def paint_controllers(
+    cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray, styles: Mapping[str, dict] | None = None
+):
     """Equivalent controllers of several loops, from r and from y to the plant input, with their phase."""
     figure, axes = figures.new(2, 2, sharex=True, sharey="row", height=4.6)
-    styles = case_styles(cases)
+    styles = case_styles(cases) if styles is None else styles
     for label, (loop, controller) in cases.items():
         style = {"label": label, **styles.get(label, {})}
         response = loop.at(controller, omega)

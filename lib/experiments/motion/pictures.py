@@ -48,6 +48,27 @@ def mark_limit(axis) -> None:
     axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
 
 
+def legend_with_limit(axis) -> None:
+    """Small legend of a panel's lines and, last, of its limit, which has no label because it is no response."""
+    lines, names = axis.get_legend_handles_labels()
+    limit = [line for line in axis.lines if line not in lines]
+    axis.legend([*lines, *limit], [*names, "limit, 6 dB"], ncols=2, loc="lower right", fontsize=7)
+
+
+def add_zoom(axis, place: Sequence[float], x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Repeat a panel's labelled lines from `x` to `y` in an inset at `place`: left, bottom, width, height in parts."""
+    inset = axis.inset_axes(place, xlim=x, ylim=y)
+    for line in axis.get_legend_handles_labels()[0]:
+        style = {
+            "color": line.get_color(),
+            "linestyle": line.get_linestyle(),
+            "linewidth": line.get_linewidth(),
+        }
+        inset.plot(*line.get_data(), **style)
+    inset.tick_params(labelsize=6)
+    axis.indicate_inset_zoom(inset, edgecolor=figures.BLACK)
+
+
 def plain_numbers(axis) -> None:
     """Numbers beside a logarithmic axis of about a decade as 6 and 20, not as multiples of powers of ten."""
     from matplotlib.ticker import LogFormatter
@@ -129,8 +150,12 @@ def paint_over_masses(
     high_hz: float = 2e3,
     bottom: float = -50.0,
     label: str = "mass",
+    zoom: tuple | None = None,
 ):
-    """One loop function of every measured mass, a panel a case (loops, controller, function), with the allowed peak."""
+    """One loop function of every measured mass, a panel a case (loops, controller, function), with the allowed peak.
+
+    `zoom` is what `add_zoom` needs for an inset in every panel.
+    """
     curves = {title: {} for title in panels}
     for title, (loops, controller, function) in panels.items():
         for number, loop in enumerate(loops, 1):
@@ -138,7 +163,12 @@ def paint_over_masses(
             shown = (hertz >= low_hz) & (hertz <= high_hz)
             response = getattr(loop.at(controller), function)[shown]
             curves[title][f"{label} {number}"] = loop.omega[shown], response, {"linewidth": 1.0}
-    return paint_limited(curves, bottom, 15, 3.2)
+    figure = paint_limited(curves, bottom, 15, 3.2)
+    legend_with_limit(figure.axes[0])
+    if zoom:
+        for axis in figure.axes:
+            add_zoom(axis, *zoom)
+    return figure
 
 
 def plain(panels: int = 1, height: float = 2.8, **margins: float):
