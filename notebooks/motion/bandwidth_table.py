@@ -33,7 +33,7 @@ from workbook import figures
 def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz: Sequence[float]):
     """First crossings at one mass with their range over the masses, and the design parameters, beside the published."""
     figure, axis = figures.new(1, 1, height=3.2)
-    places, crossings = range(len(found)), np.array([each.crossing_hz for each in found.values()])
+    places, crossings = np.arange(len(found)), np.array([each.crossing_hz for each in found.values()])
     middle = crossings[:, position - 1]
     reach = [middle - crossings.min(axis=1), crossings.max(axis=1) - middle]
     label = f"first crossing, mass {position} and range over masses"
@@ -41,7 +41,7 @@ def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz
     designs = [each.design_hz for each in found.values()]
     style = {"markersize": 14, "color": figures.RED, "label": "design parameter $f_{bw}$"}
     axis.plot(places, designs, "_", **style)
-    figures.mark_published(axis, places, published_hz)
+    figures.mark_published(axis, places - 0.15, published_hz)
     names = [name.replace(", ", ",\n").replace(" with ", "\nwith ") for name in found]
     axis.set_xticks(places, names, fontsize=7)
     axis.set_ylabel("bandwidth (Hz)")

@@ -9,6 +9,7 @@ from experiments.motion.machines import chain_matrix
 from stillwork.control.bandwidth import Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.lti.peaks import resonance_grid
 from workbook import figures
 
 
@@ -48,12 +49,14 @@ def paint_nyquist(loops: Mapping[str, Loop], controller: Pid):
     """Nyquist plot of open loops near -1, with the verdict of the closed-loop eigenvalues."""
     figure, axis = figures.new(1, 1, height=4.2)
     for label, loop in loops.items():
-        open_loop = loop.at(controller).loop
+        omega = resonance_grid(loop.plant.poles, 10.0, 1e4, 300, 60)
+        open_loop = loop.at(controller, omega).loop
         verdict = "stable" if loop.is_stable(controller) else "unstable"
         near = open_loop[np.abs(open_loop) < 30]
         axis.plot(near.real, near.imag, label=f"{label}: {verdict}")
-    axis.plot([-1], [0], "+", color=figures.BLACK, markersize=12, label="-1")
-    axis.set(xlim=(-6, 6), ylim=(-6, 6), aspect="equal", xlabel="real part", ylabel="imaginary part")
+    axis.plot([-1], [0], "+", color=figures.BLACK, markersize=12, label="−1")
+    axis.set(xlim=(-6, 6), ylim=(-6, 6), aspect="equal")
+    figures.label(axis, "real part of the open loop", "imaginary part of the open loop")
     axis.legend()
     return figure
 
