@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.motion.machines import loaded_modes
-from experiments.motion.pictures import (
-    add_zoom,
-    labelled_lines,
-    legend_with_limit,
-    mark_limit,
-    turning_points,
-)
+from experiments.motion.pictures import add_zoom, labelled_lines, mark_limit, turning_points
 from motion.test_choices import open_loop_gain
 from notebooks.motion.bandwidth_table import LOOPS, WAYS, agreeing
 from workbook import figures
@@ -29,12 +23,10 @@ def test_a_limit_and_a_zoom_add_no_line_to_those_that_are_judged():
     figure, axis = figures.new(1, 1)
     (line,) = axis.plot([1.0, 2.0, 3.0], [0.0, 5.0, 0.0], "--", label="mass 1")
     mark_limit(axis)
-    legend_with_limit(axis)
     add_zoom(axis, (0.5, 0.1, 0.4, 0.4), (1.5, 2.5), (0.0, 6.0))
     (inset,) = axis.child_axes
     assert list(labelled_lines(axis)) == ["mass 1"]
     assert figure.axes == [axis]
-    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["mass 1", "limit, 6 dB"]
     assert (inset.lines[0].get_xydata() == line.get_xydata()).all()
     assert (inset.lines[0].get_linestyle(), inset.get_xlim()) == ("--", (1.5, 2.5))
 

@@ -48,13 +48,6 @@ def mark_limit(axis) -> None:
     axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
 
 
-def legend_with_limit(axis) -> None:
-    """Small legend of a panel's lines and, last, of its limit, which has no label because it is no response."""
-    lines, names = axis.get_legend_handles_labels()
-    limit = [line for line in axis.lines if line not in lines]
-    axis.legend([*lines, *limit], [*names, "limit, 6 dB"], ncols=2, loc="lower right", fontsize=7)
-
-
 def add_zoom(axis, place: Sequence[float], x: tuple[float, float], y: tuple[float, float]) -> None:
     """Repeat a panel's labelled lines from `x` to `y` in an inset at `place`: left, bottom, width, height in parts."""
     inset = axis.inset_axes(place, xlim=x, ylim=y)
@@ -164,7 +157,6 @@ def paint_over_masses(
             response = getattr(loop.at(controller), function)[shown]
             curves[title][f"{label} {number}"] = loop.omega[shown], response, {"linewidth": 1.0}
     figure = paint_limited(curves, bottom, 15, 3.2)
-    legend_with_limit(figure.axes[0])
     if zoom:
         for axis in figure.axes:
             add_zoom(axis, *zoom)
