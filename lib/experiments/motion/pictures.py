@@ -132,6 +132,8 @@ def paint_limited(
     for axis in axes.ravel():
         mark_limit(axis)
         axis.set_ylim(bottom, top)
+        place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "fontsize": 7}
+        axis.annotate("limit, 6 dB", (0, 20 * np.log10(SIX_DB)), (3, 2), **place)
     axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)
     return figure
 
