@@ -31,7 +31,7 @@ def paint_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
         style = {"color": figures.GREY, "linewidth": 0.8, "label": "acceleration, scaled"}
         axis.plot(setpoint.time, top * scaled, **style)
         axis.plot(setpoint.time, 1e9 * error, linewidth=0.9, color=figures.BLUE, label="error")
-        axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
+        axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0, label="scan")
         axis.set_title(f"{name}: {1e9 * rms(error[setpoint.scanning]):.2f} nm rms in the scan")
     axes[0, 0].set_xlim(0, setpoint.time[setpoint.time <= setpoint.scan[1]][-1] + 0.02)
     axes[0, 0].legend(loc="upper right", fontsize=7)
