@@ -174,6 +174,7 @@ def paint_identified(
         add_magnitude(axes[0], omega, each.response[shown], label=f"{name}, identified", **style)
         exact = seen_by_controller(loops[name], omega)
         add_magnitude(axes[0], omega, exact, label=f"{name}, exact", color=CASES[name], linestyle=":")
+        style["linestyle"] = "--" if name == "MC and AD" else "-"  # it lies on MC
         axes[1].semilogx(omega / (2 * np.pi), each.coherence[shown], label=name, **style)
     add_magnitude(axes[0], omega, rigid_response(plant, omega), label="rigid body", color=figures.GREY)
     axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
