@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from experiments.motion.designs import Design
 from experiments.motion.machines import stage, stage_mass
@@ -53,8 +54,11 @@ def paint_sensitivities(
     return paint_limited(panels, -15, 12, 3.4 if rows == 1 else 5.2, rows)
 
 
-def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid):
-    """Equivalent controllers from r and from y to the plant input, a line a place (m), beside the controller."""
+def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid, dots: ArrayLike = ()):
+    """Equivalent controllers from r and from y to the plant input, a line a place (m), beside the controller.
+
+    `dots` are frequencies (rad/s) where the lines from y bear a dot, as only the last of lines on each other is seen.
+    """
     omega, lines = _along(loops, 1.0, 3e3)
     broad = {"color": figures.GREY, "linewidth": 2.5}
     both = {"reference $r$": "reference_controller", "position $y$": "output_controller"}
@@ -64,6 +68,10 @@ def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid):
         for source, name in both.items()
     }
     figure, axes = paint_magnitudes(panels, "magnitude (dB re 1 N/m)", height=3.4, sharey=True)
+    at = np.asarray(dots, dtype=float)
+    for _, loop, style in lines if at.size else ():
+        dot = {"color": style["color"], "marker": "o", "markersize": 4, "linestyle": "none"}
+        add_magnitude(axes[0, 1], at, loop.at(controller, at).output_controller, label="_dot", **dot)
     axes[0, 0].legend(ncols=2, fontsize=7)
     return figure
 
