@@ -320,15 +320,17 @@ def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
     for axis, (title, case) in zip(axes.ravel(), panels.items(), strict=True):
         errors, size = 1e9 * study.errors[case], study.rms(case)
         band = (each.reduceat(each.reduce(errors, axis=0), starts) for each in (np.minimum, np.maximum))
-        axis.fill_between(time[starts], *band, color=figures.GREY, alpha=0.35, linewidth=0)
+        shade = {"color": figures.GREY, "alpha": 0.35, "linewidth": 0, "label": "all places"}
+        axis.fill_between(time[starts], *band, **shade)
         order = np.argsort(size)
         chosen = {"largest": order[-1], "middle": order[len(order) // 2], "smallest": order[0]}
         for (name, k), colour in zip(chosen.items(), (figures.RED, figures.BLUE, figures.GREEN), strict=True):
             axis.plot(time, errors[k], color=colour, linewidth=0.5, label=f"{name} rms")
         for edge in (study.setpoint.acceleration_end, study.setpoint.scan[1]):
-            axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
+            line = axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
+        line.set_label("constant velocity between")
         axis.set_title(f"{title}: {1e9 * size.min():.1f} to {1e9 * size.max():.1f} nm rms")
-    figures.legend_below(axes[0, 0], 3, fontsize=7)
+    figures.legend_below(axes[0, 0], 5, fontsize=7)
     figures.label(axes, "time (s)", "error (nm)")
     return figure
 
