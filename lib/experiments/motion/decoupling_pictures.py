@@ -100,7 +100,8 @@ def paint_slope_ranges(
                 at = np.full(len(value), row + offset)
                 axis.plot(value, at, "|", color=colour, markersize=6, label=label)
         figures.mark_published(axis, [published[name][number] for name in slopes], rows)
-        axis.set(title=title, xlabel="slope (decades per decade)", xlim=(-2.3, 0.3))
+        least = min(min(pair) for pair in published.values())
+        axis.set(title=title, xlabel="slope (decades per decade)", xlim=(least - 0.3, 0.3))
     axes[0].set_yticks(rows, list(slopes))
     axes[0].invert_yaxis()
     lines = axes[0].lines
