@@ -30,11 +30,13 @@ def paint_leaderboard(ranks: pd.DataFrame, critical: float):
     """Mean rank of every entrant with its interval, the best on top; grey: within Nemenyi's difference of the best."""
     figure, axis = figures.new(1, 1, height=3.8)
     ends = [ranks["rank"] - ranks["low"], ranks["high"] - ranks["rank"]]
-    style = {"fmt": "o", "color": figures.BLUE, "capsize": 3, "markersize": 4, "label": "mean rank"}
+    style = {"fmt": "o", "color": figures.BLUE, "capsize": 3, "markersize": 4, "label": "mean rank, 95 %"}
     axis.errorbar(ranks["rank"], range(len(ranks)), xerr=ends, **style)
     axis.set_yticks(range(len(ranks)), ranks.index)
-    axis.axvspan(ranks["rank"].min(), ranks["rank"].min() + critical, color=figures.GREY, alpha=0.2)
-    axis.set_xlabel("mean rank over machines")
+    shade = {"color": figures.GREY, "alpha": 0.2, "label": "not proven worse than the best"}
+    axis.axvspan(ranks["rank"].min(), ranks["rank"].min() + critical, **shade)
+    axis.set_xlabel("mean rank over machines (1: best)")
+    axis.legend(loc="upper right", fontsize=7)
     axis.invert_yaxis()
     return figure
 
@@ -70,10 +72,15 @@ def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
     style = {"textcoords": ("axes fraction", "data"), "va": "center", "fontsize": 7, "arrowprops": arrow}
     apart = 0.04 * np.arange(len(error))  # names in a column, each as near its dot as the others let it
     places = isotonic_regression(error - apart).x + apart
+    dot = {"color": figures.BLUE, "alpha": 0.6, "linestyle": "none", "marker": "o"}
     for name, place in zip(error.index, places, strict=True):
         at, size = (speed[name], error[name]), 3 + 14 * unstable[name]
-        axis.semilogx(*at, "o", markersize=size, color=figures.BLUE, alpha=0.6, label=name)
+        axis.semilogx(*at, markersize=size, label=name, **dot)
         axis.annotate(name, at, xytext=(1.04, place), **style)
+    sizes = {f"{percent} % unstable": 3 + 0.14 * percent for percent in (0, 30, 90)}
+    handles = [axis.plot([], [], markersize=size, label=name, **dot)[0] for name, size in sizes.items()]
+    corner = {"loc": "upper right", "bbox_to_anchor": (1, 0.97)}
+    axis.legend(handles=handles, fontsize=7, labelspacing=1, **corner)
     axis.set_ylim(places[0] - 0.03, places[-1] + 0.03)
     axis.set(xlabel="time a sample over that of the Kalman filter", ylabel="mean error over that of zero")
     return figure
@@ -85,10 +92,13 @@ def paint_noise(errors: pd.DataFrame, size: float):
     one = errors[np.isclose(errors["size"], size)]
     for name in MAPPED:
         quartiles = one.groupby("noise")[name].quantile([0.25, 0.5, 0.75]).unstack()
-        axis.semilogx(quartiles.index, quartiles[0.5], "o-", color=COLOURS[name], markersize=3, label=name)
+        style = {"color": COLOURS[name], "markersize": 3, "label": name}
+        style["linewidth"] = 4 if name == "Kalman" else 1.2  # others lie on it at much noise
+        axis.semilogx(quartiles.index, quartiles[0.5], "o-", **style)
         axis.fill_between(quartiles.index, quartiles[0.25], quartiles[0.75], color=COLOURS[name], alpha=0.12)
-    axis.axhline(1, color=figures.BLACK, linewidth=0.8)
-    axis.set(xlabel="sensor's noise over the thesis's", ylabel="error over that of zero", ylim=(0, 2))
+    axis.axhline(1, color=figures.BLACK, linewidth=0.8, label="estimate zero")
+    axis.fill_between([], [], color=figures.GREY, alpha=0.3, label="bands: quartiles")
+    axis.set(xlabel="sensor's noise over the thesis's", ylabel="error over that of zero", ylim=(0, 1.5))
     figures.legend_below(axis, 3)
     return figure
 
@@ -125,14 +135,14 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
                     np.interp(np.log(line[end].clip(NOISES[0], NOISES[-1])), np.log(NOISES), columns)[inside]
                     for end in ("low", "noise", "high")
                 )
-                bars = {"xerr": [at - low, high - at], "fmt": style, "color": figures.GREEN}
+                bars = {"xerr": [at - low, high - at], "fmt": f"|{style}", "color": figures.GREEN}
                 axis.errorbar(at, rows[inside], **bars, label=label)
             axis.set_xticks(columns, [f"{noise:g}" for noise in lead.columns])
             axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
             axis.set_title(f"{name} over {rival}", fontsize=8)
-    figures.label(axes, "sensor's noise", "size of the errors (%)")
+    figures.label(axes, "sensor's noise over the thesis's", "size of the errors (%)")
     figures.legend_below(axes[-1, 0], 3)
-    figure.colorbar(mesh, ax=axes, label="lead")
+    figure.colorbar(mesh, ax=axes, label="lead (of errors over that of zero)")
     return figure
 
 
@@ -155,7 +165,7 @@ def paint_record(table: pd.DataFrame):
     """Errors on the measured record, a panel a task: medians over the pairs of releases, with the least and the largest."""
     tasks, parts = table["task"].unique(), table["part"].unique()
     names = table.groupby("entrant")["error"].median().sort_values(kind="stable").index
-    figure, axes = figures.new(1, len(tasks), height=4.0, sharey=True)
+    figure, axes = figures.new(1, len(tasks), height=4.0, sharex=True, sharey=True)
     for axis, task in zip(axes.ravel(), tasks, strict=True):
         for shift, (part, colour) in enumerate(zip(parts, INKS, strict=False)):
             some = table[(table["task"] == task) & (table["part"] == part)].groupby("entrant")["error"]
@@ -166,9 +176,9 @@ def paint_record(table: pd.DataFrame):
             )
         axis.set_xscale("log")
         axis.set_title(task, fontsize=8)
-        axis.axvline(1, color=figures.BLACK, linewidth=0.8)
+        axis.axvline(1, color=figures.BLACK, linewidth=0.8, label="estimate zero")
     axes.ravel()[0].set_yticks(range(len(names)), names)
     axes.ravel()[0].invert_yaxis()
     figures.label(axes, "error over that of zero", "")
-    figures.legend_below(axes.ravel()[0], 2)
+    figures.legend_below(axes.ravel()[0], 3)
     return figure
