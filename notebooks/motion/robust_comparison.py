@@ -1,5 +1,6 @@
 """Robust observers on an uncertain stage: what this notebook alone needs."""
 
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -440,7 +441,8 @@ def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np
             axis.plot(time, truth[k] * factor, color=figures.GREY, linewidth=0.8, label="true state")
         for name, found in estimates.items():
             error = (truth[k] - found[k]) * factor
-            axis.plot(time, error, label=name, color=COLOURS.get(name), linewidth=0.9)
+            width = 2.4 if name == "Kalman" and k < 2 else 0.9  # where the penalised filter's line lies on it
+            axis.plot(time, error, label=name, color=COLOURS.get(name), linewidth=width)
         axis.set_yscale("symlog", linthresh=10.0)
         axis.yaxis.set_major_locator(FixedLocator([-1e9, -1e6, -1e3, 0.0, 1e3, 1e6, 1e9]))
         for edge in scan.setpoint.scan:
@@ -448,6 +450,25 @@ def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np
         axis.set(title=mode, ylabel=unit)
     figures.label(axes, "time (s)")
     figures.legend_below(axes[1, 0], 4)
+    return figure
+
+
+def paint_penalty(
+    weights: np.ndarray, cases: Mapping[str, tuple[Mapping[str, np.ndarray], Sequence[Errors]]]
+):
+    """Relative error of the flexible states over the penalty's weight, a panel a case, beside the other two filters."""
+    figure, axes = figures.new(1, len(cases), height=3.0, sharex=True)
+    for axis, (case, (others, swept)) in zip(axes, cases.items(), strict=True):
+        costs = [np.median(each.flexible()) for each in swept]
+        name = "sensitivity penalised"
+        axis.semilogx(weights, costs, "o-", markersize=3, color=COLOURS[name], label=name)
+        for name in ("Kalman", "regularised least squares"):
+            axis.axhline(np.median(others[name]), color=COLOURS[name], ls="--", linewidth=1.2, label=name)
+        axis.axhline(1, color=figures.BLACK, ls=":", linewidth=0.9, label="estimating zero")
+        axis.set(title=case, xlabel="weight $\\gamma$")
+    axes[0].set(yscale="log", ylabel="relative error of the\nflexible states (median)")
+    axes[1].set_ylim(0, 2)
+    figures.legend_below(axes[0], 4)
     return figure
 
 
@@ -460,7 +481,7 @@ def paint_statements(
     chosen: float,
 ):
     """Errors of the sensitivity-penalised filter over its weight, and the share of plants on which statements hold."""
-    figure, (sizes, held) = figures.new(2, 1, height=4.6, sharex=True)
+    figure, (sizes, held) = figures.new(2, 1, height=4.4, sharex=True, gridspec_kw={"height_ratios": (3, 2)})
     rigid = [np.median(each.rms[:, 0] / kalman.rms[:, 0]) for each in sweep]
     sizes.loglog(weights, rigid, color=figures.BLACK, label="rigid body, over the Kalman filter's")
     flexible = [np.median(each.flexible()) for each in sweep]
@@ -469,14 +490,20 @@ def paint_statements(
     for name, each in (("regularised least squares", regularised), ("Kalman", kalman)):
         level = np.median(each.flexible())
         sizes.axhline(level, color=COLOURS[name], ls="--", linewidth=0.9, label=f"the same, {name}")
-    sizes.set_ylabel("relative error (median)")
-    sizes.legend(fontsize=7)
-    for k, (claim, part) in enumerate(shares.items()):  # thinner and thinner: lines at 1 lie on each other
-        held.semilogx(weights, part, linewidth=5 - 1.3 * k, label=SAID[claim])
-    held.set(ylabel="share of the plants", xlabel="weight $\\gamma$")
-    figures.legend_below(held, 2, fontsize=7)
     for axis in (sizes, held):
-        axis.axvline(chosen, color=figures.BLACK, linewidth=0.8)
+        axis.axvline(chosen, color=figures.BLACK, linewidth=0.8, label="$\\gamma$ of this page")
+    sizes.set_ylabel("relative error (median)")
+    rows = np.arange(len(shares))
+    table = np.array(list(shares.values()))
+    shading = held.pcolormesh(
+        weights, rows, table, cmap="Blues", vmin=0, vmax=1, shading="nearest", label="share"
+    )
+    held.set_yticks(rows, [textwrap.fill(SAID[claim], 26) for claim in shares], fontsize=7)
+    held.invert_yaxis()
+    held.grid(False)
+    held.set_xlabel("weight $\\gamma$")
+    figure.colorbar(shading, ax=held, label="share of\nthe plants", pad=0.01)
+    figures.legend_below(sizes, 3, fontsize=7)
     return figure
 
 
@@ -506,7 +533,7 @@ def paint_order(studies: Mapping[str, Mapping[str, np.ndarray]]):
         axis.set_title(law)
     axes[0].set_yticks(range(len(RANKED)), RANKED)
     axes[0].invert_yaxis()
-    figures.label(axes, "error over size")
+    figures.label(axes, "error over true size")
     for name, colour in (("robust", figures.RED), ("not robust", figures.BLUE)):
         figure.axes[0].plot([], [], "o", color=colour, markersize=4, label=name)
     figure.legend(handles=axes[0].lines[-2:], loc="outside lower center", ncols=2)
