@@ -44,7 +44,7 @@ def places(axis, geometry: Geometry, shape: np.ndarray | None = None) -> None:
     used = geometry.actuator_places[list(geometry.used)]
     idle = geometry.actuator_places[[geometry.left_out]]
     axis.plot(*used.T, "o", color=figures.BLACK, markersize=5, markerfacecolor="none", label="actuator")
-    axis.plot(*idle.T, "o", color=figures.GREY, markersize=2, label="actuator, idle")
+    axis.plot(*idle.T, "s", color=figures.BLACK, markersize=4, label="actuator, idle")
     axis.plot(*geometry.sensor_places.T, "x", color=figures.BLACK, markersize=4, label="sensor")
     axis.set_aspect("equal")
     axis.grid(False)
@@ -73,7 +73,7 @@ def paint_decoupled_plants(loops: Sequence[RigLoop]):
         plant = physical_plant(loop)
         for place in np.ndindex(3, 3):
             # Thinner and thinner: on a symmetric plate positions coincide.
-            width = (4.0, 2.6, 1.4, 0.6)[number - 1]
+            width = (3.0, 2.1, 1.3, 0.6)[number - 1]
             add_magnitude(axes[place], loop.omega, plant[place], linewidth=width, label=f"position {number}")
     for i, j in np.ndindex(3, 3):
         axes[i, j].set_title(f"${FORCES[j]}$ to ${MOTIONS[i]}$")
@@ -91,14 +91,24 @@ def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], to: int):
     panels = {f"position {number}": {} for number in range(1, 5)}
     for case, each in loops.items():
         for lines, loop in zip(panels.values(), each, strict=True):
-            lines[case] = loop.omega, physical_plant(loop)[to, 0], {"color": COLOURS[case], "linewidth": 0.9}
+            width = 1.8 if case == "Original" else 0.9  # AD lies on it between resonances
+            lines[case] = (
+                loop.omega,
+                physical_plant(loop)[to, 0],
+                {"color": COLOURS[case], "linewidth": width},
+            )
     quantity = f"$F_z$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][0]})"
     figure, axes = paint_magnitudes(panels, quantity, rows=2, height=4.6, sharex=True, sharey=True)
     figures.legend_below(axes[0, 0], 4)
     return figure
 
 
-def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, sample_time: float):
+def paint_tracking_errors(
+    errors: Mapping[str, np.ndarray],
+    reference: np.ndarray,
+    sample_time: float,
+    widths: Sequence[float] = (1.2, 1.2, 1.2, 0.8),
+):
     """True errors (m and rad) over one period with the scaled trajectory dashed: Figs 6.10 and 6.11."""
     figure, axes = figures.new(3, 1, height=5.2, sharex=True)
     every = 10  # samples between those drawn: the errors are slow
@@ -108,8 +118,7 @@ def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarra
         scale = largest / np.abs(reference[k]).max()
         style = {"color": figures.GREY, "linewidth": 1.0, "linestyle": "--"}
         axis.plot(time, scale * reference[k, ::every], label="trajectory, scaled", **style)
-        # Lines that coincide stay visible: thinner and thinner.
-        for width, (case, error) in zip((4.0, 2.6, 1.6, 0.4), errors.items(), strict=False):
+        for width, (case, error) in zip(widths, errors.items(), strict=True):
             axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=width, label=case)
         axis.set_ylabel(f"error in ${MOTIONS[k]}$ ({'µm' if k == 0 else 'µrad'})")
     axes[-1].set_xlabel("time (s)")
@@ -122,7 +131,7 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
     figure, axes = figures.new(1, 3, height=2.7, sharex=True)
     for order, (case, each) in enumerate(spectra.items()):
         drawn = (each.frequencies_hz >= 2) & (each.frequencies_hz <= 2000)
-        style = {"color": COLOURS[case], "linewidth": 2.4 - 0.6 * order, "label": case}  # all stay visible
+        style = {"color": COLOURS[case], "linewidth": 3.6 - order, "label": case}  # all stay visible
         for axis, density in zip(axes, each.density, strict=True):
             axis.loglog(each.frequencies_hz[drawn], 1e6 * np.sqrt(density[drawn]), **style)
     figures.label(axes, "frequency (Hz)")

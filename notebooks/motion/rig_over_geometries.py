@@ -30,7 +30,7 @@ def paint_over_geometries(
     values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str
 ):
     """Spread over geometries of a quantity in three directions (NaN: none), one panel each, with the published values."""
-    figure, axes = figures.new(1, 3, height=2.9, sharey=False)
+    figure, axes = figures.new(1, 3, height=2.9, sharey=True)
     for k, axis in enumerate(axes):
         for place, (case, each) in enumerate(values.items()):
             found = each[np.isfinite(each[:, k]), k]
@@ -40,10 +40,9 @@ def paint_over_geometries(
             if case in marks:
                 label = f"_published, {case}" if place else "published"
                 figures.mark_published(axis, place, marks[case][k], label)
-        axis.set_ylim(0, 1.08 * axis.dataLim.y1)
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
         axis.set(title=f"${MOTIONS[k]}$", xlabel="use of the observer")
-    axes[0].set_ylabel(quantity)
+    axes[0].set(ylabel=quantity, ylim=(0, 1.08 * max(axis.dataLim.y1 for axis in axes)))
     handles, labels = axes[0].get_legend_handles_labels()
     # Colours are the uses on the axis; the legend's dot has none of them.
     dot = Line2D(
