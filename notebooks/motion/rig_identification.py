@@ -333,10 +333,10 @@ def stacked(values: np.ndarray) -> np.ndarray:
 def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray):
     """Actuator 1 to all sensors: measured, fitted, what is left, and what the noise explains: Fig. 6.4."""
     lines = {
-        "measured": (measured, {"color": figures.GREEN, "linewidth": 1.6}),
-        "model": (model, {"color": figures.BLUE, "linewidth": 0.8}),
+        "measured": (measured, {"color": figures.ORANGE, "linewidth": 2.2}),
+        "model": (model, {"color": figures.BLACK, "linewidth": 0.8}),
         "difference": (measured - model, {"color": figures.GREY, "linewidth": 0.4}),
-        "least from noise": (deviation, {"color": figures.BLACK, "linewidth": 0.8, "linestyle": "--"}),
+        "least deviation": (deviation, {"color": figures.BLUE, "linewidth": 1.0, "linestyle": "--"}),
     }
     panels = {
         f"sensor {k + 1}": {name: (omega, values[:, k, 0], style) for name, (values, style) in lines.items()}
