@@ -1133,7 +1133,7 @@ def paint_front(
     axis.set_xticks([2, 5, 10, 20, 30], ["2", "5", "10", "20", "30"])
     axis.minorticks_off()
     axis.set(xlabel="rms of the control force under noise (mN)", ylabel="rms error in the scan (nm)")
-    axis.set_ylim(1.0, None)
+    axis.set(xlim=(2, 36), ylim=(1, 6))
     legend = [line for line in axis.lines if line.get_linestyle() == "-"] + axis.lines[-1:]
     legend += [
         Line2D([], [], linestyle="", marker=MARKS[free], color=figures.GREY, label=free) for free in MARKS
@@ -1154,10 +1154,19 @@ def paint_three(designs: Mapping[str, Stored], nominal: Mapping[str, Judged], pu
         for size, colour in SIZE_COLOURS.items():
             ours = [n for n, each in designs.items() if each.size == size and not each.force]
             joint = sorted(at(nominal[name]) for name in ours if name.startswith("joint"))
-            axis.plot(*np.array(joint).T, "o-", color=colour, markersize=5, label=f"joint, for {size:.0%}")
+            label = f"for {100 * size:.0f} %"
+            axis.plot(*np.array(joint).T, "o-", color=colour, markersize=4, label=f"joint, {label}")
             two = at(nominal[f"two steps, for {size:.0%}"])
-            axis.plot(*two, "^", color=colour, markersize=5, label=f"two steps, for {size:.0%}")
+            style = {
+                "color": colour,
+                "markersize": 8,
+                "markerfacecolor": "none",
+                "label": f"two steps, {label}",
+            }
+            axis.plot(*two, "^", **style)
         axis.plot(*at(published), "x", color=figures.BLACK, label="as published, with delay")
+        limit = f"limit of a search, {1e9 * LEFT_LIMIT:g} nm/N"
+        axis.axvline(1e9 * LEFT_LIMIT, color=figures.BLACK, linestyle=":", linewidth=1.0, label=limit)
         axis.set_xscale("log")
     axes[0].set_ylabel("error from noise (nm)")
     axes[1].set_ylabel("error without noise (nm)")
@@ -1167,30 +1176,39 @@ def paint_three(designs: Mapping[str, Stored], nominal: Mapping[str, Judged], pu
 
 
 def paint_learning(errors: Mapping[str, Float64[np.ndarray, "scans plants"]], floor: float):
-    """Scan error over the scans from which gains were learnt: medians, quartiles of the stages as bands, the worst thin."""
-    figure, axis = figures.new(1, 1, height=3.0)
-    for (name, each), colour in zip(
-        errors.items(), (figures.GREY, figures.BLUE, figures.RED, figures.GREEN), strict=True
-    ):
+    """Scan error over the scans from which gains were learnt: medians, quartiles of the stages as bands, the worst thin.
+
+    A panel a design; the names read "design: gains that were learnt".
+    """
+    designs = list(dict.fromkeys(name.partition(": ")[0] for name in errors))
+    colours = {"mass": figures.RED, "mass and snap": figures.BLUE}
+    figure, axes = figures.new(1, len(designs), height=3.2, sharey=True)
+    for name, each in errors.items():
+        design, _, gains = name.partition(": ")
+        axis, colour = axes[designs.index(design)], colours[gains]
         low, middle, high, worst = 1e9 * np.quantile(each, [0.25, 0.5, 0.75, 1.0], axis=1)
         scans = np.arange(len(each))
-        axis.semilogy(scans, middle, "o-", color=colour, markersize=4, label=name)
-        axis.fill_between(scans, low, high, color=colour, alpha=0.2, linewidth=0)
-        axis.semilogy(scans, worst, color=colour, linewidth=0.6)
-    axis.axhline(1e9 * floor, color=figures.BLACK, linewidth=0.8)
-    axis.set(xlabel="scans on the true stage", ylabel="rms error in the scan (nm)")
-    axis.legend()
+        axis.semilogy(scans, middle, "o-", color=colour, markersize=4, label=f"{gains}: median")
+        axis.fill_between(
+            scans, low, high, color=colour, alpha=0.2, linewidth=0, label=f"{gains}: quartiles of the stages"
+        )
+        axis.semilogy(scans, worst, color=colour, linewidth=0.7, label=f"{gains}: worst stage")
+        axis.set_title(design.replace("%", " %"))
+    for axis in axes:
+        axis.axhline(1e9 * floor, color=figures.BLACK, linewidth=0.8, label="least error under this noise")
+    figures.label(axes, "scans on the true stage", "rms error in the scan (nm)")
+    figures.legend_below(axes[0], 3, fontsize=7)
     return figure
 
 
 def paint_peaks_over_plants(judged: Mapping[str, Mapping[str, Judged]]):
-    """Largest peak of every design on every perturbed plant, by panel; unstable ones lie on the upper edge."""
+    """Largest peak of every design on every perturbed plant, by panel; unstable ones lie at the cut."""
     figure, axes = figures.new(1, len(judged), height=3.2, sharey=True, squeeze=False)
     for axis, (title, designs) in zip(axes[0], judged.items(), strict=True):
         for place, (name, found) in enumerate(designs.items()):
             shown = np.minimum(found.peaks.max(axis=1), TOP_DB)
             across = place + np.linspace(-0.3, 0.3, len(shown))
-            axis.plot(across, shown, ".", markersize=4, color=figures.RED, label=name)
+            axis.plot(across, shown, ".", markersize=4, color=figures.BLUE, label=name)
             axis.annotate(
                 f"{100 * np.mean(~found.stable):.0f} %\nunstable",
                 (place, TOP_DB + 0.8),
@@ -1200,11 +1218,13 @@ def paint_peaks_over_plants(judged: Mapping[str, Mapping[str, Judged]]):
         mark_limit(axis)
         axis.set_xticks(
             range(len(designs)),
-            [name.replace(" ", "\n", 1).replace(", ", ",\n") for name in designs],
+            [name.replace(" ", "\n", 1).replace(", ", ",\n").replace("%", " %") for name in designs],
             fontsize=6,
         )
-        axis.set(ylim=(0, TOP_DB + 4), title=title)
+        axis.set(ylim=(0, TOP_DB + 4), title=title.replace("%", " %"), xlabel="design")
     axes[0, 0].set_ylabel(f"largest peak (dB), cut at {TOP_DB:g}")
+    dot, limit = axes[0, 0].lines[0], axes[0, 0].lines[-1]
+    figure.legend([dot, limit], ["one stage", "limit, 6 dB"], loc="outside lower center", ncols=2)
     return figure
 
 
