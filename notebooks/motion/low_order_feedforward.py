@@ -184,17 +184,20 @@ def paint_errors_over_order(
     for axis, (name, points) in zip(axes[0], low.items(), strict=True):
         states, errors = np.array(points).T
         order, copied = copies[name]
-        for alone, label, hollow in ((noise[name], "with noise", False), (0.0, "without", True)):
+        for alone, label, hollow in ((noise[name], "with noise", False), (0.0, "without noise", True)):
             line, face = "--" if hollow else "-", "none" if hollow else None
             style = {"color": CASES[name], "markerfacecolor": face, "label": f"low order, {label}"}
             axis.semilogy(states, 1e9 * np.hypot(errors, alone), f"o{line}", **style)
-            style = {"color": figures.BLACK, "markerfacecolor": face, "label": f"observer copy, {label}"}
+            style = {"color": figures.GREY, "markersize": 8, "markerfacecolor": face}
+            style["label"] = f"observer copy, {label}"
             axis.semilogy([order], [1e9 * np.hypot(copied, alone)], "s", **style)
         figures.mark_published(axis, copies[name][0], published[name], "published, with noise")
         axis.xaxis.get_major_locator().set_params(integer=True)
         axis.set(title=f"{name}, redesigned", xlabel="states of the feedforward")
     axes[0, 0].set_ylabel("rms error in the scan (nm)")
     figures.legend_below(axes[0, 0], 3)
+    for handle in figure.legends[0].legend_handles[:3:2]:  # of the low orders: each panel has its own colour
+        handle.set_color(figures.BLACK)
     return figure
 
 
@@ -217,7 +220,7 @@ def paint_errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
         axis.xaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20, 50]))
         axis.xaxis.set_major_formatter(ScalarFormatter())
         axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.set(title=title, xlabel="rms error in the scan (nm)")
+        axis.set(title=title.replace("%", " %"), xlabel="rms error in the scan (nm)")
     figures.legend_below(axes[0, 0], 2)
     return figure
 
