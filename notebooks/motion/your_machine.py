@@ -36,6 +36,9 @@ def paint_machine(machine: Machine):
     ):
         kept = envelope(hertz, np.abs(response))
         upper.semilogx(hertz[kept], decibel(response[kept]), linewidth=0.9, label=label, **style)
+    for axis in (upper, lower):
+        band = omega[0] / (2 * np.pi), omega[-1] / (2 * np.pi)
+        axis.axvspan(*band, color=figures.GREY, alpha=0.12, linewidth=0, label="band of the fit")
     upper.set_ylabel("accelerance (dB re 1/kg)")
     upper.legend()
     kept = envelope(omega, machine.fit.error)
@@ -83,7 +86,10 @@ def paint_sensitivities(found: Mapping[str, AchievableBandwidth], machine: Machi
         for name in chosen
     }
     low, high = machine.resonances_hz[0] / 80, 1.2 * machine.resonances_hz[-1]
-    return paint_over_masses(panels, low_hz=low, high_hz=high, label="sensor")
+    figure = paint_over_masses(panels, low_hz=low, high_hz=high, label="sensor")
+    for axis in figure.axes:
+        axis.annotate("limit, 6 dB", (low, 6), (0, 3), textcoords="offset points", fontsize=7)
+    return figure
 
 
 def machine_explorer(

@@ -596,17 +596,18 @@ def paint_machine(machine: Machine):
 def paint_stabilisation(fit: ModalFit):
     """Poles over their orders: those that stay from order to order stand out, and those that were taken for modes."""
     diagram = fit.diagram
-    figure, axis = figures.new(1, 1, height=3.0)
-    for hertz in fit.model.frequencies[fit.model.rigid_modes :] / (2 * np.pi):
-        axis.axvline(hertz, color=figures.RED, linewidth=0.8)
+    figure, axis = figures.new(1, 1, height=3.2)
     for chosen, colour, label in (
-        (~diagram.stable, figures.GREY, "moves"),
-        (diagram.stable, figures.BLUE, "stays; red: a mode"),
+        (~diagram.stable, figures.GREY, "pole that moves with the order"),
+        (diagram.stable, figures.BLUE, "pole that stays"),
     ):
         hertz = diagram.frequency[chosen] / (2 * np.pi)
-        axis.semilogx(hertz, diagram.order[chosen], ".", markersize=2, color=colour, label=label)
-    axis.set(xlabel="frequency (Hz)", ylabel="order")
-    axis.legend()
+        axis.semilogx(hertz, diagram.order[chosen], ".", markersize=3, color=colour, label=label)
+    for number, hertz in enumerate(fit.model.frequencies[fit.model.rigid_modes :] / (2 * np.pi)):
+        label = "_mode" if number else "taken as a mode"
+        axis.axvline(hertz, color=figures.RED, linewidth=0.8, zorder=1, label=label)
+    axis.set(xlabel="frequency (Hz)", ylabel="order of the polynomial fraction")
+    figures.legend_below(axis, 3)
     return figure
 
 
