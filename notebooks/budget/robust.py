@@ -87,7 +87,7 @@ def one_sided(size: float, rate_hz: float = RATE_HZ, places: int = PLACES, seed:
 
 
 def statements(rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0) -> dict[str, float]:
-    """What the page says, by the ledger's names."""
+    """The values of the page, by the ledger's names."""
     quiet = [FLOORS.index(name) for name in ("VC-F", "VC-G", "LIGO ground")]
     how = (rate_hz, places, seed)
     return {
@@ -130,5 +130,7 @@ def paint_box(size: float):
             xlim=(-0.5, len(DESIGNS) - 0.5),
         )
         panel.margins(y=0.25)
+        for axis in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
+            axis("{x:.0f}")
     figures.label(axes, y="error, rms (nm)")
     return figure

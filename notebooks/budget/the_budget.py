@@ -88,7 +88,7 @@ def paint_spectra(budgets: dict[str, ErrorBudget]):
     for name, budget in budgets.items():
         above = np.sqrt(budget.cumulative(backward=True)[:, 0].sum(axis=0))
         axes.loglog(budget.frequencies_hz, 1e9 * above, linewidth=1.0, label=name)
-    axes.set(xlabel="frequency (Hz)", ylabel="rms above (nm)", ylim=(0.3, None))
+    axes.set(xlabel="frequency (Hz)", ylabel="rms error from all\nhigher frequencies (nm)", ylim=(0.3, None))
     axes.legend()
     return figure
 

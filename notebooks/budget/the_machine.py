@@ -225,6 +225,6 @@ def paint_six_axes(offsets: np.ndarray):
     for name, (skyhook, feedforward) in CASES.items():
         ratios = [six_over_one("VC-B", offset, skyhook, feedforward) for offset in offsets]
         axes.plot(1e3 * offsets, ratios, "o-", markersize=3, linewidth=0.9, label=name)
-    axes.set(xlabel="stage beside the centre of mass (mm)", ylabel="six axes over one")
+    axes.set(xlabel="stage beside the centre of mass (mm)", ylabel="error with six axes\nover that with one")
     axes.legend()
     return figure

@@ -126,22 +126,25 @@ def paint_map(payloads=PAYLOADS):
                     markersize=17,
                     color=shade,
                     alpha=0.5,
-                    label=f"first {name or 'nothing'}",
+                    label={"": "nothing", "MC and AD": "observer"}.get(name, name),
                 )
         for (r, c), order in np.ndenumerate(orders):
             panel.text(c, r, short[order[1]] if len(order) > 1 else "–", ha="center", va="center", fontsize=7)
         panel.set_yticks(range(len(SENSORS)), [f"{sensor:g}" for sensor in SENSORS])
         panel.set(
-            ylabel="nm/√Hz",
-            title=f"payload {payload:g} kg; in the square: second purchase",
+            ylabel="stage sensor (nm/√Hz)",
+            title=f"payload {payload:g} kg; colour: first purchase, word: second",
             ylim=(-0.6, len(SENSORS) - 0.4),
         )
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), markerscale=0.5)
     np.atleast_1d(axes)[-1].set_xticks(range(len(FLOORS)), [name.split()[0] for name in FLOORS], rotation=30)
+    np.atleast_1d(axes)[-1].set_xlabel(
+        "floor (sky: skyhook, ff: feedforward, obs: observer, –: nothing more)"
+    )
     return figure
 
 
-# === Who tunes the feedforward ====================================================================================
+# === Which algorithm tunes the feedforward ========================================================================
 
 RATE_HZ = 500.0
 RECORD_S = 60.0
@@ -265,13 +268,14 @@ def paint_tuning(study: dict[tuple[str, float], list[Tuning]]):
             ]
             panel.semilogy(*np.array(dots).T, "o", markersize=2.5, color=colour, label=name)
         panel.set_xticks(range(len(places)), [place.split()[0] for place in places])
-        panel.set(title=f"{noise:g} m/s²/√Hz", ylim=(0.7 * LEAST_DRAWN, None))
-    axes[0].set_ylabel("power left, over the least, less 1")
+        exponent = str(round(np.log10(noise))).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        panel.set(title=f"floor sensor 10{exponent} m/s²/√Hz", ylim=(0.7 * LEAST_DRAWN, None))
+    axes[0].set_ylabel("power left above the least,\nover the least")
     figures.legend_below(axes[0], 2)
     return figure
 
 
-# === Who differentiates ===========================================================================================
+# === Which differentiator ==========================================================================================
 
 DIFFERENTIATORS = ("quotient", "low pass", "window", "Kalman", "observer of the stage")
 SAMPLE_S = 1 / 5000
@@ -384,7 +388,7 @@ def velocity_errors(
 def velocity_statements(
     bandwidths_hz: tuple[float, ...] = BANDWIDTHS_HZ, sample_s: float = SAMPLE_S, delay: float = 1.0
 ) -> dict[str, float]:
-    """Who differentiates best, by the ledger's names."""
+    """Which differentiator is best, by the ledger's names."""
     observer, filters = DIFFERENTIATORS[-1], DIFFERENTIATORS[1:-1]
     loud = [FLOORS.index("VC-A"), FLOORS.index("slab under footfall")]
     found = {
@@ -413,10 +417,11 @@ def paint_velocity(errors: dict[float, dict[str, np.ndarray]]):
     figure, axes = figures.new(1, len(errors), height=3.0, sharey=True)
     for panel, (sensor, found) in zip(np.atleast_1d(axes), errors.items(), strict=True):
         least = np.min(list(found.values()), axis=0)
-        for name, row in found.items():
-            panel.plot(range(len(FLOORS)), row / least, "o-", markersize=3, linewidth=0.8, label=name)
+        for mark, (name, row) in zip("osD^v", found.items(), strict=True):
+            style = {"markersize": 9 if name == "window" else 5, "mfc": "none", "linewidth": 0.8}
+            panel.plot(range(len(FLOORS)), row / least, f"{mark}-", label=name, **style)
         panel.set_xticks(range(len(FLOORS)), [name.split()[0] for name in FLOORS], rotation=60)
-        panel.set(title=f"{sensor:g} nm/√Hz")
+        panel.set(title=f"sensor {sensor:g} nm/√Hz")
     np.atleast_1d(axes)[0].set_ylabel("error over the least")
     figures.legend_below(np.atleast_1d(axes)[0], 3)
     return figure

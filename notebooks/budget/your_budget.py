@@ -1,4 +1,4 @@
-"""Your budget: a machine's TOML, what its budget says, and an explorer over its floor, sensor and bandwidth."""
+"""Your budget: a machine's TOML, its budget, and an explorer over its floor, sensor and bandwidth."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -22,7 +22,7 @@ from workbook.claims import load_entries
 from workbook.studies import Study, fraction, mean_interval, run_study, spread_interval
 
 # === Convergence pictures =========================================================================================
-# Figures of the initial convergence: Fig. 5, Table 1, readings of the text, stability of the mean.
+# Figures of the initial convergence: Fig. 5, Table 1, open choices, stability of the mean.
 
 
 SHOWN = {0: figures.BLUE, 3: figures.GREEN, 6: figures.RED}  # w1, w4, w7: the colours of Fig. 5
@@ -100,8 +100,8 @@ def run_interval(study: Study, algorithm: str, quantity: str) -> tuple[np.ndarra
     return tuple(np.exp(each) for each in found) if quantity == "tau" else found
 
 
-def paint_readings(times: Mapping[str, np.ndarray]):
-    """Time constants of w4 to w9 on the mean course under different readings, with the published ones."""
+def paint_choices(times: Mapping[str, np.ndarray]):
+    """Time constants of w4 to w9 on the mean course under other choices, with the published ones."""
     figure, axes = figures.new(1, 2, height=3.4, sharey=True)
     number = np.arange(4, 10)
     looks = ((figures.BLUE, "o"), (figures.ORANGE, "s"), (figures.PURPLE, "^"))
@@ -128,7 +128,7 @@ def paint_starts(starts: Starts, steady: ArrayLike):
     style = {"label": "printed: ε = 10⁻⁵", "markersize": 9}
     figures.mark_published(axes, 1e5, starts.peak_command[~on].max() if (~on).any() else 1.0, **style)
     axes.axvspan(np.min(steady), np.max(steady), color=figures.GREEN, alpha=0.3, label="steady diagonal of P")
-    axes.set(xlabel="initial covariance 1/ε", ylabel="largest command (N)")
+    axes.set(xlabel="initial covariance 1/ε ((m/s²)⁻²)", ylabel="largest command (N)")
     axes.legend()
     return figure
 
@@ -148,7 +148,7 @@ def paint_path_error(twin: Twin, floor: ShapedFloor):
         axes.plot(1, 0, "+", markersize=9, color=figures.RED, label="perfect estimate")
         axes.set_xlabel("real part")
     left.set(title="eigenvalues of P̂₂⁻¹P₂, 2-300 Hz", ylabel="imaginary part")
-    right.set_title("eigenvalues of R⁻¹A: convergence")
+    right.set_title("convergence rates × memory")
     figures.legend_below(right, 3)
     return figure
 
@@ -158,7 +158,8 @@ def paint_sideways(courses: Mapping[str, Sideways]):
     figure, axes = figures.new(1, 1, height=3.0)
     for (name, course), color in zip(courses.items(), (figures.BLUE, figures.RED), strict=False):
         axes.semilogy(course.time_s, course.size / course.size[0], color=color, label=name)
-        style = {"color": figures.BLACK, "label": f"{name}, predicted"}
+        label = f"_{name}, predicted" if axes.get_legend_handles_labels()[1][1:] else "predicted"
+        style = {"color": figures.BLACK, "label": label}
         axes.semilogy(course.time_s, course.predicted / course.size[0], ":", **style)
     axes.set(xlabel="time (s)", ylabel="sideways command over its start")
     axes.legend()
@@ -535,11 +536,14 @@ def paint_trade_off(curves: Mapping[str, np.ndarray]):
         axes.loglog(scatter, times, marker, color=color, mfc="none", label=name)
         units, steps = ("μ", STEPS) if name == "FeLMS" else ("s", MEMORIES_S)
         for x, y, step in zip(scatter, times, steps, strict=True):
-            text = f"{step:.2g}" if units == "μ" else f"{step:g} s"
-            place = {"xytext": (-4, -10), "ha": "right"} if marker == "o-" else {"xytext": (4, 4)}
+            text = f"{1e4 * step:g}" if units == "μ" else f"{step:g} s"
+            place = {"xytext": (-4, -10), "ha": "right"} if marker[0] in "ov" else {"xytext": (4, 4)}
             style = {"textcoords": "offset points", "fontsize": 7, "color": color} | place
             axes.annotate(text, (x, y), **style)
-    axes.axvline(1.0, color=figures.GREY, lw=0.8)
+    axes.axvline(1.0, color=figures.GREY, lw=0.8, label="variance of FeLMS as printed")
+    for axis, ticks in ((axes.xaxis, (0.4, 0.6, 1, 2, 3, 4, 5)), (axes.yaxis, (0.5, 1, 2, 5, 10, 20))):
+        axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+        axis.set_ticks([], minor=True)
     axes.set(xlabel="variance over that of FeLMS as printed", ylabel="settling time of w4 to w9 (s)")
     figures.legend_below(axes, 2)
     return figure

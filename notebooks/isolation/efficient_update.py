@@ -153,9 +153,11 @@ def paint_gain(forgetting: float, samples: int, sample_time: float):
     figure, axes = figures.new(1, 1, height=2.6)
     count = np.unique(np.geomspace(1, samples, 200).astype(int)) - 1
     time_s = (count + 1) * sample_time
-    axes.loglog(time_s, average_gain(forgetting, samples)[count], label=f"forgetting {forgetting:.5f}")
+    axes.loglog(
+        time_s, average_gain(forgetting, samples)[count], label=f"with forgetting, λ = {forgetting:.5f}"
+    )
     axes.loglog(time_s, average_gain(1.0, samples)[count], "--", label="no forgetting, 1 / (1 + k)")
-    axes.axhline(1 - forgetting, color=figures.GREY, lw=0.8, ls=":", label="limit 1 - forgetting")
+    axes.axhline(1 - forgetting, color=figures.GREY, lw=0.8, ls=":", label="limit, 1 − λ")
     axes.set(xlabel="time (s)", ylabel="gain α(k)")
     axes.legend()
     return figure
@@ -203,7 +205,7 @@ def _bars(axes, values: Mapping[str, float], text: str):
     place = np.arange(len(values))
     numbers = list(values.values())
     axes.barh(place, numbers, color=figures.SKY, height=0.6)
-    axes.plot(numbers, place, "|", color=figures.BLUE, ms=14, mew=2, label="value")
+    axes.plot(numbers, place, "|", color=figures.SKY, ms=8, mew=2, label="value")
     for y, number in zip(place, numbers, strict=True):
         style = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": 8}
         axes.annotate(text.format(number), (number, y), **style)

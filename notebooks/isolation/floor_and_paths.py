@@ -138,8 +138,9 @@ def paint_rig(rig: Rig):
             ends = view @ np.stack([top, foot]).T
             label = "strut: actuator and accelerometer" if number == 1 else f"_strut {number}"
             axes.plot(*ends, color=figures.BLUE, lw=2.5, marker="o", ms=3, label=label)
+            away = (ends[:, 1] - ends[:, 0]) / np.linalg.norm(ends[:, 1] - ends[:, 0])
             style = {"color": figures.BLUE, "ha": "center", "va": "center", "fontsize": 8}
-            axes.annotate(str(number), 1.09 * ends[:, 0], **style)
+            axes.annotate(str(number), ends[:, 1], xytext=9 * away, textcoords="offset points", **style)
         axes.plot(*(view @ sensors.T), "^", color=figures.RED, ms=8, label="floor accelerometer (vertical)")
         for number, place in enumerate(sensors, 1):
             style = {"xytext": (7, -2), "textcoords": "offset points", "color": figures.RED, "fontsize": 8}
@@ -150,7 +151,7 @@ def paint_rig(rig: Rig):
 
 
 def paint_modes(rig: Rig, passive: Modes, closed: Modes, gain: float):
-    """Frequency and damping of the modes beside what the paper says; damping over the skyhook's gain."""
+    """Frequency and damping of the modes beside the published ones; damping over the skyhook's gain."""
     figure, (left, right) = figures.new(1, 2, height=2.9)
     left.axvspan(15, 45, color=figures.GREY, alpha=0.15, lw=0)
     left.text(30, 0.02, "published range", ha="center", color=figures.GREY, fontsize=8)
@@ -192,6 +193,8 @@ def paint_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], 
         axes.loglog(band, criterion_density(name, band), style, color=figures.BLACK, label=name)
     shown = ground[0] >= 1.0
     axes.loglog(ground[0][shown], ground[1][shown], color=figures.GREEN, lw=0.8, label="measured ground")
+    axes.axvspan(40, 90, color=figures.GREY, alpha=0.15, lw=0, label="published: raised at 40-90 Hz")
+    axes.axvline(150, color=figures.GREY, alpha=0.3, lw=4, label="published: and near 150 Hz")
     axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-14, 1e-3))
     axes.set(xlim=(1, 1000))
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
@@ -210,17 +213,17 @@ def paint_paths(twins: dict[str, Twin], frequencies_hz: np.ndarray):
     fit = parametric_fit(next(iter(twins.values())), f)
     upper.loglog(f, np.abs(fit), "--", color=figures.BLACK, label="fit, eq. (2)")
     upper.axvline(962, color=figures.GREY, ls=":", lw=1)
-    upper.annotate("962 Hz", (930, 0.003), ha="right", fontsize=8, color=figures.GREY)
+    upper.annotate("published: 962 Hz", (930, 0.003), ha="right", fontsize=8, color=figures.GREY)
     lower.axvline(500, color=figures.GREY, ls=":", lw=1)
     lower.annotate("published: good to here", (480, -9), ha="right", fontsize=8, color=figures.GREY)
     upper.set(ylabel="|a₁ / u| (m/s² per N)")
-    lower.set(xlabel="frequency (Hz)", ylabel="twin over fit (dB)", ylim=(-12, 12), xlim=(f[0], f[-1]))
+    lower.set(xlabel="frequency (Hz)", ylabel="model over fit (dB)", ylim=(-12, 12), xlim=(f[0], f[-1]))
     upper.legend(loc="upper left")
     return figure
 
 
 def explore_floor(low_pass_hz: float, gain: float):
-    """Explorer: the two readings of the flat floor and the height of the coloured bands, against BBN-A to -D."""
+    """Explorer: the two options of the flat floor and the height of the coloured bands, against BBN-A to -D."""
     figure, axes = figures.new(1, 1, height=3.2)
     f = np.geomspace(1, 1000, 300)
     floor = coloured_floor(low_pass_hz, gain=gain)

@@ -139,7 +139,7 @@ EXPERIMENT_S, TIME_CONSTANTS = 200.0, 45.0  # Fig. 5; length of a run
 
 
 def double_values(runs: Mapping[str, CovarianceRun], experiment: float) -> dict[str, float]:
-    """What section 6 says of stability, in float64; `experiment` in time constants."""
+    """What section 6 states on stability, in float64; `experiment` in time constants."""
     return {
         "isolation.stability.observed": float(np.mean([run.breakdown > experiment for run in runs.values()])),
         "isolation.stability.not-eliminated": float(runs["one product"].breakdown < np.inf),
@@ -482,7 +482,7 @@ def peak_error(run: Run, from_s: float) -> float:
 
 _LINES = ("-", "--", "-", ":", "-.", "--", "-")
 EXPLORED = ("one product", "both products", "triangle", "Joseph", "UD")
-FLOOR = 1e-19  # where exact zeros are drawn; the axis says so
+FLOOR = 1e-19  # where exact zeros are drawn, as a note on the axis states
 
 
 def paint_map(
@@ -514,14 +514,17 @@ def paint_map(
             style = {"color": figures.BLACK, "ms": 7, "mew": 1.5, "label": "P lost definiteness"}
             axes.plot(*np.transpose(lost), "x", **style)
         if precision == "float32":
+            colors = {form: f"C{k}" for k, form in enumerate(form for of, form in found if of == precision)}
             for mark, (name, (condition, runs)) in zip("osD", shipped.items(), strict=False):
-                values = [run.worst for run in runs.values()]
-                axes.plot(np.full(len(values), condition), values, mark, color=figures.GREY, label=name)
+                axes.plot([], [], mark, color=figures.GREY, label=name)  # its colour is the form's
+                for form, run in runs.items():
+                    style = {"color": colors[form], "mec": figures.BLACK, "label": f"_{name}, {form}"}
+                    axes.plot(condition, run.worst, mark, **style)
         certain, mean = condition_bounds(forgettings[0], precision)
-        for bound, line, text in ((certain, ":", " errors of one sign"), (mean, "--", " independent errors")):
-            axes.axvline(bound, color=figures.BLACK, lw=0.8, ls=line)
-            axes.annotate(text, (bound, 3e-13), rotation=90, ha="right", va="bottom", fontsize=7)
-        axes.axhline(1.0, color=figures.GREY, lw=0.8)
+        bounds = ((certain, ":", "bound, errors of one sign"), (mean, "--", "bound, independent errors"))
+        for bound, line, text in bounds:
+            axes.axvline(bound, color=figures.BLACK, lw=0.8, ls=line, label=text)
+        axes.axhline(1.0, color=figures.GREY, lw=0.8, label="error as large as P")
         axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 10))
         axes.set(xlabel="condition number of the scaled regressors")
     grid[0, 0].set(ylabel="largest relative error of P, in its own metric")
@@ -535,8 +538,9 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
     for (upper, lower), (precision, forms) in zip(grid.T, runs.items(), strict=True):
         for style, (form, run) in zip(_LINES, forms.items(), strict=False):
             t = run.time_constants
-            upper.semilogy(t, np.maximum(run.asymmetry, FLOOR), style, label=form)
-            lower.semilogy(t, run.error, style, label=form)
+            look = {"lw": 4, "alpha": 0.4, "zorder": 1.5} if form == "triangle" else {}  # others lie on it
+            upper.semilogy(t, np.maximum(run.asymmetry, FLOOR), style, label=form, **look)
+            lower.semilogy(t, run.error, style, label=form, **look)
             if np.isfinite(run.breakdown):
                 for axes in (upper, lower):
                     axes.axvline(run.breakdown, color=figures.GREY, lw=0.8, ls=":")
@@ -590,7 +594,7 @@ def paint_return(outcomes: Mapping[str, Sequence[Run]], return_s: float):
             if run.broke_s is not None:
                 style = {"color": axes.lines[-1].get_color(), "label": f"floor {number}, broke"}
                 axes.plot(run.broke_s - return_s, error[-1], "x", ms=9, mew=2, **style)
-        axes.axvspan(-5, 0, color=figures.GREY, alpha=0.12, lw=0)
+        axes.axvspan(-5, 0, color=figures.GREY, alpha=0.12, lw=0, label="one sensor silent")
         axes.set(xlabel="time since the sensor's return (s)", title=name, xlim=(-5, 15))
         axes.legend(loc="upper right")
     grid[0, 0].set(ylabel="filtered error, rms (N)")

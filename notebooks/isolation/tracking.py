@@ -79,7 +79,7 @@ class Response:
         """Time from which on a group stays within 37 % of the shift around its new optimum.
 
         The band has two sides, as in Table 1: an overshoot beyond 137 % of the shift has not settled. Infinite
-        where the last tenth of the run still leaves the band: nothing tells then that it will stay.
+        where the last tenth of the run still leaves the band: it is not known then whether it will stay.
         """
         after = self.time_s > 0
         time = self.time_s[after]
@@ -209,7 +209,7 @@ def paint_settling(
         panel.set_yscale("log")
         panel.set_xticks(at, list(GROUPS))
         panel.set_title(title)
-    figures.label(axes, "weights", f"time to stay within {SHARE:.0%}\nof the shift (s)")
+    figures.label(axes, "weights", f"time to stay within {100 * SHARE:.0f} %\nof the shift (s)")
     # Of all panels, for an algorithm may leave runs unsettled in one of them only.
     entries = [panel.get_legend_handles_labels() for panel in axes[0]]
     named = {name: handle for handles, names in entries for handle, name in zip(handles, names, strict=True)}

@@ -79,10 +79,10 @@ def open_floor(
         Path of a CSV, MAT, NPZ or universal file, see `stillwork.signals.records.load_record`; empty for the
         ground. Spectra stand beside a column or array named ``frequency``, in Hz.
     unit : str
-        Of the record; a density, such as ``(m/s)^2/Hz`` or ``m/s^2/sqrt(Hz)``, says that the file holds spectra. Empty
+        Of the record; a density, such as ``(m/s)^2/Hz`` or ``m/s^2/sqrt(Hz)``, means that the file holds spectra. Empty
         where the file states it in brackets.
     rate_hz : float
-        Of the record; 0 where the file tells it.
+        Of the record; 0 where the file states it.
     channels : list of str
         Channels to take, as many as floor sensors at most; empty for all.
     twin : Twin
@@ -94,7 +94,7 @@ def open_floor(
     Raises
     ------
     InputError
-        For everything that makes the file unusable; it says what to do. A floor that does not reach the rig's
+        For everything that makes the file unusable, with what to do. A floor that does not reach the rig's
         suspension is refused, since it cannot teach the feedforward anything; so is one beyond 1 g, or below the
         quietest ground on Earth, since its unit is wrong, and a record of a sensor that drifts.
     """
@@ -152,7 +152,7 @@ def _recorded(floor_record, unit, rate_hz, channels, twin, highest) -> RecordedF
         )
     if record.sample_rate * PASS_SHARE / 2 < highest:
         raise InputError(
-            f"{record.source} is sampled at {record.sample_rate:.4g} Hz and tells nothing above "
+            f"{record.source} is sampled at {record.sample_rate:.4g} Hz and has no content above "
             f"{record.sample_rate * PASS_SHARE / 2:.3g} Hz, where the rig has suspension frequencies up to "
             f"{highest:.3g} Hz; measure at {2 * highest / PASS_SHARE:.3g} Hz at least"
         )
@@ -287,7 +287,7 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
 
 
 def _cases(weights) -> dict[str, dict]:
-    """What tells a run of each case from the others."""
+    """What distinguishes a run of each case from the others."""
     return {"passive": {"feedback": False}, "feedback": {}, "FeRLS": {"weights": weights}}
 
 
@@ -494,7 +494,8 @@ def paint_floor(floor: RecordedFloor):
     time_s = np.arange(floor.acceleration.shape[1]) / floor.sample_rate
     common = floor.acceleration.mean(axis=0)
     own = floor.acceleration[0] - common
-    left.plot(time_s, common, lw=0.6, label="mean of the sensors")
+    single = len(floor.acceleration) == 1
+    left.plot(time_s, common, lw=0.6, label="acceleration" if single else "mean of the sensors")
     if np.abs(own).max() > 1e-9 * np.abs(common).max():
         left.plot(time_s, own, lw=0.6, color=figures.ORANGE, label="sensor 1 less the mean")
     left.set(xlabel="time (s)", ylabel="floor acceleration (m/s²)")
@@ -502,10 +503,13 @@ def paint_floor(floor: RecordedFloor):
     for number, row in enumerate(spectrum.density, 1):
         centres, velocity = one_third_octave_velocity(spectrum.frequencies_hz, row)
         shown = (centres >= _SHOWN_HZ[0]) & (centres <= _SHOWN_HZ[1]) & (velocity > 1e-4 * velocity.max())
-        label = "each sensor" if number == 1 else f"_sensor {number}"
+        label = "velocity by band" if single else "velocity by band, each sensor"
+        label = label if number == 1 else f"_sensor {number}"
         right.loglog(centres[shown], velocity[shown], "o-", ms=2.5, lw=0.8, color=figures.GREEN, label=label)
+    low, high = right.get_ylim()
     _criteria(right)
-    right.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity (m/s)", xlim=(0.8, 600))
+    right.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity (m/s)")
+    right.set(xlim=(0.3, 600), ylim=(low / 3, high * 3))
     lines = [line for axes in (left, right) for line in axes.get_legend_handles_labels()[0]]
     figure.legend(handles=lines, loc="outside lower center", ncols=3)
     return figure
@@ -525,7 +529,9 @@ def paint_isolated(isolated: Isolated):
             f = spectrum.frequencies_hz
             inside = np.flatnonzero((f >= _SHOWN_HZ[0]) & (f <= _SHOWN_HZ[1]))
             points = inside[thinned(f[inside], spectrum.density[k, inside])]
-            panel.loglog(f[points], spectrum.density[k, points], lw=0.9, color=_COLOURS[name], label=name)
+            look = {"lw": 2.5, "zorder": 1.8} if name == "feedback" else {"lw": 0.9}  # others lie on it
+            style = {"color": _COLOURS[name], **look}
+            panel.loglog(f[points], spectrum.density[k, points], label=name, **style)
         top = max(line.get_ydata().max() for line in panel.lines)
         panel.set(title=DIRECTIONS[k], xlabel="frequency (Hz)", ylabel=f"PSD ({units[k]})")
         panel.set(ylim=(top * 1e-6, top * 3))
@@ -563,9 +569,10 @@ def paint_gain(gains: np.ndarray, left: dict[str, np.ndarray]):
     """Rms motion in z over that of the floor, 1-300 Hz, for a louder or quieter floor; optimum weights."""
     figure, axes = figures.new(1, 1, height=2.8)
     for name, values in left.items():
-        axes.loglog(gains, values, color=_COLOURS[name], label=name)
-    axes.axhline(1, color=figures.GREY, lw=0.8)
-    axes.axvline(1, color=figures.GREY, lw=0.8, ls="--")
+        width = 3.5 if name == "feedback" else 1.5  # FeRLS lies on it where noise dominates
+        axes.loglog(gains, values, color=_COLOURS[name], lw=width, label=name)
+    axes.axhline(1, color=figures.GREY, lw=0.8, label="as much as the floor")
+    axes.axvline(1, color=figures.GREY, lw=0.8, ls="--", label="this floor")
     axes.set(xlabel="amplitude over this floor's", ylabel="platform over floor in z, rms")
     axes.legend()
     return figure
@@ -602,4 +609,5 @@ def _criteria(axes) -> None:
         defined = bands[bands > 3.9] if name == "VC-A" else bands
         limit = criterion_velocity(name, defined)
         axes.loglog(defined, limit, "--", color=figures.GREY, lw=0.7, label=f"_{name}")
-        axes.annotate(name, (defined[-1] * 1.1, limit[-1]), color=figures.GREY, fontsize=7, va="center")
+        style = {"color": figures.GREY, "fontsize": 7, "ha": "right", "va": "center", "annotation_clip": True}
+        axes.annotate(name, (defined[0] / 1.1, limit[0]), **style)

@@ -36,7 +36,13 @@ def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
     axes.bar(places, total, color=figures.GREY, alpha=0.4, label="all sources")
     if np.any(ends[:, 1] > 1.001 * total):
         axes.errorbar(
-            places, total, np.abs(ends.T - total), fmt="none", color=figures.BLACK, capsize=3, label="95 %"
+            places,
+            total,
+            np.abs(ends.T - total),
+            fmt="none",
+            color=figures.BLACK,
+            capsize=3,
+            label="95 % interval",
         )
     first = next(iter(budgets.values()))
     parts = np.array([1e9 * np.sqrt(budget.powers[:, 0]) for budget in budgets.values()])

@@ -101,14 +101,15 @@ def paint_power(
         for k in range(3):
             for panel, row, width in ((axes[0, k], density[k, inside], 0.9), (axes[1, k], running[k], 1.2)):
                 points = thinned(f, row)
-                panel.loglog(f[points], row[points], label=name, **{"lw": width, **_STYLES[name]})
+                wide = 1.8 if name == "FeRLS" else 1.0  # FeLMS lies on it
+                panel.loglog(f[points], row[points], label=name, **{"lw": width * wide, **_STYLES[name]})
     for k, direction in enumerate(DIRECTIONS):
         axes[0, k].set(title=f"(a) {direction}", ylabel=f"PSD ({units[k]}/Hz)")
         axes[1, k].set(title=f"(b) {direction}", ylabel=f"power from 1 Hz ({units[k]})")
         axes[1, k].set(xlabel="frequency (Hz)")
         before = np.sum(densities["feedback"][k, inside & (frequencies_hz <= BAND_HZ[1])]) * (f[1] - f[0])
         figures.mark_published(
-            axes[1, k], BAND_HZ[1], before * (1 - published[k] / 100), "published, of feedback"
+            axes[1, k], BAND_HZ[1], before * (1 - published[k] / 100), "published, relative to feedback"
         )
         axes[1, k].axvline(BAND_HZ[1], color=figures.GREY, ls=":", lw=1)
         style = {"xycoords": ("data", "axes fraction"), "ha": "right", "fontsize": 7}
@@ -126,7 +127,7 @@ def paint_removed(study, published: tuple[float, float, float]):
         style, label = ("output noise", "output-noise limit") if name == "limit" else (name, name)
         x = np.repeat(where + shift, len(values))
         axes.plot(x, values.T.ravel(), "o", ms=4, alpha=0.7, color=_STYLES[style]["color"], label=label)
-    figures.mark_published(axes, where, published, "published, FeRLS")
+    figures.mark_published(axes, where, published, "published, FeRLS", markerfacecolor="white")
     axes.set(xticks=where, xticklabels=DIRECTIONS, xlabel="direction", ylabel="power removed at 1-300 Hz (%)")
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
