@@ -516,10 +516,9 @@ def paint_map(
         if precision == "float32":
             colors = {form: f"C{k}" for k, form in enumerate(form for of, form in found if of == precision)}
             for mark, (name, (condition, runs)) in zip("osD", shipped.items(), strict=False):
-                axes.plot([], [], mark, color=figures.GREY, label=name)  # its colour is the form's
-                for form, run in runs.items():
-                    style = {"color": colors[form], "mec": figures.BLACK, "label": f"_{name}, {form}"}
-                    axes.plot(condition, run.worst, mark, **style)
+                look = {"marker": mark, "c": [colors[form] for form in runs], "edgecolors": figures.BLACK}
+                worst = [run.worst for run in runs.values()]
+                axes.scatter(np.full(len(worst), condition), worst, s=40, zorder=3, label=name, **look)
         certain, mean = condition_bounds(forgettings[0], precision)
         bounds = ((certain, ":", "bound, errors of one sign"), (mean, "--", "bound, independent errors"))
         for bound, line, text in bounds:
@@ -529,6 +528,9 @@ def paint_map(
         axes.set(xlabel="condition number of the scaled regressors")
     grid[0, 0].set(ylabel="largest relative error of P, in its own metric")
     figures.legend_below(grid[0, 0], 4)
+    for handle in figure.legends[0].legend_handles:
+        if handle.get_label() in shipped:
+            handle.set_facecolor(figures.GREY)  # a floor has the colour of each form
     return figure
 
 
