@@ -525,7 +525,7 @@ def scatter_ratio(above: np.ndarray, below: np.ndarray) -> tuple[float, tuple[fl
 
 def paint_trade_off(curves: Mapping[str, np.ndarray]):
     """Settling time over scatter, both logarithmic, each point with its step size or memory."""
-    figure, axes = figures.new(1, 1, height=3.4)
+    figure, axes = figures.new(1, 1, height=4.2)
     looks = (
         (figures.GREEN, "s--"),
         (figures.BLACK, "o-"),
@@ -537,7 +537,8 @@ def paint_trade_off(curves: Mapping[str, np.ndarray]):
         units, steps = ("μ", STEPS) if name == "FeLMS" else ("s", MEMORIES_S)
         for x, y, step in zip(scatter, times, steps, strict=True):
             text = f"{1e4 * step:g}" if units == "μ" else f"{step:g} s"
-            place = {"xytext": (-4, -10), "ha": "right"} if marker[0] in "ov" else {"xytext": (4, 4)}
+            places = {"o": {"xytext": (-4, -10), "ha": "right"}, "v": {"xytext": (3, 5), "ha": "center"}}
+            place = places.get(marker[0], {"xytext": (4, 4)})
             style = {"textcoords": "offset points", "fontsize": 7, "color": color} | place
             axes.annotate(text, (x, y), **style)
     axes.axvline(1.0, color=figures.GREY, lw=0.8, label="variance of FeLMS as printed")
