@@ -158,8 +158,7 @@ def paint_sideways(courses: Mapping[str, Sideways]):
     figure, axes = figures.new(1, 1, height=3.0)
     for (name, course), color in zip(courses.items(), (figures.BLUE, figures.RED), strict=False):
         axes.semilogy(course.time_s, course.size / course.size[0], color=color, label=name)
-        label = f"_{name}, predicted" if axes.get_legend_handles_labels()[1][1:] else "predicted"
-        style = {"color": figures.BLACK, "label": label}
+        style = {"color": figures.BLACK, "label": f"{name}, predicted"}
         axes.semilogy(course.time_s, course.predicted / course.size[0], ":", **style)
     axes.set(xlabel="time (s)", ylabel="sideways command over its start")
     axes.legend()
