@@ -40,7 +40,7 @@ METHODS = {
     "instrumental": "instruments",
     "hinfinity": "H-infinity",
     "min_max": "min-max, exact",
-    "approximate": "min-max, (20)",
+    "approximate": "min-max, approximate",
 }
 EXCITATIONS = ("white", "three tones", "low-pass", "tone")
 CORNER, TONE = (
@@ -423,14 +423,14 @@ def paint_map(names: list[str], errors: np.ndarray):
         shades = {"cmap": "Reds", "vmin": 0, "vmax": 5, "shading": "nearest"}
         mesh = axes.pcolormesh(columns, rows, behind[:, number], **shades)
         dots = np.nonzero(equal[:, number])[::-1]
-        label = f"within {MARGIN - 1:.0%} of the best (whole 95 % interval)"
+        label = f"within {100 * (MARGIN - 1):.0f} % of the best (whole 95 % interval)"
         axes.plot(*dots, "o", markersize=4, color=figures.BLACK, label=label)
         axes.set_title(title)
         axes.set_xticks(columns, METHODS.values(), rotation=90)
     grid[0, 0].set_yticks(rows, names)
     grid[0, 0].set_ylim(len(names) - 0.5, -0.5)
     # Beside few rows there is no height for the whole label.
-    figures.label(grid, y="what is wrong: noise on input, output" if len(names) > 8 else "what is wrong")
+    figures.label(grid, y="what is wrong (noise: input, output)" if len(names) > 8 else "what is wrong")
     figures.legend_below(grid[0, 0], 1)
     bar = figure.colorbar(mesh, ax=grid, label="error over that of the best", extend="max", ticks=range(6))
     bar.ax.set_yticklabels(["1", "2", "4", "8", "16", "32"])
@@ -438,42 +438,50 @@ def paint_map(names: list[str], errors: np.ndarray):
 
 
 def paint_turning(noises, errors: np.ndarray):
-    """Errors over that of the estimate zero against the output noise, one panel an excitation."""
-    figure, panels = figures.new(1, len(EXCITATIONS), height=3.2, sharey=True, sharex=True)
+    """Errors over that of least squares and over that of the estimate zero, by output noise; a column an excitation."""
+    figure, panels = figures.new(2, len(EXCITATIONS), height=5.0, sharey="row", sharex=True)
     means, methods = np.exp(np.log(errors).mean(axis=2)), list(METHODS)
-    colours = {
-        "min_max": figures.BLUE, "least": figures.BLACK, "bayes": figures.GREEN, "evidence": figures.ORANGE,
-        "gcv": figures.SKY,
-    }  # fmt: skip
-    for number, (axes, title) in enumerate(zip(panels, EXCITATIONS, strict=True)):
-        for name, colour in colours.items():
-            style = {"color": colour, "label": METHODS[name], "linestyle": "--" if name == "gcv" else "-"}
-            axes.loglog(noises, means[:, number, methods.index(name)], **style)
-        axes.axhline(1, color=figures.GREY, linestyle=":", label="estimate zero")
-        axes.set(title=title, ylim=(0.02, 20))
-    figures.label(panels, "output noise", "error over that of zero")
-    figures.legend_below(panels[0], 3)
+    turns = turning_points(errors, noises)
+    pays = [turns[f"worstcase.comparison.pays-{end}"] for end in ("from", "to")]
+    colours = {"min_max": "BLUE", "bayes": "GREEN", "evidence": "ORANGE", "gcv": "SKY"}
+    for number, (upper, lower) in enumerate(panels.T):
+        least = means[:, number, methods.index("least")]
+        for axes, below in ((upper, least), (lower, 1.0)):
+            axes.axvspan(
+                *pays, color=figures.GREY, alpha=0.2, lw=0, label="min-max beats both in every panel"
+            )
+            axes.axhline(1, color=figures.BLACK, lw=0.8, ls=":", label="least squares (top), zero (bottom)")
+            for name, colour in colours.items():
+                look = {"color": getattr(figures, colour), "linestyle": "--" if name == "gcv" else "-"}
+                axes.plot(noises, means[:, number, methods.index(name)] / below, label=METHODS[name], **look)
+        upper.set(title=EXCITATIONS[number], xscale="log", yscale="log", ylim=(0.05, 2.5))
+        upper.set_yticks([0.0625, 0.125, 0.25, 0.5, 1, 2], ["1/16", "1/8", "1/4", "1/2", "1", "2"])
+        upper.minorticks_off()
+    figures.label(panels, "output noise")
+    panels[0, 0].set_ylabel("error over least squares'")
+    panels[1, 0].set_ylabel("error over that of zero")
+    figures.legend_below(panels[0, 0], 2)
     return figure
 
 
 def paint_ratios(names: list[str], errors: np.ndarray):
     """Error over that of least squares, geometric mean over runs with its 95 % interval, one panel an excitation."""
-    figure, panels = figures.new(1, len(EXCITATIONS), height=5.4, sharey=True, sharex=True)
+    figure, grid = figures.new(2, 2, height=8.4, sharey=True, sharex=True)
     logs, order = np.log(errors), list(METHODS)
     ratios = logs - logs[..., order.index("least"), None]
-    for number, (axes, title) in enumerate(zip(panels, EXCITATIONS, strict=True)):
+    for number, (axes, title) in enumerate(zip(grid.flat, EXCITATIONS, strict=True)):
         for place, (method, colour) in enumerate(AGAINST):
             rows = np.arange(len(names)) + 0.2 * (place - 1.5)
             style = {"markersize": 3, "color": colour, "label": METHODS[method]}
             _paint_geometric_means(axes, ratios[:, number, :, order.index(method)], rows, **style)
-        axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1)
-        axes.set(xscale="log", xlim=(0.2, 8), title=title)
-        axes.set_xticks([0.25, 0.5, 1, 2, 4], ["1/4", "1/2", "1", "2", "4"])
+        axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1, label="least squares")
+        axes.set(xscale="log", title=title)
+        axes.set_xticks([1 / 16, 1 / 4, 1, 4, 16, 64], ["1/16", "1/4", "1", "4", "16", "64"])
         axes.minorticks_off()
-    panels[0].set_yticks(np.arange(len(names)), names)
-    panels[0].set_ylim(len(names) - 0.5, -0.5)
-    figures.label(panels, "over least squares")
-    figures.legend_below(panels[0], len(AGAINST))
+    grid[0, 0].set_yticks(np.arange(len(names)), names)
+    grid[0, 0].set_ylim(len(names) - 0.5, -0.5)
+    figures.label(grid, "error over that of least squares", "what is wrong (noise: input, output)")
+    figures.legend_below(grid[0, 0], len(AGAINST) + 1)
     return figure
 
 

@@ -16,8 +16,8 @@ def paint_scalar(function: SecularFunction):
     root, _ = function.root()
     beta = function.bound / function.threshold
     alpha = np.geomspace(1e-3, 1e3, 301) * root
-    path = function.iterates(root * 300, 12)
-    style = {"markersize": 3.5, "color": figures.RED, "label": "iterates of (21)"}
+    path = function.iterates(root * 300, 40)
+    style = {"markersize": 3.5, "color": figures.RED, "label": "iterates of eq. (21)"}
     _paint_map(left, function, alpha, path[:-1], path[1:], **style)
     right.semilogx(alpha, function.slope(alpha), label="f′(α)")
     figures.mark_published(right, alpha[-1], beta, "limit β at infinity")
@@ -51,8 +51,8 @@ def _paint_slope(axes, function: SecularFunction, alpha: np.ndarray):
     slopes = function.slope(alpha)
     axes.semilogx(alpha, slopes, label="f′")
     axes.semilogx(alpha, alpha * slopes / function(alpha), color=figures.GREEN, label="d log f / d log α")
-    axes.axhline(1, color=figures.BLACK, linewidth=0.8, linestyle="--")
-    axes.set(xlabel="α", ylabel="slope", ylim=(0, 1.35 * max(1.0, slopes.max())))
+    axes.axhline(1, color=figures.BLACK, linewidth=0.8, linestyle="--", label="edge of a contraction")
+    axes.set(xlabel="α", ylabel="slope", ylim=(0, 1.5 * max(1.0, slopes.max())))
     axes.minorticks_off()
     axes.legend(loc="upper right")
 
@@ -61,7 +61,7 @@ def _paint_iterates(axes, function: SecularFunction, root: float):
     for decade, colour in ((-5, figures.BLUE), (-2, figures.SKY), (1, figures.ORANGE), (3, figures.RED)):
         style = {"markersize": 2.5, "lw": 0.8, "color": colour, "label": f"from {10.0**decade:g} × root"}
         axes.semilogy(function.iterates(root * 10.0**decade, 25), "o-", **style)
-    axes.axhline(root, color=figures.BLACK, linewidth=0.8)
+    axes.axhline(root, color=figures.BLACK, linewidth=0.8, label="root")
     axes.set(xlabel="iteration", ylabel="α")
     axes.minorticks_off()
     axes.legend(fontsize=7)
@@ -75,10 +75,11 @@ def paint_slopes(slopes: dict[int, np.ndarray], rates: dict[int, np.ndarray]):
         for unknowns, found in values.items():
             share = np.arange(1, len(found) + 1) / len(found)
             axes.step(np.sort(found), share, where="post", label=f"n = {unknowns}")
-        axes.axvline(1, color=figures.BLACK, linewidth=0.8, linestyle="--")
-        axes.set(xlabel=label, ylabel="share of problems")
-        axes.legend(loc="lower right")
-    left.set_xscale("log")
+        axes.axvline(1, color=figures.BLACK, linewidth=0.8, linestyle="--", label="edge of a contraction")
+        axes.set_xlabel(label)
+    left.set(xscale="log", ylabel="share of problems below")
+    right.set_xlim(right=1.06)
+    figures.legend_below(left, len(slopes) + 1)
     return figure
 
 

@@ -21,7 +21,7 @@ def paint_fig_1(study: Study, parameters: tuple[float, ...]):
     """Estimates averaged over the realisations (a), (b) and residuals (c), drawn as in Fig. 1."""
     figure, (*panels, third) = figures.new(3, 1, height=7.2, sharex=True)
     time = _paint_estimates(panels, study, parameters)
-    panels[0].legend(ncols=3)
+    figures.legend_below(panels[0], 4)
     third.plot(time, study["min_max_worst"].mean(0), color=figures.BLUE, label="min-max: worst case")
     third.plot(time, study["total_target"].mean(0), "--", color=figures.RED, label="TLS: |(A + δA)x − b|")
     style = {"color": figures.RED, "label": "TLS: worst case under the same bound, median"}
@@ -37,11 +37,11 @@ def _paint_estimates(panels, study: Study, parameters: tuple[float, ...]) -> np.
     for number, (axes, truth) in enumerate(zip(panels, parameters, strict=True)):
         for name, label, colour, style in METHODS:
             axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
-        axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
+        axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1, label="true value")
         axes.set(ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})")
         # The first samples of total least squares run off any scale.
         late = study["min_max"][:, number].mean(0)[10:]
-        reach = max(0.6, 1.3 * np.abs(late - truth).max())
+        reach = max(0.8, 1.3 * np.abs(late - truth).max())
         axes.set(ylim=(truth - reach, truth + reach))
     return time
 
@@ -107,13 +107,18 @@ def paint_wins(cases: list[tuple[tuple[float, ...], int]], against_total, agains
     """Bars of `win_shares`."""
     figure, axes = figures.new(height=3.2)
     places = np.arange(len(cases))
-    axes.bar(places - 0.2, against_total, 0.38, color=figures.RED, label="min-max beats total least squares")
-    axes.bar(places + 0.2, against_least, 0.38, color=figures.BLACK, label="min-max beats least squares")
+    sides = (
+        (-0.2, against_total, figures.RED, "min-max beats total least squares"),
+        (0.2, against_least, figures.BLACK, "min-max beats least squares"),
+    )
+    for shift, shares, colour, label in sides:
+        bars = axes.bar(places + shift, shares, 0.38, color=colour, label=label)
+        axes.bar_label(bars, fmt="{:.2g}", fontsize=7, padding=1)  # a share of zero has no bar to see
     names = [f"({', '.join(f'{p:g}' for p in parameters)})\n{period}" for parameters, period in cases]
     axes.set_xticks(places, names)
     axes.set_xlabel("true parameters, and period of the square wave (samples)")
-    axes.set(ylabel="share of experiments", ylim=(0, 1.25))
-    axes.legend(ncols=2, loc="upper center")
+    axes.set(ylabel="share of experiments", ylim=(0, 1.1))
+    figures.legend_below(axes, 2)
     return figure
 
 

@@ -42,7 +42,7 @@ def paint_tracking(memories: list[int], found: dict[str, np.ndarray]):
     colours = {"RLS": figures.BLACK, "ridge": figures.GREEN, "min-max, typical bound": figures.BLUE}
     for name, values in found.items():
         axes.semilogx(memories, values, "o-", markersize=4, color=colours[name], label=name)
-    axes.axhline(1, color=figures.GREY, linewidth=0.8)
+    axes.axhline(1, color=figures.GREY, linewidth=0.8, label="predicting zero")
     axes.set(xlabel="memory 1 / (1 − λ) (samples)", ylabel="rms error / rms output", ylim=(0.4, 1.1))
     axes.legend()
     return figure
@@ -53,8 +53,7 @@ def paint_sweep(factors: np.ndarray, found: dict[int, np.ndarray]):
     figure, axes = figures.new(height=3.0)
     for length, values in found.items():
         axes.semilogx(factors, values, "o-", markersize=3, label=f"window of {length} samples")
-    axes.axvline(1, color=figures.BLACK, linewidth=0.8, linestyle="--")
-    axes.text(1, axes.get_ylim()[1], " from the sensor noise", va="top", fontsize=8)
+    axes.axvline(1, color=figures.BLACK, linewidth=0.8, linestyle="--", label="bound from the sensor noise")
     axes.set(xlabel="bound over the typical norm of the sensor noise")
     axes.set(ylabel="median rms residual / rms output")
     axes.legend()

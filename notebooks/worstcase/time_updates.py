@@ -69,14 +69,14 @@ def paint_exactness(found: dict[str, np.ndarray]):
     for update, first, marker, size in (("exact", 0, "o", 3), ("fast", 4, "x", 4)):
         style = {"markersize": size, "color": COLOURS[update], "label": f"{update} recursion"}
         axes.plot(time[first::8], found[f"size_{update}"][first::8], marker, **style)
-    axes.set(xlabel="time (samples)", ylabel="|x|")
+    axes.set(xlabel="time (samples)", ylabel="norm of the estimate |x|")
     axes.legend()
     return figure
 
 
 def paint_accuracy(records: dict[str, dict[str, np.ndarray]]):
     """Error of alpha and of the estimate of (20) with 1, 2 and 3 iterations; one row of axes a record."""
-    figure, grid = figures.new(len(records), 2, sharex=True, squeeze=False)
+    figure, grid = figures.new(len(records), 2, sharex=True, sharey="col", squeeze=False)
     for (title, found), (left, right) in zip(records.items(), grid, strict=True):
         for axes, name in ((left, "alpha"), (right, "approximate")):
             for iterations, colour in ((1, figures.BLUE), (2, figures.ORANGE), (3, figures.GREEN)):
@@ -86,9 +86,10 @@ def paint_accuracy(records: dict[str, dict[str, np.ndarray]]):
                 shown = np.where(errors > 1e-11, errors, np.nan)
                 axes.semilogy(shown, color=colour, linewidth=0.8, label=label)
             axes.minorticks_off()
-            axes.set_ylim(bottom=1e-10)
         left.set(ylabel="relative error of α", title=title)
         right.set(ylabel="|x − batch| / max |batch|", title=f"{title}: estimate")
+    for axes in grid[0]:
+        axes.set_ylim(bottom=1e-10)  # after all rows: it ends the scaling of the shared axis
     figures.label(grid, "time (samples)")
     figures.legend_below(grid[0, 0], 3)
     return figure
@@ -102,9 +103,9 @@ def paint_counts(sizes: list[int], evaluations: float):
         counts = [multiplications(update, n, needed) for n in sizes]
         axes.loglog(sizes, counts, "o-", markersize=3, color=COLOURS[update], label=update)
     n = np.array([sizes[0], sizes[-1]], dtype=float)
-    for power, name, colour in ((2, "n²", figures.BLACK), (3, "n³", figures.BLUE)):
+    for power, name, colour in ((2, "n²", figures.BLACK), (3, "n³", figures.GREY)):
         axes.loglog(n, 0.5 * n**power, color=colour, linewidth=0.8, linestyle="--", label=f"∝ {name}")
-    axes.set(xlabel="number of unknowns n", ylabel="multiplications an update")
+    axes.set(xlabel="number of unknowns n", ylabel="multiplications per update")
     axes.legend(ncols=2)
     return figure
 
@@ -139,7 +140,7 @@ def paint_times(times: dict[str, np.ndarray]):
             color=COLOURS[kind],
             label=ITERATIONS.get(name, name),
         )
-    axes.set(xlabel="number of unknowns n", ylabel="time an update (µs)")
+    axes.set(xlabel="number of unknowns n", ylabel="time per update (µs)")
     axes.legend(ncols=2)
     return figure
 

@@ -35,10 +35,11 @@ def paint_fig_2(studies: dict[str, Study]):
             axes.plot(time, mean, style, color=colour, linewidth=1.1, label=label)
             if name in ("min_max", "rls"):
                 half = 2.02 * study[name].std(0, ddof=1) / np.sqrt(study.runs)  # Student's t, 39 degrees
-                axes.fill_between(time, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0)
+                look = {"color": colour, "alpha": 0.2, "linewidth": 0, "label": f"{label}, 95 % interval"}
+                axes.fill_between(time, mean - half, mean + half, **look)
         top = 2.2 * study["zero"].mean()
         axes.set(ylabel="mean |x − estimate|", title=title, ylim=(0, top))
-    panels[0, 0].legend(ncols=4)
+    figures.legend_below(panels[0, 0], 3)
     panels[-1, 0].set_xlabel("time (samples)")
     return figure
 
@@ -110,7 +111,7 @@ def paint_win_map(
     axes.set(ylabel="bound η (unit of the regressors)")
     bar = figure.colorbar(mesh, ax=axes, label="error over that of RLS", extend="both", ticks=range(-2, 3))
     bar.ax.set_yticklabels(["1/4", "1/2", "1", "2", "4"])
-    axes.legend(loc="upper left", frameon=True)
+    figures.legend_below(axes, 2)
     return figure
 
 

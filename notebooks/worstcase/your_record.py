@@ -231,7 +231,7 @@ def paint_models(pair: Pair, fitted: Fitted):
         left.plot([], [], color=STYLES[name][0], ls=STYLES[name][1], label=f"{name}: too far off to draw")
     left.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})", title="models")
     right.set(xlabel="time (s)", ylabel=f"output ({_nice(pair.units[1])})")
-    right.set(title="on the part that is judged")
+    right.set(title="prediction on the last quarter")
     figure.legend(loc="outside lower center", ncols=3)
     return figure
 
@@ -249,15 +249,24 @@ def paint_bounds(pair: Pair, fitted: Fitted):
     figure, axes = figures.new(1, 1, height=3.2)
     typical = fitted.bounds["min-max, typical bound"]
     etas = fitted.factors * typical
-    axes.semilogx(etas, fitted.choosing, "o-", markersize=3, color=figures.GREEN, label="part for choosing")
-    axes.semilogx(etas, fitted.judging, "o-", markersize=3, color=figures.BLUE, label="part that is judged")
-    axes.axhline(fitted.held_out["RLS"], color=figures.BLACK, lw=0.9, label="RLS, judged")
+    axes.semilogx(
+        etas,
+        fitted.choosing,
+        "o-",
+        markersize=3,
+        color=figures.GREEN,
+        label="third quarter, to choose the bound",
+    )
+    axes.semilogx(
+        etas, fitted.judging, "o-", markersize=3, color=figures.BLUE, label="last quarter, to judge"
+    )
+    axes.axhline(fitted.held_out["RLS"], color=figures.BLACK, lw=0.9, label="RLS on the last quarter")
     for kind in ("typical", "guaranteed", "chosen"):
         name = f"min-max, {kind} bound"
         axes.axvline(fitted.bounds[name], color=STYLES[name][0], ls="--", lw=0.9, label=f"{kind} bound")
-    axes.axvline(fitted.threshold, color=figures.GREY, ls=":", lw=0.9, label="from here on zero")
+    axes.axvline(fitted.threshold, color=figures.GREY, ls=":", lw=0.9, label="estimate zero from here on")
     axes.set(xlabel=f"bound η ({_nice(pair.units[0])})", ylabel="rms residual / rms output")
-    axes.legend(ncols=2)
+    figures.legend_below(axes, 3)
     return figure
 
 

@@ -186,10 +186,12 @@ def paint_windows(
         low, middle, high = np.transpose([np.quantile(values, (0.25, 0.5, 0.75)) for values in found[name]])
         if middle.min() > 1.6:
             name += " (above the frame)"
+        elif middle.max() > 1.6:
+            name += " (leaves the frame)"
         places = np.array(lengths) * 1.03 ** (number - 2)  # side by side
         look = {"yerr": [middle - low, high - middle], "fmt": style, "markersize": 4, "color": colour}
         axes.errorbar(places, middle, label=name, capsize=2, **look)
-    axes.axhline(1, color=figures.GREY, linewidth=0.8)
+    axes.axhline(1, color=figures.GREY, linewidth=0.8, label="predicting zero")
     axes.set(xscale="log", xlabel=label, ylabel="rms residual / rms output")
     axes.set(ylim=(0.4, 1.6))
     axes.legend(ncols=2)
