@@ -483,6 +483,7 @@ def paint_errors(found: dict[str, dict[str, np.ndarray]], criterion: str = "posi
     """Geometric mean of the error by case, a panel a machine; bars: from the best to the worst of plants and tunings."""
     figure, panels = figures.new(1, len(found), height=3.6)
     for axes, (machine, by_law) in zip(panels, found.items(), strict=True):
+        axes.axhline(1e3, color=figures.GREY, lw=1, ls=":", label="diverged (counts as 1 m or 1 rad)")
         for number, (law, errors) in enumerate(by_law.items()):
             flat = 1e3 * errors.reshape(len(CASES), -1)
             places = np.arange(len(CASES)) + 0.16 * (number - (len(by_law) - 1) / 2)
@@ -494,7 +495,7 @@ def paint_errors(found: dict[str, dict[str, np.ndarray]], criterion: str = "posi
         axes.set_xticks(range(len(CASES)), [case.replace(" ", "\n") for case in CASES], fontsize=7)
         log_axis(axes.yaxis)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    figure.legend(handles, labels, loc="outside upper center", ncols=3)
     return figure
 
 

@@ -309,7 +309,7 @@ def paint_model_error(stiffness: list[float], believed: float, errors: dict[str,
     axes.axvline(1, color=figures.BLACK, linestyle=":", linewidth=1, label="the model is right")
     axes.set(xlabel="true stiffness over the model's", ylabel="RMS error of q' (mm/s)", yscale="log")
     log_axis(axes.yaxis)
-    figures.legend_below(axes, 3)
+    figures.legend_below(axes, 3, title="each filter: one line for each of three searches")
     return figure
 
 

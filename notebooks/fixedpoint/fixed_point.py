@@ -7,6 +7,7 @@ from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import INTEGRATION, LITERAL
 from stillwork.control.fixed_point import Controller
 from stillwork.control.fixed_point_convergence import (
+    LimitCycle,
     StableRange,
     describing_function,
     iterate,
@@ -20,6 +21,7 @@ from stillwork.estimation.coordinate_filters import MovingWindow
 from workbook import figures
 
 SMALL = {"textcoords": "offset points", "fontsize": 7}  # words beside a mark
+BLANK = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}  # no line runs through the words
 
 
 def paint_contraction(transformations: dict[str, Transformation], response_gain: float):
@@ -38,10 +40,10 @@ def paint_contraction(transformations: dict[str, Transformation], response_gain:
         sizes = np.geomspace(1e-2, 1e3, 60)
         ratio = [errors(transformation, size, 2)[1] / size for size in sizes]
         multiplier.semilogx(sizes, ratio, color=colour, label=name)
-    decay.set(xlabel="iteration", ylabel="|response - desired| (m/s²)", ylim=(1e-4, 60))
+    decay.set(xlabel="iteration", ylabel="|response − desired| (m/s²)", ylim=(1e-4, 60))
     decay.set_title("static iteration")
     figure.legend(handles=decay.lines, loc="outside upper center", ncols=2)
-    multiplier.set(xlabel="|response - desired| (m/s²)", ylabel="ratio of two errors", ylim=(0, 1.05))
+    multiplier.set(xlabel="|response − desired| (m/s²)", ylabel="ratio of two errors", ylim=(0, 1.05))
     multiplier.set_title("multiplier: below 1 contracts")
     multiplier.legend()
     return figure
@@ -70,26 +72,28 @@ def paint_filter_responses(filters: dict[str, LinearFilter], sample_time: float)
 
 def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, float], banach: float):
     """Stable local gains of every loop, the gain in use, and the edge that Banach's theorem gives."""
-    figure, axes = figures.new(1, height=0.42 * len(ranges) + 1.3)
+    figure, axes = figures.new(1, height=0.42 * len(ranges) + 1.5)
     for row, (name, region) in enumerate(ranges.items()):
         strong, weak = region.limits
         axes.plot([-strong, -weak], [row, row], "-", linewidth=7, color=COLOURS[name], alpha=0.5, label=name)
-        axes.plot(-gains[name], row, "k|", markersize=16, markeredgewidth=2.5, label="_gain in use")
+        axes.plot(-gains[name], row, "k|", markersize=16, markeredgewidth=2.5, label=f"_gain in use, {name}")
         for crossing, side, away in ((region.strongest, "left", 4), (region.weakest, "right", -4)):
-            look = {"ha": side, "va": "center", "xytext": (away, 0), **SMALL}
+            look = {"ha": side, "va": "center", "xytext": (away, 0), "bbox": BLANK, **SMALL}
             axes.annotate(f"{crossing.frequency_hz:.0f} Hz", (-crossing.local_gain, row), **look)
-    axes.plot([], [], "k|", markersize=10, markeredgewidth=2.5, label="gain in use")
-    axes.axvline(-banach, color=figures.GREY, linestyle=":")
-    axes.text(-banach * 0.97, len(ranges) - 0.45, "Banach's edge", ha="right", va="center", fontsize=7)
+    [bar] = axes.plot([], [], color=figures.GREY, lw=7, alpha=0.5, label="the linear loop is stable")
+    [tick] = axes.plot([], [], "k|", markersize=10, markeredgewidth=2.5, label="gain in use")
+    edge = axes.axvline(-banach, color=figures.BLACK, ls=":", lw=1, label="limit without a filter (Banach)")
     axes.set_yticks(range(len(ranges)), list(ranges))
-    axes.set(xscale="log", xlabel="strength of the transformation, minus its local gain", xlim=(6e-3, 4))
-    axes.set_ylim(len(ranges) - 0.3, -0.6)
-    axes.legend([axes.lines[-2]], ["gain in use"], loc="upper right")
+    axes.set(xscale="log", xlabel="strength of the transformation, −g", xlim=(6e-3, 4))
+    axes.set_ylim(len(ranges) - 0.4, -0.6)
+    figure.legend(handles=[bar, tick, edge], loc="outside upper center", ncols=3)
     return figure
 
 
-def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation):
-    """The open loop's locus and the inverse of gain times describing function; where they meet is a cycle."""
+def paint_limit_cycle_condition(
+    loop: LinearLoop, transformation: FlowTransformation, cycles: list[LimitCycle]
+):
+    """The open loop's locus and the inverse of gain times describing function, which meet at `cycles`."""
     figure, axes = figures.new(1, height=4.0)
     frequency, marks = np.geomspace(3, 120, 180), np.array([5.0, 10.0, 20.0, 40.0, 80.0])
     locus, points = np.split(loop.response(2 * np.pi * np.append(frequency, marks)), [len(frequency)])
@@ -97,7 +101,7 @@ def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransforma
     amplitude = np.geomspace(1e-2, 300, 60)
     inverse = np.array([1 / (transformation.local_gain * describing_function(a)) for a in amplitude])
     axes.plot(
-        inverse, np.zeros_like(inverse), color=figures.RED, label="1 / (local gain x describing function)"
+        inverse, np.zeros_like(inverse), color=figures.RED, label="1 / (local gain × describing function)"
     )
     for hertz, point in zip(marks, points, strict=True):
         place, name = (point.real, point.imag), f"{hertz:g} Hz"
@@ -109,21 +113,31 @@ def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransforma
         axes.plot(*place, "s", color=figures.RED, markersize=4, label=f"error {size} m/s²")
         side = {"xytext": (4, 5), "ha": "left"} if size in (10, 100) else {"xytext": (0, -12), "ha": "center"}
         axes.annotate(f"{size} m/s²", place, **side, **SMALL)
-    axes.set(xlabel="real part of the response", xlim=(-75, 10))
-    axes.set(ylabel="imaginary part", ylim=(-45, 45))
-    axes.legend(handles=axes.lines[:2], loc="upper right")
+    for cycle in cycles:
+        place = 1 / (
+            transformation.local_gain * describing_function(cycle.iteration_error / transformation.width)
+        )
+        name = f"{'stable' if cycle.stable else 'unstable'} limit cycle"
+        look = {"ms": 11, "mew": 1.5, "color": figures.BLACK if cycle.stable else figures.GREY, "mfc": "none"}
+        axes.plot(place, 0.0, "o", label=name, **look)
+    axes.set(xlabel="real part", xlim=(-75, 10), ylabel="imaginary part", ylim=(-30, 30))
+    named = ("linear", "1 /", "40 Hz", "error 30", "stable", "unstable")
+    handles = [each for each in axes.lines if each.get_label().startswith(named)]
+    words = [each.get_label() for each in handles]
+    words[2:4] = "at this frequency", "at this amplitude of response − desired"
+    figure.legend(handles, words, loc="outside upper center", ncols=2)
     return figure
 
 
 def paint_limit_cycle_sweep(gains, predicted, simulated):
     """Frequency and amplitude of the limit cycle against the gain A: predicted lines (NaN: no cycle), simulated points."""
     figure, panels = figures.new(1, 2, height=3.0)
-    titles = ("frequency (Hz)", "amplitude of response - desired (m/s²)")
+    titles = ("frequency (Hz)", "amplitude of response − desired (m/s²)")
     for column, (axes, title) in enumerate(zip(panels, titles, strict=True)):
         axes.plot(gains, [p[column] for p in predicted], color=figures.BLUE, label="describing function")
         axes.plot(gains, [s[column] for s in simulated], "o", ms=4, color=figures.RED, label="simulated")
-        axes.axvline(1.1, color=figures.BLACK, linestyle=":", linewidth=1)
-        axes.set(xlabel="-A (m/s²), dotted: published", ylabel=title)
+        axes.axvline(1.1, color=figures.BLACK, linestyle=":", linewidth=1, label="printed −A")
+        axes.set(xlabel="−A (m/s²)", ylabel=title)
     middle = np.nanmean([p[0] for p in predicted])
     panels[0].set_ylim(0.95 * middle, 1.05 * middle)
     panels[0].legend()
@@ -133,15 +147,16 @@ def paint_limit_cycle_sweep(gains, predicted, simulated):
 def paint_noise_gain(deviations, remaining, weakest: float, marks: dict[str, float]):
     """What noise in the response leaves of transformation (6)'s gain, and the least that the loop needs."""
     figure, axes = figures.new(1, height=3.0)
-    axes.loglog(deviations, remaining, color=figures.BLUE, label="gain of (6) left in noise")
+    axes.loglog(deviations, remaining, color=figures.BLUE, label="mean gain that noise leaves")
     axes.axhline(weakest, color=figures.RED, linestyle="--")
     needed = "the Kalman loop needs at least this"
     axes.text(deviations[0], weakest * 1.08, needed, fontsize=8, color=figures.RED)
     for (name, place), line in zip(marks.items(), (":", "-."), strict=False):
         axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
         axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
-    axes.set(xlabel="standard deviation of response - desired (m/s²)")
-    axes.set(ylabel="strength, minus the local gain")
+    axes.set(xlabel="standard deviation of response − desired (m/s²)")
+    axes.set(ylabel="strength of transformation (6), −g")
+    axes.legend(handles=axes.lines[:1], loc="lower left")
     return figure
 
 
@@ -152,14 +167,15 @@ def paint_limit_cycle(gain: float, window_length: int, exponent: float):
     controller = Controller(window, transformation, KinematicDesign(exponent), approximate)
     loop = linear_loop(exact, controller, 1e-3, integration=INTEGRATION)
     region = stable_range(loop)
-    figure = paint_limit_cycle_condition(loop, transformation)
-    cycles = [
+    cycles = limit_cycles(loop, transformation, region)
+    figure = paint_limit_cycle_condition(loop, transformation, cycles)
+    said = [
         f"{c.frequency_hz:.1f} Hz at {c.iteration_error:.3g} m/s² ({'stable' if c.stable else 'unstable'})"
-        for c in limit_cycles(loop, transformation, region)
+        for c in cycles
     ]
     low, high = region.limits
     figure.axes[0].set_title(
         f"stable gains {low:.3g} to {high:.3g}, here {transformation.local_gain:.3g}\n"
-        f"cycles: {', '.join(cycles) or 'none'}"
+        f"cycles: {', '.join(said) or 'none'}"
     )
     return figure

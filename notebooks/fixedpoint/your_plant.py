@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from experiments.fixedpoint.axes import COLOURS, fill_range
+from experiments.fixedpoint.axes import COLOURS, LINES, NOMINAL, fill_range
 from experiments.fixedpoint.metrics import judge
 from experiments.fixedpoint.noise import Noise, drop_samples
 from experiments.fixedpoint.oscillator import load_oscillator
@@ -485,7 +485,7 @@ def paint_contraction(found: Contraction, chosen: Mapping[str, list[Controller]]
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, -1.3), max(high, 1.3))
     axes.set(xlabel="time (s)", ylabel="multiplier of an iteration")
-    axes.set(title="it contracts between the dashed lines")
+    axes.set(title="the iteration contracts between the dashed lines")
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles[:: found.gain.shape[1]], labels[:: found.gain.shape[1]], ncols=3)
     return figure
@@ -498,6 +498,7 @@ def paint_runs(runs: Mapping[str, list[ControlledRun]], units: tuple[str, ...], 
         _paint_coordinate(motion, error, {name: each[number] for name, each in runs.items()}, settle)
         motion.set(ylabel=f"{symbol(number, units)} ({unit})")
         error.set(xlabel="time (s)", ylabel=f"error of {symbol(number, units)} (m{unit})")
+        error.set_title("smallest to largest error in short stretches")
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
@@ -510,11 +511,13 @@ def symbol(number: int, units: tuple[str, ...]) -> str:
 def _paint_coordinate(motion, error, runs: Mapping[str, ControlledRun], settle: float):
     nominal = next(iter(runs.values())).trajectory
     coarse = slice(None, None, max(1, len(nominal.position) // 600))
-    motion.plot(nominal.time[coarse], nominal.position[coarse], "k--", label="nominal", zorder=5)
+    motion.plot(nominal.time[coarse], nominal.position[coarse], **NOMINAL)
     reach = 0.0
     for name, run in runs.items():
         label = name if run.diverged_at is None else f"{name}, diverges at {run.diverged_at:.2f} s"
-        motion.plot(run.time[coarse], run.position[coarse], color=COLOURS[name], lw=1, label=label)
+        motion.plot(
+            run.time[coarse], run.position[coarse], color=COLOURS[name], lw=LINES[name][0], label=label
+        )
         _paint_error(error, run, color=COLOURS[name], label=f"_{name}")
         if run.diverged_at is None:
             reach = max(reach, 1.15e3 * np.abs(run.position_error[run.time >= settle]).max())

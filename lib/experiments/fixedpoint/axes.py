@@ -15,11 +15,20 @@ COLOURS = {
     POLYNOMIAL: figures.SKY,
 }
 
+# Width and style of a line over the motion, where the runs lie on one another: each later one is narrower.
+LINES = {
+    WINDOW: (2.4, "-"),
+    LOW_PASS: (1.8, "-"),
+    KALMAN: (1.2, "-"),
+    LITERAL: (1.0, "--"),
+}
+NOMINAL = {"color": figures.GREY, "alpha": 0.4, "linewidth": 4.5, "label": "nominal", "zorder": 1}
+
 # Label, title, and factor to the label's unit.
 METRICS = {
     "position": ("RMS error of q (mm)", "position", 1e3),
     "velocity": ("RMS error of q' (mm/s)", "velocity", 1e3),
-    "roughness": ("roughness (m/s²)", "change of q'' a sample", 1.0),
+    "roughness": ("roughness (m/s²)", "change of q'' per sample", 1.0),
 }
 
 
@@ -44,7 +53,8 @@ def fill_range(axes, time: np.ndarray, error: np.ndarray, length: int, **style):
     whole = len(time) // length * length
     blocks = error[:whole].reshape(-1, length)
     middle = time[:whole].reshape(-1, length)[:, length // 2]
-    axes.fill_between(middle, blocks.min(axis=1), blocks.max(axis=1), alpha=0.6, lw=0.8, **style)
+    style = {"alpha": 0.6, "lw": 0.8} | style
+    axes.fill_between(middle, blocks.min(axis=1), blocks.max(axis=1), **style)
 
 
 def points_with_intervals(axes, runs: list[np.ndarray], places, name: str):

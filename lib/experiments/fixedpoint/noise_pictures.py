@@ -28,7 +28,7 @@ def paint_noise_correlations(found: dict[str, Correlations]):
     looks = ((figures.BLUE, -0.12), (figures.GREEN, 0.0), (figures.ORANGE, 0.12))
     for axes, name, theory, title in zip(panels, ("quotient", "cross"), theories, titles, strict=True):
         derived = [theory(int(lag)) for lag in lags]
-        axes.plot(lags, derived, "kD", mfc="none", ms=9, label="derived from (18)-(21)")
+        axes.plot(lags, derived, "kD", mfc="none", ms=9, label="derived from eqs. (18)-(21)")
         style = {"color": figures.RED, "ms": 7, "label": "assumed: R diagonal, white"}
         axes.plot(lags, (lags == 0) * float(name == "quotient"), "x", **style)
         for (label, seen), (colour, shift) in zip(found.items(), looks, strict=False):
@@ -39,7 +39,12 @@ def paint_noise_correlations(found: dict[str, Correlations]):
 
 
 def paint_beliefs(
-    deviations, computed, true, label="deviation of the measured position (m)", marks=(1e-5, 1e-4)
+    deviations,
+    computed,
+    true,
+    label="noise of the measured position (m)",
+    marks=(1e-5, 1e-4),
+    marked="the paper's two noises",
 ):
     """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise.
 
@@ -51,10 +56,11 @@ def paint_beliefs(
             deviations, np.sqrt(computed[:, column]), "--", color=figures.RED, label="computed by the filter"
         )
         axes.loglog(deviations, np.sqrt(true[:, column]), color=figures.BLUE, label="true")
-        axes.set(xlabel=label, ylabel=f"error ({unit})", title=name)
-        for mark in marks:
-            axes.axvline(mark, color=figures.BLACK, linestyle=":", linewidth=1)
-    panels[0].legend()
+        axes.set(xlabel=label, ylabel=f"standard deviation of the error ({unit})", title=name)
+        for number, mark in enumerate(marks):
+            label_it = {"label": f"_{marked}" if number else marked}
+            axes.axvline(mark, color=figures.BLACK, linestyle=":", linewidth=1, **label_it)
+    legend_above(panels[0])
     return figure
 
 
@@ -81,7 +87,7 @@ def paint_cost_against_error(cost_ns: dict[str, float], errors: dict[str, float]
         axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=name)
         below = -13 if name == EXTENDED else 4  # its neighbour is close
         axes.annotate(name, (cost_ns[name], error), xytext=(6, below), textcoords="offset points", fontsize=8)
-    axes.set(xscale="log", xlabel="measured time a sample, published settings (ns)", ylabel=unit)
+    axes.set(xscale="log", xlabel="measured time per sample, printed settings (ns)", ylabel=unit)
     axes.set(xlim=(0.7 * min(cost_ns.values()), 3 * max(cost_ns.values())))  # the names stand to the right
     axes.set_ylim(0, 1.15 * max(errors.values()))
     log_axis(axes.xaxis)
@@ -109,7 +115,7 @@ def _expected_beliefs(noise_deviation: float) -> tuple[np.ndarray, np.ndarray, n
 def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
     """Computed and true standard deviation of the Kalman filter's errors when its R is scaled."""
     scales, computed, true = _expected_beliefs(noise_deviation)
-    figure = paint_beliefs(scales, computed, true, "factor on the assumed R", (assumed_scale,))
+    figure = paint_beliefs(scales, computed, true, "factor on the assumed R", (assumed_scale,), "this factor")
     for axes in figure.axes:
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)

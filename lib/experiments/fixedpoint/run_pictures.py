@@ -4,7 +4,9 @@ import numpy as np
 
 from experiments.fixedpoint.axes import (
     COLOURS,
+    LINES,
     METRICS,
+    NOMINAL,
     fill_range,
     legend_above,
     log_axis,
@@ -13,7 +15,7 @@ from experiments.fixedpoint.axes import (
 from experiments.fixedpoint.metrics import compare
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import published_controllers
+from experiments.fixedpoint.published import LITERAL, published_controllers
 from stillwork.base.rounding import first_largest
 from stillwork.control.fixed_point import ControlledRun
 from stillwork.control.trajectory import Trajectory, asin_trajectory
@@ -29,19 +31,28 @@ def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
     sample_time = nominal.sample_time
     # Every 10 ms: coarser, the window's 40 Hz would show as a slow wander.
     coarse = slice(None, None, max(1, round(0.01 / sample_time)))
-    motion.plot(nominal.time[coarse], getattr(nominal, quantity)[coarse], "k--", label="nominal", zorder=5)
+    motion.plot(nominal.time[coarse], getattr(nominal, quantity)[coarse], **NOMINAL)
     corner = hardest_turn(nominal)
     part = slice(max(0, round((corner - 0.15) / sample_time)), round((corner + 0.15) / sample_time))
     reach = 0.0
     for label, run in runs.items():
         style = {"color": COLOURS[label], "label": label}
         time, error = run.time, 1e3 * getattr(run, f"{quantity}_error")
-        motion.plot(time[coarse], getattr(run, quantity)[coarse], linewidth=1, **style)
-        fill_range(envelope, time, error, max(1, round(0.06 / sample_time)), **style)
+        width, line = LINES[label]
+        motion.plot(time[coarse], getattr(run, quantity)[coarse], line, linewidth=width, **style)
+        # Narrow bands before wide ones; of the printed form the edge alone, which in noise lies on the other Kalman filter.
+        band = {"zorder": 2 + 1 / (1 + np.nanmean(np.abs(error[time >= 2.0])))}
+        if label == LITERAL:
+            band = {"facecolor": "none", "alpha": 1.0, "zorder": 3.5}
+        fill_range(envelope, time, error, max(1, round(0.06 / sample_time)), **style | band)
         stretch.plot(time[part], error[part], **style)
         reach = max(reach, 1.15 * np.nanmax(np.abs(error[time >= 2.0])))  # the start may be off by far more
     motion.set(xlabel="time (s)", ylabel=f"{name} ({unit})", title="motion")
-    envelope.set(xlabel="time (s)", ylabel=f"error of {name} (m{unit})", title="error, range in 60 ms")
+    envelope.set(
+        xlabel="time (s)",
+        ylabel=f"error of {name} (m{unit})",
+        title="error: smallest to largest in each 60 ms",
+    )
     envelope.set(ylim=(-reach, reach), xlim=motion.get_xlim())
     stretch.set(xlabel="time (s)", ylabel=f"error of {name} (m{unit})", title="error at a corner")
     legend_above(motion)
@@ -64,10 +75,11 @@ def paint_phase(runs: dict[str, ControlledRun]):
     near = np.flatnonzero(nominal.position[first:] > 0.93 * nominal.position.max())[::3] + first
     shown = ((whole, slice(first, None, step), "the last 5 s"), (corner, near, "at a corner"))
     for axes, part, title in shown:
-        axes.plot(nominal.position[part], nominal.velocity[part], "k--", label="nominal", zorder=5)
+        axes.plot(nominal.position[part], nominal.velocity[part], **NOMINAL)
         for label, run in runs.items():
-            style = {"color": COLOURS[label], "label": label, "linewidth": 0.9}
-            axes.plot(run.position[part], run.velocity[part], **style)
+            width, line = LINES[label]
+            style = {"color": COLOURS[label], "label": label, "linewidth": 0.8 * width}
+            axes.plot(run.position[part], run.velocity[part], line, **style)
         axes.set(xlabel="q (m)", ylabel="q' (m/s)", title=title)
     legend_above(whole)
     return figure
@@ -96,13 +108,18 @@ def paint_errors_over_frequency(
     error, _, factor = METRICS["position"]
     figure, [panels] = figures.new(1, len(studies), height=3.3, sharex=True, sharey=True, squeeze=False)
     for axes, (case, sweep) in zip(panels, studies.items(), strict=True):
+        lost = False
         for name in sweep[0]:
             values = np.array([factor * study[name]["position"].mean() for study in sweep])
             values[np.isinf(values)] = np.nan
             axes.loglog(frequencies_hz, values, "o-", markersize=3, color=COLOURS[name], label=name)
+            lost = lost or np.isnan(values).any()
         axes.set(xlabel=label, title=case)
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)
+        if lost:
+            where = {"transform": axes.transAxes, "ha": "right", "fontsize": 8}
+            axes.text(0.98, 0.03, "no point: a record diverged", **where)
     panels[0].set_ylabel(error)
     legend_above(panels[0])
     return figure
@@ -123,7 +140,7 @@ def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], l
     for (row, column), value in np.ndenumerate(grid):
         style = {"ha": "center", "va": "center", "fontsize": 7, "color": "w" if value > 0.5 else "k"}
         axes.text(column, row, f"{value:.2g}", **style)
-    figure.colorbar(image, ax=axes, label="fraction of runs that obey")
+    figure.colorbar(image, ax=axes, label="fraction of runs that obey the statement")
     return figure
 
 
