@@ -60,10 +60,10 @@ def test_rankings_take_each_statement_in_its_noise():
     quiet = {name: study([1, 1], [1, 1]) for name in CASE}
     found = rankings([CASE, quiet], [quiet, CASE])
     assert found["small noise: low pass smoothest"][0] == 0.5
-    assert found["small noise: window most precise, corrected"][0] == 0.5
-    assert found["small noise: window most precise, printed"][0] == 0.0
-    assert found["small noise: window most precise in q', printed"][0] == 0.5
-    assert found["large noise: low pass best, corrected"][1] == 0.5
+    assert found["small noise: window most precise, (14) corrected"][0] == 0.5
+    assert found["small noise: window most precise, (14) printed"][0] == 0.0
+    assert found["small noise: window most precise in q', (14) printed"][0] == 0.5
+    assert found["large noise: low pass best, (14) corrected"][1] == 0.5
     assert all(len(row) == 2 for row in found.values())
 
 

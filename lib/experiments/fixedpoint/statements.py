@@ -90,12 +90,14 @@ def rankings(small: list[dict[str, Study]], large: list[dict[str, Study]]) -> di
         "small noise: low pass smoothest": share(small, LITERAL, SMOOTHEST),
         "small noise: Kalman filter noisiest": share(small, LITERAL, NOISIEST),
         "large noise: Kalman filter noisiest": share(large, LITERAL, NOISIEST),
-        "small noise: window most precise, printed": share(small, LITERAL, WINDOW_PRECISE),
-        "small noise: window most precise, corrected": share(small, KALMAN, WINDOW_PRECISE),
-        "small noise: window most precise in q', printed": share(small, LITERAL, WINDOW_PRECISE, "velocity"),
-        "large noise: low pass best, printed": share(large, LITERAL, LOW_PASS_BEST),
-        "large noise: low pass best, corrected": share(large, KALMAN, LOW_PASS_BEST),
-        "large noise: low pass best in q', printed": share(large, LITERAL, LOW_PASS_BEST, "velocity"),
+        "small noise: window most precise, (14) printed": share(small, LITERAL, WINDOW_PRECISE),
+        "small noise: window most precise, (14) corrected": share(small, KALMAN, WINDOW_PRECISE),
+        "small noise: window most precise in q', (14) printed": share(
+            small, LITERAL, WINDOW_PRECISE, "velocity"
+        ),
+        "large noise: low pass best, (14) printed": share(large, LITERAL, LOW_PASS_BEST),
+        "large noise: low pass best, (14) corrected": share(large, KALMAN, LOW_PASS_BEST),
+        "large noise: low pass best in q', (14) printed": share(large, LITERAL, LOW_PASS_BEST, "velocity"),
     }
 
 
