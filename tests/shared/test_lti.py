@@ -97,10 +97,12 @@ def test_a_grid_is_dense_where_a_pole_is_narrow():
     assert len(near) > 8 and np.diff(near).max() < 0.05
 
 
+@pytest.mark.parametrize("size", [(2, 3), (4, 1), (1, 4), (2, 2)])
 @pytest.mark.parametrize("samples", [0, 1, 3, None])
-def test_between_the_points_of_a_grid_the_response_is_the_same(samples):
+def test_between_the_points_of_a_grid_the_response_is_the_same(samples, size):
     """Of a model whose eigenvectors are too skew, as a line of delays makes them, of one where they are not, of a gain."""
-    model = constant([[2.0, 3.0]]) if samples is None else delayed(zoh_modes(random_modal(5), 1e-4), samples)
+    modes = random_modal(5, *size)
+    model = constant([[2.0, 3.0]]) if samples is None else delayed(zoh_modes(modes, 1e-4), samples)
     omega = np.linspace(20.0, 6e3, 41)
     expected = model.frequency_response(omega)
     found = response_between(model, omega)

@@ -85,8 +85,15 @@ def _explored(name: str, floor: str, bandwidth_hz: float, decibels: float) -> Er
     built = machine(**EXPLORED[name], bandwidth_hz=bandwidth_hz)
     network = (with_feedforward(built, decibels) if built.feedforward else built).network()
     acting = [0, *range(len(network.disturbances), network.plant.d.shape[1])]  # the floor and the commands
-    plant = network.plant.select(acting, range(len(network.plant.d)))
-    network = replace(network, plant=plant, disturbances={"floor": network.disturbances["floor"]})
+    error = next(iter(network.errors))
+    # The error that is drawn, and what is measured.
+    seen = [0, *range(len(network.errors), len(network.plant.d))]
+    network = replace(
+        network,
+        plant=network.plant.select(acting, seen),
+        disturbances={"floor": network.disturbances["floor"]},
+        errors={error: network.errors[error]},
+    )
     return error_budget(network, [source_of(floor), *noises()], BAND_HZ)
 
 

@@ -268,11 +268,19 @@ def response_between(
     a, b, c = model._triangular
     point = np.exp(1j * omega * model.sample_time) if model.sample_time else 1j * omega
     apart = point - np.diag(a)[:, None]
-    states = np.zeros((len(a), b.shape[1] * len(omega)), complex)
-    for k in reversed(range(len(a))):
-        driven = (a[k, k + 1 :] @ states[k + 1 :]).reshape(-1, len(omega)) + b[k, :, None]
-        states[k] = (driven / apart[k]).ravel()
-    return (c @ states).reshape(len(c), -1, len(omega)) + model.d[:, :, None]
+    n, size = len(a), min(b.shape[1], len(c))
+    states = np.zeros((n, size * len(omega)), complex)
+    if len(c) < b.shape[1]:  # from the outputs' side, where they are fewer
+        for k in range(n):
+            seen = (a[:k, k] @ states[:k]).reshape(-1, len(omega)) + c[:, k, None]
+            states[k] = (seen / apart[k]).ravel()
+        response = (b.T @ states).reshape(-1, size, len(omega)).swapaxes(0, 1)
+    else:
+        for k in reversed(range(n)):
+            driven = (a[k, k + 1 :] @ states[k + 1 :]).reshape(-1, len(omega)) + b[k, :, None]
+            states[k] = (driven / apart[k]).ravel()
+        response = (c @ states).reshape(len(c), size, len(omega))
+    return response + model.d[:, :, None]
 
 
 @checked
