@@ -197,7 +197,9 @@ class Redraw:
 
     def __call__(self, **settings) -> bytes:
         """The picture for ``draw(**settings)``, as PNG."""
-        with no_collection():
+        from workbook.rendering import copied_ticks
+
+        with no_collection(), copied_ticks():
             return self._picture(settings)
 
     def _picture(self, settings) -> bytes:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
+from copy import copy
 
 import numpy as np
 from matplotlib.backends.backend_agg import RendererAgg
@@ -170,6 +171,36 @@ class _Ticks:
         if self._boxes is None:
             self._boxes = self._measure(ticks, renderer)
         return self._boxes
+
+
+@contextmanager
+def copied_ticks() -> Iterator[None]:
+    """Make the ticks of an axis as copies of its first one: matplotlib makes each anew, and then gives it that one's looks."""
+    from matplotlib.axis import Axis
+
+    before = Axis.get_major_ticks
+
+    def copied(self, numticks=None):
+        ticks = self.majorTicks
+        count = len(self.get_majorticklocs()) if numticks is None else numticks
+        ticks += [_copy_tick(ticks[0]) for _ in range(count - len(ticks))]
+        return ticks[:count]
+
+    Axis.get_major_ticks = copied
+    try:
+        yield
+    finally:
+        Axis.get_major_ticks = before
+
+
+def _copy_tick(tick):
+    """Its place and its words are set before it is drawn; of its parts none is shared but what is never changed in place."""
+    new = copy(tick)
+    for name in ("tick1line", "tick2line", "gridline", "label1", "label2"):
+        setattr(new, name, copy(getattr(tick, name)))
+    for label in (new.label1, new.label2):
+        label.set_fontproperties(label.get_fontproperties().copy())
+    return new
 
 
 def _axes_of(panel) -> tuple:

@@ -1,3 +1,5 @@
+from contextlib import nullcontext
+
 import ipywidgets
 import numpy as np
 import pytest
@@ -249,6 +251,31 @@ def test_the_panels_stay_where_the_first_picture_put_them(monkeypatch):
     first, second = redraw(top=10), redraw(top=10)
     assert len(layouts) == 1
     assert second == first
+
+
+def ticked(power):
+    """Ticks with their own labels, turned, on a second axis, logarithmic, minor, and a legend."""
+    figure, axes = figures.new(2, 2, sharex=True)
+    for axis in axes.ravel():
+        axis.plot([1, 10, 10.0**power], [1, 2, 3], label="line")
+    axes[0, 0].set_yticks([1, 2, 3], ["one", "two", "three"], rotation=90, fontsize=6)
+    axes[0, 1].tick_params(axis="both", labelcolor="red", labelsize=11, length=9)
+    axes[0, 1].twinx().plot([1, 2], [3.0, 400.0])
+    axes[1, 0].set_xscale("log")
+    axes[1, 1].minorticks_on()
+    for text in axes[1, 1].get_yticklabels()[:1]:
+        text.set_fontweight("bold")
+    axes[1, 1].set(xlabel="time (s)", ylabel="gain (1)")
+    axes[1, 1].legend()
+    return figure
+
+
+def test_copied_ticks_draw_what_matplotlib_s_own_do(monkeypatch):
+    quick = Redraw(ticked)
+    pictures = [quick(power=power) for power in (2, 4, 6)]
+    monkeypatch.setattr("workbook.rendering.copied_ticks", nullcontext)
+    slow = Redraw(ticked)
+    assert [slow(power=power) for power in (2, 4, 6)] == pictures
 
 
 @pytest.mark.slow
