@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -68,15 +68,21 @@ def two_link_bias(position, velocity, parameters, out):
     out[0] += 9.81 * parameters[3] * math.cos(position[0])
     out[1] = s * velocity[0] ** 2 + weight
     for j in range(2):
-        out[j] += parameters[5 + j] * velocity[j] + parameters[7 + j] * math.tanh(velocity[j] / 0.05)
+        friction = parameters[5 + j] * velocity[j]
+        if parameters[7 + j] != 0.0:  # it is 0 in the models, and in most columns of a regressor
+            friction += parameters[7 + j] * math.tanh(velocity[j] / 0.05)
+        out[j] += friction
 
 
 def three_axis_inertia(position, parameters, out):
     """A column that turns, a shoulder and an elbow: J, A2, A3, B, then the two weights."""
     j, a2, a3, b = parameters[:4]
+    out[:] = 0.0
+    out[0, 0] = j
+    if a2 == a3 == b == 0.0:
+        return  # as in most columns of a regressor
     near, far = math.cos(position[1]), math.cos(position[1] + position[2])
     bend = b * math.cos(position[2])
-    out[:] = 0.0
     out[0, 0] = j + a2 * near * near + a3 * far * far + 2 * b * near * far
     out[1, 1] = a2 + a3 + 2 * bend
     out[1, 2] = a3 + bend
@@ -86,18 +92,21 @@ def three_axis_inertia(position, parameters, out):
 
 def three_axis_bias(position, velocity, parameters, out):
     a2, a3, b = parameters[1:4]
-    q2, q23 = position[1], position[1] + position[2]
-    v1, v2, v3 = velocity
-    s, sines = b * math.sin(position[2]), math.cos(q2) * math.sin(q23)
-    by_q3 = -a3 * math.sin(2 * q23) - 2 * b * sines  # of the column's inertia
-    by_q2 = by_q3 - a2 * math.sin(2 * q2) - 2 * b * math.sin(q2) * math.cos(q23)
-    far = 9.81 * parameters[5] * math.cos(q23)
-    out[0] = (by_q2 * v2 + by_q3 * v3) * v1
-    out[1] = -s * v3 * (2 * v2 + v3) - by_q2 * v1 * v1 / 2 + 9.81 * parameters[4] * math.cos(q2) + far
-    out[2] = s * v2 * v2 - by_q3 * v1 * v1 / 2 + far
+    out[:] = 0.0
+    if not a2 == a3 == b == parameters[4] == parameters[5] == 0.0:
+        q2, q23 = position[1], position[1] + position[2]
+        v1, v2, v3 = velocity
+        s, sines = b * math.sin(position[2]), math.cos(q2) * math.sin(q23)
+        by_q3 = -a3 * math.sin(2 * q23) - 2 * b * sines  # of the column's inertia
+        by_q2 = by_q3 - a2 * math.sin(2 * q2) - 2 * b * math.sin(q2) * math.cos(q23)
+        far = 9.81 * parameters[5] * math.cos(q23)
+        out[0] = (by_q2 * v2 + by_q3 * v3) * v1
+        out[1] = -s * v3 * (2 * v2 + v3) - by_q2 * v1 * v1 / 2 + 9.81 * parameters[4] * math.cos(q2) + far
+        out[2] = s * v2 * v2 - by_q3 * v1 * v1 / 2 + far
     for axis in range(3):
         out[axis] += parameters[6 + axis] * velocity[axis]
-        out[axis] += parameters[9 + axis] * math.tanh(velocity[axis] / 0.05)
+        if parameters[9 + axis] != 0.0:
+            out[axis] += parameters[9 + axis] * math.tanh(velocity[axis] / 0.05)
 
 
 def _oscillator(p):
@@ -152,7 +161,7 @@ class Machine:
         first = 0 if self.axes == 3 else 1
         return [f"f{first + axis}" for axis in range(self.axes)]
 
-    @property
+    @cached_property
     def trajectories(self) -> list[Trajectory]:
         return [asin_trajectory(size, 0.8, hertz, DURATION, DT) for size, hertz in self.motion]
 
