@@ -152,11 +152,14 @@ def paint_over_masses(
     `zoom` is what `add_zoom` needs for an inset in every panel.
     """
     curves = {title: {} for title in panels}
+    responses = {}  # of a loop with a controller: panels often show two functions of it
     for title, (loops, controller, function) in panels.items():
         for number, loop in enumerate(loops, 1):
             hertz = loop.omega / (2 * np.pi)
             shown = (hertz >= low_hz) & (hertz <= high_hz)
-            response = getattr(loop.at(controller), function)[shown]
+            if (known := (id(loop), id(controller))) not in responses:
+                responses[known] = loop.at(controller)
+            response = getattr(responses[known], function)[shown]
             curves[title][f"{label} {number}"] = loop.omega[shown], response, {"linewidth": 1.0}
     figure = paint_limited(curves, bottom, 15, 3.2)
     if zoom:
