@@ -110,6 +110,20 @@ def with_feedforward(built: FloorMachine, decibels: float) -> FloorMachine:
     return replace(built, feedforward=1 - 10 ** (-decibels / 20))
 
 
+def presets() -> dict[str, dict]:
+    """Settings of the explorer that the pages speak of: "all" of `STEPS`, loud and quiet, and a poor sensor."""
+    p = parameters()
+    fast = {"bandwidth_hz": p["bandwidth"]["design_share"] * p["bandwidth"]["MC and AD"]}
+    return {
+        "as filed": {},
+        "slab": {"floor": "slab under footfall"},
+        "slab, all methods": {"floor": "slab under footfall", **fast},
+        "LIGO ground": {"floor": "LIGO ground"},
+        "LIGO ground, all methods": {"floor": "LIGO ground", **fast},
+        "ten times the sensor's noise": {"sensor_nm": 1e10 * p["noise"]["sensor"]},
+    }
+
+
 def controls() -> dict:
     """Sliders of the explorer: the machine of the page."""
     p = parameters()
