@@ -5,7 +5,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from experiments.motion.designs import DESIGNS, NOISE_MODEL, RETAINED, Design, stage_bandwidth, stage_loops
+from experiments.motion.designs import (
+    DESIGNS,
+    NOISE_MODEL,
+    PRINTED_HZ,
+    RETAINED,
+    Design,
+    stage_bandwidth,
+    stage_loops,
+)
 from experiments.motion.machines import chain, stage, stage_mass
 from experiments.motion.pictures import LABELS, paint_bode, paint_over_masses
 from stillwork.control.applications import Application
@@ -92,6 +100,15 @@ def design_presets(designs: Iterable[str], *controls: str) -> dict[str, dict]:
             "noise_model": DESIGNS[used].noise_model or NOISE_MODEL,
         }
         found[name] = {control: settings[control] for control in controls}
+    return found
+
+
+def table_presets(*designs: str) -> dict[str, dict]:
+    """Presets of `paint_published`: each design at its limit, and at the bandwidth that Table 3.5 prints."""
+    found = {name: {"design": name} for name in designs}
+    for name in designs:
+        part = round(100 * PRINTED_HZ[name] / _limit_hz(name), 1)
+        found[f"{name}, printed {PRINTED_HZ[name]:g} Hz"] = {"design": name, "part": part}
     return found
 
 
