@@ -187,6 +187,12 @@ def test_the_two_that_change_the_picture_most_move_together():
         assert found["pictures"][place] == wanted
 
 
+def test_the_first_of_two_controls_has_the_most_stops():
+    controls = {"first": Slider(0.0, 1.0, 0.5, step=0.05), "second": Slider(0.0, 1.0, 0.5, step=0.01)}
+    found = states(Explorer(paint, controls), 80)
+    assert [len(each["stops"]) for each in found["controls"]] == [16, 5]
+
+
 @pytest.mark.slow
 def test_a_named_design_has_its_stops_and_its_picture():
     design = {"small": 0.033, "large_m": 3.333, "middle": 1.0, "tiny": 0.01}

@@ -25,7 +25,7 @@ from workbook.workers import cores, processes
 STATES = (120, 60, 30)  # pictures of an explorer: as many as go into a page
 JOINT = 0.65  # share of these for two controls moved together, where there are more than two
 COARSE, FEWEST = 5, 5  # stops by which controls are weighed, and of one that is moved together with another
-MAIN = 15  # stops of the control that changes the picture most, where it offers as many
+MAIN = 15  # stops of the main control of the two, where it offers as many
 LARGEST = 300_000  # bytes of a page's pictures
 LONGEST_S = 60.0  # of computing for one explorer
 SOURCES = ("explorers.py", "shapes.py", "stops.py", "states.py")
@@ -83,7 +83,8 @@ def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None
     if len(pair) > 2:
         swings = {name: _swing(ladder(controls[name], along(name), COARSE), along(name)) for name in pair}
         pair = [name for name in controls if name in sorted(swings, key=swings.get)[-2:]]
-    counts = _counts(controls, sorted(pair, key=swings.get), count)
+    main = next(iter(controls))  # a page's first control has the most stops, where it is one of the two
+    counts = _counts(controls, sorted(pair, key=lambda name: (name == main, swings[name])), count)
     also = {name: {design[name] for design in explorer.presets.values()} for name in controls}
     ladders = {name: ladder(controls[name], along(name), counts[name], also[name]) for name in controls}
     home = {name: each.start for name, each in ladders.items()}
