@@ -20,6 +20,7 @@ from stillwork.control.bandwidth import (
     Infeasible,
     PeakConstraint,
     SearchLoop,
+    highest_peaks,
     is_feasible,
     make_loop,
     maximise_bandwidth,
@@ -44,6 +45,26 @@ def test_controller_realisation(notches, lead):
         expected = expected * Notch(each).at(s)
     np.testing.assert_allclose(pid.frequency_response(OMEGA), expected, rtol=1e-12)
     np.testing.assert_allclose(pid.state_space().frequency_response(OMEGA)[0, 0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "hertz"), [("PID", 20.0), ("AD", 61.0), ("MC and AD", 77.0), ("MC", 30.0)])
+def test_the_highest_peak_of_all_loops_is_that_of_every_loop_by_itself(name, hertz):
+    loops, pid = stage_loops(DESIGNS[name], points=250, around=8), FAMILY(hertz)
+    functions = ("input_sensitivity", "output_sensitivity", "true_tracking")
+    found = highest_peaks(loops, pid, functions)
+    for function in functions:
+        each = [loop.peak(pid, function) for loop in loops]
+        assert found[function] == max(each, key=lambda peak: peak.magnitude)
+
+
+def test_an_unstable_loop_has_an_infinite_peak_and_no_loops_are_refused():
+    loops = stage_loops(DESIGNS["PID"])
+    assert not all(loop.is_stable(FAMILY(300.0)) for loop in loops)
+    assert highest_peaks(loops, FAMILY(300.0), ["true_tracking"])["true_tracking"].magnitude == np.inf
+    with pytest.raises(InputError, match=r"^loops"):
+        highest_peaks([], FAMILY(300.0), ["true_tracking"])
+    with pytest.raises(InputError, match=r"^functions"):
+        highest_peaks(loops, FAMILY(300.0), ["true_trackin"])
 
 
 @pytest.mark.parametrize("name", ["MC", "AD", "MC and AD"])

@@ -17,7 +17,7 @@ from experiments.motion.designs import (
 from experiments.motion.machines import chain, stage, stage_mass
 from experiments.motion.pictures import LABELS, paint_bode, paint_over_masses
 from stillwork.control.applications import Application
-from stillwork.control.bandwidth import Loop
+from stillwork.control.bandwidth import Loop, highest_peaks
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import roll_off, truncate
@@ -119,20 +119,14 @@ def paint_published(design: str, part: float):
     return _paint(DESIGNS[design], controller, ("input_sensitivity", "output_sensitivity", "true_tracking"))
 
 
-def _highest(loops: list[Loop], controller: Pid, name: str) -> float:
-    """The highest peak of the loops, refined of those that come near it on their grids."""
-    seen = [np.abs(getattr(loop.at(controller), name)).max() for loop in loops]
-    near = [loop for loop, largest in zip(loops, seen, strict=True) if largest >= 0.9 * max(seen)]
-    return max(loop.peak(controller, name).magnitude for loop in near)
-
-
 def _paint(design: Design, controller: Pid, names: tuple[str, ...]):
     """Loop functions of the seven masses, with the highest peak of each."""
     loops = _loops(design)
     figure = paint_over_masses({LABELS[name]: (loops, controller, name) for name in names})
-    peaks = [_highest(loops, controller, name) for name in names]
-    stable = all(loop.is_stable(controller) for loop in loops)
-    for axis, peak in zip(figure.axes, peaks, strict=True):
-        verdict = f"peak {20 * np.log10(peak):.1f} dB" if stable else "unstable"
+    peaks = highest_peaks(loops, controller, names)
+    for axis, peak in zip(figure.axes, peaks.values(), strict=True):
+        verdict = (
+            f"peak {20 * np.log10(peak.magnitude):.1f} dB" if np.isfinite(peak.magnitude) else "unstable"
+        )
         axis.set_title(f"{axis.get_title(loc='left')}: {verdict}")
     return figure

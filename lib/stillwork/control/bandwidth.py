@@ -710,6 +710,28 @@ def is_feasible(
     return design.above() is None and design.violation() is None
 
 
+@checked
+def highest_peaks(loops: Sequence[Loop], controller: Pid, functions: Sequence[str]) -> dict[str, Peak]:
+    """The highest peak over all loops, by function; infinite, at the worst pole, where a loop is unstable.
+
+    It is refined of those loops alone that come near it around their closed-loop poles.
+    """
+    if not loops:
+        raise InputError("loops is empty; give at least one")
+    for name in functions:
+        require_choice("functions", name, (*FUNCTIONS, *OTHER_ORDER))
+    design, numbers = _Design(loops, controller, [], refine=True), range(len(loops))
+    worst = max((pole for number in numbers for pole in design._poles(number)), key=lambda pole: pole.real)
+    if not worst.real < 0:
+        return dict.fromkeys(functions, Peak(np.inf, float(abs(worst))))
+    found = {}
+    for name in functions:
+        seen = [design._seen(number, name)[1].max() for number in numbers]
+        near = [number for number in numbers if seen[number] >= NEAR * max(seen)]
+        found[name] = max((design.peak(number, name) for number in near), key=lambda peak: peak.magnitude)
+    return found
+
+
 def _still(loop: SearchLoop, constraint: PeakConstraint, place: slice, controller) -> bool:
     """Whether another controller exceeds the constraint at the same point of the grid."""
     response = getattr(loop.within(controller, place), constraint.function)
