@@ -13,6 +13,24 @@ from workbook.report import interval_text, our_quantity, published_quantity
 MOST = 5  # claims at the head of a page
 MARKS = {"agrees": "●", "depends": "◐", "differs": "◆", "open": "○"}
 OVER_CHOICES = {ROBUST: "agrees", DEPENDS: "depends", NOT_REPRODUCED: "differs"}
+DISAGREEMENT = ("deviates", "fails")
+
+
+def over_combinations(standing: Robustness) -> str:
+    """Under how many combinations a judged entry agrees; where it does under none, that it differs under all.
+
+    Parameters
+    ----------
+    standing : Robustness
+    """
+    if standing.agree == 0:
+        return f"differs under all {standing.tried} combinations of open choices"
+    number = (
+        f"all {standing.tried}"
+        if standing.agree == standing.tried
+        else f"{standing.agree} of {standing.tried}"
+    )
+    return f"agrees under {number} combinations of open choices"
 
 
 @dataclass(frozen=True)
@@ -51,13 +69,18 @@ class Headline:
     def found(self) -> str:
         """What was published and what we find, each with its unit; the interval where there is one."""
         claim, entry = self.claim, self.claim.entry
-        published = published_quantity(claim)
-        said, ours = ("Said to hold", "It holds") if entry.is_fraction else ("Published", "We find")
-        words = [f"{said} {published}." if published else "No number published."]
+        published, ours = published_quantity(claim), our_quantity(claim)
+        lead = "Claimed to hold" if entry.is_fraction else "Published"
+        words = f"{lead} {published}." if published else "No number published."
         if claim.ours is None:
-            return " ".join([*words, "Not computed yet."])
+            return f"{words} Not computed yet."
         interval = f" ({text})" if (text := interval_text(claim)) else ""
-        return " ".join([*words, f"{ours} {our_quantity(claim)}{interval}."])
+        if not entry.is_fraction:
+            instead = " instead" if published and claim.verdict in DISAGREEMENT else ""
+            return f"{words} We find {ours}{instead}{interval}."
+        holds = f"it {ours} holds" if ours in ("always", "never") else f"it holds {ours}"
+        holds = f"Not found: {holds}" if claim.verdict in DISAGREEMENT else holds.capitalize()
+        return f"{words} {holds}{interval}."
 
     @property
     def open_choices(self) -> str:
@@ -66,7 +89,7 @@ class Headline:
         if one is None or one.class_ is None:
             return ""
         word = one.class_.capitalize()
-        return f"{word}: agrees under {one.agree} of {one.tried} combinations of open choices."
+        return f"{word}: {over_combinations(one)}."
 
     @property
     def text(self) -> str:

@@ -180,15 +180,15 @@ def test_a_summary_has_its_own_page_s_entries_alone(name):
 def test_a_statement_is_said_to_hold_and_holds_in_a_share_of_the_cases():
     entry = Entry("motion.order.a", "section 1", "runs in which it holds", "1", "ordering", 1.0)
     line = headlines([Claim(entry, 0.075, (0.0258, 0.199))], {})[0]
-    assert line.found == "Said to hold always. It holds in 7.5 % of cases (2.58 to 19.9 %)."
+    assert line.found == "Claimed to hold always. Not found: it holds in 7.5 % of cases (2.58 to 19.9 %)."
 
 
 @pytest.mark.parametrize(
     ("interval", "text"),
     [
-        ((0.84, 1.1), "We find 0.84 (0.84 to 1.1; 0.84 is judged, to within 5 %)."),
-        ((0.8, 0.9), "We find 0.84 (0.8 to 0.9)."),
-        ((0.84, 0.84), "We find 0.84."),
+        ((0.84, 1.1), "We find 0.84 instead (0.84 to 1.1; 0.84 is judged, to within 5 %)."),
+        ((0.8, 0.9), "We find 0.84 instead (0.8 to 0.9)."),
+        ((0.84, 0.84), "We find 0.84 instead."),
     ],
 )
 def test_an_interval_that_holds_what_deviates_says_what_is_judged(interval, text):

@@ -33,7 +33,7 @@ from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, papers, project
 from workbook.site.pages import NotebookPage, read_page
-from workbook.site.specification import class_of, curves, sentence, status
+from workbook.site.specification import class_of, curves, remark, sentence, status
 from workbook.site.states import kept_states, make_states
 from workbook.tasks import tasks
 from workbook.timings import benchmarks
@@ -82,7 +82,7 @@ def site_files() -> dict[str, bytes]:
     render = _renderer(
         own_pages=own,
         topics=[topic for topic in topics if topic["pages"] or topic["counts"]],
-        machines=_listed([topic["on"] for topic in topics if topic["on"]]),
+        machines=_listed([topic["on"] for topic in topics if topic["on"] and topic["source"]]),
         # Of a folder its front stands in the navigation and leads to the others.
         guides={
             name: _title(text) for name, text in guides.items() if "/" not in name or name.endswith("/index")
@@ -255,6 +255,7 @@ def _templates() -> jinja2.Environment:
     environment.filters["column"] = column
     environment.filters["tally"] = tally
     environment.filters["status"] = status
+    environment.filters["remark"] = remark
     environment.filters["sentence"] = sentence
     environment.filters["class_of"] = class_of
     return environment

@@ -10,6 +10,7 @@ from workbook.choices.axes import load_axes
 from workbook.choices.judging import Robustness
 from workbook.choices.results import Outcomes, read_results
 from workbook.claims import AGREEMENT, Claim
+from workbook.headlines import DISAGREEMENT, over_combinations
 from workbook.report import our_quantity, published_quantity
 
 WIDTH, TOP = 460, 10  # of the values and dots; a page stretches the width to what it has
@@ -139,19 +140,15 @@ def _paths(x: np.ndarray, y: float | np.ndarray, kinds: np.ndarray, shown: np.nd
 
 
 def status(claim: Claim, standing: Robustness | None) -> str:
-    """Under how many combinations the claim holds, not its negation; where none were judged, what comes out here."""
-    if standing is None or standing.share is None:
-        if claim.verdict in AGREEMENT:
-            return "agrees here"
-        if claim.ours is None:
-            return claim.verdict
-        ours = our_quantity(claim)
-        return f"not here: {ours}" if claim.verdict in ("deviates", "fails") else f"here {ours}"
-    if standing.agree == standing.tried:
-        return f"claim holds under all {standing.tried} combinations"
-    if standing.agree == 0:
-        return f"claim holds under none of {standing.tried} combinations"
-    return f"claim holds under {standing.agree} of {standing.tried} combinations"
+    """Under how many combinations the claim itself agrees; where none were judged, what comes out here."""
+    if standing is not None and standing.share is not None:
+        return over_combinations(standing)
+    if claim.verdict in AGREEMENT:
+        return "agrees here"
+    if claim.ours is None:
+        return claim.verdict
+    ours = our_quantity(claim)
+    return f"not here: {ours}" if claim.verdict in DISAGREEMENT else f"here {ours}"
 
 
 def sentence(said: Mapping[str, str], claim: Claim, standing: Robustness | None) -> str:
@@ -165,20 +162,47 @@ def sentence(said: Mapping[str, str], claim: Claim, standing: Robustness | None)
     claim : Claim
         The entry that judges it.
     standing : Robustness or None
-        Over the open choices. What most combinations give decides which of the two it is.
+        Over the open choices. What most combinations give decides which of the two it is; where the default gives the
+        other, the sentence says that it is about most combinations, and has no value of the default's in it.
     """
-    tried = standing is not None and standing.share is not None
-    if claim.ours is None and not tried:
+    if claim.ours is None and (standing is None or standing.share is None):
         return f"Not computed yet: {_begun_small(said['says'])}."
-    holds = standing.share >= 0.5 if tried else claim.verdict not in ("deviates", "fails")
+    holds = _holds(claim, standing)
+    as_by_default = holds == _holds(claim, None)
     if holds:
         words = said["says"]
-    elif "otherwise" in said:
+    elif "otherwise" in said and (as_by_default or "{ours}" not in said["otherwise"]):
         values = {"ours": our_quantity(claim), "published": published_quantity(claim)}
         words = re.sub(r"\{(ours|published)\}", lambda found: values[found[1]], said["otherwise"])
     else:
         words = f"We did not find this: {_begun_small(said['says'])}"
+    if not as_by_default:
+        words = f"Under most combinations of open choices, {_begun_small(words)}"
     return f"{words[:1].upper()}{words[1:]}."
+
+
+def remark(claim: Claim, standing: Robustness | None) -> str:
+    """Under how many combinations the verdict is that of the `sentence` beside it, whichever of the two that is.
+
+    Parameters
+    ----------
+    claim : Claim
+        The entry that judges the sentence.
+    standing : Robustness or None
+        Over the open choices; without one the verdict alone stands there.
+    """
+    if standing is None or standing.agree is None or standing.share is None:
+        return claim.verdict
+    same = standing.agree if _holds(claim, standing) else standing.tried - standing.agree
+    number = f"all {standing.tried}" if same == standing.tried else f"{same} of {standing.tried}"
+    return f"the same verdict under {number} combinations of open choices"
+
+
+def _holds(claim: Claim, standing: Robustness | None) -> bool:
+    """Whether most combinations agree; without them, whether the claim does not differ here."""
+    if standing is not None and standing.share is not None:
+        return standing.share >= 0.5
+    return claim.verdict not in DISAGREEMENT
 
 
 def _begun_small(words: str) -> str:
