@@ -22,6 +22,7 @@ from workbook.site.pages import NotebookPage, read_page
 from workbook.tasks import tasks
 
 GALLERY_BEGIN, GALLERY_END = "<!-- gallery:begin -->", "<!-- gallery:end -->"
+IN_A_ROW = 4  # pictures of the README
 CODECHECK = "https://codecheck.org.uk/spec/config/2.0/"
 
 
@@ -60,7 +61,7 @@ def _readme(pages: list[NotebookPage], _claims: list[Claim]) -> str:
 
 
 def _gallery(pages: list[NotebookPage]) -> str:
-    """One row: the picture that stands for each topic, leading to its notebook."""
+    """One row: the picture that stands for each of the first topics, leading to its notebook."""
     shown = {(page.name, figure.name): (page, figure) for page in pages for figure in page.figures}
     cells = []
     for paper in papers().values():
@@ -72,7 +73,7 @@ def _gallery(pages: list[NotebookPage]) -> str:
                 f'<a href="notebooks/{page.name}.ipynb"><img src="{figure.path}.png" width="200" '
                 f'alt="{title}" title="{title}"></a>'
             )
-    return "\n".join(cells)
+    return "\n".join(cells[:IN_A_ROW])
 
 
 def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
@@ -98,7 +99,7 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
             first = _headline(paper, claims)
             said = f"{paper['claimed']}\n\n" if paper["claimed"] else ""
             parts.append(f"## {paper['title']} (`{topic}`)\n\n{said}{first}{listing}")
-    parts.append(f"## Folders\n\n{about()['shelves']}")
+    parts.append(f"## Folders\n\n{about()['folders']}")
     cells = [
         # In lines, as Jupyter writes them.
         {"cell_type": "markdown", "id": f"part-{number}", "metadata": {}, "source": text.splitlines(True)}

@@ -7,7 +7,7 @@ from stillwork.base.checks import InputError, nearest
 from stillwork.base.toml_files import read_toml
 from workbook import paths
 
-SHELVES = (
+FOLDERS = (
     "`notebooks/` holds the results and what each computes, `data/` the published numbers, `figures/` the accepted "
     "pictures and their numbers (a build writes to `build/figures/`), `tests/` the tests."
 )
@@ -38,7 +38,7 @@ def project() -> dict:
 def about() -> dict[str, str]:
     """What pages and index say of the workbook: of pyproject.toml, with the texts of its ``[tool.workbook]``."""
     said = project()
-    own = {"title": said["name"], "subject": said["description"], "shelves": SHELVES}
+    own = {"title": said["name"], "subject": said["description"], "folders": FOLDERS}
     return {name: said[name] for name in ("name", "version", "license")} | own | paths.own_settings()
 
 
