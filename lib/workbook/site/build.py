@@ -39,6 +39,14 @@ from workbook.tasks import tasks
 from workbook.timings import benchmarks
 
 HERE = Path(__file__).parent
+OVERVIEWS = (
+    "index.html",
+    "ledger.html",
+    "gallery.html",
+    "benchmarks.html",
+    "replicate.html",
+    "reference/index.html",
+)
 
 
 def build_site() -> int:
@@ -173,7 +181,8 @@ def site_files() -> dict[str, bytes]:
         files[name] = render("own.html", "", page=page)
         files |= {f"static/{each}": text.encode() for each, text in page["files"].items()}
     files["search.html"] = render("search.html", "")
-    files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims))
+    others = {name: files[name] for name in files if name in OVERVIEWS or name.startswith("choices/")}
+    files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims, others))
     return files
 
 
