@@ -147,7 +147,7 @@ class Choice:
 def basis_text(control: Slider | Choice, start: str) -> str:
     """What stands beside a control: its start, and what that is."""
     known = f"{control.basis}, {control.place}" if control.place else control.basis
-    return f"start: {start}" if control.basis == "default" else f"start: {start} ({known})"
+    return f"start: {start} ({known})"
 
 
 def whole_settings(

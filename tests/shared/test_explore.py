@@ -124,7 +124,7 @@ def test_each_control_shows_its_name_unit_start_and_basis():
     assert controls["gain"].description == "gain (V)"
     assert [row.children[1].value for row in box.children[:4]] == [
         "start: 2.0 (printed, Table 1)",
-        "start: 100.0",
+        "start: 100.0 (default)",
         "start: 3 (assumed)",
         "start: flat (our result)",
     ]
