@@ -24,13 +24,13 @@ def over_combinations(standing: Robustness) -> str:
     standing : Robustness
     """
     if standing.agree == 0:
-        return f"differs under all {standing.tried} combinations of open choices"
+        return f"differs under all {standing.tried} combinations"
     number = (
         f"all {standing.tried}"
         if standing.agree == standing.tried
         else f"{standing.agree} of {standing.tried}"
     )
-    return f"agrees under {number} combinations of open choices"
+    return f"agrees under {number} combinations"
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Headline:
         if one is None or one.class_ is None:
             return ""
         word = one.class_.capitalize()
-        return f"{word}: {over_combinations(one)}."
+        return f"{word}: {over_combinations(one)} of open choices."
 
     @property
     def text(self) -> str:

@@ -295,9 +295,9 @@ def test_how_a_statement_stands_is_told_by_its_combinations_else_by_its_verdict(
     assert status(Claim(entry, None), None) == "not built"
     assert class_of(None) == "not tried"
     for agreeing, words, name in (
-        (4, "agrees under all 4 combinations of open choices", "robust"),
-        (0, "differs under all 4 combinations of open choices", "not reproduced"),
-        (1, "agrees under 1 of 4 combinations of open choices", "depends"),
+        (4, "agrees under all 4 combinations", "robust"),
+        (0, "differs under all 4 combinations", "not reproduced"),
+        (1, "agrees under 1 of 4 combinations", "depends"),
     ):
         standing = agreeing_in(entry, agreeing, 4)
         assert status(claim, standing) == words
