@@ -16,7 +16,7 @@ from workbook import paths, publish
 from workbook.choices.command import robustness_of
 from workbook.choices.judging import Robustness
 from workbook.claims import KINDS, VERDICTS, Claim, ledger
-from workbook.headlines import headlines, said_first
+from workbook.headlines import headlines, over_combinations, said_first
 from workbook.notebooks import notebook_file
 from workbook.provenance import commit, modified
 from workbook.report import (
@@ -265,6 +265,7 @@ def _templates() -> jinja2.Environment:
     environment.filters["tally"] = tally
     environment.filters["status"] = status
     environment.filters["remark"] = remark
+    environment.filters["over_combinations"] = over_combinations
     environment.filters["sentence"] = sentence
     environment.filters["class_of"] = class_of
     return environment
