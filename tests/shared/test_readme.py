@@ -58,3 +58,10 @@ def test_the_places_that_it_names_hold_what_it_says():
     assert "def kalman_gain(" in text["lib/stillwork/estimation/kalman.py"]
     assert r"save(\"table-3-5\"" in text["notebooks/motion/09-bandwidth-table.ipynb"]
     assert "def verdict(" in text["lib/workbook/claims.py"]
+
+
+def test_own_data_and_the_library_come_before_one_row_of_pictures():
+    heads = ["## Your own machine", "## The library", "<!-- gallery:begin -->", "<!-- ledger:begin -->"]
+    places = [README.index(each) for each in heads]
+    assert places == sorted(places)
+    assert README.count("<img ") == 4
