@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def new(topic: str, name: str, create: bool) -> list[str]:
-    """``new budget`` alone writes templates of machines, ``new isolate FILE`` that of an isolator; else a result begins."""
+    """Write templates of machines (``new budget``) or of an isolator (``new isolate FILE``), or start a result."""
     if topic == "budget" and not name:
         from stillwork.design.budget import new_budget
 
@@ -46,41 +46,41 @@ def _band(name: str, help: str) -> Option:
 
 _C_FOLDER = (
     text("out", "DIR", "a new or empty folder", dest="folder", required=True),
-    option("--name", default="controller", help="what all names in C begin with"),
+    option("--name", default="controller", help="prefix of all names in the C code"),
     option("--precision", default="double", metavar="double|single"),
 )
 _OF_A_MACHINE = (
-    _band("fit-hz", "of the fit"),
-    option("--response-unit", default="", help="by default what the file says, or m/s^2"),
-    option("--force-unit", default="", help="by default what the file says, or N"),
-    option("--response", default="", metavar="NAME", help="of several complex ones"),
-    number("sample-rate", "HZ", "of records that do not say it", float),
+    _band("fit-hz", "band of the fit"),
+    option("--response-unit", default="", help="default: as stated in the file, else m/s^2"),
+    option("--force-unit", default="", help="default: as stated in the file, else N"),
+    option("--response", default="", metavar="NAME", help="which one, if the file holds several"),
+    number("sample-rate", "HZ", "of records that do not state it", float),
 )
 
 _OF_A_LOOP = (
-    number("delay", "SAMPLES", "from measurement to force, whole or not; default 1", float, default=1.0),
-    _band("loop-hz", "where the measurement can be trusted"),
+    number("delay", "SAMPLES", "from measurement to force, may be a fraction; default 1", float, default=1.0),
+    _band("loop-hz", "band in which the measurement is reliable"),
     option(
         "--uncertainty",
         default="",
         metavar="NAME=SHARE,...",
         help="frequency, residue, damping, gain, mass, delay (s), friction (1/s); none; default frequency=0.05,gain=0.05",
     ),
-    option("--damping-ratio", type=float, default=0.005, help="of matrices without damping"),
+    option("--damping-ratio", type=float, default=0.005, help="for mass and stiffness without damping"),
 )
 
 COMMANDS = {
     "inspect": Command(
-        "say what a file of yours holds and which notebooks can use it",
+        "list what a file of yours holds and which commands and notebooks can use it",
         "stillwork.design.inspect:inspect_file",
-        (_file("a record, a frequency response, a machine or a trajectory of yours"),),
+        (_file("your record, frequency response, machine or trajectory"),),
     ),
     "report": Command(
-        "write one page about a measurement of yours; what is missing, it asks",
+        "write a one-page report on your measurement; you are prompted for missing information",
         "stillwork.design.report:report_asking",
         (
-            _file("of a machine, a record, or power spectral densities"),
-            option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
+            _file("measured machine, record, or power spectral densities"),
+            option("--out", default="", metavar="PAGE", help="default: FILE.html in this folder"),
             option("--unit", default="", help="of a record's channels, or of densities"),
             number("rate", "HZ", "of the controller (default: chosen and printed)", float, default=0.0),
             *_OF_A_MACHINE,
@@ -88,7 +88,7 @@ COMMANDS = {
         ),
     ),
     "design": Command(
-        "from a machine's file to a controller in C, and a page about it",
+        "design a controller for your machine: C code and a report page",
         "stillwork.design.design:design_file",
         (
             option(
@@ -96,7 +96,7 @@ COMMANDS = {
                 type=named,
                 nargs="+",
                 metavar="FILE",
-                help="frequency response, hammer records, or M and K; several: one machine elsewhere, all served",
+                help="frequency response, hammer records, or M and K; several: one machine at other positions, one controller for all",
             ),
             number("rate", "HZ", "of the controller", float, required=True),
             *_C_FOLDER,
@@ -107,26 +107,34 @@ COMMANDS = {
                 nargs="+",
                 default=(),
                 metavar="NUMBER",
-                help="of the setpoint: velocity, acceleration, jerk, perhaps snap",
+                help="of the setpoint: velocity, acceleration, jerk and optionally snap",
             ),
-            number("counts", "N", "encoder counts a m or rad: inputs in counts", float, default=0.0),
+            number("counts", "N", "encoder counts per m or rad: inputs in counts", float, default=0.0),
             number("motor-constant", "K", "N/A or N m/A: output in A", float, default=0.0),
             number(
                 "noise",
                 "RMS",
-                "of a sample, in the controller's unit (default: of counts)",
+                "sensor noise of one sample, in the controller's unit (default: rounding to counts)",
                 float,
                 default=0.0,
             ),
-            number("noise-share", "SHARE", "of the limit it may take; default 0.05", float, default=0.05),
-            number("noise-ratio", "RATIO", "allowed without it or a limit; default 30", float, default=0.0),
+            number(
+                "noise-share", "SHARE", "of the limit, allowed for noise; default 0.05", float, default=0.05
+            ),
+            number(
+                "noise-ratio",
+                "RATIO",
+                "allowed noise ratio if noise or limit is unknown; default 30",
+                float,
+                default=0.0,
+            ),
             *_OF_A_MACHINE,
             *_OF_A_LOOP,
-            flag("mirrored-sensor", "serve a mirrored sensor, too"),
+            flag("mirrored-sensor", "design for a mirrored sensor, too"),
         ),
     ),
     "isolate": Command(
-        "from an isolator and its floor to a self-tuned feedforward in C, certified, and a page about it",
+        "design a self-tuning feedforward for your isolator and floor: C code, certificate and report page",
         "stillwork.design.isolate:isolate_file",
         (
             option(
@@ -135,75 +143,79 @@ COMMANDS = {
                 metavar="MACHINE",
                 help="TOML of an isolator, or its measured response to its actuators",
             ),
-            option("floor", type=named, metavar="FLOOR", help="record or spectra of the floor sensors"),
+            option("floor", type=named, metavar="FLOOR", help="record or spectra from the floor sensors"),
             number("rate", "HZ", "of the controller", float, required=True),
             text("out", "DIR", "a new or empty folder", dest="folder", required=True),
-            option("--name", default="isolator", help="what all names in C begin with"),
+            option("--name", default="isolator", help="prefix of all names in the C code"),
             option("--precision", default="double", metavar="double|single"),
-            option("--unit", default="", help="of the floor, by default what the file says"),
+            option("--unit", default="", help="of the floor; default: as stated in the file"),
             option(
-                "--channel", action="append", default=[], metavar="NAME", help="of the floor; again for more"
+                "--channel", action="append", default=[], metavar="NAME", help="of the floor; repeat for more"
             ),
             number("limit", "N", "of each force", float, default=float("inf")),
             option("--algorithm", default="FeRls", metavar="FeRls|FeLms"),
-            number("variance", "SHARE", "that the weights' scatter may add; default 0.1", float, default=0.1),
-            number("spread", "SHARE", "how far the isolator may be off; default 0.05", float, default=0.05),
+            number(
+                "variance", "SHARE", "power the weights' scatter may add; default 0.1", float, default=0.1
+            ),
+            number("spread", "SHARE", "uncertainty of the isolator; default 0.05", float, default=0.05),
             _band("band-hz", "of the filtered error (default: chosen)"),
         ),
     ),
     "budget": Command(
-        "say how still a machine can be, what limits it, and what to buy next, on one page",
+        "compute how still a machine can be, what limits it and what to buy next, on one page",
         "stillwork.design.budget:budget_file",
         (
-            option("machine", type=named, metavar="MACHINE.toml", help="begin it by: stillwork new budget"),
-            option("--floor", default="", metavar="FILE", help="a record or densities of your floor"),
-            option("--design", default="", metavar="DIR", help="that design wrote: its stage and controller"),
-            option("--out", default="", metavar="DIR", help="of the page, by default here"),
+            option("machine", type=named, metavar="MACHINE.toml", help="templates: stillwork new budget"),
+            option("--floor", default="", metavar="FILE", help="record or spectral densities of your floor"),
+            option(
+                "--design", default="", metavar="DIR", help="written by design: use its stage and controller"
+            ),
+            option("--out", default="", metavar="DIR", help="folder of the page; default: this folder"),
         ),
     ),
     "new": Command(
-        "begin a result of the workbook; `new budget` alone: templates of machines for budget; `new isolate FILE`: of an isolator",
+        "start a result of the workbook; `new budget` alone: templates of machines for budget; `new isolate FILE`: of an isolator",
         "stillwork.__main__:new",
         (
             option("topic", metavar="TOPIC"),
             option("name", nargs="?", default="", metavar="NAME", help="a number and words, e.g. 09-payload"),
-            flag("create", "in a topic that is not there yet"),
+            flag("create", "make the topic, too, if it does not exist"),
         ),
     ),
     "retest": Command(
-        "say on a page whether a new response keeps what a design promised",
+        "check whether what a design promised holds on a new response; write a report page",
         "stillwork.design.retest:retest_file",
         (
-            option("controller", type=named, metavar="CONTROLLER.json", help="that design wrote"),
-            _file("the machine again, in the same units"),
-            option("--out", default="", metavar="PAGE", help="by default FILE.retest.html, here"),
+            option("controller", type=named, metavar="CONTROLLER.json", help="written by design"),
+            _file("new measurement of the machine, in the same units"),
+            option("--out", default="", metavar="PAGE", help="default: FILE.retest.html in this folder"),
             flag(
                 "closed-loop",
-                "FILE is the force on the machine over the one injected, the controller running",
+                "FILE is the ratio of the force on the machine to the injected one, measured in closed loop",
             ),
             *_OF_A_MACHINE,
-            _band("loop-hz", "where the measurement can be trusted"),
+            _band("loop-hz", "band in which the measurement is reliable"),
         ),
     ),
     "desk": Command(
-        "write one page on which a loop is shaped by hand on a measurement, in any browser",
+        "write a page on which you shape a loop by hand on a measurement, in any browser",
         "stillwork.design.desk:desk_file",
         (
-            option("file", nargs="?", default="", metavar="FILE", help="as for design; without, an example"),
-            option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
-            number("rate", "HZ", "of the controller, to begin with", float, default=0.0),
+            option("file", nargs="?", default="", metavar="FILE", help="as for design; default: an example"),
+            option("--out", default="", metavar="PAGE", help="default: FILE.html in this folder"),
+            number("rate", "HZ", "of the controller at the start", float, default=0.0),
             *_OF_A_MACHINE,
             *_OF_A_LOOP,
         ),
     ),
     "export": Command(
-        "write C99 of a controller, or of FeRls or FeLms, from a file",
+        "write a controller, or FeRls or FeLms, as C99 from a file",
         "stillwork.design.export:export_file",
         (_file("controller.json, or TOML"), *_C_FOLDER),
     ),
     "contest": Command(
-        "run observers, yours among them, against hidden seeds and rank them",
-        "contest.table:hold_contest",  # in a checkout alone, which it says by itself
+        "run observers, yours among them, on hidden seeds and rank them",
+        "contest.table:hold_contest",  # needs a checkout, and reports where there is none
         (
             option(
                 "files",
@@ -211,21 +223,21 @@ COMMANDS = {
                 metavar="MY_OBSERVER.py",
                 help="each defines a class Observer; or a library MY_OBSERVER.so, or tcp:HOST:PORT",
             ),
-            number("seeds", "N", "scans a machine and uncertainty (default: 1)", default=1),
-            flag("hidden", "read the public number that the seeds follow from, on standard input"),
-            flag("tuned", "set the knobs that a file declares by the official tuner first"),
-            number("loops", "N", "seeds of which the loops are run, too; 0 for none (default: all)", int),
+            number("seeds", "N", "scans per machine and uncertainty (default: 1)", default=1),
+            flag("hidden", "derive the seeds from a public number, read from standard input"),
+            flag("tuned", "first let the official tuner set the parameters that a file declares"),
+            number("loops", "N", "seeds for which closed loops are run, too; 0 for none (default: all)", int),
             option(
                 "--only",
                 action="append",
                 default=[],
                 metavar="NAME",
-                help="of ours this one and the Kalman filter alone; the others' rows are those of the table --out",
+                help="of the built-in observers, run only this and the Kalman filter; take the other rows from the table --out",
             ),
-            text("dev", "FOLDER", "write the development set there, with its truth, and run nothing"),
+            text("dev", "FOLDER", "write the development set with its true values there, and run nothing"),
             PROCESSES,
             SCHEDULER,
-            text("out", "FILE.csv", "write or extend the table there, with its results as JSON beside it"),
+            text("out", "FILE.csv", "write or extend this table, with its results as JSON beside it"),
         ),
     ),
 }

@@ -29,7 +29,7 @@ SCHEDULER = text("scheduler", "ADDRESS", "run on the workers of a Dask cluster")
 
 COMMANDS = {
     "figures": Command(
-        "build the figures that are stale",
+        "build the notebooks that are out of date",
         "workbook.commands:figures",
         (
             _TARGETS,
@@ -44,12 +44,12 @@ COMMANDS = {
             _KERNELS,
             SCHEDULER,
             flag("force", "build what is up to date, too"),
-            flag("why", "only say what would be built, and why"),
+            flag("why", "list what would be built, and why; build nothing"),
         ),
         before=IN_A_WORKBOOK,
     ),
     "choices": Command(
-        "try every choice that the works leave open",
+        "try every choice that the papers leave open",
         "workbook.choices.command:compute_choices",
         (
             _TOPIC,
@@ -58,13 +58,13 @@ COMMANDS = {
             number(
                 "budget",
                 "MINUTES",
-                "begin no combination after so long; run again to go on",
+                "start no combination after this time; run again to continue",
                 _minutes,
                 dest="budget_min",
             ),
-            flag("changed", "only studies with a value that moved, in a sample, and those never run"),
-            text("study", "NAME", "only this study of the topic, all of it"),
-            flag("short", "compare its short form with the whole one at every option"),
+            flag("changed", "only studies that were never run or of which a sampled value moved"),
+            text("study", "NAME", "only this study of the topic, all of its combinations"),
+            flag("short", "compare the study's short form with its full form at every option"),
         ),
         before=IN_A_WORKBOOK,
     ),
@@ -73,9 +73,9 @@ COMMANDS = {
         "workbook.commands:claims",
         (
             _TOPIC,
-            text("entry", "ID", "one entry whole, with its combinations"),
+            text("entry", "ID", "one entry in full, with its combinations"),
             flag("json", "as JSON"),
-            flag("built", "with what the last build found, accepted or not"),
+            flag("built", "with the results of the last build, accepted or not"),
         ),
         before=IN_A_WORKBOOK,
     ),
@@ -88,9 +88,9 @@ COMMANDS = {
                 "--processor",
                 default="",
                 metavar="NAME",
-                help="part of a stand-in's name, e.g. 2004",
+                help="part of a simulated processor's name, e.g. 2004",
             ),
-            flag("sample", "a few notebooks under two of them"),
+            flag("sample", "a few notebooks under two processors"),
         ),
         before=IN_A_WORKBOOK,
     ),
@@ -103,22 +103,22 @@ COMMANDS = {
         "write the static site to build/site", "workbook.site.build:build_site", before=IN_A_WORKBOOK
     ),
     "refresh": Command(
-        "rewrite what follows from ledger and notebooks: README tables, index, manifests",
+        "rewrite the files derived from ledger and notebooks: README tables, index, manifests",
         "workbook.commands:refresh",
         before=IN_A_WORKBOOK,
     ),
     "init": Command(
-        "begin a workbook for a paper of yours, in a new folder",
+        "start a workbook for a paper of your choice, in a new folder",
         "workbook.site.scaffold:begin",
         (option("folder", metavar="DIR"),),
     ),
     "new": Command(
-        "begin a result: notebook, its module, ledger entry and test",
+        "start a result: notebook, its module, ledger entry and test",
         "workbook.commands:new",
         (
             option("topic", metavar="TOPIC"),
             option("name", metavar="NAME", help="a number and words, e.g. 09-payload"),
-            flag("create", "in a topic that is not there yet"),
+            flag("create", "make the topic, too, if it does not exist"),
         ),
         before=IN_A_WORKBOOK,
     ),

@@ -87,7 +87,7 @@ def _meant(word: str, command: "Command", commands: dict[str, "Command"]) -> str
 def _parser(program: str, commands: dict[str, "Command"]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"python -m {program}",
-        description="The workbook's commands; `make help` lists those that set up the environment by themselves.",
+        description="Commands of the library and the workbook; `make help` lists those that first set up the environment.",
         allow_abbrev=False,
     )
     group = parser.add_subparsers(required=True, metavar="COMMAND")
