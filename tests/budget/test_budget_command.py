@@ -103,7 +103,7 @@ def test_a_floor_of_ones_own_takes_the_place_of_the_files(files, tmp_path):
     lines = budget_file(
         str(files["wafer-stage"]), floor=str(tmp_path / "record.csv"), out=str(tmp_path / "r")
     )
-    assert "95 % by the length of the records" in lines[0] and "floor ends at 0.8 Hz" in lines[1]
+    assert "95 % interval from the records' length" in lines[0] and "floor ends at 0.8 Hz" in lines[1]
 
 
 def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
@@ -143,7 +143,7 @@ def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
         (
             'white = "0.3 nm/sqrt(Hz)"',
             'white = "0.3 nm"',
-            r"^stage sensor: unit is 'nm', and 'stage sensor' takes m/sqrt",
+            r"^stage sensor: unit is 'nm', and 'stage sensor' needs m/sqrt",
         ),
         ('white = "0.3 nm/sqrt(Hz)"', 'white = "0.3 mN/sqrt(Hz)"', r"^stage sensor: unit is 'mN/sqrt\(Hz\)'"),
         (
@@ -245,7 +245,7 @@ def test_a_move_is_the_setpoint_that_a_file_holds_and_its_feedforward_takes_the_
     assert (
         numbers[:2] == pytest.approx([waveform.std(), np.abs(waveform).max()], rel=6e-3) and len(numbers) == 3
     )
-    assert any("scan: half of what its feedforward leaves" in line for line in lines)
+    assert any("scan: half the error that its feedforward leaves" in line for line in lines)
 
 
 def test_a_periodic_file_is_its_tone_and_noise_may_come_from_a_file_or_as_a_power(files, tmp_path):
@@ -288,7 +288,7 @@ def test_a_stage_elsewhere_has_its_own_error(files, tmp_path):
 
 def test_only_what_has_a_path_is_asked_for(files, tmp_path):
     lines = budget_file(str(files["microscope-stage"]), out=str(tmp_path / "out"))
-    assert "floor sensor" not in "\n".join(lines) and "hardly counts" in "\n".join(lines)
+    assert "floor sensor" not in "\n".join(lines) and "hardly matters" in "\n".join(lines)
 
 
 def test_the_bandwidth_that_an_unstable_loop_is_offered_is_stable(files, tmp_path):
@@ -305,7 +305,7 @@ def test_a_method_that_the_machine_lacks_leaves_what_is_said(files, tmp_path):
     lines = "\n".join(budget_file(str(file), out=str(tmp_path / "1")))
     said = {
         name: float(
-            re.search(rf"it lacks {name}, which from [\d.]+ Hz on would leave ([\d.e+]+) nm", lines)[1]
+            re.search(rf"not present: {name}, acting above [\d.]+ Hz, would leave ([\d.e+]+) nm", lines)[1]
         )
         for name in ("a skyhook of 0.6", "a feedforward of 20 dB", "both")
     }
@@ -316,7 +316,7 @@ def test_a_method_that_the_machine_lacks_leaves_what_is_said(files, tmp_path):
     change(file, ("feedforward_db = 0.0", "feedforward_db = 20.0"))
     bought = budget_file(str(file), out=str(tmp_path / "3"))
     assert rms(bought) == said["both"]
-    assert "it lacks" not in "\n".join(bought)
+    assert "not present" not in "\n".join(bought)
     change(file, ("skyhook_damping = 0.6", "skyhook_damping = 0.0"))
     assert rms(budget_file(str(file), out=str(tmp_path / "4"))) == said["a feedforward of 20 dB"]
 

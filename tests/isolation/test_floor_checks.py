@@ -44,7 +44,7 @@ def test_below_what_is_known_a_floor_stays_as_it_is_there(tmp_path, kind):
     np.savez(tmp_path / "floor.npz", **columns)
     found, notes, _ = read_floor(str(tmp_path / "floor.npz"), "", 1, 2 * RATE, [])
     first = {"spectra": 0.3, "record": 0.25}[kind]
-    assert f"below {first:g} Hz, where nothing is known of the floor, as at {first:g} Hz" in notes
+    assert f"below {first:g} Hz, where the floor is unknown, its density is that at {first:g} Hz" in notes
     below = found.frequencies_hz < 0.9 * first
     assert found.frequencies_hz[0] < 1.5 * SLOWEST_HZ and below.sum() > 4
     assert np.ptp(found.density[below]) == 0 < found.density[below].real.min()

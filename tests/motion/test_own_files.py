@@ -104,8 +104,8 @@ def test_what_cannot_be_written_is_refused_before_anything_is_computed(tmp_path,
     table_file.write_text("[controller]\nrate_hz = 1e4\nbiquads = [[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]\n")
     before = sorted(os.listdir(tmp_path))
     for out, why in (
-        (file / "page.html", "is a file|no folder"),
-        (tmp_path / "no" / "page.html", "no folder"),
+        (file / "page.html", "is a file|does not exist"),
+        (tmp_path / "no" / "page.html", "does not exist"),
     ):
         for command in ("desk", "report"):
             status, said = run(capsys, command, file, "--out", out)
@@ -117,7 +117,7 @@ def test_what_cannot_be_written_is_refused_before_anything_is_computed(tmp_path,
     monkeypatch.setattr("tempfile._os.mkdir", _read_only)
     for command in (["design", file, "--rate", "8000"], ["export", table_file]):
         status, said = run(capsys, *command, "--out", tmp_path / "code")
-        assert status == 2 and "nothing can be written into" in said and "Read-only" in said
+        assert status == 2 and "cannot be written to" in said and "Read-only" in said
     assert sorted(os.listdir(tmp_path)) == before
 
 

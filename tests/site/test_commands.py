@@ -130,7 +130,7 @@ def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
         assert len(lines) == usual and all(map(str.isprintable, lines)), name
         found = dict(map(meant, shell([line.partition(": ")[2] for line in lines if line[:4] == "for "])))
         # What stands in brackets is a unit that nobody knows: then no command has the name.
-        unknown = "no unit that is known" in report
+        unknown = "unknown units" in report
         assert len(found) == (3 - unknown if name.isprintable() else 0), name
         if unknown and found:
             assert set(name) & set(")]}")
@@ -478,7 +478,7 @@ def test_a_floor_of_mixed_units_is_proposed_whole_and_an_unknown_unit_is_not(tmp
     head = "time (s),tilt (deg),x (m/s^2),y (mm/s^2),z (g)"
     np.savetxt(tmp_path / "mixed.csv", table, delimiter=",", header=head, comments="")
     report = inspect_file(str(tmp_path / "mixed.csv"))
-    assert "no unit that is known: deg; convert tilt (deg)" in report and "UNIT" not in report
+    assert "unknown units: deg; convert tilt (deg)" in report and "UNIT" not in report
     settings = commands(report)["isolation/08-your-floor"]
     assert "floor_unit" not in settings and settings["floor_channels"] == ["x (m/s^2)", "y (mm/s^2)", "z (g)"]
     [line] = [each for each in report.splitlines() if each.startswith("a feedforward")]

@@ -66,7 +66,7 @@ BROKEN = {
     "time that turns back": ("a.csv", lambda: csv(**record() | {"time": np.arange(600.0)[::-1]}), "does not rise"),
     "a dead channel": ("a.csv", lambda: csv(**record(b=np.ones(600))), "b stands at 1 throughout"),
     "a short record": ("a.csv", lambda: csv(**record(n=100)), "holds 100 samples, too short"),
-    "no rate": ("a.csv", lambda: csv(**{"a (g)": RINGS}), "no time and no rate; .* give --sample-rate HZ"),
+    "no rate": ("a.csv", lambda: csv(**{"a (g)": RINGS}), "neither time nor sample rate; .* give --sample-rate HZ"),
     "no unit": ("a.csv", lambda: csv(**record(b=RINGS[np.arange(600) % 512])), "unit of b .*; give --unit UNIT"),
     "densities below zero": ("a.csv", lambda: csv(**densities(sign=-1.0)), "missing, infinite or negative"),
     "densities of what": ("a.csv", lambda: csv(**densities("x")), "unit of its densities .*; give --unit UNIT"),
@@ -111,7 +111,7 @@ def test_a_record_gets_its_spectra_and_its_coherence(tmp_path):
     columns = {"time": np.arange(4000) / 500, "drive (V)": shaken, "plate (g)": 0.5 * shaken}
     (tmp_path / "a.csv").write_text(csv(**columns))
     lines, text, pictures = page_of("a.csv")
-    assert "a record: 500 Hz, 8 s, 2 channel(s)" in lines and pictures == 2
+    assert "a record: 500 Hz, 8 s, 2 channels" in lines and pictures == 2
     rms = re.search(r"plate \(g\)</td><td>m/s\^2</td><td>([\d.]+)", text)
     assert float(rms[1]) == pytest.approx(0.5 * 9.80665 * shaken.std(), rel=1e-3)
     with pytest.raises(ValueError, match=r"page\.html\b"):

@@ -1,4 +1,4 @@
-"""The command ``budget``: how still a machine can be, what limits it, and what to buy next, on one page."""
+"""The command ``budget``: how still a machine can be, what limits it and what to buy next, on one page."""
 
 import html
 from dataclasses import replace
@@ -41,7 +41,7 @@ from stillwork.signals.spectra import estimate_spectrum
 from workbook import figures
 
 PLACES = {**DISTURBANCES, **MEASUREMENTS, **COMMANDS}
-# What a file may hold; a name beside these is refused, since a misspelt one would count as not given.
+# Names that a file may hold; any other is refused, since a misspelt one would count as not given.
 FIELDS = {
     "file": ("name", "band_hz", "exposure_s", "duration_s", "machine", "controller", "sources"),
     "machine": (
@@ -66,11 +66,11 @@ STABLE_SHARES = (
     0.1,
     0.05,
     0.02,
-)  # of the bandwidth, that are tried where the loop is unstable
+)  # of the bandwidth, tried if the loop is unstable
 CALM = 0.01  # of its largest acceleration, below which a setpoint counts as not accelerating
 MOVE_SAMPLES = 500  # in a stroke and in a rest
-EDGE = 0.05  # share of a source's part in a third of an octave at the end of what is known, from which on it is reported
-# What such parts usually have, as words and as the upper end; none of these is anybody's machine.
+EDGE = 0.05  # share of a source's power in the third of an octave at the end of its band, above which it is reported
+# Typical levels of such parts, in words and as the upper end.
 TYPICAL = {
     "floor": ("VC-A (general laboratory) to VC-G (quiet)", 1e-3),
     "stage force": ("cables, hoses and air: 1e-4 to 1e-2 N/sqrt(Hz)", 1e-2),
@@ -81,13 +81,16 @@ TYPICAL = {
     "stage drive": ("amplifier and DAC: 1e-5 to 1e-3 N/sqrt(Hz)", 1e-3),
     "isolator drive": ("amplifier and DAC: 1e-4 to 1e-2 N/sqrt(Hz)", 1e-2),
 }
-# What a machine without a method is offered; usual sizes, chosen.
+# Methods that are offered to a machine without them, with usual sizes (chosen).
 OFFERED = {
     "a skyhook of 0.6": {"skyhook": 0.6},
     "a feedforward of 20 dB": {"feedforward": 0.9},
     "both": {"skyhook": 0.6, "feedforward": 0.9},
 }
-COUNTS, NOTHING = 7.0, 1e6  # times the usual level: adds 2 % of the power; no path at all but rounding
+COUNTS, NOTHING = (
+    7.0,
+    1e6,
+)  # times the typical level: adds 2 % of the power; only rounding, so there is no path
 MACHINES = {
     "wafer-stage": {
         "name": "a wafer-like stage", "frame": 180.0, "suspension": 4.0, "damping": 0.05, "stage": 20.0,
@@ -108,35 +111,35 @@ MACHINES = {
 
 
 def new_budget(folder: str = ".") -> list[str]:
-    """Write the commented template of each machine of `MACHINES`; returns their paths, and what comes next."""
+    """Write the commented template of each machine of `MACHINES`; returns their paths, and the next step."""
     template = Template((Path(__file__).parent / "budget.toml").read_text(encoding="utf-8"))
     files = [Path(folder) / f"{name}.toml" for name in MACHINES]
     for file, values in zip(files, MACHINES.values(), strict=True):
         if file.exists():
-            raise InputError(f"{file} exists; move it away, or begin in another folder")
+            raise InputError(f"{file} exists; move it away, or start in another folder")
         file.write_text(template.substitute(values), encoding="utf-8")
-    return [*map(str, files), f"change the numbers to yours, then: python -m stillwork budget {files[0]}"]
+    return [*map(str, files), f"enter your numbers, then: python -m stillwork budget {files[0]}"]
 
 
 def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") -> list[str]:
-    """Make the error budget of a machine, and write it on one page.
+    """Compute the error budget of a machine and write it on one page.
 
     Parameters
     ----------
     machine : str
-        TOML of machine, controllers and sources, as ``stillwork new budget`` begins it.
+        TOML of machine, controllers and sources; ``stillwork new budget`` writes templates.
     floor : str
-        A record or densities of the floor that take the place of the file's; their columns say the unit.
+        A record or spectral densities of the floor that replace the file's; their columns state the unit.
     design : str
-        Folder that ``stillwork design`` wrote, or one controller's JSON file in it: its model and controller take the
-        place of the stage and its PID.
+        Folder that ``stillwork design`` wrote, or one controller's JSON file in it: its model and controller replace the
+        stage and its PID.
     out : str
-        Folder of the page; empty: here.
+        Folder of the page; empty: the current folder.
 
     Returns
     -------
     list of str
-        Total, parts, what to buy next and what is not known, a line each.
+        Total, parts, what to buy next and what is unknown, one line each.
 
     Raises
     ------
@@ -197,7 +200,7 @@ def machine_of(entries: Table, design: str = "", position: str = "") -> FloorMac
         files = [Path(design)] if design.endswith(".json") else sorted(Path(design).glob("*.json"))
         if len(files) != 1:
             raise InputError(
-                f"{design} holds {len(files)} controllers; give one of those JSON files that stillwork design wrote"
+                f"{design} holds {len(files)} controllers; give one of the JSON files that stillwork design wrote"
             )
         written = load_controller(files[0])
         about, controller = Table(dict(written.about), files[0].name), of_reference(written).model
@@ -229,7 +232,7 @@ def machine_of(entries: Table, design: str = "", position: str = "") -> FloorMac
 
 
 def _what_would_be_stable(built: FloorMachine) -> str:
-    """Which of the machine's two loops is to blame, by what makes it stable."""
+    """A change of one of the machine's two loops that makes it stable, in words."""
     changes = {}
     if built.skyhook:
         changes["without the skyhook (skyhook_damping = 0)"] = {"skyhook": 0.0}
@@ -246,7 +249,7 @@ def _what_would_be_stable(built: FloorMachine) -> str:
         except UnstableLoop:
             continue
         return f"it is stable {words}"
-    return "no smaller bandwidth, skyhook or delay alone makes it stable; look at the modes' shares and their signs"
+    return "no smaller bandwidth, skyhook or delay alone makes it stable; check the modes' shares and their signs"
 
 
 def _number(entries: Table, name: str, default: float) -> float:
@@ -259,9 +262,9 @@ def _band(entries: Table) -> tuple[float, float]:
 
 
 def sources_of(entries: Table, floor: str, folder: Path, rate_hz: float, mass: float = 0.0) -> list[Source]:
-    """The sources of a file; a file of the floor takes the place of those that act there.
+    """The sources of a file; the file `floor` replaces those that act at the floor.
 
-    A feedforward of the setpoint takes `mass` (kg) for the stage's where the file does not say its own.
+    A feedforward of the setpoint assumes `mass` (kg) for the stage's if the file does not state one.
     """
     found = [
         _source(name, entries.table("sources").table(name), folder, rate_hz, mass)
@@ -279,7 +282,7 @@ def _source(name: str, entries: Table, folder: Path, rate_hz: float, mass: float
     place = require_choice(f"{name}: place", entries["place"], PLACES)
     kinds = [kind for kind in KINDS if kind in entries]
     if len(kinds) != 1:
-        raise InputError(f"{name}: holds {kinds or 'no kind'}; give one of {', '.join(KINDS)}")
+        raise InputError(f"{name}: holds {' and '.join(kinds) or 'no kind'}; give one of {', '.join(KINDS)}")
     kind = kinds[0]
     moves = kind in ("setpoint", "move")
     if (kind == "criterion" and place != "floor") or moves != (place == "setpoint"):
@@ -321,7 +324,7 @@ def _amount(name: str, text, place: str, density: str) -> float:
         raise InputError(f"{name}: is {text!r}; give a number of at least 0 and its unit, as '1.0 {wanted}'")
     known = density_unit(words[1])
     if (known is None) == bool(density):
-        raise InputError(f"{name}: unit is {words[1]!r}, and {place!r} takes {wanted}; convert it")
+        raise InputError(f"{name}: unit is {words[1]!r}, but {place!r} needs {wanted}; convert it")
     factor = _factor(name, known[0] if known else words[1], place, words[1], wanted)
     return factor * (np.sqrt(size) if known and known[1] == 2 else size)
 
@@ -332,12 +335,12 @@ def _factor(name: str, unit: str, place: str, said: str, wanted: str) -> float:
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     if known != PLACES[place]:
-        raise InputError(f"{name}: unit is {said!r}, and {place!r} takes {wanted}; convert it")
+        raise InputError(f"{name}: unit is {said!r}, but {place!r} needs {wanted}; convert it")
     return factor
 
 
 def measured_at(name: str, file: Path, unit: str, place: str) -> Source:
-    """What was measured at a place: densities with a column of frequencies, or a record; of floors in any unit of motion."""
+    """A measured source: densities with a column of frequencies, or a record; that of a floor in any unit of motion."""
     columns = read_columns(file)
     axis = frequency_axis(columns)
     if not axis or any(is_time(each) for each in columns):
@@ -353,14 +356,14 @@ def measured_at(name: str, file: Path, unit: str, place: str) -> Source:
     f = hertz_in(axis) * columns.pop(axis)
     if len(columns) != 1:
         raise InputError(
-            f"{name}: {file.name} holds {len(columns)} columns beside {axis!r}; keep the one that acts here"
+            f"{name}: {file.name} holds {len(columns)} columns besides {axis!r}; keep the one that acts here"
         )
     ((column, row),) = columns.items()
     said = agreed_density(file.name, column, unit)
     known, wanted = density_unit(said) if said else None, f"{PLACES[place]}/sqrt(Hz)"
     if known is None:
         raise InputError(
-            f"{name}: {file.name} gives {column!r} no unit of a density; write it in brackets, as ({wanted})"
+            f"{name}: {file.name}: column {column!r} has no unit of a density; add it in brackets, as ({wanted})"
         )
     level = _factor(name, known[0], place, said, wanted) ** 2 * (row**2 if known[1] == 1 else row)
     return tabulated(name, place, PLACES[place], f[f > 0], level[f > 0])
@@ -373,7 +376,7 @@ def _one_record(name: str, file: Path, unit: str, place: str) -> Record:
         return to_acceleration(record)
     if record.unit != PLACES[place]:
         raise InputError(
-            f"{name}: {file.name} is in {record.unit}, and {place!r} takes {PLACES[place]}; convert it"
+            f"{name}: {file.name} is in {record.unit}, but {place!r} needs {PLACES[place]}; convert it"
         )
     return record
 
@@ -415,7 +418,7 @@ def _summary(entries: Table, budget: ErrorBudget) -> list[list[str]]:
         [f"peak in {duration:g} s", nanometres(budget.peak(duration)[0])],
     ]
     if high - low > 1e-5 * rms:
-        rows.insert(1, ["95 % by the length of the records", f"{nanometres(low)} to {nanometres(high)}"])
+        rows.insert(1, ["95 % interval from the records' length", f"{nanometres(low)} to {nanometres(high)}"])
     return [
         *rows,
         [f"MA over {exposure:g} s", nanometres(average[0])],
@@ -424,7 +427,7 @@ def _summary(entries: Table, budget: ErrorBudget) -> list[list[str]]:
 
 
 def _moving(network: Network, sources: list[Source], band: tuple[float, float]) -> list[list[str]]:
-    """What each periodic setpoint leaves: over the whole period, at most, and where it does not accelerate."""
+    """Error under each periodic setpoint: rms over the period, largest, and rms while it does not accelerate."""
     rows = []
     for source in sources:
         if source.places[0] != "setpoint":
@@ -472,7 +475,7 @@ def _parts(budget: ErrorBudget) -> list[list[str]]:
             [
                 "warning:",
                 f"{budget.names[k]} ends at {end:.4g} Hz in the band,",
-                f"{100 * edges[k, side]:.0f} % of its part in the last third of an octave; measure further",
+                f"{100 * edges[k, side]:.0f} % of its part lies in the last third of an octave; measure further",
             ]
         )
     return rows
@@ -481,12 +484,14 @@ def _parts(budget: ErrorBudget) -> list[list[str]]:
 def purchases(
     machine: FloorMachine, sources: list[Source], band: tuple[float, float], budget: ErrorBudget
 ) -> list[list[str]]:
-    """What saves most, in nanometres: each source at half its level, each number of the machine 10 % the better way."""
+    """Savings in nanometres, the largest first: each source at half its level, each number of the machine improved by 10 %."""
     moving = {source.name for source in sources if source.places[0] == "setpoint"}
     offers = [
         (
             saved,
-            f"{name}: half of what its feedforward leaves" if name in moving else f"{name} at half its level",
+            f"{name}: half the error that its feedforward leaves"
+            if name in moving
+            else f"{name} at half its level",
             share,
         )
         for name, saved, share in zip(budget.names, budget.saved()[:, 0], budget.shares[:, 0], strict=True)
@@ -535,7 +540,7 @@ def purchases(
     found = sensitivities(rms, {name.replace(" ", "_"): value for name, value in numbers.items() if value})
     for name, slope in found.items():
         if name == "delay" and slope < 0:
-            continue  # nobody buys a longer one
+            continue  # a longer one is not an improvement to buy
         way = "lower" if slope > 0 else "higher"
         saved = budget.rms[0] * (1 - (0.9 if slope > 0 else 1.1) ** slope)
         offers.append((saved, f"{name.replace('_', ' ')} 10 % {way}", slope))
@@ -547,7 +552,7 @@ def purchases(
 
 
 def waterfall(machine: FloorMachine, sources: list[Source], band: tuple[float, float]) -> list[list[str]]:
-    """The error of the passive machine, then with each method that it has in turn, and what those would give that it lacks."""
+    """The error of the passive machine, then with each of its methods in turn, and with those that it lacks."""
     steps = {
         "passive": {"skyhook": 0.0, "feedforward": 0.0},
         "skyhook": {"skyhook": machine.skyhook},
@@ -567,7 +572,7 @@ def waterfall(machine: FloorMachine, sources: list[Source], band: tuple[float, f
         if not any(getattr(machine, name) for name in changed):
             left = _rms_of(replace(machine, **changed), sources, band)
             corner = machine.integrator_hz if "feedforward" in changed else machine.skyhook_hz
-            rows.append([f"it lacks {words}, which from {corner:.3g} Hz on would leave", left])
+            rows.append([f"not present: {words}, acting above {corner:.3g} Hz, would leave", left])
     return rows
 
 
@@ -582,7 +587,7 @@ def _rms_of(machine: FloorMachine, sources: list[Source], band: tuple[float, flo
 def _unknown(
     network, sources: list[Source], band: tuple[float, float], budget: ErrorBudget
 ) -> list[list[str]]:
-    """Places without a source, from what level on each would add as much as all that is known, and typical values."""
+    """Places without a source, the level at which each would double the power, and typical values."""
     known = {place for source in sources for place in source.places}
     missing = [
         place
@@ -598,7 +603,7 @@ def _unknown(
     for place, power in zip(missing, unit.powers[:, 0], strict=True):
         level, (typical, high) = budget.rms[0] / np.sqrt(power), TYPICAL[place]
         if level < NOTHING * high:
-            found = "so it may count" if level < COUNTS * high else "so it hardly counts"
+            found = "may matter" if level < COUNTS * high else "hardly matters"
             said = f"{level:.2g} {PLACES[place]}/sqrt(Hz) would double the power;"
             rows.append([f"{place}: no source given;", said, f"typical: {typical}; {found}"])
     return rows

@@ -1,4 +1,4 @@
-"""The command ``design``: from a file of a machine to a controller that runs on it, and one page with the reasons."""
+"""The command ``design``: from the file of a machine to a controller in C, and one page with the reasons."""
 
 import hashlib
 import html
@@ -69,9 +69,9 @@ USES = 5  # that are searched
 CHANGES = 4  # of the machine or its processor, of which each is tried for what it would help
 SHOWN_FROM = 0.01  # %, of what the box holds
 WITHOUT_BIQUADS = (
-    "left out: in sections the whole controller would not keep 6 dB, or not hold the model by itself"
+    "left out: written as biquads, the controller would exceed 6 dB or not stabilise the model on its own"
 )
-WORTH = 0.01  # relative gain of bandwidth below which a change of the machine is none
+WORTH = 0.01  # relative gain in bandwidth below which a change of the machine is not listed
 
 
 def design_file(
@@ -95,63 +95,64 @@ def design_file(
     noise_ratio: float = 0.0,
     **reading,
 ) -> list[str]:
-    """Design a controller for the machine in `files` and write it, in C and otherwise, into a new folder.
+    """Design a controller for the machine in `files` and write it, as C and as JSON, into a new folder.
 
     Parameters
     ----------
     files : str or sequence of str
-        See `load_machine`. Of several, which hold the same machine at other positions or with other loads, the first is
-        that of the observer; the constraints hold for all of them, and in the box around each.
+        See `load_machine`. Several files hold the same machine at other positions or with other loads: the observer is
+        made for the first; the constraints hold for all of them, and in the box around each.
     folder : str
-        New or empty.
+        New or empty folder.
     rate : float
-        Samples a second of the controller, Hz.
+        Sample rate of the controller, Hz.
     delay : float
         See `search_designs`.
     limit : float
         Largest output of the controller: force in N, torque in N m, or current in A.
     limits : sequence of float
-        Largest velocity, acceleration, jerk and perhaps snap of the setpoint, in the unit of the controller's position;
-        empty: set in the C. Refused where the feedforward would in sum ask for more than `limit`.
+        Largest velocity, acceleration, jerk and optionally snap of the setpoint, in the unit of the controller's
+        position; empty: they are set in the C code. Refused if the sum of the feedforward's terms could exceed `limit`.
     name, precision : str
-        See `controller_code`. Of several sensors each gets a controller, with its number behind the name.
+        See `controller_code`. With several sensors each has its own controller, numbered behind the name.
     fit_hz : tuple of float
-        Band of the fit of a measurement; (0, 0): all of it.
+        Frequency band of the fit, Hz; (0, 0): the whole measurement.
     loop_hz : tuple of float
-        Band in which the measurement stands for the plant, where it can be trusted; (0, 0): that of the fit.
+        Band in which the measurement is reliable and represents the plant, Hz; (0, 0): the band of the fit.
     mirrored_sensor : bool
-        Serve a second sensor, too, at which every flexible mode has the other sign.
+        Whether to design for a second sensor, too, at which every flexible mode has the opposite sign.
     uncertainty : str or mapping of str to float
-        How far the machine may be from what was found, e.g. ``frequency=0.05,gain=0.1``: shares of ``frequency``,
-        ``residue`` and ``damping`` of each mode, of ``gain`` and ``mass``, ``delay`` in s, and ``friction``, b/m in 1/s.
-        What is not named is that of `UNCERTAINTY`, or nothing after ``none``. The intervals of a fit come on top, that
-        of the friction where it is named. Every constraint holds all over that box; see `reach`.
+        How far the machine may deviate from the model, e.g. ``frequency=0.05,gain=0.1``: relative, for the
+        ``frequency``, ``residue`` and ``damping`` of each mode and for ``gain`` and ``mass``; ``delay`` in s, and
+        ``friction``, b/m, in 1/s. What is not named has the value of `UNCERTAINTY`, or is certain if ``none`` is named.
+        Confidence intervals of the fit are added, that of the friction only if it is named. Every constraint holds
+        everywhere in this box; see `reach`.
     counts : float
-        Encoder counts of a unit of the position, m or rad: the controller then reads r and y in counts. 0: it reads the
+        Encoder counts per unit of position (m or rad): the controller then reads r and y in counts. 0: it reads the
         unit itself.
     motor_constant : float
-        N/A or N m/A: the controller then sets a current, A. 0: it sets what drives the machine in the file.
+        N/A or N m/A: the output of the controller is then a current, A. 0: it is the input of the machine in the file.
     noise : float
-        Root mean square of the sensor's noise in one sample, white, in the unit of the controller's position. 0: of
-        counts the rounding to whole ones, else not known.
+        Root mean square of the sensor's noise in one sample, white, in the unit of the controller's position. 0: the
+        rounding to whole counts if there are counts, else unknown.
     noise_share : float
-        How much of `limit` that noise may take at the output, root mean square.
+        Share of `limit` that the noise may take at the output, root mean square.
     noise_ratio : float
-        See `NoiseBound`; 0: `RATIO` where the noise or the limit is not known.
+        See `NoiseBound`; 0: `RATIO` if the noise or the limit is unknown.
     **reading
         Other arguments of `load_machine`.
 
     Returns
     -------
     list of str
-        What was found, a line each.
+        The findings, one line each.
 
     Raises
     ------
     MissingPackage
         When the page cannot be drawn, before anything is computed.
     InputError
-        When the file cannot be used, no use of an observer has a safe loop, or something stands in the folder.
+        When the file cannot be used, no use of an observer has a safe loop, or the folder is not empty.
     """
     require_package("matplotlib")
     require_free(folder)
@@ -164,8 +165,8 @@ def design_file(
     shares = asked_uncertainty(uncertainty)
     if shares.get("delay", 0.0) * rate > MOST_LATE:
         raise InputError(
-            f"uncertainty: delay is {shares['delay']:g} s, {shares['delay'] * rate:.3g} samples at {rate:g} Hz, and no loop holds "
-            f"for that; give seconds, at most {MOST_LATE} samples ({MOST_LATE / rate:.3g} s)"
+            f"uncertainty: delay is {shares['delay']:g} s, {shares['delay'] * rate:.3g} samples at {rate:g} Hz, too much for any "
+            f"loop; give seconds, at most {MOST_LATE} samples ({MOST_LATE / rate:.3g} s)"
         )
     for each, value in (("counts", counts), ("motor_constant", motor_constant)):
         require_number(each, value, at_least=0.0)
@@ -180,7 +181,7 @@ def design_file(
         raise InputError(f"{source.name} is in counts already; leave counts out")
     if motor_constant and drive not in ("N", "N m"):
         raise InputError(
-            f"{source.name} is driven in {drive}; a motor_constant is for N or N m, leave it out"
+            f"{source.name} has its input in {drive}; motor_constant is for N or N m, leave it out"
         )
     own_units = "count" if counts else position, "A" if motor_constant else drive
     scales = counts or 1.0, 1 / motor_constant if motor_constant else 1.0
@@ -193,7 +194,7 @@ def design_file(
     against = [each for each in machines if (TURNED in each.notes) != (TURNED in machines[0].notes)]
     if against:
         raise InputError(
-            f"{against[0].source} moves against {source.name} under the same force; correct the sign of one of them"
+            f"{against[0].source} moves opposite to {source.name} under the same force; correct the sign of one of them"
         )
     with Progress(EACH * USES + CHANGES, task="design", unit="search", tell=True, aside=True) as progress:
         made = search_designs(
@@ -253,7 +254,7 @@ def design_file(
     margins = over_the_box(reached, made.spreads)
     if margins and (worst := 20 * np.log10(max(margins.values()))) > ALLOWED_DB:
         raise InputError(
-            f"{source.name}: somewhere in the box a peak of {worst:.2f} dB was found at last; ask for a little more uncertainty"
+            f"{source.name}: a final search of the uncertainty box found a peak of {worst:.2f} dB; state a little more uncertainty"
         )
     phases = over_the_phases(made, reached, controllers)
     lag = (delay + 0.5) / rate  # the hold's half a sample
@@ -277,12 +278,12 @@ def design_file(
         code[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
         code |= controller_code(controller, own, precision)
     write_folder(folder, code)  # before the page: what was computed is not lost with a picture
-    rates = f"{rate:g} Hz", f"{delay:.4g} samples ({1e6 * delay / rate:.4g} us) and the hold"
+    rates = f"{rate:g} Hz", f"{delay:.4g} samples ({1e6 * delay / rate:.4g} us) plus the hold"
     most = f"{limit:g} {own_units[1]}" if np.isfinite(limit) else "none: give --limit"
     facts = [*zip(("rate", "delay of the loop", "limit of the output"), (*rates, most), strict=True)]
     facts += [*noises, *rounded]
     if own_units != taken.units:
-        facts.append(("the controller's own units", f"{own_units[0]} in, {own_units[1]} out"))
+        facts.append(("units of the controller", f"{own_units[0]} in, {own_units[1]} out"))
     if any(each.about["biquads"] is None for each in written):
         facts.append(("biquads for a drive", WITHOUT_BIQUADS))
     if made.others:
@@ -318,7 +319,7 @@ class NoSafeLoop(InputError):
         for use, each in made.found.items():
             uses.setdefault(each.reason.partition(";")[0] or "unstable on the measurement", []).append(use)
         rows = [f"  {', '.join(names)}: {reason}" for reason, names in uses.items()]
-        advice = "sample faster, add damping, or ask for less by --uncertainty"
+        advice = "sample faster, add damping, or state less --uncertainty"
         lines = [f"{name}: no safe loop at {rate:g} Hz; {advice}", *rows]
         ValueError.__init__(self, "\n".join(map(one_line, lines)))
 
@@ -328,7 +329,7 @@ def _move_limits(limits: Sequence[float]) -> MoveLimits | None:
         return None
     if len(limits) not in (3, 4):
         raise InputError(
-            f"limits holds {pluralise(len(limits), 'number')}; give velocity, acceleration, jerk and perhaps snap"
+            f"limits holds {pluralise(len(limits), 'number')}; give velocity, acceleration, jerk and optionally snap"
         )
     return MoveLimits(*map(float, limits))
 
@@ -385,14 +386,14 @@ def over_the_phases(
         return []
     if (size := 20 * np.log10(worst)) > ALLOWED_DB:
         raise InputError(
-            f"{made.machine.source}: with the phases of its modes a peak of {size:.2f} dB was found in the box; ask for "
-            "a little more uncertainty"
+            f"{made.machine.source}: with the phases of its modes a peak of {size:.2f} dB was found in the box; state a "
+            "little more uncertainty"
         )
-    return [["largest with the phases of the modes", f"{size:.2f} dB at {count} places that were tried"]]
+    return [["largest with the phases of the modes", f"{size:.2f} dB at the {count} points tried"]]
 
 
 def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) -> list[list[str]]:
-    """What the box holds and what is left over it, in words; that around another response is as wide but for its fit."""
+    """Widths of the box and the largest peaks in it, as rows; the box around another response differs by its fit alone."""
     rows = []
     hertz = machine.sensors[0].frequencies / (2 * np.pi)
     words = {"frequency": "resonances", "residue": "parts of the modes", "damping": "damping ratios"}
@@ -417,7 +418,7 @@ def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) 
     if margins:
         sizes = ", ".join(f"{SHOWN[name]} {20 * np.log10(size):.2f} dB" for name, size in margins.items())
         rows.append(
-            ["largest over all of it", f"{sizes}; modulus margin {1 / margins['output_sensitivity']:.3f}"]
+            ["largest in the box", f"{sizes}; modulus margin {1 / margins['output_sensitivity']:.3f}"]
         )
     return rows
 
@@ -429,7 +430,7 @@ def improvements(
     reached: AchievableBandwidth,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> list[list[str]]:
-    """Changes of the machine that raise the bandwidth of the same settings on the model, and to what, the best first."""
+    """Changes of the machine that raise the bandwidth of the model with the same settings, the best first."""
 
     def damped(model: ModalModel) -> ModalModel:
         factor = np.append(1.0, np.full(len(model.damping) - 1, 2.0))
@@ -458,7 +459,7 @@ def improvements(
         late = [settled.get("delay", delay) for _, delay in how.get("others", ())]
         changes = how | settled | {"others": tuple(zip(others, late, strict=True))}
         low, high = search_range(changed, changes["sample_time"])
-        if reached.on_model:  # what leads no further is none
+        if reached.on_model:  # only what exceeds it is listed
             low = min(reached.on_model.design_hz, 0.99 * high)
         found = reach_one(changed, settings, changes | {"search_hz": (low, high)}).on_model
         if found is not None and found.crossing_hz.min() > (1 + WORTH) * before:
@@ -469,7 +470,7 @@ def improvements(
 def recheck(
     reached: AchievableBandwidth, controllers: list[DigitalController]
 ) -> dict[str, dict[str, float]]:
-    """Largest peaks in dB of the controllers' own numbers, by function and by loops: all that the search looked at."""
+    """Largest peaks in dB with the written coefficients, by function and by loops: all loops of the search."""
     looked = {"on the model (dB)": reached.model_loops}
     if reached.perturbed:
         looked["at the worst places of the box (dB)"] = reached.perturbed
@@ -490,10 +491,10 @@ def checked_biquads(
     position: float = 1.0,
     drive: float = 1.0,
 ) -> dict | None:
-    """The sections of the whole controller as its file holds them; None unless they alone hold the model and keep 6 dB.
+    """The biquads of the whole controller as in its file; None unless they stabilise the model and stay below 6 dB.
 
-    `judged` are the loops, the model's first, each with the controller in the loop's units, of which a unit of position
-    and of force hold so many of the written controller's.
+    `judged` are the loops, the model's first, each with the controller in the loop's units; `position` and `drive` are
+    the written controller's units per unit of the loop.
     """
     found = equivalent_biquads(controller)
     if found is None:
@@ -533,7 +534,7 @@ def report(
     about: list,
     files: list[str],
 ) -> str:
-    """One page: the machine, how far each use of an observer gets, what was taken, its peaks, and how to run it."""
+    """One page: the machine, the bandwidth of each use of an observer, the choice, its peaks, and how to run it."""
     machine, reached = made.machine, made.found[best]
     where = list(next(iter(peaks.values())))
     sizes = [[SHOWN[name], *(f"{each[column]:.2f}" for column in where)] for name, each in peaks.items()]
@@ -550,11 +551,11 @@ def report(
         taken=html.escape(best),
         stopped=html.escape(reached.summary["stopped by"]),
         facts=table([], facts),
-        box=table([], box or [["everything", "as the model has it: no uncertainty was asked for"]]),
+        box=table([], box or [["everything", "exactly as in the model: no uncertainty was stated"]]),
         uses=uses_table(made),
         peaks=table(["peak", *where], sizes),
         proven=table([], list(map(list, proven))),
-        helps=table(["change", "bandwidth (Hz)"], helps or [["nothing that was tried", ""]]),
+        helps=table(["change", "bandwidth (Hz)"], helps or [["none of those tried", ""]]),
         machine=picture(paint_machine(machine), "accelerance of the model and of the measurement"),
         loops=picture(paint_loops(reached, controllers), "sensitivities of the sampled loop"),
         files=html.escape(", ".join(files)),
@@ -562,14 +563,14 @@ def report(
 
 
 def uses_table(made: Designed) -> str:
-    """How far each use of an observer gets, or why it gets nowhere, and in which order."""
+    """Bandwidth of each use of an observer, or why it has none, and their order."""
     columns = list(dict.fromkeys(key for each in made.found.values() for key in each.summary))
     rows = [
         [use, *(each.summary.get(key, "") for key in columns), each.reason]
         for use, each in made.found.items()
     ]
     words = "".join(f"<p>{html.escape(line)}</p>\n" for line in (*made.notes, made.ranking_line))
-    return words + table(["use", *columns, "why none"], rows)
+    return words + table(["use", *columns, "why not"], rows)
 
 
 def paint_machine(machine: Machine):
@@ -594,7 +595,7 @@ def paint_machine(machine: Machine):
 
 
 def paint_stabilisation(fit: ModalFit):
-    """Poles over their orders: those that stay from order to order stand out, and those that were taken for modes."""
+    """Poles over the model order: those that stay from order to order, and those taken for modes, are marked."""
     diagram = fit.diagram
     figure, axis = figures.new(1, 1, height=3.2)
     for chosen, colour, label in (
@@ -612,7 +613,7 @@ def paint_stabilisation(fit: ModalFit):
 
 
 def paint_loops(reached: AchievableBandwidth, controllers: list[DigitalController]):
-    """Both sensitivities of every sensor with the controllers' own numbers, and what they may reach."""
+    """Both sensitivities of every sensor with the written coefficients, and their limit."""
     figure, axes = figures.new(1, 2, height=2.8, sharey=True)
     colours = (figures.RED, figures.BLUE, figures.GREEN, figures.ORANGE)
     for number, loop in enumerate(reached.loops):

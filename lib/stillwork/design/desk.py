@@ -1,4 +1,4 @@
-"""The command ``desk``: one page on which a loop is shaped by hand on a measurement, in any browser, without a network."""
+"""The command ``desk``: one page on which you shape a loop by hand on a measurement, in any browser, offline."""
 
 import json
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from stillwork.identification.machine_files import load_machine
 from stillwork.lti.modal import ModalModel
 
 MOST_LINES = 2000  # of a measurement that a page holds
-NEAR = 12.0  # half widths either side of a resonance, where every line is kept
+NEAR = 12.0  # half widths either side of a resonance, within which every line is kept
 DIGITS = 7  # of a measured number
 EXAMPLE = ModalModel(
     np.array([0.0, 565.0, 1320.0]),
@@ -31,9 +31,9 @@ EXAMPLE = ModalModel(
 
 
 def desk_file(file: str = "", out: str = "", **options) -> list[str]:
-    """Write the page for the machine in `file`, or for an example; returns what was found, a line each.
+    """Write the page for the machine in `file`, or for an example; returns the findings, one line each.
 
-    Where `out` ends in ``.json`` it is the machine alone, which any such page opens. `options` are those of
+    If `out` ends in ``.json``, only the machine is written, which any such page opens. `options` are those of
     `machine_to_begin_with`.
     """
     target = require_new(out or f"{Path(file).name or 'desk'}.html")
@@ -51,22 +51,22 @@ def desk_file(file: str = "", out: str = "", **options) -> list[str]:
 
 
 def show_desk(file: str = "", **options):
-    """The desk for a machine in a cell of Jupyter, its state in Python; needs anywidget.
+    """The desk for a machine in a Jupyter cell, with its state in Python; needs anywidget.
 
-    It is the page that `desk_file` writes, of the same modules; nothing is loaded from elsewhere, and its downloads go to
-    the browser.
+    It consists of the same modules as the page that `desk_file` writes; nothing is loaded from elsewhere, and downloads go
+    to the browser.
 
     Parameters
     ----------
     file : str
-        As of `desk_file`; empty: an example.
+        See `desk_file`; empty: an example.
     **options
-        Other arguments of `desk_file`, all but `out`.
+        Other arguments of `desk_file` except `out`.
 
     Returns
     -------
     stillwork.design.desk_widget.DeskWidget
-        The last line of a cell shows it. Its `design`, `controller` and `reached` are what stands on the desk.
+        Shown if it is the last line of a cell. `design`, `controller` and `reached` hold the present state of the desk.
 
     Raises
     ------
@@ -95,10 +95,10 @@ def machine_to_begin_with(
     uncertainty: str | Mapping[str, float] = "",
     **reading,
 ) -> dict[str, Any]:
-    """What the page holds of the machine in `file`, or of an example, with the rate and the delay of the first design.
+    """The page's data of the machine in `file`, or of an example, with rate and delay of the first design.
 
-    `rate` (Hz; 0: chosen by the resonances) and `delay` (samples) are where the design begins; `fit_hz`, `loop_hz`,
-    `uncertainty` and what is left of `reading` mean what they mean in `design.design_file`.
+    The design begins with `rate` (Hz; 0: chosen from the resonances) and `delay` (samples); see `design.design_file` for
+    `fit_hz`, `loop_hz`, `uncertainty` and the arguments in `reading`.
     """
     require_number("rate", rate, at_least=0.0)
     require_number("delay", delay, at_least=0.0)
@@ -119,7 +119,7 @@ def read_machine(
     uncertainty: Mapping[str, float] = UNCERTAINTY,
     **reading,
 ) -> dict[str, Any]:
-    """What the page holds of the machine in a file, see `entry`; a measurement that nothing can be fitted to goes alone."""
+    """The page's data of the machine in a file, see `entry`; without a model if none can be fitted to the measurement."""
     taken = load_machine(file, **reading)
     try:
         machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
@@ -133,7 +133,7 @@ def read_machine(
 def entry(
     machine: Machine, uncertainty: Mapping[str, float], loop_hz: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Any]:
-    """A machine as the page's modules take it: model, box, and the measurement with the found delay taken out."""
+    """A machine as input of the page's modules: model, box, and the measurement with its delay removed."""
     model, fit = machine.sensors[0], machine.fit
     spread = uncertainty_of(machine, uncertainty)
     found = {
@@ -157,7 +157,7 @@ def entry(
     }
     if fit is not None and fit.phased is not None:
         found["notes"].append(
-            "the box of this page is without these phases: let `design` judge what you shape"
+            "the box of this page ignores these phases: check your controller with `design`"
         )
     if machine.measured is not None and fit is not None:
         measured = remove_delay(machine, fit.delay).measured
@@ -170,7 +170,7 @@ def entry(
 
 
 def _measured_alone(taken, reason, loop_hz, uncertainty) -> dict[str, Any]:
-    """A measurement of which the page itself finds what it is below its first line, and its mass."""
+    """A measurement without a model; the page itself estimates its mass and extends it below its first line."""
     band = whole_band(taken.accelerance, loop_hz)
     return {
         "name": taken.source,
@@ -185,7 +185,7 @@ def _measured_alone(taken, reason, loop_hz, uncertainty) -> dict[str, Any]:
 
 
 def _lines(measured: Identified, band_hz, resonances_hz, widths_hz) -> dict[str, list[float]]:
-    """The measured lines of a band, thinned where nothing happens: those near a resonance stay, the others in logarithms."""
+    """The measured lines of a band: all near a resonance, the others thinned to logarithmic spacing."""
     hertz = measured.omega / (2 * np.pi)
     inside = np.flatnonzero((hertz >= band_hz[0]) & (hertz <= band_hz[1]))
     if len(inside) > MOST_LINES:

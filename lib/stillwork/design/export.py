@@ -15,7 +15,7 @@ ADAPTATIONS = {"FeRls": FeRls, "FeLms": FeLms}
 
 
 def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
-    """Write C99 of what `file` describes into a new or empty folder; returns a line that says what was written.
+    """Write the content of `file` as C99 into a new or empty folder; returns a line that lists what was written.
 
     The file is ``controller.json`` of the command ``design``; or TOML with a table [controller], see
     `stillwork.control.load_controller`, or [FeRls] or [FeLms] with their settings, ``actuators`` and ``regressors``.
@@ -53,8 +53,10 @@ def write_folder(folder: str | Path, files: dict[str, str]) -> None:
 
 
 def require_free(folder: str | Path) -> None:
-    """Refuse a folder in which something stands, nothing is overwritten; and one that cannot be written."""
+    """Refuse a folder that is not empty, since nothing is overwritten, and one that cannot be written to."""
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder} is not empty; nothing is overwritten: name a new folder, or move it away")
+        raise InputError(
+            f"{folder} is not empty; nothing is overwritten: give a new folder, or move this one away"
+        )
     require_writable(folder.absolute().parent)

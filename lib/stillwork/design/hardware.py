@@ -1,4 +1,4 @@
-"""What a controller meets on its machine beside the model: the noise of its sensor, and the digits of its processor."""
+"""What the model leaves out of a controller's machine: sensor noise and the precision of the processor."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,14 +14,14 @@ from stillwork.control.loop_noise import RATIO, SHARE, NoiseBound, crossing_nois
 from stillwork.control.pid import Pid
 from stillwork.control.single_precision import in_single_precision
 
-ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
+ALLOWED_DB = 6.01  # of a loop that is written; the search keeps 6 dB
 QUANTISED = 1 / np.sqrt(12)  # rms of the rounding to whole counts
-OF_CROSSING = "what the gain at the crossing makes of the noise below it"
-ROUNDED = 1.02  # times a bound: what is written is judged by another method than what is searched
+OF_CROSSING = "the output of the gain at the crossover for the noise below it"
+ROUNDED = 1.02  # times a bound: the written coefficients are judged by another method than the search
 
 
 class SensorNoise(NamedTuple):
-    """What is known of a sensor's noise, and what is allowed of it at the output, in the controller's own units."""
+    """A sensor's noise and what is allowed of it at the output, in the controller's units."""
 
     rms: float  # of one sample; 0: not known
     basis: str  # of that number, in words
@@ -30,7 +30,7 @@ class SensorNoise(NamedTuple):
     ratio: float  # see `NoiseBound`
 
     def bound(self, position: float, drive: float) -> NoiseBound:
-        """For a machine in other units: a unit of its position and of its drive hold so many of the controller's."""
+        """For a machine in other units: `position` and `drive` are the controller's units per unit of the machine."""
         gain = np.inf
         if self.judged_by_limit:
             gain = self.share * self.limit / self.rms * position / drive
@@ -43,11 +43,11 @@ class SensorNoise(NamedTuple):
 
 
 def sensor_noise(unit: str, limit: float, noise: float, share: float, ratio: float) -> SensorNoise:
-    """From what was asked for; `ratio` 0: `RATIO` where noise or limit are not known, else no bound."""
+    """From the arguments of `design_file`; `ratio` 0: `RATIO` if noise or limit is unknown, else no bound."""
     for name, value in (("noise", noise), ("noise_ratio", ratio)):
         require_number(name, value, at_least=0.0)
     require_number("noise_share", share, above=0.0)
-    basis = f"{noise:g} {unit} rms a sample, given" if noise else "not known: give --noise or --counts"
+    basis = f"{noise:g} {unit} rms per sample, given" if noise else "unknown: give --noise or --counts"
     if not noise and unit == "count":
         noise, basis = QUANTISED, "rounding to whole counts, 0.289 count rms, white: an assumption"
     found = SensorNoise(noise, basis, limit, share, np.inf)
@@ -83,7 +83,7 @@ def noise_rows(
         found.append((gain, largest, ratio, abs(float(controller.linear.d[0, 0]))))
     gain, largest, ratio, jump = max(found)
     unit = f"{units[1]}/{units[0]}"
-    makes = f"{gain:.3g} {unit} rms over rms; {ratio:.3g} times {OF_CROSSING}"
+    makes = f"{gain:.3g} {unit} (rms over rms); {ratio:.3g} times {OF_CROSSING}"
     rows = [["noise of the sensor", noise.basis], ["white noise to the output", makes]]
     rows.append(["largest gain", f"{largest:.3g} {unit} at any frequency, {jump:.3g} {unit} within a sample"])
     share = None
@@ -96,13 +96,14 @@ def noise_rows(
         allowed.append(f"{100 * noise.share:g} % of the limit (--noise-share)")
     if noise.ratio < np.inf:
         allowed.append(f"{noise.ratio:g} times {OF_CROSSING} (--noise-ratio)")
-    rows.append(["allowed of it, an assumption", " and ".join(allowed)])
+    rows.append(["allowed noise, an assumption", " and ".join(allowed)])
     if (noise.judged_by_limit and share > ROUNDED * noise.share) or ratio > ROUNDED * noise.ratio:
         raise InputError(
-            f"noise: the written controller makes {makes}; allowed are {' and '.join(allowed)}: allow more, or sample faster"
+            f"noise: white noise passes the written controller with a gain of {makes}; allowed are "
+            f"{' and '.join(allowed)}: allow more, or sample faster"
         )
     if (share or 0.0) > ROUNDED * SHARE or ratio > ROUNDED * RATIO:
-        rows.append(["warning", "this is much noise for an actuator: heat, sound and wear"])
+        rows.append(["warning", "this noise is high for an actuator: heat, sound and wear"])
     return rows
 
 

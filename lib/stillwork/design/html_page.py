@@ -1,4 +1,4 @@
-"""Tables and pictures as a page of one file holds them."""
+"""Tables and pictures of a page that is one file."""
 
 import base64
 import html
@@ -12,34 +12,32 @@ from stillwork.base.checks import InputError
 
 
 def page(template: str, source: str, kind: str = "", **parts: str) -> str:
-    """A page about `source`, which its title says to be of a `kind`: a template of this folder with its parts in place."""
+    """A page about `source`, its title with the `kind`: a template of this folder with its parts filled in."""
     content = _filled(template, parts)
     return _filled("page.html", {"source": source, "kind": kind, "content": content})
 
 
 def require_new(target: str | Path) -> Path:
-    """The path of a file to be written: refused where one stands, or where none can be, before anything is computed."""
+    """The path of a file to be written: refused if it exists or cannot be written, before anything is computed."""
     target = Path(target)
     if target.exists():
         raise InputError(f"{target} exists; move it away, or give another --out")
     if not target.parent.is_dir():
-        raise InputError(f"{target}: there is no folder {target.parent}; make it, or give another --out")
+        raise InputError(f"{target}: folder {target.parent} does not exist; make it, or give another --out")
     require_writable(target.parent)
     return target
 
 
 def require_writable(folder: Path) -> None:
-    """Refuse a folder in which nothing can be written: it, or the nearest above it that is there."""
+    """Refuse a folder that cannot be written to: it, or the nearest existing one above it."""
     there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     if not there.is_dir():
-        raise InputError(f"{folder} cannot be made: {there} is a file; give another --out")
+        raise InputError(f"{folder} cannot be created: {there} is a file; give another --out")
     try:
         with TemporaryDirectory(dir=there, prefix=".tried-"):
             pass
     except OSError as error:
-        raise InputError(
-            f"nothing can be written into {there} ({error.strerror}); give another --out"
-        ) from None
+        raise InputError(f"{there} cannot be written to ({error.strerror}); give another --out") from None
 
 
 def _filled(template: str, parts: Mapping[str, str]) -> str:
@@ -47,7 +45,7 @@ def _filled(template: str, parts: Mapping[str, str]) -> str:
 
 
 def picture(figure, words: str) -> str:
-    """A figure as the page holds it, and what it is in words."""
+    """A figure embedded in the page, with `words` as its text alternative."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
     data = base64.b64encode(buffer.getvalue()).decode()

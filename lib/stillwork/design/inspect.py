@@ -1,4 +1,4 @@
-"""What a file of one's own holds, and which notebooks can use it."""
+"""The command ``inspect``: what a file holds, and which notebooks can use it."""
 
 import ast
 import json
@@ -33,17 +33,17 @@ SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cos
 
 
 def inspect_file(file: str) -> str:
-    """Report of what a file holds, what is wrong with it, and the commands that use it; nothing in it is executed."""
+    """List what a file holds, what is wrong with it, and the commands that use it; nothing in it is executed."""
     path = Path(file)
     if not os.path.isfile(path):  # False as well, as for a folder, for a name that no system takes
         if os.path.isdir(path):
             raise InputError(f"{file}: this is a folder; name a file in it")
         raise InputError(f"{short_repr(file)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
     kinds = {".toml": _toml, ".py": _plant}
-    with np.errstate(all="ignore"):  # what is not finite, a line says
+    with np.errstate(all="ignore"):  # a line reports what is not finite
         lines = list(kinds.get(path.suffix.lower(), _data)(path))
     if not in_checkout() and any(line.startswith("for ") for line in lines):
-        lines.append("the commands behind 'for' are run in a checkout of stillwork")
+        lines.append("the commands after 'for' require the cloned repository of stillwork")
     return "\n".join(map(one_line, lines))
 
 
@@ -59,7 +59,7 @@ def _data(path: Path) -> Iterator[str]:
     machine = list(_machine(path, arrays))
     yield from machine
     if any(values.dtype.kind == "c" for values in arrays.values()) and not frequency_axis(arrays):
-        yield "complex values without frequencies: put them, with a column frequency (Hz) as long, into a file of their own"
+        yield "complex values without frequencies: put them into a separate file, with a column frequency (Hz) of the same length"
         return
     # One hit's force and response may be an input-output record, too; several hits side by side are none.
     signals = [array for name, array in arrays.items() if array.size > 1 and not is_time(name)]
@@ -88,14 +88,14 @@ def _toml(path: Path) -> Iterator[str]:
 
 
 def _isolate(machine: str, floor: str, unit: str = "", channels: Collection[str] = ()) -> str:
-    """The command for the feedforward, with what is not known in capitals."""
+    """The command for the feedforward, unknown arguments in capitals."""
     words = [machine, floor, "--rate", "HZ", "--out", "my_isolator"]
     words += ["--unit", unit] if unit else []
     return command("a feedforward in C", ["isolate", *words, *(f"--channel={name}" for name in channels)])
 
 
 def _spectra(path: Path) -> Iterator[str]:
-    """What takes spectra of a motion."""
+    """The commands for spectra of a motion."""
     columns = read_columns(path)
     axis, spectra = frequency_axis(columns), spectra_of(columns)
     hertz = hertz_in(axis) * columns[axis]
@@ -103,7 +103,7 @@ def _spectra(path: Path) -> Iterator[str]:
     alike = [name for name, other in spectra.items() if other == unit]
     yield f"spectra over {len(hertz)} frequencies up to {hertz.max():.4g} Hz: {', '.join(spectra)}"
     if not unit:
-        yield f"it does not say the unit of its densities; put one of these for UNIT: {DENSITIES_SAID}"
+        yield f"the unit of its densities is not stated; replace UNIT by one of these: {DENSITIES_SAID}"
     unit = unit or "UNIT"
     yield command("one page about it", ["report", str(path.resolve()), "--unit", unit])
     yield _isolate("MACHINE", str(path.resolve()), unit, alike if len(alike) < len(spectra) else ())
@@ -114,7 +114,7 @@ def _spectra(path: Path) -> Iterator[str]:
 
 
 def _record(path: Path) -> Iterator[str]:
-    """What the topics that take signals over time make of a file."""
+    """The commands for signals over time."""
     try:
         record = load_unscaled(path)
     except InputError as error:
@@ -125,18 +125,18 @@ def _record(path: Path) -> Iterator[str]:
     known = [(name, unit) for name, unit in zip(record.names, units, strict=True) if name not in odd]
     yield f"a record of {pluralise(len(record.names), 'channel')}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
     if odd:
-        yield f"no unit that is known: {', '.join(odd.values())}; convert {', '.join(odd)} to one of these: {UNITS_SAID}"
+        yield f"unknown units: {', '.join(odd.values())}; convert {', '.join(odd)} to one of these: {UNITS_SAID}"
     if any(not unit for _, unit in known):
-        yield f"it does not say every unit; put one of these for UNIT: {UNITS_SAID}"
+        yield f"not every unit is stated; replace UNIT by one of these: {UNITS_SAID}"
 
     def measuring(wanted: tuple[str, ...]) -> list[tuple[str, str]]:
-        """Channels in one of these SI units, or in one that the file does not say."""
+        """Channels in one of these SI units, or in a unit that the file does not state."""
         return [(name, unit) for name, unit in known if not unit or unit_factor(unit)[1] in wanted]
 
     motions = measuring(MOTION_UNITS)
     if motions and record.duration >= SHORTEST_FLOOR_S:
         unit = motions[0][1]
-        # Each in its own unit of the same quantity, as its name says; then no unit is given.
+        # Each in its own unit of the same quantity, as in its name; then no unit is given.
         quantity = unit and unit_factor(unit)[1]
         alike = [name for name, other in motions if (other and unit_factor(other)[1]) == quantity]
         own = {other for name, other in motions if name in alike}
@@ -162,7 +162,7 @@ def _record(path: Path) -> Iterator[str]:
 
 
 def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
-    """What the topic motion makes of a file; nothing where no name in it points to a machine."""
+    """The commands for a machine; nothing if no name in the file belongs to one."""
     from stillwork.identification.machine import build_machine
     from stillwork.identification.machine_files import (
         complex_responses,
@@ -190,7 +190,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             response, force = stated_units(arrays)
             settings |= {"response_unit": response or "UNIT", "force_unit": force or "N"}
             if not response:
-                yield "it does not say the unit of the response; put m/s^2, g, m/s, mm/s, m, mm or um for UNIT"
+                yield "the unit of the response is not stated; replace UNIT by m/s^2, g, m/s, mm/s, m, mm or um"
             settings |= {"fit_hz": "0,0", "loop_hz": "0,0"}
             if chosen:
                 settings["response"] = chosen

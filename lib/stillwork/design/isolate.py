@@ -1,4 +1,4 @@
-"""The command ``isolate``: from an isolator and its floor to a self-tuned feedforward in C, certified and predicted."""
+"""The command ``isolate``: a self-tuning feedforward in C for an isolator and its floor, with certificate and prediction."""
 
 import html
 import json
@@ -48,16 +48,14 @@ from stillwork.signals.records import PASS_SHARE, load_record, to_acceleration
 from stillwork.signals.spectra import estimate_spectrum
 from workbook import figures
 
-QUIET = 1e-5  # m/s^2/sqrt(Hz): noise of a sensor of which nothing is said
+QUIET = 1e-5  # m/s^2/sqrt(Hz): noise of a sensor for which none is given
 MAINS_WIDTH = 0.1  # of a notch, bandwidth over frequency
 LINE_HZ = 0.25  # between lines of a record
-SLOWEST_HZ = (
-    0.02  # from where on a floor is judged: between lines of spectra, and of a record that is long enough
-)
-SLOW_RATIO = 5.0  # of slow motion per root Hz over that in band, from which on it is reported (chosen)
-LISTENED_S = 60.0  # over which the motion is judged that spectra foresee
+SLOWEST_HZ = 0.02  # lowest frequency at which a floor is judged, and the resolution of spectra and of a record that is long enough
+SLOW_RATIO = 5.0  # of slow motion per root Hz over that in band, above which it is reported (chosen)
+LISTENED_S = 60.0  # duration over which the motion predicted by spectra is judged
 PAUSES = 5.0  # of the band's slowest time constant, for which the weights are kept after the limit acted
-PEAKS = 4.0  # of a command over its rms, that the limit of the force has to leave (chosen)
+PEAKS = 4.0  # of a command over its rms, for which the limit of the force must leave room (chosen)
 TEMPLATE = Path(__file__).with_name("isolate.toml")
 MECHANICS = ("mass", "damping", "stiffness", "actuator_pole_hz", "delay_s", "floor")
 
@@ -78,47 +76,47 @@ def isolate_file(
     name: str = "isolator",
     precision: str = "double",
 ) -> list[str]:
-    """Design a self-tuned feedforward for an isolator on a floor and write it, in C99, into a new folder with a page.
+    """Design a self-tuning feedforward for an isolator on a floor; write it as C99 with a page into a new folder.
 
     Parameters
     ----------
     machine : str
         TOML with a table [isolator], or the measured response of its acceleration to its actuators; see `read_isolator`.
     floor : str
-        A record of the floor sensors, or their power spectral densities; one channel stands for independent sensors
-        that are all shaken so.
+        A record of the floor sensors, or their power spectral densities; a single channel gives the spectrum of every
+        sensor, their motions being independent.
     folder : str
-        New or empty.
+        New or empty folder.
     rate : float
-        Samples a second of the controller, Hz.
+        Sample rate of the controller, Hz.
     unit : str
-        Of the floor's channels; empty: as the file says.
+        Unit of the floor's channels; empty: as stated in the file.
     channel : sequence of str
-        Those of the floor to take; empty: all.
+        Channels of the floor to use; empty: all.
     limit : float
-        Of each command, N.
+        Limit of each command, N.
     algorithm : str
         ``FeRls`` or ``FeLms``.
     variance : float
-        By what share moving weights may raise the power of what remains: it sets lambda or mu.
+        Share by which the scatter of the weights may raise the power of what remains: it sets lambda or mu.
     spread : float
-        How far the true isolator may be from what is known; see `isolation_design.SPREADS`.
+        Relative uncertainty of the isolator; see `isolation_design.SPREADS`.
     band_hz : tuple of float
-        Of the filtered error; (0, 0): chosen.
+        Band of the filtered error, Hz; (0, 0): chosen.
     name, precision : str
         See `isolation_code`.
 
     Returns
     -------
     list of str
-        What was chosen and found, a line each.
+        The choices and the results, one line each.
 
     Raises
     ------
     MissingPackage
         When the page cannot be drawn, before anything is computed.
     InputError
-        When a file cannot be used, the loop may not be switched on, or something stands in the folder.
+        When a file cannot be used, the loop may not be switched on, or the folder is not empty.
     """
     require_package("matplotlib")
     require_free(folder)
@@ -154,7 +152,7 @@ def isolate_file(
             f"{pluralise(isolator.axes, 'actuator')}, modes at {_listed(isolator.frequencies_hz)} Hz",
         ],
         ["skyhook gain", f"{loop.gain:.4g} N s/m on each axis"],
-        ["weak integrators", f"third order, cut off at {loop.cutoff_hz:g} Hz, beta {loop.beta:.4g} 1/s"],
+        ["weak integrators", f"third order, cut-off {loop.cutoff_hz:g} Hz, beta {loop.beta:.4g} 1/s"],
         [
             "high-pass of the floor sensors",
             f"{pluralise(loop.highpasses, 'time')} 1 - (a / (s + a))^3 with that cut-off",
@@ -174,8 +172,8 @@ def isolate_file(
             f"{spectra.duration:.3g} s up to {_listed(found.force[1])} N rms",
         ],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
-        *(["taken", each] for each in (*notes, *said)),
-        *(["look at the floor", each] for each in seen),
+        *(["assumed", each] for each in (*notes, *said)),
+        *(["check the floor", each] for each in seen),
     ]
     checks = certificate_rows(design, around)
     remains = remains_rows(found, spectra)
@@ -229,37 +227,38 @@ def isolate_file(
 
 
 def require_force(found: IsolationPrediction, limit: float) -> None:
-    """A `limit` that the commands stay within, or `InputError`: a command at its limit isolates nothing."""
+    """Refuse a `limit` that the commands may reach: a command at its limit isolates nothing."""
     largest = float(found.force[0].max())
     if limit < PEAKS * largest:
         raise InputError(
             f"not to be switched on: limit is {limit:g} N, and on this floor a command has {largest:.3g} N rms; give "
-            f"{PEAKS * largest:.3g} N or more, or begin the band higher"
+            f"{PEAKS * largest:.3g} N or more, or start the band at a higher frequency"
         )
 
 
 def new_file(file: str) -> list[str]:
-    """Write the commented TOML of an isolator, to fill in, to a `file` that is not there yet."""
+    """Write a commented template of an isolator (TOML) to a new `file`."""
     with Path(file).open("x", encoding="utf-8") as out:
         out.write(TEMPLATE.read_text(encoding="utf-8"))
     return [f"{file}: fill it in, then python -m stillwork isolate {file} FLOOR --rate HZ --out DIR"]
 
 
 def read_isolator(file: str, rate: float):
-    """Isolator, what the controller takes it for, its measured response or None, lines to leave out in Hz, and notes.
+    """Isolator, the controller's estimate of it, its measured response or None, frequencies to notch in Hz, and notes.
 
-    TOML with [isolator] (``mass`` in kg, ``damping`` in N s/m and ``stiffness`` in N/m along the actuators, a number or a
-    matrix; ``actuator_pole_hz``; ``delay_s`` from sample to force, by default a sample; ``floor``, the motion of each axis's
-    foot per floor sensor, by default each its own), perhaps [noise] (``floor`` and ``platform``, m/s^2/sqrt(Hz)),
-    [estimate] (of the same mechanics all but delay and floor, where the controller is to take others), ``response`` (a file,
-    beside it, of the measured response) and ``notches_hz``. Or that response alone: then the mechanics are fitted to it.
+    The file is TOML with [isolator] (``mass`` in kg, ``damping`` in N s/m and ``stiffness`` in N/m along the actuators, a
+    number or a matrix; ``actuator_pole_hz``; ``delay_s`` from sample to force, by default one sample; ``floor``, the motion
+    of each axis's foot per floor sensor, by default one sensor for each) and optionally [noise] (``floor`` and
+    ``platform``, m/s^2/sqrt(Hz)), [estimate] (values of the mechanics other than delay and floor that the controller
+    assumes instead), ``response`` (a file, in the same folder, of the measured response) and ``notches_hz``. Or it is the
+    measured response alone: then the mechanics are fitted to it.
     """
     path = Path(file)
     if path.suffix.lower() != ".toml":
         f, seen, notes = read_response(path)
         fitted = _fitted(f, seen, rate, notes)
         notes.append(
-            f"each axis on a floor sensor of its own, with sensors of {QUIET:g} m/s^2/sqrt(Hz); a TOML says otherwise"
+            f"one floor sensor for each axis, sensor noise {QUIET:g} m/s^2/sqrt(Hz); to change this give a TOML file"
         )
         own = Isolator(
             fitted.mass, fitted.damping, fitted.stiffness, np.eye(len(fitted.mass)), fitted.actuator_pole, fitted.delay,
@@ -285,7 +284,7 @@ def read_isolator(file: str, rate: float):
     estimate = isolator
     if "estimate" in whole:
         other = whole.table("estimate")
-        other.require_known(MECHANICS[:4])  # the filters invert no delay, and the floor's way is learnt
+        other.require_known(MECHANICS[:4])  # the filters invert no delay, and the floor's path is learnt
         estimate = _mechanics(Table({**table_of, **other}, whole.where), noise, rate)
     notches = require_array("notches_hz", whole.get("notches_hz", []), ndim=1).tolist()
     if measured is not None and measured[1].shape[1] != isolator.axes:
@@ -296,9 +295,9 @@ def read_isolator(file: str, rate: float):
 
 
 def _fitted(f: np.ndarray, seen: np.ndarray, rate: float, notes: list[str]) -> PathFit:
-    """The mechanics that a measured response shows; how near they come is noted."""
+    """The mechanics fitted to a measured response; the relative error is noted."""
     fitted = fit_path(f, seen, rate)
-    notes.append(f"fitted to {len(f)} lines, off by {100 * fitted.residual:.2g} % of the response")
+    notes.append(f"mechanics fitted to {len(f)} lines, error {100 * fitted.residual:.2g} % of the response")
     return fitted
 
 
@@ -342,7 +341,7 @@ def read_response(path: Path) -> tuple[np.ndarray, np.ndarray, list[str]]:
 
 
 def unmodelled(isolator: Isolator, measured, rate: float):
-    """What a measured P2 has more than the isolator's, at frequencies in Hz: straight between lines, none beyond them."""
+    """Measured P2 less the isolator's, at frequencies in Hz: linear between lines, zero beyond them."""
     lines, seen = measured
     off = (seen - isolator.paths(lines, 1 / rate)[2]).reshape(len(lines), -1)
 
@@ -354,7 +353,7 @@ def unmodelled(isolator: Isolator, measured, rate: float):
 
 
 def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[str]):
-    """Cross spectra of the floor sensors below nine tenths of half the rate, notes, and what may spoil the adaptation."""
+    """Cross spectra of the floor sensors below 0.45 times the rate, notes, and what may disturb the adaptation."""
     path = Path(file)
     spectral = density_unit(unit) if unit else any(map(stated_density, read_columns(path)))
     notes = []
@@ -363,7 +362,7 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
         lines = np.arange(SLOWEST_HZ, min(f[-1], 0.45 * rate), SLOWEST_HZ)
         rows = np.array([np.interp(lines, f, row) for row in rows])
         density = rows.T[:, :, None] * np.eye(len(rows))
-        notes.append("the floor sensors as independent of one another")
+        notes.append("the signals of the floor sensors are independent of each other")
         rms = float(np.sqrt(SLOWEST_HZ * rows.sum(axis=1).max()))
         require_floor_level(path.name, unit, rms, rms)
         spectra, known = binned(lines, density, LISTENED_S, f"spectra of {path.name}"), float(f[0])
@@ -384,16 +383,18 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
         slow, known = slow_ratio(whole.frequencies_hz, whole.density), float(spectra.frequencies_hz[0])
         spectra = _down_to(SLOWEST_HZ, spectra)
     if known > 2 * SLOWEST_HZ:
-        notes.append(f"below {known:.3g} Hz, where nothing is known of the floor, as at {known:.3g} Hz")
+        notes.append(
+            f"below {known:.3g} Hz, where the floor is unknown, its density is that at {known:.3g} Hz"
+        )
     if slow > SLOW_RATIO:
         seen.append(
             f"At {SLOW_HZ[0]:g} to {SLOW_HZ[1]:g} Hz the floor's acceleration per √Hz is {slow:.2g} times that at "
-            f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, so the adaptation is made slow and "
-            "more is filtered from the floor sensors by a high-pass, which leaves more in the band."
+            f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, so the adaptation is made slower and "
+            "the high-pass of the floor sensors stronger, which isolates less in the band."
         )
     channels = spectra.density.shape[1]
     if channels == 1 < sensors:
-        notes.append(f"every one of the {sensors} floor sensors as shaken like this one, independently")
+        notes.append(f"each of the {sensors} floor sensors has the spectrum of this one, independently")
         spectra = replace(spectra, density=spectra.density * np.eye(sensors))
     elif channels != sensors:
         raise InputError(
@@ -403,7 +404,7 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
 
 
 def _down_to(lowest_hz: float, spectra: FloorSpectra) -> FloorSpectra:
-    """Lines from `lowest_hz` on: below the first of a short record the density stays as it is there."""
+    """Lines from `lowest_hz` on: below the first line of a short record the density is that of the first line."""
     first, width = spectra.frequencies_hz[0], spectra.widths_hz[0]
     count = int((first - width / 2) / lowest_hz)
     if count < 1:
@@ -452,7 +453,7 @@ def certificate_rows(design: IsolationDesign, around: list[IsolationDesign]) -> 
         ],
         [
             "slow motion of the floor over that in band",
-            f"{own.red:.3g} (survives {RED_LIMIT / own.red:.3g} times as much)",
+            f"{own.red:.3g} (could be {RED_LIMIT / own.red:.3g} times larger)",
             f"{red:.3g}",
             f"{RED_LIMIT:g}",
         ],
@@ -475,7 +476,7 @@ def remains_rows(found: IsolationPrediction, floor: FloorSpectra) -> list[list[s
 
 
 def paint_transmissibility(design: IsolationDesign, found: IsolationPrediction):
-    """Of every axis: without control, expected, and the band over the box."""
+    """Transmissibility of every axis: without control, expected, and the band over the box."""
     axes_count = len(found.without)
     columns = min(axes_count, 3)
     figure, panels = figures.new(-(-axes_count // columns), columns, squeeze=False, sharex=True, sharey=True)

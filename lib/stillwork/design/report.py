@@ -1,4 +1,4 @@
-"""The command ``report``: what a measurement says, on one page: a machine's, a record's, or power spectral densities."""
+"""The command ``report``: one page about a measured machine, a record or power spectral densities."""
 
 import html
 import sys
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy import integrate
 
-from stillwork.base.checks import InputError, one_line
+from stillwork.base.checks import InputError, one_line, pluralise
 from stillwork.base.extras import require_package
 from stillwork.control.machine_designs import DELAY, EACH, asked_uncertainty, search_designs
 from stillwork.design.design import USES, paint_machine, paint_stabilisation, uses_table
@@ -50,7 +50,7 @@ NORMAL = 1.96  # standard deviations either side of a number, 95 %
 
 
 class Missing(InputError):
-    """What a file does not say and nobody has said: ask for `name`."""
+    """Information that is neither in a file nor given: the user is prompted for `name`."""
 
     def __init__(self, name: str, question: str, value: str = "UNIT"):
         super().__init__(f"{question}; give --{name.replace('_', '-')} {value}")
@@ -58,7 +58,7 @@ class Missing(InputError):
 
 
 def report_asking(file: str, out: str, **said) -> list[str]:
-    """`report_file`, with a question to who sits at a terminal for each thing that is missing."""
+    """`report_file`, with a prompt at the terminal for each missing piece of information."""
     while True:
         try:
             return report_file(file, out, **said)
@@ -76,16 +76,17 @@ def _number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"{text!r} is no number of Hz; begin again") from None
+        raise InputError(f"{text!r} is not a number; give the rate in Hz") from None
 
 
 def report_file(file: str, out: str = "", **said) -> list[str]:
-    """Write one page about the measurement in `file`, a new one; returns what was found, a line each.
+    """Write a new page about the measurement in `file`; returns the findings, one line each.
 
-    `said` is what the file may leave out: `unit` of a record or of densities, `response_unit`, `force_unit`, `response`,
-    `sample_rate` (Hz), `damping_ratio` and `fit_hz`; and what a controller is searched for, as the command `design` has
-    it: `rate` (Hz), `delay` (samples), `uncertainty` and `loop_hz`. Empty or None where nothing is said: what is needed
-    of the file and said nowhere is `Missing`, what is searched for has a default, which the page prints.
+    `said` holds what the file may not state: `unit` of a record or of densities, `response_unit`, `force_unit`,
+    `response`, `sample_rate` (Hz), `damping_ratio` and `fit_hz`; and the settings of the search for a controller, as in
+    the command `design`: `rate` (Hz), `delay` (samples), `uncertainty` and `loop_hz`. Empty or None: not given. If
+    necessary information is neither in the file nor given, `Missing` is raised; the search's settings have defaults,
+    which the page prints.
     """
     require_package("matplotlib")
     source = Path(file)
@@ -94,7 +95,7 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
     held = inspect_file(file)
     if source.suffix.lower() in (".toml", ".py"):
         raise InputError(
-            f"{source.name} is a model, not a measurement; `stillwork inspect` says what takes it"
+            f"{source.name} is a model, not a measurement; `stillwork inspect` lists the commands for it"
         )
     target = require_new(out or f"{source.name}.html")
     arrays = read_arrays(source)
@@ -137,7 +138,7 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
         ):
             if not stated and name not in said:
                 whose = name.partition("_")[0]
-                raise Missing(name, f"{source.name} does not say the unit of the {whose} ({usual}, say)")
+                raise Missing(name, f"{source.name} does not state the unit of the {whose} (e.g. {usual})")
     file = load_machine(source, **options)
     band = said.get("fit_hz", (0.0, 0.0))
     machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
@@ -157,7 +158,7 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
         yield f"no loop was searched: {error}"
     else:
         yield from made.lines()
-        yield "How far a PID controller gets, and what an observer adds", uses_table(made)
+        yield "Bandwidth with a PID controller, and what an observer adds", uses_table(made)
 
 
 def _modes(machine: Machine) -> str:
@@ -182,14 +183,14 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     given = said.get("unit", "")
     silent = [name for name in record.names if not stated_unit(name)]
     if silent and not given:
-        raise Missing("unit", f"{source.name} does not say the unit of {silent[0]} ({UNITS_SAID})")
+        raise Missing("unit", f"{source.name} does not state the unit of {silent[0]} ({UNITS_SAID})")
     for name in () if silent else record.names:
         channel_unit(source.name, name, given)  # nothing is left that a given unit could mean
     units = [stated_unit(name) or given for name in record.names]
     factors, units = zip(*map(unit_factor, units), strict=True)
     signals = record.signals * np.array(factors)[:, None]
     signals -= signals.mean(axis=1, keepdims=True)
-    yield f"a record: {record.sample_rate:.6g} Hz, {record.duration:.4g} s, {len(units)} channel(s)"
+    yield f"a record: {record.sample_rate:.6g} Hz, {record.duration:.4g} s, {pluralise(len(units), 'channel')}"
     rows = []
     for name, unit, row in zip(record.names, units, signals, strict=True):
         kurtosis = np.mean(row**4) / row.var() ** 2
@@ -208,7 +209,7 @@ def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     names = [name for name in arrays if name != frequency_axis(arrays)]
     unit = said.get("unit", "")
     if not (unit or all(map(stated_density, names))):
-        raise Missing("unit", f"{source.name} does not say the unit of its densities ({DENSITIES_SAID})")
+        raise Missing("unit", f"{source.name} does not state the unit of its densities ({DENSITIES_SAID})")
     hertz, density = read_densities(source, unit, [], MOST_CHANNELS)
     yield f"power spectral densities, {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, as accelerations"
     rows = []
@@ -230,7 +231,7 @@ def paint_densities(hertz, density, names, unit: str):
     seen = np.maximum(density, 1e-12 * density.max(axis=1, keepdims=True))
     figure, upper, lower = _two_panels(hertz, seen, np.sqrt(power), names)
     upper.set_ylabel(f"density (({unit})²/Hz)")
-    lower.set_ylabel(f"rms up to there ({unit})")
+    lower.set_ylabel(f"cumulative rms ({unit})")
     return figure
 
 
@@ -259,5 +260,7 @@ def _rate(source: Path, arrays, said) -> float:
     stated = said.get("sample_rate")
     timed = any(is_time(name) and array.size > 1 for name, array in arrays.items())
     if stated is None and not timed and not any(array.size == 1 for array in arrays.values()):
-        raise Missing("sample_rate", f"{source.name} has no time and no rate; its rate in Hz", "HZ")
+        raise Missing(
+            "sample_rate", f"{source.name} holds neither time nor sample rate; the rate in Hz", "HZ"
+        )
     return sampling_rate(source.name, arrays, stated)

@@ -1,4 +1,4 @@
-"""The command ``retest``: whether a new response still keeps what `design` promised, on one page."""
+"""The command ``retest``: check a new response against what `design` promised, on one page."""
 
 import html
 from collections.abc import Mapping
@@ -45,29 +45,29 @@ def retest_file(
     loop_hz: tuple[float, float] = (0.0, 0.0),
     **reading,
 ) -> list[str]:
-    """Close the loop of a written controller around a new response, and report whether the promise holds on it.
+    """Close the loop of a written controller around a new response, and report whether the promise of `design` holds.
 
     Parameters
     ----------
     controller : str
-        The JSON file that `design` wrote.
+        JSON file that `design` wrote.
     file : str
-        The machine again, measured as for `design` and in the same units; see `load_machine`.
+        New measurement of the machine, as for `design` and in the same units; see `load_machine`.
     out : str
-        Of the page, a new one; empty: the name of `file` with ``.retest.html``.
+        Path of the page, which must not exist; empty: the name of `file` with ``.retest.html``.
     closed_loop : bool
-        `file` holds what was measured with the controller running: the force that reaches the machine over the one that
-        is injected beside the controller's, both sampled as the controller samples. That is the output sensitivity; the
-        machine follows from it and from the controller.
+        Whether `file` was measured in closed loop: the force on the machine over the force injected at the controller's
+        output, both sampled as the controller samples. That is the output sensitivity; the machine follows from it and
+        from the controller.
     fit_hz, loop_hz : tuple of float
-        See `design_file`; of a closed loop `loop_hz` is the band that counts.
+        See `design_file`; in closed loop, `loop_hz` is the band that is judged.
     **reading
         Other arguments of `load_machine`.
 
     Returns
     -------
     list of str
-        The verdict, and what has changed, a line each.
+        The verdict and the changes of the machine, one line each.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def retest_file(
     elif highest <= ALLOWED_DB:
         verdict = "the promise holds"
     else:
-        verdict = "whether the promise holds cannot be told at this noise; average longer about the peaks, or take more lines"
+        verdict = "not decided: at this noise the promise may hold or not; average longer near the peaks, or measure more lines"
     said = "; ".join(
         f"{where}: {', '.join(f'{SHOWN[name]} {peak}' for name, peak in each.items())}"
         for where, each in peaks.items()
@@ -136,13 +136,13 @@ def retest_file(
         f"{Path(file).name} with {Path(controller).name}: {verdict}",
         said,
         *([] if stable else ["the loop is unstable on the model of this response"]),
-        *([f"extra turns around -1 on the measurement: {turns}"] if turns is not None else []),
+        *([f"extra encirclements of -1 on the measurement: {turns}"] if turns is not None else []),
         *(" ".join(row) for row in changes if row[-1] != INSIDE),
     ]
-    head = ["", "then", "now", "change", ""]
+    head = ["", "at the design", "now", "change", ""]
     body = [f"<p>{html.escape(line)}</p>" for line in lines]
     body += [f"<h2>What has changed</h2>\n{table(head, changes)}"] if changes else []
-    shown = picture(paint_retest(before, loops, written), "sensitivities, then and now")
+    shown = picture(paint_retest(before, loops, written), "sensitivities, at the design and now")
     body += [f"<h2>The loop</h2>\n{shown}"]
     text = page(
         "report.html",
@@ -195,13 +195,13 @@ def _from_sensitivity(
     seen = Identified(*(each[inside] for each in ratio))
     if len(seen.omega) and np.abs(seen.response).max() < 0.5:
         raise InputError(
-            f"{Path(file).name} stays below {np.abs(seen.response).max():.2g}, and an output sensitivity reaches 1; give "
-            "the force that reaches the machine over the injected one, up to above the crossing"
+            f"{Path(file).name} stays below {np.abs(seen.response).max():.2g}, but an output sensitivity reaches 1; give "
+            "the force on the machine over the injected one, to above the crossover frequency"
         )
     if len(seen.omega) < ABOUT:
         raise InputError(
-            f"{Path(file).name} holds {pluralise(len(seen.omega), 'line')} below half the controller's rate, too few to tell "
-            f"noise from response; give {ABOUT} or more"
+            f"{Path(file).name} holds {pluralise(len(seen.omega), 'line')} below half the controller's rate, too few to "
+            f"separate noise from response; give {ABOUT} or more"
         )
     _, k_y, k_f = controller.model.frequency_response(seen.omega)[0]
     return replace(
@@ -218,16 +218,16 @@ def _gain_change(before: Loop, seen: Loop, pid: Pid, made: Table, name: str) -> 
     near = np.abs(np.log(seen.omega / (2 * np.pi * crossing))) < np.log(AROUND)
     if not near.any():
         raise InputError(
-            f"{name} holds no line from {crossing / AROUND:.3g} to {crossing * AROUND:.3g} Hz, about the loop's crossing; "
+            f"{name} holds no line from {crossing / AROUND:.3g} to {crossing * AROUND:.3g} Hz, near the loop's crossover; "
             "measure there, or widen loop_hz"
         )
     ratios = seen.plant_response[near] / before.plant_at(seen.omega[near])
     ratio = complex(np.median(ratios.real), np.median(ratios.imag))
     if abs(np.angle(ratio)) > np.pi / 4 or not 1 / STRANGE < abs(ratio) < STRANGE:
         raise InputError(
-            f"{name} is of another machine, or no output sensitivity: about the crossing at {crossing:.3g} Hz the machine "
-            f"that follows from it is {abs(ratio):.3g} times that of the design, turned by {np.degrees(np.angle(ratio)):.0f} "
-            "degrees; give the force that reaches the machine over the injected one"
+            f"{name} is of another machine, or no output sensitivity: near the crossover at {crossing:.3g} Hz the machine "
+            f"that follows from it has {abs(ratio):.3g} times the gain of the design and its phase is off by "
+            f"{np.degrees(np.angle(ratio)):.0f} degrees; give the force on the machine over the injected one"
         )
     # Of a median of independent lines, by the median of what they deviate along it.
     along = (ratios / ratio).real
@@ -239,7 +239,7 @@ def _gain_change(before: Loop, seen: Loop, pid: Pid, made: Table, name: str) -> 
     held = INSIDE if abs(change) + spread <= share else "not sure to be in the box"
     held = "outside the box" if abs(change) - spread > share else held
     shown = f"{100 * change:+.2g}{f' ± {100 * spread:.2g}' * (spread > 1e-5)} %"
-    return [[f"gain about {crossing:.3g} Hz", "1", f"{abs(ratio):.4g}", shown, held]]
+    return [[f"gain near {crossing:.3g} Hz", "1", f"{abs(ratio):.4g}", shown, held]]
 
 
 def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -> list[list[str]]:
