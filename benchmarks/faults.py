@@ -222,19 +222,19 @@ class Bench:
         run = self.fork(*arguments, root=root)
         return run.wait(), run.said()
 
-    def restore(self, saved: str, root: Path | None = None, shelves: tuple[str, ...] = CHANGED) -> None:
+    def restore(self, saved: str, root: Path | None = None, folders: tuple[str, ...] = CHANGED) -> None:
         root = root or self.root
-        for shelf in shelves:
-            shutil.rmtree(root / shelf, ignore_errors=True)
-            if (self.home / saved / shelf).is_dir():
-                shutil.copytree(self.home / saved / shelf, root / shelf, symlinks=True)
+        for folder in folders:
+            shutil.rmtree(root / folder, ignore_errors=True)
+            if (self.home / saved / folder).is_dir():
+                shutil.copytree(self.home / saved / folder, root / folder, symlinks=True)
         for each in [*self.toy.temporary.iterdir(), root / "build/accepting"]:
             shutil.rmtree(each, ignore_errors=True)
 
-    def save(self, saved: str, root: Path | None = None, shelves: tuple[str, ...] = CHANGED) -> None:
-        for shelf in shelves:
-            if ((root or self.root) / shelf).is_dir():
-                shutil.copytree((root or self.root) / shelf, self.home / saved / shelf, symlinks=True)
+    def save(self, saved: str, root: Path | None = None, folders: tuple[str, ...] = CHANGED) -> None:
+        for folder in folders:
+            if ((root or self.root) / folder).is_dir():
+                shutil.copytree((root or self.root) / folder, self.home / saved / folder, symlinks=True)
 
     def states(self) -> dict[str, tuple]:
         return {name: sources(self.root, name) for name in NOTEBOOKS}
@@ -437,7 +437,7 @@ def disturbed(
         return start(lambda: None).wait()
 
 
-def shelves(root: Path) -> Files:
+def accepted_files(root: Path) -> Files:
     return {
         n: t
         for n, t in contents(root).items()
@@ -446,11 +446,11 @@ def shelves(root: Path) -> Files:
 
 
 def accept_again(bench: Bench) -> tuple[Path, Files, Files]:
-    """The toy that is to be accepted, what stands on its shelves, and what shall."""
+    """The toy that is to be accepted, its accepted files, and those to be accepted."""
     root = bench.root / "accept"
     bench.restore("accepted", root, CHANGED[:4])
     shutil.copy(bench.home / "accepted" / "README.md", root)
-    return root, shelves(root), bench.clean["accepted"]
+    return root, accepted_files(root), bench.clean["accepted"]
 
 
 def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
@@ -483,7 +483,7 @@ def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
     said = run.said()
     if NOISE.search(said):
         raise Broken(said[-500:])
-    at_once, in_part = shelves(root), "stillwork: accepted in part" in said
+    at_once, in_part = accepted_files(root), "stillwork: accepted in part" in said
     if code >= 0:
         right = {
             0: at_once == new and "accepted 2" in said,
@@ -496,9 +496,9 @@ def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
     code, said = bench.run("figures", root=root)
     if code or not said.startswith("nothing to do"):
         raise Broken(f"the next build: {said[-300:]}")
-    now = shelves(root)
+    now = accepted_files(root)
     code, said = bench.run("accept", root=root)  # after a kill among the renames it writes the rest
-    if code or shelves(root) != new:
+    if code or accepted_files(root) != new:
         raise Broken(f"the next accept: {code} {said[-300:]}")
     if (root / "build/accepting").exists():
         raise Broken("left behind: build/accepting")
@@ -539,7 +539,7 @@ def edited_accept(bench: Bench, draw: random.Random) -> str:
 
     at = draw.choice([draw.randint(1, steps), draw.randint(steps // 2, steps)])  # the places come late
     run = bench.fork("accept", before=step_hook(root, at, edit, [0]), root=root)
-    code, said, now = run.wait(), run.said(), shelves(root)
+    code, said, now = run.wait(), run.said(), accepted_files(root)
     if NOISE.search(said):
         raise Broken(said[-500:])
     base, theirs = pickle.loads(note.read_bytes()) if note.exists() else (now.get(name), now.get(name))
@@ -1035,7 +1035,7 @@ def prepare_accept(bench: Bench) -> None:
     bench.steps["accept"] = 0
     del bench.steps["accept"]
     count_steps(bench, "accept", lambda install: bench.fork("accept", before=install, root=root), root)
-    bench.clean["accepted"] = shelves(root)
+    bench.clean["accepted"] = accepted_files(root)
 
 
 # The table.

@@ -31,7 +31,7 @@ sys.path.insert(0, str(ROOT / "lib"))
 from stillwork.base.source_digest import code, code_digest  # noqa: E402
 from workbook.choices import closure  # noqa: E402
 
-SHELVES = ("lib", "contest", "notebooks", "data")  # where a key finds its modules
+FOLDERS = ("lib", "contest", "notebooks", "data")  # where a key finds its modules
 SCHEMES = ("bytes", "code", "definitions", "names")
 Fragment = tuple[str, frozenset[str]]  # digest of a piece of code, and the names that stand in it
 
@@ -57,7 +57,7 @@ class Tree:
         sys.path[:0] = [str(folder / "lib"), str(folder)]
 
     def show(self, commit: str) -> None:
-        lines = git("ls-tree", "-r", commit, *SHELVES).decode().splitlines()
+        lines = git("ls-tree", "-r", commit, *FOLDERS).decode().splitlines()
         files = {line.partition("\t")[2]: line.split()[2] for line in lines}
         files = {name: sha for name, sha in files.items() if name.endswith((".py", ".ipynb", "choices.toml"))}
         for name, sha in files.items():
@@ -212,7 +212,7 @@ def main() -> int:
         tree = Tree(Path(folder).resolve())
 
         def keys_of(commit: str) -> dict[str, dict[str, str]]:
-            parts = git("ls-tree", commit, *SHELVES)
+            parts = git("ls-tree", commit, *FOLDERS)
             if parts not in known:
                 tree.show(commit)
                 known[parts] = tree.keys()

@@ -21,7 +21,7 @@ from workbook.provenance import commit, is_traceable, with_commit
 from workbook.publish import RECORD, Edited, read_record, replace_all, replace_file, seconds_taken
 from workbook.tasks import DURATIONS, Task, durations, tasks, updated_durations
 
-SHELVES = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
+FOLDERS = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
 OWN = (".png", ".csv", ".json")  # what builds write there; anything else is somebody's
 
 
@@ -115,10 +115,10 @@ def _differing(one: dict[str, bytes], other: dict[str, bytes]) -> list[str]:
 
 
 def _committed(folder: Path) -> dict[str, bytes]:
-    """What stands on the shelves and beside them, by path below `folder`."""
+    """Files of these folders and beside them, by path below `folder`."""
     files, seen = list(folder.iterdir()), set()
-    for shelf in SHELVES:
-        for place, below, names in os.walk(folder / shelf, onerror=_unless_gone, followlinks=True):
+    for top in FOLDERS:
+        for place, below, names in os.walk(folder / top, onerror=_unless_gone, followlinks=True):
             files += [Path(place, name) for name in names]
             if (real := os.path.realpath(place)) in seen:  # a link that leads back
                 below.clear()

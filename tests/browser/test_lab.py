@@ -33,8 +33,8 @@ def checkout(tmp_path_factory):
     """A committed copy of what `make lab` needs."""
     folder = tmp_path_factory.mktemp("lab") / "checkout"
     ignored = shutil.ignore_patterns("__pycache__", ".ipynb_checkpoints")
-    for shelf in ("lib", "contest", "data", "notebooks"):
-        shutil.copytree(ROOT / shelf, folder / shelf, ignore=ignored)
+    for name in ("lib", "contest", "data", "notebooks"):
+        shutil.copytree(ROOT / name, folder / name, ignore=ignored)
     for file in ("Makefile", ".gitignore"):
         shutil.copy(ROOT / file, folder)
     git(folder, "init", "--quiet")

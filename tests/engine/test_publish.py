@@ -187,7 +187,7 @@ AFTER = {"notebooks/a": b"2", "figures/b": b"2", "figures/new/c": b"new"}
 CHANGED = {**AFTER, "figures/gone": None}
 
 
-def shelves(root: Path) -> dict[str, bytes]:
+def accepted_files(root: Path) -> dict[str, bytes]:
     return {name: text for name, text in content(root).items() if "/." not in name}
 
 
@@ -252,7 +252,7 @@ def test_what_somebody_changes_meanwhile_stays_and_nothing_else_is_changed(tmp_p
         wanted = {**base, "figures/own": b"1", **dict(zip([name], theirs, strict=False))}
         if base is AFTER and theirs and theirs[0] and name in AFTER:
             assert theirs[0].startswith(AFTER[name])  # on top of the new one
-        assert shelves(tmp_path) == {each: text for each, text in wanted.items() if text is not None}
+        assert accepted_files(tmp_path) == {each: text for each, text in wanted.items() if text is not None}
         assert not list(tmp_path.rglob(".*.accepting"))
         seen.add(base is AFTER)
     untouched = name == "figures/own" or (name == "figures/new/c" and edit is remove)
@@ -317,7 +317,9 @@ def test_an_error_of_the_disk_leaves_a_change_as_it_says(tmp_path, monkeypatch, 
             break
         if outcome == "in part":
             change(tmp_path, CHANGED)
-        assert shelves(tmp_path) == (BEFORE if outcome == "nothing" else AFTER), f"{steps} {done[steps]}"
+        assert accepted_files(tmp_path) == (BEFORE if outcome == "nothing" else AFTER), (
+            f"{steps} {done[steps]}"
+        )
         if how != "from then on":
             assert not list(tmp_path.rglob(".*.accepting")), f"{steps} {done[steps]}"
         seen.add(outcome)

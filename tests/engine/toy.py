@@ -189,13 +189,13 @@ class Toy:
         """Every file that builds made, apart from what each says of how it was made."""
         return {name: text for name, text in self.files("build/figures").items() if "record.json" not in name}
 
-    def stamps(self, *shelves: str) -> dict[str, tuple[int, int]]:
-        """Inode and time of change of every file and folder (of some shelves), caches of Python aside."""
+    def stamps(self, *folders: str) -> dict[str, tuple[int, int]]:
+        """Inode and time of change of every file and folder (of some `folders`), caches of Python aside."""
         return {
             str(path): (path.stat().st_ino, path.stat().st_mtime_ns)
             for path in self.root.rglob("*")
             if "__pycache__" not in str(path)
-            and (not shelves or path.relative_to(self.root).parts[0] in shelves)
+            and (not folders or path.relative_to(self.root).parts[0] in folders)
         }
 
     def processes(self) -> list[psutil.Process]:
@@ -213,8 +213,8 @@ class Toy:
         """What a run left behind: processes, temporary files, half-written results."""
         hidden = [path for path in self.root.rglob("*") if path.name.endswith((".new", ".old", ".accepting"))]
         hidden += [path for path in self.root.glob("build/accepting")]
-        for shelf in ("figures", "variants"):
-            for home in (self.root / "build" / shelf).glob("*/.*/"):
+        for kind in ("figures", "variants"):
+            for home in (self.root / "build" / kind).glob("*/.*/"):
                 shown = os.readlink(home.with_name(home.name[1:]))
                 hidden += [each for each in home.iterdir() if f"{home.name}/{each.name}" != shown]
         processes = [" ".join(process.cmdline()) for process in self.processes()]

@@ -313,9 +313,8 @@ class _Study:
             given["instruments"] = self.instruments[kept]
         with warnings.catch_warnings():  # an estimate of zero is a result
             warnings.simplefilter("ignore", ZeroEstimateWarning)
-            warnings.simplefilter(
-                "ignore", UnlikeScalesWarning
-            )  # of a part at rest: over the record they are alike
+            # Scales may differ in a part at rest; over the whole record they are alike.
+            warnings.simplefilter("ignore", UnlikeScalesWarning)
             return estimator.fit(self.X[kept], self.y[kept], **given)
 
     def fitted(self, estimator) -> tuple[Any, np.ndarray]:
