@@ -1,1 +1,1 @@
-"""What the notebooks of this workbook need and nobody else: one package a topic. It is not installed."""
+"""Code that only the notebooks of this workbook need: one package per topic. It is not installed."""

@@ -79,7 +79,7 @@ def test_it_writes_all_of_it(written):
 def test_limits_of_the_setpoint_are_checked_in_sum_before_the_search(tmp_path):
     """40 kg at 2 m/s^2 ask for more than 40 N."""
     file, out = changed(tmp_path, 1.0), str(tmp_path / "out")
-    with pytest.raises(InputError, match=r"^limits\b.* 80 in sum, the output is limited to 40"):
+    with pytest.raises(InputError, match=r"^limits\b.* sum to up to 80, the output is limited to 40"):
         design_file(file, out, RATE, limit=40.0, limits=[0.2, 2.0, 100.0])
     # At 10 mm/s a jerk of 100 m/s^3 brings 1 m/s^2: no move asks for more.
     Motion(Feedforward(acceleration=40.0), limits=MoveLimits(0.01, 2.0, 100.0)).require_within(40.0)
@@ -364,8 +364,8 @@ def test_several_responses_are_all_served(written, tmp_path):
                 )
                 p = held_response(machine, hertz)
                 assert 20 * np.log10(np.abs(1 / (1 + k * p)).max()) < 6.01  # S, and r to e
-    alone = float(re.search(r"from the furthest: [^,]*? ([\d.]+) Hz", "\n".join(written[1]))[1])
-    both = float(re.search(r"from the furthest: [^,]*? ([\d.]+) Hz", "\n".join(said))[1])
+    alone = float(re.search(r"highest bandwidth first: [^,]*? ([\d.]+) Hz", "\n".join(written[1]))[1])
+    both = float(re.search(r"highest bandwidth first: [^,]*? ([\d.]+) Hz", "\n".join(said))[1])
     assert both < alone
 
 

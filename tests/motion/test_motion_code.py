@@ -285,7 +285,7 @@ def test_limits_count_against_the_force_in_sum(tmp_path):
     gains = Feedforward(velocity=100.0, acceleration=12.5, snap=2e-4, coulomb=5.0)
     each = [100.0 * 0.2, 12.5 * 3.0, 2e-4 * 1e5, 5.0]
     assert max(each) < 40.0 < sum(each)
-    with pytest.raises(InputError, match=r"^limits\b.*82\.5 in sum.*40"):
+    with pytest.raises(InputError, match=r"^limits\b.*sum to up to 82\.5.*40"):
         axis(Motion(gains, 0.0, LIMITS), limit=40.0)
     library = built(axis(Motion(gains, 0.0, LIMITS), limit=90.0), tmp_path)
     library.enable(0.0, 0.0, 0.0)

@@ -85,11 +85,11 @@ def test_what_nobody_asked_for_has_a_default_that_is_printed():
     assert f"{rate:.0e}"[0] in "125" and rate / 10 ** np.floor(np.log10(rate)) in (1.0, 2.0, 5.0)
     heard = []
     silent = search_designs(machine, on_step=heard.append)
-    assert silent.rate == rate and f"searched at {rate:g} Hz (nobody gave a rate" in silent.notes[0]
-    assert "frequency ± 0.05 and gain ± 0.05" in silent.notes[0] and "1 samples late" in silent.notes[0]
+    assert silent.rate == rate and f"searched at {rate:g} Hz (no rate was given" in silent.notes[0]
+    assert "frequency ± 0.05 and gain ± 0.05" in silent.notes[0] and "delay 1 samples" in silent.notes[0]
     assert heard == [use for use in USES for _ in range(2)]
     asked = search_designs(machine, rate=rate, delay=1.0, uncertainty={"frequency": 0.05, "gain": 0.05})
-    assert asked.lines()[1:] == silent.lines()[1:] and "nobody" not in asked.lines()[0]
+    assert asked.lines()[1:] == silent.lines()[1:] and "no rate" not in asked.lines()[0]
     assert asked_uncertainty("") == {"frequency": 0.05, "gain": 0.05}
 
 

@@ -59,7 +59,7 @@ def stage(position: int = 0) -> ModalModel:
 
 @cache
 def observer(name: str, position: int = 0, sample_time: float = 0.0, delay: float = 0.0) -> StateModel | None:
-    """Compensator of one use of the thesis's observer, which knows a `delay` in samples; None for the PID alone."""
+    """Compensator of one use of the thesis's observer, designed for a `delay` in samples; None for the PID alone."""
     if name == "PID":
         return None
     p, retained = parameters().table("observer"), parameters().table("stage")["retained_modes"]

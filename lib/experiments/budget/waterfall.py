@@ -1,4 +1,4 @@
-"""The waterfall: the error as built by nobody, with each paper's method alone, and with all, as bars by source."""
+"""The waterfall: the error without any method, with each paper's method alone, and with all, as bars by source."""
 
 from dataclasses import replace
 from functools import lru_cache

@@ -30,7 +30,7 @@ class VanDerPol:
 
     @property
     def plant(self) -> Plant:
-        """The oscillator as the kernels know it."""
+        """The oscillator as the kernels use it."""
         parameters = np.array([getattr(self, field.name) for field in fields(self)], dtype=float)
         return Plant(oscillator_acceleration, oscillator_force, parameters)
 

@@ -37,10 +37,10 @@ class Bank(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Room for what one sample needs."""
+    """Workspace of one sample."""
 
     product: np.ndarray  # (outputs,) of the plant
-    readings: np.ndarray  # (outputs + sensors,): what the sensors tell
+    readings: np.ndarray  # (outputs + sensors,): readings of the sensors
     resonance: np.ndarray  # (actuators,)
     damping: np.ndarray  # (outputs,)
     error: np.ndarray  # (outputs,)
@@ -60,7 +60,7 @@ class ClosedLoop(NamedTuple):
 
     plant: np.ndarray  # (inputs, outputs): [A B; C D]' padded, from [states, force, floor] to [states, a1]
     states: int  # of the plant
-    vector: np.ndarray  # (inputs,): states of the plant and room for its inputs
+    vector: np.ndarray  # (inputs,): states of the plant and workspace for its inputs
     workspace: Workspace
     floor_inertia: np.ndarray  # (actuators, sensors)
     command: np.ndarray  # (actuators,): u on its way through the sample of delay

@@ -79,7 +79,7 @@ class Platform:
 
 
 def plant_of_rig(rig: Rig) -> Platform:
-    """The rigid body on its struts, whose feet follow the floor plate as its sensors tell."""
+    """The rigid body on its struts, whose feet follow the floor plate as measured by its sensors."""
     plate = rig.plate_motion
     actuators = len(rig.actuators.positions)
     return Platform(

@@ -77,7 +77,7 @@ def floor_level_for(
     (floor_before, noise_before), (floor_after, noise_after) = powers
     square = (noise_after - left * noise_before) / (left * floor_before - floor_after)
     if np.any(square <= 0):
-        raise InputError("removed_percent cannot be reached with these weights; ask for less")
+        raise InputError("removed_percent cannot be reached with these weights; give a lower value")
     return np.sqrt(square)
 
 

@@ -45,7 +45,7 @@ class RecordedFloor:
 
 @dataclass(frozen=True)
 class SpectralFloor:
-    """Floor known by its power spectral density alone, alike and independent at all sensors."""
+    """Floor known by its power spectral density alone, the same and independent at all sensors."""
 
     frequencies_hz: Float64[np.ndarray, " frequencies"]  # positive and rising
     # acceleration PSD, (m/s^2)^2/Hz; straight in between, zero outside

@@ -51,7 +51,7 @@ def build(record: type, table, where: str):
 
 
 def _typed(name: str, value, wanted):
-    """TOML tells 5 from 5.0; a model's author should not have to."""
+    """TOML distinguishes 5 from 5.0; the author of a model should not need to."""
     if wanted is float:
         return require_number(name, value)
     if wanted is int:

@@ -235,7 +235,7 @@ def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
             raise InputError("duration_s is missing; give the seconds to run")
         if longest is not None and samples > longest:
             raise InputError(
-                f"floor record lasts {part.duration:g} s, shorter than the {seconds:g} s asked for; "
+                f"floor record lasts {part.duration:g} s, shorter than the required {seconds:g} s; "
                 "shorten duration_s or give a longer record"
             )
         segments.append((samples, part))

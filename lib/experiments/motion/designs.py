@@ -140,7 +140,7 @@ COMPENSATIONS = {  # what keeps the integral action of MC: Q_nu, and the corner 
     "high-pass": (None, 1.0),
     "nothing": (None, None),
 }
-TARGET = 0.04  # wanted damping ratio, section 3.3.2
+TARGET = 0.04  # desired damping ratio, section 3.3.2
 SIX = {"6 dB": SIX_DB, "2": 2.0}
 
 
@@ -153,9 +153,9 @@ def limit(name: str, six: str, compensation: str, stage_damping: float) -> tuple
 
 
 def as_read(design: Design, compensation: str, stage_damping: float) -> Design:
-    """A design with another way of keeping the integral action, and damped up to the wanted ratio."""
+    """A design with another way of keeping the integral action, and damped up to the desired ratio."""
     used, noise_model = design.application, design.noise_model
-    if used is not None and used.damping:  # up to the wanted ratio, from what the stage has
+    if used is not None and used.damping:  # up to the desired ratio, from that of the stage
         used = replace(used, damping=TARGET - stage_damping)
     if noise_model == NOISE_MODEL:  # printed for MC with the noise model, which is one way of two
         noise_model, high_pass_hz = COMPENSATIONS[compensation]

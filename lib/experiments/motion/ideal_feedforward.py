@@ -30,7 +30,7 @@ class Inverse:
 
     @property
     def lead(self) -> float:
-        """Time (s) before the move in which the force must begin: zeros in the right half-plane want it."""
+        """Time (s) before the move in which the force must begin: required by zeros in the right half-plane."""
         right = self.zeros.real[self.zeros.real > 0]
         return float(-np.log(FAINT) / right.min()) if len(right) else 0.0
 

@@ -34,7 +34,7 @@ def chain_matrix(springs: ArrayLike) -> Float64[np.ndarray, "nodes nodes"]:
 def stage(damping_ratio: float | None = None) -> ModalModel:
     """Stage of Fig. 3.1 and Table 3.2: force on the actuator mass to the positions y1..y7 of the other masses.
 
-    Flexible modes are damped by 0.005, which Table 3.4 shows (Table 3.2 prints 0.001), unless told otherwise.
+    Flexible modes are damped by 0.005, which Table 3.4 shows (Table 3.2 prints 0.001), unless given.
     """
     p = parameters("stage")
     ratio = p["damping_ratio"] if damping_ratio is None else damping_ratio

@@ -36,12 +36,12 @@ CASES |= {f"{name}, redesigned": (name, name) for name in APPLICATIONS}
 
 Blocks = Mapping[str, tuple[StateModel | None, StateModel]]  # compensator and controller of each case
 
-_setpoint = cache(published_setpoint)  # every trial asks for it, and for the nominal stage
+_setpoint = cache(published_setpoint)  # every trial needs it, and the nominal stage
 
 
 @cache
 def _nominal() -> ModalModel:
-    """The stage as its observers know it, from the force to y5."""
+    """The observers' model of the stage, from the force to y5."""
     return stage().at([0], [MEASURED - 1])
 
 
@@ -91,7 +91,7 @@ def tracking_trial(
 
 
 class _Answer(NamedTuple):
-    """What a stable loop answers, whatever the noise."""
+    """Response of a stable loop, independent of the noise."""
 
     error: Float64[np.ndarray, " samples"]  # m, on the setpoint
     noise: StateModel  # sampled, from the noises to the error

@@ -151,9 +151,9 @@ def pass_node(
     sample_time: float,
     phase: float = 0.0,
 ) -> Passage:
-    """Run the time-varying Kalman filter while a force that it does not know excites one mode at its resonance.
+    """Run the time-varying Kalman filter while an unknown force excites one mode at its resonance.
 
-    The filter knows all modes of the plant and is designed for `noise`; the sensor follows `places` (m).
+    The filter models all modes of the plant and is designed for `noise`; the sensor follows `places` (m).
     """
     places = np.asarray(places, float)
     shapes = shapes_along(plant, grid, places)

@@ -32,7 +32,7 @@ class MeasuredPair:
         """Norm of the weighted perturbation that noise of this band has; for white noise that of `noise_bound`.
 
         noise (sqrt(m r) + sqrt(taps)) with m = 1 / (1 - forgetting) and r the largest eigenvalue of the noise's
-        correlation over the taps (Gordon's inequality): noise in a narrow band leans all rows in one direction.
+        correlation over the taps (Gordon's inequality): noise in a narrow band perturbs all rows in one direction.
         """
         low, high = 2 * np.array(self.band_hz) / self.sample_rate
         lags = np.arange(require_count("taps", taps))

@@ -87,7 +87,7 @@ def gain_trial(
 ) -> dict[str, float]:
     """One record whose true input is `gain` times the measured one: a perturbation that is the same at every instant.
 
-    Distances from the true parameters: of ``min_max``, told the norm of that perturbation, and of ``least`` squares.
+    Distances from the true parameters: of ``min_max``, given the norm of that perturbation, and of ``least`` squares.
     """
     regressors, outputs, _ = _fir_record(rng, gain * np.array(parameters), period, samples, 0.0, output_noise)
     bound = abs(gain - 1) * np.linalg.norm(regressors, 2)

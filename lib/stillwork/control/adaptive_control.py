@@ -43,7 +43,7 @@ def fill_regressor(inertia, bias, units, position, velocity, reference, accelera
     """out[:, j]: M_j acceleration + C_j(velocity) reference + g_j + friction_j(velocity) of a mechanism's j-th parameter.
 
     units: a row for each parameter, 1 at it. What is even in the velocity is weight and C(v) v, and C(v) w of Christoffel's
-    symbols, symmetric in v and w, follows from it: ((v + w)^2 - (v - w)^2) / 4. What is odd is friction. room: (n + ROOM, n).
+    symbols, symmetric in v and w, follows from it: ((v + w)^2 - (v - w)^2) / 4. What is odd is friction. `room`: workspace, (n + ROOM, n).
     """
     n = len(position)
     matrix, speed, there, back, part = room[:n], room[n], room[n + 1], room[n + 2], room[n + 3]

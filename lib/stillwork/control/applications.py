@@ -24,11 +24,11 @@ class Application:
     compensate : bool
         MC: subtract the estimated flexible part from the measurement.
     damping : float or tuple of float
-        AD: wanted increase of the damping ratios, one for all modes or each.
+        AD: desired increase of the damping ratios, one for all modes or one each.
     selection : str
         One of `SELECTIONS`: how the damping gains are chosen.
     stiffness : float
-        Active stiffness: wanted factor on the resonance frequencies.
+        Active stiffness: desired factor on the resonance frequencies.
     selectivity : float or tuple of float, optional
         Q of the band-pass on the damping gains, one for all modes or each; None: no filter.
     common : float, optional
@@ -52,10 +52,10 @@ class Application:
     """
 
     compensate: bool = False  # MC: subtract the estimated flexible part from the measurement
-    # AD: wanted increase of the damping ratios, one for all modes or each
+    # AD: desired increase of the damping ratios, one for all modes or each
     damping: float | tuple[float, ...] = 0.0
     selection: str = "each mode"  # of the damping gains
-    stiffness: Positive = 1.0  # active stiffness: wanted factor on the resonance frequencies
+    stiffness: Positive = 1.0  # active stiffness: desired factor on the resonance frequencies
     # Q of the band-pass on the damping gains, one for all modes or each; None: no filter
     selectivity: float | tuple[float, ...] | None = None
     # rad/s, centre of one band-pass for all gains; None: one a mode at its resonance
@@ -172,7 +172,7 @@ def filtered_estimates(
 def soft_sensor(observer: Observer, performance_shapes: Float64[np.ndarray, "places modes"]) -> StateModel:
     """Soft sensor (3.21) from (u, y) to the position at other places, for one rigid-body direction.
 
-    The estimated deformation at the sensor is subtracted and that at the wanted place added; the rigid-body
+    The estimated deformation at the sensor is subtracted and that at the desired place added; the rigid-body
     part of the measurement passes unfiltered.
     """
     model = observer.model

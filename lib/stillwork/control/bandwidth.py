@@ -86,7 +86,7 @@ class PeakConstraint:
 
 @runtime_checkable
 class SearchLoop(Protocol):
-    """What a search asks of a loop, of any number of inputs and outputs; `Loop` is that of one."""
+    """What a search needs of a loop with any number of inputs and outputs; `Loop` has one of each."""
 
     @property
     def omega(self) -> Float64[np.ndarray, " frequencies"]:
@@ -415,7 +415,7 @@ def make_loop(
     Returns
     -------
     Loop
-        For `maximise_bandwidth`, which asks it again and again.
+        For `maximise_bandwidth`, which calls it many times.
 
     Raises
     ------
@@ -487,7 +487,7 @@ class Bandwidth:
     function: str  # the active constraint ...
     loop: int  # ... the loop it is active in ...
     peak: Peak  # ... and its peak there; "stability" and "the end of the search" have peak infinity
-    lowest_hz: float = 0.0  # design parameter from which on all are feasible, where that was asked for
+    lowest_hz: float = 0.0  # design parameter above which all are feasible, if requested
 
 
 @checked(infinite=True)
@@ -513,7 +513,7 @@ def maximise_bandwidth(
     Parameters
     ----------
     loops : sequence of Loop
-        One a plant (position); the controller must serve all. Or of what answers as a `SearchLoop`, such as
+        One per plant (position); the controller must suit all. Or objects with the methods of a `SearchLoop`, such as
         loops of several inputs and outputs.
     family : callable
         From the design parameter (Hz) to a controller, or one for each axis.
@@ -525,7 +525,7 @@ def maximise_bandwidth(
     tolerance_hz : float
         Width at which the bisection stops.
     refine : bool
-        Search for the peaks between the grid points; without it the answer depends on the grid and is
+        Search for the peaks between the grid points; without it the result depends on the grid and is
         never below the true one.
     lowest : bool
         Take the lowest interval; one without an upper end stops at `high_hz`.
@@ -739,7 +739,7 @@ def _still(loop: SearchLoop, constraint: PeakConstraint, place: slice, controlle
 
 
 def _kept(method: Callable) -> Callable:
-    """A method of `_Design` that computes each of its answers once; a `cache` for each design costs more than most."""
+    """A method of `_Design` that computes each of its results once; a `cache` for each design costs more than most."""
 
     @wraps(method)
     def ask(self, *asked):
@@ -752,7 +752,7 @@ def _kept(method: Callable) -> Callable:
 
 
 class _Design:
-    """A controller under the constraints, and what its loops have answered: a search asks more than once."""
+    """A controller under the constraints, with its loops' results: a search needs them more than once."""
 
     def __init__(
         self,
@@ -784,7 +784,7 @@ class _Design:
         offsets = np.abs(poles.real)[:, None] * np.concatenate([-WIDTHS, WIDTHS])
         omega = np.concatenate([(poles.imag[:, None] + offsets).ravel(), np.abs(poles)])
         low, high = loop.omega[0], loop.omega[-1]
-        if isinstance(loop, Loop):  # it answers beyond its grid
+        if isinstance(loop, Loop):  # it is defined beyond its grid
             low, high = 0.0, (1 - 1e-9) * np.pi / loop.sample_time if loop.sample_time else np.inf
         omega = np.setdiff1d(np.minimum(omega[omega > low], high), loop.omega)
         return omega, loop.at(self.controller, omega) if len(omega) else None

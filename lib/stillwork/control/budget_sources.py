@@ -116,7 +116,7 @@ def setpoint(
     """A setpoint that repeats itself, and the force mass x acceleration that is fed forward, at the two places of a machine.
 
     It acts at ``setpoint`` and ``stage drive`` of a `FloorMachine`: what it leaves in the error is what the feedforward does
-    not know, a wrong `mass`, the delay of the command, the stage's modes and the reaction on the frame.
+    not include, a wrong `mass`, the delay of the command, the stage's modes and the reaction on the frame.
 
     Parameters
     ----------

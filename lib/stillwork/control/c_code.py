@@ -173,7 +173,7 @@ def adaptation_code(
     Raises
     ------
     InputError
-        When `name` is no name in C, or the settings ask for another form or do not fit.
+        When `name` is not a valid name in C, or the settings need another form or do not fit.
 
     References
     ----------

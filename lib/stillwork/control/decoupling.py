@@ -14,7 +14,7 @@ from stillwork.lti.state_space import StateModel, block_matrix, constant, interc
 
 # Above this condition of mode shapes at actuators or sensors, a decoupling loses half of the digits.
 WORST_CONDITION = 1e8
-# What such an inverse times its shapes may differ from the unit matrix: rounding times that condition, with room.
+# What such an inverse times its shapes may differ from the unit matrix: rounding times that condition, with a margin.
 ROUNDING = 1e-6
 
 
@@ -44,7 +44,7 @@ class Decoupling:
         Returns
         -------
         ModalModel
-            As many inputs and outputs as modes that were told apart.
+            As many inputs and outputs as modes that are decoupled.
 
         Raises
         ------
@@ -80,7 +80,7 @@ def decouple(
 ) -> Decoupling:
     r"""Decoupling of the rigid-body modes, (4.12), and of flexible modes from them.
 
-    :math:`\Phi_a\Gamma` is the unit matrix on the rigid-body modes and zero on the other modes that are told
+    :math:`\Phi_a\Gamma` is the unit matrix on the rigid-body modes and zero on the other modes that are kept
     apart; :math:`\Upsilon\Phi_s` likewise. With more actuators or sensors than such modes, the matrices of
     least norm.
 
@@ -88,7 +88,7 @@ def decouple(
     ----------
     model : ModalModel
     actuated, sensed : sequence of int, optional
-        Modes that the inputs and the outputs tell apart, counted from 0, the rigid-body modes among them; by
+        Modes that inputs and outputs separate, counted from 0, the rigid-body modes among them; by
         default the first ones, as many as there are actuators and sensors.
 
     Returns
@@ -99,7 +99,7 @@ def decouple(
     Raises
     ------
     InputError
-        When there are fewer actuators or sensors than modes to tell apart, or their places do not tell these
+        When there are fewer actuators or sensors than modes to separate, or their places do not separate these
         modes apart.
 
     References
@@ -129,7 +129,7 @@ def decouple(
             )
         if len(shapes) < len(chosen):
             raise InputError(
-                f"model has {pluralise(len(shapes), what[:-1])}, too few to tell {len(chosen)} modes apart; add {what}"
+                f"model has {pluralise(len(shapes), what[:-1])}, too few to separate {len(chosen)} modes; add {what}"
             )
         inverses.append(_inverse(shapes[:, list(chosen)], what)[:rigid])
     return Decoupling(np.ascontiguousarray(inverses[0].T), inverses[1])
@@ -139,7 +139,7 @@ def _inverse(shapes: Float64[np.ndarray, "places modes"], what: str) -> Float64[
     """Pseudo-inverse of mode shapes that are independent at these places."""
     if np.linalg.cond(shapes) > WORST_CONDITION:
         raise InputError(
-            f"the {what} do not tell {shapes.shape[1]} modes apart; move one that shares a place or sits on a node"
+            f"the {what} do not separate {shapes.shape[1]} modes; move one that shares a place or sits on a node"
         )
     return np.linalg.pinv(shapes)
 

@@ -44,7 +44,7 @@ INTERFACE = {
     "state_space": "b and d: columns of the inputs e, then of f - u where there are more columns",
     "e": "inputs; of a motion controller the setpoint less the measurement, in the unit of its name",
     "u": "what is fed forward, in the unit of the output; the inputs are deviations from the motion that it makes",
-    "start": "x that takes over without a bump: start times (e, f - u)",
+    "start": "x for bumpless transfer: start times (e, f - u)",
     "delay_samples": "by which f leaves late",
     "patience_samples": "for which a missing input is held; then f and x stay until it is back",
     "motion": "u = velocity v + acceleration a + jerk j + snap s + coulomb sign(v) of the setpoint, lag_s before its position",
@@ -64,7 +64,7 @@ class DigitalController:
     ----------
     model : StateModel
         In discrete time, from the inputs e to the command v; inputs behind those that have a name are the limited
-        output f, which an observer wants to know. They must not reach v within the sample.
+        output f, which an observer needs. They must not reach v within the sample.
     inputs, outputs : tuple of str
         Their names with units, as ``y (m)``.
     low, high : array_like, shape (outputs,)
@@ -176,7 +176,7 @@ class DigitalController:
     @property
     @checked
     def start(self) -> Float64[np.ndarray, "states signals"]:
-        """Rows that turn inputs and wanted outputs into the state that gives them, and stays if any does.
+        """Rows that map inputs and desired outputs to a state that gives them, a stationary one if there is any.
 
         Of the states with Cx + De = f the one whose change, with e and f held, is least.
         """
@@ -203,7 +203,7 @@ class DigitalController:
         inputs : ndarray, shape (inputs, samples)
             e, in the units of their names; NaN: missing.
         first : array_like, shape (outputs,), optional
-            What acts when it takes over; without, it starts from a state of zero.
+            Output that acts when it is switched on (bumpless transfer); without it, the state starts at zero.
         known : array_like, shape (outputs, samples), optional
             u, which is fed forward; the inputs are then deviations from the motion that it makes.
 
@@ -221,7 +221,7 @@ class DigitalController:
         --------
         >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
         >>> started = control.DigitalController(pid, ("e (m)",), ("f (N)",)).run(np.zeros((1, 3)), first=[5.0])
-        >>> started.round(9)  # N: it takes over without a bump
+        >>> started.round(9)  # N: bumpless transfer
         array([[5., 5., 5.]])
         """
         return self.trace(inputs, first, known).outputs
@@ -266,7 +266,7 @@ class DigitalController:
             last = np.clip(require_array("first", first, shape=last.shape), self.low, self.high)
             e, u = inputs[:, 0], known[:, 0]
             if not np.isfinite([*e, *u]).all():
-                raise InputError("inputs: the first sample is missing; take over with one that is there")
+                raise InputError("inputs: the first sample is missing; start at a sample that is not")
             x = self.start @ np.concatenate([e, last - u])
         ring = [last] * self.delay
         found, flags = np.empty((outputs, samples)), np.zeros(samples, dtype=int)
@@ -368,7 +368,7 @@ def error_driven(controller: DigitalController, motion: Motion | None = None) ->
 
     A machine that follows r under the force u that is fed forward has y = r and f = u. A copy of the controller that
     runs on those, (A.7) and its Fig. A.2, subtracts from what the loop adds; linear as both are, their difference is
-    one controller of r - y and f - u. It knows nothing of how large r is: single precision holds an error.
+    one controller of r - y and f - u. The size of r does not matter to it: single precision suffices for an error.
 
     Parameters
     ----------
@@ -385,7 +385,7 @@ def error_driven(controller: DigitalController, motion: Motion | None = None) ->
     Raises
     ------
     InputError
-        When it has other inputs or more outputs, or `motion` asks for more than its limits.
+        When it has other inputs or more outputs, or `motion` may need more than its limits.
 
     References
     ----------
@@ -456,7 +456,7 @@ def runnable(
 ) -> DigitalController:
     """A sampled loop's controller as a processor runs it: Tustin's PID with the compensator, limits to both sides.
 
-    The integrator tracks a limited force within the root of integral and differential time; the observer is told it.
+    The integrator tracks a limited force within the root of integral and differential time; the observer uses the limited force.
     The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite. `units` are those of the
     position and of the force.
     """
@@ -718,7 +718,7 @@ def as_libraries(controller: DigitalController) -> LibraryObjects:
 def load_controller(file: str | Path) -> DigitalController:
     """Read a controller from the JSON file that `design` writes, or from the table [controller] of a TOML file.
 
-    The table holds ``rate_hz`` and either ``biquads`` or ``a``, ``b``, ``c`` and ``d``; if wanted ``inputs``,
+    The table holds ``rate_hz`` and either ``biquads`` or ``a``, ``b``, ``c`` and ``d``; optionally ``inputs``,
     ``outputs``, ``low``, ``high``, ``delay_samples``, ``patience_samples`` and ``tracking_time_s``, the time of
     anti-wind-up. Of one input and one output a table [controller.motion] may hold ``lag_s`` and two tables,
     ``feedforward`` with the fields of `Feedforward` and ``limits`` with those of `MoveLimits`.
@@ -735,7 +735,7 @@ def load_controller(file: str | Path) -> DigitalController:
     Raises
     ------
     InputError
-        When it is none of these; the message says what it lacks.
+        When it is none of these; the message states what is missing.
 
     Examples
     --------

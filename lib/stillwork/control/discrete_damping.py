@@ -23,7 +23,7 @@ def damped_poles(model: ModalModel, increase: float | ArrayLike) -> Complex128[n
     ratio = model.damping[rigid:] + increase
     if np.any(ratio <= 0) or np.any(ratio >= 1):
         raise InputError(
-            f"increase asks for damping ratios from {ratio.min():.3g} to {ratio.max():.3g}; keep them between 0 and 1"
+            f"increase leads to damping ratios from {ratio.min():.3g} to {ratio.max():.3g}; keep them between 0 and 1"
         )
     return model.frequencies[rigid:] * (-ratio + 1j * np.sqrt(1 - ratio**2))
 

@@ -29,7 +29,7 @@ class DiscreteObserver(FlexibleEstimates):
     r"""Observer of a sampled reduced modal model, the force of the last period among its states.
 
     A measurement is taken before the force of its sample acts, so the compliance shows the last force:
-    :math:`y_k = Cx_k + Du_{k-1}`. (4.8) prints :math:`u_k`, which a filter would have to know in advance.
+    :math:`y_k = Cx_k + Du_{k-1}`. (4.8) prints :math:`u_k`, which is not yet available to a filter.
     """
 
     model: ModalModel

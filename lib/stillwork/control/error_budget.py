@@ -521,7 +521,7 @@ class ErrorBudget:
     def edges(self) -> Float64[np.ndarray, "sources 2"]:
         """Share of each source's largest part of an error in the first and the last third of an octave where it is known.
 
-        A large one says that the source matters beyond what is known of it; of a source known all over the band it is 0.
+        A large one shows that the source matters beyond the band in which it is known; for a source known in the whole band it is 0.
 
         Returns
         -------

@@ -50,7 +50,7 @@ def damping_gain(
     ----------
     model : ModalModel
     increase : float or array_like, shape (flexible modes,)
-        Wanted increase zeta_des of each damping ratio (an increase, not a target).
+        Desired increase zeta_des of each damping ratio (an increase, not a target).
     selection : str
         ``each mode``: (3.31), mode by mode, without regard to coupling; ``minimal interaction``: (3.32),
         the pseudo-inverse over all modes, rigid body included; ``pole placement``: (3.33), one input only,
@@ -63,7 +63,7 @@ def damping_gain(
     Raises
     ------
     InputError
-        When the actuator cannot move a mode, or an unknown selection is asked for.
+        When the actuator cannot move a mode, or the selection is unknown.
 
     References
     ----------
@@ -83,7 +83,7 @@ def damping_gain(
     if selection == "pole placement":
         z = model.damping[rigid:] + increase
         if np.any(np.abs(z) >= 1):
-            raise InputError(f"increase asks for damping ratios up to {z.max():.3g}; keep them below 1")
+            raise InputError(f"increase leads to damping ratios up to {z.max():.3g}; keep them below 1")
         upper = w * (-z + 1j * np.sqrt(1 - z**2))
         gain = place(model.state_space(), np.concatenate([np.zeros(2 * rigid), upper, upper.conj()]))
         gain[:, : 2 * rigid] = 0

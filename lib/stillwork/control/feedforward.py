@@ -29,7 +29,7 @@ class Feedforward:
     Parameters
     ----------
     velocity, acceleration, jerk, snap : float
-        Viscous friction, mass, and what the compliance of flexible modes asks for.
+        Terms for viscous friction, mass, and the compliance of the flexible modes.
     coulomb : float
         Friction that has the sign of the velocity alone.
 
@@ -138,7 +138,7 @@ class Motion:
 
     @checked(infinite=True)
     def require_within(self, allowed: float | ArrayLike) -> None:
-        """Refuse limits of the setpoint under which the feedforward asks in sum for more than an output may be.
+        """Refuse limits of the setpoint under which the sum of the feedforward's terms may exceed the limit of the output.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class Motion:
         Raises
         ------
         InputError
-            When it could ask for more.
+            When it may exceed the limit.
 
         Examples
         --------
@@ -161,7 +161,7 @@ class Motion:
         asked = self.most_force(largest_of(self.limits))
         if asked > allowed:
             raise InputError(
-                f"limits: the feedforward asks for up to {asked:.4g} in sum, the output is limited to {allowed:.4g}; "
+                f"limits: the feedforward's terms sum to up to {asked:.4g}, the output is limited to {allowed:.4g}; "
                 "lower the limits of acceleration, velocity, jerk or snap"
             )
 
@@ -199,7 +199,7 @@ class Motion:
 def motion_of(
     model: ModalModel, lag: float, position: float = 1.0, drive: float = 1.0, limits: MoveLimits | None = None
 ) -> Motion:
-    """What a plant asks for, in units of which its own position and force hold so many; on a suspension nothing."""
+    """Feedforward terms of a plant, in units given per unit of its position and force; zero on a suspension."""
     if model.rigid_modes != 1:
         return Motion(lag=lag, limits=limits)
     gains = inverse_gains(model).gains * drive / position
@@ -447,13 +447,13 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
 def least_squares(
     matrix: Float64[np.ndarray, "samples gains"], wanted: Float64[np.ndarray, " samples"]
 ) -> list[float]:
-    """Gains whose combination of the columns comes closest to `wanted`; the columns are brought to one size."""
+    """Least-squares gains of the columns for `wanted`; the columns are normalised first."""
     sizes = np.linalg.norm(matrix, axis=0)
     if np.any(sizes == 0):
-        raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
+        raise InputError("setpoint does not move; the feedforward gains cannot be distinguished")
     gains, _, rank, _ = np.linalg.lstsq(np.asarray_chkfinite(matrix / sizes), wanted, rcond=1e-12)
     if rank < matrix.shape[1]:
-        raise InputError("basis: the move cannot tell these gains apart; leave one out")
+        raise InputError("basis: these gains cannot be distinguished by this move; leave one out")
     return (gains / sizes).tolist()
 
 

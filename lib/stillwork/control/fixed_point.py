@@ -158,7 +158,7 @@ def simulate(
     plant : Plant
         The exact model.
     controller : Controller
-        Filter, transformation, kinematics and approximate model. Where the filter says
+        Filter, transformation, kinematics and approximate model. If the filter states
         `error_from_measurement`, the error and the force use the measured position, else the estimated one.
     trajectory : Trajectory
         Nominal motion.
@@ -289,7 +289,7 @@ def response_gain(plant: Plant, model: Plant) -> float:
 
 @checked
 def ending(status: int, time: float, left: str) -> dict[str, Any]:
-    """When a run diverged, in s, and why, with what is said of a plant that left its bounds; empty if it did not."""
+    """When a run diverged, in s, and why, with `said` for a plant that left its bounds; empty if it did not."""
     if status == RUNNING:
         return {}
     causes = {TOO_FAR: left, **CAUSES}

@@ -280,7 +280,7 @@ def linear_loop(
         for name, values in (("position", position), ("velocity", velocity))
     )
     several = isinstance(plant, Mechanism)
-    # Of a mechanism the filters know nothing but unit masses, which are alike everywhere.
+    # For a mechanism the filters assume unit masses, which are the same everywhere.
     at = (0.0, 0.0) if several else (float(place[0]), float(speed[0]))
     devices = [linear_filter(each.signal_filter, sample_time, *at) for each in controllers]
     A, B, C, D = (np.array([getattr(each, name) for each in devices]) for name in "ABCD")

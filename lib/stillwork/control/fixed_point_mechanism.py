@@ -82,7 +82,7 @@ def simulate_mechanism(
     plant : Mechanism
         The exact model.
     controller : Controller or list of Controller
-        One for all coordinates, or one for each, where a coordinate in m and one in rad want other numbers: of the
+        One for all coordinates, or one for each, where a coordinate in m and one in rad need different numbers: of the
         transformation, of the kinematics and of a filter of one kind. Its `model` is a Mechanism.
     trajectories : list of Trajectory
         One for each coordinate, of one length and sample time.
@@ -113,7 +113,7 @@ def simulate_mechanism(
     Raises
     ------
     InputError
-        When models, trajectories, noise or limits do not fit together; it says which.
+        When models, trajectories, noise or limits do not fit together; the message names them.
 
     Warns
     -----

@@ -134,7 +134,7 @@ class FixedPointStepper:
         Parameters
         ----------
         nominal : array_like, shape (3, coordinates)
-            Wanted position, velocity and acceleration.
+            Desired position, velocity and acceleration.
         measured : array_like, shape (coordinates,)
             Positions; NaN where a sample is lost, but not in the first.
 

@@ -75,7 +75,7 @@ def move_held(acceleration, plant, position, velocity, force, sample_time, h):
 
 @borrowing_kernel
 def _step_mechanism(inertia, bias, plant, position, velocity, force, h, work, rows, to_position, to_velocity):
-    """As `_step`; rows: five vectors of room. False where the inertia is not positive definite."""
+    """As `_step`; rows: five vectors of workspace. False where the inertia is not positive definite."""
     n = len(position)
     place, speed, change, rate, slope = rows[0], rows[1], rows[2], rows[3], rows[4]
     for i in range(n):
@@ -100,7 +100,7 @@ def _step_mechanism(inertia, bias, plant, position, velocity, force, h, work, ro
 def move_mechanism_held(inertia, bias, plant, position, velocity, force, sample_time, h, work, rows):
     """As `move_held` of several coordinates, in place; returns the length of the last step, 0 where there is no inertia.
 
-    rows: `HELD_ROWS` vectors of room.
+    rows: `HELD_ROWS` vectors of workspace.
     """
     n, left = len(position), sample_time
     one_q, one_v, half_q, half_v, two_q, two_v = rows[5], rows[6], rows[7], rows[8], rows[9], rows[10]

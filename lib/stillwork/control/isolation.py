@@ -115,7 +115,7 @@ class Isolator:
 @by_value
 @dataclass(frozen=True)
 class FeedforwardLoop:
-    """The filters of the loop; what is asked of them is their sections, and their responses on an isolator."""
+    """The filters of the loop, as sections and as responses on an isolator."""
 
     rate: Positive  # samples a second
     gain: NonNegative  # k_v, N s/m, of the skyhook on every axis
@@ -244,7 +244,7 @@ class FloorSpectra:
 @by_value
 @dataclass(frozen=True)
 class Certificate:
-    """Whether the adaptation may be switched on; `problems` says in words what speaks against it."""
+    """Whether the adaptation may be switched on; `problems` lists the reasons against it."""
 
     phase_deg: float  # largest angle of P2hat^-1 P2 in the band; 180 beyond 90 where no bound exists
     phase_hz: float

@@ -51,7 +51,7 @@ CUTOFFS_HZ = (0.5, 1.0, 2.0, 3.0, 4.5)  # of the weak integrators, tried
 HIGHPASSES = (1, 2, 3)  # of the floor sensors, tried
 EVEN = 10.0  # regularisation of FeLMS over the power of the regressors: an even step but for bursts
 ALIKE = 1.2  # of the least power of the remaining motion: up to there the fastest adaptation is taken
-LONGEST_S = 300.0  # time constant beyond which nobody waits
+LONGEST_S = 300.0  # largest time constant considered
 SEGMENTS = 4  # of a record, half overlapping, that the finest lines average over at least
 COARSE = 4  # of the coarse lines, which give way to fine ones
 BURST_S = 0.5  # of a stretch of a record whose power counts
@@ -296,7 +296,7 @@ def _motion_density(
 
 
 def _density(floor: FloorSpectra, noises: tuple[float, float], whole, *heard) -> np.ndarray:
-    """What the floor makes through `whole`, and the noise of both kinds of sensors through `heard`."""
+    """Spectrum due to the floor through `whole` and to the noise of both kinds of sensors through `heard`."""
     own = np.einsum("fas,fst,fat->af", whole, floor.density, np.conj(whole), optimize=True).real
     return own + sum(
         level**2 * np.sum(np.abs(each) ** 2, axis=2).T for level, each in zip(noises, heard, strict=True)
@@ -365,7 +365,7 @@ def _perturbed(isolator: Isolator, spread: float, rng: np.random.Generator) -> I
 
 
 def _choose_band(loop: FeedforwardLoop, paths_of: Paths, frequencies_hz: np.ndarray) -> tuple[float, float]:
-    """From below the lowest mode to where the path's phase may no longer be trusted, or beyond the highest."""
+    """From below the lowest mode to where the path's phase is no longer reliable, or beyond the highest mode."""
     low = LOW_SHARE * float(frequencies_hz[0])
     high = min(HIGH_SHARE * float(frequencies_hz[-1]), loop.rate / 8)
     f = np.geomspace(low, high, 300)
@@ -427,7 +427,7 @@ def design_isolation(
     Raises
     ------
     InputError
-        When no loop that was tried may be switched on; it says why.
+        When no loop that was tried may be switched on; the message states why.
     """
     require_choice("algorithm", algorithm, ALGORITHMS)
     estimate = isolator if estimate is None else estimate
@@ -612,7 +612,7 @@ def _varying(density, widths, floor: FloorSpectra, power) -> np.ndarray:
 
 
 def _banded(draws: np.ndarray, expected: np.ndarray, varies: np.ndarray) -> np.ndarray:
-    """Lowest, expected and highest: the draws', and as many standard deviations of their logarithms as `WIDE` says."""
+    """Lowest, expected and highest: from the draws, `WIDE` standard deviations of their logarithms either way."""
     logs = np.log(draws)
     mean, width = logs.mean(axis=0), WIDE * logs.std(axis=0)
     low = np.minimum(logs.min(axis=0), mean - width)

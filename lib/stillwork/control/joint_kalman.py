@@ -22,7 +22,7 @@ class JointKalman:
     """The extended Kalman filter with disturbance states of a whole mechanism, measured by its positions alone.
 
     The state is [velocities, positions, disturbances], the disturbances random walks of the accelerations. Where
-    `ExtendedKalman` of each coordinate knows the acceleration that was commanded, this one has the coupled model and the forces.
+    `ExtendedKalman` of each coordinate uses the commanded acceleration, this one has the coupled model and the forces.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class JointKalman:
 def joint_extended_step(
     options, process, noise, work, inertia, bias, plant, sample_time, measured, force, estimate, room
 ):
-    """One sample of all coordinates; NaN is a missing measurement. room: (2 n + 5, n) numbers.
+    """One sample of all coordinates; NaN is a missing measurement. `room`: workspace, (2 n + 5, n).
 
     Central differences over a millionth of an estimate or of its deviation, as of one coordinate.
     """

@@ -1,4 +1,4 @@
-"""What a controller makes of its sensor's noise: the output that it asks for all the time, up to half of the rate."""
+"""Sensor noise at a controller's output, up to half of the rate."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

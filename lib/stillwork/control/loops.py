@@ -130,7 +130,7 @@ def require_deviations(deviations: dict[str, float]) -> None:
 @by_value
 @dataclass(frozen=True)
 class LoopResponse:
-    """Frequency responses of single loops, the frequencies last; each function is computed when it is asked for."""
+    """Frequency responses of single loops, the frequencies last; each function is computed when first used."""
 
     plant: Complex128[np.ndarray, "... f"]  # P
     observer: Complex128[np.ndarray, "2 2 ... f"]  # O, (u, y) to (u_d, y_flex)

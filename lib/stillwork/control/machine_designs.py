@@ -69,7 +69,7 @@ class Designed(NamedTuple):
 
     @property
     def ranking(self) -> list[str]:
-        """The uses with a safe loop, the furthest first; of equals the simplest."""
+        """The uses with a safe loop, the highest bandwidth first; of equals the simplest."""
         safe = [use for use, each in self.found.items() if each.recommended is not None]
         return sorted(safe, key=lambda use: -float(f"{crossing(self.found[use]):.4g}"))
 
@@ -77,7 +77,7 @@ class Designed(NamedTuple):
     def ranking_line(self) -> str:
         """The same in words, with the bandwidths."""
         said = [f"{use} {in_hertz(crossing(self.found[use]))} Hz" for use in self.ranking]
-        return f"from the furthest: {', '.join(said) or 'none has a safe loop'}"
+        return f"highest bandwidth first: {', '.join(said) or 'none has a safe loop'}"
 
     def lines(self) -> list[str]:
         """What was searched and found, a line each."""
@@ -196,9 +196,9 @@ def search_designs(
         f"{name} ± {value:g} {ABSOLUTE.get(name, '')}".rstrip() for name, value in shares.items()
     )
     notes = (
-        f"searched at {rate:g} Hz{' (nobody gave a rate: above 20 times the first resonance and 4 times the last)' * chosen}, "
-        f"the force {late[0]:.4g} samples late and held, all over a box of {said or 'nothing: no uncertainty'}"
-        f"{', beside the intervals of the fit' * bool(said and machine.fit)}",
+        f"searched at {rate:g} Hz{' (no rate was given: above 20 times the first resonance and 4 times the last)' * chosen}, "
+        f"delay {late[0]:.4g} samples plus the hold, uncertainty {said or 'none'}"
+        f"{' plus the intervals of the fit' * bool(said and machine.fit)}",
         "S_I and S_O, which is also r to e since the controller runs on the error, at most 6 dB",
         *noise.words(machine.units),
     )

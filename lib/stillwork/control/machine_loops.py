@@ -189,7 +189,7 @@ def observing_compensator(
     """Compensator on an observer of the plant's first `retained` modes and the compliance of the others.
 
     The suspension of a machine on springs to the ground counts as its rigid body. With a `sample_time` it is
-    sampled, takes the newest measurement, and knows the `delay` of the force in samples, whole or not.
+    sampled, uses the newest measurement, and models the `delay` of the force in samples, whole or not.
     """
     reduced = truncate(plant, retained, len(plant.frequencies) - retained)
     if not reduced.rigid_modes:

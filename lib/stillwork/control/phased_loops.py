@@ -19,12 +19,12 @@ DRAWS = 60
 def phased_loop(loop: Loop, phased: PhasedModel, place: Perturbation) -> Loop:
     """The loop with the response of the phased model at a place of the box; its poles stay those of the loop's model.
 
-    As of a measurement: `encirclement_difference` says whether it is stable.
+    As for a measurement, `encirclement_difference` decides whether it is stable.
     """
     plant = perturbed_plant(phased.model, place)
     late = place.delay / loop.sample_time if loop.sample_time else 0.0
     there = replace(loop, plant=plant, delay=max(loop.delay + late, 0.0))
-    # The lines of the compensator are the loop's own, and so is what it answers there.
+    # The compensator's lines and responses there are those of the loop.
     more = np.setdiff1d(loop_grid(plant, None, sample_time=loop.sample_time), loop.omega)
     omega = np.concatenate([loop.omega, more])
     order = omega.argsort()

@@ -19,7 +19,7 @@ SAMPLES = 4096  # that are run
 GROWTH = 1e6  # of an unstable controller's states meanwhile, at most
 SLOW = 1000.0  # samples, time constant of half of what is given to it
 APART = 1e8  # condition of the eigenvectors of a form by modes, at most
-CONTRACTED = 1 - 1e-6  # for balancing, which knows no integrator
+CONTRACTED = 1 - 1e-6  # for balancing, which cannot treat an integrator
 
 
 class InSinglePrecision(NamedTuple):
@@ -138,7 +138,7 @@ def _as_it_is(controller: DigitalController) -> DigitalController:
 
 
 def _folded(controller: DigitalController) -> DigitalController:
-    """Fed back by what is asked for; what a limit takes away from that is fed back beside it, by the same gain."""
+    """Fed back by the commanded output; the part that a limit removes is fed back beside it, by the same gain."""
     winds = controller.anti_windup + controller._back
     return without_dead_states(replace(controller, model=controller.linear, anti_windup=winds))
 

@@ -83,7 +83,7 @@ def asin_trajectory(
 ) -> Trajectory:
     """q = A asin(k sin w t) / asin k: a sine for small k, a triangle with corners as k nears 1.
 
-    The paper says only that its trajectory has "quasi edges" around which the derivative varies drastically;
+    The paper states only that its trajectory has "quasi edges" around which the derivative varies drastically;
     this one has them, with derivatives in closed form.
 
     Parameters
@@ -170,6 +170,6 @@ def record_trajectory(time: ArrayLike, position: ArrayLike, sample_time: Positiv
 
 def _phase(frequency_hz, duration, sample_time):
     time = sampled(duration, sample_time)
-    # From half the sample rate on the samples tell nothing of the motion between them.
+    # From half the sample rate on the samples do not determine the motion between them.
     rate = 2 * np.pi * require_number("frequency_hz", frequency_hz, above=0, below=0.5 / sample_time)
     return rate * time, rate

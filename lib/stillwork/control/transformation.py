@@ -147,11 +147,11 @@ def contraction_range(response_gain: float) -> tuple[float, float]:
     """Open range of `local_gain` in which deformed -> G(deformed, f(deformed), desired) contracts.
 
     With f' = `response_gain` (m/s^2 realised per m/s^2 commanded: the approximate over the exact mass) the multiplier
-    of an iteration is 1 + local_gain f'; Banach's theorem wants it within (-1, 1). A filter or a delay in the loop
+    of an iteration is 1 + local_gain f'; Banach's theorem requires it to lie within (-1, 1). A filter or a delay in the loop
     narrows the range: `stable_range` finds it.
     """
     if response_gain == 0:
-        raise InputError("response_gain is 0: the plant does not answer its command")
+        raise InputError("response_gain is 0: the plant does not respond to its command")
     edge = -2.0 / response_gain
     return min(edge, 0.0), max(edge, 0.0)
 

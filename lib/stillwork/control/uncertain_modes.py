@@ -95,7 +95,7 @@ def uncertain_channel(
     b = np.array(into).reshape(uncertain, len(loop.a)).T
     c = np.array(out).reshape(uncertain, len(loop.a))
     inputs, outputs = [INPUTS.index(source)], [OUTPUTS.index(target)]
-    if gain:  # the force is (1 + gain delta) times what is asked for
+    if gain:  # the force is (1 + gain delta) times the commanded one
         inputs, outputs = [INPUTS.index("w"), *inputs], [OUTPUTS.index("f"), *outputs]
     d = linalg.block_diag(np.zeros((uncertain, uncertain)), loop.d[np.ix_(outputs, inputs)])
     b, c = np.hstack([b, loop.b[:, inputs]]), np.vstack([c, loop.c[outputs]])

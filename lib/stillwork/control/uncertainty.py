@@ -31,7 +31,7 @@ TURNS = np.linspace(-1, 1, 5)  # of the delay's interval, that are tried
 DRAGS = 17  # likewise of the friction's
 STARTS, SWEEPS = 4, 2
 GRID = {"points": 800, "around": 60}
-EXCESS = 1.0005  # times a limit, 0.004 dB: what is handed out keeps it within 0.01 dB
+EXCESS = 1.0005  # times a limit, 0.004 dB: results keep it within 0.01 dB
 BETWEEN = 0.995  # of a peak that its grid shows at least: 0.04 dB
 MOST_DAMPED = 0.999
 SLIGHT = 1e-3  # share of a damping ratio that changes no peak worth the while
@@ -144,9 +144,9 @@ def require_shares(asked: Mapping[str, float]) -> None:
 
 @checked
 def uncertainty_of(machine: Machine, asked: Mapping[str, float]) -> Uncertainty:
-    """What is asked for, by `NAMES`, and the fit's intervals of 95 % beside it: a machine changes after it was measured.
+    """The stated shares, by `NAMES`, plus the fit's 95 % intervals: a machine changes after it was measured.
 
-    Nothing asked for is no uncertainty at all. The interval of the friction enters where ``friction`` is named.
+    If nothing is stated there is no uncertainty. The interval of the friction enters where ``friction`` is named.
     """
     require_shares(asked)
     model, fit = machine.sensors[0], machine.fit
@@ -428,7 +428,7 @@ def _unit(omega, frequencies, ratio, sample_time, late, drag=0.0) -> np.ndarray:
 
 
 class Box(NamedTuple):
-    """The parts of a plant on a grid at all places that are tried."""
+    """The parts of a plant on a grid at all points of the box that are tried."""
 
     omega: np.ndarray  # (frequencies,), rad/s
     parts: np.ndarray  # (frequencies, modes, places), m/N

@@ -107,17 +107,17 @@ class Recursion(NamedTuple):
     matrix: np.ndarray  # (n, n), what the form stores for P
     form: int  # place in FORMS
     forgetting: float  # lambda as the precision holds it
-    # (4, n): limits of P's diagonal, power of psi in the window, share of time at the limit, room for work
+    # (4, n): limits of P's diagonal, power of psi in the window, share of time at the limit, workspace
     levels: np.ndarray
     allowance: float  # limit times power that is granted to each regressor
-    gain: np.ndarray  # (n,), room for work
-    # Room for work, (n,): none in the triangle. So kernels that ask whether it is None are compiled for the triangle
-    # alone: asked for a form at every sample, it would take half as long again.
+    gain: np.ndarray  # (n,), workspace
+    # Workspace, (n,): none in the triangle. So kernels that test whether it is None are compiled for the triangle
+    # alone: a test of the form at every sample would take half as long again.
     inner: np.ndarray | None
     other: np.ndarray | None
 
     def copy(self) -> "Recursion":
-        """A recursion of its own; the room for work is shared."""
+        """An independent recursion; the workspace is shared."""
         return self._replace(matrix=self.matrix.copy(), levels=self.levels.copy())
 
     @property
@@ -151,7 +151,7 @@ class FeRls:
         P(-1), but from ten times the steady value that the regressor's own power gives, 1 / sum lambda^j psi^2, where
         that is less: a P(-1) as large as one likes protects all the same. A floor that gets quieter by more than
         this, in power, and a combination of regressors that is weaker than this are followed more slowly; `held`
-        of the result tells which regressors the limit held. The triangle does not depend on the order of the
+        of the result lists the regressors that the limit held. The triangle does not depend on the order of the
         regressors; forms with factors hold one regressor a sample, in turn, so that while limits act their result
         depends on the order.
     form : str
@@ -311,14 +311,14 @@ def step_weights(weights, gain, shrink, error):
 
 @inlined_kernel
 def check_powers(levels, regressor, forgetting, allowance):
-    """Power of each regressor in the window; the limit of its variance where that asks for a lower one."""
+    """Power of each regressor in the window; the limit of its variance where that leads to a lower one."""
     lower = False
     for i in range(len(regressor)):
         power = forgetting * levels[1, i] + regressor[i] * regressor[i]
         levels[1, i] = power
         levels[2, i] *= forgetting
         lower |= levels[0, i] * power > allowance
-    if lower:  # rare, and a division that hardly anyone asks for would keep the compiler from vectors
+    if lower:  # rare, and a division that is hardly ever needed would prevent vectorised code
         for i in range(len(regressor)):
             if levels[0, i] * levels[1, i] > allowance:
                 levels[0, i] = allowance / levels[1, i]
@@ -343,7 +343,7 @@ def stretched(share, forgetting, n):
 def ferls_step(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
 ):
-    """One sample in the form of a `Recursion`, of which `inner` says at compile time whether it is the triangle; the leverage."""
+    """One sample in the form of a `Recursion`, of which `inner` decides at compile time whether it is the triangle; the leverage."""
     if inner is None:
         leverage, reached = ferls_update(
             weights, matrix, forgetting, levels, allowance, gain, regressor, error

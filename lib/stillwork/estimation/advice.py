@@ -136,7 +136,7 @@ def advise(
     large as what a combination of the features holds, instruments that miss one, a noise that the data contradict.
     `benchmarks/advice.py` on new seeds: of 513 records of five generators without a warning the advised estimator is within
     10 % of the best in 98 %, and one is more than 5 % worse than ignoring the features (1.35 times). Of 987 with a
-    warning it is so in 81 %, at worst 41 times; somebody who knew the truth and the law of the noise, but not the noise
+    warning it is so in 81 %, at worst 41 times; an oracle that knew the truth and the law of the noise, but not the noise
     itself, would be within 10 % in 89 and 92 % of two kinds of records.
 
     References
@@ -366,7 +366,7 @@ class _Study:
         ], left_out
 
     def warnings(self, first) -> list[str]:
-        """Why held-out parts of this record say little of other records."""
+        """Why held-out parts of this record predict little about other records."""
         features = self.X
         if self.instruments is not None:
             given = np.column_stack([self.instruments, np.ones(len(self.y))])
@@ -447,7 +447,7 @@ def _strength(X, instruments) -> float:
 def _joint_strength(X, instruments) -> float:
     """The smallest F of any combination of the features, by their smallest canonical correlation with the instruments.
 
-    Near-collinear features may be explained well one by one, and their difference not at all (Cragg and Donald, 1993).
+    Near-collinear features may each be explained well, but not their difference (Cragg and Donald, 1993).
     """
     samples, count = instruments.shape
     table, given = _directions(X - X.mean(axis=0)), instruments - instruments.mean(axis=0)

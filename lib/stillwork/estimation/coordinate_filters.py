@@ -113,7 +113,7 @@ class SavitzkyGolay:
     """Least-squares polynomial over the latest samples; its value and derivatives at the newest one."""
 
     samples: int = 15  # in the window
-    degree: Annotated[int, at_least(2)] = 2  # of the polynomial, 2 at least: an acceleration is wanted
+    degree: Annotated[int, at_least(2)] = 2  # of the polynomial, 2 at least: an acceleration is needed
     sample_time: Positive = 1e-3  # s; the weights of the derivatives depend on it
     error_from_measurement = True
 
@@ -133,7 +133,7 @@ class SavitzkyGolay:
 @by_value
 @dataclass(frozen=True)
 class FilterState:
-    """What a Kalman filter knows after a sample, from `start` and `step`."""
+    """State of a Kalman filter after a sample, from `start` and `step`."""
 
     estimate: Float64[np.ndarray, "3"]  # position in m, velocity in m/s, acceleration in m/s^2
     work: Float64[np.ndarray, "blocks rows columns"]  # the kernel's: covariance and last measurement
@@ -354,7 +354,7 @@ class ExtendedKalman(_KalmanFilter):
     --------
     >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
     >>> time = 1e-3 * np.arange(2000)  # s
-    >>> found = estimation.filter_signal(estimation.ExtendedKalman(slide), time**2)  # pushed, and nobody said so
+    >>> found = estimation.filter_signal(estimation.ExtendedKalman(slide), time**2)  # an unmodelled force acts
     >>> float(found.acceleration[-1].round(3))  # m/s^2
     2.0
     """
@@ -408,7 +408,7 @@ def require_sample_time(signal_filter, sample_time: float) -> float:
     bandwidth = getattr(signal_filter, "bandwidth", 0.0)
     if bandwidth * sample_time >= 2:
         raise InputError(
-            f"bandwidth is {bandwidth:g} rad/s; Euler's rule with steps of {sample_time:g} s wants less than "
+            f"bandwidth is {bandwidth:g} rad/s; Euler's rule with steps of {sample_time:g} s requires less than "
             f"{2 / sample_time:g} rad/s, or it diverges"
         )
     return float(sample_time)

@@ -164,7 +164,7 @@ def update_inverse_qr(factor, regressor, forgetting, gain, inner):
 
 @borrowing_kernel
 def update_form(form, matrix, regressor, forgetting, gain, inner):
-    """One sample of any form in place; `gain` becomes P psi of before, `inner` is room for work.
+    """One sample of any form in place; `gain` becomes P psi of before, `inner` is workspace.
 
     Returns lambda + psi' P psi.
     """

@@ -1,4 +1,4 @@
-"""The extended Kalman filter in kernels that know no model, and its form with a disturbance state."""
+"""The extended Kalman filter in kernels independent of the model, and its form with a disturbance state."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""One sample through any filter: the filters that know no model, and the one kernel that knows them all.
+"""One sample through any filter: filters independent of the model, and one kernel for all of them.
 
 Without a model: cascaded affine fits on a window of the latest samples, the Savitzky-Golay end point, and the low pass (7).
 """

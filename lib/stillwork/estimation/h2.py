@@ -35,9 +35,9 @@ class H2Synthesis:
     norm : float
         H2 norm of the loop as it was posed, without what was added.
     claimed : float
-        What the synthesis itself says of the regularised loop: its optimum, or a bound of it.
+        The synthesis's own value for the regularised loop: its optimum, or a bound of it.
     status : str
-        What the solver says.
+        Status of the solver.
 
     Raises
     ------
@@ -59,7 +59,7 @@ class H2Synthesis:
     controller: StateModel  # from y to u
     regular_norm: NonNegative  # H2 norm of the regularised loop, recomputed on the closed loop
     norm: NonNegative  # H2 norm of the loop as it was posed
-    claimed: NonNegative  # what the synthesis itself says of the regularised loop
+    claimed: NonNegative  # the synthesis's own value for the regularised loop
     status: str = "solved"
 
     def __post_init__(self):
@@ -143,7 +143,7 @@ def h2_riccati(
     Raises
     ------
     InputError
-        When the problem is not regular, has no stabilising solution, or one that cannot be trusted.
+        When the problem is not regular, has no stabilising solution, or only an inaccurate one.
 
     References
     ----------
@@ -218,7 +218,7 @@ def _uncancelled(loop: StateModel, states: int) -> float:
 
 @checked
 def checked_h2_norm(loop: StateModel) -> float:
-    """H2 norm of a loop; where it has none that can be trusted, the reader's plant is not what is to be blamed."""
+    """H2 norm of a loop; where it has no accurate one, the error does not name the plant as its cause."""
     try:
         return h2_norm(loop)
     except InputError as error:
@@ -228,7 +228,7 @@ def checked_h2_norm(loop: StateModel) -> float:
             if largest <= 4 * np.sqrt(np.finfo(float).eps) * np.linalg.norm(loop.b) * np.linalg.norm(loop.c):
                 return norm
         raise InputError(
-            f"the optimum is a loop without a trusted norm, add effort or noise, or other sensors: {error}"
+            f"the norm of the optimal loop cannot be computed accurately; add effort or noise, or other sensors: {error}"
         ) from None
 
 
@@ -246,10 +246,10 @@ def _filter_gain(a, b, c, d) -> np.ndarray:
 
 def _covariance(a, b, c, d, r) -> np.ndarray:
     """Stabilising solution P of the filter's Riccati equation."""
-    known = np.linalg.solve(r, d).T  # what a measurement says of the noise in it
+    known = np.linalg.solve(r, d).T  # the noise that a measurement reveals
     free, noise = a - b @ known @ c, b - b @ known @ d
     if len(d) == d.shape[1] and np.all(linalg.eigvals(free).real < 0):
-        return np.zeros_like(a)  # the measurements know all noise, so nothing is left uncertain
+        return np.zeros_like(a)  # the measurements determine all noise, so nothing remains uncertain
     try:
         p = linalg.solve_continuous_are(a.T, c.T, b @ b.T, r, s=b @ d.T)
         if np.isfinite(p).all():

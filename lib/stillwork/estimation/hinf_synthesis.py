@@ -73,7 +73,7 @@ def hinf_riccati(
     r"""Controller u = K y that keeps the H-infinity norm from w to z below a level, or makes it as small as can be.
 
     The central controller of Glover and Doyle. A plant in discrete time is solved by the bilinear transformation,
-    which keeps the norm. Every answer is closed: a loop that is unstable or exceeds its level is never returned.
+    which keeps the norm. Every result is checked in closed loop: one that is unstable or exceeds its level is never returned.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def hinf_riccati(
     Raises
     ------
     InputError
-        When no controller reaches the level, the problem is not regular, or no solution can be trusted.
+        When no controller reaches the level, the problem is not regular, or no solution is accurate.
 
     References
     ----------
@@ -116,7 +116,7 @@ def hinf_riccati(
         found = _closed(plant, normal, level)
         if found is None:
             raise InputError(
-                f"no controller keeps the norm below level {level:.6g}, or none that can be trusted; raise it, or "
+                f"no controller keeps the norm below level {level:.6g}, or no accurate one; raise it, or "
                 "leave it out to find the smallest"
             )
         return found

@@ -71,7 +71,7 @@ def _design(model: TimeVaryingModel, wanted: np.ndarray, level: float) -> tuple[
 
 
 def _attempts(model, gain: np.ndarray | None = None, covariance: np.ndarray | None = None) -> Callable:
-    """What fills gains and covariances for `wanted` over a level, and returns where no filter keeps it; 0 for nowhere."""
+    """A function that fills gains and covariances for `wanted` at a level and returns the sample at which no filter keeps it; 0 for none."""
     samples, outputs, states = model.c.shape
     gain = np.zeros((samples, states, outputs)) if gain is None else gain
     covariance = np.zeros((samples, states, states)) if covariance is None else covariance
@@ -92,8 +92,8 @@ def _riccati(a, g, c, wanted, gain, covariance):
     n = a.shape[1]
     p, half, v, noise = covariance[0].copy(), np.empty((n, n)), np.empty(n), np.ones(c.shape[1])
     for k in range(1, len(a) + 1):
-        # A negative measurement of what is wanted: certainty is taken back where errors would hurt most. The last one
-        # changes no gain, but says whether the level is kept at the last sample as well.
+        # A negative measurement of `wanted`: certainty is reduced where errors matter most. The last one
+        # changes no gain, but decides whether the level is kept at the last sample as well.
         for o in range(len(wanted)):
             variance = measure(p, wanted, o, -1.0, v)
             if not variance < 0:

@@ -168,7 +168,7 @@ def kalman_gain(model: StateModel, noise: NoiseCovariances) -> KalmanGain:
     Raises
     ------
     InputError
-        When the covariances do not fit the model, or the Riccati equation has no solution that can be trusted.
+        When the covariances do not fit the model, or the Riccati equation has no accurate solution.
 
     References
     ----------

@@ -104,11 +104,11 @@ def _least_square(known, uncertain) -> float:
 
 @checked
 def admitted_noise(matrix: Matrix, target: Vector, deviations: Vector) -> float:
-    """Share of this noise of the rows that the data admit: 1, or below where they hold less than it by more than chance.
+    """Share of this noise of the rows that the data admit: 1, or less if they hold significantly less noise.
 
     No relation of rows and target has less noise than that of the rows. The smallest |b - A x|^2 / (x' diag(deviations^2) x)
     is chi-square where b has no noise of its own, and larger where it has (Anderson and Rubin, 1949). Below its 1 %
-    quantile the answer is its root mean square. Columns of deviation 0 are known exactly, such as a constant.
+    quantile the result is its root mean square. Columns of deviation 0 are known exactly, such as a constant.
     """
     target = require_array("target", target, shape=(len(matrix),))
     deviations = require_array("deviations", deviations, shape=matrix.shape[1:])
@@ -145,7 +145,7 @@ def huber_estimate(matrix: Matrix, target: Vector, weights: Vector) -> Float64[n
 def instrumental_variables(
     matrix: Matrix, target: Vector, instruments: Matrix
 ) -> Float64[np.ndarray, " unknowns"]:
-    """Two-stage least squares: rows are replaced by what the instruments say of them (Söderström and Stoica, 1983)."""
+    """Two-stage least squares: rows are replaced by their projection on the instruments (Söderström and Stoica, 1983)."""
     target = require_array("target", target, shape=(len(matrix),))
     instruments = require_array("instruments", instruments, shape=(len(matrix), None))
     explained = instruments @ np.linalg.lstsq(instruments, matrix, rcond=None)[0]

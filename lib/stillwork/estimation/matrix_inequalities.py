@@ -42,7 +42,7 @@ def h2_lmi(
 ) -> H2Synthesis:
     r"""Controller u = K y with the smallest H2 norm from w to z, from matrix inequalities that Clarabel solves.
 
-    A road apart from the Riccati equations of `h2_riccati`, to check them by: slower, less exact, and without an answer
+    An independent check of the Riccati equations of `h2_riccati`: slower, less accurate, and without a result
     for many plants with unstable modes that these solve. The controller's feedthrough is zero: with a regular
     :math:`D_{12}` and :math:`D_{21}` any other makes the norm infinite. It needs cvxpy, which the extra `control` brings.
 
@@ -212,7 +212,7 @@ def _solved(
         try:
             status, claimed, controller = _by_inequalities(regular, size, level, ratio)
         except InputError as error:
-            refusals.insert(0, error)  # that of a loop says more
+            refusals.insert(0, error)  # that of a loop is more informative
             if best or settled:
                 break
             size *= 10
@@ -275,9 +275,9 @@ def _by_inequalities(regular: GeneralisedPlant, size: float, level: float | None
         raise InputError(
             f"the matrix inequalities have no usable solution: Clarabel reports {str(solution.status)!r} after "
             f"{solution.iterations} iterations, residuals {solution.r_prim:.1e} (primal) and "
-            f"{solution.r_dual:.1e} (dual); rescale the problem, regularise it more or ask for less"
+            f"{solution.r_dual:.1e} (dual); rescale the problem, regularise it more or relax the constraint"
         )
-    with warnings.catch_warnings(action="ignore"):  # the status says as much
+    with warnings.catch_warnings(action="ignore"):  # the status reports it, too
         problem.unpack_results(solution, chain, inverse)
     found = (variable.value for variable in (x, y, a_hat, b_hat, c_hat))
     claimed = size * float(np.sqrt(max(problem.value, 0.0)))  # a trace near zero may round below it

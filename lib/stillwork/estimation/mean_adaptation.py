@@ -1,7 +1,7 @@
 """Where a filtered-error adaptation ends, how it gets there and how its weights scatter, from spectra alone.
 
 In the mean, FeLMS and FeRLS stop where the filtered error has nothing in common with the filtered regressors,
-``E[e psi_N'] = 0``. That is linear in the weights, ``A w + b = 0``, and A tells the convergence as well.
+``E[e psi_N'] = 0``. That is linear in the weights, ``A w + b = 0``, and A determines the convergence, too.
 """
 
 from dataclasses import dataclass

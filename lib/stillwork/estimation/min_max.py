@@ -46,7 +46,7 @@ def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: NonNegative) -> M
     The estimate minimises the worst residual that a perturbation of norm at most `bound` can cause. It is
     ridge regression whose penalty follows from the bound through a scalar equation, which is solved by
     a safeguarded Newton iteration on the singular values. Data are scaled before and by the solve: the
-    answer does not depend on their units.
+    result does not depend on their units.
 
     Parameters
     ----------

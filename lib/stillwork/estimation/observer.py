@@ -215,7 +215,7 @@ def kalman_observer(
     Raises
     ------
     InputError
-        When a mode that is not stable by itself cannot be observed, or the Riccati equation cannot be trusted.
+        When a mode that is not stable by itself cannot be observed, or the Riccati equation has no accurate solution.
 
     References
     ----------
@@ -250,7 +250,7 @@ def augment_random_walk(
     c: Float64[np.ndarray, "outputs states"],
     walk: Float64[np.ndarray, "inputs inputs"],
 ) -> tuple[np.ndarray, ...]:
-    """A, B, G and C with a random walk added to each plant input; `walk` says how it goes on without its noise."""
+    """A, B, G and C with a random walk added to each plant input; `walk` is its transition without noise."""
     inputs = b.shape[1]
     a = np.block([[a, b], [np.zeros((inputs, len(a))), walk]])
     g = linalg.block_diag(b, np.eye(inputs))

@@ -152,7 +152,7 @@ class AdaptationStepper:
     settings : FeLms or FeRls
         The algorithm.
     weights : array_like, shape (actuators, n)
-        W at the start, e.g. ``np.zeros((6, 9))``; it says how many actuators and regressors there are.
+        W at the start, e.g. ``np.zeros((6, 9))``; its shape is (actuators, regressors).
 
     Attributes
     ----------
@@ -283,7 +283,7 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
         history,
         every,
     )
-    # Overflow lasts, so a look at the end tells; only a run that overflowed is repeated to find the sample.
+    # Overflow persists, so a look at the end suffices; only a run that overflowed is repeated to find the sample.
     covariance, held = None, None
     for watch in (False, True):
         weights = start.astype(dtype)
@@ -355,7 +355,7 @@ def run_ferls(
     """FeRLS over samples of which the first has the number `first`, in place.
 
     Returns how many are done, and whether P was positive definite up to there. The `signals` are e, or, where it
-    `fits`, d of e = d + W psi, which ends the run above the `ceiling`. To `watch` is to ask at each sample whether all
+    `fits`, d of e = d + W psi, which ends the run above the `ceiling`. To `watch` is to check at each sample whether all
     is finite.
     """
     matrix, form, forgetting, levels, allowance, gain, _, _ = recursion

@@ -59,7 +59,7 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
     array([2., 0., 0., 0., 0.])
     """
     track = run_silently(estimator, regressors, outputs)
-    # without any correlation zero is the answer for every bound
+    # without any correlation zero is the solution for every bound
     informative = np.any(np.asarray(regressors, dtype=float) @ np.asarray(outputs, dtype=float))
     if _is_min_max(estimator) and informative and np.isinf(track.alphas).all():
         warnings.warn(

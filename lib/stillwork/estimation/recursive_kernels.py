@@ -28,7 +28,7 @@ FAR = 1e10  # what is left of so many times as much has 6 digits
 
 
 def known_length(unknowns: int, samples: int) -> tuple[float, ...]:
-    """As many zeros as unknowns: a kernel knows a tuple's length when it is compiled, and unrolls its loops.
+    """As many zeros as unknowns: a tuple's length is known when a kernel is compiled, which unrolls its loops.
 
     Empty for more than a few unknowns, or a short record: then the kernel that serves every length runs, to the same bits.
     """
@@ -218,7 +218,7 @@ def run_least_squares(
     """Exponentially weighted recursive least squares, covariance form, P kept below limits of its diagonal.
 
     At a sample that is larger than all before (`largest`) the start at x = 0 is believed as much as its square over
-    `start`, and the limit is `growth` times the inverse of this. `held` tells which limits acted at the last sample.
+    `start`, and the limit is `growth` times the inverse of this. `held` marks the limits that acted at the last sample.
     """
     n = len(estimate)
     gain = np.zeros(n)

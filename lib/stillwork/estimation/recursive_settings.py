@@ -290,7 +290,7 @@ class LeastSquares(_Recursion):
         How far an element of the diagonal of P may grow beyond P_0, at least 1; ``inf`` for the textbook's
         recursion. Without excitation P grows as 1 / forgetting^t: it overflows, and long before
         that its return breaks the recursion. Information is added only where P exceeds the limit; `held` of the
-        track tells for which unknowns it was at the last sample.
+        track lists the unknowns for which it acted at the last sample.
 
     Raises
     ------

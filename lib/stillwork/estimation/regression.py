@@ -403,7 +403,7 @@ class LeastMeanSquares(UnweightedRegressor):
     Raises
     ------
     InputError
-        When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+        When a setting is out of its range, or a table does not fit; raised by `fit` and `partial_fit`.
 
     Warns
     -----
@@ -497,7 +497,7 @@ class RecursiveLeastSquares(WeightedRegressor):
     Raises
     ------
     InputError
-        When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+        When a setting is out of its range, or a table does not fit; raised by `fit` and `partial_fit`.
 
     Warns
     -----

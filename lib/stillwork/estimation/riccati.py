@@ -66,8 +66,8 @@ def continuous_gain(
 ) -> KalmanGain:
     r"""Kalman gain :math:`L = PC^TR^{-1}` with :math:`AP + PA^T + GQG^T - PC^TR^{-1}CP = 0` (section 3.1).
 
-    The intensities Q and R are matrices, or numbers for a multiple of the identity. An error tells what leaves no
-    trusted solution: an intensity that is not positive definite, a mode on or right of the imaginary axis that is not
+    The intensities Q and R are matrices, or numbers for a multiple of the identity. An error names the reason why there is no
+    accurate solution: an intensity that is not positive definite, a mode on or right of the imaginary axis that is not
     observable, one on the axis that the noise does not drive, a large residual or an unstable observer.
     """
     return KalmanGain(*_stationary(a, noise_input, c, process, sensor, discrete=False))

@@ -123,7 +123,7 @@ def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: Positiv
     r"""Robust regularised least-squares filter (5.21) with the rule of thumb :math:`\lambda = (1+\alpha)\lambda_l`.
 
     The thesis takes a margin :math:`\alpha` of 1. The rule does not see how large E is: with one output and margin 1
-    it halves R even for errors that vanish. Only the exact search, or no uncertainty at all, returns to the Kalman
+    it halves R even for errors that vanish. Only the exact search, or no uncertainty, returns to the Kalman
     filter.
     """
     rows, m = bound_rows(model, bound)

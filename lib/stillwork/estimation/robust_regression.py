@@ -36,7 +36,7 @@ class HuberRegressor(RecursiveRegressor):
     Raises
     ------
     InputError
-        When a setting is out of its range, or a table does not fit; `fit` says so.
+        When a setting is out of its range, or a table does not fit; raised by `fit`.
 
     Notes
     -----
@@ -128,8 +128,8 @@ class HinfinityRegressor(UnweightedRegressor):
     Raises
     ------
     InputError
-        When no filter keeps the level, a setting is out of its range, or a table does not fit; `fit` and `partial_fit`
-        say so.
+        When no filter keeps the level, a setting is out of its range, or a table does not fit; raised by `fit` and
+        `partial_fit`.
 
     References
     ----------

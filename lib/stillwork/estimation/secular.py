@@ -38,7 +38,7 @@ def next_alpha(alpha, image, norm, residual, first, second, low, high):
     It solves bound(1/alpha)^-1 = eta^-1, which is nearly straight in 1/alpha at both ends. With
     P = (A'A + alpha I)^-1: image f(alpha), norm |x|^2, residual |A x - b|^2, first x'P x, second x'P^2 x.
     Outside the bracket it falls back to the bracket's middle, or strides while one end is missing. The second value
-    returned says whether the step was so short that its cube, the error it leaves, is rounding.
+    returned is whether the step was so short that its cube, the error it leaves, is rounding.
     """
     per_norm = first / norm
     per_residual = alpha * first / residual
@@ -173,7 +173,7 @@ class SecularFunction:
     @property
     @checked
     def free_bound(self) -> float:
-        """|S^-1 c| / |S^-2 c|: up to it least squares itself is the answer, when b is in the column space."""
+        """|S^-1 c| / |S^-2 c|: up to it least squares is the solution, when b is in the column space."""
         return float(self._sums[1])
 
     @property

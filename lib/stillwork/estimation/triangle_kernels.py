@@ -6,7 +6,7 @@ from stillwork.base.algebra import cholesky_solve
 from stillwork.base.kernels import kernel
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
-# Below these shares of the data the rank decides, which singular values tell and a triangle does not.
+# Below these shares of the data the rank decides, which singular values show and a triangle does not.
 LEAST_EXCESS, LEAST_PENALTY = 1e-9, 1e-20
 EVALUATIONS = 60
 

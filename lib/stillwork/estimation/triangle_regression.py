@@ -161,7 +161,7 @@ class MinMaxRegressor(TriangleRegressor):
     Raises
     ------
     InputError
-        When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+        When a setting is out of its range, or a table does not fit; raised by `fit` and `partial_fit`.
 
     Notes
     -----
@@ -318,7 +318,7 @@ class RidgeRegressor(_PenalisedRegressor):
     Raises
     ------
     InputError
-        When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+        When a setting is out of its range, or a table does not fit; raised by `fit` and `partial_fit`.
 
     Warns
     -----
@@ -398,7 +398,7 @@ class BiasCompensatedRegressor(_PenalisedRegressor, _NoisyFeatures):
     Raises
     ------
     InputError
-        When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+        When a setting is out of its range, or a table does not fit; raised by `fit` and `partial_fit`.
 
     Warns
     -----
@@ -475,7 +475,7 @@ class TotalLeastSquares(_NoisyFeatures):
     Raises
     ------
     InputError
-        When there is no solution, a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+        When there is no solution, a setting is out of its range, or a table does not fit; raised by `fit` and `partial_fit`.
 
     References
     ----------
@@ -527,8 +527,8 @@ class InstrumentalRegressor(TriangleRegressor):
     Raises
     ------
     InputError
-        When there are fewer instruments than features, a setting is out of its range, or a table does not fit; `fit` and
-        `partial_fit` say so.
+        When there are fewer instruments than features, a setting is out of its range, or a table does not fit; raised by `fit`
+        and `partial_fit`.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""The unscented Kalman filter (12)-(17), corrected, in kernels that know no model.
+"""The unscented Kalman filter (12)-(17), corrected, in kernels independent of the model.
 
 A model enters between them: draw points, let the caller move them, take their mean and covariance; draw
 again, let the caller say what they would measure, correct.

@@ -44,7 +44,7 @@ class Identified(NamedTuple):
 def impact_response(force: Matrix, response: ArrayLike, rate: Positive) -> Identified:
     """H1 estimate from hits, one record a hit: the force's own cross spectra averaged over hits.
 
-    The coherence of a single hit would be one everywhere and say nothing: it is NaN.
+    The coherence of a single hit would be one everywhere, without meaning: it is NaN.
     """
     response = require_array("response", response, shape=force.shape)
     if not len(force):
@@ -57,7 +57,7 @@ def impact_response(force: Matrix, response: ArrayLike, rate: Positive) -> Ident
     dead = (s_ff == 0) | (s_aa == 0)
     if np.any(dead[keep]):
         raise InputError(
-            f"force or response has no power at all at {pluralise(int(dead[keep].sum()), 'frequency')}; hit harder"
+            f"force or response has no power at {pluralise(int(dead[keep].sum()), 'frequency')}; hit harder"
         )
     coherence = np.abs(s_fa) ** 2 / (s_ff * s_aa) if len(force) > 1 else np.full(len(omega), np.nan)
     found = Identified(omega[keep], (s_fa / s_ff)[keep], coherence[keep])

@@ -14,10 +14,10 @@ from stillwork.lti.modal import ModalModel, mirrored
 from stillwork.lti.reduction import truncate
 
 MAX_RELATIVE_ERROR = (
-    0.5  # relative error below half the first resonance, or at the end of the band, that is told
+    0.5  # relative error below half the first resonance, or at the end of the band, that is reported
 )
-MISFIT = 0.25  # relative error all over the band, root mean square, that is told
-LEAST_PHASE = 1.0  # degrees, that is told
+MISFIT = 0.25  # relative error over the whole band, root mean square, that is reported
+LEAST_PHASE = 1.0  # degrees, that is reported
 BAND_END_SHARE = 0.01  # of the band's highest frequency
 AROUND = (0.4, 10.0)  # times the one resonance that stands out, where more is looked for
 TURNED = "counted against the force, turned"
@@ -123,7 +123,7 @@ def build_machine(
         if not only.rigid_modes:
             raise InputError(
                 f"mirrored_sensor: {file.source} stands on springs to the ground, and what a sensor turned around "
-                "would see of its suspension nobody knows; leave mirrored_sensor out (false)"
+                "would measure of its suspension is unknown; leave mirrored_sensor out (false)"
             )
         machine = replace(machine, sensors=(only, mirrored(only)), mirrored=(False, True))
     return machine
@@ -147,7 +147,7 @@ def _fitted(
             )
         notes.append(
             f"fitted from {band[0]:.4g} to {band[1]:.4g} Hz: from {whole[0]:.4g} to {whole[1]:.4g} Hz one resonance alone "
-            "stood out; give fit_hz to say where the response can be trusted"
+            "stood out; give fit_hz, the band in which the response is reliable"
         )
     model = fit.model
     low = fit.omega[0] / (2 * np.pi)

@@ -34,7 +34,7 @@ _HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
 @by_value
 @dataclass(frozen=True)
 class MachineFile:
-    """What a file says about a machine: either its accelerance, or a modal model."""
+    """The machine of a file: either its accelerance, or a modal model."""
 
     kind: str  # ``frequency response``, ``hammer records`` or ``matrices``
     source: str  # file name
@@ -74,7 +74,7 @@ def load_machine(
     response: str = "",
     damping_ratio: float = 0.005,
 ) -> MachineFile:
-    """Read a machine from a CSV, MAT, NPZ or universal file; which of the three forms it is, the names tell.
+    """Read a machine from a CSV, MAT, NPZ or universal file; the names of its columns decide which of the three forms it is.
 
     - Frequency response: ``frequency`` (Hz, or with ``(rad/s)`` behind it) and either a complex array, also one of
       outputs by inputs (`response` chooses, e.g. ``h[2,1]``), or ``real`` and ``imaginary``, or ``magnitude``
@@ -108,7 +108,7 @@ def load_machine(
     Raises
     ------
     InputError
-        For everything that makes the file unusable; it says what to do.
+        When the file cannot be used; the message states what to do.
 
     Examples
     --------
@@ -153,7 +153,7 @@ def load_machine(
         raise InputError(f"{file.name}: {error}") from None
     if silent:
         notes += (
-            f"nothing says the unit of {' and '.join(silent)}; taken for {response_unit} over {force_unit}",
+            f"the unit of {' and '.join(silent)} is not stated; assumed: {response_unit} over {force_unit}",
         )
     scaled = factor / force * found.response * (1j * found.omega) ** derivatives
     return MachineFile(kind, file.name, found._replace(response=scaled), notes=notes, units=(position, drive))
@@ -258,7 +258,7 @@ def _agreed(name: str, given: str, stated: str) -> str:
     """The unit that is given or stated in the file; `InputError` when they are two."""
     if given and stated and unit_factor(given) != unit_factor(stated):
         raise InputError(
-            f"{name} is {given!r}, but the file says {stated!r}; leave it out, or correct the file"
+            f"{name} is {given!r}, but the file states {stated!r}; leave it out, or correct the file"
         )
     return given or stated
 
@@ -338,9 +338,7 @@ def _from_hammer(
         rows - rows[:, -rows.shape[1] // 10 :].mean(axis=1, keepdims=True) for rows in (force, response)
     )
     tail = np.abs(response[:, -response.shape[1] // 10 :]).max(axis=1) / np.abs(response).max(axis=1)
-    notes = [
-        f"{len(force)} hits" if len(force) > 1 else "1 hit: without a second there is no coherence to trust"
-    ]
+    notes = [f"{len(force)} hits" if len(force) > 1 else "1 hit: the coherence needs at least two"]
     if tail.max() <= DIED_OUT:
         force, response = (
             np.pad(rows, ((0, 0), (0, (PADDING - 1) * rows.shape[1]))) for rows in (force, response)

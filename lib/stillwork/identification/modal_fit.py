@@ -146,7 +146,7 @@ def identify_modes(
     error most are added and all are refined together; then modes go one by one that do not prevent an error of 50 %
     over their own width, that noise could have made, or that mostly cancel another. With `guesses_hz` the modes are
     these. A response that is counted against the force is turned, and one that is late by a delay of its own brought
-    forward. A resonance beyond the band that its lines tell of is fitted, too, so that it draws at no other, and
+    forward. A resonance beyond the band that shows in its lines is fitted, too, so that it draws at no other, and
     left out of the model.
 
     Parameters
@@ -198,8 +198,8 @@ def identify_modes(
 
 
 def _rubbed(measured, band_hz, diagram, guesses, free):
-    """The problem and its modes with friction where that says more, else those without."""
-    # A free body on viscous friction, where that says more with no more modes than without.
+    """The problem and its modes with friction where that explains more, else those without."""
+    # A free body on viscous friction, where that explains more with no more modes than without.
     if not free[0].grounded:
         rubbed = _Accelerance(measured, band_hz)
         if rubbed.rub(np.log(diagram.settled())):

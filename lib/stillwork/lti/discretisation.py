@@ -194,7 +194,7 @@ def tustin_sections(
         raise InputError(
             f"zeros holds {len(zeros)} values for {pluralise(len(poles), 'pole')}; give at most as many"
         )
-    with np.errstate(all="ignore"):  # a pole at twice the rate has no twin, which the front door says
+    with np.errstate(all="ignore"):  # a pole at twice the rate has no equivalent, which validation reports
         return signal.zpk2sos(*signal.bilinear_zpk(zeros, poles, gain, 1 / sample_time))
 
 
@@ -238,7 +238,7 @@ def sampled_modes(
 
 @lru_cache(maxsize=64)
 def _kept(frequencies: bytes, damping: bytes, sample_time: float, late: float, drag: float):
-    """`_late` of modes by their bytes: a search asks for the response of the same ones thousands of times."""
+    """`_late` of modes by their bytes: a search needs the response of the same ones thousands of times."""
     return _late(np.frombuffer(frequencies), np.frombuffer(damping), sample_time, late, drag)
 
 

@@ -1,4 +1,4 @@
-"""Generalised plants: a model that tells disturbances from controls and performance from measurements."""
+"""Generalised plants: a model with separate disturbances and controls, performance outputs and measurements."""
 
 from dataclasses import dataclass
 

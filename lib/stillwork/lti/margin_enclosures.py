@@ -37,7 +37,7 @@ class Bounds(NamedTuple):
 
 
 class NotDecided(Exception):
-    """Roots that cannot be told apart, or a quotient whose denominator may vanish."""
+    """Roots that cannot be separated, or a quotient whose denominator may vanish."""
 
 
 @by_value
@@ -68,7 +68,7 @@ class _Root:
 
 
 def _roots(polynomial: Polynomial) -> Iterator[_Root]:
-    """Its roots above 0, rising, each as often as it counts; `NotDecided` where some are too close to be told apart."""
+    """Its roots above 0, rising, each as often as it counts; `NotDecided` where some are too close to be separated."""
     while polynomial and not polynomial[-1]:
         polynomial = polynomial[:-1]
     while polynomial and not polynomial[0]:

@@ -106,7 +106,7 @@ class ModalModel:
         Returns
         -------
         ModalModel
-            Of the chosen modes, in the order that is asked for.
+            Of the chosen modes, in the given order.
 
         Raises
         ------
@@ -165,7 +165,7 @@ class ModalModel:
         Parameters
         ----------
         inputs, outputs : sequence of int
-            Their places, from 0, in the order that is wanted.
+            Their indices, from 0, in the desired order.
 
         Returns
         -------

@@ -216,7 +216,7 @@ def h2_norm(model: StateModel) -> float:
     Raises
     ------
     InputError
-        When the model is unstable, has feedthrough in continuous time, or the equation is too ill-conditioned to trust.
+        When the model is unstable, has feedthrough in continuous time, or the equation is too ill-conditioned.
 
     References
     ----------
@@ -257,7 +257,7 @@ def rough_h2_norm(model: StateModel) -> tuple[float, float]:
 
 
 def _squared(model: StateModel) -> tuple[tuple[float, float], float, float, bool]:
-    """Units of B and C, the squared norm in these without D, its uncertainty, and whether nothing passes at all."""
+    """Units of B and C, the squared norm in these without D, its uncertainty, and whether the model's response is zero."""
     discrete = model.sample_time > 0
     units, rate, a, b, c = _balanced(model, in_slow_time=not discrete)
     b = b / np.sqrt(rate)
@@ -269,7 +269,7 @@ def _squared(model: StateModel) -> tuple[tuple[float, float], float, float, bool
         return units, 0.0, 0.0, True
     # The equation is solved for an A that is a rounding away from ours, E: to first order the power moves by
     # 2 tr(Y E X), in discrete time by 2 tr(Y E X A').
-    if discrete:  # each number by itself: in skew states the solver loses more than the norms say
+    if discrete:  # each number by itself: in skew states the solver loses more than the norms indicate
         moved = float(np.sum(np.abs(a).T * (np.abs(gramian) @ np.abs(a.T) @ np.abs(dual))))
     else:
         moved = np.linalg.norm(a, 2) * np.linalg.norm(gramian @ dual)

@@ -94,7 +94,7 @@ class StateModel:
         Parameters
         ----------
         inputs, outputs : sequence of int
-            Their places, from 0, in the order that is wanted.
+            Their indices, from 0, in the desired order.
 
         Returns
         -------
@@ -161,7 +161,7 @@ class StateModel:
             solved[:, part] = np.linalg.solve(shifted, b[part] + a[part] @ solved)
         return response + np.moveaxis(c @ solved, 0, -1)
 
-    @cached_property  # a peak between grid points is asked for again and again
+    @cached_property  # a peak between grid points is computed many times
     def _coupled(self) -> list[np.ndarray]:
         """States that drive each other, as parts of the whole in an order in which a part is driven by earlier ones alone."""
         return coupled_states(self._decomposed[1])
@@ -291,7 +291,7 @@ def state_scale(
 ) -> Float64[np.ndarray, " states"]:
     """Units of the states that balance A, B and C together, in the units that B and C are given in.
 
-    A alone says nothing about a rigid body. The balanced model is ``a * s / s[:, None]``, ``b / s[:, None]``, ``c * s``.
+    A alone does not determine the scale of a rigid body. The balanced model is ``a * s / s[:, None]``, ``b / s[:, None]``, ``c * s``.
     """
     n, size = len(a), max(b.shape[1], len(c))
     whole = np.zeros((n + size, n + size))
@@ -353,7 +353,7 @@ def from_control(system) -> StateModel:
 
 
 def _least_condition(matrix: np.ndarray) -> float:
-    """Condition number of a matrix in the units that suit it best (Bauer 1963): newtons by metres say nothing of a loop."""
+    """Condition number of a matrix in the units that suit it best (Bauer 1963): the condition in newtons and metres means little for a loop."""
     try:
         return float(np.abs(linalg.eigvals(np.abs(np.linalg.inv(matrix)) @ np.abs(matrix))).max())
     except np.linalg.LinAlgError:

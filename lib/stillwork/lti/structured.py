@@ -75,7 +75,7 @@ def prove_gain(model: StateModel, uncertain: Natural, level: Positive) -> GainPr
     Returns
     -------
     GainProof
-        Not `proven` does not say that the level is exceeded: the bound has a gap, small for few numbers. What is
+        Not `proven` does not mean that the level is exceeded: the bound has a gap, small for few numbers. What is
         proven is so up to the rounding of the eigenvalues that end an interval.
 
     Raises

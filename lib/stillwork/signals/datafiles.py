@@ -199,12 +199,12 @@ def _npz(path: Path) -> dict[str, np.ndarray]:
 
 
 def _require_size(path: Path, members: list[zipfile.ZipInfo]) -> None:
-    """Refuse what would fill the memory; a member never unpacks to more than its archive says."""
+    """Refuse what would fill the memory; a member never unpacks to more than its archive states."""
     if len(members) > MOST_MEMBERS:
         raise _no_archive(path, f"it holds {len(members)} members, more than {MOST_MEMBERS}")
     if (size := sum(each.file_size for each in members)) > MOST_BYTES:
         raise _no_archive(path, f"it unpacks to {size:.2g} bytes, more than {MOST_BYTES >> 30} GB")
-    for each in members:  # others unpack a thousandfold of what is asked of them at a time
+    for each in members:  # others unpack a thousand times the requested size at once
         if each.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise _no_archive(path, f"its member {short_repr(each.filename)} is compressed as numpy does not")
 

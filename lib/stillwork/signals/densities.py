@@ -17,7 +17,9 @@ from stillwork.signals.records import (
     unknown_unit,
 )
 
-DENSITIES_SAID = "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), say, with m, u or n before a unit"
+DENSITIES_SAID = (
+    "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), for example, with m, u or n before a unit"
+)
 # What a column beside a frequency is called when it is a part of a response, and no density.
 _PARTS = re.compile(r"\b(re|real|im|imag|imaginary|mag|magnitude|amplitude|gain|phase|angle|coherence|coh)\b")
 _SUFFIX = re.compile(r"_([munpk]?[mg])(_s2|_s)?_(rthz|sqrthz|2_hz)$")
@@ -44,7 +46,7 @@ def density_unit(unit: str) -> tuple[str, int] | None:
 
 @checked
 def stated_density(name: str) -> str:
-    """Unit of a density that a name says in brackets or at its end, as ``ground_m_rthz`` does; empty: none."""
+    """Unit of a density in a name, in brackets or at its end, as ``ground_m_rthz`` does; empty: none."""
     if found := LAST_BRACKETS.search(name):
         try:
             return found[1] if density_unit(found[1]) else ""
@@ -58,7 +60,7 @@ def stated_density(name: str) -> str:
 
 @checked
 def spectra_of(columns: dict[str, np.ndarray]) -> dict[str, str]:
-    """Names of the densities beside a frequency, each with the unit that its name says; empty where there are none."""
+    """Names of the densities beside a frequency, each with the unit in its name; empty if there are none."""
     axis = frequency_axis(columns)
     others = {name: column for name, column in columns.items() if name != axis and column.size > 1}
     if not axis or any(

@@ -23,7 +23,7 @@ def require_floor_level(source: str, unit: str, peak: float, rms: float) -> None
     if peak > LOUDEST:
         raise InputError(
             f"{source}: the floor accelerates by up to {peak:.3g} m/s^2, beyond 1 g, where nothing stays on it; "
-            f"{said}, or cut out what shook the sensor alone"
+            f"{said}, or cut out the part in which only the sensor was shaken"
         )
     if rms < QUIETEST:
         raise InputError(

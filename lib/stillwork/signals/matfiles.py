@@ -1,4 +1,4 @@
-"""Arrays of MAT files, read by a process of its own: scipy may crash on a damaged file, or ask for any memory."""
+"""Arrays of MAT files, read by a separate process: scipy may crash on a damaged file, or allocate any amount of memory."""
 
 import contextlib
 import json
@@ -17,7 +17,7 @@ from stillwork.base.validation import checked
 # A record of an hour at 10 kHz on ten channels takes 3 GB and ten seconds.
 MOST_BYTES = 4 * 2**30
 MOST_SECONDS = 60
-_REFUSED = 2  # exit code of the process that says on stderr why
+_REFUSED = 2  # exit code of the process that reports the reason on stderr
 
 
 @checked

@@ -124,7 +124,7 @@ class Record:
         if not low <= self.sample_rate <= high:
             raise InputError(
                 f"{self.source}: a sample rate of {self.sample_rate:.4g} Hz is implausible for vibration "
-                f"({low:g} Hz to {high:g} Hz); time is wanted in s, the rate in Hz"
+                f"({low:g} Hz to {high:g} Hz); give time in s, the rate in Hz"
             )
         if self.signals.shape[1] < SHORTEST_SAMPLES:
             raise InputError(
@@ -171,7 +171,7 @@ def load_record(
     sample_rate : float, optional
         Hz; needed when the file has neither a time nor a rate.
     channels : list of str, optional
-        Names of the channels wanted, in order; a member of a MATLAB structure as ``name.member``.
+        Names of the channels to read, in order; a member of a MATLAB structure as ``name.member``.
     most_channels : int, optional
         More channels than this are refused.
 
@@ -185,7 +185,7 @@ def load_record(
     InputError
         For an unknown, missing or contradictory unit, also one in a channel's brackets, channels of several
         quantities, an unknown channel, NaN, a channel that never moves, gaps, uneven time, an implausible or contradictory rate, too short a record or too many
-        channels. The message says what to do.
+        channels. The message states what to do.
 
     Examples
     --------
@@ -381,7 +381,7 @@ def sample_rate_of(times: ArrayLike, source: str = "time") -> float:
 
 @checked
 def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | None = None) -> float:
-    """Rate in Hz that a file's columns tell, by a time or a scalar, or that is stated; the two must agree to 1 %."""
+    """Rate in Hz from a file's columns (a time or a scalar) or as stated; the two must agree to 1 %."""
     if stated is not None:
         require_number("sample_rate", stated, above=0.0)
     found = stated
@@ -394,7 +394,7 @@ def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | N
             continue
         if stated is not None and abs(found - stated) > RATE_TOLERANCE * stated:
             raise InputError(
-                f"sample_rate is {stated:g} Hz, but {name!r} of {source} says {found:.6g} Hz; leave one out or correct it"
+                f"sample_rate is {stated:g} Hz, but {name!r} of {source} gives {found:.6g} Hz; leave one out or correct it"
             )
     if found is None:
         raise InputError(f"{source} has no time and no rate; give sample_rate in Hz or a column named time")

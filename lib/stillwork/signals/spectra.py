@@ -135,7 +135,7 @@ def estimate_response(
     Raises
     ------
     InputError
-        When lengths differ, or there are fewer segments than needed to tell the inputs apart.
+        When lengths differ, or there are fewer segments than needed to separate the inputs.
 
     References
     ----------
@@ -157,7 +157,7 @@ def estimate_response(
     averages, count = _averages(x.shape[1], length), len(x)
     if averages <= 2 * count:
         raise InputError(
-            f"{pluralise(averages, 'segment')} cannot tell {count} inputs apart; record longer or take a coarser resolution_hz"
+            f"{pluralise(averages, 'segment')} cannot separate {count} inputs; record longer or use a coarser resolution_hz"
         )
     frequencies, fx = _segment_spectra(x, sample_rate, length)
     _, fy = _segment_spectra(y, sample_rate, length)

@@ -15,7 +15,7 @@ from stillwork.base.validation import checked
 
 _FUNCTION = 58
 _UNITS = 164
-_SI_CODES = (0, 1, 9)  # not said, SI, the labels say it
+_SI_CODES = (0, 1, 9)  # not stated, SI, stated in the labels
 # Function types of dataset 58 that are read, with the axis that each stands over.
 _KINDS = {
     1: ("", "time (s)"),
@@ -39,7 +39,7 @@ def read_universal(path: str | Path) -> dict[str, np.ndarray]:
     """Every measured function of a universal file by name, and the axes that they stand over.
 
     Time responses stand over ``time (s)``; frequency responses (complex, named ``frf ...``), spectra and
-    coherences over ``frequency (Hz)``. A name tells quantity, place and direction, and the unit where the file
+    coherences over ``frequency (Hz)``. A name holds quantity, place and direction, and the unit where the file
     labels it: ``acceleration 2+Z (m/s2)``, ``frf 2+Z/1+Z ((m/s2)/N)``. A second function of a name gets a number.
     """
     pyuff = require_package("pyuff")
@@ -69,7 +69,7 @@ def read_universal(path: str | Path) -> dict[str, np.ndarray]:
         wanted, got = one["num_pts"], len(one.get("data", ()))  # none where its type is unknown
         if got < wanted:
             raise InputError(
-                f"{path.name}: a function announces {pluralise(wanted, 'value')} and holds {got}; export it again"
+                f"{path.name}: a function declares {pluralise(wanted, 'value')} but holds {got}; export it again"
             )
         if one["func_type"] in _KINDS:
             _take(path, found, one)
@@ -110,7 +110,7 @@ def _names(kind: str, one: dict) -> Iterator[str]:
 
 
 def _place(one: dict, side: str) -> str:
-    """Name or node of one end, with its direction; empty when the file does not say."""
+    """Name or node of one end, with its direction; empty if the file does not state it."""
     name, node = _text(one.get(f"{side}_ent_name")), one[f"{side}_node"]
     if not node or str(node) in name:
         return name
