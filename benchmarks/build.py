@@ -182,7 +182,7 @@ def work(name: str, kernels: str, without: tuple[str, ...]) -> float:
 
 
 def print_pins(targets: list[str], rounds: int, kernels: str) -> None:
-    """A row a notebook: seconds under all pins, and these over the seconds without one of them and without any."""
+    """A row per notebook: seconds under all pins, and these over the seconds without one of them and without any."""
     print(f"{'notebook':40}{'pinned':>9}" + "".join(f"{f'x {name}':>12}" for name in list(WITHOUT)[1:]))
     total = dict.fromkeys(WITHOUT, 0.0)
     for notebook in select(*(targets or sampled())):
@@ -208,7 +208,7 @@ def row(label: str, seconds: dict[str, float]) -> str:
 
 
 def print_kinds(targets: list[str], kernels: str) -> None:
-    """A row a notebook: seconds by kind of work; of everything, then, beside those of a build."""
+    """A row per notebook: seconds by kind of work; of everything, then, beside those of a build."""
     print(f"{'notebook':40}" + "".join(f"{kind:>9}" for kind in (*KINDS, "all")))
     total = dict.fromkeys(KINDS, 0.0)
     for notebook in select(*targets):

@@ -215,7 +215,7 @@ def update_times() -> dict[str, tuple[float, float, float]]:
 
 
 def peers(psi, error) -> dict:
-    """Published filters, one an output, because none of them shares the covariance."""
+    """Published filters, one per output, because none of them shares the covariance."""
     contenders, count = {}, 200
     try:
         from padasip.filters import FilterRLS

@@ -175,7 +175,7 @@ def slow_motion(number: int) -> list[str]:
 
 
 def main(first: str = "0", last: str = "10", results: str = "", *, slow: bool = False) -> None:
-    """Try isolators, all but those that the file `results` holds already, and print a line each."""
+    """Try isolators, all but those that the file `results` holds already, and print one line each."""
     kept = Path(results) if results else None
     lines = kept.read_text().splitlines() if kept and kept.exists() else []
     known = {(each["number"], each["floor"]): each for each in map(json.loads, lines)}

@@ -42,7 +42,7 @@ def build_figures(
     settings : dict of str to str, optional
         Parameters as typed.
     jobs : int, optional
-        Kernels at once; by default one a core.
+        Kernels at once; by default one per core.
     scheduler : str, optional
         Address of a Dask scheduler whose workers execute the notebooks.
     force : bool

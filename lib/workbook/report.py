@@ -228,7 +228,7 @@ def tally(claims: Iterable[Claim]) -> str:
 
 
 def summary() -> str:
-    """Markdown table of the counts, a row a topic; `numbers` are those that the work publishes."""
+    """Markdown table of the counts, a row per topic; `numbers` are those that the work publishes."""
     claims = ledger()
     shown = columns(claims)
     lines = [

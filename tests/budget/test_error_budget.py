@@ -213,7 +213,7 @@ def _connected(plant, law):
 
 
 def simulate(network, floor: np.ndarray, noise: np.ndarray, step: float, every: int) -> np.ndarray:
-    """Sample by sample, a row a run: the plant in `every` small steps, the floor held, the law once, one sample late."""
+    """Sample by sample, a row per run: the plant in `every` small steps, the floor held, the law once, one sample late."""
     plant, law = network.plant, network.controller
     a, b = held(plant.a, plant.b, step)
     runs = len(floor)

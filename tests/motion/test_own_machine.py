@@ -44,7 +44,7 @@ COUNTS, CONSTANT = 65536 / (2 * np.pi), 0.35  # counts a rad, N m/A
 
 
 def write_response(file, machine, noise, seed=0):
-    """As a user has it: accelerations over the torque, a line a frequency, and the coherence."""
+    """As a user has it: accelerations over the torque, a line per frequency, and the coherence."""
     hertz = np.arange(2.0, 190.0, 0.2)
     errors = np.random.default_rng(seed).standard_normal((2, len(hertz)))
     seen = machine.response(hertz) * (1 + noise * (errors[0] + 1j * errors[1]) / np.sqrt(2))

@@ -104,7 +104,7 @@ def paint_errors_by_case(studies: dict[str, dict[str, Study]]):
 def paint_errors_over_frequency(
     frequencies_hz, studies: dict[str, list[dict[str, Study]]], label="trajectory frequency (Hz)"
 ):
-    """RMS error of q against the trajectory's frequency, or what else `label` says, a panel a case; none where a run diverged."""
+    """RMS error of q against the trajectory's frequency, or what else `label` says, a panel per case; none where a run diverged."""
     error, _, factor = METRICS["position"]
     figure, [panels] = figures.new(1, len(studies), height=3.3, sharex=True, sharey=True, squeeze=False)
     for axes, (case, sweep) in zip(panels, studies.items(), strict=True):

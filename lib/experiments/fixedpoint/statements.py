@@ -114,7 +114,7 @@ def changed(before: dict[str, Study], after: dict[str, Study], kalman: str) -> s
 
 @dataclass(frozen=True)
 class StatementTable:
-    """Fraction of runs that obey each statement, a row a case and statement; prints as text."""
+    """Fraction of runs that obey each statement, a row per case and statement; prints as text."""
 
     rows: tuple[tuple[str, str, str, str], ...]
 

@@ -24,7 +24,7 @@ def paint_transfer_matrix(
     quantity: str = "magnitude (dB re 1 s²)",
     low_hz: float = 1.0,
 ):
-    """Magnitudes of several systems with two inputs and two outputs, one panel an entry; the first drawn broad.
+    """Magnitudes of several systems with two inputs and two outputs, one panel per entry; the first drawn broad.
 
     `slopes` are the published slopes of some entries (row, column), drawn as a guide beside the last system.
     """

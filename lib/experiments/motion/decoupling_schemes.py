@@ -79,7 +79,7 @@ def minimal_order(gain: StateModel) -> int:
     return int(np.count_nonzero(hankel > 1e-6 * hankel.max()))
 
 
-# Name to the number of actuators beyond that of the rigid-body modes; None: one a mode.
+# Name to the number of actuators beyond that of the rigid-body modes; None: one per mode.
 SCHEMES = {
     "undamped": 0,
     "each mode": 0,

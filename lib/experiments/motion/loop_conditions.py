@@ -53,7 +53,7 @@ def keeps_integral_action(compensator: StateModel, application: str) -> Observer
 
 
 def observable_noise_models(plant: ModalModel) -> int:
-    """How many constant forces, one an actuator, the sensors can tell apart: the rank test (3.17).
+    """How many constant forces, one per actuator, the sensors can tell apart: the rank test (3.17).
 
     The rank of [A B; C 0] beyond the states, after scaling.
     """

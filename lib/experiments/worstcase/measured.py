@@ -101,7 +101,7 @@ def window_residuals(
     return {name: [found[name] for found in of_lengths] for name, *_ in METHODS}
 
 
-Window = tuple[np.ndarray, np.ndarray]  # regressors, a row a sample, and outputs
+Window = tuple[np.ndarray, np.ndarray]  # regressors, a row per sample, and outputs
 
 
 def _windows(pair: MeasuredPair, regressors, length: int, most: int) -> list[tuple[Window, Window]]:

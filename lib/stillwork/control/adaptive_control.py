@@ -85,9 +85,9 @@ def regressor(
     Parameters
     ----------
     mechanism : Mechanism
-        Linear in its parameters p; friction is what is odd in the velocity.
+        Linear in its parameters p; friction is the part odd in the velocity.
     position, velocity, reference, acceleration : array_like, shape (coordinates,)
-        q, v, w and a; with w = v it is the force that a takes. C is that of Christoffel's symbols: M' - 2 C is skew.
+        q, v, w and a; with w = v the result is the force for the acceleration a. C is that of Christoffel's symbols: M' - 2 C is skew.
 
     Returns
     -------
@@ -143,15 +143,15 @@ class SlotineLi:
     Attributes
     ----------
     signal_filter : LowPass, MovingWindow or SavitzkyGolay
-        Makes the velocity of every measured coordinate.
+        Estimates the velocity of every measured coordinate.
     kinematics : KinematicDesign
-        Of order 1: what s = 0 makes of the error.
+        Of order 1: the decay of the error when s = 0.
     model : Mechanism
-        Linear in its parameters, which hold the first guess; friction is what is odd in the velocity.
+        Linear in its parameters, which are the initial estimate; friction is the part odd in the velocity.
     feedback : array_like, shape (coordinates,)
         K, N s/m or N m s.
     adaptation : array_like, shape (parameters,)
-        Gamma; 0 keeps a parameter.
+        Gamma; 0 does not adapt a parameter.
 
     Raises
     ------
@@ -234,7 +234,7 @@ def simulate_adaptive(
     trajectories : list of Trajectory
         One for each coordinate, of one length and sample time.
     noise : array_like, shape (coordinates, samples), optional
-        Added to the positions when they are measured; NaN where a sample is lost.
+        Added to the measured positions; NaN where a sample is lost.
     start : array_like, shape (2, coordinates), optional
         Initial positions and velocities; by default on the trajectories.
     bound : float
@@ -242,7 +242,7 @@ def simulate_adaptive(
     disturbance : array_like, shape (coordinates, samples), optional
         Forces beside the commanded ones, each held for a sample.
     change : tuple of float and array_like, optional
-        Time in s from which the plant has these other parameters.
+        Time in s from which the plant has these parameters instead.
 
     Returns
     -------

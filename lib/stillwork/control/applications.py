@@ -1,4 +1,4 @@
-"""What an observer does for a loop: measurement compensation, active damping, or both (sections 3.2-3.4)."""
+"""Uses of an observer in a loop: measurement compensation, active damping, or both (sections 3.2-3.4)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from stillwork.lti.state_space import StateModel, block_matrix, interconnect
 @by_value
 @dataclass(frozen=True)
 class Application:
-    """What is done with the estimate; the defaults do nothing.
+    """Use of the estimate; by default none.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Application:
     selectivity : float or tuple of float, optional
         Q of the band-pass on the damping gains, one for all modes or each; None: no filter.
     common : float, optional
-        rad/s, centre of one band-pass for all gains; None: one a mode at its resonance.
+        rad/s, centre of one band-pass for all gains; None: one per mode at its resonance.
     high_pass_hz : float, optional
         Corner of a high-pass on the compensation, instead of a noise model.
 
@@ -58,7 +58,7 @@ class Application:
     stiffness: Positive = 1.0  # active stiffness: desired factor on the resonance frequencies
     # Q of the band-pass on the damping gains, one for all modes or each; None: no filter
     selectivity: float | tuple[float, ...] | None = None
-    # rad/s, centre of one band-pass for all gains; None: one a mode at its resonance
+    # rad/s, centre of one band-pass for all gains; None: one per mode at its resonance
     common: Positive | None = None
     high_pass_hz: Positive | None = (
         None  # corner of a high-pass on the compensation, instead of a noise model

@@ -102,15 +102,15 @@ class SearchLoop(Protocol):
         """Closed-loop poles, rad/s."""
 
     def crossing_hz(self, controller: Any) -> float | Float64[np.ndarray, " axes"]:
-        """First 0 dB crossings of what the controller sees, Hz."""
+        """First 0 dB crossings of the loop at the controller, Hz."""
 
 
 @by_value
 @dataclass(frozen=True)
 class Loop:
-    """One plant with its compensator; the controller is what is searched for.
+    """One plant with its compensator; the controller is to be found.
 
-    With a `sample_time` the loop is sampled: the plant is held and late, a measurement is taken before the force of its
+    With a `sample_time` the loop is sampled: the plant has a hold and a delay, a measurement is taken before the force of its
     sample acts, the controller is Tustin's.
     """
 
@@ -127,14 +127,14 @@ class Loop:
 
     @checked
     def plant_at(self, omega: np.ndarray, held: bool = True) -> Complex128[np.ndarray, " frequencies"]:
-        """Response of the plant as the controller meets it; not `held`: of a sampled one before aliasing.
+        """Response of the plant at the controller; if not `held`, that of a sampled plant before aliasing.
 
         Parameters
         ----------
         omega : array_like, shape (frequencies,)
             Frequencies, rad/s.
         held : bool
-            With what sampling adds: the hold and the aliases.
+            Include the hold and the aliases of sampling.
 
         Returns
         -------
@@ -336,7 +336,7 @@ class Loop:
 
     @cached_property
     def sampled_plant(self) -> StateModel:
-        """The sampled plant, late, its compliance showing the force of the sample before."""
+        """The sampled, delayed plant; its compliance acts on the force of the sample before."""
         whole, late = split_delay(self.delay)
         held, before = late_modes(self.plant, self.sample_time, late)
         n = len(held.a)
@@ -410,7 +410,7 @@ def make_loop(
     sample_time : float
         Sample time, s; 0: continuous time.
     delay : float
-        Samples that the force is late, whole or not; of a sampled loop alone.
+        Delay of the force in samples, whole or not; for a sampled loop only.
 
     Returns
     -------
@@ -479,7 +479,7 @@ def loop_grid(
 @by_value
 @dataclass(frozen=True)
 class Bandwidth:
-    """The largest feasible design, and what stops it."""
+    """The largest feasible design, and what limits it."""
 
     design_hz: float  # parameter f_bw of the controller
     crossing_hz: Float64[np.ndarray, "loops ..."]  # first 0 dB crossing of each loop, or of each of its axes
@@ -507,7 +507,7 @@ def maximise_bandwidth(
 
     A scan from above finds the highest interval that is feasible (it looks at grid values first, which reject
     nothing that is); its upper end is then bisected with refined peaks and eigenvalues. With `lowest` a scan from
-    below finds the first such interval: no loop on the way up to its end breaks a constraint. A peak is looked for
+    below finds the first such interval: no loop on the way up to its end breaks a constraint. Peaks are searched
     on the loop's grid and around every closed-loop pole, and the design that is returned has been checked as a whole.
 
     Parameters
@@ -535,7 +535,7 @@ def maximise_bandwidth(
     Returns
     -------
     Bandwidth
-        The design parameter with its controller, the first crossing of each loop, and which constraint ended it.
+        The design parameter with its controller, the first crossing of each loop, and the constraint that limits it.
 
     Raises
     ------
@@ -704,7 +704,7 @@ def is_feasible(
     controller: Pid | tuple[Pid, ...],
     constraints: Sequence[PeakConstraint],
 ) -> bool:
-    """Whether every loop is stable and below every constraint, the cheapest refusal first."""
+    """Whether every loop is stable and below every constraint; the cheapest test comes first."""
     loops = _ready(loops, constraints)
     design = _Design(loops, controller, constraints, refine=True)
     return design.above() is None and design.violation() is None

@@ -38,7 +38,7 @@ def criterion_floor(name: str, place: str, criterion: str) -> Source:
 def tabulated(
     name: str, place: str, unit: str, frequencies_hz: ArrayLike, density: ArrayLike, averages: int = 0
 ) -> Source:
-    """A density of unit^2/Hz at rising frequencies, straight in between; of Welch's estimate with its number of `averages`.
+    """A density in unit^2/Hz at rising frequencies, interpolated linearly; of Welch's estimate with its number of `averages`.
 
     The averages are taken as half-overlapping Hann windows, whose squared correlation is 1/36.
     """
@@ -84,7 +84,7 @@ def shaped(name: str, places: tuple[str, ...], unit: str, filter: StateModel) ->
 
 @checked
 def periodic(name: str, place: str, unit: str, period: ArrayLike, sample_rate: Positive) -> Source:
-    """A signal that repeats itself, such as the error of a feedforward over a scan or a ripple, as its Fourier series.
+    """A periodic signal, such as the error of a feedforward over a scan or a ripple, as its Fourier series.
 
     Its mean is left out, and lines with less than `LEAST` of the power.
     """
@@ -113,9 +113,9 @@ def _whole_period(name: str, period: ArrayLike) -> np.ndarray:
 def setpoint(
     name: str, period: ArrayLike, sample_rate: Positive, mass: NonNegative, advance: float = 0.0
 ) -> Source:
-    """A setpoint that repeats itself, and the force mass x acceleration that is fed forward, at the two places of a machine.
+    """A periodic setpoint and the force mass x acceleration that is fed forward, at the two places of a machine.
 
-    It acts at ``setpoint`` and ``stage drive`` of a `FloorMachine`: what it leaves in the error is what the feedforward does
+    It acts at ``setpoint`` and ``stage drive`` of a `FloorMachine`: the error that remains is due to what the feedforward does
     not include, a wrong `mass`, the delay of the command, the stage's modes and the reaction on the frame.
 
     Parameters
@@ -126,9 +126,9 @@ def setpoint(
     sample_rate : float
         Hz.
     mass : float
-        kg, what the feedforward takes for the stage's; 0: no feedforward.
+        kg, the stage's mass assumed by the feedforward; 0: no feedforward.
     advance : float
-        s, by which the feedforward is ahead of the setpoint, to make up for the delay.
+        s, by which the feedforward is ahead of the setpoint, to compensate the delay.
     """
     positions = _whole_period(name, period)
     spacing = sample_rate / len(positions)

@@ -1,4 +1,4 @@
-"""C99 of a controller or an adaptation, from templates: what a processor runs is what was computed here."""
+"""C99 of a controller or an adaptation, from templates, with the numbers computed here."""
 
 import re
 from dataclasses import asdict
@@ -38,9 +38,9 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     """C99 of a controller that allocates nothing: text by the name of its file.
 
     ``name.h`` and ``name.c`` are the controller itself, ``name_motion.h`` and ``name_motion.c`` of one with a `motion`
-    its setpoint and feedforward. A state is x + (A - I)x + ..., with what rounding leaves kept beside it: in single
-    precision a slow pole keeps its place, and an integrator takes in steps too small for it alone. Products with zero,
-    and states that lead nowhere, are left out.
+    its setpoint and feedforward. A state is x + (A - I)x + ..., with its rounding errors kept beside it: in single
+    precision a slow pole stays accurate, and an integrator accumulates steps below its resolution. Products with zero,
+    and states that reach no output, are left out.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def adaptation_code(
     """C99 of the self-tuned feedforward that allocates nothing: text by the name of its file.
 
     FeRLS keeps P in Bierman's factors whatever the precision; float32 holds these where it loses P itself. FeLMS
-    keeps what rounding leaves of each weight, or small steps would stop it in single precision.
+    keeps the rounding error of each weight: otherwise small steps would be lost in single precision.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def isolation_code(
 
     ``name.h`` and ``name.c`` hold the filters, skyhook, limit, warm start and stored weights, ``name_adapt.h`` and
     ``name_adapt.c`` the update. The filters' states are in double precision whatever the precision of the rest: corners
-    of a hertz at thousands of samples a second lose their place in single.
+    of a hertz at thousands of samples per second are inaccurate in single precision.
 
     Parameters
     ----------
@@ -253,12 +253,12 @@ def isolation_code(
     settings : FeLms or FeRls
         Of the adaptation.
     weights : ndarray, shape (axes, regressors)
-        With which it starts.
+        Initial weights.
     limit : float
         Of each command, N.
     pause_s : float
-        For how long the weights are kept after the limit acted, s; at the start until the feedforward, which
-        gives no force before the floor sensors' filters have settled (`FeedforwardLoop.settling`), is whole as well.
+        Time, s, for which the weights are frozen after the limit acted; at the start until the feedforward, which
+        gives no force before the floor sensors' filters have settled (`FeedforwardLoop.settling`), is at full strength.
     name, precision : str
         See `controller_code`.
 
@@ -328,7 +328,7 @@ def _rows(write: "Numbers", matrix: np.ndarray) -> str:
 
 @checked
 def require_names(name: str, precision: str) -> None:
-    """Refuse what cannot begin names in C, and a precision that there is not."""
+    """Refuse an invalid prefix of names in C, and an unknown precision."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name):
         raise InputError(
             f"name is {short_repr(name)}; give letters, digits and _, a letter first, 31 at most"
@@ -365,7 +365,7 @@ class Numbers:
     def files(
         self, templates: tuple[str, str] | str, stem: str, values: dict, marks: dict | None = None
     ) -> dict[str, str]:
-        """Header and source, of templates of these names; lines that begin with a mark and | are for where it is."""
+        """Header and source from templates of these names; lines that begin with a mark and | are used only where that mark is set."""
         values |= {
             "name": self.name,
             "guard": self.name.upper(),

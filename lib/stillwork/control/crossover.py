@@ -18,8 +18,8 @@ def crossover(
 ) -> float:
     """First frequency (rad/s) at which ``abs(response(omega))`` falls through 1, Definition 1.2.1.
 
-    The magnitudes on a grid bracket the crossing, the response itself finds it: between two points of a grid a
-    magnitude is no straight line, in logarithms either.
+    The magnitudes on a grid bracket the crossing, which is then refined on the response itself: between two points of a grid a
+    magnitude is not a straight line, not in logarithms either.
     """
     if len(omega) != len(magnitude):
         raise InputError(

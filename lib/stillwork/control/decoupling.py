@@ -1,4 +1,4 @@
-"""Static decoupling of the rigid-body modes, and what state feedback does to it (section 4.3)."""
+"""Static decoupling of the rigid-body modes, and the effect of state feedback on it (section 4.3)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,8 +33,8 @@ class Decoupling:
     def apply(self, model: ModalModel) -> ModalModel:
         r"""The modal model from u to q; its shapes of the flexible modes are Theta and Psi of (4.13).
 
-        On the rigid-body modes they are unit matrices where actuators and sensors stand as designed for, and
-        written as such: their rounding would grow as 1/s^2. Elsewhere they are what is left of the decoupling.
+        On the rigid-body modes they are unit matrices if actuators and sensors are where the design assumes, and
+        set to them exactly: their rounding would grow as 1/s^2. Elsewhere they are the remaining decoupling.
 
         Parameters
         ----------
@@ -49,7 +49,7 @@ class Decoupling:
         Raises
         ------
         InputError
-            When it has other numbers of actuators or sensors.
+            When its number of actuators or sensors differs.
 
         Examples
         --------
@@ -100,7 +100,7 @@ def decouple(
     ------
     InputError
         When there are fewer actuators or sensors than modes to separate, or their places do not separate these
-        modes apart.
+        modes.
 
     References
     ----------

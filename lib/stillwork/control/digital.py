@@ -1,4 +1,4 @@
-"""A controller as a processor runs it: sampled, limited without winding up, started without a bump."""
+"""A controller as run by a processor: sampled, with limits and anti-windup, and with bumpless transfer."""
 
 import json
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -66,19 +66,19 @@ class DigitalController:
         In discrete time, from the inputs e to the command v; inputs behind those that have a name are the limited
         output f, which an observer needs. They must not reach v within the sample.
     inputs, outputs : tuple of str
-        Their names with units, as ``y (m)``.
+        Their names with units, e.g. ``y (m)``.
     low, high : array_like, shape (outputs,)
         Limits of the output, or one for all; infinite by default.
     anti_windup : array_like, shape (states, outputs)
         L; see `anti_windup`. Zero by default.
     delay : int
-        Samples by which f leaves late; a model that is fed back has to delay it by itself.
+        Delay of f in samples; a model that is fed back must delay it itself.
     patience : int
-        Samples in a row for which an input that is missing (NaN) is held; after them the output and the states stay.
+        Number of consecutive samples for which a missing input (NaN) is held; after them output and states are frozen.
     motion : Motion, optional
         Feedforward and setpoint of a controller of one error and one output, see `error_driven`.
     about : dict
-        What goes with it into its file: gains, provenance.
+        Further contents of its file: gains, provenance.
 
     Raises
     ------
@@ -149,7 +149,7 @@ class DigitalController:
 
     @property
     def fed_back(self) -> int:
-        """How many limited outputs the model takes in."""
+        """Number of limited outputs that are inputs of the model."""
         return self.model.d.shape[1] - len(self.inputs)
 
     @property
@@ -178,7 +178,7 @@ class DigitalController:
     def start(self) -> Float64[np.ndarray, "states signals"]:
         """Rows that map inputs and desired outputs to a state that gives them, a stationary one if there is any.
 
-        Of the states with Cx + De = f the one whose change, with e and f held, is least.
+        Among the states with Cx + De = f, the one that changes least with e and f held.
         """
         m, outputs = self.model, len(self.outputs)
         states = len(m.a)
@@ -196,7 +196,7 @@ class DigitalController:
     def run(
         self, inputs: ArrayLike, first: ArrayLike | None = None, known: ArrayLike | None = None
     ) -> Float64[np.ndarray, "outputs samples"]:
-        """Outputs as the processor gives them, sample by sample.
+        """Outputs of the processor, sample by sample.
 
         Parameters
         ----------
@@ -205,17 +205,17 @@ class DigitalController:
         first : array_like, shape (outputs,), optional
             Output that acts when it is switched on (bumpless transfer); without it, the state starts at zero.
         known : array_like, shape (outputs, samples), optional
-            u, which is fed forward; the inputs are then deviations from the motion that it makes.
+            u, the feedforward; the inputs are then deviations from the motion due to it.
 
         Returns
         -------
         ndarray, shape (outputs, samples)
-            f, limited and late by `delay`.
+            f, limited and delayed by `delay`.
 
         Raises
         ------
         InputError
-            When there is not one row an input, or one first output for each.
+            When there is not one row per input, or not one first output each.
 
         Examples
         --------
@@ -295,12 +295,12 @@ class DigitalController:
         return Trace(found, flags)
 
     def as_dict(self) -> dict[str, Any]:
-        """What its file holds; an infinite limit is null.
+        """Contents of its file; an infinite limit is null.
 
         Returns
         -------
         dict
-            Lists and numbers, as JSON holds them.
+            Lists and numbers, as in JSON.
 
         Examples
         --------
@@ -330,7 +330,7 @@ class DigitalController:
 
 
 class Trace(NamedTuple):
-    """What a controller gave, sample by sample."""
+    """Outputs and flags of a controller, sample by sample."""
 
     outputs: np.ndarray  # (outputs, samples)
     flags: np.ndarray  # (samples,), sums of SATURATED, HELD and INVALID
@@ -364,7 +364,7 @@ def _read_motion(table: Table, lag: float) -> Motion:
 
 @checked(infinite=True)
 def error_driven(controller: DigitalController, motion: Motion | None = None) -> DigitalController:
-    """A controller of r and y as one of the error e = r - y, which needs no other feedforward with an observer.
+    """A controller of r and y as one of the error e = r - y, with which an observer needs no modified feedforward.
 
     A machine that follows r under the force u that is fed forward has y = r and f = u. A copy of the controller that
     runs on those, (A.7) and its Fig. A.2, subtracts from what the loop adds; linear as both are, their difference is
@@ -373,14 +373,14 @@ def error_driven(controller: DigitalController, motion: Motion | None = None) ->
     Parameters
     ----------
     controller : DigitalController
-        Of the inputs r and y, one output, and perhaps that output fed back.
+        With inputs r and y, one output, and optionally that output fed back.
     motion : Motion, optional
-        In its units.
+        In units of the controller.
 
     Returns
     -------
     DigitalController
-        Of the input e, without the states from which nothing leads to the output.
+        With the input e, without states that do not reach the output.
 
     Raises
     ------
@@ -426,7 +426,7 @@ def of_reference(controller: DigitalController) -> DigitalController:
 
 @checked(infinite=True)
 def without_dead_states(controller: DigitalController) -> DigitalController:
-    """Leave out the states that no coefficient leads to from an input, or from which none leads to the output."""
+    """Leave out states that no input reaches or that do not reach the output."""
     m, winds = controller.model, controller.anti_windup
     kept = _alive(m.a, np.hstack([m.b, winds]), m.c)
     if kept.all():
@@ -437,7 +437,7 @@ def without_dead_states(controller: DigitalController) -> DigitalController:
 
 @checked
 def observed_controller(controller: StateModel, compensator: StateModel) -> StateModel:
-    """Feedback with an observer's compensator as one model: from (r, y, f), what acts included, to the command.
+    """Feedback with an observer's compensator as one model: from (r, y, f), with f the applied force, to the command.
 
     Of one input and one output; the states of the controller are the last ones.
     """
@@ -454,7 +454,7 @@ def runnable(
     about: dict,
     units: tuple[str, str] = ("m", "N"),
 ) -> DigitalController:
-    """A sampled loop's controller as a processor runs it: Tustin's PID with the compensator, limits to both sides.
+    """A sampled loop's controller as run by a processor: Tustin's PID with the compensator, and limits of both signs.
 
     The integrator tracks a limited force within the root of integral and differential time; the observer uses the limited force.
     The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite. `units` are those of the
@@ -480,7 +480,7 @@ def runnable(
 def in_units(
     controller: DigitalController, position: Positive, drive: Positive, units: tuple[str, str]
 ) -> DigitalController:
-    """A controller of `runnable` in other units, of which a unit of its position and of its force hold so many."""
+    """A controller of `runnable` in other units; `position` and `force` are the new units per old unit."""
     m, n = controller.model, len(controller.inputs)
     b = np.hstack([m.b[:, :n] / position, m.b[:, n:] / drive])
     model = StateModel(m.a, b, m.c * drive, m.d * drive / position, m.sample_time)
@@ -522,7 +522,7 @@ def anti_windup(model: StateModel, tracking_time: Positive) -> Float64[np.ndarra
 def from_biquads(sections: ArrayLike, sample_time: Positive) -> StateModel:
     """Model of biquads in a row, (b0, b1, b2, 1, a1, a2) each as SciPy has them, in a form that single precision can hold.
 
-    The states turn as the poles do; of b and a themselves a few digits near z = 1 would be all that is left.
+    The states rotate as the poles do; b and a themselves would keep only a few digits near z = 1.
     """
     sections = require_array("sections", sections, shape=(None, 6))
     if not len(sections) or np.any(sections[:, 3] != 1):
@@ -566,7 +566,7 @@ def biquads(model: StateModel) -> np.ndarray | None:
 
 
 class EquivalentBiquads(NamedTuple):
-    """A controller of r and y as a drive takes it, f = feedback(r - y) + reference(r), between its limits."""
+    """A controller of r and y in a drive's form, f = feedback(r - y) + reference(r), within its limits."""
 
     feedback: np.ndarray  # (sections, 6)
     reference: np.ndarray | None  # (sections, 6); None: nothing is added
@@ -575,10 +575,10 @@ class EquivalentBiquads(NamedTuple):
 
 @checked(infinite=True)
 def equivalent_biquads(controller: DigitalController) -> EquivalentBiquads | None:
-    """Second-order sections of the whole linear map of a controller from (r, y), or r - y, to f, an observer's included.
+    """Second-order sections of a controller's whole linear map from (r, y), or r - y, to f, including an observer.
 
     None where a pole lies outside the unit circle, the integrator of the reference's part does not cancel, or the
-    sections do not respond as the controller does, to `ALIKE` at each frequency.
+    sections differ from the controller's response by more than `ALIKE` at a frequency.
     """
     m = controller.linear
     if m.d.shape == (1, 1):
@@ -677,7 +677,7 @@ def _conjugate(roots: np.ndarray) -> np.ndarray:
 
 
 class LibraryObjects(NamedTuple):
-    """One linear controller as other libraries have it."""
+    """One linear controller as objects of other libraries."""
 
     control: Any  # control.StateSpace
     scipy: Any  # scipy.signal.StateSpace in discrete time
@@ -686,7 +686,7 @@ class LibraryObjects(NamedTuple):
 
 @checked
 def as_libraries(controller: DigitalController) -> LibraryObjects:
-    """What a controller is between its limits, without its delay, as python-control and SciPy have it.
+    """A controller within its limits, without its delay, as objects of python-control and SciPy.
 
     Parameters
     ----------

@@ -36,8 +36,8 @@ def discrete_damping_gain(
 
     With one input the gain is unique. It follows in closed form from the characteristic polynomial
     :math:`\prod_j(z-\lambda_j)(1 - \sum_i k_ib_i/(z-\lambda_i))` in modal coordinates. Written with
-    :math:`\delta = (z-1)/T_s`, no difference of nearly equal poles remains, so that the numerical trouble of
-    Remark 4.1.1 does not arise at any sampling rate. The rigid body stays as it is.
+    :math:`\delta = (z-1)/T_s`, no difference of nearly equal poles remains, so that the numerical problem of
+    Remark 4.1.1 does not arise at any sampling rate. The rigid body is unchanged.
     """
     if model.input_shapes.shape[1] != 1:
         raise InputError(f"model has {model.input_shapes.shape[1]} inputs; this formula is for one")
@@ -70,9 +70,9 @@ def discrete_damping_gain(
 
 @checked
 def sampled_feedback(model: ModalModel, gain: ArrayLike, sample_time: float, delay: int = 0) -> DampedModes:
-    """Damping ratios and frequencies that a gain gives the sampled machine, (4.2), with perfect estimates.
+    """Damping ratios and frequencies of the sampled machine with a gain, (4.2), for perfect estimates.
 
-    The eigenvalues z are read as those of a continuous machine, ln(z)/T_s. The force comes late by `delay` samples.
+    The eigenvalues z are read as those of a continuous machine, ln(z)/T_s. The force is delayed by `delay` samples.
     """
     gain = require_array("gain", gain, shape=(model.input_shapes.shape[1], 2 * len(model.frequencies)))
     still = 2 * model.rigid_modes

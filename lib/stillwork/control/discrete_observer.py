@@ -1,4 +1,4 @@
-"""The observer in discrete time: filter and predictor form, and what either does about delays (section 4.1)."""
+"""The observer in discrete time: filter and predictor form, and their treatment of delays (section 4.1)."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ FORMS = ("filter", "predictor")
 class DiscreteObserver(FlexibleEstimates):
     r"""Observer of a sampled reduced modal model, the force of the last period among its states.
 
-    A measurement is taken before the force of its sample acts, so the compliance shows the last force:
+    A measurement is taken before the force of its sample acts, so the compliance acts on the last force:
     :math:`y_k = Cx_k + Du_{k-1}`. (4.8) prints :math:`u_k`, which is not yet available to a filter.
     """
 

@@ -45,7 +45,7 @@ class Source:
     places : tuple of str
         Inputs of the network at which it acts; several where the inputs are correlated.
     unit : str
-        Of its amplitude, such as ``m/s^2``; it must be the unit of its places, ``m, N`` where these differ.
+        Unit of its amplitude, such as ``m/s^2``; it must be the unit of its places, ``m, N`` if these differ.
     density : callable, optional
         Frequencies (Hz) to unit^2/Hz, shape (f,), or (places, places, f) as a cross-spectral matrix.
     band_hz : tuple of float
@@ -55,7 +55,7 @@ class Source:
     tones : tuple of (float, complex, ...)
         Frequency (Hz) of each tone, and its amplitude (peak) at each place, complex where its phase matters.
     freedom, resolution_hz : float
-        Of an estimated density: degrees of freedom of a line, and the distance of the lines.
+        For an estimated density: degrees of freedom per line, and the spacing of the lines.
 
     Raises
     ------
@@ -122,7 +122,7 @@ class Network:
     r"""A continuous plant with its controller, sampled or not, and the places at which sources act.
 
     Sources act on the disturbances of the plant, on its measurements and on the commands to it. A sampled controller takes
-    the measurements at its samples, before a command changes; its commands are held, and late by `delay`.
+    the measurements at its samples, before a command changes; its commands are held, and delayed by `delay`.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def _held(model: StateModel, sample_time: float, delay: float) -> StateModel:
 @by_value
 @dataclass(frozen=True)
 class ErrorBudget:
-    """What each source does to each error, on nodes of an exact quadrature; see `error_budget`.
+    """Spectrum of each error due to each source, on nodes of an exact quadrature; see `error_budget`.
 
     Attributes
     ----------
@@ -341,12 +341,12 @@ class ErrorBudget:
 
     @property
     def shares(self) -> Float64[np.ndarray, "sources errors"]:
-        """Of each source in the mean square; also the relative change of the rms by a relative change of its level."""
+        """Share of each source in the mean square; also the relative change of the rms per relative change of its level."""
         return self.powers / np.maximum(self.powers.sum(axis=0), np.finfo(float).tiny)
 
     @checked
     def saved(self, factor: NonNegative = 0.5) -> Float64[np.ndarray, "sources errors"]:
-        """By how much the rms falls when the level of one source falls to `factor` of it: what to buy next.
+        """Decrease of the rms when the level of one source is multiplied by `factor`: what to buy next.
 
         Parameters
         ----------
@@ -372,7 +372,7 @@ class ErrorBudget:
 
     @checked
     def cumulative(self, backward: bool = False) -> Float64[np.ndarray, "sources errors f"]:
-        """Mean square below each frequency, with `backward` from it on.
+        """Mean square below each frequency; with `backward`, above it.
 
         Parameters
         ----------
@@ -402,7 +402,7 @@ class ErrorBudget:
     ) -> tuple[Float64[np.ndarray, " errors"], Float64[np.ndarray, " errors"]]:
         """Rms of the moving average, and of the moving standard deviation, over `exposure` seconds; exact.
 
-        See `stillwork.signals.moving_average`; the average passes sinc^2, the deviation what is left.
+        See `stillwork.signals.moving_average`; the average passes sinc^2 of the power, the deviation the rest.
 
         Parameters
         ----------
@@ -432,7 +432,7 @@ class ErrorBudget:
     def peak(self, duration: Positive) -> Float64[np.ndarray, " errors"]:
         """Largest size expected within `duration` seconds of a Gaussian error, by Rice's crossings (Davenport 1964).
 
-        The crossings count as independent: an error of a narrow band stays a few per cent below.
+        The crossings count as independent: the peak of a narrow-band error is a few per cent lower.
 
         Parameters
         ----------
@@ -479,10 +479,10 @@ class ErrorBudget:
     def interval(
         self, confidence: Fraction = 0.95, duration: NonNegative = 0.0
     ) -> Float64[np.ndarray, "2 errors"]:
-        """Where the true rms lies, for densities estimated from records; with `duration` what a record of so many s shows.
+        """Interval of the true rms, for densities estimated from records; with `duration` of the rms in a record of that length.
 
-        The mean square of an estimated density is chi-squared, apart from the leakage of its windows, which no interval
-        holds: estimate with lines closer than the narrowest feature; that of a record of the error is, too, and both together
+        The mean square of an estimated density is chi-squared, apart from the leakage of its windows, which is not in the interval
+        (use lines closer than the narrowest feature). That of a record of the error is chi-squared, too, and both together
         are F-distributed.
 
         Parameters
@@ -554,7 +554,7 @@ class ErrorBudget:
 def error_budget(network: Network, sources: Sequence[Source], band_hz: tuple[Positive, float]) -> ErrorBudget:
     """Spectra of the errors by source, with cumulative spectra, intervals, moving averages and what to buy next.
 
-    Of a sampled loop these are the errors in continuous time, averaged over a sample, with all that sampling folds.
+    For a sampled loop these are the errors in continuous time, averaged over a sample, including aliasing.
 
     Parameters
     ----------
@@ -686,13 +686,13 @@ def _lines(
 def tone_response(
     network: Network, source: Source, time: ArrayLike, band_hz: tuple[Positive, float]
 ) -> Float64[np.ndarray, "errors samples"]:
-    """The errors over time that the tones of a source make, such as a setpoint's, once the start is forgotten.
+    """The errors over time due to the tones of a source, such as a setpoint's, in the steady state.
 
     Parameters
     ----------
     network : Network
     source : Source
-        Its density is left out.
+        Only its tones are used.
     time : array_like, shape (samples,)
         s.
     band_hz : tuple of float
@@ -747,9 +747,9 @@ def sensitivities(rms: Callable[..., Any], values: Mapping[str, float]) -> dict[
     Parameters
     ----------
     rms : callable
-        The error as a function of the parameters, which it gets by name.
+        The error as a function of the parameters, passed by name.
     values : mapping of str to float
-        Where, above 0: bandwidth, damping, mass, delay, level of a sensor.
+        Values of the parameters, above 0: bandwidth, damping, mass, delay, level of a sensor.
 
     Returns
     -------
@@ -777,7 +777,7 @@ def sensitivities(rms: Callable[..., Any], values: Mapping[str, float]) -> dict[
 
 
 class BoxBand(NamedTuple):
-    """Errors all over a box of uncertainty, as far as places in it were tried."""
+    """Errors at sampled points of a box of uncertainty."""
 
     rms: Float64[np.ndarray, "places ..."]  # NaN where unstable
     unstable: int  # places at which the loop is unstable
@@ -787,7 +787,7 @@ class BoxBand(NamedTuple):
 def box_places(
     uncertainty: Uncertainty, plant: ModalModel, count: Count, seed: int = 0
 ) -> list[Perturbation]:
-    """Places that fill the box around a plant evenly, a scrambled Sobol sequence; the rigid body's mass among them."""
+    """Points that fill the box around a plant evenly, by a scrambled Sobol sequence; the rigid body's mass is among the numbers."""
     box = uncertainty._of_modes(plant)
     n = len(plant.frequencies)
     whole = 1 << (count - 1).bit_length()  # of other numbers than powers of 2 scipy warns
@@ -801,7 +801,7 @@ def box_places(
 
 @checked(missing=True)
 def box_band(rms: Callable[..., Any], places: Sequence[Perturbation]) -> BoxBand:
-    """The error at each place of a box, and at how many of them the loop is unstable.
+    """The error at each point of a box, and the number of points at which the loop is unstable.
 
     Parameters
     ----------

@@ -154,7 +154,7 @@ def stiffness_gain(model: ModalModel, factor: float | ArrayLike) -> Float64[np.n
 
 @checked
 def stiffening(model: ModalModel, factor: float | ArrayLike) -> Float64[np.ndarray, " flexible"]:
-    """What is added to the square of each resonance frequency to multiply it by `factor`, one for all or each."""
+    """Increase of the square of each resonance frequency that multiplies the frequency by `factor`, one for all or each."""
     factor = per_flexible_mode(model, "factor", factor)
     for each in factor:
         require_number("factor", each, above=0.0)
@@ -170,7 +170,7 @@ class DampedModes(NamedTuple):
 
 @checked
 def fed_back(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> DampedModes:
-    """Damping ratios and frequencies of A + BK: what perfect estimates would achieve."""
+    """Damping ratios and frequencies of A + BK, for perfect estimates."""
     states = model.state_space()
     if gain.shape != states.b.T.shape:
         raise InputError(f"gain has shape {gain.shape}; give {states.b.shape[1]} x {len(states.a)}")

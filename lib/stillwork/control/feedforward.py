@@ -31,7 +31,7 @@ class Feedforward:
     velocity, acceleration, jerk, snap : float
         Terms for viscous friction, mass, and the compliance of the flexible modes.
     coulomb : float
-        Friction that has the sign of the velocity alone.
+        Dry friction: its size is constant, its sign that of the velocity.
 
     Examples
     --------
@@ -87,7 +87,7 @@ class Feedforward:
 @by_value
 @dataclass(frozen=True)
 class Motion:
-    """What makes a controller of the error a motion controller: its feedforward, and how its setpoint may move.
+    """Feedforward and limits of the setpoint, which make a motion controller of one of the error.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Motion:
     lag : float
         s, by which the position follows the feedforward: delay of the loop and half a sample of the hold.
     limits : MoveLimits, optional
-        Of the setpoint; without, it cannot move until they are set in the C.
+        Limits of the setpoint; without them it cannot move until they are set in the C code.
 
     Raises
     ------
@@ -118,7 +118,7 @@ class Motion:
 
     @checked
     def most_force(self, peaks: Float64[np.ndarray, "4"]) -> float:
-        """Bound on the feedforward, in sum, of a move.
+        """Bound on the sum of the feedforward's terms over a move.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Motion:
         Parameters
         ----------
         allowed : float
-            Largest output, perhaps infinite.
+            Largest output; may be infinite.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class Motion:
 
     @checked
     def run(self, move: Move, samples: int, sample_time: float) -> Float64[np.ndarray, "2 samples"]:
-        """Position that the measurement should have, and the force fed forward, at each sample.
+        """Expected position and feedforward force at each sample.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class Motion:
         Returns
         -------
         ndarray, shape (2, samples)
-            Position, later by the lag, and force.
+            Position, delayed by the lag, and force.
 
         Examples
         --------
@@ -210,7 +210,7 @@ def motion_of(
 def inverse_gains(model: ModalModel) -> Feedforward:
     """Gains of (A.1) that agree with the inverse of a plant, from its series about zero frequency up to s^4.
 
-    Of one rigid body (mass and viscous friction), one actuator and one sensor; its flexible modes give the snap.
+    For one rigid body (mass and viscous friction), one actuator and one sensor; the flexible modes determine the snap gain.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def inverse_gains(model: ModalModel) -> Feedforward:
 def modified_feedforward(compensator: StateModel, controller: StateModel) -> StateModel:
     """Feedforward of Fig. A.2: from the original feedforward force u0 and the setpoint r to u_ff.
 
-    A copy of the observer runs on (u0, r) and takes out what the observer in the loop will add, (A.7).
+    A copy of the observer runs on (u0, r) and subtracts what the observer in the loop adds, (A.7).
     """
     inputs, outputs = controller.d.shape
     given, found = (inputs, outputs), (inputs, outputs, inputs)  # u0, r; u_d, y_flex, controller
@@ -266,7 +266,7 @@ def modified_feedforward(compensator: StateModel, controller: StateModel) -> Sta
 
 @checked
 def error_loop(loop: StateModel) -> StateModel:
-    """Of a single `closed_loop`, the model from (r, u0) to e_true under the modified feedforward.
+    """Model from (r, u0) to e_true of a single `closed_loop` with the modified feedforward.
 
     With that feedforward the observer cancels against its copy: the setpoint acts like the sensor reference v
     and the original feedforward like a force w that the observer does not see.

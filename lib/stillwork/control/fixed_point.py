@@ -1,4 +1,4 @@
-"""The controller's loop, Fig. 1: measure, filter, desire, deform, push, move; one kernel for every filter."""
+"""The controller's loop, Fig. 1: measure, filter, desired and deformed acceleration, force, motion; one kernel for every filter."""
 
 import warnings
 from dataclasses import dataclass, fields
@@ -45,12 +45,12 @@ CAUSES = {
 @by_value
 @dataclass(frozen=True)
 class Controller:
-    """What stands between the measurement and the force.
+    """The controller, from the measurement to the force.
 
     Attributes
     ----------
     signal_filter : Filter or JointKalman
-        Makes position, velocity and acceleration of the noisy coordinate, or of all of them together.
+        Estimates position, velocity and acceleration of the noisy coordinate, or of all coordinates together.
     transformation : Transformation
         (6) or (8), or a `DisturbanceObserver`.
     kinematics : KinematicDesign
@@ -94,7 +94,7 @@ class Controller:
 class ControlledRun:
     """One coordinate of a simulated run; all arrays of shape (samples,), NaN after a divergence.
 
-    Of an angle read rad for m and N m for N.
+    For an angle read rad for m and N m for N.
     """
 
     trajectory: Trajectory
@@ -163,31 +163,31 @@ def simulate(
     trajectory : Trajectory
         Nominal motion.
     noise : array_like, shape (samples,), optional
-        Added to the position when it is measured, m; NaN where a sample is lost.
+        Added to the measured position, m; NaN where a sample is lost.
     resolution : float
-        Step of an encoder that rounds the measured position, m; 0 without one.
+        Step of an encoder that rounds the measured position, m; 0: no encoder.
     grid : float
-        Where a line of the encoder stands, m.
+        Position of a line of the encoder, m.
     integration : str
-        ``exact`` moves the plant as it moves under a held force, by Runge-Kutta steps with error control. The others are
-        one Euler step a sample: ``semi-implicit`` moves the position with the new velocity, ``explicit`` with the old one.
+        ``exact``: the motion under a held force, by Runge-Kutta steps with error control. The others are
+        one Euler step per sample: ``semi-implicit`` advances the position with the new velocity, ``explicit`` with the old one.
     start : array_like, shape (2,), optional
         Initial position and velocity; by default on the trajectory.
     bound : float
         A position or velocity beyond `bound` times the trajectory's largest (at least 1) counts as diverged.
     lost : str
-        ``predict``: where a sample is lost a Kalman filter predicts, and the others get the last measurement moved on
-        at the estimated velocity; ``hold``: all get the last measurement.
+        ``predict``: where a sample is lost a Kalman filter predicts, and the others get the last measurement extrapolated
+        at the estimated velocity; ``hold``: all filters get the last measurement.
     force_limit : float, optional
-        Largest force that the actuator gives, N; by default any. At the limit the error is not integrated, and the deformed
+        Largest force of the actuator, N; by default unlimited. At the limit the error is not integrated, and the deformed
         acceleration is set back to what the limited force commands of the approximate model.
     force_from_estimate : bool
-        Take the force from the model at the filtered position even where the error uses the measured one.
+        Compute the force at the filtered position even if the error uses the measured one.
     disturbance : array_like, shape (samples,), optional
-        Force that acts on the plant beside the commanded one, each held for a sample, N.
+        Force on the plant in addition to the commanded one, each held for a sample, N.
     change : tuple of float and array_like, optional
-        Time in s from which the plant has these other parameters, as of a payload that is picked up. A sensor that changes
-        is in `noise`.
+        Time in s from which the plant has these parameters instead, e.g. with a payload. A change of the sensor
+        belongs in `noise`.
 
     Returns
     -------
@@ -204,7 +204,7 @@ def simulate(
     ContractionWarning
         When the transformation cannot contract even with perfect measurements.
     IntegrationWarning
-        When an Euler step is too long for the plant: from 0.3 rad of its free motion, or its decay, a sample.
+        When an Euler step is too long for the plant: from 0.3 rad of its free motion, or its decay, per sample.
 
     References
     ----------
@@ -265,12 +265,12 @@ def simulate(
 
 
 class IntegrationWarning(UserWarning):
-    """A plant that is moved by one Euler step a sample is not the plant."""
+    """One Euler step per sample is too inaccurate for this plant."""
 
 
 @checked
 def warn_long_steps(rate: float, sample_time: float) -> None:
-    """Warn where an Euler step a sample is too long for free motion that turns or decays at a rate, in 1/s."""
+    """Warn if an Euler step per sample is too long for free motion that oscillates or decays at a rate, in 1/s."""
     turn = require_number("rate", rate, at_least=0.0) * require_number("sample_time", sample_time, above=0.0)
     if turn >= LONGEST_TURN:
         warnings.warn(
@@ -314,7 +314,7 @@ def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray
 def joint_motion(
     trajectories: list[Trajectory], count: int, start: ArrayLike | None, bound: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `count` coordinates shall do (each position, velocity and acceleration), where they start, and what is diverged."""
+    """Desired motion of `count` coordinates (position, velocity and acceleration of each), their start, and the bounds of divergence."""
     alike = {(each.sample_time, len(each.position)) for each in trajectories}
     if len(trajectories) != count or len(alike) != 1:
         raise InputError(
@@ -348,7 +348,7 @@ def plants_along(
 
 @checked
 def packed_parts(controller: Controller, resolution: float, grid: float, lost: str) -> tuple:
-    """What `command_step` takes beside the filter itself."""
+    """Arguments of `command_step` beside the filter itself."""
     predicts = isinstance(controller.signal_filter, UnscentedKalman | ExtendedKalman | JointKalman)
     if require_choice("lost", lost, LOSSES) == "hold":
         loss = HOLD
@@ -366,7 +366,7 @@ def packed_parts(controller: Controller, resolution: float, grid: float, lost: s
 # arrays would be counted again at every sample, which takes as long as all the rest.
 @inlined_kernel
 def measure_position(measurement, position, noise, sample_time, speed, last):
-    """Position as it is measured, or what stands for it where it is lost; `speed` is the estimated one."""
+    """Measured position, or its replacement if it is lost; `speed` is the estimated one."""
     resolution, grid, loss = measurement
     measured = position + noise
     if resolution > 0.0:
@@ -380,7 +380,7 @@ def measure_position(measurement, position, noise, sample_time, speed, last):
 
 @inlined_kernel
 def command_step(parts, sample_time, nominal, measured, first, held, chain, estimate, memory):
-    """Desire and deform the acceleration of one coordinate for one sample, with `packed_parts`.
+    """Desired and deformed acceleration of one coordinate for one sample, with `packed_parts`.
 
     held: the force is at its limit, nothing is integrated.
     """
@@ -443,7 +443,7 @@ def run_closed_loop(
     limits,
     record,
 ):
-    """Fill `record` (COLUMNS x samples) from the state in `estimate`; returns the samples done and how it ended."""
+    """Fill `record` (COLUMNS x samples) from the state in `estimate`; returns the number of samples done and how the run ended."""
     measurement = parts[3]
     positions, velocities, accelerations = nominal
     position, velocity = estimate[0], estimate[1]

@@ -1,4 +1,4 @@
-"""C99 of fixed-point control: what `FixedPointStepper` computes, with the model written by its owner."""
+"""C99 of fixed-point control: the computations of `FixedPointStepper`, with a model that you write."""
 
 from typing import Any
 
@@ -37,24 +37,24 @@ def fixed_point_code(
 ) -> dict[str, str]:
     """C99 of fixed-point control that allocates nothing: text by the name of its file, ``name.h`` and ``name.c``.
 
-    The header declares what its owner writes: the forces of the model, its accelerations under forces at their limits,
-    and, where the filter has a model of its own, the acceleration of that.
+    The header declares what you have to write: the forces of the model, its accelerations under forces at their limits,
+    and, if the filter has its own model, the acceleration of that.
 
     Parameters
     ----------
     controller : Controller or list of Controller
-        As of `FixedPointStepper`; with any filter but Savitzky-Golay, and no literal correction.
+        As for `FixedPointStepper`; any filter except Savitzky-Golay, and no literal correction.
     sample_time : float
         s.
     name : str
         What all names in it begin with.
     precision : str
         ``double`` or ``single``; with the latter velocities are small differences of rounded positions, and the force
-        may err by a hundredth: compare it with that of `FixedPointStepper` on a run of your own.
+        may err by a hundredth: compare it with that of `FixedPointStepper` on one of your runs.
     force_limits : list of float, optional
-        Largest force of each actuator; by default any.
+        Largest force of each actuator; by default unlimited.
     lost : str
-        ``predict`` or ``hold``, as of `FixedPointStepper`.
+        ``predict`` or ``hold``, as for `FixedPointStepper`.
 
     Returns
     -------

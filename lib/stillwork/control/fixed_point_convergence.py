@@ -1,4 +1,4 @@
-"""Convergence of the fixed point iteration: gain, linear stability, limit cycles, and the simulated ones."""
+"""Convergence of the fixed point iteration: gain, linear stability, predicted and simulated limit cycles."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -26,7 +26,7 @@ def iterate(
 ) -> Float64[np.ndarray, " steps"]:
     """The sequence deformed -> G(deformed, f(deformed), desired) for f(x) = gain x + offset, m/s^2.
 
-    Static: the desired acceleration stands still and is measured without delay, as Banach's theorem has it.
+    Static: the desired acceleration is constant and measured without delay, as in Banach's theorem.
     """
     value = desired if start is None else start
     sequence, packed = np.empty(steps), transformation.packed
@@ -39,7 +39,7 @@ def iterate(
 @by_value
 @dataclass(frozen=True)
 class Crossing:
-    """A gain at which a pair of poles of the closed loop stands on the unit circle."""
+    """A gain at which a pair of poles of the closed loop is on the unit circle."""
 
     local_gain: float
     frequency_hz: float
@@ -146,7 +146,7 @@ def describing_function(amplitude: NonNegative) -> float:
 def random_gain(deviation: NonNegative) -> float:
     """Gain of the same sigmoid for a small signal buried in Gaussian noise of standard `deviation`.
 
-    E[sigma'(x)], the random-input describing function: what noise leaves of the linear gain.
+    E[sigma'(x)], the random-input describing function: the linear gain reduced by noise.
     """
     from scipy.integrate import quad
 
@@ -176,8 +176,8 @@ def limit_cycles(
     """Limit cycles of the loop closed by (6), by the describing function, smallest amplitude first.
 
     Where the linear gain lies beyond the strongest stable one, the sigmoid holds the motion on a stable
-    cycle; where the loop needs a weakest gain, a large motion starves it: an unstable cycle, beyond which
-    the loop diverges. `region` spares the search for the stable range where it is known.
+    cycle; where the loop needs a minimum gain, a large motion reduces it too much: an unstable cycle, beyond which
+    the loop diverges. `region`, if known, saves the search for the stable range.
     """
     from scipy.optimize import brentq
 

@@ -60,7 +60,7 @@ class LinearFilter:
 def linear_filter(
     signal_filter: Filter, sample_time: float, position: float = 0.0, velocity: float = 0.0
 ) -> LinearFilter:
-    """A filter near an operating point; of a Kalman filter the steady state that it settles to there."""
+    """A filter near an operating point; for a Kalman filter in its steady state there."""
     require_sample_time(signal_filter, sample_time)
     if isinstance(signal_filter, MovingWindow):
         fit = end_point_weights(signal_filter.length + 1, 1)[::-1]

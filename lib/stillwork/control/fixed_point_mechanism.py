@@ -71,10 +71,10 @@ def simulate_mechanism(
     disturbance: ArrayLike | None = None,
     change: tuple[float, ArrayLike] | None = None,
 ) -> list[ControlledRun]:
-    """Drive a plant with several coordinates along a trajectory each, as `control.simulate` drives one with one.
+    """Drive a plant with several coordinates along one trajectory each; `control.simulate` is for a single coordinate.
 
-    Filter, (1) and the transformation work in every coordinate by itself; the models couple them. A Kalman filter's
-    plant is pushed by its coordinate's deformed acceleration, which is what the approximate model commands: give the
+    Filter, (1) and the transformation work in each coordinate separately; the models couple them. A Kalman filter's
+    plant is driven by its coordinate's deformed acceleration, which the approximate model commands: give the
     filter `estimation.filtering.UNIT_MASS`. `JointKalman` filters all coordinates together, with the forces.
 
     Parameters
@@ -87,9 +87,9 @@ def simulate_mechanism(
     trajectories : list of Trajectory
         One for each coordinate, of one length and sample time.
     noise : array_like, shape (coordinates, samples), optional
-        Added to the positions when they are measured; NaN where a sample is lost.
+        Added to the measured positions; NaN where a sample is lost.
     resolution, grid : array_like, shape () or (coordinates,)
-        Of the encoders, as in `control.simulate`; one for all, or one for each.
+        Encoders, as in `control.simulate`; one for all, or one for each.
     integration : str
         As in `control.simulate`.
     start : array_like, shape (2, coordinates), optional

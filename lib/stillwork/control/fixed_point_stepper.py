@@ -1,4 +1,4 @@
-"""The controller's loop one sample at a time, for people who drive hardware."""
+"""The controller's loop one sample at a time, for use with hardware."""
 
 import numpy as np
 from jaxtyping import Float64
@@ -25,7 +25,7 @@ from stillwork.estimation.filtering import model_of
 
 
 class FixedPointStepper:
-    """A `Controller` that takes what is measured and gives the force, with the numbers of the simulation.
+    """A `Controller` from the measurement to the force, with the same numbers as the simulation.
 
     Parameters
     ----------
@@ -34,12 +34,12 @@ class FixedPointStepper:
     sample_time : float
         s.
     start : array_like, shape (2, coordinates), optional
-        Positions and velocities that the filters presume before the first sample; by default those that are nominal.
+        Positions and velocities that the filters assume before the first sample; by default the nominal ones.
     force_limits : array_like, shape (coordinates,), optional
         Largest force or torque of each actuator. At its limit nothing is integrated, and the deformed accelerations are
         set back to what the limited forces command of the model.
     lost : str
-        ``predict`` or ``hold``: what stands for a sample that is lost, as in `control.simulate`.
+        ``predict`` or ``hold``: how a lost sample is replaced, as in `control.simulate`.
     force_from_estimate : bool
         As in `control.simulate`; for a model that is a Plant.
 
@@ -48,9 +48,9 @@ class FixedPointStepper:
     estimate : ndarray, shape (coordinates, 3)
         Position, velocity and acceleration of each coordinate.
     deformed : ndarray, shape (coordinates,)
-        What the model was commanded, m/s^2 or rad/s^2.
+        Acceleration commanded of the model, m/s^2 or rad/s^2.
     samples : int
-        How many were seen.
+        Number of samples so far.
 
     Raises
     ------
@@ -129,7 +129,7 @@ class FixedPointStepper:
 
     @checked
     def step(self, nominal: ArrayLike, measured: ArrayLike) -> Float64[np.ndarray, " coordinates"]:
-        """Force until the next sample; after an exception everything is as it was before.
+        """Force until the next sample; after an exception the state is unchanged.
 
         Parameters
         ----------

@@ -37,19 +37,19 @@ class FloorMachine:
     frame_mass : float
         kg.
     suspension_hz, suspension_damping : float
-        Of frame and stage together on the passive springs; ratio to critical.
+        Of frame and stage together on the passive springs; the damping as ratio to critical.
     stage : ModalModel
-        Free, force (N) to position (m): first its rigid body.
+        Free stage, force (N) to position (m); its first mode is the rigid body.
     controller : Pid or StateModel
-        On the stage's error; a StateModel from the stage sensor to the force, with its sign, sampled where the machine is.
+        Acts on the stage's error; a StateModel from the stage sensor to the force, including its sign, sampled if the machine is.
     compensator : StateModel, optional
-        Of an observer, see `compensator`; sampled where the machine is.
+        Compensator of an observer, see `compensator`; sampled if the machine is.
     skyhook : float
-        Ratio to critical that it adds.
+        Damping ratio that it adds.
     skyhook_hz : float
-        Corner below which it acts no more.
+        Corner below which it does not act.
     feedforward : float
-        g, share of the floor's path that it takes away: 0 none, 0.968 for 30 dB.
+        g, share of the floor's path that it cancels: 0 none, 0.968 for 30 dB.
     integrator_hz : float
         Corner of the weak integrators; they are of order `integrator_order`.
     sample_time : float
@@ -199,7 +199,7 @@ def force_law(model: StateModel) -> StateModel:
 
 @checked
 def weak_integrator(corner_hz: Positive, order: Count) -> StateModel:
-    """(1 - (a / (s + a))^n) / s, an integrator that forgets what is slower than its corner."""
+    """(1 - (a / (s + a))^n) / s, an integrator that ignores motion slower than its corner."""
     alpha = 2 * np.pi * corner_hz
     whole = np.poly(-np.ones(order))  # in s / a, so that all states are of one size
     a, b, c, d = signal.tf2ss(whole[:-1], whole)

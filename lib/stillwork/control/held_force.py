@@ -1,7 +1,7 @@
-"""Motion of a plant under a force that is held for a sample: Runge-Kutta steps that halve until they agree.
+"""Motion of a plant under a force that is held for a sample, by Runge-Kutta steps that are halved until they agree.
 
 A step of the classical method (fourth order) is compared with two of half its length; their difference is the error,
-and takes the result to fifth order.
+and corrects the result to fifth order.
 """
 
 import numpy as np
@@ -50,7 +50,7 @@ def _error(one, two, before, speed, h):
 
 @borrowing_kernel
 def move_held(acceleration, plant, position, velocity, force, sample_time, h):
-    """Position and velocity a sample later, and the length of the last step, to begin with in the next sample."""
+    """Position and velocity a sample later, and the length of the last step, the first one of the next sample."""
     left = sample_time
     while left > 0.0:
         last = h >= left

@@ -1,4 +1,4 @@
-"""A self-tuned feedforward for an isolator: its filters, what it does, and whether its adaptation converges.
+"""A self-tuning feedforward for an isolator: its filters, its effect, and whether its adaptation converges.
 
     M q'' + C (q' - q0') + K (q - q0) = f,   q0 = G p
 
@@ -35,7 +35,7 @@ ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
 @by_value
 @dataclass(frozen=True)
 class Isolator:
-    """Mechanics of an isolator along its actuators, and what its sensors add."""
+    """Mechanics of an isolator along its actuators, and the noise of its sensors."""
 
     mass: Float64[
         np.ndarray, "axes axes"
@@ -64,12 +64,12 @@ class Isolator:
 
     @property
     def axes(self) -> int:
-        """Actuators, and platform sensors."""
+        """Number of actuators, and of platform sensors."""
         return len(self.mass)
 
     @property
     def sensors(self) -> int:
-        """Floor sensors."""
+        """Number of floor sensors."""
         return self.floor.shape[1]
 
     @cached_property
@@ -91,7 +91,7 @@ class Isolator:
         Complex128[np.ndarray, "frequencies axes axes"],
         Complex128[np.ndarray, "frequencies axes axes"],
     ]:
-        """P1 from the floor sensors' acceleration to the platform's, P2 from a held command, and P2 as a sampler sees it.
+        """P1 from the floor sensors' acceleration to the platform's, P2 from a held command, and P2 with the aliases of sampling.
 
         The steps of a held command shake the platform at multiples of the rate, too, which a sampler folds back to low
         frequencies, where the acceleration itself is small.
@@ -157,7 +157,7 @@ class FeedforwardLoop:
 
     @property
     def settling(self) -> float:
-        """Seconds until a step at a floor sensor has left the regressors but for `SETTLED` of it.
+        """Time (s) until a step at a floor sensor has decayed to `SETTLED` of it in the regressors.
 
         Of the n-th power of a / (s + a), as in the last regressor.
         """
@@ -198,7 +198,7 @@ class FeedforwardLoop:
         secondary: Complex128[np.ndarray, "frequencies axes axes"],
         frequencies_hz: Float64[np.ndarray, " frequencies"],
     ) -> Responses:
-        """Of the loop around paths that do not hold the skyhook yet."""
+        """Responses of the loop for paths that do not include the skyhook yet."""
         f, sensors = frequencies_hz, primary.shape[2]
         if not ((f > 0) & (f < self.rate / 2)).all():
             raise InputError(f"frequencies_hz must lie above 0 and below {self.rate / 2:g} Hz, half the rate")
@@ -256,7 +256,7 @@ class Certificate:
 
 @checked
 def path_angle(error: Complex128[np.ndarray, "frequencies axes axes"]) -> Float64[np.ndarray, " frequencies"]:
-    """Largest angle of x' E x over all x, in degrees: of one axis the phase error; 180 where it passes 90."""
+    """Largest angle of x' E x over all x, in degrees: for one axis the phase error; 180 if it exceeds 90."""
     found = np.full(len(error), 180.0)
     turned = np.conj(error.transpose(0, 2, 1))
     hermitian, skew = (error + turned) / 2, (error - turned) / 2j
@@ -279,7 +279,7 @@ def encirclements(loop: Complex128[np.ndarray, "frequencies axes axes"]) -> int:
 def red_number(
     paths: Responses, floor: FloorSpectra, sensor_noise: NonNegative, steady: Steady, low_hz: Positive
 ) -> float:
-    """Slow motion over motion in band: what breaks an adaptation whose mean converges.
+    """Slow motion over motion in the band: if large, the adaptation diverges although its mean converges.
 
     Slow motion reaches the command through the weak integrators and not the filtered error, but weights that move by
     chance carry it into the band. Of ``dv = -(step C psi_N psi') v`` the coefficient has the size

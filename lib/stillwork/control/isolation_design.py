@@ -1,4 +1,4 @@
-"""Design of an isolator's self-tuned feedforward: chosen, certified before it is switched on, and predicted."""
+"""Design of an isolator's self-tuning feedforward, its certificate before it is switched on, and its prediction."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -143,7 +143,7 @@ def binned(
 
 @checked
 def choose_beta(loop: FeedforwardLoop, floor: FloorSpectra) -> float:
-    """For which beta H neither raises nor lowers the power of the shaped floor."""
+    """The beta with which beta H leaves the power of the shaped floor unchanged."""
     f = floor.frequencies_hz
     own = np.einsum("faa->f", floor.density).real * floor.widths_hz
     sections = np.vstack([loop.noise_shaping, loop.highpass])
@@ -155,7 +155,7 @@ def choose_beta(loop: FeedforwardLoop, floor: FloorSpectra) -> float:
 @by_value
 @dataclass(frozen=True)
 class IsolationDesign:
-    """A loop on one isolator and floor: what its adaptation is, whether it converges, and where it ends."""
+    """A loop on one isolator and floor: its adaptation, whether it converges, and its fixed point."""
 
     loop: FeedforwardLoop
     paths: "_MovingPaths"
@@ -182,7 +182,7 @@ def try_loop(
     variance: Positive,
     step: Positive | None = None,
 ) -> IsolationDesign:
-    """A loop with the fastest adaptation that keeps the `variance` and survives the floor's slow motion, or with `step`."""
+    """A loop with the fastest adaptation that keeps the `variance` and tolerates the floor's slow motion, or with `step`."""
     require_choice("algorithm", algorithm, ALGORITHMS)
     f, widths = floor.frequencies_hz, floor.widths_hz
     primary, held, sampled = paths_of(f)
@@ -396,27 +396,27 @@ def design_isolation(
     Parameters
     ----------
     isolator : Isolator
-        What it is, as far as it is known.
+        The isolator as known.
     floor : FloorSpectra
-        On which the weights are learnt.
+        Floor on which the weights are learnt.
     rate : float
-        Samples a second.
+        Samples per second.
     estimate : Isolator, optional
-        What the filters take it for, by default the same.
+        The isolator assumed by the filters; by default the same.
     correction : callable, optional
-        From frequencies in Hz to what the measured P2 has more than the isolator.
+        From frequencies in Hz to the measured P2 less that of the isolator.
     band_hz : tuple of float
-        Of the filtered error; (0, 0): chosen.
+        Band of the filtered error, Hz; (0, 0): chosen.
     notches : tuple of FrequencyNotch
         In it.
     algorithm : str
         ``FeRls`` or ``FeLms``.
     variance : float
-        By what share moving weights may raise the power of the remaining motion.
+        Share by which the scatter of the weights may raise the power of the remaining motion.
     spread : float
-        How far the true isolator may be from this one, see `SPREADS`.
+        Relative uncertainty of the isolator, see `SPREADS`.
     seed : int
-        Of the draws from the box.
+        Seed of the draws from the box.
 
     Returns
     -------
@@ -507,7 +507,7 @@ def design_isolation(
 @by_value
 @dataclass(frozen=True)
 class IsolationPrediction:
-    """What a design leaves on its floor: lowest, expected and highest over the box, the weights' scatter and the record."""
+    """Motion that remains on a floor: lowest, expected and highest over the box, the weights' scatter and the record."""
 
     band_hz: tuple[float, float]
     remains: Float64[np.ndarray, "3 axes"]  # rms acceleration in the band, m/s^2
@@ -530,7 +530,7 @@ def predict(
     floor: FloorSpectra,
     seed: Natural = 0,
 ) -> IsolationPrediction:
-    """Motion and transmissibility of a design and of the same loop around, each with weights drawn from their scatter."""
+    """Motion and transmissibility of a design and of the loops around it, each with weights drawn from their scatter."""
     if design.scatter is None:
         raise InputError("design has a given step, of which no scatter is known; give one that was searched")
     if not around:

@@ -1,7 +1,7 @@
-"""Filters of a self-tuned feedforward against floor vibration, after Beijen et al. (2018).
+"""Filters of a self-tuning feedforward against floor vibration, after Beijen et al. (2018).
 
 They are designed in continuous time and discretised with Tustin's rule. Every design returns second-order sections as `scipy.signal.sosfilt` takes them. Products are formed from poles
-and zeros in continuous time, before Tustin's rule: what cancels on paper never meets a rounding error.
+and zeros in continuous time, before Tustin's rule: terms that cancel analytically are never subject to rounding.
 """
 
 from dataclasses import dataclass
@@ -70,7 +70,7 @@ class NoiseShaping:
 def weak_integrator(order: Count, cutoff: Positive, beta: Positive, sample_time: Positive) -> Sections:
     """Normalised weak integrator beta H with H = (1 - (a / (s + a))^n) / s.
 
-    Below the cut-off a (rad/s) the transmissibility is left alone with the order n. Powers of beta H are the same filter again on its own output.
+    Below the cut-off a (rad/s) the transmissibility is unaffected, to the order n. Powers of beta H are repeated applications of the filter.
     """
     # (s + a)^n = a^n has the roots a (w - 1) with w the n-th roots of unity; the one at s = 0 is the integrator.
     unity = np.exp(2j * np.pi * np.arange(1, order) / order)

@@ -27,15 +27,15 @@ class JointKalman:
     Attributes
     ----------
     model : Mechanism
-        What it believes in.
+        Model of the filter.
     disturbance_step : array_like, shape () or (coordinates,)
         Standard deviation of a disturbance's change in one sample, m/s^2 or rad/s^2: one for all, or one for each.
     noise_deviation : array_like, shape () or (coordinates,)
         Standard deviation of a measured position, m or rad.
     velocity_step : array_like, shape () or (coordinates,)
-        Standard deviation of what else changes a velocity in one sample, m/s or rad/s.
+        Standard deviation of other changes of a velocity in one sample, m/s or rad/s.
     initial_deviation : array_like, shape (3,) or (3, coordinates)
-        Of positions, velocities and disturbances at the first measurement.
+        Standard deviations of positions, velocities and disturbances at the first measurement.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The kinematic block: how the tracking error shall decay, equation (1), for any order."""
+"""The kinematic block: the desired decay of the tracking error, equation (1), for any order."""
 
 from dataclasses import dataclass
 from math import comb

@@ -1,4 +1,4 @@
-"""Proven peaks of a loop's functions, from the very numbers of plant, compensator and controller."""
+"""Proven peaks of a loop's functions, for the floating-point numbers of plant, compensator and controller."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -38,7 +38,7 @@ Functions = dict[str, tuple[Polynomial, Polynomial]]  # numerator and denominato
 
 @checked(infinite=True)
 def enclose_peaks(loop: Loop, pid: Pid, written: StateModel | None = None) -> dict[str, Enclosure]:
-    """Bounds of the peaks of a loop, each proven together with the stability of the whole loop where it can be.
+    """Bounds of the peaks of a loop, each proven together with the stability of the whole loop if possible.
 
     Parameters
     ----------
@@ -78,20 +78,20 @@ def enclose_peaks(loop: Loop, pid: Pid, written: StateModel | None = None) -> di
 
 @checked(infinite=True)
 def enclose_margins(loop: Loop, pid: Pid, written: StateModel | None = None) -> dict[str, Enclosure]:
-    """Bounds of a loop's first crossing and of its stability margins, each proven where it can be.
+    """Bounds of a loop's first crossing and of its stability margins, each proven if possible.
 
     Parameters
     ----------
     loop, pid, written
-        As of `enclose_peaks`.
+        See `enclose_peaks`.
 
     Returns
     -------
     dict of str to Enclosure
-        ``crossing_hz``: where the loop gain that the controller sees first falls through 0 dB, infinite where it
-        never does. Of the loop that the plant's output sees: ``gain_reduction`` and ``gain_margin``, the factors
+        ``crossing_hz``: where the loop gain at the controller first falls through 0 dB, infinite if it
+        never does. For the loop at the plant's output: ``gain_reduction`` and ``gain_margin``, the factors
         below and above 1 at which it becomes unstable (0 and infinite where none does), ``phase_margin`` (degrees)
-        and ``modulus_margin``, the distance that it keeps from -1. The margins of an unstable loop are 0 (its gain
+        and ``modulus_margin``, its smallest distance from -1. The margins of an unstable loop are 0 (its gain
         may not be reduced: 1).
 
     Raises
@@ -163,7 +163,7 @@ def _opened(loop: Loop, numerator: Polynomial, denominator: Polynomial) -> tuple
 def proven_numbers(loops: Sequence[Loop], pid: Pid, written: Sequence[StateModel]) -> list[tuple[str, str]]:
     """The largest peaks, the range of the crossings and the least margins over all loops, and which are proven.
 
-    The written models serve the loops in turn.
+    The written models belong to the loops in turn.
     """
     peaks, margins = [], []
     for k, loop in enumerate(loops):

@@ -24,14 +24,14 @@ RESOLVED = 1e-4  # of a bandwidth
 @by_value
 @dataclass(frozen=True)
 class NoiseBound:
-    """How much of a white noise of the sensor may be in the output of a controller, both as root mean squares.
+    """Allowed output of a controller due to white sensor noise, both as root mean squares.
 
     Attributes
     ----------
     gain : float
-        Of the noise to the output at most, in units of the output over those of the position.
+        Largest gain from noise to output, in units of the output over those of the position.
     ratio : float
-        Likewise of the output over what the controller's gain at the crossing makes of the noise below the crossing:
+        Largest ratio of the output to the product of the controller's gain at the crossover and the noise below the crossover:
         the same at every rate, and in every unit.
     """
 
@@ -55,7 +55,7 @@ class NoiseBound:
 
     @checked
     def excess(self, loop: Loop, controller: Pid) -> float:
-        """The noise at the output over what is allowed; above 1 it is too much."""
+        """The noise at the output over the allowed one; above 1 it is too large."""
         if min(self.gain, self.ratio) == np.inf or not loop.sample_time:
             return 0.0
         gain = noise_gain(loop, controller)
@@ -70,7 +70,7 @@ class NoiseBound:
     def lowered(
         self, loops: Sequence[Loop], family: Callable[[float], Pid], found: Bandwidth
     ) -> tuple[Bandwidth | None, str]:
-        """What was found, or the largest bandwidth below it in which the noise of all loops is allowed; or why none is."""
+        """The bandwidth found, or the largest one below it for which the noise of all loops is allowed; or why there is none."""
 
         def excess(design_hz: float) -> float:
             return max(self.excess(loop, family(design_hz)) for loop in loops)
@@ -107,7 +107,7 @@ UNBOUNDED, USUAL = NoiseBound(), NoiseBound(ratio=RATIO)
 def noise_gain(loop: Loop, controller: Pid) -> float:
     """Root mean square of the output of a closed, sampled loop over that of white noise on its measurement.
 
-    From the loop's grid, which is dense at every mode of plant and observer.
+    Computed on the loop's grid, which is dense at every mode of plant and observer.
     """
     if not loop.sample_time:
         raise InputError(
@@ -122,7 +122,7 @@ def noise_gain(loop: Loop, controller: Pid) -> float:
 
 @checked
 def crossing_noise(loop: Loop, controller: Pid) -> float:
-    """Likewise of the whole controller's gain at the first crossing of 0 dB alone, on the noise below it; 0 without one."""
+    """Likewise for the controller's gain at the first crossing of 0 dB, applied to the noise below it; 0 if there is none."""
     try:
         crossing = loop.crossing_hz(controller)
     except InputError:  # it does not fall through 0 dB
@@ -135,7 +135,7 @@ def crossing_noise(loop: Loop, controller: Pid) -> float:
 def written_noise(written: StateModel, plant: StateModel) -> tuple[float, float]:
     """Root mean square of the output over that of white noise, and its largest at any frequency, of a written controller.
 
-    Of a controller's linear map from the error to the output, and a plant, both sampled: the first by a Lyapunov
+    For a controller's linear map from the error to the output, and a plant, both sampled: the first by a Lyapunov
     equation, the second on a grid.
     """
     loop = interconnect(

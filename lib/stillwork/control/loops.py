@@ -160,12 +160,12 @@ class LoopResponse:
 
     @cached_property
     def loop(self) -> Complex128[np.ndarray, "... f"]:
-        """P_eq C_fb, what the controller sees."""
+        """P_eq C_fb, the loop at the controller."""
         return self.equivalent_plant * self.controller
 
     @cached_property
     def output_loop(self) -> Complex128[np.ndarray, "... f"]:
-        """P C_eq, what the plant's output sees."""
+        """P C_eq, the loop at the plant's output."""
         return self.plant * self.output_controller
 
     @cached_property

@@ -41,7 +41,7 @@ EACH = 2  # searches a use: with the first settings, and with those that are tun
 
 
 class Designed(NamedTuple):
-    """What the search found, and for what."""
+    """Results of the search, with its settings."""
 
     machine: Machine  # its measurement early by the delay that it was found to hold
     others: tuple[Machine, ...]  # other responses of it that the same controller serves
@@ -80,7 +80,7 @@ class Designed(NamedTuple):
         return f"highest bandwidth first: {', '.join(said) or 'none has a safe loop'}"
 
     def lines(self) -> list[str]:
-        """What was searched and found, a line each."""
+        """Settings and results of the search, one line each."""
         rows = [
             f"{use}: {', '.join(f'{key} {value}' for key, value in each.summary.items())}"
             f"{each.reason and '; ' + each.reason}"
@@ -100,7 +100,7 @@ def default_rate(machine: Machine) -> float:
 
 @checked
 def asked_uncertainty(said: str | Mapping[str, float]) -> dict[str, float]:
-    """Shares by `NAMES`: those of `UNCERTAINTY`, and what is given; ``none``: nothing but what is given."""
+    """Shares by `NAMES`: those given, the others as in `UNCERTAINTY`; with ``none`` the others are zero."""
     if not isinstance(said, str):
         named = dict(said)
     else:
@@ -140,27 +140,27 @@ def search_designs(
     noise: NoiseBound = USUAL,
     on_step: Callable[[str], None] | None = None,
 ) -> Designed:
-    """How far PID, PID with notches, MC, AD, and MC and AD get, each with its settings tuned.
+    """Bandwidth of PID, PID with notches, MC, AD, and MC with AD, each with tuned settings.
 
     Parameters
     ----------
     machine : Machine
     others : sequence of Machine
-        The same machine elsewhere, at another position or with another load: the controller, whose observer is made for
+        The same machine at another position or with another load: the controller, whose observer is made for
         `machine`, holds the constraints there and in the box around it, too.
     rate : float
-        Samples a second of the controller, Hz; 0: `default_rate`.
+        Samples per second of the controller, Hz; 0: `default_rate`.
     delay : float
-        Samples from a measurement to the force that follows from it, whole or not, beside the hold and beside a delay
-        that the measured response itself holds, which is found and added as it is.
+        Delay from a measurement to the force that follows from it, in samples, whole or not, in addition to the hold and to a delay
+        of the measured response itself, which is detected, reported and included.
     uncertainty : str or mapping of str to float
         See `asked_uncertainty`.
     loop_hz, search_hz : tuple of float
         See `reach`.
     intensities, retained, added_damping, selectivity
-        Where the settings of an observer begin.
+        Initial settings of an observer.
     noise : NoiseBound
-        How much of the sensor's noise may be in the output.
+        Allowed sensor noise in the output.
     on_step : callable, optional
         Called with the name of each use before it is searched, `EACH` times.
 
@@ -171,7 +171,7 @@ def search_designs(
     Raises
     ------
     InputError
-        For settings that fit no machine, or not this one.
+        For invalid settings, or settings that do not fit this machine.
     """
     shares = asked_uncertainty(uncertainty)
     chosen = not rate
@@ -277,5 +277,5 @@ def _tuned_from(
 
 @checked
 def crossing(reached: AchievableBandwidth) -> float:
-    """The lowest first crossing of what is recommended, Hz; 0 where nothing is."""
+    """The lowest first crossing of the recommended design, Hz; 0 if there is none."""
     return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0

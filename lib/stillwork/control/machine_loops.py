@@ -1,4 +1,4 @@
-"""Loops of a machine with an observer, on its model and on its measurement, and how far each use of it gets safely."""
+"""Loops of a machine with an observer, on its model and on its measurement, and the safe bandwidth of each use."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -61,7 +61,7 @@ SEARCH = (1 / 40, 1.0)  # of the first resonance: where bandwidths are sought
 @by_value
 @dataclass(frozen=True)
 class Intensities:
-    """What the observer is designed for, as accelerations of the rigid body, so that it fits any mass.
+    """Design intensities of the observer, as accelerations of the rigid body, so that they fit any mass.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ def on_measurement(
     """The same loop with the measured response for a plant inside `band_hz`, and the model below it.
 
     Its loop functions are measured; its poles stay those of the model. With `mirror` the flexible part of the
-    measurement, what it has beside the rigid body, changes sign. What sampling folds back is taken from the model.
+    measurement, what it has beside the rigid body, changes sign. Aliases are taken from the model.
     """
     inside = (measured.omega >= 2 * np.pi * band_hz[0]) & (measured.omega <= 2 * np.pi * band_hz[1])
     inside &= measured.omega <= loop.omega[-1]
@@ -144,7 +144,7 @@ def on_measurement(
 
 @checked(infinite=True)
 def encirclement_difference(measured: Loop, controller: Pid) -> int:
-    """Turns around -1 that the measured open loop makes more than that of the model, on the measured band.
+    """Encirclements of -1 by the measured open loop less those of the model, in the measured band.
 
     Zero, with a stable model, means that the loop on the measured plant is stable too (Nyquist).
     """
@@ -213,22 +213,22 @@ def observing_compensator(
 @by_value
 @dataclass(frozen=True)
 class AchievableBandwidth:
-    """How far one use of the observer gets.
+    """Achievable bandwidth of one use of the observer.
 
     Attributes
     ----------
     on_model, on_measurement : Bandwidth, optional
         None where no bandwidth is feasible, and without a measurement.
     encirclement_difference : int, optional
-        Turns around -1 that the measured open loops make more than those of the model: 0 proves stability.
+        Encirclements of -1 by the measured open loops less those of the model: 0 proves stability.
     loops : tuple of Loop
-        One a sensor; on the measurement where there is one, and then, where the modes have phases of their own, with
+        One per sensor; on the measurement if there is one, and then, if the modes have their own phases, with
         these at corners of the box.
     model_loops : tuple of Loop
         The same on the model.
     perturbed : tuple of Loop
-        On the model of each other response, then at places of the box around each model: two corners, then where most
-        harm is done; empty without either.
+        On the model of each other response, then at points of the box around each model: two corners, then the worst
+        ones; empty if there are neither.
     reason : str
         Why no bandwidth was found; empty when one was.
     elsewhere : tuple of Loop
@@ -257,7 +257,7 @@ class AchievableBandwidth:
 
     @property
     def stopped_by_noise(self) -> bool:
-        """Whether more of the sensor's noise than is allowed stops it, or leaves nothing."""
+        """Whether the allowed sensor noise limits the bandwidth, or makes every bandwidth infeasible."""
         stop = self.recommended
         return NOISE in self.reason if stop is None else stop.function == NOISE
 
@@ -330,11 +330,11 @@ def reach(
     chosen : mapping of str to Application
         See `applications`.
     retained : int
-        At most so many modes in the observer, the rigid body included; the others enter as compliance.
+        Largest number of modes in the observer, the rigid body included; the others enter as compliance.
     intensities : Intensities
-        For which the observer is made.
+        Design intensities of the observer.
     loop_hz : tuple of float
-        Band in which the measurement stands for the plant; (0, 0) for that of the fit.
+        Band in which the measurement represents the plant; (0, 0) for that of the fit.
     search_hz : tuple of float
         Range of the design parameter; (0, 0) for 1/40 of the first resonance to all of it, from twice a suspension
         and to a tenth of the rate.
@@ -345,22 +345,22 @@ def reach(
     delay : float
         Samples from command to force, whole or not.
     uncertainty : mapping of str to float
-        How far the machine may be from the model, by the fields of `Uncertainty`, the intervals of a fit beside it:
+        Uncertainty of the model, by the fields of `Uncertainty`, plus the intervals of a fit:
         the constraints hold all over that box. Empty: on the model alone.
     notches : bool
         Give the controller a notch at each resonance that the observer holds and the rate reaches.
     lead : float
-        Of the controller, see `PidFamily`.
+        See `PidFamily`.
     others : sequence of (Machine, float)
-        The same machine elsewhere, and the delay there in samples: the same controller and observer keep the
-        constraints there, too, and in the box around it. Of one sensor each.
+        The same machine at other positions, and the delay there in samples: the same controller and observer keep the
+        constraints there, too, and in the box around it. One sensor each.
     noise : NoiseBound
-        Of a sampled loop: how much of the sensor's noise may be in the output, on the models.
+        For a sampled loop: allowed sensor noise in the output, on the models.
 
     Raises
     ------
     InputError
-        For bad settings. A use without any feasible bandwidth is a result, see `AchievableBandwidth.reason`.
+        For invalid settings. A use without any feasible bandwidth is a result, see `AchievableBandwidth.reason`.
     """
     responses = [(machine, delay), *others]
     bands = [_measured_band(each, loop_hz) for each, _ in responses]
@@ -473,7 +473,7 @@ def _exceeded(loops: Sequence[Loop], controller: Pid, limits: Sequence[PeakConst
 
 @checked
 def as_one(constraints: Sequence[PeakConstraint]) -> list[PeakConstraint]:
-    """The tightest: without an observer all functions of a loop are one."""
+    """The tightest constraint: without an observer all functions of a loop are the same."""
     return [min(constraints, key=lambda each: each.limit)]
 
 
@@ -544,7 +544,7 @@ def _lower(first: Bandwidth | None, second: Bandwidth | None) -> Bandwidth:
 
 @checked
 def in_hertz(hertz: float, digits: int = 1) -> str:
-    """Rounded for a line of text; of a slow machine to three digits."""
+    """Rounded for a line of text; for a slow machine to three digits."""
     return f"{hertz:.{digits}f}" if hertz >= 1 else f"{hertz:.3g}"
 
 

@@ -1,4 +1,4 @@
-"""The settings of a controller and its observer that get a machine furthest: one look around at each of them."""
+"""Settings of a controller and its observer with the highest bandwidth, by one coordinate search."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ PUSH = 1.03  # of the bandwidth, at a time
 @by_value
 @dataclass(frozen=True)
 class DesignSettings:
-    """What one use of an observer is made of."""
+    """Settings of one use of an observer."""
 
     application: Application | None  # None: no observer
     retained: int  # modes in the observer, the rigid body included
@@ -58,7 +58,7 @@ def tuned(
     others: Sequence[tuple[Machine, float]] = (),
     noise: NoiseBound = UNBOUNDED,
 ) -> DesignSettings:
-    """Settings that hold the constraints and the bound of the noise on all models at a higher bandwidth than those given do at `design_hz`."""
+    """Settings that meet the constraints and the noise bound on all models at a bandwidth above `design_hz`."""
 
     def loops_of(each: DesignSettings) -> list[Loop]:
         chosen = observer_settings(machine, each.application, each.retained, each.intensities)
@@ -106,7 +106,7 @@ def tuned(
 
 @checked
 def varied(settings: DesignSettings, name: str, factor: float) -> DesignSettings | None:
-    """The settings with one of them changed by a factor; None where they have no such thing, or no more of it."""
+    """The settings with one of them changed by a factor; None if they have no such setting, or it is at its limit."""
     require_choice("name", name, STEPS)
     application, intensities = settings.application, settings.intensities
     if name == "lead":

@@ -1,4 +1,4 @@
-"""Plants with several coordinates: M(q) q'' + h(q, q') = u, from functions of people's own."""
+"""Plants with several coordinates: M(q) q'' + h(q, q') = u, from user-defined functions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Mechanism:
     bias : callable
         ``bias(position, velocity, parameters, out)``: h, all forces but the inertial ones, N or N m.
     coordinates : int
-        How many, at most 1000.
+        Number of coordinates, at most 1000.
     parameters : ndarray, shape (parameters,)
         Passed to both; changing them recompiles nothing.
 
@@ -118,7 +118,7 @@ class Mechanism:
     def force(
         self, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
     ) -> Float64[np.ndarray, " coordinates"]:
-        """u that an acceleration takes.
+        """Force u for an acceleration.
 
         Parameters
         ----------
@@ -155,7 +155,7 @@ class Mechanism:
     def acceleration(
         self, position: ArrayLike, velocity: ArrayLike, force: ArrayLike
     ) -> Float64[np.ndarray, " coordinates"]:
-        """q'' that a force gives.
+        """Acceleration q'' under a force.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ def response_matrix(
     """F = M^-1 M_model: accelerations realised per acceleration commanded through an imperfect model.
 
     M F is symmetric and positive definite, so F has real and positive eigenvalues, and in the norm of the kinetic
-    energy, x' M x, the norm of 1 + g F is its spectral radius: an iteration whose every coordinate has the local gain g
+    energy, x' M x, the norm of 1 + g F is its spectral radius: an iteration in which every coordinate has the local gain g
     contracts in that norm exactly where -2 / (largest eigenvalue) < g < 0. In the Euclidean norm a step may grow even
     there.
     """
@@ -235,7 +235,7 @@ def iteration_radius(
     """Spectral radius of 1 + G F, with a local gain of each coordinate: below 1 the iteration converges at this position.
 
     Where the gains are equal this is `response_matrix`'s bound. Where they differ, 1 + G F may have complex eigenvalues, and no
-    norm is known in which every step contracts: the radius holds near the fixed point, and for a model that stands still.
+    norm is known in which every step contracts: the radius holds near the fixed point, and for a model at rest.
     """
     response = response_matrix(plant, model, position)
     gains = require_array("local_gains", local_gains, shape=(plant.coordinates,))

@@ -1,4 +1,4 @@
-"""Loops on a machine whose modes have phases of their own, in the box around it; such a model is judged, not observed."""
+"""Loops on a machine with non-proportional damping, in the box around it; the phases are used for checks, not in the observer."""
 
 import itertools
 from collections.abc import Sequence

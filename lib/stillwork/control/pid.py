@@ -31,7 +31,7 @@ class Notch:
         Parameters
         ----------
         s : array_like of complex
-            Where, rad/s.
+            Complex frequencies, rad/s.
         """
         w = self.omega
         return (s * s + 2 * self.depth * w * s + w**2) / (s * s + 2 * self.width * w * s + w**2)
@@ -79,7 +79,7 @@ class Pid:
 
     @checked
     def state_space(self) -> StateModel:
-        """Realisation by partial fractions: an integrator beside the low-pass, each of its own size."""
+        """Realisation by partial fractions: an integrator in parallel with the low-pass, each with its own scale."""
         return self._realised
 
     @cached_property  # one controller closes the loop at every position
@@ -105,7 +105,7 @@ def series(models: list[StateModel]) -> StateModel:
 @by_value
 @dataclass(frozen=True)
 class PidFamily:
-    """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3, where `lead` is 3.
+    """Controllers with one free parameter, the design bandwidth: the rules of Table 3.3, where `lead` is 3.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class PidFamily:
     notch_frequencies : tuple of float
         rad/s.
     lead : float
-        Of the bandwidth to the zero below it, and of the low-pass above it; above 1.
+        Ratio of the bandwidth to the zero below it, and of the low-pass to the bandwidth; above 1.
 
     Raises
     ------

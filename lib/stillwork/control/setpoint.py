@@ -154,12 +154,12 @@ def segment_times(snap: float, jerk: float, acceleration: float, velocity: float
 @by_value
 @dataclass(frozen=True)
 class MoveLimits:
-    """What a setpoint may reach.
+    """Limits of a setpoint.
 
     Parameters
     ----------
     velocity, acceleration, jerk : float
-        In one unit of length or angle.
+        In the same unit of length or angle.
     snap : float
         Infinite by default: moves of third order.
 
@@ -207,7 +207,7 @@ class Move:
     Attributes
     ----------
     start, distance : float
-        Where it begins, and how far it goes, either way.
+        Start of the move, and its distance in either direction.
     knots : ndarray, shape (8, 6)
         Of the way up to the largest velocity: time, position, velocity, acceleration, jerk and snap where each segment
         begins, the last one at constant velocity; of a move forwards from 0.
@@ -269,10 +269,10 @@ def plan_move(distance: float, limits: MoveLimits, start: float = 0.0) -> Move:
     Parameters
     ----------
     distance : float
-        In the unit of the limits, either way.
+        In the unit of the limits, in either direction.
     limits : MoveLimits
     start : float
-        Where it begins.
+        Start of the move.
 
     Returns
     -------
@@ -313,7 +313,7 @@ def plan_move(distance: float, limits: MoveLimits, start: float = 0.0) -> Move:
 
 @checked
 def largest_of(limits: MoveLimits) -> Float64[np.ndarray, "4"]:
-    """Largest velocity, acceleration, jerk and snap of a long move: what is reached, which may be less than allowed."""
+    """Largest velocity, acceleration, jerk and snap of a long move: the values reached, which may be less than the limits."""
     return np.abs(_knots(limits, limits.velocity)[:, 2:]).max(axis=0)
 
 

@@ -1,4 +1,4 @@
-"""A controller as float32 holds it: its coefficients rounded, its recursion run, and a form in which little is lost."""
+"""A controller in float32: rounded coefficients, its recursion, and a form with small rounding errors."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -33,11 +33,11 @@ class InSinglePrecision(NamedTuple):
 
 @checked(infinite=True)
 def in_single_precision(controller: DigitalController) -> InSinglePrecision:
-    """The form of a controller that float32 holds well: its own where that will do, else by its modes or balanced.
+    """The form of a controller that suits float32: its own if accurate enough, else modal or balanced.
 
-    Each is run in float32 and beside it in double precision, as the C does: states that change by little are summed up
-    with what rounding leaves. The controller is the same while no limit acts, and at a limit: the states follow what
-    acts by the same gain.
+    Each is run in float32 and in double precision, as in the C code: states that change slowly are summed up
+    with their rounding errors. The controller is the same without and at a limit: the states follow the applied output
+    by the same gain.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def in_single_precision(controller: DigitalController) -> InSinglePrecision:
     Raises
     ------
     InputError
-        When each form loses more than a thousandth of the output.
+        When each form has an error of more than a thousandth of the output.
     """
     found = []
     for form, made in (("as designed", _as_it_is), ("by its modes", by_modes), ("balanced", balanced_form)):
@@ -69,7 +69,7 @@ def in_single_precision(controller: DigitalController) -> InSinglePrecision:
 
 @checked(infinite=True)
 def rounding_error(controller: DigitalController) -> float:
-    """Rms of what float32 changes at the outputs over their rms, in as many samples of white and slow numbers."""
+    """Rms error of the outputs in float32 over their rms, for as many samples of white and slow noise."""
     exact, single = (_coefficients(controller, each) for each in (np.float64, np.float32))
     inputs, samples = len(controller.inputs), _samples(controller)
     white = np.random.default_rng(1).standard_normal((2, samples, inputs))
@@ -145,7 +145,7 @@ def _folded(controller: DigitalController) -> DigitalController:
 
 @checked(infinite=True)
 def by_modes(controller: DigitalController) -> DigitalController | None:
-    """Each real pole a state, each pair a turn of two; None where two of them are hardly apart."""
+    """Each real pole a state, each pair a turn of two; None if two of them are nearly equal."""
     folded = _folded(controller)
     m = folded.model
     if not len(m.a):
@@ -168,7 +168,7 @@ def by_modes(controller: DigitalController) -> DigitalController | None:
 
 @checked(infinite=True)
 def balanced_form(controller: DigitalController) -> DigitalController | None:
-    """Each state as easily moved as seen; None of an unstable one."""
+    """Balanced realisation: each state is as controllable as observable; None if unstable."""
     folded = _folded(controller)
     m = folded.model
     if not len(m.a) or np.abs(m.poles).max() * CONTRACTED >= 1:

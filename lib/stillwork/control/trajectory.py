@@ -15,7 +15,7 @@ from stillwork.base.validation import by_value, check_fields, checked
 @by_value
 @dataclass(frozen=True)
 class Trajectory:
-    """What the coordinate shall do, sampled, with both derivatives, each that of what stands before it."""
+    """Desired motion of a coordinate, sampled, with its first and second derivative."""
 
     sample_time: Positive  # s
     position: Converted  # q^N, m, shape (samples,)

@@ -1,4 +1,4 @@
-"""From what happened and what is desired to the next command: (6) and (8), and a disturbance observer beside them."""
+"""From the response and the desired acceleration to the next command: (6) and (8), and a disturbance observer."""
 
 import warnings
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from stillwork.base.validation import by_value, check_fields, checked
 
 
 class ContractionWarning(UserWarning):
-    """The iteration is no contraction with this gain; the message gives the range in which it is."""
+    """The iteration does not contract with this gain; the message gives the range in which it does."""
 
 
 @by_value
@@ -95,16 +95,16 @@ class RobustTransformation:
 @by_value
 @dataclass(frozen=True)
 class DisturbanceObserver:
-    """Command less the disturbance, as a first-order filter of response minus command sees it; no part of the paper.
+    """Command less the disturbance, estimated by a first-order filter of response minus command; not in the paper.
 
     deformed = desired - d, where d += gain (response - deformed - d). With gain 0 it is computed torque: the command is the
-    desired acceleration. It differs from an iteration of that gain in one term: what the desired acceleration changes by is
+    desired acceleration. It differs from an iteration of that gain in one term: a change of the desired acceleration is
     commanded at once.
 
     Attributes
     ----------
     gain : float
-        Share of what is missing in d that is taken over each sample, 0 to 1.
+        Share of the error of d that is corrected in each sample, 0 to 1.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Closed loops whose modes are known within bounds, as a model that is closed by uncertain numbers."""
+"""Closed loops with modes known within bounds, as a model in feedback with uncertain numbers."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def uncertain_channel(
     r"""One channel of a `closed_loop` of a plant with uncertain modes, for `lti.prove_gain`.
 
     Each flexible mode's frequency lies within :math:`\omega(1\pm frequency)` and the coefficient of its velocity within
-    :math:`2\zeta\omega(1\pm\max(frequency, damping))`, each by itself; the gain of the actuator within
+    :math:`2\zeta\omega(1\pm\max(frequency, damping))`, independently; the gain of the actuator within
     :math:`1\pm gain`. Observer and controller stay as they are. Shapes and compliance are taken as known.
 
     Parameters
@@ -48,7 +48,7 @@ def uncertain_channel(
     model : StateModel
         The uncertain numbers' inputs and outputs first, then the channel's.
     uncertain : int
-        How many uncertain numbers there are.
+        Number of uncertain numbers.
 
     Raises
     ------

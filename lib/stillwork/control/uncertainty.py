@@ -1,4 +1,4 @@
-"""A machine that is not quite its model: the box of its numbers, the place in it that does most harm, the loop there."""
+"""Bounded uncertainty of a machine: the box of its parameters, the worst point in it, and the loop there."""
 
 import math
 from collections import deque
@@ -40,7 +40,7 @@ SLIGHT = 1e-3  # share of a damping ratio that changes no peak worth the while
 @by_value
 @dataclass(frozen=True)
 class Uncertainty:
-    """How far a machine may be from its model: half the widths of a box around the model's numbers.
+    """Deviation of a machine from its model: half the widths of a box around the model's parameters.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Uncertainty:
     gain : float
         Share of the whole response: the motor constant, or the sensor's scale.
     mass : float
-        Share of the rigid body's mass, the flexible part apart.
+        Share of the rigid body's mass, without the flexible part.
     delay : float
         s.
     friction : float
@@ -106,7 +106,7 @@ class Uncertainty:
 
 
 class Perturbation(NamedTuple):
-    """A place in the box: factors on the modes' numbers and on the whole, and what is added to delay and friction."""
+    """A point in the box: factors on the modes' parameters and on the whole response, and additions to delay and friction."""
 
     frequencies: Float64[np.ndarray, " modes"]
     residues: Float64[np.ndarray, " modes"]
@@ -135,7 +135,7 @@ def place_at(box: Uncertainty, signs: Float64[np.ndarray, " numbers"]) -> Pertur
 
 @checked
 def require_shares(asked: Mapping[str, float]) -> None:
-    """Refuse other names than `NAMES`, and what is no share, delay or friction."""
+    """Refuse names other than `NAMES` and invalid shares, delays or frictions."""
     for name, value in asked.items():
         require_choice("uncertainty", name, NAMES)
         below = {} if name in ABSOLUTE else {"below": 1.0}
@@ -188,7 +188,7 @@ def perturbed_plant(plant: ModalModel, place: Perturbation) -> ModalModel:
 
 @checked
 def perturbed_loop(loop: Loop, place: Perturbation) -> Loop:
-    """The same observer and sample time on a plant at a place of the box; two of its frequencies may change places."""
+    """The same observer and sample time on a plant at a point of the box; two of its frequencies may swap."""
     plant = perturbed_plant(loop.plant, place)
     delay = loop.delay
     if loop.sample_time:
@@ -204,7 +204,7 @@ def perturbed_loops(loops: Sequence[Loop], places: Sequence[Perturbation]) -> tu
 
 @checked
 def corners(uncertainty: Uncertainty) -> list[Perturbation]:
-    """Two places to begin with: all frequencies low and the gain high, and all of both high; none without a box."""
+    """Two initial points: all frequencies low and the gain high, and all of both high; none without a box."""
     if uncertainty.is_empty:
         return []
     ones = np.ones_like(uncertainty.frequency)
@@ -219,7 +219,7 @@ def corners(uncertainty: Uncertainty) -> list[Perturbation]:
 def worst_place(
     loop: Loop, controller: Pid, function: str, uncertainty: Uncertainty
 ) -> tuple[float, Perturbation]:
-    """Largest magnitude of a loop function over the box, and the place that leads there.
+    """Largest magnitude of a loop function over the box, and the point at which it occurs.
 
     At each frequency of a grid the box's numbers are moved one after the other to where the magnitude is largest, from
     several starts: a mode's frequency and damping over a list of places, dense at its width, the friction over another,
@@ -288,7 +288,7 @@ def _refined(loop, controller, function, uncertainty, place) -> tuple[float, Per
 
 @checked
 def make_box(loop: Loop, uncertainty: Uncertainty, fine: bool = True) -> "Box":
-    """What the plant of a loop may be at each frequency; `fine`: also on the loop's own grid."""
+    """The box of a loop's plant at each frequency; `fine`: also on the loop's own grid."""
     plant, sample_time = loop.plant, loop.sample_time
     uncertainty = uncertainty._of_modes(plant)
     ends = float(loop.omega[0]), min(loop.omega[-1], 0.998 * np.pi / sample_time if sample_time else np.inf)
@@ -601,7 +601,7 @@ def _worst(box, ratio, late, least, starts, first):
 
 @kernel
 def largest_along(a, b, c, d, low, high):
-    """Where |1 + (a + xb) / (c + xd)| is largest from low to high: at an end, or where its slope, a quadratic, is zero.
+    """The x in [low, high] at which |1 + (a + xb) / (c + xd)| is largest: at an end, or where its slope, a quadratic, is zero.
 
     The quadratic is that of the difference of both squares: their own would cancel where a and b are small.
     """

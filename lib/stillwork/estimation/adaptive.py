@@ -2,7 +2,7 @@
 
     u = W psi,   e = N P2^-1 a1,   psi_N = N psi
 
-The weights W have one row an actuator; every row sees the same regressors, so that one covariance P of the
+The weights W have one row per actuator; every row sees the same regressors, so that one covariance P of the
 regressors serves all of them, eq. (27).
 """
 
@@ -81,17 +81,17 @@ class FeLms:
         require_choice("trace", self.trace, ("regressors", "literal"))
 
     def trace_copies(self, actuators: int) -> float:
-        """How often the trace counts the power of the regressors.
+        """Number of times the trace counts the power of the regressors.
 
         Parameters
         ----------
         actuators : int
-            How many there are.
+            Number of actuators.
 
         Returns
         -------
         float
-            1, or the number of actuators where the trace is read literally.
+            1, or the number of actuators for the literal trace.
 
         Examples
         --------
@@ -102,7 +102,7 @@ class FeLms:
 
 
 class Recursion(NamedTuple):
-    """P with what its kernel needs, in the order in which `ferls_update` takes it."""
+    """P and the workspace of its kernel, in the order of the arguments of `ferls_update`."""
 
     matrix: np.ndarray  # (n, n), what the form stores for P
     form: int  # place in FORMS
@@ -127,7 +127,7 @@ class Recursion(NamedTuple):
 
     @property
     def held(self) -> Float64[np.ndarray, " n"]:
-        """Share of the last time constant in which the limit held a diagonal element of P down."""
+        """Share of the last time constant in which a diagonal element of P was at its limit."""
         return self.levels[2].astype(np.float64)
 
 
@@ -142,14 +142,14 @@ class FeRls:
     Attributes
     ----------
     initial_covariance : array_like, shape (), (n,) or (n, n)
-        P(-1), or its diagonal, or one number for all of it. The steady value is (1 - lambda) E[psi psi']^-1;
+        P(-1), its diagonal, or one number for the whole diagonal. The steady value is (1 - lambda) E[psi psi']^-1;
         the paper starts at ten times its diagonal.
     forgetting : float
         lambda in (0, 1]; exp(-sample time / time constant).
     growth_limit : float
         How far an element of the diagonal of P may grow, at least 1; ``inf`` for the printed algorithm. It counts from
         P(-1), but from ten times the steady value that the regressor's own power gives, 1 / sum lambda^j psi^2, where
-        that is less: a P(-1) as large as one likes protects all the same. A floor that gets quieter by more than
+        that is less, so that it also protects from a P(-1) that is too large. A floor that gets quieter by more than
         this, in power, and a combination of regressors that is weaker than this are followed more slowly; `held`
         of the result lists the regressors that the limit held. The triangle does not depend on the order of the
         regressors; forms with factors hold one regressor a sample, in turn, so that while limits act their result
@@ -158,7 +158,7 @@ class FeRls:
         How P is kept, one of `covariance_forms.FORMS`. ``safe``: the triangle in float64; in float32, where it loses
         definiteness on regressors that one record drives, Bierman's factors, which take no longer.
     dtype : str
-        Arithmetic of the update, ``float64`` or ``float32``; the weights are kept in it, too.
+        Precision of the update and of the weights, ``float64`` or ``float32``.
 
     Raises
     ------
@@ -213,12 +213,12 @@ class FeRls:
         Parameters
         ----------
         regressors : int
-            n, how many there are.
+            n, their number.
 
         Returns
         -------
         Recursion
-            What the recursion keeps before the first sample.
+            State of the recursion before the first sample.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Which estimator of a linear relation to take: held-out errors of the family on the data at hand."""
+"""Which estimator of a linear relation to use, by the held-out errors of all estimators on the given data."""
 
 import warnings
 from copy import copy
@@ -62,7 +62,7 @@ class RankedEstimator:
 @by_value
 @dataclass(frozen=True)
 class Advice:
-    """Estimators in the order of their held-out errors, what this order rests on, and why not to rely on it."""
+    """Estimators in the order of their held-out errors, with assumptions and reasons not to rely on the order."""
 
     ranking: tuple[RankedEstimator, ...]
     assumed: tuple[str, ...]
@@ -94,7 +94,7 @@ def advise(
     fit_intercept: bool = True,
     folds: Annotated[int, at_least(3)] = 10,
 ) -> Advice:
-    """Rank the estimators of y = coef x + intercept by their errors on parts that are held out in turn.
+    """Rank the estimators of y = coef x + intercept by their errors in cross-validation.
 
     Ridge by evidence, and where the noise is known bias compensation with a penalty, is what to take without a reason:
     another one must be better by half a standard error to stand before it, and the first one better than ignoring the
@@ -102,23 +102,23 @@ def advise(
     hold less noise than is given (their smallest mean square along a relation, chi-square at 1 %), what they hold is
     taken, and `assumed` reports it.
 
-    What counts depends on what is known. With nothing but X and y it is the prediction of y from features as noisy as
+    The criterion depends on what is known. With nothing but X and y it is the prediction of y from features as noisy as
     these. With `noise` it is that from the features without noise, as far as its mean square allows; with `instruments`
     that from what they explain of the features. Instruments that hardly explain a feature (F below 10) are left aside.
 
     Parameters
     ----------
     X : array_like, shape (samples, features)
-        In the order of time.
+        In order of time.
     y : array_like, shape (samples,)
     noise : array_like, shape () or (features,), optional
         Standard deviation of the white noise of each feature, or one for all, in its unit. If unsure, use the smaller value.
     instruments : array_like, shape (samples, instruments), optional
-        What goes with the features but not with their noise: a second sensor, older inputs.
+        Signals correlated with the features but not with their noise: a second sensor, older inputs.
     fit_intercept : bool
         Whether y has an offset.
     folds : int
-        Stretches, 3 at least; fewer where there are fewer than twice as many samples.
+        Consecutive parts, at least 3; fewer if there are fewer than twice as many samples.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def advise(
 
     Notes
     -----
-    `Advice.warnings` names what makes a record one to rely upon no choice: fewer than 15 samples a coefficient, 40 % of a
+    `Advice.warnings` lists what makes any choice on this record unreliable: fewer than 15 samples a coefficient, 40 % of a
     combination of the features in a tenth of the record, held-out errors of fewer than six equal parts of ten, noise as
     large as what a combination of the features holds, instruments that miss one, a noise that the data contradict.
     `benchmarks/advice.py` on new seeds: of 513 records of five generators without a warning the advised estimator is within

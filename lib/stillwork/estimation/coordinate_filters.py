@@ -63,8 +63,8 @@ class LowPass:
     bandwidth : float
         lambda of (7), rad/s.
     from_zero : bool
-        Start from zero, whatever is measured first; else from the first measurement, at what velocity and acceleration
-        are presumed then.
+        Start from zero regardless of the first measurement; else from the first measurement, at the velocity and acceleration
+        assumed then.
 
     Raises
     ------
@@ -258,7 +258,7 @@ class UnscentedKalman(_KalmanFilter):
     noise : array_like, shape (2, 2) or (2,)
         R, likewise.
     initial_variance : float
-        Of both states at the first measurement.
+        Variance of both states at the first measurement.
     literal : bool
         Correct with points around the previous estimate, as (14) is printed.
     points : SigmaPoints
@@ -326,7 +326,7 @@ class UnscentedKalman(_KalmanFilter):
 class ExtendedKalman(_KalmanFilter):
     """Extended Kalman filter with a disturbance state, measured by the position alone.
 
-    Not in the paper. The disturbance collects what the model gets wrong, as a random walk of acceleration.
+    Not in the paper. The disturbance is the model's error as an acceleration, a random walk.
 
     Attributes
     ----------
@@ -337,9 +337,9 @@ class ExtendedKalman(_KalmanFilter):
     noise_deviation : float
         Standard deviation of the measured position, m.
     velocity_step : float
-        Standard deviation of what else changes the velocity in one sample, m/s.
+        Standard deviation of other changes of the velocity in one sample, m/s.
     initial_deviation : tuple of float
-        Of position, velocity and disturbance at the first measurement.
+        Standard deviations of position, velocity and disturbance at the first measurement.
 
     Raises
     ------

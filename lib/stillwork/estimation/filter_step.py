@@ -51,7 +51,7 @@ def end_point_weights(
     return fit * math.factorial(derivative) / max(samples - 1, 1) ** derivative
 
 
-# state[0]: the buffers, one a row, oldest sample first; state[1, 0, 0] = 1 once they are filled.
+# state[0]: the buffers, one per row, oldest sample first; state[1, 0, 0] = 1 once they are filled.
 
 
 @borrowing_kernel

@@ -22,7 +22,7 @@ from stillwork.estimation.plant import Plant
 @by_value
 @dataclass(frozen=True)
 class Estimate:
-    """What a filter made of a record; each of shape (samples,)."""
+    """Result of a filter on a record; each array of shape (samples,)."""
 
     position: Float64[np.ndarray, " samples"]  # m
     velocity: Float64[np.ndarray, " samples"]  # m/s
@@ -45,18 +45,18 @@ def filter_signal(
     signal_filter : Filter
         One of `stillwork.estimation.coordinate_filters`.
     measured : array_like, shape (samples,)
-        Noisy coordinate, m. The Kalman filters take NaN after the first sample, and predict where it stands.
+        Noisy coordinate, m. Kalman filters accept NaN after the first sample (a missing measurement) and predict there.
     force : array_like, shape (samples,), optional
-        Force that acts from each sample to the next, N; the Kalman filters need it, without it it is zero.
+        Force that acts from each sample to the next, N; used by the Kalman filters; zero by default.
     sample_time : float
         s.
     start_velocity : float
-        Velocity that the filter presumes before the first sample, m/s.
+        Velocity that the filter assumes before the first sample, m/s.
 
     Returns
     -------
     Estimate
-        Position, velocity and acceleration at each sample, from what was measured up to it.
+        Position, velocity and acceleration at each sample, from the measurements up to it.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""What both Kalman filters share: a Cholesky root, and the correction of a Gaussian by a measurement.
+"""Shared by both Kalman filters: a Cholesky root, and the correction of a Gaussian by a measurement.
 
-Their workspace is a stack of square blocks, one a name below; the block MEANS holds vectors, one a row.
+Their workspace is a stack of square blocks, one per name below; the block MEANS holds vectors, one per row.
 """
 
 import numpy as np

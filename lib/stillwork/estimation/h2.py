@@ -1,7 +1,7 @@
 """H2-optimal controllers and observers of a generalised plant, by two scaled Riccati equations.
 
-They need a regular problem: every control costs, and noise reaches every measurement. Where a plant has not got that, a
-small cost and a small noise are added; what comes back is judged by the norm of the plant's own loop, computed apart.
+They need a regular problem: every control has a cost, and every measurement has noise. If a plant lacks these, a
+small cost and a small noise are added; the result is checked by the norm of the original plant's loop, computed independently.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class H2Synthesis:
     regular_norm : float
         H2 norm of the regularised plant's loop, computed on the closed loop.
     norm : float
-        H2 norm of the loop as it was posed, without what was added.
+        H2 norm of the loop of the original problem, without the added cost and noise.
     claimed : float
         The synthesis's own value for the regularised loop: its optimum, or a bound of it.
     status : str
@@ -72,7 +72,7 @@ def regularised(
 ) -> GeneralisedPlant:
     """Add `effort` times every control to the performance, and white noise to every measurement.
 
-    The effort is in performance units a unit of control, the noise the root of an intensity; they may be zero where
+    The effort is in performance units per unit of control, the noise the root of an intensity; they may be zero where
     D12 has full column rank and D21 full row rank.
     """
     a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
@@ -130,9 +130,9 @@ def h2_riccati(
         It may be unstable. In continuous time without feedthrough from w to z; in discrete time the controller has
         feedthrough: it uses the measurement of its own sample.
     effort : float or array_like, shape (controls,)
-        A performance output more for every control: so many times the control, in units of z a unit of u.
+        An additional performance output for every control: this factor times the control, in units of z per unit of u.
     noise : float or array_like, shape (measurements,)
-        White noise more in every measurement: the root of its intensity, in units of y times a root of s; in discrete
+        Additional white noise in every measurement: the root of its intensity, in units of y times a root of s; in discrete
         time its standard deviation.
 
     Returns
@@ -192,7 +192,7 @@ def verified(
     status: str,
     tolerance: float,
 ) -> H2Synthesis:
-    """A controller with its norms; `InputError` when its loop does not have the norm that its synthesis claims."""
+    """A controller with its norms; `InputError` when its loop does not have the norm that its synthesis gives."""
     loop = regular.close(controller)
     achieved = checked_h2_norm(loop) if loop.is_stable else np.inf
     _, b1, _, c1, *_ = scaled_plant(regular)[0].blocks

@@ -14,7 +14,7 @@ WORST_SEPARATION = 1e-6  # of the loop's norm from that which the equations prom
 
 @checked
 def discrete_h2(plant: GeneralisedPlant) -> tuple[StateModel, float]:
-    r"""Controller u = K y with the smallest H2 norm, and that norm as the two equations promise it.
+    r"""Controller u = K y with the smallest H2 norm, and that norm as it follows from the two equations.
 
     With :math:`R_b = D_{12}^TD_{12} + B_2^TXB_2` the cost of a control u is that of its distance from
     :math:`Fx + F_0w`, so the best one is the estimate of this from all measurements up to its own sample: it has

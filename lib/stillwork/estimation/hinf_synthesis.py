@@ -29,11 +29,11 @@ class HinfSynthesis:
     controller : StateModel
         From the measurements y to the controls u.
     level : float
-        What it was designed for: the norm of the loop is below it.
+        Design level: the norm of the loop is below it.
     norm : float
         H-infinity norm of the closed loop from w to z, computed on the loop.
     omega : float
-        Where it is reached, rad/s.
+        Frequency at which it is reached, rad/s.
 
     Examples
     --------
@@ -82,9 +82,9 @@ def hinf_riccati(
         must reach the performance directly (:math:`D_{12}` of full column rank) and every measurement must have noise
         of its own (:math:`D_{21}` of full row rank).
     level : float, optional
-        The norm allowed. Without it the smallest is sought.
+        Largest allowed norm. By default the smallest one is sought.
     tolerance : float
-        How near to the smallest level a search ends, relative.
+        Relative tolerance of the search for the smallest level.
 
     Returns
     -------

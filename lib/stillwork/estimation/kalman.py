@@ -27,7 +27,7 @@ from stillwork.lti.state_space import StateModel
 @by_value
 @dataclass(frozen=True)
 class NoiseCovariances:
-    """Covariances of what drives the states and of the measurements' noise, a sample; in continuous time, intensities.
+    """Covariances per sample of the process and the measurement noise; in continuous time, intensities.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class NoiseCovariances:
     Raises
     ------
     InputError
-        When together they are no covariance.
+        When together they do not form a covariance.
 
     References
     ----------
@@ -76,7 +76,7 @@ class NoiseCovariances:
 @by_value
 @dataclass(frozen=True)
 class KalmanRecord:
-    """What a Kalman filter makes of a record; `filtered` has seen the sample itself, `predicted` those before it.
+    """Result of a Kalman filter on a record; `filtered` uses the sample itself, `predicted` only those before it.
 
     Examples
     --------
@@ -206,7 +206,7 @@ def kalman_filter(
 ) -> KalmanRecord:
     r"""Kalman filter over a record of :math:`x_{k+1} = Ax_k + Bu_k + w_k,\; y_k = Cx_k + Du_k + v_k`.
 
-    Every sample counts, the first one, too. A measurement that is NaN is missing: of several outputs the others are
+    Every sample is used, including the first one. A measurement that is NaN is missing: of several outputs the others are
     used.
 
     Parameters
@@ -219,7 +219,7 @@ def kalman_filter(
     y : array_like, shape (outputs, samples)
         NaN where a measurement is missing.
     initial_covariance : array_like, shape (states, states) or (states,)
-        Or its diagonal, of the state at the first sample before anything is measured; large where nothing is known.
+        Covariance (or its diagonal) of the state at the first sample before its measurement; large if it is unknown.
     initial : array_like, shape (states,), optional
         Its mean; zero without.
 

@@ -51,21 +51,21 @@ def h2_lmi(
     plant : GeneralisedPlant
         In continuous time, without feedthrough from w to z; it may be unstable.
     effort : float or array_like, shape (controls,)
-        A performance output more for every control: so many times the control, in units of z a unit of u.
+        An additional performance output for every control: this factor times the control, in units of z per unit of u.
     noise : float or array_like, shape (measurements,)
-        White noise more in every measurement: the root of its intensity, in units of y times a root of s.
+        Additional white noise in every measurement: the root of its intensity, in units of y times a root of s.
     tolerance : float
-        How far, relatively, the norm of the recovered loop may lie from what the solver claims.
+        Allowed relative difference between the norm of the loop and the solver's value.
 
     Returns
     -------
     H2Synthesis
-        `status` is ``optimal``, or ``optimal_inaccurate`` where the solver stopped a little short of that.
+        `status` is ``optimal``, or ``optimal_inaccurate`` if the solver stopped a little short of it.
 
     Raises
     ------
     InputError
-        When the problem is not regular, the solver fails, or the loop has not the norm that the solver claims.
+        When the problem is not regular, the solver fails, or the loop does not have the solver's norm.
     MissingPackage
         Without cvxpy.
 
@@ -114,14 +114,14 @@ def mixed_lmi(
     level : float
         Largest magnitude from the first w to the weighted error, in their units.
     ratio : float
-        Of the peak's Lyapunov matrix over the two-norm's, in slow time; 1 in most texts. It counts in units of z, as
+        Ratio of the peak's Lyapunov matrix to the two-norm's, in scaled time; 1 in most texts. It is in units of z, as
         `level` does.
     effort : float or array_like, shape (controls,)
-        A performance output more for every control: so many times the control, in units of z a unit of u.
+        An additional performance output for every control: this factor times the control, in units of z per unit of u.
     noise : float or array_like, shape (measurements,)
-        White noise more in every measurement: the root of its intensity, in units of y times a root of s.
+        Additional white noise in every measurement: the root of its intensity, in units of y times a root of s.
     tolerance : float
-        How far, relatively, the loop's norm and peak may lie above what the solver claims.
+        Allowed relative excess of the loop's norm and peak over the solver's values.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def mixed_lmi(
     ------
     InputError
         When the problem is not regular, no controller with one Lyapunov matrix keeps the level, the solver fails, or
-        the loop has a larger norm or peak than the solver claims.
+        the loop has a larger norm or peak than the solver's.
     MissingPackage
         Without cvxpy.
 

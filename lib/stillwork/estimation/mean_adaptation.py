@@ -1,4 +1,4 @@
-"""Where a filtered-error adaptation ends, how it gets there and how its weights scatter, from spectra alone.
+"""Fixed point, convergence and scatter of a filtered-error adaptation, from spectra alone.
 
 In the mean, FeLMS and FeRLS stop where the filtered error has nothing in common with the filtered regressors,
 ``E[e psi_N'] = 0``. That is linear in the weights, ``A w + b = 0``, and A determines the convergence, too.
@@ -54,7 +54,7 @@ class Responses:
 
     @checked
     def feedforward(self, weights: ArrayLike | None) -> Complex128[np.ndarray, "frequencies outputs sensors"]:
-        """P2 W B: what frozen `weights` W make of the floor sensors' readings; nothing without them."""
+        """P2 W B: response of frozen `weights` W to the floor sensors' readings; zero without weights."""
         shape = (self.secondary.shape[2], self.regressors.shape[1])
         given = require_array("weights", np.zeros(shape) if weights is None else weights, shape=shape)
         return self.secondary @ (given @ self.regressors)

@@ -15,7 +15,7 @@ from stillwork.estimation.secular import CASES, ROUNDING, ZERO, min_max_root, re
 
 
 class ZeroEstimateWarning(UserWarning):
-    """The bound admits a perturbation that explains all of the data away: the estimate is zero."""
+    """The bound admits a perturbation that explains all of the data: the estimate is zero."""
 
 
 @by_value
@@ -64,7 +64,7 @@ def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: NonNegative) -> M
     Raises
     ------
     InputError
-        For data that are not finite or of the wrong shape, fewer rows than unknowns, a bad bound.
+        For data that are not finite or of the wrong shape, fewer rows than unknowns, or an invalid bound.
 
     Warns
     -----
@@ -109,7 +109,7 @@ def solve_sweep(matrix: Matrix, target: Vector, bounds: Iterable[NonNegative]) -
 
 
 def solve_plain(matrix: np.ndarray, target: np.ndarray, bound: float) -> tuple[np.ndarray, bool]:
-    """The estimate alone of arrays that are known to fit, and whether a bound makes it zero."""
+    """The estimate for arrays that need no check, and whether the bound makes it zero."""
     scaled, aimed, units = _in_units(matrix, target)
     case, _, threshold, _, _, estimate = _solved(spectrum(scaled, aimed), len(scaled), bound / units[0])
     return estimate * (units[1] / units[0]), bool(case == ZERO and threshold > 0)
@@ -149,7 +149,7 @@ def _solution(scaled, aimed, units, parts, bound) -> MinMaxSolution:
 
 @checked
 def qr_r(rows: np.ndarray) -> np.ndarray:
-    """Triangle with the norm of every combination of the columns: what least squares and min-max need of rows."""
+    """R of the QR decomposition; it keeps the norm of every combination of the columns."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 

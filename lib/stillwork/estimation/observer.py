@@ -70,7 +70,7 @@ class FlexibleEstimates:
         Returns
         -------
         ndarray, shape (signals, states)
-            One row a signal.
+            One row per signal.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class FlexibleEstimates:
         Returns
         -------
         ndarray, shape (inputs, states)
-            One row an input.
+            One row per input.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class Observer(FlexibleEstimates):
     r"""Observer :math:`\dot{\hat x} = (A - LC)\hat x + (B - LD)u + Ly` of a reduced modal model.
 
     The states are the rigid-body states, those of the flexible modes (position and velocity of each), then
-    (with a noise model) one integrator an input. For velocity measurements the rigid-body positions, which
+    (with a noise model) one integrator per input. For velocity measurements the rigid-body positions, which
     they do not see, stay out.
     """
 

@@ -63,9 +63,9 @@ def adapt(
     regressors : array_like, shape (n, samples)
         psi_N, any number of them.
     errors : array_like, shape (actuators, samples)
-        e, one row an actuator.
+        e, one row per actuator.
     weights : array_like, shape (actuators, n), optional
-        Where to start; zero without.
+        Initial value; zero by default.
     every : int
         Keep the weights each so many samples.
 

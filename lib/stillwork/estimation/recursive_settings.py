@@ -63,7 +63,7 @@ class _Recursion:
         first : int
             Number of the first of these samples.
         rows : ndarray, shape (rows, unknowns)
-            Regressors, one a sample.
+            Regressors, one per sample.
         outputs : ndarray, shape (rows,)
             Measured with them.
 
@@ -148,7 +148,7 @@ class _MinMaxUpdate(_Recursion):
         bounds : ndarray, shape (rows,)
             From `bounds`.
         rows : ndarray, shape (rows, unknowns)
-            Regressors, one a sample.
+            Regressors, one per sample.
         outputs : ndarray, shape (rows,)
             Measured with them.
         track : ndarray
@@ -353,7 +353,7 @@ class LeastSquares(_Recursion):
         bounds : ndarray, shape (rows,)
             From `bounds`.
         rows : ndarray, shape (rows, unknowns)
-            Regressors, one a sample.
+            Regressors, one per sample.
         outputs : ndarray, shape (rows,)
             Measured with them.
         track : ndarray
@@ -398,7 +398,7 @@ Estimator = MinMax | GrowingMinMax | LeastSquares | Ridge
 
 
 def empty_track(rows) -> tuple[np.ndarray, ...]:
-    """Arrays that `fill` takes, one entry a row."""
+    """Arrays that `fill` takes, one entry per row."""
     return (
         np.zeros(rows.shape),
         np.zeros(len(rows)),

@@ -243,7 +243,7 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return X
 
     def _initial(self, coef, columns, outputs):
-        # an initial estimate as the kernels take it: one row an output; an intercept starts at zero
+        # an initial estimate as the kernels take it: one row per output; an intercept starts at zero
         start = np.zeros((outputs, columns))
         if coef is not None:
             given = np.atleast_2d(require_array("initial_coef", coef))
@@ -270,7 +270,7 @@ class WeightedRegressor(RecursiveRegressor):
         Returns
         -------
         estimator
-            Itself, with `coef_` and `intercept_`.
+            The estimator itself, with `coef_` and `intercept_`.
 
         Raises
         ------
@@ -299,12 +299,12 @@ class WeightedRegressor(RecursiveRegressor):
         Returns
         -------
         estimator
-            Itself, with `coef_` and `intercept_`.
+            The estimator itself, with `coef_` and `intercept_`.
 
         Raises
         ------
         InputError
-            As `fit` does, and when the numbers of features or outputs differ from those before.
+            As for `fit`, and when the numbers of features or outputs differ from those before.
 
         Examples
         --------
@@ -329,7 +329,7 @@ class UnweightedRegressor(RecursiveRegressor):
         Returns
         -------
         estimator
-            Itself, with `coef_` and `intercept_`.
+            The estimator itself, with `coef_` and `intercept_`.
 
         Raises
         ------
@@ -355,12 +355,12 @@ class UnweightedRegressor(RecursiveRegressor):
         Returns
         -------
         estimator
-            Itself, with `coef_` and `intercept_`.
+            The estimator itself, with `coef_` and `intercept_`.
 
         Raises
         ------
         InputError
-            As `fit` does, and when the numbers of features or outputs differ from those before.
+            As for `fit`, and when the numbers of features or outputs differ from those before.
 
         Examples
         --------
@@ -388,9 +388,9 @@ class LeastMeanSquares(UnweightedRegressor):
     regularisation : float, optional
         Above 0, in squared units of the features; without it 1e-5 of the largest |x|^2 so far.
     initial_coef : array_like, shape (features,) or (outputs, features), optional
-        Where to start; zero without.
+        Initial value; zero by default.
     fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
+        Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)
@@ -472,7 +472,7 @@ class RecursiveLeastSquares(WeightedRegressor):
     Attributes
     ----------
     forgetting : float
-        lambda in (0, 1]; 1 weighs all samples alike.
+        lambda in (0, 1]; 1 weights all samples equally.
     initial_coef : array_like, shape (features,) or (outputs, features), optional
         Estimate before the first sample; zero without.
     initial_covariance : float or array_like, optional
@@ -484,7 +484,7 @@ class RecursiveLeastSquares(WeightedRegressor):
     form : str
         How the covariance is kept, as `form` of `FeRls`.
     fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
+        Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)

@@ -23,9 +23,9 @@ class HuberRegressor(RecursiveRegressor):
     Attributes
     ----------
     forgetting : float
-        lambda in (0, 1]; 1 weighs all samples alike.
+        lambda in (0, 1]; 1 weights all samples equally.
     fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
+        Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)
@@ -70,7 +70,7 @@ class HuberRegressor(RecursiveRegressor):
         Returns
         -------
         HuberRegressor
-            Itself, with `coef_` and `intercept_`.
+            The estimator itself, with `coef_` and `intercept_`.
 
         Raises
         ------
@@ -113,9 +113,9 @@ class HinfinityRegressor(UnweightedRegressor):
         Bound on (energy of the coefficients' errors over that of errors of y and start, each over its deviation)^(1/2);
         without it 1.1 times the smallest that the samples of the first call allow.
     forgetting : float
-        lambda in (0, 1]; 1 weighs all samples alike.
+        lambda in (0, 1]; 1 weights all samples equally.
     fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
+        Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)

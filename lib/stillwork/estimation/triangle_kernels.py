@@ -107,7 +107,7 @@ def advance_min_max(corner, row, root, order, known, shares, bound, coef, alphas
     """One row of features and outputs into the triangle `corner`, and the estimates from it, in place.
 
     Of the columns in their `order` the first `known` are free of errors, the bounds on the others' errors are `bound` times
-    their `shares`. `alphas`, one an output, are those of the row before, and become those of this one; returned is whether
+    their `shares`. `alphas`, one per output, are those of the row before, and become those of this one; returned is whether
     every estimate was found.
     """
     add_row(corner, row, root)

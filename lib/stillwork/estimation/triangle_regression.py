@@ -144,13 +144,13 @@ class MinMaxRegressor(TriangleRegressor):
         ``record``: of what the bound holds is the perturbation of all weighted samples together, however many.
         ``sample``: of that of each sample, so that of all it grows as (sum of the weights)^(1/2).
     forgetting : float
-        lambda in (0, 1]; 1 weighs all samples alike.
+        lambda in (0, 1]; 1 weights all samples equally.
     initial_coef : array_like, shape (features,) or (outputs, features), optional
         Estimate before the first sample.
     initial_covariance : float
         Of the initial estimate, which counts as so many samples more; ``inf`` for no initial estimate.
     fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
+        Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)
@@ -303,9 +303,9 @@ class RidgeRegressor(_PenalisedRegressor):
         ``evidence``: the most probable one, for coefficients and noise of unknown variances; ``cross-validation``: the
         smallest generalised cross-validation; or a number of zero or above, in squared units of the features.
     forgetting : float
-        lambda in (0, 1]; 1 weighs all samples alike.
+        lambda in (0, 1]; 1 weights all samples equally.
     fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
+        Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)
@@ -380,9 +380,9 @@ class BiasCompensatedRegressor(_PenalisedRegressor, _NoisyFeatures):
     noise : float or array_like, shape (features,)
         Standard deviation of the noise of each feature, in its unit, or one for all; 0 for one that is known exactly.
     forgetting : float
-        lambda in (0, 1]; 1 weighs all samples alike.
+        lambda in (0, 1]; 1 weights all samples equally.
     fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
+        Whether to fit a constant, too; if not, y is 0 where X is 0.
     penalty : str or float
         On |coef|^2, as of `RidgeRegressor`: few samples make the estimate without one large. ``cross-validation``: that
         with the smallest estimated error of predictions from features without noise; or a number of zero or above.
@@ -462,9 +462,9 @@ class TotalLeastSquares(_NoisyFeatures):
     output_noise : float
         Of y. Only ratios count: twice of both is the same.
     forgetting : float
-        lambda in (0, 1]; 1 weighs all samples alike.
+        lambda in (0, 1]; 1 weights all samples equally.
     fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
+        Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)
@@ -514,9 +514,9 @@ class InstrumentalRegressor(TriangleRegressor):
     Attributes
     ----------
     forgetting : float
-        lambda in (0, 1]; 1 weighs all samples alike.
+        lambda in (0, 1]; 1 weights all samples equally.
     fit_intercept : bool
-        Whether a constant is learned, too; without, y is 0 where X is.
+        Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
         The estimate: of the relation between y and the features without noise.
     intercept_ : float or ndarray, shape (outputs,)
@@ -562,7 +562,7 @@ class InstrumentalRegressor(TriangleRegressor):
         Returns
         -------
         InstrumentalRegressor
-            Itself, with `coef_` and `intercept_`.
+            The estimator itself, with `coef_` and `intercept_`.
 
         Raises
         ------
@@ -594,12 +594,12 @@ class InstrumentalRegressor(TriangleRegressor):
         Returns
         -------
         InstrumentalRegressor
-            Itself, with `coef_` and `intercept_`.
+            The estimator itself, with `coef_` and `intercept_`.
 
         Raises
         ------
         InputError
-            As `fit` does, and when the numbers of features, instruments or outputs differ from those before.
+            As for `fit`, and when the numbers of features, instruments or outputs differ from those before.
 
         Examples
         --------

@@ -38,12 +38,12 @@ class Stabilisation:
             raise InputError("order, frequency, damping and stable differ in length; give one of each a pole")
 
     def settled(self) -> Float64[np.ndarray, "2 modes"]:
-        """Frequency (rad/s) and damping ratio of what is stable at three orders or more, from the most often seen on.
+        """Frequency (rad/s) and damping ratio of poles that are stable at three orders or more, the most frequent first.
 
         Returns
         -------
         ndarray, shape (2, modes)
-            Frequencies (rad/s) and damping ratios; no column where nothing stays.
+            Frequencies (rad/s) and damping ratios; no column if none is stable.
 
         Examples
         --------
@@ -71,8 +71,8 @@ def complex_frequency_poles(
 ) -> Complex128[np.ndarray, " poles"]:
     r"""Poles (rad/s) of the polynomial fraction of one order that fits a response matrix best.
 
-    The fraction :math:`H_o = B_o(z)A^{-1}(z)` of each output :math:`o` has real coefficients, those of :math:`A` are as
-    many by as many as there are inputs, and :math:`z = e^{j\pi(\omega - \omega_1)/(\omega_n - \omega_1)}`: the band
+    The fraction :math:`H_o = B_o(z)A^{-1}(z)` of each output :math:`o` has real coefficients; those of :math:`A` are
+    square matrices, one row per input, and :math:`z = e^{j\pi(\omega - \omega_1)/(\omega_n - \omega_1)}`: the band
     fills the upper half of the unit circle. Least squares of :math:`w(B_o - H_oA)` with the highest coefficient of
     :math:`A` one; the :math:`B_o` follow from :math:`A` and are eliminated. All sums over lines are Toeplitz.
 
@@ -82,14 +82,14 @@ def complex_frequency_poles(
         rad/s, ascending.
     response : array_like, shape (lines, outputs, inputs)
     weight : array_like, shape (lines,)
-        Of each line's equations.
+        Weight of each line's equations.
     order : int
-        Of :math:`A`: the number of poles is this times that of inputs, half of them with positive frequency.
+        Order of :math:`A`; the number of poles is this times the number of inputs, half of them with positive frequency.
 
     Returns
     -------
     ndarray, shape (poles,)
-        Those with positive frequency, decaying or not.
+        Poles with positive frequency, stable or not.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def stabilisation(omega: Vector, response: ArrayLike) -> Stabilisation:
     omega : array_like, shape (lines,)
         rad/s, ascending.
     response : array_like, shape (lines, outputs, inputs)
-        Accelerances, or others.
+        Accelerance, or another response.
 
     Returns
     -------

@@ -12,7 +12,7 @@ from stillwork.base.validation import checked
 
 
 class Identified(NamedTuple):
-    """An estimated response; as a named tuple it takes what it is given and refuses nothing.
+    """An estimated response; a named tuple, whose values are not checked.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Identified(NamedTuple):
 
 @checked(missing=True)
 def impact_response(force: Matrix, response: ArrayLike, rate: Positive) -> Identified:
-    """H1 estimate from hits, one record a hit: the force's own cross spectra averaged over hits.
+    """H1 estimate from hits, one record per hit, with cross spectra and the force's auto spectrum averaged over hits.
 
     The coherence of a single hit would be one everywhere, without meaning: it is NaN.
     """

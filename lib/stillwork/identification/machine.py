@@ -1,4 +1,4 @@
-"""A machine of one's own as a modal model: fitted to its frequency response, or built from mass and stiffness."""
+"""Your own machine as a modal model: fitted to its frequency response, or built from mass and stiffness."""
 
 from dataclasses import dataclass, replace
 
@@ -27,9 +27,9 @@ MOST_MODES = 12  # of a matrix model: the others enter as compliance
 @by_value
 @dataclass(frozen=True)
 class Machine:
-    """A machine as the search takes it."""
+    """A machine as input of the search for a controller."""
 
-    sensors: tuple[ModalModel, ...]  # force to position, one a sensor that the controller must serve
+    sensors: tuple[ModalModel, ...]  # force to position, one per sensor that the controller must serve
     mass: float  # kg, of the rigid body
     source: str  # where it comes from
     measured: Identified | None = None  # its accelerance at the first sensor, 1/kg, counted along the force
@@ -45,20 +45,20 @@ class Machine:
 
     @property
     def mass_unit(self) -> str:
-        """Of `mass`: kg, kg m^2 of an inertia, or drive over acceleration."""
+        """Unit of `mass`: kg, kg m^2 for an inertia, or drive over acceleration."""
         position, drive = self.units
         known = {("m", "N"): "kg", ("rad", "N m"): "kg m^2"}
         return known.get(self.units, f"{drive}/({position}/s^2)")
 
     @property
     def resonances_hz(self) -> Float64[np.ndarray, " modes"]:
-        """Of the flexible modes; a suspension, the first mode of a machine on springs to the ground, is none."""
+        """Frequencies of the flexible modes, without the suspension mode of a machine on springs to the ground."""
         return self.sensors[0].frequencies[1:] / (2 * np.pi)
 
 
 @checked(missing=True)
 def remove_delay(machine: Machine, delay: float) -> Machine:
-    """The machine with its measurement earlier by a delay (s) that a loop then holds instead."""
+    """The machine with its measurement advanced by a delay (s), which the loop then contains instead."""
     if machine.measured is None:
         return machine
     turned = machine.measured.response * np.exp(1j * machine.measured.omega * delay)
@@ -67,7 +67,7 @@ def remove_delay(machine: Machine, delay: float) -> Machine:
 
 @checked
 def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[float, float]:
-    """The band, or for (0, 0) all that was measured; `InputError` for a band in which too little was."""
+    """The band, or the whole measured band for (0, 0); `InputError` if it holds too few lines."""
     hertz = measured.omega / (2 * np.pi)
     low, high = band_hz if any(band_hz) else (hertz[0], hertz[-1])
     inside = int(np.sum((hertz >= low) & (hertz <= high)))
@@ -83,7 +83,7 @@ def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[floa
 def build_machine(
     file: MachineFile, *, modes_hz: list[float], fit_hz: tuple[float, float], mirrored_sensor: bool
 ) -> Machine:
-    """Fit a modal model to a measurement, or take that of the matrices.
+    """Fit a modal model to a measurement, or compute it from the matrices.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def build_machine(
     Returns
     -------
     Machine
-        Models from force to position, one a sensor, with the fit that they came of.
+        Models from force to position, one per sensor, with the fit behind them.
 
     Raises
     ------

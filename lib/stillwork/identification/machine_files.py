@@ -1,4 +1,4 @@
-"""A machine of one's own from a file: a measured frequency response, hammer records, or mass and stiffness."""
+"""Your own machine from a file: a measured frequency response, hammer records, or mass and stiffness."""
 
 import re
 from collections.abc import Iterable
@@ -80,30 +80,30 @@ def load_machine(
       outputs by inputs (`response` chooses, e.g. ``h[2,1]``), or ``real`` and ``imaginary``, or ``magnitude``
       (``(dB)`` behind it when it is) and ``phase`` (degrees, or ``(rad)``); ``coherence`` if there is one.
     - Hammer records: ``force`` and one response, each hits by samples (in CSV ``force 1``, ``force 2``, ...),
-      and ``fs`` or a time. One hit will do, without coherence.
+      and ``fs`` or a time. A single hit is enough, but gives no coherence.
     - Matrices in SI units: ``M`` and ``K``, perhaps ``D``; ``input``, the force's share at each node, and
-      ``output``, one row a sensor (in CSV columns ``M 1``, ``M 2``, ... and ``output 1``, ...); without
+      ``output``, one row per sensor (in CSV columns ``M 1``, ``M 2``, ... and ``output 1``, ...); without
       ``output`` the sensor sits where the force acts.
 
     Parameters
     ----------
     file : str or Path
     response_unit, force_unit : str
-        Of the response and of the force, e.g. ``m/s^2``, ``g``, ``um`` and ``N``, ``kN``; empty: as the brackets in
-        the file say, or m/s^2 and N (of a rotation N m) where it does not. A machine that turns is in ``rad`` (or
-        ``rad/s``, ``rad/s^2``) and ``N m``; a drive's own units are ``count`` and ``A`` or ``V``. Of matrices they
+        Units of the response and the force, e.g. ``m/s^2``, ``g``, ``um`` and ``N``, ``kN``; empty: as stated in brackets in
+        the file, else m/s^2 and N (N m for a rotation). A machine that turns is in ``rad`` (or
+        ``rad/s``, ``rad/s^2``) and ``N m``; units of a drive are ``count`` and ``A`` or ``V``. For matrices they
         only name what these are in.
     sample_rate : float, optional
         Hz, of hammer records without a time or a rate.
     response : str
-        Name of the complex response to take where there are several.
+        Name of the complex response to use if there are several.
     damping_ratio : float
-        Of the flexible modes, for matrices without damping.
+        Damping ratio of the flexible modes, for matrices without damping.
 
     Returns
     -------
     MachineFile
-        What was measured, in SI units, and in which of the three forms.
+        The measurement in SI units, and which of the three forms it has.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def load_machine(
 
 @checked(missing=True)
 def load_ratio(file: str | Path, response: str = "") -> Identified:
-    """A frequency response of one thing over another of the same unit from a file, as `load_machine` reads it."""
+    """A frequency response without unit (ratio of two equal quantities) from a file, as `load_machine` reads it."""
     file = Path(file)
     arrays = read_arrays(file)
     if _frequency_name(arrays) is None:

@@ -50,8 +50,8 @@ LAGS = 8  # lines over which errors may depend on each other, zeros appended to 
 class ModalFit:
     """A modal model fitted to a measured accelerance.
 
-    Standard deviations hold the noise, the error of the model and that errors of neighbouring lines are alike
-    (Newey and West); 1.96 of them either side are an interval of 95 %.
+    Standard deviations account for the noise, the error of the model and the correlation of neighbouring lines
+    (Newey and West); plus or minus 1.96 of them is the 95 % interval.
     """
 
     model: ModalModel  # force to position
@@ -96,7 +96,7 @@ def fit_modes(measured: Identified, guesses_hz: ArrayLike, band_hz: tuple[float,
     measured : Identified
         Accelerance, 1/kg. Lines with little coherence weigh less.
     guesses_hz : array_like
-        Where the modes are, one entry a mode.
+        Approximate frequencies, one entry per mode.
     band_hz : tuple of float
         Band of the fit.
 
@@ -145,23 +145,23 @@ def identify_modes(
     Candidates are the poles that settle in a stabilisation diagram (`stabilisation`). In rounds, those that lower the
     error most are added and all are refined together; then modes go one by one that do not prevent an error of 50 %
     over their own width, that noise could have made, or that mostly cancel another. With `guesses_hz` the modes are
-    these. A response that is counted against the force is turned, and one that is late by a delay of its own brought
-    forward. A resonance beyond the band that shows in its lines is fitted, too, so that it draws at no other, and
+    these. A response of the opposite sign is inverted, and one with a delay is brought
+    forward. A resonance beyond the band that shows in its lines is fitted, too, so that it does not bias the others, and
     left out of the model.
 
     Parameters
     ----------
     measured : Identified
-        Accelerance of one place, with its coherence.
+        Accelerance at one point, with its coherence.
     band_hz : tuple of float
         Lines that count; the mass comes from those below half the first resonance.
     guesses_hz : array_like, shape (modes,)
-        Where the modes are; empty to find them.
+        Approximate frequencies of the modes; empty to find them.
 
     Returns
     -------
     ModalFit
-        As of `fit_modes`, of the modes that were found.
+        See `fit_modes`; of the identified modes.
 
     Raises
     ------

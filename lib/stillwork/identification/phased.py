@@ -1,4 +1,4 @@
-"""A machine whose dampers the mode shapes do not decouple: each mode's part of the response has a phase of its own."""
+"""A machine with non-proportional damping: each mode's part of the response has its own phase."""
 
 from dataclasses import dataclass, replace
 

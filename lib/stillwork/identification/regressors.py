@@ -67,7 +67,7 @@ def exponential_bound(row: NonNegative, forgetting: Fraction, samples: Count | N
 def exponential_weights(
     rows: Count, forgetting: Annotated[float, within(above=0.0, at_most=1.0)]
 ) -> np.ndarray:
-    """Of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
+    """Weights of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
     require_memory("rows", rows)
     return forgetting ** (np.arange(rows - 1, -1, -1) / 2)
 
@@ -93,7 +93,7 @@ def coloured_noise_bound(
     draws: Count = 200,
     seed: Natural = 0,
 ) -> float:
-    """2-norm of the weighted perturbation of FIR regressors that noise of a known density seldom exceeds.
+    """Bound that the 2-norm of the weighted perturbation of FIR regressors by noise of known density rarely exceeds.
 
     A quantile over realisations of the noise; `noise_bound` is for white noise. How far the norm scatters below it is
     a matter of bandwidth times memory, 1 / (1 - forgetting) in s: from 80 on, such as 400 Hz and 0.2 s, 95 % of the
@@ -102,7 +102,7 @@ def coloured_noise_bound(
     Parameters
     ----------
     noise : Spectrum
-        Of one channel, from 0 to half the sample rate, such as `estimate_spectrum` gives of a sensor at rest.
+        Density of one channel, from 0 to half the sample rate, such as `estimate_spectrum` of a sensor at rest.
     taps : int
         Length of the impulse response.
     forgetting : float
@@ -112,7 +112,7 @@ def coloured_noise_bound(
     draws : int
         Realisations.
     seed : int
-        Of their random numbers.
+        Seed of the random numbers.
 
     Returns
     -------

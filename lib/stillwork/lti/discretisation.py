@@ -30,7 +30,7 @@ def zoh_modes(model: ModalModel, sample_time: float) -> StateModel:
 def late_modes(
     model: ModalModel, sample_time: Positive, late: Annotated[float, within(at_least=0.0, below=1.0)]
 ) -> tuple[StateModel, Float64[np.ndarray, "states inputs"]]:
-    """As `zoh_modes`, of a force that begins `late` by a part of a sample, below 1; and the old force's input matrix.
+    """As `zoh_modes`, for a force that begins `late` by a fraction of a sample below 1; and the old force's input matrix.
 
     Until it begins the force of the sample before acts: x_{k+1} = A x_k + B u_k + B_old u_{k-1}.
     """
@@ -104,7 +104,7 @@ def zoh(model: StateModel, sample_time: Positive) -> StateModel:
     Returns
     -------
     StateModel
-        In discrete time, of as many states; exact for an input that is held between samples.
+        In discrete time, with as many states; exact for an input that is held between samples.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def tustin(model: StateModel, sample_time: Positive, omega: float | None = None)
     Returns
     -------
     StateModel
-        In discrete time, of as many states.
+        In discrete time, with as many states.
 
     Raises
     ------

@@ -40,9 +40,9 @@ class Enclosure:
     Parameters
     ----------
     low, high : float
-        The quantity is at least, and at most, so large.
+        Lower and upper bound of the quantity.
     proven : bool
-        False: nothing is known of it.
+        False: the bounds are not known to hold.
 
     Raises
     ------
@@ -72,7 +72,7 @@ class Enclosure:
             raise InputError(f"low is {self.low:g}, above high, {self.high:g}; give the lower number first")
 
     def in_db(self) -> "Enclosure":
-        """The same of 20 log10, rounded outwards.
+        """The bounds in dB, 20 log10, rounded outwards.
 
         Returns
         -------
@@ -131,7 +131,7 @@ def enclose_hinf_norm(model: StateModel) -> Enclosure:
     Returns
     -------
     Enclosure
-        Of the very numbers of the model. Infinite and proven when it is unstable.
+        For the floating-point numbers of the model as they are. Infinite and proven when it is unstable.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def enclose_hinf_norm(model: StateModel) -> Enclosure:
 
 @checked
 def is_proven_stable(model: StateModel) -> bool | None:
-    """Whether all poles lie in the region of stability, proven from the model's very numbers.
+    """Whether all poles lie in the region of stability, proven for the model's floating-point numbers.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Proven crossings and margins of an open loop n(w) / d(w): real roots of integer polynomials, isolated and refined.
 
 On the axis |L| = 1 and Im L = 0 are polynomials in w^2 with integer coefficients. Their positive roots are isolated by
-Descartes' rule of signs, none of them is left out, and what a margin is made of is bounded at each.
+Descartes' rule of signs, none of them is left out, and the terms of a margin are bounded at each.
 """
 
 from collections.abc import Iterator
@@ -174,7 +174,7 @@ def enclose_first_crossing(n: Polynomial, d: Polynomial, sample_time: float = 0.
 
 @checked(infinite=True)
 def enclose_phase_margin(n: Polynomial, d: Polynomial) -> Enclosure:
-    """The smallest angle (rad) by which a stable loop n / d may turn until it is unstable; pi where it never has size 1."""
+    """Smallest phase change (rad) that makes a stable loop n / d unstable; pi if its magnitude never is 1."""
     axis = _on_axis(n, d)
     excess = add(axis.square, axis.size, -1)
     if not any(excess):

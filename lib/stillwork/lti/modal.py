@@ -33,7 +33,7 @@ class ModalModel:
     output_shapes : array_like, shape (outputs, modes)
         phi_s, mass-normalised.
     feedthrough : array_like, shape (outputs, inputs)
-        D, the compliance of modes that are left out.
+        D, the compliance of the modes left out.
     measures : str
         "position" or "velocity".
     drag : float
@@ -259,7 +259,7 @@ class ModalModel:
         Returns
         -------
         StateModel
-            Of two states a mode.
+            Two states per mode.
 
         Examples
         --------
@@ -320,7 +320,7 @@ def modal_model(
     damping_ratio : float or array_like, shape (modes,)
         Modal damping of the flexible modes; used when there is no `damping_matrix`.
     damping_matrix : array_like, shape (nodes, nodes), optional
-        Damping that the mode shapes decouple (proportional damping), N s/m; of the rigid body its friction.
+        Damping that the mode shapes decouple (proportional damping), N s/m; for the rigid body its friction.
 
     Returns
     -------
@@ -389,7 +389,7 @@ def modal_model(
 
 @checked
 def mirrored(model: ModalModel) -> ModalModel:
-    """The same structure seen by a second sensor, at which every flexible mode has the other sign."""
+    """The same structure measured by a second sensor, at which every flexible mode has the other sign."""
     shapes = model.output_shapes.copy()
     shapes[:, model.rigid_modes :] *= -1
     return replace(model, output_shapes=shapes, feedthrough=-model.feedthrough)

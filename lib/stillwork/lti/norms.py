@@ -35,7 +35,7 @@ def hinf_norm(model: StateModel) -> Peak:
     -------
     Peak
         `magnitude`, and the `omega` (rad/s) at which it is reached; where the gain only approaches it
-        towards infinity, one at which it is as near as the norm is exact, 1e-10.
+        towards infinity, one at which it is within the accuracy of the norm, 1e-10.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Frequency grids that see lightly damped modes, and peaks between their points."""
+"""Frequency grids that resolve lightly damped modes, and peaks between their points."""
 
 from collections.abc import Callable
 from typing import Annotated, NamedTuple
@@ -38,7 +38,7 @@ def resonance_grid(
     low_hz, high_hz : float
         Range, Hz.
     points, around : int
-        How many there are in all of it, and on either side of a pole.
+        Number of points in the whole range, and on either side of a pole.
 
     Returns
     -------

@@ -18,7 +18,7 @@ def simulate(
     """Outputs of a discrete model for given inputs, from an initial state (zero by default).
 
     The states are decoupled once, so that a sample costs two multiplications a state instead of a product
-    of matrices; a model whose eigenvectors are too skew for that is stepped as it stands.
+    of matrices; a model with ill-conditioned eigenvectors is stepped as it is.
 
     Parameters
     ----------

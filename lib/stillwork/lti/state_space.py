@@ -119,7 +119,7 @@ class StateModel:
 
     @checked
     def frequency_response(self, omega: Vector) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
-        """Response at `omega` (rad/s): by residues, or by solving where the eigenvectors are too skew.
+        """Response at `omega` (rad/s): by residues, or by solving if the eigenvectors are ill-conditioned.
 
         Parameters
         ----------
@@ -336,7 +336,7 @@ def from_control(system) -> StateModel:
     Raises
     ------
     InputError
-        When it is something else.
+        When it is not a `control.StateSpace`, or its sample time is unspecified.
 
     Examples
     --------
@@ -368,7 +368,7 @@ def interconnect(
     outputs: Float64[np.ndarray, "wanted all_outputs"],
     direct: Float64[np.ndarray, "wanted external"] | None = None,
 ) -> StateModel:
-    r"""Connect models by :math:`u = Fy + Gr`, and read :math:`z = Hy + Jr`; u and y are all of theirs, stacked.
+    r"""Connect models by :math:`u = Fy + Gr`, and read :math:`z = Hy + Jr`; u and y are all inputs and outputs, stacked.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 r"""Upper bounds of gains over real uncertain numbers: the structured singular value with its D and G scalings.
 
-A sample of perturbed models shows what may happen, never what cannot. With scalings
+A sample of perturbed models shows what can happen, but proves no bound. With scalings
 :math:`D_i>0,\;G_i` of each uncertain number at one frequency, an inequality proves the bound for all of their values
 there (Fan, Tits and Doyle, IEEE Trans. Automatic Control 36 (1991), 25-38). Over an interval of frequencies the same
 scalings hold until a Hamiltonian matrix has an imaginary eigenvalue: so no grid is needed between.
@@ -70,7 +70,7 @@ def prove_gain(model: StateModel, uncertain: Natural, level: Positive) -> GainPr
     uncertain : int
         How many uncertain numbers there are.
     level : float
-        In units of z a unit of w.
+        In units of z per unit of w.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Named arrays of numbers out of CSV, MAT, NPZ and universal files; reading one executes nothing."""
+"""Named arrays of numbers from CSV, MAT, NPZ and universal files; no code in them is executed."""
 
 import csv
 import os
@@ -54,7 +54,7 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
 
 @checked
 def read_columns(path: str | Path) -> dict[str, np.ndarray]:
-    """Every real array of a file by name, each one-dimensional; a matrix gives one a channel."""
+    """Every real array of a file by name, each one-dimensional; a matrix gives one per channel."""
     columns: dict[str, np.ndarray] = {}
     # A complex array is no measurement over time.
     arrays = {name: array for name, array in read_arrays(path).items() if array.dtype.kind != "c"}

@@ -1,4 +1,4 @@
-"""What in a record or in spectra of a floor may spoil an adaptation, before anything is designed on it."""
+"""Checks of a floor's record or spectra for what may disturb an adaptation."""
 
 from collections.abc import Iterator
 
@@ -35,7 +35,7 @@ def require_floor_level(source: str, unit: str, peak: float, rms: float) -> None
 def sensor_faults(
     acceleration: Float64[np.ndarray, "sensors samples"], sample_rate: Positive
 ) -> Iterator[str]:
-    """Sensors that spike or stick, a sentence each, and what to do about it."""
+    """Sensors with spikes or constant readings, with advice, one sentence each."""
     for k, row in enumerate(acceleration):
         name, size = f"Floor sensor {k + 1}", row.std()
         peak = np.abs(row - row.mean()).max()
@@ -58,7 +58,7 @@ def slow_ratio(
     frequencies_hz: Float64[np.ndarray, " frequencies"],
     density: Float64[np.ndarray, "sensors frequencies"],
 ) -> float:
-    """Acceleration per √Hz at `SLOW_HZ` over that at `HEARD_HZ`, of the sensor where it is largest; 0 where nothing is known."""
+    """Acceleration per √Hz at `SLOW_HZ` over that at `HEARD_HZ`, at the sensor where it is largest; 0 if unknown."""
     slow, heard = (
         density[:, (frequencies_hz >= low) & (frequencies_hz <= high)] for low, high in (SLOW_HZ, HEARD_HZ)
     )

@@ -24,8 +24,8 @@ _REFUSED = 2  # exit code of the process that reports the reason on stderr
 def read_mat(path: Path) -> dict[str, np.ndarray]:
     """Every array of numbers of a MAT file up to version 7 by name; members of a structure as ``name.member``.
 
-    The file is read in a process of its own, with limits on time and, where the system has them, on memory:
-    whatever a damaged file does to the reader, it does not do to the caller. It is the caller who opens it, so that
+    The file is read in a separate process, with limits on time and, where the system supports them, on memory:
+    a damaged file cannot crash the caller. The caller opens it, so that
     a build sees what its kernel reads.
     """
     with contextlib.ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""How a scan is judged: moving average, moving standard deviation and rms of the error, (1.1)-(1.3)."""
+"""Measures of a scan's error: moving average, moving standard deviation and rms of the error, (1.1)-(1.3)."""
 
 from typing import NamedTuple
 
@@ -79,5 +79,5 @@ def average_filter(omega: Vector, exposure: Positive) -> Float64[np.ndarray, " f
 
 @checked
 def average_reduction(bandwidth_ratio: Positive) -> float:
-    """Part by which MA falls when the bandwidth grows by this ratio, by the rule MA ~ f_bw^-2.5."""
+    """Relative reduction of MA when the bandwidth grows by this ratio, by the rule MA ~ f_bw^-2.5."""
     return 1 - bandwidth_ratio**-2.5

@@ -96,7 +96,7 @@ class Record:
         ``m/s^2``, ``m/s``, ``m``, ``N``, ``N m``, ``V``, ``A``, ``Pa``, ``rad``, ``rad/s``, ``rad/s^2``, ``count``,
         ``count/s``, ``count/s^2`` or ``1``.
     names : tuple of str
-        One a channel.
+        One per channel.
     source : str
         File name.
 
@@ -155,7 +155,7 @@ def load_record(
 ) -> Record:
     """Read a measured record; nothing in the file is executed.
 
-    A CSV file has one column a channel, with or without a line of names, separated by comma, semicolon, tab or
+    A CSV file has one column per channel, with or without a line of names, separated by comma, semicolon, tab or
     blanks; lines that start with # are skipped. In MAT (up to version 7) and NPZ files every numeric array of
     the common length is a channel or a set of channels. A column or array named ``t`` or ``time`` (a unit in
     brackets may follow) is the time, in s unless that is another; a scalar named ``fs`` or ``sample_rate`` is the
@@ -166,7 +166,7 @@ def load_record(
     path : str or Path
         ``.csv`` (also ``.txt``, ``.tsv``), ``.mat``, ``.npz``, ``.uff`` or ``.unv``.
     unit : str, optional
-        Of the channels whose names state none in brackets, e.g. ``m/s^2``, ``mg``, ``mm/s``, ``um``, ``N``; see `UNITS`.
+        Unit of the channels whose names state none in brackets, e.g. ``m/s^2``, ``mg``, ``mm/s``, ``um``, ``N``; see `UNITS`.
         Where a name states another one, the file is refused.
     sample_rate : float, optional
         Hz; needed when the file has neither a time nor a rate.
@@ -216,7 +216,7 @@ def load_unscaled(
     channels: list[str] | None = None,
     most_channels: int | None = None,
 ) -> Record:
-    """`load_record` with the numbers as the file has them, in unit ``1`` whatever the names state."""
+    """`load_record` without scaling, in unit ``1`` whatever the names state."""
     path = Path(path)
     columns = read_columns(path)
     rate = sampling_rate(path.name, columns, sample_rate)
@@ -325,8 +325,8 @@ def resample(record: Record, sample_rate: float) -> Record:
 def to_acceleration(record: Record) -> Record:
     """Record as acceleration in m/s^2: velocity is differentiated once, displacement twice.
 
-    Done by Fourier transform, so exact up to the Nyquist frequency; the line between the ends is taken off and
-    5 % at either end are faded in and out, because the transform closes the record to a ring.
+    Done by Fourier transform, so exact up to the Nyquist frequency; the line between the ends is subtracted and
+    5 % at either end are faded in and out, because the transform assumes a periodic record.
     """
     if record.unit not in MOTION_UNITS:
         raise InputError(f"{record.source} is in {record.unit}; an acceleration needs m/s^2, m/s or m")

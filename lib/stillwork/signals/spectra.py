@@ -84,7 +84,7 @@ def estimate_spectrum(signals: ArrayLike, sample_rate: Positive, resolution_hz: 
     sample_rate : float
         Samples per second.
     resolution_hz : float
-        Distance of the frequencies; a segment lasts its inverse.
+        Spacing of the frequencies; a segment lasts its inverse.
 
     Returns
     -------
@@ -125,7 +125,7 @@ def estimate_response(
     sample_rate : float
         Samples per second.
     resolution_hz : float
-        Distance of the frequencies; a segment lasts its inverse.
+        Spacing of the frequencies; a segment lasts its inverse.
 
     Returns
     -------

@@ -65,7 +65,7 @@ def drawn(
 
 
 def moves(before: Outcomes, now: Outcomes, tried: list[At], entries: dict[str, Entry]) -> list[str]:
-    """What of the runs `tried` differs from the committed results, a line each: entry, combination and both values."""
+    """What of the runs `tried` differs from the committed results, one line each: entry, combination and both values."""
     multiverse = before.multiverse
     lines = []
     for at in sorted(tried):
@@ -88,7 +88,7 @@ def moves(before: Outcomes, now: Outcomes, tried: list[At], entries: dict[str, E
 def short_form_differs(
     multiverse: Multiverse, entries: dict[str, Entry], compute: Callable[[Call], dict | str]
 ) -> list[str]:
-    """Where a study's short form has another verdict than the whole one, a line each; empty where it may stand for it.
+    """Where a study's short form has another verdict than the whole one, one line each; empty where it may stand for it.
 
     Both are computed at the default and at every other option of each axis, the others at their default, with all seeds.
     """

@@ -55,7 +55,7 @@ def compute_choices(
     ----------
     topic : str, optional
     jobs : int, optional
-        Processes; by default one a core.
+        Processes; by default one per core.
     scheduler : str, optional
         Address of a Dask scheduler whose workers compute.
     budget_min : float, optional

@@ -1,7 +1,7 @@
 """Results of a topic's combinations: ``data/<topic>/choices.csv``, a block a study, a row a combination.
 
 A block begins with a comment, ``# study <name> code <digest> axes <digest>``, and the names of its columns: point
-and seed, one column an axis, one an entry (with columns ``<entry> low`` and ``<entry> high`` where an interval was
+and seed, one column per axis, one per entry (with columns ``<entry> low`` and ``<entry> high`` where an interval was
 found), and ``failure`` where a combination failed.
 """
 
