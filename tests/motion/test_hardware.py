@@ -227,7 +227,7 @@ def test_single_precision_is_refused_where_no_form_holds_the_output(monkeypatch)
     loop, _, whole = slow_controller()
     written = error_driven(whole)
     rows = dict(single_rows([written], [[(loop, whole)]], (1.0, 1.0)))
-    assert "errs by" in rows["single precision"]
+    assert "error of the output" in rows["single precision"]
     with pytest.raises(InputError, match=r"^precision: .* peaks at .* write double"):
         single_rows([written], [[(loop, whole)]], (1.0, 40.0))
     monkeypatch.setattr(single_precision, "LOST_MOST", 1e-12)

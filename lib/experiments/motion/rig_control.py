@@ -87,7 +87,7 @@ def rig_compensator(
 ) -> RigCompensator:
     """Compensator for MC, AD or both: one damping ratio for all modes, (4.17) with the factor 2 omega that it lacks.
 
-    `selectivity` is the Q of one band-pass a mode, (4.16); None: no filter.
+    `selectivity` is the Q of one band-pass per mode, (4.16); None: no filter.
     """
     model = observer.model
     rigid = model.rigid_modes

@@ -570,7 +570,7 @@ def maximise_bandwidth(
     else:
         raise Infeasible(
             f"no bandwidth from {low_hz:g} to {high_hz:g} Hz is stable and below every constraint; "
-            "lower low_hz, relax the constraints or look at the plants"
+            "lower low_hz, relax the constraints or check the plants"
         )
     if k == len(grid) - 1:
         raise InputError(f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit")
@@ -817,7 +817,7 @@ class _Design:
         if np.isnan(magnitude.max()):
             hertz = self.loops[number].omega[np.isnan(magnitude).argmax()] / (2 * np.pi)
             raise InputError(
-                f"{name} of loop {number + 1} is not a number at {hertz:.4g} Hz; look at its plant"
+                f"{name} of loop {number + 1} is not a number at {hertz:.4g} Hz; check its plant"
             )
         return magnitude
 

@@ -202,7 +202,7 @@ def adaptation_code(
         values["copies"] = write(settings.trace_copies(actuators))
         return write.files(("adaptation", "felms"), name, values)
     if settings.form not in ("safe", "UD"):
-        raise InputError(f"settings.form is {settings.form!r}; C is written for 'safe' or 'UD'")
+        raise InputError(f"settings.form is {settings.form!r}; C code exists for 'safe' and 'UD'")
     dtype = PRECISIONS[precision].__name__
     kept = {each: getattr(settings, each) for each in ("initial_covariance", "forgetting", "growth_limit")}
     recursion = FeRls(**kept, form="UD", dtype=dtype).start(regressors)
@@ -349,7 +349,9 @@ class Numbers:
         with np.errstate(over="ignore"):
             rounded = self.type(value)
         if not np.isfinite(rounded) or (rounded == 0 and value != 0):
-            raise InputError(f"{float(value):g} is beyond single precision; take another unit, or double")
+            raise InputError(
+                f"{float(value):g} is beyond the range of single precision; use another unit, or double"
+            )
         text = f"{rounded:.9g}" if single else repr(float(rounded))
         return text + ("" if "." in text or "e" in text else ".0") + ("f" if single else "")
 

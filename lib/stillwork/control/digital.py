@@ -513,7 +513,7 @@ def anti_windup(model: StateModel, tracking_time: Positive) -> Float64[np.ndarra
     seen = model.c @ right
     if np.linalg.matrix_rank(seen) < seen.shape[1] or np.linalg.cond(overlap) > 1e9:
         raise InputError(
-            "model has integrators in a row, or more of them than outputs; give the gain anti_windup yourself"
+            "model has integrators in series, or more integrators than outputs; give the gain anti_windup"
         )
     return -np.expm1(-model.sample_time / tracking_time) * right @ np.linalg.pinv(seen)
 
@@ -763,7 +763,9 @@ def load_controller(file: str | Path) -> DigitalController:
         raise InputError(f"{file.name} is no controller; give the controller.json that design wrote")
     table = Table(entries, file.name)
     if table["format"] != FORMAT:
-        raise InputError(f"{file.name}: format is {short_repr(table['format'])}; this reads {FORMAT!r}")
+        raise InputError(
+            f"{file.name}: format is {short_repr(table['format'])}; the supported format is {FORMAT!r}"
+        )
     space = table.table("state_space")
     model = _model(space, table["sample_time_s"])
     read = {

@@ -47,7 +47,7 @@ def discrete_damping_gain(
     require_reach(model)
     if w[-1] * sample_time >= np.pi:
         raise InputError(
-            f"sample_time is {sample_time:g} s, too long for a mode at {w[-1] / (2 * np.pi):.4g} Hz; sample more than twice a period"
+            f"sample_time is {sample_time:g} s, too long for a mode at {w[-1] / (2 * np.pi):.4g} Hz; sample more than twice per period"
         )
     if np.any(np.diff(w) < 1e-9 * w[-1]):
         raise InputError("model has two modes of one frequency; one input cannot damp both")

@@ -133,7 +133,7 @@ def discrete_compensator(
     band-pass is sampled with a zero-order hold.
     """
     if application.stiffness != 1.0 or application.high_pass_hz or application.common:
-        raise InputError("application: only MC and AD with a band-pass a mode exist in discrete time")
+        raise InputError("application: in discrete time there are only MC and AD with one band-pass per mode")
     model = observer.model
     rigid, inputs = model.rigid_modes, observer.b.shape[1]
     flexible = len(model.frequencies) - rigid

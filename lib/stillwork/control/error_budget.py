@@ -89,7 +89,7 @@ class Source:
             )
         if not np.isfinite(self.tones).all() or any(tone[0].imag or tone[0].real < 0 for tone in self.tones):
             raise InputError(
-                f"{self.name}: tones hold a frequency that is below 0 or no number, or an infinite amplitude"
+                f"{self.name}: tones hold a frequency that is negative or not a number, or an infinite amplitude"
             )
 
     @property

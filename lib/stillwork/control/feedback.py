@@ -114,7 +114,7 @@ def place(model: StateModel, poles: ArrayLike) -> Float64[np.ndarray, "1 states"
         raise InputError(f"model has {model.b.shape[1]} inputs; this formula is for one")
     poles = require_array("poles", poles, dtype=np.complex128)
     if poles.shape != (n,):
-        raise InputError(f"poles has shape {poles.shape}; give {n}, one a state")
+        raise InputError(f"poles has shape {poles.shape}; give {n}, one per state")
     polynomial = np.poly(poles)
     if np.any(np.abs(polynomial.imag) > 1e-9 * np.abs(polynomial)):
         raise InputError("poles are not real or in conjugate pairs; the gain would be complex")

@@ -274,7 +274,7 @@ def warn_long_steps(rate: float, sample_time: float) -> None:
     turn = require_number("rate", rate, at_least=0.0) * require_number("sample_time", sample_time, above=0.0)
     if turn >= LONGEST_TURN:
         warnings.warn(
-            f"integration by one Euler step a sample is too coarse: the plant's free motion turns or decays by {turn:.2g} "
+            f"integration by one Euler step per sample is too coarse: the plant's free motion oscillates or decays by {turn:.2g} "
             "rad in a sample; use integration='exact'",
             IntegrationWarning,
             stacklevel=5,

@@ -89,10 +89,10 @@ def fixed_point_code(
     own: Any = first.signal_filter
     if isinstance(own, SavitzkyGolay | JointKalman) or getattr(own, "literal", False):
         raise InputError(
-            f"signal_filter is {own}; C is written for any of one coordinate but Savitzky-Golay and the literal correction"
+            f"signal_filter is {own}; C code exists for filters of one coordinate except Savitzky-Golay and the literal correction"
         )
     if any(isinstance(each.transformation, DisturbanceObserver) for each in controllers):
-        raise InputError("controller deforms by a DisturbanceObserver; C is written for (6) and (8)")
+        raise InputError("controller uses a DisturbanceObserver; C code exists for (6) and (8)")
     kind, packed = KINDS[type(own)], own.packed()
     filters: Any = [each.signal_filter for each in controllers]
     kalman = kind in "ue"

@@ -268,9 +268,7 @@ def linear_loop(
     require_alike(controllers, count)
     controller = controllers[0]
     if isinstance(controller.transformation, DisturbanceObserver):
-        raise InputError(
-            "controller deforms by a DisturbanceObserver; the linear loop is written for (6) and (8)"
-        )
+        raise InputError("controller uses a DisturbanceObserver; the linear loop exists for (6) and (8)")
     if isinstance(controller.signal_filter, JointKalman):
         raise InputError(
             "controller filters by a JointKalman; the linear loop is written for filters of one coordinate"

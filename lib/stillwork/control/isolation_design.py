@@ -333,7 +333,7 @@ def _certify(
         )
     if red > RED_LIMIT * (1 + 1e-9):
         problems.append(
-            f"the floor's slow motion is {red / RED_LIMIT:.3g} times what this adaptation survives; adapt more slowly"
+            f"the floor's slow motion is {red / RED_LIMIT:.3g} times what this adaptation tolerates; adapt more slowly"
         )
     return Certificate(
         float(angles[worst]), float(f[band][worst]), float(peak), slowest, float(red), tuple(problems)
@@ -480,9 +480,9 @@ def design_isolation(
     if not quick:
         least = min(each.time_constant for each in safe)
         raise InputError(
-            f"not to be switched on: with this floor's slow motion an adaptation survives from a time constant of {least:.3g} s "
-            f"on, whatever high-pass the floor sensors get; more than {LONGEST_S:g} s is too slow: begin the band higher, so "
-            "that higher cut-offs fit below it, or take a larger variance"
+            f"not to be switched on: with this floor's slow motion the adaptation needs a time constant of {least:.3g} s or "
+            f"more with every high-pass of the floor sensors; above {LONGEST_S:g} s it is too slow: start the band at a higher "
+            "frequency, so that higher cut-offs fit below it, or allow a larger variance"
         )
     rng = np.random.default_rng(seed)
     box = [_perturbed(isolator, spread, rng) for _ in range(DRAWS)]
@@ -532,7 +532,9 @@ def predict(
 ) -> IsolationPrediction:
     """Motion and transmissibility of a design and of the loops around it, each with weights drawn from their scatter."""
     if design.scatter is None:
-        raise InputError("design has a given step, of which no scatter is known; give one that was searched")
+        raise InputError(
+            "design has a given step, whose scatter is unknown; give a design whose step was searched"
+        )
     if not around:
         raise InputError("around is empty; give the loops on isolators of the box")
     f, widths = floor.frequencies_hz, floor.widths_hz

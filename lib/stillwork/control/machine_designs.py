@@ -114,7 +114,7 @@ def asked_uncertainty(said: str | Mapping[str, float]) -> dict[str, float]:
                 named[name.strip()] = float(value)
             except ValueError:
                 raise InputError(
-                    f"uncertainty holds {word!r}; give NAME=VALUE of {', '.join(NAMES)}, commas between, or none"
+                    f"uncertainty holds {word!r}; give NAME=VALUE of {', '.join(NAMES)}, separated by commas, or none"
                 ) from None
         if "none" not in words:
             named = UNCERTAINTY | named
@@ -184,11 +184,14 @@ def search_designs(
             f"delay is {delay:g}, a period of the lowest bandwidth ({lowest:.3g} Hz) or more; give fewer samples"
         )
     if others and max(len(each.sensors) for each in (machine, *others)) > 1:
-        raise InputError("others: several responses are served at one sensor; leave the other sensors out")
+        raise InputError(
+            "others: with several responses only one sensor is supported; leave the other sensors out"
+        )
     for each in others:
         if each.units != machine.units:
             raise InputError(
-                f"others: {each.source} is in {' and '.join(each.units)}, {machine.source} in {' and '.join(machine.units)}"
+                f"others: {each.source} is in {' and '.join(each.units)}, {machine.source} in "
+                f"{' and '.join(machine.units)}; give all in the same units"
             )
     prompt, late = zip(*(_prompt(each, delay, rate) for each in (machine, *others)), strict=True)
     spreads = tuple(uncertainty_of(each, shares) for each in prompt)

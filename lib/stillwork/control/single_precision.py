@@ -62,7 +62,7 @@ def in_single_precision(controller: DigitalController) -> InSinglePrecision:
     best = min(found, key=lambda each: each.error)
     if not best.error <= LOST_MOST:
         raise InputError(
-            f"precision: in single precision the output errs by {best.error:.1e} of itself ({best.form}); write double"
+            f"precision: in single precision the error of the output is {best.error:.1e} of it ({best.form}); use double"
         )
     return best
 
@@ -103,7 +103,7 @@ def _coefficients(controller: DigitalController, precision) -> tuple[np.ndarray,
     for exact, each in zip(arrays, (rows, outputs, kept), strict=True):
         if not np.all(np.isfinite(each)):
             size = float(exact[~np.isfinite(each)][0])
-            raise InputError(f"{size:g} is beyond single precision; take another unit, or double")
+            raise InputError(f"{size:g} is beyond the range of single precision; use another unit, or double")
     return rows, outputs, kept
 
 

@@ -91,7 +91,7 @@ class Uncertainty:
         for name in NAMES[:3]:
             value = getattr(self, name)
             if value.ndim and value.shape != plant.frequencies.shape:
-                raise InputError(f"{name} holds {value.size} shares; give one, or one a mode of the plant")
+                raise InputError(f"{name} holds {value.size} shares; give one, or one per mode of the plant")
             shares = np.broadcast_to(value, plant.frequencies.shape).copy()
             shares[0] = 0.0
             spread[name] = shares

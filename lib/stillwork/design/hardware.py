@@ -117,7 +117,7 @@ def single_rows(
     Raises
     ------
     InputError
-        When a peak is then above 6 dB, or the output errs by too much.
+        When a peak is then above 6 dB, or the error of the output is too large.
     """
     position, drive = scales
     found = [in_single_precision(each) for each in written]
@@ -131,7 +131,7 @@ def single_rows(
             f"precision: with coefficients in single precision the loop peaks at {max(peaks):.3f} dB; write double"
         )
     worst = max(found, key=lambda each: each.error)
-    words = f"the output errs by {worst.error:.1e} of its rms (states {worst.form}); peaks at most {max(peaks):.3f} dB"
+    words = f"error of the output {worst.error:.1e} of its rms (states {worst.form}); peaks at most {max(peaks):.3f} dB"
     return [["single precision", words]]
 
 

@@ -68,7 +68,7 @@ class NoiseCovariances:
         whole = in_deviations(np.block([[process, self.cross], [self.cross.T, sensor]]))
         if np.linalg.eigvalsh(whole)[0] < -ASYMMETRY:
             raise InputError(
-                "process, sensor and cross are no covariance together: a combination of the noises has a "
+                "process, sensor and cross do not form a covariance: a combination of the noises has a "
                 "variance below zero"
             )
 
@@ -187,7 +187,7 @@ def kalman_gain(model: StateModel, noise: NoiseCovariances) -> KalmanGain:
     free = noise.process - known @ cross.T
     root = covariance_root((free + free.T) / 2)
     if not np.any(root):
-        raise InputError("noise.process drives no state by itself; a stationary gain takes a disturbance")
+        raise InputError("noise.process drives no state by itself; a stationary gain needs a disturbance")
     if model.sample_time:
         found = discrete_gain(a, root, model.c, 1.0, noise.sensor)
         return KalmanGain(found.gain + known, found.covariance, found.residual, found.filter_gain)

@@ -29,7 +29,7 @@ from stillwork.lti.state_space import StateModel
 def _require_continuous(plant: GeneralisedPlant) -> None:
     if plant.model.sample_time:
         raise InputError(
-            "plant is in discrete time; these inequalities take one in continuous time, h2_riccati either"
+            "plant is in discrete time; these inequalities need continuous time; h2_riccati accepts both"
         )
 
 

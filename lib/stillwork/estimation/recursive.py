@@ -116,7 +116,7 @@ def _require_finite(estimates, errors) -> None:
     finite = np.isfinite(errors) & np.isfinite(estimates).all(axis=1)
     if not finite.all():
         raise InputError(
-            f"the estimate leaves the finite numbers at sample {int(np.argmin(finite))}; use other units, "
+            f"the estimate overflows at sample {int(np.argmin(finite))}; use other units, "
             "or settings that bound it without excitation: a penalty, or a growth_limit for least squares"
         )
 

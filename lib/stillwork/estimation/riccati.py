@@ -46,7 +46,7 @@ def _checked(a, g, c, q, r):
             raise InputError(f"{name} is not positive definite; give the intensity of real noise") from None
     for name, matrix in (("noise_input", g), ("c", c)):
         if not np.any(matrix):
-            raise InputError(f"{name} is zero; an observer takes a disturbance and a measurement")
+            raise InputError(f"{name} is zero; an observer needs a disturbance and a measurement")
     return a, g @ factors[0], np.linalg.solve(factors[1], c), factors[1]
 
 

@@ -35,7 +35,9 @@ class Stabilisation:
     def __post_init__(self):
         check_fields(self)
         if len({len(self.order), len(self.frequency), len(self.damping), len(self.stable)}) != 1:
-            raise InputError("order, frequency, damping and stable differ in length; give one of each a pole")
+            raise InputError(
+                "order, frequency, damping and stable differ in length; give one of each per pole"
+            )
 
     def settled(self) -> Float64[np.ndarray, "2 modes"]:
         """Frequency (rad/s) and damping ratio of poles that are stable at three orders or more, the most frequent first.

@@ -48,7 +48,7 @@ def impact_response(force: Matrix, response: ArrayLike, rate: Positive) -> Ident
     """
     response = require_array("response", response, shape=force.shape)
     if not len(force):
-        raise InputError("force holds no hit; give one row a hit")
+        raise InputError("force holds no hit; give one row per hit")
     f, a = (np.fft.rfft(x - x.mean(axis=1, keepdims=True), axis=1) for x in (force, response))
     s_ff, s_aa = (np.abs(f) ** 2).mean(axis=0), (np.abs(a) ** 2).mean(axis=0)
     s_fa = (f.conj() * a).mean(axis=0)

@@ -275,7 +275,7 @@ def _mass(model: ModalModel) -> float:
     mobility = float(model.input_shapes[0, 0] * model.output_shapes[0, 0])
     if mobility == 0:
         raise InputError(
-            "the force does not move the rigid body, or the sensor does not see it; check input and output"
+            "the force does not move the rigid body, or the sensor does not measure it; check input and output"
         )
     return 1 / mobility
 

@@ -126,7 +126,7 @@ def load_machine(
             factor = unit_factor(response_unit or "m")[0] / unit_factor(force_unit or units[2])[0]
             if factor != 1:
                 raise InputError(
-                    "matrices are in m and N, rad and N m or the like, without m, u or k in front"
+                    "matrices are in m and N, rad and N m or similar, without the prefixes m, u or k"
                 )
             model = _from_matrices(arrays, damping_ratio)
             return MachineFile(kind, file.name, model=model, units=(units[0], units[2]))
@@ -322,7 +322,7 @@ def _from_hammer(
     if force.shape != response.shape:
         raise InputError(
             f"force holds {pluralise(len(force), 'hit')} of {pluralise(force.shape[1], 'sample')} ({', '.join(forces)}), the response "
-            f"{len(response)} of {response.shape[-1]} ({', '.join(responses) or 'none'}); give one response a hit"
+            f"{len(response)} of {response.shape[-1]} ({', '.join(responses) or 'none'}); give one response per hit"
         )
     for name, rows in (("force", force), ("response", response)):
         if np.any(np.ptp(rows, axis=1) == 0):

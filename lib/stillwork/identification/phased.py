@@ -31,7 +31,7 @@ class PhasedModel:
     def __post_init__(self):
         check_fields(self)
         if self.velocity.shape != self.model.frequencies.shape:
-            raise InputError(f"velocity must hold one number a mode, {len(self.model.frequencies)}")
+            raise InputError(f"velocity must hold one number per mode, {len(self.model.frequencies)}")
 
     @property
     def degrees(self) -> Float64[np.ndarray, " modes"]:

@@ -68,11 +68,11 @@ class ModalModel:
         n = len(self.frequencies)
         if self.input_shapes.shape[0] != n or self.output_shapes.shape[1] != n or self.damping.shape != (n,):
             raise InputError(
-                f"shapes and damping do not fit {pluralise(n, 'frequency')}; give one of each a mode"
+                f"shapes and damping do not fit {pluralise(n, 'frequency')}; give one of each per mode"
             )
         if not self.feedthrough.size:
             raise InputError(
-                f"feedthrough has shape {self.feedthrough.shape}; give a model an input and an output at least"
+                f"feedthrough has shape {self.feedthrough.shape}; give at least one input and one output"
             )
         if np.any(self.frequencies < 0) or np.any(np.diff(self.frequencies) < 0):
             raise InputError("frequencies must be ascending and not negative, in rad/s")

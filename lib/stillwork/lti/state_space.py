@@ -316,7 +316,7 @@ def constant(gain: Float64[np.ndarray, "outputs inputs"], sample_time: float = 0
     """A gain without states."""
     outputs, inputs = gain.shape
     if not gain.size:
-        raise InputError(f"gain has shape {gain.shape}; give it an input and an output at least")
+        raise InputError(f"gain has shape {gain.shape}; give at least one input and one output")
     return StateModel(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), gain, sample_time)
 
 

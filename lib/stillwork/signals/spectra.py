@@ -206,7 +206,7 @@ def _segments(name: str, signals: ArrayLike, sample_rate: float, resolution_hz: 
     if rows.shape[1] < length:
         raise InputError(
             f"{name} last {rows.shape[1] / sample_rate:.3g} s, a segment {length / sample_rate:.3g} s; "
-            "record longer or take a coarser resolution_hz"
+            "record longer or use a coarser resolution_hz"
         )
     return rows, length
 
