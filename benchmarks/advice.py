@@ -1,9 +1,9 @@
 """How good `estimation.advise` is: problems drawn at random, each with its truth.
 
 `python benchmarks/advice.py [COUNT] [--train | --second | --third | --fourth | --fifth] [seed=N] [size=S]`. The advice was designed on the kinds of `TRAINING` alone; what is
-printed without ``--train`` is of the other kinds and of other seeds, with ``--second`` of kinds that somebody else wrote. An
+printed without ``--train`` is of the other kinds and of other seeds, with ``--second`` of kinds by a second author. An
 error is that of predictions of y at 4000 new rows, of features as they were measured where nothing was known, else of features
-without their noise; once with the noise of new outputs in it, which nobody can predict, and once without it.
+without their noise; once with the noise of new outputs in it, which cannot be predicted, and once without it.
 
 With ``size=2`` the noise is given at twice its size, and with ``seed=N`` problems are drawn anew.
 
@@ -254,11 +254,11 @@ TEST = {
 }
 
 
-# --- kinds that somebody else wrote, who knew what the advice should do and not the kinds above ---------------------
+# --- kinds by a second author, who had the advice's specification but not the kinds above ---------------------
 
 
 def drawn(rng, rows, clean, errors, noise=0.0, given=None, instruments=None):
-    """Those to learn from first, as many as there are errors of y; `given` is the noise of which the advice knows."""
+    """Those to learn from first, as many as there are errors of y; `given` is the noise that the advice is given."""
     n = len(errors)
     measured = rows + noise * rng.standard_normal(rows.shape)
     new = measured if given is None and instruments is None else rows

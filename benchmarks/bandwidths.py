@@ -1,4 +1,4 @@
-"""Random loops through `maximise_bandwidth`: no answer may exceed its own limit, by points and a Hamiltonian written apart.
+"""Random loops through `maximise_bandwidth`: no result may exceed its own limit, by points and an independent Hamiltonian.
 
 `python benchmarks/bandwidths.py [FIRST [LAST]]`, one loop a seed.
 """
@@ -21,7 +21,7 @@ TOLERANCE = 1e-5  # of the limit: between the points of a zoom
 
 
 def main(first: int = 0, last: int = 2000) -> None:
-    """Print each answer that exceeds its limit, then how many there are."""
+    """Print each result that exceeds its limit, then how many there are."""
     answers, over, worst, spent = 0, 0, -np.inf, 0.0
     for seed in range(first, last):
         rng = np.random.default_rng(seed)
@@ -54,7 +54,7 @@ def main(first: int = 0, last: int = 2000) -> None:
                 flush=True,
             )
     print(
-        f"{last - first} loops, {answers} answers, {over} over their limit by more than {TOLERANCE:g}; ",
+        f"{last - first} loops, {answers} results, {over} over their limit by more than {TOLERANCE:g}; ",
         end="",
     )
     print(f"worst {worst:.2e}; {spent:.0f} s of CPU in the searches")

@@ -142,7 +142,7 @@ def from_nothing(root: Path = ROOT, targets: Sequence[str] = ()) -> tuple[float,
         under = _compiling(plain, kernels) | {BUILT: folder, "PYTHONPATH": places}
         code = run_whole([sys.executable, "-m", "stillwork", "figures", *targets], env=under, cwd=root)
     if code:
-        raise SystemExit(code if code > 128 else f"the build failed with {code}: its time says nothing")
+        raise SystemExit(code if code > 128 else f"the build failed with {code}: its time does not count")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return spent, time.monotonic() - begin
@@ -171,7 +171,7 @@ def print_beside(commit: str, targets: list[str]) -> None:
 
 
 def _compiling(under: Mapping[str, str], kernels: str) -> dict[str, str]:
-    """An environment that keeps its machine code in the folder `kernels`, whatever else is said."""
+    """An environment that keeps its machine code in the folder `kernels`, whatever else is set."""
     return {name: under[name] for name in under if name != "NUMBA_CACHE_DIR"} | {FOLDER_VARIABLE: kernels}
 
 

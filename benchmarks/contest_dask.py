@@ -2,7 +2,7 @@
 
 The table of our entrants is made in one process, and then by two workers with one thread each. Efficiency is the
 processor's time of the first over twice the time from the first task to the last of the second. On a busy machine the
-clock says little: then it is the time of the processor over twice that of the worker that took more of it, tasks or not,
+clock means little: then it is the time of the processor over twice that of the worker that took more of it, tasks or not,
 which holds what starting a worker, moving results and uneven shares cost, but not waiting.
 """
 

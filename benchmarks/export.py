@@ -1,4 +1,4 @@
-"""Time per sample of the C that is handed out beside Python's kernels and plain dense C, as ratios: `make bench`."""
+"""Time per sample of the generated C code beside Python's kernels and plain dense C, as ratios: `make bench`."""
 
 import ctypes
 import shutil

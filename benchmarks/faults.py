@@ -47,7 +47,7 @@ READS = "rig = paths.data('{}', 'rig.toml').read_text()", "written = (folder / '
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 STALL_S = 200.0  # a kernel that does not come up is given up after 120 s
 NOISE = re.compile(r"^Traceback|asyncio|Task was destroyed|Exception ignored", re.MULTILINE)
-# What a kernel that cannot start says of itself.
+# Messages of a kernel that cannot start.
 LAST_WORDS = re.compile(
     r"^Traceback .*\n  File .*kernel_process.py.*, in (?:<module>|_become_kernel)\n(?!    warm)(?: .*\n)*(?:\S.*\n?)?",
     re.MULTILINE,
@@ -196,7 +196,7 @@ class Bench:
         log = self.home / "logs" / f"{self.runs % 4}"
         log.unlink(missing_ok=True)
         descriptor, copying = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND), None
-        # Without a disk to fill it is files that are limited: then what is said goes through a process that writes it.
+        # Without a disk to fill it is files that are limited: then the output goes through a process that writes it.
         if not self.mounted:
             copying = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=descriptor, bufsize=0)
             os.dup2(copying.stdin.fileno(), descriptor)
@@ -492,7 +492,7 @@ def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
         }.get(code, at_once in (old, new) and code - 128 in SIGNALS)
         if not right:
             what = "old" if at_once == old else "new" if at_once == new else "half"
-            raise Broken(f"exit code {code}, the {what} state stands: {said[-300:]}")
+            raise Broken(f"exit code {code}, the {what} state is in place: {said[-300:]}")
     code, said = bench.run("figures", root=root)
     if code or not said.startswith("nothing to do"):
         raise Broken(f"the next build: {said[-300:]}")
@@ -506,7 +506,7 @@ def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
 
 
 def edited_accept(bench: Bench, draw: random.Random) -> str:
-    """Somebody changes, adds or removes a file at a step of an accept; what they leave must stay.
+    """A file is changed, added or removed at a step of an accept; it must stay like that.
 
     The moment between the last look at a place and the accept's own rename is left out.
     """
@@ -634,7 +634,7 @@ def judged(
 ) -> str:
     """Hold what stands after a fault against what must; returns which version stands.
 
-    What was harmed when it had been built (`harmed_since`) may have been told to be built; the next build sees it.
+    What was harmed when it had been built (`harmed_since`) may have been reported as built; the next build detects it.
     """
     for run in runs:
         run.wait()
@@ -656,10 +656,10 @@ def judged(
         if versions[name] == "half" or (
             not changing and not harmed and not holds(now[name] or {}, sources(bench.root, name))
         ):
-            raise Broken(f"said to be built, but is not: {name}")
+            raise Broken(f"reported as built, but is not: {name}")
     for name in re.findall(r"^FAILED (\S+)", said, re.MULTILINE):
         if versions[name] != "old" and len(runs) == 1 and not harmed:
-            raise Broken(f"said to have failed, but was changed: {name}")
+            raise Broken(f"reported as failed, but was changed: {name}")
     for run in runs:
         code, text = run.code, run.said()
         right = {
@@ -929,11 +929,11 @@ def versions_shown(bench: Bench) -> dict[str, str]:
 KINDS: dict[str, tuple[int, Callable[[Bench, random.Random], str]]] = {
     "publish: killed at a step": (200, lambda b, d: publish_fault(b, d, "killed")),
     "publish: killed in a write": (150, lambda b, d: publish_fault(b, d, "half")),
-    "publish: a step finds no room": (150, lambda b, d: publish_fault(b, d, "fails")),
+    "publish: the disk is full at a step": (150, lambda b, d: publish_fault(b, d, "fails")),
     "publish: disk full": (100, lambda b, d: publish_fault(b, d, "full")),
     "accept: signal at a step": (100, lambda b, d: accept_fault(b, d, "signal")),
     "accept: killed in a write": (50, lambda b, d: accept_fault(b, d, "half")),
-    "accept: a step finds no room": (50, lambda b, d: accept_fault(b, d, "fails")),
+    "accept: the disk is full at a step": (50, lambda b, d: accept_fault(b, d, "fails")),
     "accept: disk full": (50, lambda b, d: accept_fault(b, d, "full")),
     "accept: parallel build": (30, lambda b, d: accept_fault(b, d, "parallel")),
     "accept: edited meanwhile": (100, edited_accept),

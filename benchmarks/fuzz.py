@@ -1,7 +1,7 @@
 """Wrong values for every public function, reader, table and setting: nothing but results and documented errors.
 
 ``python benchmarks/fuzz.py --cases 50000`` throws that many, each made from the seed and its number alone, in
-processes of their own, and lists what ended in another exception, in a result with NaN, in a crash, or not at all,
+processes of their own, and lists what ended in another exception, in a result with NaN, in a crash, or never,
 and what a library printed or warned of on the way. ``--unnamed`` lists the refusals whose message holds none of the
 spoiled arguments by name (nor a field of one). ``--only KIND`` and ``--case NUMBER`` repeat some of it. ``--only forms`` calls every function with good arrays in
 every form that holds the same numbers instead.
@@ -190,7 +190,7 @@ def _outcome(kind, name, told, must_work, call) -> tuple[str, str]:
 
 
 def _properties(result) -> list:
-    """What can be read off a result: it is asked for all of it, but for what takes long (zeros)."""
+    """What can be read off a result: all of it is computed, except what takes long (zeros)."""
     from stillwork.base.checks import InputError
 
     owner = type(result)
@@ -201,7 +201,7 @@ def _properties(result) -> list:
         asked = isinstance(each, property | cached_property) and not name.startswith("_") and name != "zeros"
         try:
             found += [getattr(result, name)] if asked else []
-        except InputError:  # it says why it has none
+        except InputError:  # its message states why it has none
             continue
     return found
 
@@ -209,7 +209,7 @@ def _properties(result) -> list:
 def _unbounded() -> set[str]:
     from fuzzing.calls import MAY_BE_INFINITE, behind
 
-    return MAY_BE_INFINITE | behind().keys()  # of these their own door asks
+    return MAY_BE_INFINITE | behind().keys()  # these validate themselves
 
 
 def _has_nan(value, depth: int = 0) -> bool:

@@ -378,7 +378,7 @@ def write(updates) -> None:
     (folder / "SOURCE.md").write_text(
         "# Measured times of one update of 9 regressors x 6 outputs, and of the closed loop around it\n\n"
         "Microseconds per sample, median, lowest and highest of "
-        f"{REPEATS} repeats; written by `python benchmarks/isolation.py --write`, which says what each form is.\n"
+        f"{REPEATS} repeats; written by `python benchmarks/isolation.py --write`, which describes each form.\n"
         "Measured, not computed: another machine gives other times, which is why notebook 06 reads this file.\n\n"
         f"Machine: {machine()}, numba {numba.__version__}; other programs were running.\n",
         encoding="utf-8",

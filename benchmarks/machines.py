@@ -4,7 +4,7 @@ A machine has 1 to 6 flexible modes of either sign, perhaps viscous friction, an
 not. It is given as matrices or as a noisy frequency response. From number 1000 on it is a chain of masses, free or on
 springs to the ground, whose dampers its mode shapes do not decouple, and always measured. The C that is written is compiled, its linear map read
 out of its states, and closed around the sampled plant with its exact zero-order hold and delay, everywhere in the box
-that was asked for, of frequencies, gain and damping: `python benchmarks/machines.py [FIRST [LAST [RESULTS.jsonl]]]`. A file
+that was stated, of frequencies, gain and damping: `python benchmarks/machines.py [FIRST [LAST [RESULTS.jsonl]]]`. A file
 of results is gone on with.
 """
 
@@ -35,7 +35,7 @@ DRAWS, SWEEPS = 60, 1  # random places in the box, and looks along each axis fro
 
 @dataclass(frozen=True)
 class TrueMachine:
-    """What is there, as nobody but the judge knows it."""
+    """The true machine, known to the judge alone."""
 
     mass: float  # kg, or kg m^2
     friction: float  # b/m, 1/s
@@ -306,7 +306,7 @@ def worst(machine: TrueMachine, controller, box: dict, sample_time: float, rng, 
 
 
 def asked_box() -> dict:
-    """What every design of this benchmark is asked for."""
+    """Settings of every design of this benchmark."""
     return {"frequency": 0.05, "gain": 0.1, "damping": 0.2}
 
 
@@ -345,7 +345,7 @@ def try_machine(number: int, draws: int = DRAWS) -> dict:
         controller = linear_map(out)
     promised = next((line for line in said if "largest over all of it" in line), "")
     sizes = [float(each) for each in re.findall(r"S_[IO] (-?[\d.]+) dB", promised)]
-    # About the true machine: the box that was asked for. What the fit does not know is the design's to add.
+    # About the true machine: the box that was stated. The design has to add the errors of the fit.
     sensitivity, error, radius = worst(
         machine, controller, asked_box(), 1 / rate, np.random.default_rng(1000 + number), draws
     )

@@ -49,7 +49,7 @@ PEER_DESIGNS = 12  # bisections of the peer, beside 141 scanned and 13 bisected 
 
 
 def main() -> None:
-    warnings.simplefilter("ignore")  # python-control without slycot says so at every call
+    warnings.simplefilter("ignore")  # python-control without slycot warns at every call
     print(f"{machine()}; one thread; processor time, median (lowest .. highest)\n")
     response = turns({"modal residues": modal_response, "control.frequency_response": peer_response}, 9)
     tracking = turns({"simulate": our_tracking, "control.forced_response": peer_tracking}, 7)
@@ -100,7 +100,7 @@ def write(times: dict[str, list[float]]) -> None:
     (folder / "SOURCE.md").write_text(
         "# Measured times of a response, a simulation, a search and a filter, beside named peers\n\n"
         "Milliseconds of processor time, median, lowest and highest of repeats in turn; written by\n"
-        "`python benchmarks/motion.py --write`, which says what each is. Measured, not computed: another machine\n"
+        "`python benchmarks/motion.py --write`, which describes each. Measured, not computed: another machine\n"
         "gives other times.\n\n"
         f"Machine: {machine()}; other programs were running.\n",
         encoding="utf-8",

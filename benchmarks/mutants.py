@@ -2,10 +2,10 @@
 
 A mutant is the toolbox with one small fault: an operator, a constant or an index changed, two arguments swapped, another
 local returned, a statement left out. It is killed when a test fails that passes without it. Of those that survive it
-prints the place, the old and the new text; each wants a test, or a reason why it changes nothing, which goes into
+prints the place, the old and the new text; each needs a test, or a reason why it changes nothing, which goes into
 `mutating/equivalent.toml`. The tests that execute its line are tried first, in forks of one process
 (`mutating/forked_tests.py`), kernels without compilation; then, of those that are left, the slow tests, and all tests of
-what the forks cannot say, in processes of their own. It works in a copy, `build/mutants`, where `SEED.jsonl` keeps what
+what the forks cannot decide, in separate processes. It works in a copy, `build/mutants`, where `SEED.jsonl` keeps what
 was tried: a run that was stopped goes on, and those that survived are tried again.
 """
 
@@ -97,7 +97,7 @@ def mutants_of(file: str, text: bytes) -> Iterator[Mutant]:
         starts.append(starts[-1] + len(line))
 
     def walk(node, function, place, in_kernel, local, lines):
-        # What is printed, and what types say, is no arithmetic.
+        # Printing and type annotations are not arithmetic.
         if isinstance(node, ast.JoinedStr | ast.Import | ast.ImportFrom):
             return
         if isinstance(node, ast.stmt):
@@ -259,7 +259,7 @@ PYTEST = [
 
 
 def ask_forks(mutants: list[Mutant], answers: Path, limit: float, compiled: bool) -> subprocess.Popen:
-    """A process that adds to `answers` what the tests that are not slow say, in its forks."""
+    """A process that adds to `answers` the results of the tests that are not slow, in its forks."""
     faults = PLACE / f"{'compiled' if compiled else 'plain'}.json"
     described = []
     for each in mutants:
@@ -382,7 +382,7 @@ def main() -> None:
     kept = PLACE / f"{options.seed}.jsonl"
 
     def known() -> dict[str, dict]:
-        """The last answer of each mutant."""
+        """The last result of each mutant."""
         lines = kept.read_text().splitlines() if kept.is_file() else []
         return {answer["mutant"]: answer for answer in map(json.loads, lines)}
 

@@ -52,7 +52,7 @@ def committed() -> str:
     """The commit that is checked out, of which nothing is changed."""
     if (checked_out := commit()) is None:
         raise InputError(
-            "a release is made of a commit, and git knows none here; use a clone of the repository"
+            "a release is made from a commit, and git has none here; use a clone of the repository"
         )
     if changed := sorted(name for name in modified() if not name.startswith("build/")):
         raise InputError(f"{changed[0]} is not committed, and {len(changed)} in all; commit before a release")

@@ -28,7 +28,7 @@ TOLERANCE = 1e-4  # of the search for the smallest level, ours and the peer's
 
 
 def main() -> None:
-    warnings.simplefilter("ignore")  # python-control without slycot says so at every call
+    warnings.simplefilter("ignore")  # python-control without slycot warns at every call
     print(f"{machine()}, slycot: {'yes' if has_slycot() else 'no'}; one thread; processor time, median\n")
     rng = np.random.default_rng(1)
     plant = generalised(rng)

@@ -88,7 +88,7 @@ def main() -> int:
         times = {name: min(float(run(python, "-c", IMPORT % name)) for _ in range(5)) for name in FOLDERS}
         print("import, s: " + ", ".join(f"{name} {time:.3f}" for name, time in times.items()))
         count, lacking, failed = json.loads(run(python, "-c", EXAMPLES % (FOLDERS,)))
-        print(f"{count} examples, {len(lacking)} want an extra ({', '.join(lacking)}), {len(failed)} fail")
+        print(f"{count} examples, {len(lacking)} need an extra ({', '.join(lacking)}), {len(failed)} fail")
         print("".join(failed.values()), end="")
         record = next(RECORD.glob("*.csv"))
         if "data" in given.extras:

@@ -1,1 +1,1 @@
-"""The open contest of observers: machines, uncertainties, entrants, and the referee who runs anybody's observer."""
+"""The open contest of observers: machines, uncertainties, entrants, and the runner of submitted observers."""

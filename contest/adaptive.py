@@ -1,4 +1,4 @@
-"""Entrants that do not trust their measurements: bounded noise, clipped innovations, and late samples."""
+"""Entrants robust against bad measurements: bounded noise, clipped innovations, and late samples."""
 
 import numpy as np
 

@@ -146,7 +146,7 @@ class ScanRecord:
 
     inputs: Float64[np.ndarray, "samples inputs"]  # held until the sample
     measurements: Float64[np.ndarray, "samples outputs"]
-    states: Float64[np.ndarray, "samples states"]  # true, of the modes that the observer knows of first
+    states: Float64[np.ndarray, "samples states"]  # true, those modelled by the observer first
 
 
 def record(machine: Bench) -> ScanRecord:
@@ -216,7 +216,7 @@ def run_scan(scan: Scan, step: Callable) -> np.ndarray:
 def sensitivity_peak(plant: ContestPlant, truth: Truth, ratio: float, run: Callable) -> float:
     """Largest sensitivity at the first controller's input with the observer in the loop; infinite where that runs away.
 
-    A multisine is added to the error, a period to settle and one that is measured; ``run(scan)`` lets an observer run.
+    A multisine is added to the error, a period to settle and one that is measured; ``run(scan)`` runs an observer.
     """
     machine = assemble(plant, truth, ratio, estimated=True)
     phases = np.pi * np.arange(len(LINES)) ** 2 / len(LINES)  # Schroeder's, for a low crest

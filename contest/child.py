@@ -80,7 +80,7 @@ def as_answer(estimate, states: int) -> list[float]:
 
 
 def place(error: BaseException) -> str:
-    """Line of the observer's file that the error came through last; the error may be of the observer's answer."""
+    """Line of the observer's file that the error came through last; the error may be in the observer's output."""
     lines, step = [], error.__traceback__
     while step:
         if step.tb_frame.f_code.co_filename == FILE:
@@ -152,7 +152,7 @@ ARCHITECTURES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 
 
 def _filter(machine: str) -> bytes:
-    """The kernel's program that lets a process make these calls; any other is one that the machine does not have."""
+    """A seccomp filter that allows these system calls; any other fails as if it did not exist."""
     load, equal, above, bit, end = 0x20, 0x15, 0x35, 0x45, 0x06  # of the kernel's filter language
     allow, refuse = 0x7FFF0000, 0x50000
     column = 1 + list(ARCHITECTURES).index(machine)
@@ -177,7 +177,7 @@ def _filter(machine: str) -> bytes:
 
 
 def restrict() -> bool:
-    """Leave this process the system calls of computing: none by which scans could speak to each other or to anybody.
+    """Leave this process the system calls of computing: none by which scans could communicate with each other or with another process.
 
     It may start threads, but no process, whose time might not count. Nothing lifts the filter again; returns whether the
     machine has it.

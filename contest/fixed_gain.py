@@ -27,7 +27,7 @@ def _advance_fixed(data, memory, inputs, measurements, estimates):
             for o in range(len(c)):
                 innovation[o] = measurements[k, o] - plus_row(0.0, c, o, predicted)
             add_product(gain, innovation, x)
-        for i in range(estimates.shape[1]):  # states of a disturbance, last, are not asked for
+        for i in range(estimates.shape[1]):  # states of a disturbance, last, are not needed
             estimates[k, i] = x[i]
 
 
@@ -134,7 +134,7 @@ def guaranteed_cost(
 
     x+ = A x + B (u + w) + D d, with d at most as large as z = K x + G u: derivatives times `size`, in the states'
     deviations. The filter makes the least of :math:`w'Q^{-1}w + v'R^{-1}v + \tau (d'd - z'z)`, with :math:`1/\tau`
-    the `multiplier`: it is that of H-infinity which wants K x, and takes z besides as measured zero, at a negative
+    the `multiplier`: it is that of the H-infinity filter for K x, and takes z besides as measured zero, at a negative
     variance.
     """
     long = recursion(model, noise)

@@ -54,7 +54,7 @@ def _advance_learned(data, memory, inputs, measurements, estimates):
             for m in range(filters):
                 shares[m] = np.exp(plus_row(-4.0 * m, second, m, inner))  # begins near the Kalman filter
                 total += shares[m]
-            # The last output trusts the innovation, less where it is an outlier.
+            # The last output weights the innovation, less where it is an outlier.
             trust = 1 / (1 + np.exp(-3 - plus_row(0.0, second, filters, inner)))
             for m in range(filters):
                 shares[m] /= total

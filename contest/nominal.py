@@ -65,7 +65,7 @@ class TuningParameter(NamedTuple):
 
 
 class CompiledObserver(NamedTuple):
-    """A designed observer: a kernel that takes samples in, what it knows, and what it remembers.
+    """A designed observer: a kernel per sample, its parameters, and its state.
 
     ``advance(data, memory, inputs, measurements, estimates)`` fills one row of `estimates` a sample.
     """

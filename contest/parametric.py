@@ -279,7 +279,7 @@ def parts(
 def considering(
     model: NominalModel, noise: NominalNoise, sample_time: float, deviation: float
 ) -> CompiledObserver:
-    """Schmidt-Kalman filter: the parameters are never estimated, but the states know how uncertain they are."""
+    """Schmidt-Kalman filter: the parameters are never estimated, but their uncertainty enters that of the states."""
     data, memory = parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
     return CompiledObserver(_advance_extended, data, gated(memory))
 

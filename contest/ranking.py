@@ -1,6 +1,6 @@
 """Who stands where: ranks on each machine, intervals over machines and seeds, and how much one machine decides.
 
-A table holds a row for each scan and score and a column for each entrant. `docs/contest.md` says what each number means.
+A table holds a row for each scan and score and a column for each entrant. `docs/contest.md` explains each number.
 """
 
 from collections.abc import Sequence

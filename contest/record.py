@@ -32,7 +32,7 @@ BEFORE, AFTER, FITTED = (
     150,
 )  # samples of a run about its release; of the ringing that the model is fitted to
 FIRST_FITTED = 12  # samples after the release: the hand has left
-CLIPPED = 14.9  # mm, from which on the laser says nothing
+CLIPPED = 14.9  # mm, beyond which the laser measures nothing
 TASKS = {"both sensors": ("capacitive_v", "piezo_v"), "piezo alone": ("piezo_v",)}
 PARTS = {"pushed": slice(0, BEFORE), "ringing": slice(BEFORE, None)}
 LAGS = 25  # samples of each signal in the linear filters

@@ -2,7 +2,7 @@
 
 Where the machine has them (Linux with ``unshare``), the process gets a root folder, processes, network and users of its
 own: it sees Python, its packages and the toolbox, read-only, and no other process; and it may start threads, but no
-process. Elsewhere it is not isolated, and the result says so.
+process. Elsewhere it is not isolated, which the result states.
 """
 
 import base64
@@ -153,7 +153,7 @@ class ExternalObserver:
             start_new_session=True,
         )
         self.reading, self.writing = self.process.stdout.fileno(), self.process.stdin.fileno()
-        os.set_blocking(self.writing, False)  # who answers without reading is not waited for
+        os.set_blocking(self.writing, False)  # an observer that writes without reading is not waited for
         try:
             message = {
                 "content": base64.b64encode(self.content).decode(),
@@ -257,7 +257,7 @@ class ExternalObserver:
         if self.remote:
             return "its connection closes"
         ended, until = None, time.monotonic() + 1.0
-        while ended is None and time.monotonic() < until:  # before it is killed, it may say what ends it
+        while ended is None and time.monotonic() < until:  # before it is killed, it may report its error
             time.sleep(0.01)
             ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG)
         self._end(5.0)
@@ -277,7 +277,7 @@ def _too_long() -> str:
 
 
 def knobs_of(answer) -> tuple[TuningParameter, ...]:
-    """The knobs that an observer's process says its file declares."""
+    """The tuning parameters that an observer's file declares, from its process."""
     try:
         knobs = tuple(TuningParameter(str(name), *map(float, rest)) for name, *rest in answer["knobs"])
     except (TypeError, KeyError, ValueError, OverflowError):

@@ -67,7 +67,7 @@ class Scored(NamedTuple):
 
 
 class Oracle:
-    """Knows the true states."""
+    """Uses the true states."""
 
     def start(self, model, *_) -> None:
         """Begin a scan."""

@@ -63,7 +63,7 @@ def run_contest(
         require_choice("only", name, ENTRANTS)
     require_count("loops", loops or 0, at_least=0)
     for file in files:
-        ExternalObserver(file)  # whoever cannot be read is not waited for
+        ExternalObserver(file)  # an unreadable one is not waited for
     sources = {
         name_of(file): str(file) if name_of(file) == str(file) else str(Path(file).resolve())
         for file in files
@@ -119,7 +119,7 @@ def run_contest(
             rng = np.random.default_rng(hidden_seed(public, "order", plant, first))
             trials.append([(scans[k], settings[scans[k].seed]) for k in rng.permutation(len(scans))])
     order = np.random.default_rng(hidden_seed(public, "order")).permutation(len(trials))
-    # The longest first, so that workers end together; which machine it is on an observer knows anyhow.
+    # The longest first, so that workers end together; an observer is given its machine anyhow.
     order = sorted(order, key=lambda k: -cost_of([scan for scan, _ in trials[k]]))
     running = (submit(contest_trial, trials[k], sources) for k in order)
     done = []
@@ -169,7 +169,7 @@ def _rounded(value):
 
 
 def joined(before: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
-    """Two tables in one: other scans, or other entrants on the same ones; what both hold, the new one says.
+    """Two tables in one: other scans, or other entrants on the same ones; the new one counts where both hold the same.
 
     Times aside, the Kalman filter has to have the same values on the scans that both hold.
     """
@@ -313,10 +313,10 @@ def leaderboard(found: dict, recorded: pd.DataFrame, computed: pd.DataFrame) -> 
     lines = [
         "# The leaderboard of the observer benchmark",
         f"Edition {EDITION}, code `{found['code']}`, public numbers {' and '.join(found['public'])}, which are known: an "
-        "observer from outside is ranked on a number of a beacon. [The data sheet](contest.md) says what each column means, "
+        "observer from outside is ranked on a number of a beacon. [The data sheet](contest.md) explains each column, "
         "how to submit, and what the benchmark does not measure. `python -m contest.table` writes this page.",
         f"Friedman's test: {found['friedman']:.1g}; Nemenyi's critical difference of mean ranks at 5 %: "
-        f"{found['critical difference']:.1f}. Who differ by less are not told apart by thirteen machines.",
+        f"{found['critical difference']:.1f}. Smaller differences are not significant with thirteen machines.",
     ]
     if late:
         lines.append(f"Not in these tables yet, since they entered after them: {', '.join(late)}.")

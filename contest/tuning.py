@@ -1,6 +1,6 @@
 """The official tuner: every entrant's knobs, set by one procedure with one budget on the development set.
 
-``python -m contest.tuning`` tunes ours, and finds the loops that tell observers apart. The development set is public:
+``python -m contest.tuning`` tunes ours, and finds the loops that distinguish observers. The development set is public:
 ``write_development_set`` writes its scans with their truth.
 """
 
@@ -112,7 +112,7 @@ def telling_loops(plant: str, track: str, uncertainties: Iterable[str]) -> list[
 
 
 def scans_of(plant: str, public: str, seed: int) -> list[Scan]:
-    """All scans of one seed on a plant: every uncertainty, and the loops that tell observers apart."""
+    """All scans of one seed on a plant: every uncertainty, and the loops that distinguish observers."""
     loops = read_toml(FILE)["loops"][plant]
     named = {"estimate": UNCERTAINTIES, **loops}
     return [Scan(track, plant, each, public, seed) for track, some in named.items() for each in some]

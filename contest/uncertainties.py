@@ -56,7 +56,7 @@ UNCERTAINTIES: Mapping[str, Uncertainty] = {
 
 
 def hidden_seed(public: str, *names: object) -> int:
-    """Seed that a public number gives; nobody knows it before the number is out, everybody can check it after."""
+    """Seed that a public number gives; unknown before the number is published, and checkable afterwards."""
     text = ":".join(map(str, (public, *names)))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
 

@@ -35,8 +35,8 @@ RESULTS = {
     "HinfSynthesis", "KalmanRecord", "GainProof",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
-# No calls: what hands the parts of a recursion to its kernels, a sample at a time; `run` and the steppers ask before.
-# What a search found, which nobody else makes.
+# No calls: functions that pass parts of a recursion to its kernels, a sample at a time; `run` and the steppers validate before.
+# Results of a search, which are made nowhere else.
 PARTS = {
     "Designed.lines",
     *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
@@ -100,7 +100,7 @@ def _linear_bias(position, velocity, parameters, out):
 
 
 def _whole(package: ModuleType) -> SimpleNamespace:
-    """What all modules of a folder define, handed out by its face or not; a face decides between equal names."""
+    """What all modules of a folder define, in its public API or not; the API decides between equal names."""
     names: dict = {}
     for each in pkgutil.iter_modules(package.__path__):
         module = import_module(f"{package.__name__}.{each.name}")
@@ -498,14 +498,14 @@ refused_as_made: set[str] = set()  # calls that are refused before anything is s
 
 
 def warm() -> None:
-    """Every good call once: it must work, and compiles what it needs before anybody takes the time."""
+    """Every good call once: it must work, and compiles what it needs before times are taken."""
     for name, (function, good) in catalogue().items():
         if name not in REFUSED:
             function(**good)
     for name, (function, good) in behind().items():
         try:
             function(**good)
-        except Exception:  # a case of its own says what it is
+        except Exception:  # a separate case states what it is
             refused_as_made.add(name)
 
 

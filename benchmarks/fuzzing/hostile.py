@@ -6,7 +6,7 @@ import numpy as np
 
 
 def _nonsense(*_, **__) -> str:
-    """A reader's own function that returns what nobody asked for; what it raises would be its own."""
+    """A user's function that returns something unexpected; its exceptions would be its own."""
     return "nonsense"
 
 
@@ -42,7 +42,7 @@ def same(rng: np.random.Generator, value):
 
 
 def wrong(rng: np.random.Generator, value):
-    """A value for the same argument that may be no good at all."""
+    """A value for the same argument that may be invalid."""
     kind = rng.random()
     if kind < 0.25:
         return ODD[rng.integers(len(ODD))]

@@ -82,7 +82,7 @@ def _spoiled(rng, topic: str, file: str) -> bytes:
         tree = _changed(rng, tomllib.loads(source))
         try:
             text = tomlkit.dumps(tree)
-        except Exception:  # what TOML cannot say
+        except Exception:  # what TOML cannot express
             text = source
     data = bytearray(text.encode())
     if rng.random() < 0.3:

@@ -110,7 +110,7 @@ def passes(item: pytest.Item, following: pytest.Item | None) -> bool:
 
 
 def tried(fault: dict, files: dict[Path, list[pytest.Item]]) -> dict:
-    """What the tests say that reach a fault, those of the nearest file first, until one fails or time is up.
+    """Results of the tests that reach a fault, those of the nearest file first, until one fails or time is up.
 
     A failure counts when the test passes without the fault.
     """
@@ -159,7 +159,7 @@ def passes_without(item: pytest.Item) -> bool:
 
 
 def run_until_one_fails(fault: dict | None, chosen: list[tuple[pytest.Item, float]]) -> None:
-    """Say each test as it begins, and how it ended: a test that takes far too long ends the process."""
+    """Report each test as it begins, and how it ended: a test that takes far too long ends the process."""
     if fault is not None and not put(fault):
         say("not put")
         return

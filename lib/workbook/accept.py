@@ -1,7 +1,7 @@
 """Copies a build into the tree: figures and claims, outputs into the notebooks, and what follows from them.
 
 What agrees with the committed results keeps its committed bytes, so an accept that moves nothing changes nothing.
-What somebody changes in the tree meanwhile stays: accepting writes only what it changed itself, and nothing at all
+Concurrent changes in the tree are kept: accepting writes only its own changes, and nothing
 where that is no longer what it read (`workbook.publish.replace_all`).
 """
 
@@ -22,7 +22,7 @@ from workbook.publish import RECORD, Edited, read_record, replace_all, replace_f
 from workbook.tasks import DURATIONS, Task, durations, tasks, updated_durations
 
 FOLDERS = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
-OWN = (".png", ".csv", ".json")  # what builds write there; anything else is somebody's
+OWN = (".png", ".csv", ".json")  # what builds write there; anything else is not theirs
 
 
 def accept(refresh: Callable[[], object]) -> int:
@@ -133,7 +133,7 @@ def _committed(folder: Path) -> dict[str, bytes]:
 
 
 def _unless_gone(error: OSError) -> None:
-    """Of a folder that the disk does not list nobody knows what it holds."""
+    """The content of a folder that cannot be listed is unknown."""
     if not isinstance(error, FileNotFoundError):
         raise error
 

@@ -48,7 +48,7 @@ def build_figures(
     force : bool
         Build what is fresh, too.
     why : bool
-        Only say what would be built, and why.
+        Only list what would be built, and why.
     """
     wanted = tasks(*targets, settings=settings)
     if why:
@@ -159,7 +159,7 @@ def _close(failures: list[tuple[Task, Failure]], stale: int, fresh: int, caught:
 
 
 def _compare(wanted: list[Task]) -> None:
-    """Say how the results agree with the committed ones, and where they are."""
+    """Report how the results agree with the committed ones, and where they are."""
     from workbook.compare import compare, summary
 
     # Nothing of a new notebook can have moved.
@@ -171,7 +171,7 @@ def _compare(wanted: list[Task]) -> None:
 
 
 def _print_summary(variants: list[Task]) -> None:
-    """Say where variants are and how they differ from the published settings."""
+    """Report where variants are and how they differ from the published settings."""
     from workbook.variants import difference
 
     for task in variants:

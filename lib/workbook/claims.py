@@ -45,7 +45,7 @@ class Tolerance:
             raise InputError("tolerance: give exactly one of relative, absolute and interval")
         require_number("tolerance", next(r for r in rules if r is not None), at_least=0)
         if not isinstance(self.source, str) or not self.source:
-            raise InputError("tolerance: say in source where it comes from")
+            raise InputError("tolerance: state in source where it comes from")
 
     def allows(self, published: float, ours: float, interval: tuple[float, float] | None) -> bool:
         if self.interval is not None:
@@ -59,7 +59,7 @@ class Tolerance:
         return self.absolute if self.relative is None else self.relative * abs(value)
 
 
-# How far a rebuilt value may lie from the accepted one, where the entry says nothing else.
+# How far a rebuilt value may lie from the accepted one, unless the entry states otherwise.
 DRIFT = Tolerance("room for the rounding of another machine, far below any tolerance in use", relative=1e-3)
 
 
@@ -96,7 +96,7 @@ class Entry:
     better : str or None
         ``larger`` or ``smaller`` where a value on that side of the published one is better.
     counterfactual : bool
-        Whether it tells of something that the work did not do, e.g. its filter corrected.
+        Whether it is a case that the paper did not run, e.g. with its filter corrected.
     headline : bool
         Whether the page of its notebook begins with it.
     expected : float or None
@@ -144,7 +144,7 @@ class Entry:
         if self.drift.interval is not None:
             raise InputError(f"{self.id}: drift takes relative or absolute, not interval")
         if self.kind == "reported" and not self.reason:
-            raise InputError(f"{self.id}: say in reason why it is not judged")
+            raise InputError(f"{self.id}: state in reason why it is not judged")
         self._require_threshold()
         if self.open and not self.open.startswith("none: "):
             raise InputError(
@@ -439,7 +439,7 @@ def _rounded(value: float) -> float:
 def ledger(figures: Path | None = None, topic: str | None = None) -> list[Claim]:
     """The whole ledger: every entry with what the built notebooks found.
 
-    A value without the interval that its entry asks for is none: it was found before the entry asked.
+    A value without the interval that its entry requires does not count: it is older than that requirement.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """How far a build's results lie from the committed ones: tables, pictures, claims and printed text.
 
 On another processor, or with another C library, the last bits of a number differ. What agrees within the
-tolerances here is the same result; each says where it comes from.
+tolerances here is the same result; each states where it comes from.
 """
 
 import itertools
@@ -108,7 +108,7 @@ def compare(task: Task) -> Comparison:
 
 
 def summary(found: list[Comparison]) -> list[str]:
-    """What a person is told at the end of a build."""
+    """What is printed at the end of a build."""
     lines = []
     for each in found:
         what = [f"figure {name}" for name in each.files] + [f"cell {name}" for name in each.cells]
@@ -220,7 +220,7 @@ def same_picture(now: bytes, before: bytes, shade: int = SHADE) -> bool:
 
     try:
         shades = [np.atleast_3d(imread(io.BytesIO(each)))[..., :3] for each in (now, before)]
-    except (OSError, SyntaxError, ValueError):  # what Pillow says of a damaged file
+    except (OSError, SyntaxError, ValueError):  # what Pillow raises for a damaged file
         return False
     if shades[0].shape != shades[1].shape:
         return False
@@ -290,13 +290,13 @@ def distance(now: np.ndarray, before: np.ndarray) -> float:
 def apart(now: np.ndarray, before: np.ndarray) -> float:
     """Largest distance of a point of either line from the other line, as a part of the committed one's range.
 
-    A table does not say whether an axis was logarithmic; the scale in which the lines are closest counts.
+    A table does not state whether an axis was logarithmic; the scale in which the lines are closest counts.
     """
     found = []
     for scales in itertools.product((np.array, np.log), repeat=2):
         with np.errstate(divide="ignore", invalid="ignore"):
             first, second = (np.c_[scales[0](line[:, 0]), scales[1](line[:, 1])] for line in (now, before))
-        # On a scale on which a point has no place (the logarithm of zero) nothing can be said.
+        # On a scale on which a point has no place (the logarithm of zero) nothing can be compared.
         if all(
             np.isfinite(each).sum() == np.isfinite(raw[:, :2]).sum()
             for each, raw in ((first, now), (second, before))

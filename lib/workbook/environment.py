@@ -49,7 +49,9 @@ def doctor() -> int:
     pinned = len(pins())
     print(f"pins     {pinned - len(wrong)} of {pinned} packages as in environment.txt")
     if wrong:
-        print("Mend it: remove .venv and run make again, or install with the pip command in the Makefile.")
+        print(
+            "To repair it: remove .venv and run make again, or install with the pip command in the Makefile."
+        )
     return int(bool(wrong))
 
 

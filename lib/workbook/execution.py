@@ -35,7 +35,7 @@ class Job:
     Attributes
     ----------
     build : str
-        Which build asks; `stop` ends all its kernels.
+        The build that runs it; `stop` ends all its kernels.
     notebook, source : str
         Name ``topic/nn-result`` and the file's text.
     settings : dict
@@ -123,7 +123,7 @@ def sweep() -> None:
                 with (folder / LOCK).open() as lock:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     shutil.rmtree(folder, ignore_errors=True)
-        except OSError:  # in use, gone meanwhile, or somebody else's
+        except OSError:  # in use, gone meanwhile, or owned by another user
             continue
 
 
@@ -180,7 +180,7 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: ForkSe
         )
     except PapermillExecutionError as error:
         message = f"{error.ename}: {error.evalue}".strip().splitlines()[-1]
-        # Wrong input says itself what to do; where it was refused deep in the library tells its reader nothing.
+        # The message of wrong input states what to do; the place in the library where it was refused does not help.
         traceback = "" if error.ename == "InputError" else "\n".join(error.traceback)
         return Outcome(failure=Failure(_where(begun), message, traceback))
     except DeadKernelError:

@@ -35,7 +35,7 @@ def new(rows: int = 1, columns: int = 1, height: float | None = None, **options)
     rows, columns : int
         Grid of axes.
     height : float, optional
-        Inches; by default 2.4 a row plus room for the labels.
+        Inches; by default 2.4 per row plus space for the labels.
     **options
         Passed to `matplotlib.figure.Figure.subplots` (``sharex``, ``squeeze``, ``gridspec_kw``, ...).
     """

@@ -1,4 +1,4 @@
-"""What a notebook's page says first: a few claims, what was published and what we find, from the ledger alone."""
+"""The head of a notebook's page: a few claims, what was published and what we find, from the ledger alone."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -103,7 +103,7 @@ def headlines(
     said: Sequence[str] = (),
     first_figure: str = "",
 ) -> list[Headline]:
-    """At most `MOST` claims of one notebook: those that the ledger marks; without such what the paper says of itself
+    """At most `MOST` claims of one notebook: those that the ledger marks; without such the paper's own claims
     first, then those of the page's first figure, then the others, what is judged first.
 
     Parameters
@@ -112,7 +112,7 @@ def headlines(
         Of the notebook, in the ledger's order.
     robustness : mapping of str to Robustness
     said : sequence of str
-        Entries that the paper says first, see `said_first`.
+        The paper's own headline entries, see `said_first`.
     first_figure : str
         Name of the page's first figure, as the second part of an id has it.
     """
@@ -128,7 +128,7 @@ def headlines(
 
 
 def said_first(topic: str) -> list[str]:
-    """Entries that ``paper.toml`` names as what the paper says of itself."""
+    """Entries that ``paper.toml`` names as the paper's own claims."""
     file = paths.data(topic, "paper.toml")
     given = read_toml(file) if file.is_file() else {}
     return [

@@ -1,4 +1,4 @@
-"""Figures that carry the style of the house: matplotlib's settings change while one is made or drawn, no longer."""
+"""Figures that carry the workbook's style: matplotlib's settings change while one is made or drawn, no longer."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from workbook.palette import COLOURS, STYLE
 
 _SETTINGS = dict(RcParams({**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}))
-# matplotlib asks whether a class has others than its own.
+# matplotlib tests whether a class has others than its own.
 _KEPT = ("get_data_ratio", "get_cursor_data", "cla")
 _LOGARITHMIC = {"semilogx": "x", "semilogy": "y", "loglog": "xy"}  # methods, and the axes that they make so
 _inside = False  # the settings are one for the process, and so is this
@@ -19,7 +19,7 @@ _inside = False  # the settings are one for the process, and so is this
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """matplotlib's settings as the figures of the house have them, and after it as they were before."""
+    """matplotlib's settings of the workbook's figures; afterwards those from before."""
     global _inside
     if _inside:
         yield
@@ -72,7 +72,7 @@ def _dressed(kind: type) -> type:
 
 
 class HouseFigure(_dressed(Figure)):
-    """A figure in the style of the house, as is each panel that it is given: by `subplots`, `twinx` or a colour bar."""
+    """A figure in the workbook's style, as is each panel that it is given: by `subplots`, `twinx` or a colour bar."""
 
     def add_subplot(self, *arguments, **options):
         return _dress(super().add_subplot(*arguments, **options))

@@ -63,7 +63,7 @@ def read_inputs(log: Path) -> dict[str, str]:
     Raises
     ------
     ValueError
-        When the log is not there or is damaged: then nobody knows.
+        When the log is missing or damaged: then the inputs are unknown.
     """
     try:
         lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
@@ -190,11 +190,11 @@ def ledger_inputs(topic: str) -> dict[str, str]:
         return {}
 
 
-@lru_cache(maxsize=32)  # every notebook of a topic asks; parsing takes 20 ms
+@lru_cache(maxsize=32)  # needed by every notebook of a topic; parsing takes 20 ms
 def _entries(topic: str, text: bytes) -> dict[str, str]:
     try:
         tree = tomllib.loads(text.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError):  # the notebooks will say what is wrong with it
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):  # the notebooks will report what is wrong with it
         return {f"{LEDGER}{topic}": digest(text)}
     found = {}
 

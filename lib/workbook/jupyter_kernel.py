@@ -60,7 +60,7 @@ def kernel_environment(folder: Path, output: Path) -> dict[str, str]:
 
 
 def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: ForkServer | None = None):
-    """A class of managers for one kernel, as nbclient wants it: it knows no other way in for the settings.
+    """A class of managers for one kernel, as nbclient requires: it has no other way to pass the settings.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Fo
 
         async def _async_is_alive(self) -> bool:
             # Where the file of its sockets was removed, so were they perhaps, and a kernel that is starting writes the
-            # file again without them: nobody could reach it.
+            # file again without them: it could not be reached.
             return stamp(connection) == Kernel.written and await super()._async_is_alive()
 
         is_alive = _async_is_alive

@@ -5,7 +5,7 @@ library's own modules first of all, is written down as it is opened, with a dige
 
 ``kernel_process.py kernel LOG -f CONNECTION_FILE`` becomes a kernel. ``kernel_process.py warm SOCKET`` imports what
 is slow to import and nothing of the workbook, then forks a kernel for each line of JSON that comes in by the
-inherited socket, and tells how each one ended.
+inherited socket, and reports how each one ended.
 """
 
 import contextlib
@@ -85,9 +85,9 @@ class IgnoredPaths:
         yield from (sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "include"))
         yield from self._packages()
         # The system's libraries, time zones and settings, another on each worker: what of them moves numbers is
-        # pinned (`pinned.env`). What somebody put into /usr/local or /opt is not the system's.
+        # pinned (`pinned.env`). What was put into /usr/local or /opt is not part of the system.
         yield from ("/etc", "/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/share", "/Library", "/System")
-        # What the system says of itself at this moment, devices, and memory that processes share until they end.
+        # The system's present state, devices, and memory that processes share until they end.
         yield from ("/dev", "/proc", "/sys")
         # The kernel's own folder: its connection file, IPython's settings and history, temporary files, results.
         yield os.path.dirname(log)
@@ -234,7 +234,7 @@ def _searches(frame: types.FrameType | None) -> bool:
 
 
 def _stamp(path: str) -> tuple | None:
-    """What tells a file's states apart; None where there is none.
+    """What distinguishes a file's states; None if there is none.
 
     Raises
     ------
@@ -285,7 +285,7 @@ def compile_sources(left_out: IgnoredPaths) -> None:
 
 
 def kernel(log: str, *options: str) -> None:
-    """Serve a notebook until it says that it is done."""
+    """Serve a notebook until it reports that it is done."""
     folder = os.path.dirname(log)
     try:
         left_out = IgnoredPaths(log)
@@ -299,12 +299,12 @@ def kernel(log: str, *options: str) -> None:
     except Exception:
         if os.path.isdir(folder):
             raise
-        sys.exit(1)  # the driver tells that the folder was removed
+        sys.exit(1)  # the driver reports that the folder was removed
 
 
 def warm(descriptor: int) -> None:
     """Fork kernels on demand until the other end of the socket closes; then end them all."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends without a word, the driver tells
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends without a message, the driver reports it
     for name in SLOW:
         importlib.import_module(name)
     _first_use()
@@ -329,7 +329,7 @@ def warm(descriptor: int) -> None:
 
 
 def _serve(driver: socket.socket, woken: int, wake: int, running: set[int]) -> None:
-    """Fork and tell until the driver closes its end; `running` are the kernels that have not ended."""
+    """Fork and report until the driver closes its end; `running` are the kernels that have not ended."""
     pending = b""
     while True:
         ready, _, _ = select.select([driver, woken], [], [])

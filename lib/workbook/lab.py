@@ -31,7 +31,7 @@ def keep_committed_form(*, path: str, model: dict, contents_manager, **_) -> Non
     """Bring a notebook that is about to be saved into the form in which it is committed.
 
     It is for the workbook's notebooks that the last commit holds; all else is saved as it is. Bad content raises:
-    the server then says so in its log and goes on with what it was given.
+    the server then logs it and continues with what it was given.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ def held(name: str, refusal: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def unwound() -> Iterator[None]:
-    """Let a signal that asks to end do so as an exception does, so that what lies about is cleared away."""
+    """Turn a signal to terminate into an exception, so that temporary files are removed."""
 
     def leave(number: int, _frame) -> None:
         raise SystemExit(128 + number)

@@ -34,7 +34,7 @@ def pytest_configure(config):
 
 
 def pytest_collect_file(file_path, parent):
-    """A notebook whose turn it is, or None where nbval is not wanted."""
+    """A notebook whose turn it is, or None if nbval is not used."""
     if parent.config.option.nbval and file_path.suffix == ".ipynb" and _has_turn(file_path, parent.config):
         return ComparedNotebook.from_parent(parent, path=file_path)
 

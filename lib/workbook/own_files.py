@@ -29,7 +29,7 @@ def model_file(path: Path) -> Iterator[str]:
         shown = f"table of {', '.join(value)}" if isinstance(value, dict) else repr(value)
         yield f"  {name}: {shown}"
     if not in_checkout():
-        yield "whether it is a machine of the workbook, a checkout of stillwork can tell: run this there"
+        yield "run this in the cloned repository to check whether it is a machine of the workbook"
         return
     lacking, known = {}, machines()
     for topic, (reader, _) in known.items():
@@ -54,7 +54,7 @@ def model_file(path: Path) -> Iterator[str]:
 
 
 def _takers(path: Path, topic: str) -> Iterator[str]:
-    """The command for each notebook of a topic with a parameter whose comment asks for the path of a TOML file."""
+    """The command for each notebook of a topic with a parameter that is the path of a TOML file by its comment."""
     for notebook in select(topic):
         for name, comment in comments(notebook).items():
             if re.search(r"\bpath\b.*\bTOML\b", comment):
@@ -72,7 +72,7 @@ def command(purpose: str, words: list[str]) -> str:
     for word in words:
         if not word.isprintable():  # a terminal acts on a control code that is pasted, quoted or not
             held = word.partition("=")[2] or word
-            return f"no command {purpose if purpose.startswith('for ') else 'for ' + purpose}: {held} holds what cannot be typed; rename it and ask again"
+            return f"no command {purpose if purpose.startswith('for ') else 'for ' + purpose}: {held} holds characters that cannot be typed; rename it and run this again"
     return f"{purpose}: {shlex.join(['python', '-m', 'stillwork', *words])}"
 
 

@@ -85,7 +85,7 @@ class Page:
             for series, why in rounding.items():
                 require_choice("rounding", series, drawn)
                 if not isinstance(why, str) or not why.strip():
-                    raise InputError(f"rounding: say why {series!r} is rounding")
+                    raise InputError(f"rounding: state why {series!r} is rounding")
         saved = save(figure, paths.output(self.notebook) / name)
         if rounding:
             self._rounding[name] = dict(rounding)
@@ -118,6 +118,6 @@ class Page:
 
 
 def _in_jupyter() -> bool:
-    """Whether a kernel of Jupyter runs this; a build's kernels are told apart by `paths.in_batch`."""
+    """Whether a kernel of Jupyter runs this; `paths.in_batch` marks those of a build."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     return hasattr(shell, "kernel")

@@ -1,6 +1,6 @@
 """Colours and settings of the figures."""
 
-# Okabe and Ito's palette: told apart by colour-blind readers, and in grey by lightness.
+# Okabe and Ito's palette: distinguished by colour-blind readers, and in grey by lightness.
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     "#000000",
     "#E69F00",

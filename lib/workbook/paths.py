@@ -53,7 +53,7 @@ def rooted(folder: Path) -> Iterator[None]:
 def topics() -> tuple[str, ...]:
     """The topics, which are the folders of ``data/`` with a ledger, by the `order` in their ``paper.toml``, then by name.
 
-    It reads what belongs to every topic. What a notebook calls asks `require_topic`, which reads nothing: else a topic
+    It reads what belongs to every topic. What a notebook calls uses `require_topic`, which reads nothing: else a topic
     that is added would make the results of the others stale.
     """
     there = [file.parent.name for file in (root() / "data").glob("*/published.toml")]
@@ -86,7 +86,7 @@ def data(topic: str, name: str = "") -> Path:
 
 
 def own_settings() -> dict:
-    """What ``[tool.workbook]`` of pyproject.toml says; nothing without."""
+    """``[tool.workbook]`` of pyproject.toml; empty if it is missing."""
     file = root() / "pyproject.toml"
     return read_toml(file).get("tool", {}).get("workbook", {}) if file.is_file() else {}
 

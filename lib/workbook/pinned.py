@@ -1,6 +1,6 @@
-"""The settings of processor and process under which numbers are made; `pinned.env` says each one's reason.
+"""The settings of processor and process under which numbers are made; `pinned.env` states the reason of each.
 
-Of the other variables of the environment `variables.toml` says which are cleared and which are inputs.
+Of the other variables of the environment `variables.toml` states which are cleared and which are inputs.
 """
 
 import os
@@ -45,7 +45,7 @@ def settings() -> dict[str, str]:
 
 @cache
 def variables() -> dict[str, dict[str, str]]:
-    """What `variables.toml` says of the environment: by treatment, then by beginning of the name, the reason."""
+    """The environment by `variables.toml`: by treatment, then by beginning of the name, the reason."""
     return tomllib.loads(VARIABLES.read_text(encoding="utf-8"))
 
 

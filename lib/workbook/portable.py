@@ -84,7 +84,7 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
     processor : str
         Of the stand-ins those with this in their name.
     sample : bool
-        Where nothing else is said, a few notebooks under two stand-ins.
+        Without targets, a few notebooks under two simulated processors.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
 
 
 def _build(processor: Processor, names: tuple[str, ...]) -> tuple[list[Comparison], int]:
-    """How the results compare, and the exit code of the build; it tells of itself."""
+    """How the results compare, and the exit code of the build, which prints its own messages."""
     folder = paths.root() / "build" / "portable" / "".join(c if c.isalnum() else "-" for c in processor.name)
     variables = {
         **os.environ,

@@ -14,7 +14,7 @@ from stillwork.base.checks import InputError
 
 RECORD = "record.json"
 
-# What an error says of a path that holds no file. Any other (too many open files, a disk that fails) says nothing of it.
+# Errors that mean that a path holds no file. Others (too many open files, a failing disk) do not.
 NO_FILE = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 
 
@@ -69,7 +69,7 @@ def read_record(target: Path) -> tuple[dict[str, str], list[str]] | None:
     Raises
     ------
     OSError
-        When the disk does not say.
+        When the disk cannot be read.
     """
     if (text := _content(target / RECORD)) is None:
         return None if _mode(target) is None else ({}, ["its record is missing"])
@@ -144,7 +144,7 @@ def replace_file(target: Path, content: bytes) -> None:
 
 
 def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]]) -> None:
-    """Change many files below `root` as one, unless somebody else has changed one of them.
+    """Change many files below `root` as one, unless another process has changed one of them.
 
     All are written beside their places before the first is put in its own, so that a full disk changes nothing. What
     stands in a place is looked at until just before it is replaced; where that is not what it should be, or an error
@@ -162,7 +162,7 @@ def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]
     OSError
         When the disk refuses; nothing was changed.
     Edited
-        When somebody else changed a file; nothing else was.
+        When another process changed a file; then none was changed.
     InputError
         When the disk refuses to take back, too.
     """
@@ -214,7 +214,7 @@ def _take_back(root: Path, name: str, before: bytes | None, after: bytes | None)
 
 
 class Edited(InputError):
-    """Somebody else changed what was to be replaced."""
+    """Another process changed what was to be replaced."""
 
     def __init__(self, names: list[str]):
         shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

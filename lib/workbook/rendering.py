@@ -16,7 +16,7 @@ def pixels(figure, dpi: float) -> np.ndarray:
     """The picture of a figure, as `matplotlib.figure.Figure.savefig` draws it; the figure stays as it is.
 
     `savefig` draws twice where a figure has a layout engine, the first time to find the layout alone. Here the
-    engine is asked directly.
+    engine is called directly.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def pixels(figure, dpi: float) -> np.ndarray:
 
 @contextmanager
 def _text_named(figure) -> Iterator[None]:
-    """Formulas are read only when they are set: say which text it is that could not be."""
+    """Formulas are read only when they are set: report which text could not be read."""
     try:
         yield
     except ValueError:
@@ -113,7 +113,7 @@ def _places(figure) -> Iterator[None]:
     margins = [(each.subplotpars, dict(vars(each.subplotpars))) for each in figures]
     titles = [(text, text.get_position()) for each in figures for text in each.texts]
     places = [
-        # Where a locator put it last; without one a panel finds its place from the original one when asked.
+        # Where a locator put it last; without one a panel finds its place from the original one when drawn.
         (each, each.get_in_layout(), each.get_position(True), each.get_position(not each.get_axes_locator()))
         for each in panels
     ]
@@ -134,7 +134,7 @@ def _places(figure) -> Iterator[None]:
 
 @contextmanager
 def ticks_once(figure) -> Iterator[None]:
-    """Place ticks and measure their labels once for each view and place of a panel: a layout asks a dozen times."""
+    """Place ticks and measure their labels once for each view and place of a panel: a layout needs them a dozen times."""
     every = [axis for axes in figure.axes for panel in (axes, *axes.child_axes) for axis in _axes_of(panel)]
     for axis in every:
         ticks = _Ticks(axis)
@@ -147,7 +147,7 @@ def ticks_once(figure) -> Iterator[None]:
 
 
 class _Ticks:
-    """What an axis told of its ticks, for as long as it would say the same."""
+    """An axis's ticks, for as long as they are the same."""
 
     def __init__(self, axis):
         self._axis, self._update, self._measure = axis, axis._update_ticks, axis._get_ticklabel_bboxes
@@ -218,7 +218,7 @@ class RememberingRenderer(RendererAgg):
         self._texts = {}
 
     def draw_text(self, gc, x, y, s, prop, angle, ismath=False, mtext=None):
-        # matplotlib 3.11's words for a font, which 3.10 does not know
+        # matplotlib 3.11's words for a font, which 3.10 lacks
         words = [getattr(mtext, name, tuple)() for name in ("get_fontfeatures", "get_language")]
         text = (x, y, s, hash(prop), *words, angle, ismath, gc.get_antialiased())
         glyphs = self._texts.get(text)
@@ -239,7 +239,7 @@ class RememberingRenderer(RendererAgg):
 
 
 class _Noting:
-    """Agg, and the glyphs that it was told to draw; None with the bar of a fraction or a root among them."""
+    """Agg, and the glyphs that it has drawn; None with the bar of a fraction or a root among them."""
 
     def __init__(self, kernel):
         self._kernel, self.glyphs = kernel, []

@@ -96,7 +96,7 @@ def tasks(*targets: str, settings: dict[str, str] | None = None) -> list[Task]:
 
 
 def durations() -> dict[str, float]:
-    """Seconds of the clock by notebook, so that a build begins with the longest; none where nobody can read them."""
+    """Seconds of the clock by notebook, so that a build begins with the longest; none if unreadable."""
     try:
         noted = json.loads((paths.root() / DURATIONS).read_text(encoding="utf-8"))
         return {name: float(seconds) for name, seconds in noted.items()}

@@ -95,4 +95,4 @@ def _machine(table: Path) -> str:
     source = table.parent / "SOURCE.md"
     if found := re.search(r"^Machine: (.+)$", source.read_text(encoding="utf-8"), re.MULTILINE):
         return found[1].rstrip(".")
-    raise InputError(f"{source} has no line 'Machine: ...'; say where the times were taken")
+    raise InputError(f"{source} has no line 'Machine: ...'; state where the times were measured")

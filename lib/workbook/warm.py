@@ -20,7 +20,7 @@ START_S = 60.0  # longer than the slowest import seen
 
 
 class ForkedKernel:
-    """A forked kernel, as `subprocess.Popen` shows a process; its parent is the warmed process, which tells its end."""
+    """A forked kernel, as `subprocess.Popen` shows a process; its parent is the warmed process, which reports its end."""
 
     stdin = stdout = stderr = None
 
@@ -143,7 +143,7 @@ class ForkServer:
 
 @contextlib.contextmanager
 def warmed(wanted: bool) -> Iterator[ForkServer | None]:
-    """Yields a warmed process for kernels, or None where it is not wanted or a fork is not safe."""
+    """Yields a warmed process for kernels, or None if it is not used or a fork is not safe."""
     if not wanted or sys.platform != "linux":
         yield None
         return

@@ -11,7 +11,7 @@ from stillwork.base.checks import InputError
 from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
 from workbook.pinned import environment
 
-ANSWER_S = 5.0  # within which a scheduler answers
+ANSWER_S = 5.0  # within which a scheduler responds
 
 
 def cores() -> int:
@@ -25,14 +25,14 @@ def client_of(address: str):
     Raises
     ------
     InputError
-        When no scheduler answers at `address`.
+        When no scheduler responds at `address`.
     """
     from distributed import Client
 
     try:
         return Client(address, timeout=ANSWER_S)
     except (OSError, ValueError) as error:
-        raise InputError(f"scheduler {address!r} does not answer ({error}); give host:port") from None
+        raise InputError(f"scheduler {address!r} does not respond ({error}); give host:port") from None
 
 
 @contextlib.contextmanager

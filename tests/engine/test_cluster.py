@@ -115,4 +115,4 @@ def test_a_scheduler_that_does_not_answer(toy, monkeypatch, capsys):
     monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
     monkeypatch.setattr(workers, "ANSWER_S", 0.2)
     assert main(["figures", "--scheduler", "tcp://127.0.0.1:1"]) == 2
-    assert "scheduler 'tcp://127.0.0.1:1' does not answer" in capsys.readouterr().err
+    assert "scheduler 'tcp://127.0.0.1:1' does not respond" in capsys.readouterr().err

@@ -145,7 +145,7 @@ def test_what_is_missing_is_asked(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("builtins.input", lambda question: (print(question), next(answers))[1])
     assert main(["report", "a.csv"]) == 0
     said = capsys.readouterr().out
-    assert "its rate in Hz" in said and "the unit of a" in said and "written: a.csv.html" in said
+    assert "the rate in Hz" in said and "the unit of a" in said and "written: a.csv.html" in said
 
 
 def test_an_end_of_the_input_is_no_answer(tmp_path, monkeypatch, capsys):

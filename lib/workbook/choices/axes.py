@@ -35,7 +35,7 @@ class Axis:
     default : str, int, float or bool
         The option that the notebooks take; a study whose notebook takes another has its own.
     source : str
-        What the source says, and why each option can be defended.
+        What the source states, and why each option can be defended.
     touches : tuple of str
         Entries of the ledger, or first parts of their ids, that may depend on the choice.
     kind : str
@@ -121,7 +121,7 @@ class Multiverse:
     seeded : bool
         Whether an axis lists the seeds; otherwise the study is taken as one that needs none.
     touched : dict of str to frozenset of str
-        For each entry the names of the axes that say that they touch it.
+        For each entry the names of the axes declared to touch it.
     lean : str
         What the lean form of the study leaves out and what difference that makes; empty without a lean form.
     points : int

@@ -1,6 +1,6 @@
 """Whether committed values still come out: some of each study's runs are computed again, others each day.
 
-The runs of a study are dealt into `DAYS` parts. A day takes one part, or as many as ``STILLWORK_SAMPLE`` says, so that
+The runs of a study are dealt into `DAYS` parts. A day takes one part, or as many as ``STILLWORK_SAMPLE`` states, so that
 all come round in `DAYS` days or sooner. A value has moved when it differs by more than its entry's `drift`.
 """
 
@@ -38,7 +38,7 @@ def today() -> int:
 
 
 def parts_a_day() -> int:
-    """As the environment says; 1 where it says nothing."""
+    """From the environment; 1 by default."""
     text = os.environ.get(SAMPLE, "1")
     if not text.isdecimal():
         raise InputError(f"{SAMPLE} is {text!r}; give a whole number, 1 to {DAYS}")
@@ -142,7 +142,7 @@ def note(multiverse: Multiverse, moved: Iterable[At]) -> None:
 
 
 def forget(multiverse: Multiverse) -> None:
-    """All was computed: what came of samples before says nothing any more."""
+    """All was computed: earlier samples no longer count."""
     _record(multiverse).unlink(missing_ok=True)
 
 
@@ -162,7 +162,7 @@ def is_older(outcomes: Outcomes) -> bool:
 
 
 def age(outcomes: Outcomes) -> str:
-    """What is to be said of results that older code gave; empty for those of the code as it is."""
+    """A note on results of older code; empty for those of the present code."""
     if not is_older(outcomes):
         return ""
     record = _noted(outcomes.multiverse)
@@ -183,7 +183,7 @@ def _noted(multiverse: Multiverse) -> dict:
 
 
 def _record_of(multiverse: Multiverse) -> dict:
-    """What was noted last; empty without, or where nobody can read it."""
+    """The last note; empty if there is none or it is unreadable."""
     try:
         record = json.loads(_record(multiverse).read_text(encoding="utf-8"))
         moved = [(int(point), int(seed)) for point, seed in record["moved"]]

@@ -21,7 +21,7 @@ OWN_RESULTS = ("paper.toml", "published.toml", "choices.toml", "choices.csv")
 def study_digest(function: str, topic: str) -> str:
     """Digest of the code of ``package.module:function``, or of a notebook's cells, of all it imports, and of the topic's data.
 
-    The ledger and the combinations are left out: they say what is asked for, not what comes out.
+    The ledger and the combinations are left out: they state what is computed, not what comes out.
     """
     lines = [function]
     if "/" in function:

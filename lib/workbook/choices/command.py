@@ -1,4 +1,4 @@
-"""``python -m stillwork choices``: run what is missing, keep the results, say how every entry stands."""
+"""``python -m stillwork choices``: run what is missing, keep the results, report the robustness of every entry."""
 
 import contextlib
 import math
@@ -92,7 +92,7 @@ def compute_choices(
 
 
 def _executor(stack: contextlib.ExitStack, jobs: int | None, scheduler: str | None):
-    """What makes an executor, and how many combinations to hand out at a time: one waits behind each that runs."""
+    """What makes an executor, and how many combinations to submit at a time: one waits behind each that runs."""
     if scheduler is None:
         jobs = jobs or cores()
         return (lambda: processes(jobs)), 2 * jobs
@@ -149,7 +149,7 @@ def _unmoved(topic: str, multiverses: list[Multiverse], run, journal: Journal) -
         if not has_moved(each.multiverse):
             (older if is_older(each) else kept).append(each)
         elif not is_older(each):
-            # Not the code changed, but what it runs on: what it gave before is no answer.
+            # Not the code changed but the system it runs on: earlier results do not count.
             for call in calls_of(each.multiverse).values():
                 journal.found.pop(call.key, None)
 
@@ -195,7 +195,7 @@ def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Rob
     lines = table(rows, width)
     for name, standing in standings.items():
         for axis in standing.undeclared:
-            lines.append(f"{name} moves with {axis}, which does not say that it touches it")
+            lines.append(f"{name} moves with {axis}, which is not declared to touch it")
     for name, standing in standings.items():
         if standing.differs:
             lines.append(
@@ -212,7 +212,7 @@ def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Rob
 
 
 def judged(topic: str) -> dict[str, Robustness]:
-    """Robustness of the entries of a topic by its committed results, by id; nothing is said of the code's age."""
+    """Robustness of the entries of a topic by its committed results, by id; without notes on the code's age."""
     axes, multiverses = load_axes(topic)
     return _judged(topic, read_results(multiverses), axes)
 

@@ -134,7 +134,7 @@ class Robustness:
         """Wilson's interval of the share over distinct settings; several seeds at one are no further settings."""
         if self.share is None:
             return None
-        from workbook.studies import proportion_interval  # whose scipy only who asks for it waits for
+        from workbook.studies import proportion_interval  # imported here, since scipy is slow to import
 
         settings = int((~self.failed).any(axis=1).sum())
         independent = settings if settings > 1 else self.tried
@@ -221,7 +221,7 @@ def judge(
     axes : dict of str to Axis
         By name, as declared.
     claims : mapping of str to Claim
-        What the ledger has found; the default combination takes it over, so that it has one answer.
+        The ledger's values; the default combination uses them, so that it has one result.
     together : mapping of str to tuple of str
         Entries that were published together, by a name; of others it is what shares the first two parts of the id.
     """
@@ -252,7 +252,7 @@ def group_of(entry: str) -> str:
 def agreement(study: Outcomes, entry: Entry) -> np.ndarray:
     """Whether an entry agrees, by the ledger's own rule, under each combination: (points, seeds).
 
-    Where the rule asks for an interval over runs and the study gives none, it is the one over the seeds at the point;
+    If the rule needs an interval over runs and the study gives none, it is the one over the seeds at the point;
     of a fraction of runs, each seed's own fraction is compared with the threshold.
     """
     values = study.values[entry.id]
@@ -375,7 +375,7 @@ def _robustness(part: _Part, axes: dict[str, Axis]) -> Robustness:
 
 
 def _undeclared(part: _Part) -> tuple[str, ...]:
-    """Axes that move an entry and are not declared to; where all was computed, for a sample is too small to tell."""
+    """Axes that move an entry and are not declared to; where all was computed, for a sample is too small to decide."""
     study = part.study
     multiverse, touched = study.multiverse, study.multiverse.touched[part.entry.id]
     if len(study.design) < multiverse.size:

@@ -31,7 +31,7 @@ SAMPLE_SEED = 20160528  # of the sample; any would do, so long as it stays
 def design(multiverse: Multiverse) -> list[tuple[int, ...]]:
     """Points to compute, each an option's place on every axis; the default comes first, none comes twice.
 
-    All combinations where there are at most 64; else as many as the study asks for, from a scrambled Sobol
+    All combinations where there are at most 64; else as many as the study requires, from a scrambled Sobol
     sequence with a fixed seed, so that any first part of the list fills the space, too. Then what this leaves out of an
     entry whose own axes have at most 64 combinations, so that all of these are there.
     """
@@ -69,7 +69,7 @@ def _blocks(dimensions: int):
 
     sequence = qmc.Sobol(dimensions, rng=np.random.default_rng(SAMPLE_SEED))
     while True:
-        yield sequence.random(POINTS)  # a power of two, as the sequence wants it
+        yield sequence.random(POINTS)  # a power of two, as the sequence requires
 
 
 class Journal:
@@ -118,7 +118,7 @@ class Call:
     entries : tuple of str
         What it must return.
     code : str
-        Digest of the code that asks for it; a worker whose code differs refuses.
+        Digest of the caller's code; a worker whose code differs refuses.
     """
 
     function: str
@@ -166,7 +166,7 @@ def compute(run: Call) -> dict[str, Value] | str:
     Raises
     ------
     InputError
-        When the study cannot be called like this, does not return what it should, or is other code than asked for.
+        When the study cannot be called like this, does not return what it should, or is other code than required.
     """
     if study_digest(run.function, run.topic) != run.code:
         raise InputError(f"{run.function}: the worker's checkout differs; bring it to the same state")
@@ -232,13 +232,13 @@ def run_combinations(
         Gives a context with an executor; called again when a process of the first one dies.
     journal : Journal
     at_once : int
-        Combinations that are handed out at a time.
+        Combinations that are submitted at a time.
     budget_s : float
         After so many seconds no combination is begun.
     stopped : callable
-        When this tells so, what is under way is given up, too.
+        If this returns True, running combinations are given up, too.
     runs_of : callable
-        The runs of a study that are wanted, all of them by default.
+        The runs of a study to compute, by default all.
     """
     plans = [(multiverse, runs_of(multiverse)) for multiverse in multiverses]
     missing = {run.key: run for _, runs in plans for run in runs.values() if run.key not in journal.found}
@@ -272,7 +272,7 @@ class _Interrupted(Exception):
 
 
 def _run_until_broken(waiting: deque[Call], executor, at_once, keep, end, stopped) -> list[Call]:
-    """Hand out runs until none waits; returns those that were under way when a process died."""
+    """Submit runs until none waits; returns those that were running when a process died."""
     running = {}
     with executor() as pool:
         try:

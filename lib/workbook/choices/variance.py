@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SAME = 1e-6  # relative spread below which the digits that are kept tell nothing
+SAME = 1e-6  # relative spread below which the digits that are kept mean nothing
 SIGNIFICANCE = 0.01  # of a pair of axes' joint effect in a sample, over all pairs
 SEED = "seed"
 
@@ -46,7 +46,7 @@ def variance_shares(values, design, sizes: dict[str, int], seeded: bool) -> Shar
     Returns
     -------
     Shares or None
-        None where nothing varies, or too few values are there to tell.
+        None where nothing varies, or there are too few values to decide.
     """
     finite = np.isfinite(values)
     there = values[finite]
@@ -144,7 +144,7 @@ def _product(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _most_significant(candidates, matrix, residual, left, free, tests):
-    """The block whose joint effect chance explains worst, if chance explains it at all badly (F test)."""
+    """The block whose joint effect is least likely by chance, if it is significant (F test)."""
     from scipy.special import fdtrc
 
     best, smallest = None, SIGNIFICANCE / max(tests, 1)
@@ -154,7 +154,7 @@ def _most_significant(candidates, matrix, residual, left, free, tests):
         if free - more < 2:
             continue
         own, size, _ = np.linalg.svd(block - basis @ (basis.T @ block), full_matrices=False)
-        if size[-1] < 1e-8 * size[0]:  # the sample does not tell it from the others
+        if size[-1] < 1e-8 * size[0]:  # the sample does not distinguish it from the others
             continue
         gain = float(((own.T @ residual) ** 2).sum())
         rest = max(left - gain, 1e-12 * left)
