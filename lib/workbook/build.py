@@ -111,7 +111,7 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
 
 
 def longest_first(stale: list[tuple[Task, list[str]]]) -> list[tuple[Task, list[str]]]:
-    """Those that took longest first, before them those of which nothing is known."""
+    """Those that took longest first, before them those of unknown duration."""
     known = durations()
     return sorted(stale, key=lambda each: -known.get(each[0].notebook.name, math.inf))
 
@@ -171,7 +171,7 @@ def _compare(wanted: list[Task]) -> None:
 
 
 def _print_summary(variants: list[Task]) -> None:
-    """Report where variants are and how they differ from the published settings."""
+    """Report where variants are and how their settings differ from the notebook's."""
     from workbook.variants import difference
 
     for task in variants:

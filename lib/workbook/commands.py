@@ -52,7 +52,7 @@ def _with_choices(claims: list) -> list[dict]:
 
 
 def accept() -> int:
-    """Take the built results over, and what follows from them."""
+    """Copy the built results into the tree, and update what follows from them."""
     from workbook.accept import accept
     from workbook.site.derived import refresh
 
@@ -67,7 +67,7 @@ def refresh() -> str:
 
 
 def new(topic: str, name: str, create: bool) -> list[str]:
-    """Write the files of a new result; returns their paths, and what comes next."""
+    """Write the files of a new result; returns their paths, and the next step."""
     from workbook.site.scaffold import new_result
 
     return [*new_result(topic, name, create), f'fill them in, then: make figures ARGS="{topic}/{name}"']

@@ -124,7 +124,7 @@ def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[No
     Returns
     -------
     list of (Notebook, dict)
-        The values that differ from the published settings.
+        The values that differ from those in the notebook.
 
     Raises
     ------

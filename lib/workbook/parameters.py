@@ -15,7 +15,7 @@ FORM = "write 'name: type = literal  # comment', one parameter a line"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One line of a notebook's parameters cell; `value` is the published setting."""
+    """One line of a notebook's parameters cell; `value` is the notebook's own setting."""
 
     name: str
     annotation: str
@@ -37,7 +37,7 @@ class Parameter:
             except TypeError:
                 continue
         raise InputError(
-            f"parameter {self.name} is {text!r}; give {_article(self.annotation)} (published: {self.value!r})"
+            f"parameter {self.name} is {text!r}; give {_article(self.annotation)} (in the notebook: {self.value!r})"
         )
 
 

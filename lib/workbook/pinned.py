@@ -38,7 +38,7 @@ def settings() -> dict[str, str]:
         if not word.partition("=")[0].isidentifier() or "=" not in word:
             raise InputError(
                 f"{OTHER} holds {short_repr(word)}; give NAME=VALUE words, of {', '.join(pins())} and others, "
-                "or name a stand-in: python -m stillwork portable --processor NAME"
+                "or name a processor: python -m stillwork portable --processor NAME"
             )
     return {**pins(), **dict(word.split("=", 1) for word in words)}
 

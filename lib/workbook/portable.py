@@ -1,6 +1,6 @@
 """Builds under other processors' settings, and one table of what differs from what is committed.
 
-Each stand-in processor puts its own choices in the place of the pins (`workbook.pinned`): numpy's kernels,
+Each simulated processor replaces the pins by its own choices (`workbook.pinned`): numpy's kernels,
 OpenBLAS's, the C library's, and the instructions that numba may use. What then still agrees, agrees on a machine
 that is not pinned at all.
 """
@@ -25,7 +25,7 @@ WIDE = "X86_V4,AVX512_ICL,AVX512_SPR"
 
 @dataclass(frozen=True)
 class Processor:
-    """A stand-in: the settings that differ from the pins, and the flags that the machine needs to run it."""
+    """A simulated processor: the settings that differ from the pins, and the flags that the machine needs to run it."""
 
     name: str
     settings: dict[str, str]
@@ -73,7 +73,7 @@ def sampled() -> tuple[str, ...]:
 
 
 def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = False) -> int:
-    """Build under each stand-in that runs here and print the table; returns the exit code.
+    """Build under each simulated processor that runs here and print the table; returns the exit code.
 
     It is 0 when all agrees, 1 when something moved or failed or none runs, 128 + signal when interrupted.
 
@@ -82,14 +82,14 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
     targets : sequence of str
         Topics and notebooks; all without any.
     processor : str
-        Of the stand-ins those with this in their name.
+        Only processors with this in their name.
     sample : bool
         Without targets, a few notebooks under two simulated processors.
 
     Raises
     ------
     InputError
-        When there is no such stand-in, topic or notebook.
+        When there is no such processor, topic or notebook.
     """
     chosen = [
         each
@@ -98,7 +98,7 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
     ]
     if not chosen:
         names = "; ".join(each.name for each in PROCESSORS)
-        raise InputError(f"no stand-in is named {processor!r}; there are: {names}")
+        raise InputError(f"no simulated processor is named {processor!r}; give part of: {names}")
     names = tuple(each.name for each in select(*(targets or (sampled() if sample else ()))))
     flags = _flags()
     rows, moved, failed = [], [], False
@@ -118,7 +118,7 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
         print(f"{name}: {each.notebook}: {', '.join(what)}")
     ran = sum(len(row) > 2 for row in rows)
     told = "not all agree" if moved or failed else "all agree" if ran else "nothing was compared"
-    print(f"{ran} of {len(rows)} stand-ins ran: {told}")
+    print(f"{ran} of {len(rows)} processors ran: {told}")
     return int(bool(moved) or failed or not ran)
 
 

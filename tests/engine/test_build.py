@@ -478,7 +478,7 @@ def test_a_file_named_by_a_parameter_is_an_input(toy):
     ("arguments", "message"),
     [
         (["-p", "sed=3"], "no notebook here has a parameter 'sed'; did you mean 'seed'?"),
-        (["-p", "seed=1.5"], "isolation/01-first: parameter seed is '1.5'; give an int (published: 1)"),
+        (["-p", "seed=1.5"], "isolation/01-first: parameter seed is '1.5'; give an int (in the notebook: 1)"),
         (["-p", "seed"], "-p 'seed' is not a setting; give -p NAME=VALUE"),
         (["-p", "seed=2", "-p", "seed=3"], "-p seed is given twice"),
         (["isolaton"], "no notebook or topic 'isolaton'; did you mean 'isolation'?"),

@@ -1,4 +1,4 @@
-"""Which notebooks are built under which stand-ins, and what is told; the builds themselves are left out."""
+"""Which notebooks are built under which processors, and what is printed; the builds themselves are left out."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ BUILD = module._build
 
 @pytest.fixture
 def built(monkeypatch):
-    """What would be built, by stand-in; every result agrees but that of motion/02 under the oldest processor."""
+    """What would be built, by processor; every result agrees but that of motion/02 under the oldest processor."""
     asked = {}
 
     def build(processor, names):
@@ -44,7 +44,7 @@ def test_all_stand_ins_that_this_machine_can_be_build_everything(built, capsys):
     told = capsys.readouterr().out
     assert "Skylake-X)" in told and "lacks avx512f" in told
     assert (
-        "2004, SSE2 alone: motion/02-model-reduction: fig-2-3.png" in told and "5 of 6 stand-ins ran" in told
+        "2004, SSE2 alone: motion/02-model-reduction: fig-2-3.png" in told and "5 of 6 processors ran" in told
     )
 
 
@@ -72,7 +72,7 @@ def test_what_is_not_there_is_refused_before_anything_is_built(built, wrong):
 
 def test_a_stand_in_that_does_not_run_here_is_no_agreement(built, capsys):
     assert module.portable(processor="Skylake") == 1
-    assert "0 of 1 stand-ins ran: nothing was compared" in capsys.readouterr().out and not built
+    assert "0 of 1 processors ran: nothing was compared" in capsys.readouterr().out and not built
 
 
 # Tidies for longer than a Ctrl-C is usually given, and notes which interrupts came.
@@ -121,4 +121,4 @@ def test_nothing_is_built_or_compared_after_an_interrupt(built, monkeypatch, cap
     monkeypatch.setattr(module, "_build", BUILD)
     assert module.portable(["motion/02-model-reduction"]) == 128 + 15
     assert len(begun) == 1
-    assert "stand-ins ran" not in capsys.readouterr().out
+    assert "processors ran" not in capsys.readouterr().out

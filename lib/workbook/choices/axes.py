@@ -67,7 +67,7 @@ class Axis:
         if len(self.options) < 2:
             raise InputError(f"{self.id}: options holds {len(self.options)}; give at least 2")
         if len(set(self.texts)) < len(self.options):
-            raise InputError(f"{self.id}: two options are written alike; remove one")
+            raise InputError(f"{self.id}: two options have the same text; remove one")
         if option_text(self.default) not in self.texts:
             hint = nearest(option_text(self.default), self.texts)
             raise InputError(f"{self.id}: default {self.default!r} is not among its options{hint}")

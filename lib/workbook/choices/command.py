@@ -59,13 +59,13 @@ def compute_choices(
     scheduler : str, optional
         Address of a Dask scheduler whose workers compute.
     budget_min : float, optional
-        After so many minutes, of all topics together, no combination is begun; the next run goes on from there.
+        No combination is started after this many minutes, for all topics together; the next run continues.
     changed : bool
-        Only studies with a value that moved, in a sample of today's; those whose axes changed, or that never ran.
+        Only studies of which a sampled value moved, those whose axes changed, and those that never ran.
     study : str, optional
-        Only this study of the topic, and all of it, whatever was computed before.
+        Only this study of the topic, all of it, regardless of earlier results.
     short : bool
-        Of that study compare the short form with the whole one at every option instead; 1 where a verdict differs.
+        Only compare the study's short form with its full form at every option; returns 1 if a verdict differs.
     """
     if short and study is None:
         raise InputError("short compares the forms of one study; name it: choices TOPIC --study NAME --short")
@@ -124,17 +124,19 @@ def _compute_topic(topic: str, executor, at_once: int, end: float, stopped, chan
     done = kept + run(others, calls_of)
     if len(done) < len(multiverses):
         names = {each.study for each in multiverses} - {each.multiverse.study for each in done}
-        print(f"{topic}: not whole yet: {', '.join(sorted(names))}; run the same again to go on")
+        print(
+            f"{topic}: not complete yet: {', '.join(sorted(names))}; run the same command again to continue"
+        )
         return False
     done.sort(key=lambda each: multiverses.index(each.multiverse))
-    # Whatever build or accept runs: neither writes this file, nor makes anything of it.
+    # Safe while a build or accept runs: neither writes or reads this file.
     replace_file(paths.data(topic, "choices.csv"), results_text(done).encode())
     for each in others:
         forget(each)
     done = read_results(multiverses)  # what is judged is what was written
     standings = _judged(topic, done, axes)
     print(standings_text(topic, done, standings, screen()))
-    print("the site draws every entry over its combinations")
+    print("the site shows every entry over its combinations")
     return True
 
 
