@@ -123,7 +123,7 @@ def run_contest(
     order = sorted(order, key=lambda k: -cost_of([scan for scan, _ in trials[k]]))
     running = (submit(contest_trial, trials[k], sources) for k in order)
     done = []
-    with Progress(len(trials), task="contest", unit="machine", tell=True, aside=True) as progress:
+    with Progress(len(trials), task="contest", unit="machine", tenths=True, to_stderr=True) as progress:
         for future in running if executor is None else list(running):
             done.append(future.result())
             progress.step()

@@ -86,7 +86,7 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
     running = {}
     with interrupts() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
         for task, reasons in longest_first(stale):
-            progress.say(f"build {task.label}: {_short(reasons)}")
+            progress.print_line(f"build {task.label}: {_short(reasons)}")
             job = Job(build, task.notebook.name, task.notebook.source, task.settings)
             running[submit(job, task, progress)] = task
         while running and not caught:
@@ -99,9 +99,9 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
                 if failure:
                     failures.append((task, failure))
                     told = [f"FAILED {task.label} ({so_far})", failure.traceback]
-                    progress.say("\n".join(filter(None, told)))
+                    progress.print_line("\n".join(filter(None, told)))
                 else:
-                    progress.say(f"built {task.label} in {outcome.seconds:.0f} s ({so_far})")
+                    progress.print_line(f"built {task.label} in {outcome.seconds:.0f} s ({so_far})")
         if caught:
             started = [future for future in running if not future.cancel()]
             halt(build)

@@ -68,8 +68,8 @@ def _handled(handler: Callable, *numbers: signal.Signals) -> Iterator[None]:
 
     `nohup` ignores the end of a session so, and a shell the interrupts of its background jobs.
     """
-    heard = [each for each in numbers if signal.getsignal(each) != signal.SIG_IGN]
-    before = {each: signal.signal(each, handler) for each in heard}
+    handled = [each for each in numbers if signal.getsignal(each) != signal.SIG_IGN]
+    before = {each: signal.signal(each, handler) for each in handled}
     try:
         yield
     finally:

@@ -16,8 +16,8 @@ from workbook.notebooks import select
 
 def machines() -> dict[str, tuple[str, str]]:
     """What reads a machine of one's own from TOML, ``module:function`` by topic, and the file to copy."""
-    said = {topic: paths.data(topic, "paper.toml") for topic in paths.topics()}
-    found = {topic: read_toml(file).get("machine", {}) for topic, file in said.items() if file.is_file()}
+    files = {topic: paths.data(topic, "paper.toml") for topic in paths.topics()}
+    found = {topic: read_toml(file).get("machine", {}) for topic, file in files.items() if file.is_file()}
     return {topic: (each["read"], each["copy"]) for topic, each in found.items() if each}
 
 

@@ -1,4 +1,4 @@
-"""What a person sees of a long run: a bar with the time left in a terminal, plain lines elsewhere."""
+"""Progress of a long run: a bar with the time left in a terminal, plain lines elsewhere."""
 
 import sys
 import time
@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 
 class Progress:
-    """Counts steps; `say` prints a line without tearing the bar.
+    """Counts steps; `print_line` prints a line without tearing the bar.
 
     Parameters
     ----------
@@ -14,10 +14,10 @@ class Progress:
         Steps of the run.
     task, unit : str
         What runs, and what a step is.
-    tell : bool
-        Whether a line at every tenth stands for the bar where there is no terminal.
-    aside : bool
-        Lines go to the stream of errors, beside what a command prints.
+    tenths : bool
+        Whether to print a line at every tenth if there is no terminal for the bar.
+    to_stderr : bool
+        Whether lines go to stderr, apart from the output of a command.
     """
 
     def __init__(
@@ -26,11 +26,11 @@ class Progress:
         *,
         task: str = "figures",
         unit: str = "cell",
-        tell: bool = False,
-        aside: bool = False,
+        tenths: bool = False,
+        to_stderr: bool = False,
     ):
         self._bar = None
-        self._tell, self._aside = tell, aside
+        self._tenths, self._to_stderr = tenths, to_stderr
         self._task, self._total, self._done, self._begin = task, total, 0, time.monotonic()
         if sys.stderr.isatty() and find_spec("tqdm"):  # of an extra
             from tqdm import tqdm
@@ -41,8 +41,8 @@ class Progress:
         before, self._done = self._done, self._done + steps
         if self._bar is not None:
             self._bar.update(steps)
-        elif self._tell and 10 * self._done // self._total > 10 * before // self._total:
-            self.say(f"{self._task}: {self._done} of {self._total}{self.left()}")
+        elif self._tenths and 10 * self._done // self._total > 10 * before // self._total:
+            self.print_line(f"{self._task}: {self._done} of {self._total}{self.left()}")
 
     def left(self) -> str:
         """The time left as the end of a line; empty where the bar shows it, and while nothing is known."""
@@ -50,10 +50,10 @@ class Progress:
             return ""
         return f", {(time.monotonic() - self._begin) * (self._total / self._done - 1):.0f} s left"
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         if self._bar is not None:
             self._bar.clear()
-        print(line, flush=True, file=sys.stderr if self._aside else sys.stdout)
+        print(line, flush=True, file=sys.stderr if self._to_stderr else sys.stdout)
         if self._bar is not None:
             self._bar.refresh()
 

@@ -27,7 +27,7 @@ from stillwork.estimation.adaptive import FeRls
 from stillwork.signals.criteria import criterion_met, criterion_velocity, one_third_octave_velocity
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.densities import (
-    DENSITIES_SAID,
+    DENSITY_UNITS_TEXT,
     density_unit,
     frequency_axis,
     read_densities,
@@ -136,7 +136,7 @@ def _recorded(floor_record, unit, rate_hz, channels, twin, highest) -> RecordedF
         columns = read_columns(path)
         if frequency_axis(columns) and not any(is_time(name) for name in columns):
             raise InputError(
-                f"{path.name} holds spectra over frequency; say their unit as a density: {DENSITIES_SAID}"
+                f"{path.name} holds spectra over frequency; say their unit as a density: {DENSITY_UNITS_TEXT}"
             )
     record = load_record(
         path,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import workbook
-from stillwork.control.machine_designs import asked_uncertainty, default_rate, search_designs
+from stillwork.control.machine_designs import default_rate, search_designs, stated_uncertainty
 from stillwork.design.design import design_file
 from stillwork.design.report import report_file
 from stillwork.identification.machine import build_machine
@@ -90,7 +90,7 @@ def test_what_nobody_asked_for_has_a_default_that_is_printed():
     assert heard == [use for use in USES for _ in range(2)]
     asked = search_designs(machine, rate=rate, delay=1.0, uncertainty={"frequency": 0.05, "gain": 0.05})
     assert asked.lines()[1:] == silent.lines()[1:] and "no rate" not in asked.lines()[0]
-    assert asked_uncertainty("") == {"frequency": 0.05, "gain": 0.05}
+    assert stated_uncertainty("") == {"frequency": 0.05, "gain": 0.05}
 
 
 def test_the_sensor_of_a_file_of_ones_own_is_not_mirrored():

@@ -11,7 +11,7 @@ from motion.true_machines import CompiledLoop, TrueMachine, machine_of_matrices
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import make_loop
-from stillwork.control.machine_designs import asked_uncertainty
+from stillwork.control.machine_designs import stated_uncertainty
 from stillwork.control.phased_loops import phased_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
@@ -138,13 +138,13 @@ def test_friction_enters_the_box_where_it_is_named(tmp_path):
     )
     interval = 1.96 * machine.fit.drag_deviation
     assert interval > 0 and uncertainty_of(machine, {"gain": 0.1}).friction == 0
-    assert uncertainty_of(machine, asked_uncertainty("friction=2")).friction == pytest.approx(2 + interval)
-    assert uncertainty_of(machine, asked_uncertainty("none,friction=0")).friction == pytest.approx(interval)
+    assert uncertainty_of(machine, stated_uncertainty("friction=2")).friction == pytest.approx(2 + interval)
+    assert uncertainty_of(machine, stated_uncertainty("none,friction=0")).friction == pytest.approx(interval)
 
 
 def test_a_friction_that_no_machine_has_is_refused():
     with pytest.raises(InputError, match=r"^uncertainty: friction\b"):
-        asked_uncertainty("friction=-1")
+        stated_uncertainty("friction=-1")
     springs = modal_model(np.eye(2), [[400.0, -100.0], [-100.0, 100.0]], [[1.0], [0.0]], [[1.0, 0.0]], 0.01)
     with pytest.raises(InputError, match=r"^friction\b.*on springs leave it out"):
         worst_place(make_loop(springs), PidFamily(1.0)(1.0), "output_sensitivity", Uncertainty(friction=1.0))

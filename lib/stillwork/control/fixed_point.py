@@ -289,7 +289,7 @@ def response_gain(plant: Plant, model: Plant) -> float:
 
 @checked
 def ending(status: int, time: float, left: str) -> dict[str, Any]:
-    """When a run diverged, in s, and why, with `said` for a plant that left its bounds; empty if it did not."""
+    """When a run diverged, in s, and why (`left` if the plant left its bounds); empty if it did not."""
     if status == RUNNING:
         return {}
     causes = {TOO_FAR: left, **CAUSES}

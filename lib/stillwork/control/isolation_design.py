@@ -295,11 +295,12 @@ def _motion_density(
     return _density(floor, noises, paths.transmissibility(weights), *paths.noises(weights))
 
 
-def _density(floor: FloorSpectra, noises: tuple[float, float], whole, *heard) -> np.ndarray:
-    """Spectrum due to the floor through `whole` and to the noise of both kinds of sensors through `heard`."""
+def _density(floor: FloorSpectra, noises: tuple[float, float], whole, *sensor_paths) -> np.ndarray:
+    """Spectrum due to the floor through `whole` and to the noise of both kinds of sensors through `sensor_paths`."""
     own = np.einsum("fas,fst,fat->af", whole, floor.density, np.conj(whole), optimize=True).real
     return own + sum(
-        level**2 * np.sum(np.abs(each) ** 2, axis=2).T for level, each in zip(noises, heard, strict=True)
+        level**2 * np.sum(np.abs(each) ** 2, axis=2).T
+        for level, each in zip(noises, sensor_paths, strict=True)
     )
 
 

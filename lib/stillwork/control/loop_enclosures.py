@@ -179,12 +179,12 @@ def proven_numbers(loops: Sequence[Loop], pid: Pid, written: Sequence[StateModel
     for name, words in MARGINS.items():
         every = [each[name] for each in margins]
         low, high = min(each.low for each in every), max(each.high for each in every)
-        said = f"at least {np.floor(low * 1e4) / 1e4:.4f}"
+        text = f"at least {np.floor(low * 1e4) / 1e4:.4f}"
         if name == "crossing_hz":
-            said = f"from {np.floor(low * 1e4) / 1e4:.4f} to {np.ceil(high * 1e4) / 1e4:.4f}"
+            text = f"from {np.floor(low * 1e4) / 1e4:.4f} to {np.ceil(high * 1e4) / 1e4:.4f}"
         elif name == "gain_reduction":
-            said = f"down to {np.ceil(high * 1e4) / 1e4:.4f}"
-        rows.append((words, f"{said}, proven" if all(each.proven for each in every) else "not proven"))
+            text = f"down to {np.ceil(high * 1e4) / 1e4:.4f}"
+        rows.append((words, f"{text}, proven" if all(each.proven for each in every) else "not proven"))
     return rows
 
 

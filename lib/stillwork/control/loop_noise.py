@@ -44,14 +44,14 @@ class NoiseBound:
     @checked
     def words(self, units: tuple[str, str]) -> list[str]:
         """The same in words, for a machine whose position and drive are in `units`."""
-        said = []
+        bounds = []
         if self.gain < np.inf:
-            said.append(f"at most {self.gain:.3g} {units[1]}/{units[0]}")
+            bounds.append(f"at most {self.gain:.3g} {units[1]}/{units[0]}")
         if self.ratio < np.inf:
-            said.append(
+            bounds.append(
                 f"at most {self.ratio:g} times what the gain at the crossing makes of the noise below it"
             )
-        return [f"noise of the sensor at the output, rms over rms: {' and '.join(said)}"] if said else []
+        return [f"noise of the sensor at the output, rms over rms: {' and '.join(bounds)}"] if bounds else []
 
     @checked
     def excess(self, loop: Loop, controller: Pid) -> float:

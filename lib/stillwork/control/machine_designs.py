@@ -76,8 +76,8 @@ class Designed(NamedTuple):
     @property
     def ranking_line(self) -> str:
         """The same in words, with the bandwidths."""
-        said = [f"{use} {in_hertz(crossing(self.found[use]))} Hz" for use in self.ranking]
-        return f"highest bandwidth first: {', '.join(said) or 'none has a safe loop'}"
+        listed = [f"{use} {in_hertz(crossing(self.found[use]))} Hz" for use in self.ranking]
+        return f"highest bandwidth first: {', '.join(listed) or 'none has a safe loop'}"
 
     def lines(self) -> list[str]:
         """Settings and results of the search, one line each."""
@@ -99,12 +99,12 @@ def default_rate(machine: Machine) -> float:
 
 
 @checked
-def asked_uncertainty(said: str | Mapping[str, float]) -> dict[str, float]:
+def stated_uncertainty(stated: str | Mapping[str, float]) -> dict[str, float]:
     """Shares by `NAMES`: those given, the others as in `UNCERTAINTY`; with ``none`` the others are zero."""
-    if not isinstance(said, str):
-        named = dict(said)
+    if not isinstance(stated, str):
+        named = dict(stated)
     else:
-        words = [each.strip() for each in said.split(",") if each.strip()]
+        words = [each.strip() for each in stated.split(",") if each.strip()]
         named = {}
         for word in words:
             name, _, value = word.partition("=")
@@ -154,7 +154,7 @@ def search_designs(
         Delay from a measurement to the force that follows from it, in samples, whole or not, in addition to the hold and to a delay
         of the measured response itself, which is detected, reported and included.
     uncertainty : str or mapping of str to float
-        See `asked_uncertainty`.
+        See `stated_uncertainty`.
     loop_hz, search_hz : tuple of float
         See `reach`.
     intensities, retained, added_damping, selectivity
@@ -173,7 +173,7 @@ def search_designs(
     InputError
         For invalid settings, or settings that do not fit this machine.
     """
-    shares = asked_uncertainty(uncertainty)
+    shares = stated_uncertainty(uncertainty)
     chosen = not rate
     rate = rate or default_rate(machine)
     lowest, resonance = search_range(machine, 0.0)[0], float(machine.resonances_hz[0])
@@ -195,13 +195,13 @@ def search_designs(
             )
     prompt, late = zip(*(_prompt(each, delay, rate) for each in (machine, *others)), strict=True)
     spreads = tuple(uncertainty_of(each, shares) for each in prompt)
-    said = " and ".join(
+    shares_text = " and ".join(
         f"{name} ± {value:g} {ABSOLUTE.get(name, '')}".rstrip() for name, value in shares.items()
     )
     notes = (
         f"searched at {rate:g} Hz{' (no rate was given: above 20 times the first resonance and 4 times the last)' * chosen}, "
-        f"delay {late[0]:.4g} samples plus the hold, uncertainty {said or 'none'}"
-        f"{' plus the intervals of the fit' * bool(said and machine.fit)}",
+        f"delay {late[0]:.4g} samples plus the hold, uncertainty {shares_text or 'none'}"
+        f"{' plus the intervals of the fit' * bool(shares_text and machine.fit)}",
         "S_I and S_O, which is also r to e since the controller runs on the error, at most 6 dB",
         *noise.words(machine.units),
     )

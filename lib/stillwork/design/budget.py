@@ -329,13 +329,13 @@ def _amount(name: str, text, place: str, density: str) -> float:
     return factor * (np.sqrt(size) if known and known[1] == 2 else size)
 
 
-def _factor(name: str, unit: str, place: str, said: str, wanted: str) -> float:
+def _factor(name: str, unit: str, place: str, stated: str, wanted: str) -> float:
     try:
         factor, known = unit_factor(unit)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     if known != PLACES[place]:
-        raise InputError(f"{name}: unit is {said!r}, but {place!r} needs {wanted}; convert it")
+        raise InputError(f"{name}: unit is {stated!r}, but {place!r} needs {wanted}; convert it")
     return factor
 
 
@@ -359,13 +359,13 @@ def measured_at(name: str, file: Path, unit: str, place: str) -> Source:
             f"{name}: {file.name} holds {len(columns)} columns besides {axis!r}; keep the one that acts here"
         )
     ((column, row),) = columns.items()
-    said = agreed_density(file.name, column, unit)
-    known, wanted = density_unit(said) if said else None, f"{PLACES[place]}/sqrt(Hz)"
+    stated = agreed_density(file.name, column, unit)
+    known, wanted = density_unit(stated) if stated else None, f"{PLACES[place]}/sqrt(Hz)"
     if known is None:
         raise InputError(
             f"{name}: {file.name}: column {column!r} has no unit of a density; add it in brackets, as ({wanted})"
         )
-    level = _factor(name, known[0], place, said, wanted) ** 2 * (row**2 if known[1] == 1 else row)
+    level = _factor(name, known[0], place, stated, wanted) ** 2 * (row**2 if known[1] == 1 else row)
     return tabulated(name, place, PLACES[place], f[f > 0], level[f > 0])
 
 
@@ -604,8 +604,8 @@ def _unknown(
         level, (typical, high) = budget.rms[0] / np.sqrt(power), TYPICAL[place]
         if level < NOTHING * high:
             found = "may matter" if level < COUNTS * high else "hardly matters"
-            said = f"{level:.2g} {PLACES[place]}/sqrt(Hz) would double the power;"
-            rows.append([f"{place}: no source given;", said, f"typical: {typical}; {found}"])
+            text = f"{level:.2g} {PLACES[place]}/sqrt(Hz) would double the power;"
+            rows.append([f"{place}: no source given;", text, f"typical: {typical}; {found}"])
     return rows
 
 

@@ -30,9 +30,9 @@ from stillwork.control.machine_designs import (
     DELAY,
     EACH,
     Designed,
-    asked_uncertainty,
     reach_one,
     search_designs,
+    stated_uncertainty,
 )
 from stillwork.control.machine_loops import (
     HELD,
@@ -93,7 +93,7 @@ def design_file(
     noise: float = 0.0,
     noise_share: float = SHARE,
     noise_ratio: float = 0.0,
-    **reading,
+    **load_options,
 ) -> list[str]:
     """Design a controller for the machine in `files` and write it, as C and as JSON, into a new folder.
 
@@ -139,7 +139,7 @@ def design_file(
         Share of `limit` that the noise may take at the output, root mean square.
     noise_ratio : float
         See `NoiseBound`; 0: `RATIO` if the noise or the limit is unknown.
-    **reading
+    **load_options
         Other arguments of `load_machine`.
 
     Returns
@@ -162,7 +162,7 @@ def design_file(
     moves = _move_limits(limits)
     require_number("rate", rate, above=0.0)
     asked = require_number("delay", delay, at_least=0.0)
-    shares = asked_uncertainty(uncertainty)
+    shares = stated_uncertainty(uncertainty)
     if shares.get("delay", 0.0) * rate > MOST_LATE:
         raise InputError(
             f"uncertainty: delay is {shares['delay']:g} s, {shares['delay'] * rate:.3g} samples at {rate:g} Hz, too much for any "
@@ -174,7 +174,7 @@ def design_file(
     if not sources:
         raise InputError("files is empty; name the file of a machine")
     source = sources[0]
-    every = [load_machine(each, **reading) for each in sources]
+    every = [load_machine(each, **load_options) for each in sources]
     taken = every[0]
     position, drive = taken.units
     if counts and position == "count":
@@ -185,7 +185,7 @@ def design_file(
         )
     own_units = "count" if counts else position, "A" if motor_constant else drive
     scales = counts or 1.0, 1 / motor_constant if motor_constant else 1.0
-    heard = sensor_noise(own_units[0], limit, noise, noise_share, noise_ratio)
+    sensor_spec = sensor_noise(own_units[0], limit, noise, noise_share, noise_ratio)
     machines = [
         build_machine(each, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor) for each in every
     ]
@@ -196,7 +196,9 @@ def design_file(
         raise InputError(
             f"{against[0].source} moves opposite to {source.name} under the same force; correct the sign of one of them"
         )
-    with Progress(EACH * USES + CHANGES, task="design", unit="search", tell=True, aside=True) as progress:
+    with Progress(
+        EACH * USES + CHANGES, task="design", unit="search", tenths=True, to_stderr=True
+    ) as progress:
         made = search_designs(
             machines[0],
             machines[1:],
@@ -204,7 +206,7 @@ def design_file(
             delay=delay,
             uncertainty=shares,
             loop_hz=loop_hz,
-            noise=heard.bound(*scales),
+            noise=sensor_spec.bound(*scales),
             on_step=lambda _: progress.step(),
         )
         if not made.ranking:
@@ -271,7 +273,7 @@ def design_file(
         for each, loop, own in zip(written, loops, of_each, strict=True)
     ]
     rounded = single_rows(written, of_each, scales) if precision == "single" else []
-    noises = noise_rows(heard, written, loops, pid, own_units, scales)
+    noises = noise_rows(sensor_spec, written, loops, pid, own_units, scales)
     code = {}
     for number, controller in enumerate(written, 1):
         own = name if len(written) == 1 else f"{name}_{number}"

@@ -9,7 +9,7 @@ import numpy as np
 
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.extras import require_package
-from stillwork.control.machine_designs import UNCERTAINTY, asked_uncertainty
+from stillwork.control.machine_designs import UNCERTAINTY, stated_uncertainty
 from stillwork.control.uncertainty import NAMES, uncertainty_of
 from stillwork.design.desk_page import offline_page
 from stillwork.design.html_page import require_new
@@ -93,18 +93,18 @@ def machine_to_begin_with(
     fit_hz: tuple[float, float] = (0.0, 0.0),
     loop_hz: tuple[float, float] = (0.0, 0.0),
     uncertainty: str | Mapping[str, float] = "",
-    **reading,
+    **load_options,
 ) -> dict[str, Any]:
     """The page's data of the machine in `file`, or of an example, with rate and delay of the first design.
 
     The design begins with `rate` (Hz; 0: chosen from the resonances) and `delay` (samples); see `design.design_file` for
-    `fit_hz`, `loop_hz`, `uncertainty` and the arguments in `reading`.
+    `fit_hz`, `loop_hz`, `uncertainty` and the arguments in `load_options`.
     """
     require_number("rate", rate, at_least=0.0)
     require_number("delay", delay, at_least=0.0)
-    asked = asked_uncertainty(uncertainty)
+    asked = stated_uncertainty(uncertainty)
     if file:
-        machine = read_machine(file, fit_hz=fit_hz, loop_hz=loop_hz, uncertainty=asked, **reading)
+        machine = read_machine(file, fit_hz=fit_hz, loop_hz=loop_hz, uncertainty=asked, **load_options)
     else:
         machine = entry(Machine((EXAMPLE,), 10.0, "an example of 10 kg"), asked)
     machine["start"] = {"delay_samples": delay} | ({"rate_hz": rate} if rate else {})
@@ -117,10 +117,10 @@ def read_machine(
     fit_hz: tuple[float, float] = (0.0, 0.0),
     loop_hz: tuple[float, float] = (0.0, 0.0),
     uncertainty: Mapping[str, float] = UNCERTAINTY,
-    **reading,
+    **load_options,
 ) -> dict[str, Any]:
     """The page's data of the machine in a file, see `entry`; without a model if none can be fitted to the measurement."""
-    taken = load_machine(file, **reading)
+    taken = load_machine(file, **load_options)
     try:
         machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
     except InputError as error:

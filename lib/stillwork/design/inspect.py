@@ -11,10 +11,10 @@ import numpy as np
 from stillwork.base.checks import InputError, one_line, pluralise, short_repr
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.datafiles import read_arrays, read_columns
-from stillwork.signals.densities import DENSITIES_SAID, frequency_axis, hertz_in, spectra_of
+from stillwork.signals.densities import DENSITY_UNITS_TEXT, frequency_axis, hertz_in, spectra_of
 from stillwork.signals.records import (
     MOTION_UNITS,
-    UNITS_SAID,
+    UNITS_TEXT,
     is_time,
     load_unscaled,
     stated_unit,
@@ -103,7 +103,7 @@ def _spectra(path: Path) -> Iterator[str]:
     alike = [name for name, other in spectra.items() if other == unit]
     yield f"spectra over {len(hertz)} frequencies up to {hertz.max():.4g} Hz: {', '.join(spectra)}"
     if not unit:
-        yield f"the unit of its densities is not stated; replace UNIT by one of these: {DENSITIES_SAID}"
+        yield f"the unit of its densities is not stated; replace UNIT by one of these: {DENSITY_UNITS_TEXT}"
     unit = unit or "UNIT"
     yield command("one page about it", ["report", str(path.resolve()), "--unit", unit])
     yield _isolate("MACHINE", str(path.resolve()), unit, alike if len(alike) < len(spectra) else ())
@@ -125,9 +125,9 @@ def _record(path: Path) -> Iterator[str]:
     known = [(name, unit) for name, unit in zip(record.names, units, strict=True) if name not in odd]
     yield f"a record of {pluralise(len(record.names), 'channel')}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
     if odd:
-        yield f"unknown units: {', '.join(odd.values())}; convert {', '.join(odd)} to one of these: {UNITS_SAID}"
+        yield f"unknown units: {', '.join(odd.values())}; convert {', '.join(odd)} to one of these: {UNITS_TEXT}"
     if any(not unit for _, unit in known):
-        yield f"not every unit is stated; replace UNIT by one of these: {UNITS_SAID}"
+        yield f"not every unit is stated; replace UNIT by one of these: {UNITS_TEXT}"
 
     def measuring(wanted: tuple[str, ...]) -> list[tuple[str, str]]:
         """Channels in one of these SI units, or in a unit that the file does not state."""

@@ -125,7 +125,7 @@ def isolate_file(
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
     isolator, estimate, measured, notches, notes = read_isolator(machine, rate)
-    spectra, said, seen = read_floor(floor, unit, isolator.sensors, rate, list(channel))
+    spectra, floor_notes, seen = read_floor(floor, unit, isolator.sensors, rate, list(channel))
     for each in seen:  # a design takes a minute, and may be refused for just that
         print(f"{Path(floor).name}: {each}", file=sys.stderr, flush=True)
     correction = None if measured is None else unmodelled(isolator, measured, rate)
@@ -172,7 +172,7 @@ def isolate_file(
             f"{spectra.duration:.3g} s up to {_listed(found.force[1])} N rms",
         ],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
-        *(["assumed", each] for each in (*notes, *said)),
+        *(["assumed", each] for each in (*notes, *floor_notes)),
         *(["check the floor", each] for each in seen),
     ]
     checks = certificate_rows(design, around)

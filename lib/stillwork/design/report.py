@@ -11,7 +11,7 @@ from scipy import integrate
 
 from stillwork.base.checks import InputError, one_line, pluralise
 from stillwork.base.extras import require_package
-from stillwork.control.machine_designs import DELAY, EACH, asked_uncertainty, search_designs
+from stillwork.control.machine_designs import DELAY, EACH, search_designs, stated_uncertainty
 from stillwork.design.design import USES, paint_machine, paint_stabilisation, uses_table
 from stillwork.design.html_page import page, picture, require_new, table
 from stillwork.design.inspect import inspect_file
@@ -24,14 +24,14 @@ from stillwork.identification.machine_files import (
 )
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import (
-    DENSITIES_SAID,
+    DENSITY_UNITS_TEXT,
     frequency_axis,
     read_densities,
     spectra_of,
     stated_density,
 )
 from stillwork.signals.records import (
-    UNITS_SAID,
+    UNITS_TEXT,
     Record,
     channel_unit,
     is_time,
@@ -57,11 +57,11 @@ class Missing(InputError):
         self.name, self.question = name, question
 
 
-def report_asking(file: str, out: str, **said) -> list[str]:
+def report_asking(file: str, out: str, **arguments) -> list[str]:
     """`report_file`, with a prompt at the terminal for each missing piece of information."""
     while True:
         try:
-            return report_file(file, out, **said)
+            return report_file(file, out, **arguments)
         except Missing as missed:
             if not sys.stdin.isatty():
                 raise
@@ -69,7 +69,7 @@ def report_asking(file: str, out: str, **said) -> list[str]:
                 answer = input(f"{one_line(missed.question)}: ").strip()
             except EOFError:  # an end of the input instead of an answer
                 raise missed from None
-            said[missed.name] = _number(answer) if missed.name == "sample_rate" else answer
+            arguments[missed.name] = _number(answer) if missed.name == "sample_rate" else answer
 
 
 def _number(text: str) -> float:
@@ -79,10 +79,10 @@ def _number(text: str) -> float:
         raise InputError(f"{text!r} is not a number; give the rate in Hz") from None
 
 
-def report_file(file: str, out: str = "", **said) -> list[str]:
+def report_file(file: str, out: str = "", **arguments) -> list[str]:
     """Write a new page about the measurement in `file`; returns the findings, one line each.
 
-    `said` holds what the file may not state: `unit` of a record or of densities, `response_unit`, `force_unit`,
+    `arguments` holds what the file may not state: `unit` of a record or of densities, `response_unit`, `force_unit`,
     `response`, `sample_rate` (Hz), `damping_ratio` and `fit_hz`; and the settings of the search for a controller, as in
     the command `design`: `rate` (Hz), `delay` (samples), `uncertainty` and `loop_hz`. Empty or None: not given. If
     necessary information is neither in the file nor given, `Missing` is raised; the search's settings have defaults,
@@ -90,8 +90,10 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
     """
     require_package("matplotlib")
     source = Path(file)
-    said = {name: value for name, value in said.items() if value or (name == "delay" and value is not None)}
-    asked_uncertainty(said.get("uncertainty", ""))
+    arguments = {
+        name: value for name, value in arguments.items() if value or (name == "delay" and value is not None)
+    }
+    stated_uncertainty(arguments.get("uncertainty", ""))
     held = inspect_file(file)
     if source.suffix.lower() in (".toml", ".py"):
         raise InputError(
@@ -109,7 +111,7 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
         kind = "densities"
     parts = {"densities": _densities, "record": _record}.get(kind, _machine)
     lines, sections = [], []
-    for part in parts(source, arrays, said):
+    for part in parts(source, arrays, arguments):
         (lines if isinstance(part, str) else sections).append(part)
     body = [f"<p>{html.escape(line)}</p>" for line in lines]
     body += [f"<h2>{html.escape(title)}</h2>\n{content}" for title, content in sections]
@@ -118,16 +120,16 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
     return [*lines, f"written: {target}"]
 
 
-def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
-    reading = ("response_unit", "force_unit", "sample_rate", "response", "damping_ratio")
-    options = {key: said[key] for key in reading if key in said}
+def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]:
+    names = ("response_unit", "force_unit", "sample_rate", "response", "damping_ratio")
+    options = {key: arguments[key] for key in names if key in arguments}
     kind = kind_of(arrays)
     if kind == "frequency response":
         several = list(complex_responses(arrays))
-        if len(several) > 1 and "response" not in said:
+        if len(several) > 1 and "response" not in arguments:
             raise Missing("response", f"{source.name} holds {', '.join(several)}; which one", "NAME")
     if kind == "hammer records":
-        _rate(source, arrays, said)
+        _rate(source, arrays, arguments)
     if kind != "matrices":
         try:
             units = stated_units(arrays)
@@ -136,11 +138,11 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
         for name, stated, usual in zip(
             ("response_unit", "force_unit"), units, ("m/s^2, g or um", "N or kN"), strict=True
         ):
-            if not stated and name not in said:
+            if not stated and name not in arguments:
                 whose = name.partition("_")[0]
                 raise Missing(name, f"{source.name} does not state the unit of the {whose} (e.g. {usual})")
     file = load_machine(source, **options)
-    band = said.get("fit_hz", (0.0, 0.0))
+    band = arguments.get("fit_hz", (0.0, 0.0))
     machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
     known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
     yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}{known}"
@@ -149,10 +151,10 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     if machine.fit:
         yield "Stabilisation", picture(paint_stabilisation(machine.fit), "poles over the order")
     asked = {"delay": DELAY} | {
-        key: said[key] for key in ("rate", "delay", "uncertainty", "loop_hz") if key in said
+        key: arguments[key] for key in ("rate", "delay", "uncertainty", "loop_hz") if key in arguments
     }
     try:
-        with Progress(EACH * USES, task="report", unit="search", tell=True, aside=True) as progress:
+        with Progress(EACH * USES, task="report", unit="search", tenths=True, to_stderr=True) as progress:
             made = search_designs(machine, **asked, on_step=lambda _: progress.step())
     except InputError as error:
         yield f"no loop was searched: {error}"
@@ -177,13 +179,13 @@ def _modes(machine: Machine) -> str:
     return table(["frequency (Hz)", "damping (%)", "share of the rigid body"], rows)
 
 
-def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
-    rate = _rate(source, arrays, said)
+def _record(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]:
+    rate = _rate(source, arrays, arguments)
     record = load_unscaled(source, sample_rate=rate, most_channels=MOST_CHANNELS)
-    given = said.get("unit", "")
+    given = arguments.get("unit", "")
     silent = [name for name in record.names if not stated_unit(name)]
     if silent and not given:
-        raise Missing("unit", f"{source.name} does not state the unit of {silent[0]} ({UNITS_SAID})")
+        raise Missing("unit", f"{source.name} does not state the unit of {silent[0]} ({UNITS_TEXT})")
     for name in () if silent else record.names:
         channel_unit(source.name, name, given)  # nothing is left that a given unit could mean
     units = [stated_unit(name) or given for name in record.names]
@@ -205,11 +207,13 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
         yield "From the first channel to the others", picture(figure, "coherence")
 
 
-def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
+def _densities(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]:
     names = [name for name in arrays if name != frequency_axis(arrays)]
-    unit = said.get("unit", "")
+    unit = arguments.get("unit", "")
     if not (unit or all(map(stated_density, names))):
-        raise Missing("unit", f"{source.name} does not state the unit of its densities ({DENSITIES_SAID})")
+        raise Missing(
+            "unit", f"{source.name} does not state the unit of its densities ({DENSITY_UNITS_TEXT})"
+        )
     hertz, density = read_densities(source, unit, [], MOST_CHANNELS)
     yield f"power spectral densities, {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, as accelerations"
     rows = []
@@ -256,8 +260,8 @@ def _two_panels(hertz, above, below, names):
     return figure, upper, lower
 
 
-def _rate(source: Path, arrays, said) -> float:
-    stated = said.get("sample_rate")
+def _rate(source: Path, arrays, arguments) -> float:
+    stated = arguments.get("sample_rate")
     timed = any(is_time(name) and array.size > 1 for name, array in arrays.items())
     if stated is None and not timed and not any(array.size == 1 for array in arrays.values()):
         raise Missing(

@@ -43,7 +43,7 @@ def retest_file(
     closed_loop: bool = False,
     fit_hz: tuple[float, float] = (0.0, 0.0),
     loop_hz: tuple[float, float] = (0.0, 0.0),
-    **reading,
+    **load_options,
 ) -> list[str]:
     """Close the loop of a written controller around a new response, and report whether the promise of `design` holds.
 
@@ -61,7 +61,7 @@ def retest_file(
         from the controller.
     fit_hz, loop_hz : tuple of float
         See `design_file`; in closed loop, `loop_hz` is the band that is judged.
-    **reading
+    **load_options
         Other arguments of `load_machine`.
 
     Returns
@@ -93,12 +93,12 @@ def retest_file(
     gains = about["gains"]
     pid = Pid(**gains | {"notches": tuple(Notch(**each) for each in gains["notches"])})
     if closed_loop:
-        seen = _from_sensitivity(before, written, file, loop_hz, reading)
+        seen = _from_sensitivity(before, written, file, loop_hz, load_options)
         loops, stable, turns = {"measured": seen}, True, None  # it ran
         changes = _gain_change(before, seen, pid, made, Path(file).name)
     else:
         machine = build_machine(
-            load_machine(file, **reading), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False
+            load_machine(file, **load_options), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False
         )
         if machine.mass_unit != made["mass_unit"]:
             raise InputError(
@@ -128,13 +128,13 @@ def retest_file(
         verdict = "the promise holds"
     else:
         verdict = "not decided: at this noise the promise may hold or not; average longer near the peaks, or measure more lines"
-    said = "; ".join(
+    peaks_text = "; ".join(
         f"{where}: {', '.join(f'{SHOWN[name]} {peak}' for name, peak in each.items())}"
         for where, each in peaks.items()
     )
     lines = [
         f"{Path(file).name} with {Path(controller).name}: {verdict}",
-        said,
+        peaks_text,
         *([] if stable else ["the loop is unstable on the model of this response"]),
         *([f"extra encirclements of -1 on the measurement: {turns}"] if turns is not None else []),
         *(" ".join(row) for row in changes if row[-1] != INSIDE),
@@ -185,10 +185,14 @@ def model_of(entries: Table) -> ModalModel:
 
 
 def _from_sensitivity(
-    before: Loop, controller: DigitalController, file: str, loop_hz: tuple[float, float], reading: Mapping
+    before: Loop,
+    controller: DigitalController,
+    file: str,
+    loop_hz: tuple[float, float],
+    load_options: Mapping,
 ) -> Loop:
     """The loop with the plant that follows from a measured output sensitivity S: S = 1 / (1 - K P)."""
-    ratio = load_ratio(file, response=reading.get("response", ""))
+    ratio = load_ratio(file, response=load_options.get("response", ""))
     low, high = whole_band(ratio, loop_hz)
     inside = (ratio.omega >= 2 * np.pi * low) & (ratio.omega <= 2 * np.pi * high)
     inside &= ratio.omega < np.pi / before.sample_time

@@ -13,7 +13,7 @@ from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
-from stillwork.signals.records import LAST_BRACKETS, UNITS_SAID, is_time, sampling_rate, unit_factor
+from stillwork.signals.records import LAST_BRACKETS, UNITS_TEXT, is_time, sampling_rate, unit_factor
 
 FORMS = (
     "a frequency response (frequency, and complex values or magnitude and phase), hammer records (force and "
@@ -139,7 +139,7 @@ def load_machine(
         response_unit = response_unit or "m/s^2"
         if unknown := _unknown_unit(read):
             raise InputError(
-                f"{unknown}: the unit is not known; convert it to one of {UNITS_SAID} and name it so, or leave the brackets "
+                f"{unknown}: the unit is not known; convert it to one of {UNITS_TEXT} and name it so, or leave the brackets "
                 "out of the name and give response_unit and force_unit"
             )
         position, derivatives, drive = _machine_units(response_unit, force_unit)
@@ -216,14 +216,14 @@ def stated_units(names: Iterable[str]) -> tuple[str, str]:
         top, _, below = whole.rpartition("/")
         top, below = top.strip("() "), below.strip("() ")
         if is_unit(top, tuple(MOVES)) and is_unit(below, DRIVES):
-            said = {"response": top, "force": below}
+            stated = {"response": top, "force": below}
         else:
             kinds = (("response", tuple(MOVES)), ("force", DRIVES))
             # rad and rad/s behind a phase and a frequency are no motion of the machine.
-            said = {
+            stated = {
                 kind: whole for kind, wanted in kinds if _word(name) not in _ANGLES and is_unit(whole, wanted)
             }
-        for kind, unit in said.items():
+        for kind, unit in stated.items():
             if unit_factor(units.setdefault(kind, unit)) != unit_factor(unit):
                 raise InputError(
                     f"the {kind} is in {units[kind]} and in {unit}; give one unit to all of its columns"

@@ -17,7 +17,7 @@ from stillwork.signals.records import (
     unknown_unit,
 )
 
-DENSITIES_SAID = (
+DENSITY_UNITS_TEXT = (
     "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), for example, with m, u or n before a unit"
 )
 # What a column beside a frequency is called when it is a part of a response, and no density.
@@ -40,7 +40,7 @@ def density_unit(unit: str) -> tuple[str, int] | None:
         if found := re.fullmatch(pattern, plain):
             return found[1], power
     if "hz" in plain.lower():
-        raise InputError(f"unit is {unit!r}; give a density as {DENSITIES_SAID}")
+        raise InputError(f"unit is {unit!r}; give a density as {DENSITY_UNITS_TEXT}")
     return None
 
 
@@ -114,12 +114,12 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
 
 def _scale(source: str, name: str, unit: str) -> tuple[float, int, int]:
     """Factor to SI of the motion, the power to which the density has it, and derivatives that lack to acceleration."""
-    said = agreed_density(source, name, unit)
-    if not said:
+    stated = agreed_density(source, name, unit)
+    if not stated:
         raise InputError(
-            f"unit is not given, and {source} states none for {name!r}; give a density as {DENSITIES_SAID}"
+            f"unit is not given, and {source} states none for {name!r}; give a density as {DENSITY_UNITS_TEXT}"
         )
-    return _meaning(said)
+    return _meaning(stated)
 
 
 @checked
@@ -139,17 +139,17 @@ def agreed_density(source: str, name: str, unit: str) -> str:
 
 
 def _factors(unit: str) -> tuple | None:
-    said = density_unit(unit)
-    return said and (unit_factor(said[0]), said[1])
+    unit_and_power = density_unit(unit)
+    return unit_and_power and (unit_factor(unit_and_power[0]), unit_and_power[1])
 
 
 def _meaning(unit: str) -> tuple[float, int, int]:
-    if not (said := density_unit(unit)):
-        raise InputError(f"unit is {unit!r}; give a density as {DENSITIES_SAID}")
-    factor, si_unit = unit_factor(said[0])
+    if not (unit_and_power := density_unit(unit)):
+        raise InputError(f"unit is {unit!r}; give a density as {DENSITY_UNITS_TEXT}")
+    factor, si_unit = unit_factor(unit_and_power[0])
     if si_unit not in MOTION_UNITS:
         raise InputError(f"unit is {unit!r}; a floor needs a density of m/s^2, m/s or m")
-    return factor, said[1], MOTION_UNITS.index(si_unit)
+    return factor, unit_and_power[1], MOTION_UNITS.index(si_unit)
 
 
 @checked

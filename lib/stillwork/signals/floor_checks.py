@@ -19,15 +19,15 @@ QUIETEST = 1e-8  # m/s^2 rms: the quietest ground on Earth (Peterson's low noise
 @checked
 def require_floor_level(source: str, unit: str, peak: float, rms: float) -> None:
     """Refuse a floor (m/s^2) that is louder than a floor can be, or quieter: its unit is wrong."""
-    said = f"check the unit{unit and f' {unit!r}'}"
+    hint = f"check the unit{unit and f' {unit!r}'}"
     if peak > LOUDEST:
         raise InputError(
             f"{source}: the floor accelerates by up to {peak:.3g} m/s^2, beyond 1 g, where nothing stays on it; "
-            f"{said}, or cut out the part in which only the sensor was shaken"
+            f"{hint}, or cut out the part in which only the sensor was shaken"
         )
     if rms < QUIETEST:
         raise InputError(
-            f"{source}: the floor accelerates by {rms:.1g} m/s^2 rms, less than the quietest ground on Earth; {said}"
+            f"{source}: the floor accelerates by {rms:.1g} m/s^2 rms, less than the quietest ground on Earth; {hint}"
         )
 
 

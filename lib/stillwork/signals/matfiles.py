@@ -49,13 +49,15 @@ def read_mat(path: Path) -> dict[str, np.ndarray]:
             )
         except subprocess.TimeoutExpired:
             raise _refusal(path, f"it takes more than {MOST_SECONDS} s") from None
-        said = done.stderr.decode(errors="replace").strip()
+        message = done.stderr.decode(errors="replace").strip()
         if done.returncode == _REFUSED:
-            raise InputError(said)
+            raise InputError(message)
         if done.returncode < 0:
             raise _refusal(path, f"its reader ended by {signal.Signals(-done.returncode).name}")
         if done.returncode:
-            raise _refusal(path, said.rpartition("\n")[2] or f"its reader ended with code {done.returncode}")
+            raise _refusal(
+                path, message.rpartition("\n")[2] or f"its reader ended with code {done.returncode}"
+            )
         with np.load(result, allow_pickle=False) as file:
             names = json.loads(file["names"].tobytes())
             return {name: file[f"arr_{number}"] for number, name in enumerate(names)}

@@ -48,7 +48,7 @@ UNITS = {
     "Gal": (0.01, "m/s^2"),
     "1": (1.0, "1"),
 }
-UNITS_SAID = (
+UNITS_TEXT = (
     f"{', '.join(_QUANTITIES)} or 1, with m, u, n, p or k in front, or cm/s^2, cm/s, cm, Gal, g, mg, ug, ng"
 )
 
@@ -252,7 +252,7 @@ def unit_factor(unit: str) -> tuple[float, str]:
     plain = unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "^2").replace("s2", "s^2")
     plain = re.sub(r"^([munpk]?)N[-*· ]?m$", r"\1N m", plain.replace("counts", "count"))
     if plain not in UNITS:
-        raise InputError(f"unit is {unit!r}; use {UNITS_SAID}{nearest(plain, UNITS)}")
+        raise InputError(f"unit is {unit!r}; use {UNITS_TEXT}{nearest(plain, UNITS)}")
     return UNITS[plain]
 
 
@@ -283,7 +283,7 @@ def channel_unit(source: str, name: str, unit: str, argument: str = "unit") -> t
     stated = stated_unit(name)
     if not (unit or stated):
         raise InputError(
-            f"{argument} is not given, and {source} states none for {name!r}; give it ({UNITS_SAID})"
+            f"{argument} is not given, and {source} states none for {name!r}; give it ({UNITS_TEXT})"
         )
     if unit and (odd := unknown_unit(name)):
         raise InputError(

@@ -244,7 +244,7 @@ def run_combinations(
     missing = {run.key: run for _, runs in plans for run in runs.values() if run.key not in journal.found}
     waiting = deque(missing.values())
     end = time.monotonic() + budget_s
-    with Progress(len(missing), task="choices", unit="combination", tell=True) as progress:
+    with Progress(len(missing), task="choices", unit="combination", tenths=True) as progress:
 
         def keep(run: Call, found: dict | str) -> None:
             journal.add(run.key, found)
