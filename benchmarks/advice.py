@@ -705,7 +705,7 @@ def judge(problem: Problem) -> tuple[str, str, np.ndarray, np.ndarray, bool]:
 
 def main() -> None:
     advice.SHARES = ()  # where it would turn is not judged
-    which = next((each for each in GENERATORS if f"--{each}" in sys.argv), "test")
+    which = next((generator for generator in GENERATORS if f"--{generator}" in sys.argv), "test")
     kinds, seed = GENERATORS[which]
     given = dict(each.split("=") for each in sys.argv if "=" in each)
     seed, size = int(given.get("seed", seed)), float(given.get("size", 1.0))

@@ -199,7 +199,7 @@ def print_pins(targets: list[str], rounds: int, kernels: str) -> None:
 
 def pins_row(label: str, seconds: dict[str, float]) -> str:
     pinned, *others = seconds.values()
-    return f"{label:40}{pinned:9.2f}" + "".join(f"{pinned / each:12.2f}" for each in others)
+    return f"{label:40}{pinned:9.2f}" + "".join(f"{pinned / other:12.2f}" for other in others)
 
 
 def row(label: str, seconds: dict[str, float]) -> str:

@@ -84,7 +84,7 @@ def contents(folder: Path) -> Files:
     """Every file below `folder`; a link that leads nowhere is a file that holds nothing."""
     found = {}
     for place, _, names in os.walk(folder):
-        for file in (Path(place, each) for each in names):
+        for file in (Path(place, name) for name in names):
             with contextlib.suppress(OSError):
                 found[file.relative_to(folder).as_posix()] = b""
                 found[file.relative_to(folder).as_posix()] = file.read_bytes()
@@ -258,7 +258,7 @@ class Bench:
     def clean_files(self, name: str) -> Files:
         """What a build from nothing gives, without the record; each notebook's state of the sources is built once."""
         states = self.states()
-        if missing := [each for each, now in states.items() if (each, now) not in self.clean]:
+        if missing := [state for state, now in states.items() if (state, now) not in self.clean]:
             kept = self.root / "kept"
             (self.root / "build").rename(kept)
             try:
@@ -701,7 +701,7 @@ def recover(bench: Bench) -> None:
             )
         if without_record(files) != bench.clean_files(name):
             raise Broken(f"the next build differs from a clean one in {name}")
-    if left := [each for each in bench.toy.leftovers() if "/accept/" not in each]:
+    if left := [leftover for leftover in bench.toy.leftovers() if "/accept/" not in leftover]:
         raise Broken(f"left behind: {left}")
 
 
@@ -978,7 +978,7 @@ def prepare(home: Path) -> bool:
     toy = toys.make(root)
     toy.temporary.rmdir()
     for name in NOTEBOOKS:
-        toy.add(name, *(each.format(name.partition("/")[0]) for each in READS))
+        toy.add(name, *(read.format(name.partition("/")[0]) for read in READS))
     return mounted
 
 

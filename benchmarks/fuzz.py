@@ -197,8 +197,8 @@ def _properties(result) -> list:
     if not is_dataclass(owner):
         return []
     found = []
-    for name, each in vars(owner).items():
-        asked = isinstance(each, property | cached_property) and not name.startswith("_") and name != "zeros"
+    for name, var in vars(owner).items():
+        asked = isinstance(var, property | cached_property) and not name.startswith("_") and name != "zeros"
         try:
             found += [getattr(result, name)] if asked else []
         except InputError:  # its message states why it has none

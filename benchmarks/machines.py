@@ -236,7 +236,7 @@ def judge(machine: TrueMachine, controller, sample_time: float) -> tuple[float, 
         sizes = np.abs([1 / (1 - k_y * p), 1 - k_r * p / (1 - k_y * p)])
         peaks = omega[np.argsort(sizes.max(axis=0))[-8:]]
         omega = np.unique(
-            np.concatenate([peaks, *(each * (1 + np.linspace(-2e-3, 2e-3, 41)) for each in peaks)])
+            np.concatenate([peaks, *(peak * (1 + np.linspace(-2e-3, 2e-3, 41)) for peak in peaks)])
         )
         omega = omega[omega < np.pi / sample_time]
         best = np.maximum(best, sizes.max(axis=1))

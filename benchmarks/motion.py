@@ -269,8 +269,8 @@ def filter_contenders() -> dict:
     contenders = {"Kalman step, ours": ours}
     if shutil.which("gcc"):
         flags = {"gcc -O3 -march=native": ("-O3", "-march=native"), "gcc -O2": ("-O2",)}
-        for name, each in flags.items():
-            alone, keeping = c_kalman(model, q, r, y, expected, each)
+        for name, flag in flags.items():
+            alone, keeping = c_kalman(model, q, r, y, expected, flag)
             contenders[f"Kalman step, C, {name}"] = alone
             contenders[f"Kalman step, C that keeps what ours keeps, {name}"] = keeping
     else:

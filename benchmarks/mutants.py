@@ -173,14 +173,14 @@ def changes(node: ast.AST, local: list[str]) -> Iterator[tuple[str, str]]:
 def draw(count: int, seed: int) -> list[Mutant]:
     """So many mutants, of every kind about as many."""
     files = [*(f for part in PARTS for f in sorted((ROOT / "lib" / "stillwork" / part).glob("*.py")))]
-    files = [f for f in files if f.stem not in LEFT_OUT] + [ROOT / "lib" / each for each in OTHERS]
+    files = [f for f in files if f.stem not in LEFT_OUT] + [ROOT / "lib" / other for other in OTHERS]
     kinds: dict[str, list[Mutant]] = {}
     for file in files:
         for each in mutants_of(file.relative_to(ROOT / "lib").as_posix(), file.read_bytes()):
             kinds.setdefault(each.kind, []).append(each)
     rng = random.Random(seed)
-    for each in kinds.values():
-        rng.shuffle(each)
+    for kind in kinds.values():
+        rng.shuffle(kind)
     drawn: list[Mutant] = []
     while len(drawn) < count and any(kinds.values()):
         drawn += [each.pop() for each in kinds.values() if each][: count - len(drawn)]
@@ -262,18 +262,18 @@ def ask_forks(mutants: list[Mutant], answers: Path, limit: float, compiled: bool
     """A process that adds to `answers` the results of the tests that are not slow, in its forks."""
     faults = PLACE / f"{'compiled' if compiled else 'plain'}.json"
     described = []
-    for each in mutants:
-        file = TREE / "lib" / each.file
-        told = {"mutant": str(each), "path": str(file), "text": each.applied(file.read_bytes()).decode()}
+    for mutant in mutants:
+        file = TREE / "lib" / mutant.file
+        told = {"mutant": str(mutant), "path": str(file), "text": mutant.applied(file.read_bytes()).decode()}
         # Without compilation even the nearest are slow.
-        told |= {"near": list(map(str, nearest(each)[: 2 * FILES if compiled else FILES]))}
-        told |= {name: getattr(each, name) for name in ("file", "lines", "function", "outermost")}
+        told |= {"near": list(map(str, nearest(mutant)[: 2 * FILES if compiled else FILES]))}
+        told |= {name: getattr(mutant, name) for name in ("file", "lines", "function", "outermost")}
         described.append(told)
     faults.write_text(json.dumps(described))
     variables = {"FAULTS_TRIED": str(faults), "FAULTS_ANSWERS": str(answers), "FAULTS_LIMIT": str(limit)}
     variables |= {"FAULTS_RECORDS": str(RECORDS / ("compiled" if compiled else "plain"))}
     variables |= {} if compiled else {"NUMBA_DISABLE_JIT": "1"}
-    tests = [str(each) for each in all_tests()]
+    tests = [str(test) for test in all_tests()]
     variables["ORDER"] = "|".join(tests)
     command = [*PYTEST, "-s", "-p", "forked_tests", "-m", "not slow", *tests]
     return subprocess.Popen(command, cwd=TREE, env={**environment(), **variables})
@@ -303,7 +303,7 @@ def names(file: Path) -> set[str]:
 
 def run(tests: list[Path], limit: float, *options: str) -> tuple[str, str]:
     """What pytest found: passed, failed or late, and its last lines."""
-    variables = {"ORDER": "|".join(str(each).partition("::")[0] for each in tests)}
+    variables = {"ORDER": "|".join(str(test).partition("::")[0] for test in tests)}
     try:
         done = subprocess.run(
             [*PYTEST, *options, *map(str, tests)],
@@ -389,8 +389,10 @@ def main() -> None:
     drawn = draw(options.count, options.seed)
     same = [each for each in drawn if equivalent(each)]
     survivors = [each for each in drawn if each not in same and not killed(known().get(str(each)))]
-    in_forks = [each for each in survivors if each.outermost]
-    asked = [[each for each in in_forks if each.in_kernel is not compiled] for compiled in (True, False)]
+    in_forks = [survivor for survivor in survivors if survivor.outermost]
+    asked = [
+        [mutant for mutant in in_forks if mutant.in_kernel is not compiled] for compiled in (True, False)
+    ]
     begun = [ask_forks(those, kept, options.limit, those is asked[0]) for those in asked if those]
     for process in begun:
         process.wait()

@@ -33,7 +33,7 @@ class Library:
         self.states, self.settings = sizes[0], np.array(settings, dtype=float)
         self.library.observer_start(
             *map(ctypes.c_int, sizes),
-            *(each.ctypes.data_as(ctypes.c_void_p) for each in arrays),
+            *(array.ctypes.data_as(ctypes.c_void_p) for array in arrays),
             ctypes.c_double(sample_time),
             ctypes.c_int(len(settings)),
             self.settings.ctypes.data_as(ctypes.c_void_p),
@@ -44,7 +44,7 @@ class Library:
 
         estimate = np.full(self.states + GUARD, np.nan)
         arrays = (input, measurement, estimate)
-        self.library.observer_step(*(each.ctypes.data_as(ctypes.c_void_p) for each in arrays))
+        self.library.observer_step(*(array.ctypes.data_as(ctypes.c_void_p) for array in arrays))
         if not np.isnan(estimate[self.states :]).all():
             raise ValueError(f"an estimate of more than {self.states} states")
         return estimate[: self.states]

@@ -139,8 +139,8 @@ def rows_of(plant: str) -> list[tuple]:
     block = record.inputs[:BLOCK], record.measurements[:BLOCK]
     observers = {name: begun(name, scan) for name in ENTRANTS}
     ratios: dict[str, list[float]] = {name: [] for name in observers}
-    for each in observers.values():
-        seconds_of(each, block, given)  # compiles it
+    for observer in observers.values():
+        seconds_of(observer, block, given)  # compiles it
     for _ in range(ROUNDS):
         for name, each in observers.items():
             usual = seconds_of(observers["Kalman"], block, given)

@@ -181,8 +181,8 @@ def machine_numbers(name: str) -> dict:
     """All that a scan needs of a machine: modes, how many of them are given, sampling, move and noises."""
     built = BUILDERS[name]()
     given = {"given_modes": len(built.model.frequencies), "sample_time": built.sample_time}
-    shapes = {each: getattr(built.machine, each).tolist() for each in SHAPES}
-    return given | shapes | {each: float(getattr(built, each)) for each in NUMBERS}
+    shapes = {shape: getattr(built.machine, shape).tolist() for shape in SHAPES}
+    return given | shapes | {number: float(getattr(built, number)) for number in NUMBERS}
 
 
 def main() -> None:

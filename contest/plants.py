@@ -71,7 +71,7 @@ def plant_of(name: str) -> ContestPlant:
     """The plant of this name."""
     require_choice("plant", name, PLANTS)
     numbers = _numbers()[name]
-    shapes = [np.array(numbers[each], dtype=float) for each in SHAPES]
+    shapes = [np.array(numbers[shape], dtype=float) for shape in SHAPES]
     machine = ModalModel(*shapes, np.zeros((len(shapes[3]), shapes[2].shape[1])))
     model = machine.modes(slice(0, numbers["given_modes"]))
     return ContestPlant(model, machine, *(numbers[each] for each in ("sample_time", *NUMBERS)))

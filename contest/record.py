@@ -63,7 +63,7 @@ def run_of(task: str, release: int) -> Run:
     at = RELEASES[release]
     part, still = slice(at - BEFORE, at + AFTER), slice(100, 300)
     signals = [record[name].astype(float) for name in (*TASKS[task], "laser_mm")]
-    *measured, laser = (each[part] - each[still].mean() for each in signals)
+    *measured, laser = (signal[part] - signal[still].mean() for signal in signals)
     voltage = record["voltage_v"].astype(float)[at - BEFORE - 1 : at + AFTER - 1]
     return Run(voltage, np.stack(measured, axis=1), laser)
 

@@ -78,9 +78,9 @@ def _visible() -> list[str]:
         str(LIBRARY / "stillwork"),
         str(SERVER),
     ]
-    kept = [each for each in places if not each.startswith("/usr/")]
+    kept = [place for place in places if not place.startswith("/usr/")]
     return [
-        each for each in dict.fromkeys([*system, *kept, "/dev/null", "/dev/urandom"]) if os.path.exists(each)
+        path for path in dict.fromkeys([*system, *kept, "/dev/null", "/dev/urandom"]) if os.path.exists(path)
     ]
 
 
@@ -282,7 +282,7 @@ def knobs_of(answer) -> tuple[TuningParameter, ...]:
         knobs = tuple(TuningParameter(str(name), *map(float, rest)) for name, *rest in answer["knobs"])
     except (TypeError, KeyError, ValueError, OverflowError):
         knobs = None
-    right = knobs is not None and all(0 < each.low <= each.default <= each.high < np.inf for each in knobs)
+    right = knobs is not None and all(0 < one.low <= one.default <= one.high < np.inf for one in knobs)
     if not right or len(knobs) > MOST_KNOBS:
         raise Disqualified(
             f"KNOBS that are not up to {MOST_KNOBS} (name, low, high, default), numbers above zero in order"

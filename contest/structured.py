@@ -70,7 +70,7 @@ class WorstCase:
             flexible, model.frequencies * np.sqrt(1 - 2 * np.minimum(model.damping, 0.7) ** 2), np.inf
         )
         tuned = np.clip(angles[:, None] / sample_time / resonances - 1, -size, size)
-        tried = [tuned, *(np.full(tuned.shape, size * each) for each in ERRORS)]
+        tried = [tuned, *(np.full(tuned.shape, size * error) for error in ERRORS)]
         nominal = mode_responses(model, sample_time, self.z, 0 * tuned)
         every = [
             gain * moved - nominal

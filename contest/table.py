@@ -154,8 +154,8 @@ def _now(function, *arguments) -> _Now:
 def tabulated(scores: Sequence[Scored]) -> pd.DataFrame:
     """A row for each scan and score, a column for each entrant; four digits."""
     rows = [
-        (*(each.score, *each.scan[3:4], *each.scan[1:3], each.scan[4]), each.entrant, each.value)
-        for each in scores
+        (*(score.score, *score.scan[3:4], *score.scan[1:3], score.scan[4]), score.entrant, score.value)
+        for score in scores
     ]
     long = pd.DataFrame(rows, columns=[*KEYS, "entrant", "value"])
     wide = long.pivot(index=KEYS, columns="entrant", values="value").reset_index()
@@ -202,10 +202,10 @@ def entries(files: Sequence[str | Path]) -> dict[str, dict]:
     observers = {name_of(file): ExternalObserver(file) for file in files}
     return {
         name: {
-            "sha256": None if each.remote else hashlib.sha256(each.content).hexdigest(),
-            "isolated": each.isolated,
+            "sha256": None if observer.remote else hashlib.sha256(observer.content).hexdigest(),
+            "isolated": observer.isolated,
         }
-        for name, each in observers.items()
+        for name, observer in observers.items()
     }
 
 
@@ -215,7 +215,7 @@ def digest_of_code() -> str:
     tables = FILE.name, RECORDED.name, COMPUTED.name, "contest_map.csv"
     data = [each for each in sorted(FILE.parent.glob("contest*.[ct]*")) if each.name not in tables]
     files = [*sorted(Path(__file__).parent.glob("*.py")), *data]
-    return hashlib.sha256(b"".join(each.read_bytes() for each in files)).hexdigest()[:12]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 
 def digest_of(plant: str) -> str:

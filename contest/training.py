@@ -22,7 +22,7 @@ def evolve(
     lowest, kept = np.inf, mean
     for _ in range(rounds):
         draws = rng.standard_normal((count, size))
-        costs = np.array([cost(mean + deviation * each) for each in draws])
+        costs = np.array([cost(mean + deviation * draw) for draw in draws])
         chosen = draws[np.argsort(costs)[:best]]
         mean = mean + deviation * (shares @ chosen)
         deviation = deviation * np.exp(0.1 * (shares @ (chosen**2 - 1)))

@@ -64,7 +64,7 @@ def tune(
             costs.append(capped_mean([each["flexible"] for each in found]))
         except (InputError, Disqualified):  # there is no such design
             costs.append(np.inf)
-    return [float(f"{each:.6g}") for each in positions(knobs)[int(np.argmin(costs))]]
+    return [float(f"{position:.6g}") for position in positions(knobs)[int(np.argmin(costs))]]
 
 
 def settings_for(plant: str, seed: int, names: Iterable[str] = ENTRANTS) -> dict[str, tuple[float, ...]]:

@@ -66,8 +66,8 @@ class Values:
             for each in value:
                 self._keep(each)
         elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-            for each in dataclasses.fields(value):
-                self._keep(getattr(value, each.name))
+            for field in dataclasses.fields(value):
+                self._keep(getattr(value, field.name))
         self.by_kind.setdefault(type(value), value)
 
     def call(self, function: Callable, owner: type | None) -> tuple[Callable, dict]:
@@ -75,8 +75,8 @@ class Values:
         plain = inspect.unwrap(function)
         hints, checks = typing.get_type_hints(plain), validation.checks_of(plain)
         good = {}
-        for name, each in inspect.signature(plain).parameters.items():
-            if name != "self" and each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY):
+        for name, parameter in inspect.signature(plain).parameters.items():
+            if name != "self" and parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
                 good[name] = self._argument(name, hints.get(name), checks.get(name))
         if "self" in inspect.signature(plain).parameters:
             function = function.__get__(self.made(owner))
@@ -118,7 +118,7 @@ class Values:
             hints = typing.get_type_hints(hint)
             checks = validation.checks_of(hint) if dataclasses.is_dataclass(hint) else {}
             names = (
-                [each.name for each in dataclasses.fields(hint)]
+                [field.name for field in dataclasses.fields(hint)]
                 if dataclasses.is_dataclass(hint)
                 else hint._fields
             )

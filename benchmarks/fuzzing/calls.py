@@ -102,8 +102,8 @@ def _linear_bias(position, velocity, parameters, out):
 def _whole(package: ModuleType) -> SimpleNamespace:
     """What all modules of a folder define, in its public API or not; the API decides between equal names."""
     names: dict = {}
-    for each in pkgutil.iter_modules(package.__path__):
-        module = import_module(f"{package.__name__}.{each.name}")
+    for found_module in pkgutil.iter_modules(package.__path__):
+        module = import_module(f"{package.__name__}.{found_module.name}")
         names |= {n: o for n, o in vars(module).items() if getattr(o, "__module__", "") == module.__name__}
     return SimpleNamespace(**names | {name: getattr(package, name) for name in package.__all__})
 
@@ -198,7 +198,7 @@ def catalogue() -> dict:
     block = {"matrix": rows.T, "target": signal, "bound": 0.1}
 
     def fields(value):
-        return {each.name: getattr(value, each.name) for each in dataclasses.fields(value)}
+        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
 
     walk = TimeVaryingModel(
         np.array([[0.9, 0.1], [0.0, 0.8]]), np.ones((2, 1)), np.ones((2, 1)), np.ones((20, 1, 2)),
@@ -557,7 +557,10 @@ def case(rng: np.random.Generator) -> tuple:
     must_work = benign and name in catalogue() and name not in REFUSED
 
     def call():
-        built = {key: each.make() if isinstance(each, Spoiled) else each for key, each in arguments.items()}
+        built = {
+            key: argument.make() if isinstance(argument, Spoiled) else argument
+            for key, argument in arguments.items()
+        }
         told[:] = [f"{key}={_short(built[key])}" for key in told]
         before = copy.deepcopy(built)
         result = function(**built)
@@ -585,7 +588,7 @@ def _names(value) -> set[str]:
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         return set()
     parts = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    return {*parts, *(name for each in parts.values() for name in _names(each))}
+    return {*parts, *(name for part in parts.values() for name in _names(part))}
 
 
 class Spoiled:

@@ -67,7 +67,7 @@ def _shares(value, array: np.ndarray) -> bool:
     if isinstance(value, tuple | list):
         return any(_shares(each, array) for each in value)
     if is_dataclass(value):
-        return any(_shares(getattr(value, each.name), array) for each in fields(value))
+        return any(_shares(getattr(value, field.name), array) for field in fields(value))
     return isinstance(value, np.ndarray) and np.shares_memory(value, array)
 
 

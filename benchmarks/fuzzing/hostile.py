@@ -126,7 +126,7 @@ def same_value(one, other) -> bool:
     ):
         return True
     if is_dataclass(one):
-        return all(same_value(getattr(one, each.name), getattr(other, each.name)) for each in fields(one))
+        return all(same_value(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(same_value(one[key], other[key]) for key in one)
     if isinstance(one, list | tuple):

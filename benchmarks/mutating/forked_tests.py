@@ -178,15 +178,15 @@ def put(fault: dict) -> bool:
     """Give the function that holds a fault the faulty code; no, where that is not one function."""
     file = fault["path"]
     faulty = [
-        each for each in codes(compile(fault["text"], file, "exec")) if each.co_qualname == fault["outermost"]
+        code for code in codes(compile(fault["text"], file, "exec")) if code.co_qualname == fault["outermost"]
     ]
     gc.unfreeze()
     own = [
-        each
-        for each in gc.get_objects()
-        if type(each) is FunctionType
-        and each.__code__.co_filename == file
-        and each.__code__.co_qualname == fault["outermost"]
+        candidate
+        for candidate in gc.get_objects()
+        if type(candidate) is FunctionType
+        and candidate.__code__.co_filename == file
+        and candidate.__code__.co_qualname == fault["outermost"]
     ]
     gc.freeze()
     if len(faulty) != 1 or not own or any(f.__code__.co_freevars != faulty[0].co_freevars for f in own):
@@ -199,9 +199,9 @@ def put(fault: dict) -> bool:
 def codes(code: CodeType) -> Iterator[CodeType]:
     """A module's code and all in it."""
     yield code
-    for each in code.co_consts:
-        if isinstance(each, CodeType):
-            yield from codes(each)
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from codes(constant)
 
 
 def forked(work: Callable[[], None]) -> int:

@@ -151,7 +151,7 @@ def numbers_difference(now: Path, before: Path) -> float | None:
     tables = [each.with_name(each.name + ".csv") for each in (now, before)]
     if _bytes(tables[0]) == _bytes(tables[1]) is not None:
         return 0.0
-    if not all(each.is_file() for each in tables):
+    if not all(table.is_file() for table in tables):
         return None
     try:
         return table_difference(*tables, set(_noted(before)))

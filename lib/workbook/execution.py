@@ -130,7 +130,9 @@ def sweep() -> None:
 def _take_temporary() -> None:
     """Take the folder for temporary files by its name: `tempfile` writes one to try it, which a kill would leave there."""
     places = (*(os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP")), "/tmp")
-    usable = (each for each in places if each and os.path.isdir(each) and os.access(each, os.W_OK | os.X_OK))
+    usable = (
+        place for place in places if place and os.path.isdir(place) and os.access(place, os.W_OK | os.X_OK)
+    )
     if tempfile.tempdir is None:
         tempfile.tempdir = next(map(os.path.abspath, usable), None)
 

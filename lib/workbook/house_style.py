@@ -51,7 +51,7 @@ def _scaled_once(method, axes: str):
 
     @wraps(method)
     def drawn(self, *arguments, **options):
-        scaled = all(getattr(self, f"get_{each}scale")() == "log" for each in axes)
+        scaled = all(getattr(self, f"get_{axis}scale")() == "log" for axis in axes)
         plain = options.keys().isdisjoint({"base", "subs", "nonpositive"})
         return (self.plot if scaled and plain else partial(method, self))(*arguments, **options)
 
@@ -62,8 +62,8 @@ def _scaled_once(method, axes: str):
 def _dressed(kind: type) -> type:
     """A class of figures or panels whose public methods run in the style: titles and ticks read it when they are made."""
     methods = {
-        name: _styled(each)
-        for name, each in getmembers(kind, isfunction)
+        name: _styled(method)
+        for name, method in getmembers(kind, isfunction)
         if not name.startswith("_") and name not in _KEPT
     }
     for name in _LOGARITHMIC.keys() & methods.keys():

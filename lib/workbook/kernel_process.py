@@ -69,14 +69,14 @@ class IgnoredPaths:
 
     def __init__(self, log: str):
         self._root = os.environ["STILLWORK_ROOT"].rstrip("/") + "/"
-        found = {each for each in self.places(log) if each}
+        found = {place for place in self.places(log) if place}
         found |= {os.path.realpath(each) for each in found}
         self._places = tuple(each.rstrip("/") + "/" for each in found)
         self._inner = tuple(
             each for each in self._places if each.startswith(self._root) and each != self._root
         )
         folders = set(self._packages())
-        folders |= {os.path.realpath(each) for each in folders}
+        folders |= {os.path.realpath(folder) for folder in folders}
         self.packages = tuple(each.rstrip("/") + "/" for each in folders)
         self._own = tuple(self._unpinned(folders))
 

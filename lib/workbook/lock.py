@@ -68,7 +68,7 @@ def _handled(handler: Callable, *numbers: signal.Signals) -> Iterator[None]:
 
     `nohup` ignores the end of a session so, and a shell the interrupts of its background jobs.
     """
-    handled = [each for each in numbers if signal.getsignal(each) != signal.SIG_IGN]
+    handled = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
     before = {each: signal.signal(each, handler) for each in handled}
     try:
         yield

@@ -33,7 +33,7 @@ def root() -> Path:
 @cache
 def _around(folder: str) -> Path | None:
     places = (Path(folder), *Path(folder).parents)
-    return next((each for each in places if any(each.glob("data/*/published.toml"))), None)
+    return next((place for place in places if any(place.glob("data/*/published.toml"))), None)
 
 
 @contextmanager

@@ -60,7 +60,7 @@ class _Arithmetic(AbstractTemplate):
     """Lanes with lanes, or with one number for all of them."""
 
     def generic(self, arguments, options):
-        lanes = [each for each in arguments if isinstance(each, Lanes)]
+        lanes = [argument for argument in arguments if isinstance(argument, Lanes)]
         if lanes and all(each == lanes[0] or isinstance(each, types.Float) for each in arguments):
             return lanes[0](*[lanes[0]] * len(arguments))
         return None

@@ -105,7 +105,7 @@ def damping_along(
     """Discrete damping gains (4.3) of an actuator that moves along the structure, solved at every place."""
     models = (at_place(plant, grid, place, "actuator") for place in np.asarray(places, float).tolist())
     return np.array(
-        [discrete_damping_gain(each.modes(slice(0, RETAINED)), increase, sample_time) for each in models]
+        [discrete_damping_gain(model.modes(slice(0, RETAINED)), increase, sample_time) for model in models]
     )
 
 

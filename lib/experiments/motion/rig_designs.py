@@ -120,9 +120,9 @@ def _pid(mass: float, bandwidth_hz: float) -> Pid:
 def bandwidths(loops: dict[str, list[RigLoop]], measure: str) -> dict[str, RigBandwidth]:
     """Largest bandwidth of every case; `no_bandwidth` where no bandwidth passes."""
     found = dict.fromkeys(loops, no_bandwidth())
-    for case, each in loops.items():
+    for case, loop in loops.items():
         with suppress(Infeasible):
-            found[case] = maximise_rig_bandwidth(each, rig_controllers(each[0].decoupling.masses), measure)
+            found[case] = maximise_rig_bandwidth(loop, rig_controllers(loop[0].decoupling.masses), measure)
     return found
 
 

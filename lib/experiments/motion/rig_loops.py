@@ -341,7 +341,7 @@ class Positions:
     def _of(loops: Sequence[RigLoop], part) -> RigLoop:
         """One loop with a part of the frequencies of all: what answers needs neither plant nor observer."""
         omega, parts = (
-            np.concatenate([getattr(each, name) for each in loops])[part] for name in ("omega", "parts")
+            np.concatenate([getattr(loop, name) for loop in loops])[part] for name in ("omega", "parts")
         )
         return replace(loops[0], omega=omega, parts=parts)
 

@@ -236,13 +236,13 @@ def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.n
     trajectory = levelling(rng)
     found = [bandwidths(loops, measure).values() for measure in MEASURES]
     pids = [{case: each.pids for case, each in zip(CASES, designs, strict=True)} for designs in found]
-    errors = [levelling_errors(loops, each, trajectory, settings.noise) for each in pids]
+    errors = [levelling_errors(loops, pid, trajectory, settings.noise) for pid in pids]
     original, redesigned = np.swapaxes(errors, 0, 1)
-    flexible = [flexible_peaks(each) for each in loops.values()]
+    flexible = [flexible_peaks(loop) for loop in loops.values()]
     printed = printed_controllers(loops["Original"][0])
     excited = [excitation(geometry, used) for used in ((0, 1, 2, 3), geometry.used)]
     return {
-        "crossing": np.array([[each.crossing_hz.mean(axis=0) for each in designs] for designs in found]),
+        "crossing": np.array([[design.crossing_hz.mean(axis=0) for design in designs] for designs in found]),
         "peaks": np.array([[each.peaks.max(axis=0) for each in designs] for designs in found]),
         "original": original,
         "redesigned": redesigned,

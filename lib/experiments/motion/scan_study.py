@@ -115,7 +115,7 @@ def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generat
     factors = 1 + np.asarray(errors, float)
     if np.any(np.diff(scan.nominal.frequencies * factors[:, :, 0]) < 0):
         raise InputError("errors are so large that two modes change places; give smaller ones")
-    sampled = [zoh_modes(perturbed(scan.nominal, each), scan.sample_time) for each in errors]
+    sampled = [zoh_modes(perturbed(scan.nominal, error), scan.sample_time) for error in errors]
     noise = rng.standard_normal((runs, 3, samples)) * np.array(scan.deviations)[:, None]
     states = np.zeros((runs, samples, len(sampled[0].a)))
     u, y = np.zeros((runs, samples)), np.zeros((runs, samples))
@@ -135,7 +135,7 @@ def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generat
 
 def contiguous(*arrays) -> tuple[np.ndarray, ...]:
     """Arrays as kernels take them."""
-    return tuple(np.ascontiguousarray(each) for each in arrays)
+    return tuple(np.ascontiguousarray(array) for array in arrays)
 
 
 @kernel

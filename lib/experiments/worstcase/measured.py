@@ -46,12 +46,12 @@ def blow_trial(
     """
     noise = blows[0].noise
     added = noise * np.sqrt(require_number("noisier", noisier, at_least=1.0) ** 2 - 1)
-    inputs = (each.input + added * rng.standard_normal(len(each.input)) for each in blows)
+    inputs = (blow.input + added * rng.standard_normal(len(blow.input)) for blow in blows)
     windows = [
         (fir_regressors(force, taps)[:, :length].T, each.output[:length])
         for force, each in zip(inputs, blows, strict=True)
     ]
-    judged = [(each, windows[:k] + windows[k + 1 :]) for k, each in enumerate(windows)]
+    judged = [(window, windows[:k] + windows[k + 1 :]) for k, window in enumerate(windows)]
     return _residuals(judged, replace(blows[0], noise=noisier * noise))
 
 
@@ -82,7 +82,9 @@ def total_trial(
         "total": total_least_squares(matrix[:length], output[:length]),
         "least": np.linalg.lstsq(matrix[:length], output[:length])[0],
     }
-    return {name: residual(matrix[length:], output[length:], each) for name, each in estimates.items()}
+    return {
+        name: residual(matrix[length:], output[length:], estimate) for name, estimate in estimates.items()
+    }
 
 
 def window_residuals(

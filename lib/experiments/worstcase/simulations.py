@@ -95,7 +95,7 @@ def gain_trial(
         "min_max": min_max_solve(regressors.T, outputs, bound).estimate,
         "least": np.linalg.lstsq(regressors.T, outputs)[0],
     }
-    return {name: float(np.linalg.norm(each - parameters)) for name, each in estimates.items()}
+    return {name: float(np.linalg.norm(estimate - parameters)) for name, estimate in estimates.items()}
 
 
 def criterion_trial(
@@ -203,10 +203,12 @@ def forgetting_trial(
         "least_kept": LeastSquares(1 - 1e-12, 1e4),
     }
     late = slice(truth.shape[1] // 2, None)
-    tracks = {name: run_silently(each, rows, outputs).estimates for name, each in estimators.items()}
+    tracks = {
+        name: run_silently(estimator, rows, outputs).estimates for name, estimator in estimators.items()
+    }
     return {
-        name: float(np.sqrt(np.mean(np.sum((each - truth)[:, late] ** 2, axis=0))))
-        for name, each in tracks.items()
+        name: float(np.sqrt(np.mean(np.sum((track - truth)[:, late] ** 2, axis=0))))
+        for name, track in tracks.items()
     }
 
 

@@ -657,7 +657,7 @@ def _lowest(
     `careful`, which it becomes where the end does not stand.
     """
     grid = np.geomspace(low_hz, high_hz, 2 + int(np.log(high_hz / low_hz) / np.log(ratio)))
-    kept = [each.limit for each in constraints if "sensitivity" in each.function]
+    kept = [constraint.limit for constraint in constraints if "sensitivity" in constraint.function]
     careful = careful or min(kept, default=np.inf) * (ratio**2 - 1) >= 1
     peaks = {(each.function, number) for each in constraints for number in range(len(loops))}
     first: int | None = None

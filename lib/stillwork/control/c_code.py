@@ -83,7 +83,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
         rows, names = np.hstack([rows, controller.anti_windup]), names | {"w": outputs}
     across = [f"{each}[{k}]" for each, count in names.items() for k in range(count)]
     limits = [
-        [write(each) if np.isfinite(each) else ("-INFINITY" if each < 0 else "INFINITY") for each in ends]
+        [write(end) if np.isfinite(end) else ("-INFINITY" if end < 0 else "INFINITY") for end in ends]
         for ends in (controller.low, controller.high)
     ]
     ones = [write(1)] * n
@@ -210,7 +210,7 @@ def adaptation_code(
     values |= {
         "forgetting": write(recursion.forgetting),
         "allowance": "INFINITY" if unlimited else write(recursion.allowance),
-        "limits": ", ".join("INFINITY" if unlimited else write(each) for each in recursion.levels[0]),
+        "limits": ", ".join("INFINITY" if unlimited else write(level) for level in recursion.levels[0]),
         "first": ",\n".join("    {" + ", ".join(map(write, row)) + "}" for row in recursion.matrix),
         "sqrt": "sqrt" if precision == "double" else "sqrtf",
         "fields": _lines(
@@ -306,7 +306,7 @@ def isolation_code(
         "weights": _rows(write, weights),
         "before": _rows(wide, before),
         "after": _rows(wide, after),
-        "modes": _lines("{" + _rows(wide, np.delete(each, 3, axis=1)).strip() + "}," for each in modes),
+        "modes": _lines("{" + _rows(wide, np.delete(mode, 3, axis=1)).strip() + "}," for mode in modes),
         **{
             each: _rows(wide, np.delete(getattr(loop, kind), 3, axis=1))
             for each, kind in (
@@ -388,7 +388,7 @@ def _marked(template: Path, marks: dict) -> str:
 
 
 def _lines(statements, indent: int = 4) -> str:
-    return "".join(f"{' ' * indent}{each}\n" for each in statements)
+    return "".join(f"{' ' * indent}{statement}\n" for statement in statements)
 
 
 def _unit(name: str) -> str:

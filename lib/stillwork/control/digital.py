@@ -348,8 +348,8 @@ def _read_motion(table: Table, lag: float) -> Motion:
 
     def read(kind: type, name: str):
         entries = table.table(name)
-        for each in entries:
-            require_choice(f"{entries.where}: {each}", each, [field.name for field in fields(kind)])
+        for entry in entries:
+            require_choice(f"{entries.where}: {entry}", entry, [field.name for field in fields(kind)])
         return entries
 
     gains = read(Feedforward, "feedforward") if "feedforward" in table else {}

@@ -315,7 +315,7 @@ def joint_motion(
     trajectories: list[Trajectory], count: int, start: ArrayLike | None, bound: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Desired motion of `count` coordinates (position, velocity and acceleration of each), their start, and the bounds of divergence."""
-    alike = {(each.sample_time, len(each.position)) for each in trajectories}
+    alike = {(trajectory.sample_time, len(trajectory.position)) for trajectory in trajectories}
     if len(trajectories) != count or len(alike) != 1:
         raise InputError(
             f"trajectories holds {len(trajectories)}; give one for each of {count} coordinates, of one length and sample time"

@@ -102,7 +102,7 @@ def fixed_point_code(
         raise InputError(f"force_limits is {limits}; give {count} numbers above 0")
 
     def row(values) -> str:
-        return "{" + ", ".join("INFINITY" if each == np.inf else write(each) for each in values) + "}"
+        return "{" + ", ".join("INFINITY" if value == np.inf else write(value) for value in values) + "}"
 
     def table(rows) -> str:
         return "{" + ", ".join(map(row, rows)) + "}"
@@ -115,7 +115,7 @@ def fixed_point_code(
     parameters = parameters if len(parameters) else np.zeros(1)
     designed = [
         table(each.kinematics.gains for each in controllers),
-        "{" + ", ".join(f"{int(each[0])}" for each in transformations) + "}",
+        "{" + ", ".join(f"{int(transformation[0])}" for transformation in transformations) + "}",
         table(each[1:] for each in transformations),
         row(limits),
         row(parameters),

@@ -281,7 +281,7 @@ def linear_loop(
     # For a mechanism the filters assume unit masses, which are the same everywhere.
     at = (0.0, 0.0) if several else (float(place[0]), float(speed[0]))
     devices = [linear_filter(each.signal_filter, sample_time, *at) for each in controllers]
-    A, B, C, D = (np.array([getattr(each, name) for each in devices]) for name in "ABCD")
+    A, B, C, D = (np.array([getattr(device, name) for device in devices]) for name in "ABCD")
     by_position, by_velocity, by_force = _slope_matrices(plant, place, speed)
     model_position, model_velocity, model_force = _slope_matrices(controller.model, place, speed)
     gains = np.array([each.kinematics.gains for each in controllers]).T

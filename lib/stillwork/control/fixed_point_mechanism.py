@@ -225,7 +225,7 @@ def simulate_mechanism(
 
 def _warn_outside_convergence(plant, controllers, position) -> None:
     model = controllers[0].model
-    gains = [each.transformation.local_gain for each in controllers]
+    gains = [controller.transformation.local_gain for controller in controllers]
     if len(set(gains)) == 1:
         warn_outside_contraction(controllers[0].transformation, response_gains(plant, model, position)[-1])
     elif (radius := iteration_radius(plant, model, position, gains)) > 1 + 1e-9:  # 1 where a gain is 0
@@ -276,7 +276,11 @@ def _alike_filters(one, other) -> bool:
 def packed_filters(controllers: list[Controller]) -> Packed:
     """Filters of coordinates side by side, each array with a row for every one; of a `JointKalman` one row."""
     first = controllers[0].signal_filter
-    filters = [first] if isinstance(first, JointKalman) else [each.signal_filter for each in controllers]
+    filters = (
+        [first]
+        if isinstance(first, JointKalman)
+        else [controller.signal_filter for controller in controllers]
+    )
     packed = [each.packed() for each in filters]
     return Packed(
         packed[0].kind, *(np.array(rows) for rows in zip(*(each[1:] for each in packed), strict=True))
@@ -287,10 +291,10 @@ def packed_filters(controllers: list[Controller]) -> Packed:
 def require_alike(controllers: list[Controller], count: int) -> None:
     """Refuse controllers of `count` coordinates that differ in more than numbers of filter, transformation and kinematics."""
     alike = len(controllers) == count and all(
-        _alike_filters(each.signal_filter, controllers[0].signal_filter)
-        and each.model == controllers[0].model
-        and each.kinematics.integrals == controllers[0].kinematics.integrals
-        for each in controllers
+        _alike_filters(controller.signal_filter, controllers[0].signal_filter)
+        and controller.model == controllers[0].model
+        and controller.kinematics.integrals == controllers[0].kinematics.integrals
+        for controller in controllers
     )
     if not alike:
         raise InputError(

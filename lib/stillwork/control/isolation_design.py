@@ -92,9 +92,9 @@ def floor_spectra(
         fine, slow = _cross_lines(acceleration, sample_rate, longest)
         below = fine < edge
         bands = [(fine[below], slow[below]), (f[COARSE:], lines[COARSE:])]
-    parts = [binned(*each, count / sample_rate, source) for each in bands]
+    parts = [binned(*band, count / sample_rate, source) for band in bands]
     return FloorSpectra(
-        np.concatenate([each.frequencies_hz for each in parts]),
+        np.concatenate([part.frequencies_hz for part in parts]),
         np.concatenate([each.widths_hz for each in parts]),
         np.concatenate([each.density for each in parts]),
         count / sample_rate,

@@ -173,11 +173,11 @@ def proven_numbers(loops: Sequence[Loop], pid: Pid, written: Sequence[StateModel
     rows = []
     for name in HELD:
         highest = Enclosure(
-            0.0, max(each[name].high for each in peaks), all(each[name].proven for each in peaks)
+            0.0, max(peak[name].high for peak in peaks), all(each[name].proven for each in peaks)
         )
         rows.append((f"peak of {SHOWN[name]} (dB)", str(highest.in_db())))
     for name, words in MARGINS.items():
-        every = [each[name] for each in margins]
+        every = [margin[name] for margin in margins]
         low, high = min(each.low for each in every), max(each.high for each in every)
         text = f"at least {np.floor(low * 1e4) / 1e4:.4f}"
         if name == "crossing_hz":

@@ -187,10 +187,10 @@ def search_designs(
         raise InputError(
             "others: with several responses only one sensor is supported; leave the other sensors out"
         )
-    for each in others:
-        if each.units != machine.units:
+    for other in others:
+        if other.units != machine.units:
             raise InputError(
-                f"others: {each.source} is in {' and '.join(each.units)}, {machine.source} in "
+                f"others: {other.source} is in {' and '.join(other.units)}, {machine.source} in "
                 f"{' and '.join(machine.units)}; give all in the same units"
             )
     prompt, late = zip(*(_prompt(each, delay, rate) for each in (machine, *others)), strict=True)
@@ -226,7 +226,9 @@ def _prompt(machine: Machine, delay: float, rate: float) -> tuple[Machine, float
 @checked(missing=True)
 def reach_one(machine: Machine, settings: DesignSettings, how: Mapping) -> AchievableBandwidth:
     """`reach` for one use; `how` are its other arguments."""
-    own = {each.name: getattr(settings, each.name) for each in fields(settings) if each.name != "application"}
+    own = {
+        field.name: getattr(settings, field.name) for field in fields(settings) if field.name != "application"
+    }
     known = signature(reach).parameters.keys() - own.keys() - {"machine", "applications"}
     if unknown := sorted(map(str, set(how) - known)):
         raise InputError(f"how holds {', '.join(unknown)}; give some of {', '.join(sorted(known))}")

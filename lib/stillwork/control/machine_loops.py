@@ -464,7 +464,7 @@ def reach(
 def _exceeded(loops: Sequence[Loop], controller: Pid, limits: Sequence[PeakConstraint]) -> list[Loop]:
     """The few loops that exceed their limits most, on their lines."""
     sizes = [
-        max(np.abs(getattr(loop.at(controller), each.function)).max() / each.limit for each in limits)
+        max(np.abs(getattr(loop.at(controller), limit.function)).max() / limit.limit for limit in limits)
         for loop in loops
     ]
     worst = np.argsort(sizes)[::-1][:MOST_ADDED]

@@ -99,7 +99,7 @@ def _coefficients(controller: DigitalController, precision) -> tuple[np.ndarray,
     keeps = kept_states(controller).astype(float)
     arrays = np.hstack([m.a - np.diag(keeps), m.b]), np.hstack([m.c, m.d[:, : len(controller.inputs)]]), keeps
     with np.errstate(over="ignore"):
-        rows, outputs, kept = (each.astype(precision) for each in arrays)
+        rows, outputs, kept = (array.astype(precision) for array in arrays)
     for exact, each in zip(arrays, (rows, outputs, kept), strict=True):
         if not np.all(np.isfinite(each)):
             size = float(exact[~np.isfinite(each)][0])
@@ -124,7 +124,9 @@ def _run(rows: np.ndarray, outputs: np.ndarray, keeps: np.ndarray, given: np.nda
 
 def _rounded(controller: DigitalController) -> StateModel:
     """From the inputs to the outputs with the coefficients that float32 holds."""
-    rows, outputs, keeps = (each.astype(float) for each in _coefficients(controller, np.float32))
+    rows, outputs, keeps = (
+        coefficient.astype(float) for coefficient in _coefficients(controller, np.float32)
+    )
     n, inputs = len(keeps), len(controller.inputs)
     a, b, back = rows[:, :n] + np.diag(keeps), rows[:, n : n + inputs], rows[:, n + inputs :]
     c, d = outputs[:, :n], outputs[:, n:]

@@ -250,7 +250,7 @@ def design_file(
         for loop in loops
     ]
     peaks = recheck(reached, controllers)
-    worst = max(size for each in peaks.values() for size in each.values())
+    worst = max(size for peak in peaks.values() for size in peak.values())
     if worst > ALLOWED_DB:
         raise InputError(f"{source.name}: the sampled controller peaks at {worst:.2f} dB; sample faster")
     margins = over_the_box(reached, made.spreads)
@@ -539,7 +539,7 @@ def report(
     """One page: the machine, the bandwidth of each use of an observer, the choice, its peaks, and how to run it."""
     machine, reached = made.machine, made.found[best]
     where = list(next(iter(peaks.values())))
-    sizes = [[SHOWN[name], *(f"{each[column]:.2f}" for column in where)] for name, each in peaks.items()]
+    sizes = [[SHOWN[name], *(f"{peak[column]:.2f}" for column in where)] for name, peak in peaks.items()]
     facts = [
         ["mass" if machine.units[0] == "m" else "inertia", f"{machine.mass:.4g} {machine.mass_unit}"],
         ["resonances", ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz) + " Hz"],

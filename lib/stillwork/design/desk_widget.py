@@ -67,7 +67,7 @@ class DeskWidget(anywidget.AnyWidget):
         value = proposal["value"]
         blocks = value.get("blocks")
         if value and not (
-            isinstance(blocks, list) and all(isinstance(each, dict) and "kind" in each for each in blocks)
+            isinstance(blocks, list) and all(isinstance(block, dict) and "kind" in block for block in blocks)
         ):
             raise InputError(
                 'design must have "blocks", a list of dicts with a "kind"; take the desk\'s own, and change it'

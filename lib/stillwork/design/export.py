@@ -26,7 +26,7 @@ def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
     else:
         kind = require_choice(f"{table.where}: table", next(iter(table), None), ["controller", *ADAPTATIONS])
         given = table.table(kind)
-        known = {each.name: each for each in fields(ADAPTATIONS[kind])}
+        known = {field.name: field for field in fields(ADAPTATIONS[kind])}
         sizes = {size: given[size] for size in ("actuators", "regressors")}
         needed = {name: given[name] for name, each in known.items() if each.default is MISSING}
         for each in given:

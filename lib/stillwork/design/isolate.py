@@ -136,7 +136,7 @@ def isolate_file(
         estimate=estimate,
         correction=correction,
         band_hz=band_hz,
-        notches=tuple(FrequencyNotch(each, MAINS_WIDTH) for each in notches),
+        notches=tuple(FrequencyNotch(notch, MAINS_WIDTH) for notch in notches),
         algorithm=algorithm,
         variance=variance,
         spread=spread,
@@ -304,8 +304,8 @@ def _fitted(f: np.ndarray, seen: np.ndarray, rate: float, notes: list[str]) -> P
 def _mechanics(given: Table, noise: Table, rate: float) -> Isolator:
     given.require_known(MECHANICS)
     matrices = []
-    for each in MECHANICS[:3]:
-        value = require_array(each, given[each])
+    for name in MECHANICS[:3]:
+        value = require_array(name, given[name])
         matrices.append(value if value.ndim == 2 else np.diag(np.atleast_1d(value)))
     axes = len(matrices[0])
     return Isolator(
@@ -423,7 +423,7 @@ def _step(design: IsolationDesign, algorithm: str) -> str:
 
 
 def _listed(values) -> str:
-    return ", ".join(f"{each:.4g}" for each in values)
+    return ", ".join(f"{value:.4g}" for value in values)
 
 
 def certificate_rows(design: IsolationDesign, around: list[IsolationDesign]) -> list[list[str]]:
@@ -471,7 +471,7 @@ def remains_rows(found: IsolationPrediction, floor: FloorSpectra) -> list[list[s
         if f[-1] > 90:
             name = criterion_met(*one_third_octave_velocity(f, found.density[k] * (high / expected) ** 2))
         values = (found.without[k], found.feedback[k], expected, low, high)
-        rows.append([str(k + 1), *(f"{each:.3g}" for each in values), name])
+        rows.append([str(k + 1), *(f"{value:.3g}" for value in values), name])
     return rows
 
 

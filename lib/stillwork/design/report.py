@@ -219,7 +219,7 @@ def _densities(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str
     rows = []
     for name, row in zip(names, density, strict=True):
         motions = [row / (2 * np.pi * hertz) ** (2 * order) for order in (0, 1, 2)]
-        powers = [band_power(hertz, each, hertz[0], hertz[-1]) for each in motions]
+        powers = [band_power(hertz, motion, hertz[0], hertz[-1]) for motion in motions]
         rows.append([name, *(f"{np.sqrt(power):.4g}" for power in powers)])
     yield "Root mean squares", table(["spectrum", "m/s^2", "m/s", "m"], rows)
     yield "Spectra", _densities_of(hertz, density, names, "m/s^2")

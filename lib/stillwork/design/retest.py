@@ -91,7 +91,7 @@ def retest_file(
         delay=made["delay_samples_of_the_loop"],
     )
     gains = about["gains"]
-    pid = Pid(**gains | {"notches": tuple(Notch(**each) for each in gains["notches"])})
+    pid = Pid(**gains | {"notches": tuple(Notch(**gain) for gain in gains["notches"])})
     if closed_loop:
         seen = _from_sensitivity(before, written, file, loop_hz, load_options)
         loops, stable, turns = {"measured": seen}, True, None  # it ran
@@ -274,7 +274,7 @@ def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -
         rows.append(
             [
                 "viscous friction over mass",
-                *(f"{each:.3g} 1/s" for each in frictions),
+                *(f"{friction:.3g} 1/s" for friction in frictions),
                 f"{now.drag - designed.drag:+.2g} 1/s",
                 held,
             ]
@@ -296,7 +296,7 @@ class Peak(NamedTuple):
     limits: tuple[float, float]
 
     def __str__(self) -> str:
-        low, high = (f"{each:.2f}" for each in self.limits)
+        low, high = (f"{limit:.2f}" for limit in self.limits)
         about = "" if low == high else f" ({low} to {high})"
         return f"{self.size:.2f} dB{about} at {self.hertz:.4g} Hz"
 

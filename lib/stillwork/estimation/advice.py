@@ -80,7 +80,7 @@ class Advice:
             for each in self.ranking
         ]
         turns = [f"With noise of {share:g} of each feature: {name}." for share, name in self.turns.items()]
-        warned = [f"Do not rely on this ranking: {each}" for each in self.warnings]
+        warned = [f"Do not rely on this ranking: {warning}" for warning in self.warnings]
         return "\n".join([f"{'':36s}    error   over the first", *rows, *self.assumed, *turns, *warned])
 
 
@@ -344,7 +344,9 @@ class _Study:
             studies.append(self.with_noise(0.5 * self.noise * self.units, keep=True))
 
         def is_sure(name) -> bool:
-            return all(_excess(each.losses(name), each.losses(IGNORE), SOME, least) < 0 for each in studies)
+            return all(
+                _excess(study.losses(name), study.losses(IGNORE), SOME, least) < 0 for study in studies
+            )
 
         first = next((name for name in order if is_sure(name)), IGNORE)
         order.sort(key=lambda name: name != first)

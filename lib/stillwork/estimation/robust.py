@@ -158,8 +158,8 @@ def principal(model: TimeVaryingModel, m: np.ndarray) -> tuple[np.ndarray, np.nd
 def lower_limit(model: TimeVaryingModel, rows: tuple[np.ndarray, ...], m: np.ndarray) -> np.ndarray:
     """lambda_l = |M' R^-1 M| at every sample; 0 where there is no uncertainty."""
     certain = np.ones(model.samples, bool)
-    for each in rows:
-        certain &= ~np.any(each, axis=(1, 2))
+    for row in rows:
+        certain &= ~np.any(row, axis=(1, 2))
     return np.where(certain, 0.0, principal(model, m)[1].max(axis=1))
 
 

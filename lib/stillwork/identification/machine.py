@@ -253,8 +253,8 @@ def _built(file: MachineFile, model: ModalModel) -> Machine:
     turned = _mass(sensors[0]) < 0
     if turned:
         sensors = tuple(
-            replace(each, output_shapes=-each.output_shapes, feedthrough=-each.feedthrough)
-            for each in sensors
+            replace(sensor, output_shapes=-sensor.output_shapes, feedthrough=-sensor.feedthrough)
+            for sensor in sensors
         )
     masses = [_mass(each) for each in sensors]
     if not np.allclose(masses, masses[0], rtol=1e-3):

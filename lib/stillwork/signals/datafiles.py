@@ -202,7 +202,7 @@ def _require_size(path: Path, members: list[zipfile.ZipInfo]) -> None:
     """Refuse what would fill the memory; a member never unpacks to more than its archive states."""
     if len(members) > MOST_MEMBERS:
         raise _no_archive(path, f"it holds {len(members)} members, more than {MOST_MEMBERS}")
-    if (size := sum(each.file_size for each in members)) > MOST_BYTES:
+    if (size := sum(member.file_size for member in members)) > MOST_BYTES:
         raise _no_archive(path, f"it unpacks to {size:.2g} bytes, more than {MOST_BYTES >> 30} GB")
     for each in members:  # others unpack a thousand times the requested size at once
         if each.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):

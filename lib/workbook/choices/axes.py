@@ -271,7 +271,7 @@ def _multiverse(
         raise InputError(f"{name}: {seeds[0].id} and {seeds[1].id} are both its seeds; keep one")
     order = (1,)
     if seeds:
-        order = (seeds[0].default, *(each for each in seeds[0].options if each != seeds[0].default))
+        order = (seeds[0].default, *(option for option in seeds[0].options if option != seeds[0].default))
     return Multiverse(
         topic=topic,
         study=study,

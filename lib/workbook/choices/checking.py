@@ -108,7 +108,7 @@ def short_form_differs(
     for entry in multiverse.entries:
         if entries[entry].kind == "reported":
             continue
-        whole, short = (agreement(each, entries[entry]).mean(axis=1) for each in outcomes)
+        whole, short = (agreement(outcome, entries[entry]).mean(axis=1) for outcome in outcomes)
         for k, point in enumerate(design):
             if (whole[k] >= 0.5) != (short[k] >= 0.5):
                 where = ", ".join(

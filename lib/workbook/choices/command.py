@@ -72,7 +72,7 @@ def compute_choices(
     if study is not None:
         if topic is None:
             raise InputError("study needs its topic; name it before: choices TOPIC --study NAME")
-        require_choice("study", study, [each.study for each in load_axes(paths.require_topic(topic))[1]])
+        require_choice("study", study, [one.study for one in load_axes(paths.require_topic(topic))[1]])
     if short:
         (multiverse,) = [each for each in load_axes(topic)[1] if each.study == study]
         if not multiverse.lean:
@@ -114,8 +114,10 @@ def _compute_topic(topic: str, executor, at_once: int, end: float, stopped, chan
         )
 
     if study is not None:
-        kept = [each for each in read_results(multiverses) if each.multiverse.study != study]
-        for call in calls_of(next(each for each in multiverses if each.study == study)).values():
+        kept = [outcomes for outcomes in read_results(multiverses) if outcomes.multiverse.study != study]
+        for call in calls_of(
+            next(multiverse for multiverse in multiverses if multiverse.study == study)
+        ).values():
             journal.found.pop(call.key, None)
     else:
         kept = _unmoved(topic, multiverses, run, journal) if changed else []
@@ -143,7 +145,7 @@ def _compute_topic(topic: str, executor, at_once: int, end: float, stopped, chan
 def _unmoved(topic: str, multiverses: list[Multiverse], run, journal: Journal) -> list[Outcomes]:
     """Committed results that the code as it is gave, or that came out again in a sample of today's."""
     entries, day, parts = load_entries(topic), today(), max(parts_a_day(), SAMPLED)
-    committed = {each.multiverse.study: each for each in read_results(multiverses)}
+    committed = {outcomes.multiverse.study: outcomes for outcomes in read_results(multiverses)}
     kept, older = [], []
     for each in committed.values():
         if each.design != design(each.multiverse):
@@ -228,9 +230,9 @@ def robustness_of(topic: str) -> dict[str, Robustness]:
     """How the entries of a topic stand by its committed results, by id; without those whose axes changed since."""
     axes, multiverses = load_axes(topic)
     studies = read_results(multiverses)
-    known = {each.multiverse.study for each in studies}
+    known = {study.multiverse.study for study in studies}
     run = paths.data(topic, "choices.csv").exists()
-    if run and (changed := [each.study for each in multiverses if each.study not in known]):
+    if run and (changed := [multiverse.study for multiverse in multiverses if multiverse.study not in known]):
         print(f"{topic}: the axes of {', '.join(changed)} changed: run `make choices`", file=sys.stderr)
     standings = _judged(topic, studies, axes)
     ages = {entry: age(each) for each in studies for entry in each.multiverse.entries}

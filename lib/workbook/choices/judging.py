@@ -497,7 +497,9 @@ def _joint_at(group: str, places: list[tuple[list[_Part], int]], tried: int, dis
             if agrees:
                 agreeing.append(name)
     off = [
-        abs(ours[each.id] / each.published - 1) for each in entries if each.kind == "value" and each.published
+        abs(ours[entry.id] / entry.published - 1)
+        for entry in entries
+        if entry.kind == "value" and entry.published
     ]
     near = {f"{size:.0%}": sum(each <= size for each in off) for size in NEAR} | {"of": len(off)}
     return Joint(group, combination, tuple(moved), tuple(agreeing), ours, near, tried, distance)
