@@ -110,12 +110,12 @@ REFUSED = [
     (lambda: NoiseCovariances(EYE, [[0.0]]), "sensor"),
     (lambda: NoiseCovariances(EYE, [[1.0]], [[2.0], [0.0]]), "cross"),
     # What cannot end is refused with its size.
-    (lambda: FeRls(1.0).start(30_000), "regressors asks for"),
-    (lambda: fir_regressors(np.ones(60), taps=30_000_000), "taps asks for"),
-    (lambda: exponential_weights(10**12, 0.9), "rows asks for"),
-    (lambda: end_point_weights(10**12, 2), "samples asks for"),
-    (lambda: delayed(SAMPLED, 30_000), "samples asks for"),
-    (lambda: resonance_grid(np.array([-1 + 9j]), 1.0, 2.0, points=9, around=10**12), "around asks for"),
+    (lambda: FeRls(1.0).start(30_000), "regressors needs"),
+    (lambda: fir_regressors(np.ones(60), taps=30_000_000), "taps needs"),
+    (lambda: exponential_weights(10**12, 0.9), "rows needs"),
+    (lambda: end_point_weights(10**12, 2), "samples needs"),
+    (lambda: delayed(SAMPLED, 30_000), "samples needs"),
+    (lambda: resonance_grid(np.array([-1 + 9j]), 1.0, 2.0, points=9, around=10**12), "around needs"),
 ]
 
 

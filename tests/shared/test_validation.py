@@ -138,16 +138,16 @@ def test_a_result_out_of_range_names_the_argument_farthest_from_1():
         return float(np.float64(number) * others[0].size * matrix.sum() ** 2)
 
     part = Part(1e250, np.ones((1, 2)))
-    with pytest.raises(InputError, match=r"^product\b.*: look at others\[0\]\.size \(1e\+250\)$"):
+    with pytest.raises(InputError, match=r"^product\b.*: check others\[0\]\.size \(1e\+250\)$"):
         product(3.0, [part], matrix=[[1e29]])
-    with pytest.raises(InputError, match=r"^product\b.*: look at matrix \(1e\+200\)$"):
+    with pytest.raises(InputError, match=r"^product\b.*: check matrix \(1e\+200\)$"):
         product(3.0, [Part(1.0, part.rows)], matrix=[[-1e200]])
 
     @checked
     def inverse(matrix: Float64[np.ndarray, "a a"], model: Part):
         return np.linalg.inv(matrix)
 
-    with pytest.raises(InputError, match=r"^inverse\b.*: look at matrix, model\.size, model\.rows$"):
+    with pytest.raises(InputError, match=r"^inverse\b.*: check matrix, model\.size, model\.rows$"):
         inverse(np.zeros((2, 2)), Part(1.0, [[1, 2]]))
 
 
@@ -296,7 +296,7 @@ def test_what_asks_for_more_than_the_memory_is_refused_with_its_size(count):
     def zeros(count: int) -> np.ndarray:
         return np.zeros((count, 2))
 
-    with pytest.raises(InputError, match=r"^zeros asks for .*memory.*count " + re.escape(f"{count:g}")):
+    with pytest.raises(InputError, match=r"^zeros needs .*memory.*count " + re.escape(f"{count:g}")):
         zeros(count)
 
 

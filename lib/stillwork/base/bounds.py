@@ -1,4 +1,4 @@
-"""Annotations that say what is refused: `checked` and `check_fields` make the check that an annotation holds."""
+"""Annotations that state bounds: `checked` and `check_fields` validate by them."""
 
 from collections.abc import Callable
 from functools import partial
@@ -13,7 +13,7 @@ NonNegative = Annotated[float, partial(require_number, at_least=0.0)]
 Fraction = Annotated[float, partial(require_number, above=0.0, below=1.0)]
 Count = Annotated[int, partial(require_count, at_least=1)]
 Natural = Annotated[int, partial(require_count, at_least=0)]
-if TYPE_CHECKING:  # array_like becomes an array at the front door: types know one of the two
+if TYPE_CHECKING:  # array_like becomes an array by validation: types have one of the two
     Vector = Any
     Matrix = Any
 else:

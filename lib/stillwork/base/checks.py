@@ -15,12 +15,12 @@ else:
     Converted = ArrayLike
 
 MOST_COUNT = 2**63 - 1  # numpy's own whole numbers hold no more
-MOST_BYTES = 4e9  # of an array that a count asks for; more of them are several of these
-MOST_SAMPLES = 1e8  # of what a duration and a sample time ask for; a slip of units asks for more
+MOST_BYTES = 4e9  # of one array whose size an argument sets
+MOST_SAMPLES = 1e8  # for a duration and a sample time; a wrong unit leads to more
 
 
 class InputError(ValueError):
-    """A value from outside that cannot be used; the message names it and says what to do.
+    """An argument or file that cannot be used; the message names it and states what to do.
 
     Messages quote arguments and what stands in files: control characters are escaped, for they steer a terminal.
     """
@@ -133,19 +133,19 @@ def require_kind(name: str, value, kind: type | tuple[type, ...]):
 
 
 def require_samples(name: str, count: float) -> int:
-    """Return how many samples `name` asks for as an int, else raise `InputError`."""
+    """Return the number of samples that `name` needs as an int, else raise `InputError`."""
     if not count <= MOST_SAMPLES:
-        raise InputError(f"{name} asks for {count:.3g} samples; give at most {MOST_SAMPLES:g}, times in s")
+        raise InputError(f"{name} needs {count:.3g} samples; give at most {MOST_SAMPLES:g}, times in s")
     return round(count)
 
 
 def require_memory(name: str, *shape: int) -> None:
-    """Raise `InputError` where the array of floats that `name` asks for is larger than any machine should try."""
+    """Raise `InputError` if the array of floats that `name` needs is larger than `MOST_BYTES`."""
     size = 8 * math.prod(shape)
     if size > MOST_BYTES:
         wanted = " x ".join(map(str, shape))
         raise InputError(
-            f"{name} asks for {wanted} numbers, {size / 1e9:.3g} GB; give so few that they take {MOST_BYTES / 1e9:g} GB"
+            f"{name} needs {wanted} numbers, {size / 1e9:.3g} GB; give fewer, {MOST_BYTES / 1e9:g} GB at most"
         )
 
 
@@ -189,11 +189,11 @@ def require_array(
 ) -> np.ndarray:
     """Return `value` as a finite, C-contiguous array that may be written to, else raise `InputError`.
 
-    It is the one front door for arrays: lists, other number types, transposed, strided, read-only and
-    memory-mapped arrays come out alike, so that a kernel is compiled for one type alone. It is `value` itself
-    where nothing has to be changed; a function that writes to it copies it first. None in `shape` leaves an axis
-    free, `advice` says what to do about values that are not finite, `missing` lets NaN stand for lost ones, and
-    `infinite` lets an infinity stand for no limit.
+    It is the one validation of arrays: lists, other number types, transposed, strided, read-only and
+        memory-mapped arrays come out alike, so that a kernel is compiled for one type alone. It is `value` itself
+        where nothing has to be changed; a function that writes to it copies it first. None in `shape` leaves an axis
+        free, `advice` says what to do about values that are not finite, `missing` lets NaN stand for lost ones, and
+        `infinite` lets an infinity stand for no limit.
     """
     # Nearly all arrays of a calculation come as they are wanted: for them the rest would cost more than the check.
     ready = type(value) is np.ndarray and value.dtype == dtype and value.flags.carray
@@ -226,12 +226,12 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
 
 
 def require_finite_run(name: str, values: np.ndarray, advice: str, *, axis: int = 0) -> None:
-    """Raise `InputError` with the sample at which a run left the finite numbers, if it did."""
+    """Raise `InputError` with the sample at which a run overflowed, if it did."""
     finite = np.isfinite(values)
     if not finite.all():
         others = tuple(i for i in range(finite.ndim) if i != axis % finite.ndim)
         sample = int(np.argmin(finite.all(axis=others)))
-        raise InputError(f"{name} leaves the finite numbers at sample {sample}; {advice}")
+        raise InputError(f"{name} overflows at sample {sample}; {advice}")
 
 
 def _numbers(name: str, value, dtype: np.dtype) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Numba's on-disk cache, keyed by content, filled by one process at a time, and mended where it is damaged."""
+"""Numba's on-disk cache, keyed by content, filled by one process at a time, and repaired if damaged."""
 
 import contextlib
 import functools
@@ -78,7 +78,7 @@ class CodeCache(FunctionCache):
 
 
 def _fields(kinds) -> tuple:
-    """Names of the fields of named tuples: machine code knows these by their places."""
+    """Names of the fields of named tuples: machine code uses their positions."""
     tuples = [each for each in kinds if isinstance(each, types.BaseTuple)]
     return tuple((getattr(each, "fields", ()), _fields(getattr(each, "types", ()))) for each in tuples)
 

@@ -1,4 +1,4 @@
-"""The folder that holds the kernels' machine code. Knows nothing of numba, so that a build can ask for it."""
+"""The folder that holds the kernels' machine code. Independent of numba, so that a build can use it."""
 
 import contextlib
 import os

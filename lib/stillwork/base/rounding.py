@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_number
 
-# Values closer than this part of the larger one tie, where the caller knows no other: far above the rounding of any
+# Values closer than this part of the larger one tie, unless the caller gives another: far above the rounding of any
 # result here, far below a difference that would mean anything.
 TIE = 1e-6
 
@@ -17,7 +17,7 @@ TIE = 1e-6
 def below(residual: float, bound: float) -> str:
     """Text of a residual: ``below 1e-12`` within its bound, the number itself where it is not.
 
-    The bound is the most that rounding explains: say at the call why, such as operations times rounding unit times
+    The bound is the most that rounding explains: state at the call why, such as operations times rounding unit times
     condition. It follows from the problem, never from the residual, or the text would change with it.
     """
     require_number("bound", bound, above=0.0)

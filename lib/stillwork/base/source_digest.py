@@ -10,12 +10,12 @@ import threading
 
 # Python 3.11 counts the depth of all syntax trees that are made at a time together: two threads disturb each other.
 _ALONE = threading.Lock()
-# Decorators that look at no annotation.
+# Decorators that read no annotation.
 SILENT = {
     *("property", "cached_property", "staticmethod", "classmethod", "cache", "lru_cache", "contextmanager"),
     *("kernel", "inlined_kernel", "borrowing_kernel", "pasted_kernel"),
 }
-TRIES = 20  # where a thread of somebody else's makes one, too
+TRIES = 20  # where a thread of another library makes one, too
 
 
 def code_digest(source: bytes) -> str:
@@ -33,7 +33,7 @@ def code(source: bytes) -> ast.Module:
     Left out are comments, blank lines, line breaks and brackets that change nothing, `pass`, strings that stand alone
     (docstrings among them), the annotations of functions and methods that no decorator but those of `SILENT` sees, and
     those of local variables. Kept are annotations that call or assign something, and those of other decorated
-    functions, of fields and of a module's own names: validation, dataclasses and whoever else reads annotations at run
+    functions, of fields and of a module's own names: validation, dataclasses and others that read annotations at run
     time find them there.
     """
     return _Acting().visit(_parsed(source))

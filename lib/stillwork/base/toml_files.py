@@ -8,7 +8,7 @@ from stillwork.base.checks import InputError, nearest, require_array, require_nu
 
 
 class Table(dict):
-    """A table of a TOML file that says what it lacks when that is asked for."""
+    """A table of a TOML file; reading a missing entry raises an error that names it."""
 
     def __init__(self, entries: dict, where: str):
         super().__init__({name: _entry(value, f"{where}: {name}") for name, value in entries.items()})

@@ -33,14 +33,14 @@ from stillwork.base.checks import (
     short_repr,
 )
 
-# Checked where they are used, by `require_array`, which is told there what is wanted of them.
+# Checked where they are used, by `require_array`, with the requirements there.
 # From Python 3.12 on numpy gives the union under a name of its own.
 OPEN = {ArrayLike, *typing.get_args(getattr(ArrayLike, "__value__", ArrayLike))} - {
     *(bool, int, float, complex, str, bytes)
 }
 
 
-# The check of an annotation, and how a refusal names what it wants.
+# The check of an annotation, and how an error describes what is required.
 _PLAIN: dict[Any, tuple[Callable, str]] = {
     float: (require_number, "a number"),
     int: (require_whole, "a whole number"),
@@ -60,13 +60,11 @@ _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_
 
 
 class _Inside(threading.local):
-    """Whether this thread is within a checked function: what these call among themselves is not asked again."""
+    """Whether this thread is within a checked function: nested calls are not validated."""
 
     now = False
     callback_error: Exception | None = None  # what a reader's own function raised on the way
-    words: dict[str, Any] | None = (
-        None  # how numpy treats errors outside, which a reader's own function keeps
-    )
+    words: dict[str, Any] | None = None  # how numpy treats errors outside, kept for a user's function
 
 
 _inside = _Inside()
@@ -75,7 +73,7 @@ _inside = _Inside()
 def checked(function: Callable | None = None, *, infinite: bool = False, missing: bool = False) -> Callable:
     """Check the arguments of a public function by their annotations, and its result for NaN.
 
-    Lists, other number types, read-only and strided arrays become what the annotation says; a value that cannot is an
+    Lists, other number types, read-only and strided arrays become what the annotation states; a value that cannot is an
     `InputError` that names it. So is a number that leaves the range of floating point on the way, of which numpy does
     not warn. A result may be `infinite`, or NaN where something is `missing`, such as the samples after a divergence.
     What a reader's own function raises, called on the way, comes through as it is.
@@ -116,7 +114,7 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
             if "infs or NaNs" in str(error):  # scipy's word for numbers that overflowed on the way
                 raise _beyond(function, error, names, values, named) from None
             raise InputError(
-                f"the arguments of {_named(function)} do not fit together ({error}); look at their sizes: "
+                f"the arguments of {_named(function)} do not fit together ({error}); check their sizes: "
                 f"{_sizes(names, values, named)}"
             ) from error
         finally:
@@ -129,7 +127,7 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
 
 
 def check_fields(instance, *, infinite: Collection[str] = ()) -> None:
-    """Hold the fields of a dataclass against their annotations, and keep what these say.
+    """Validate the fields of a dataclass by their annotations, and convert them.
 
     It is called first in ``__post_init__``: an unsigned number that stays one counts below zero from the top. The
     fields in `infinite` may be an infinity, which stands for no limit. What computes with its fields is `checked`
@@ -183,7 +181,7 @@ def copy_arrays(instance) -> None:
 
 
 def made(model: type[_Model], **values) -> _Model:
-    """A frozen model of our own making: every field is what its annotation says and nobody else's, so none is asked or copied."""
+    """A frozen model made here: its fields are valid and not shared, so none is validated or copied."""
     instance = object.__new__(model)
     for name in model.__dataclass_fields__:  # type: ignore[attr-defined]
         object.__setattr__(instance, name, values[name])
@@ -191,7 +189,7 @@ def made(model: type[_Model], **values) -> _Model:
 
 
 def user_callback(function: Callable, check: Callable = lambda value: value) -> Callable:
-    """A reader's own function, as the toolbox calls it: what it calls of ours is asked, its errors are its own."""
+    """A user's function, as the toolbox calls it: its calls of the toolbox are validated, its errors are its own."""
 
     def call(*values, **named):
         inside, _inside.now = _inside.now, False
@@ -223,21 +221,21 @@ def _beyond(function: Callable, why, names: list[str], values: tuple, named: dic
     )
     return InputError(
         f"{_named(function)} has no result for these numbers ({str(why).strip() or 'out of range'}); "
-        f"they are too large, too small or too close to singular: look at {_listed(said) or 'its arguments'}"
+        f"they are too large, too small or too close to singular: check {_listed(said) or 'its arguments'}"
     )
 
 
 def _too_large(
     function: Callable, error: Exception, names: list[str], values: tuple, named: dict
 ) -> InputError:
-    """A refusal with the size of what was asked for, where numpy says it, and the arguments that may ask for it."""
+    """An error with the required size, if numpy gives it, and the arguments that may set it."""
     size = re.search(r"[\d.]+ .?i?B", str(error))
     said = [
         f"{name} {f'{array:g}' if array.ndim == 0 else ' x '.join(map(str, array.shape))}"
         for name, array in _numbers_in(names, values, named).items()
     ]
     return InputError(
-        f"{_named(function)} asks for {size.group() if size else 'an array'}, more than the memory holds; "
+        f"{_named(function)} needs {size.group() if size else 'an array'}, more than the memory holds; "
         f"give smaller numbers or arrays: {_listed(said) or 'its arguments'}"
     )
 
@@ -289,7 +287,7 @@ def _farthest(array: np.ndarray) -> float | None:
 
 @cache
 def checks_of(owner) -> dict[str, Callable]:
-    """A check for every parameter or field whose annotation says what it takes."""
+    """A check for every parameter or field whose annotation states what is allowed."""
     hints = _hints(owner)
     names = hints if inspect.isfunction(owner) else [field.name for field in fields(owner)]
     # A model keeps a reader's function as it is: kernels compile it.
@@ -300,7 +298,7 @@ def checks_of(owner) -> dict[str, Callable]:
 
 @cache
 def bounds_of(function: Callable) -> dict[str, Callable]:
-    """The checks of those parameters whose annotation says more than a type: they are made of calls from inside, too."""
+    """The checks of those parameters whose annotation states more than a type: nested calls make them, too."""
     hints = _hints(function)
     return {name: check for name, check in checks_of(function).items() if _is_bounded(hints.get(name))}
 
@@ -315,7 +313,7 @@ def _is_bounded(hint) -> bool:
 
 
 def _argument(hint) -> Callable | None:
-    """Check of an argument; of a function that `hint` says what it returns, its results are asked, too."""
+    """Check of an argument; for a function whose `hint` states what it returns, of its results, too."""
     if hint is not Callable and typing.get_origin(hint) is not Callable:
         return _check(hint)
     result = _check(typing.get_args(hint)[1]) if typing.get_args(hint) else None
@@ -387,7 +385,7 @@ def _union(parts: tuple) -> Callable | None:
 
 
 def _words(hint) -> str:
-    """How a refusal names what is wanted."""
+    """How an error describes what is required."""
     hint = hint.__origin__ if typing.get_origin(hint) is Annotated else hint
     kind = typing.get_origin(hint) or hint
     if kind in (list, tuple, Sequence, Collection, Iterable):
@@ -399,7 +397,7 @@ def _words(hint) -> str:
 
 def _sequence(origin, parts: tuple) -> Callable | None:
     fixed = origin is tuple and parts[-1] is not ...
-    # Of a dict's names one may ask, but they are no sequence.
+    # A dict can be indexed by its keys, but it is no sequence.
     refused = (str, bytes, Path) if origin is Iterable else (str, bytes, Path, dict)
     found: list[Any] = [
         (lambda _, value: value) if OPEN & {part, *typing.get_args(part)} else _check(part)
@@ -444,7 +442,7 @@ def _measured(name: str, value) -> np.ndarray:
     """What a file holds under a name: an array of any shape, real or complex, with what is missing."""
     try:
         dtype = complex if np.asarray(value).dtype.kind == "c" else float
-    except ValueError:  # rows of different lengths, which is said below
+    except ValueError:  # rows of different lengths, which is reported below
         dtype = float
     return require_array(name, value, dtype=dtype, missing=True, infinite=True)
 
