@@ -15,14 +15,14 @@ from workbook.notebooks import select
 
 
 def machines() -> dict[str, tuple[str, str]]:
-    """What reads a machine of one's own from TOML, ``module:function`` by topic, and the file to copy."""
+    """The reader of your own machine from TOML, ``module:function`` by topic, and the file to copy."""
     files = {topic: paths.data(topic, "paper.toml") for topic in paths.topics()}
     found = {topic: read_toml(file).get("machine", {}) for topic, file in files.items() if file.is_file()}
     return {topic: (each["read"], each["copy"]) for topic, each in found.items() if each}
 
 
 def model_file(path: Path) -> Iterator[str]:
-    """What a TOML file holds, and the topics and commands that take it as a machine."""
+    """What a TOML file holds, and the topics and commands that can use it as a machine."""
     table = read_toml(path)
     yield f"{path.name}: {pluralise(len(table), 'entry')}"
     for name, value in table.items():
@@ -50,7 +50,7 @@ def model_file(path: Path) -> Iterator[str]:
             yield f"not a machine of the topic {meant[0]}: {lacking[meant[0]]}"
         else:
             begin = " or ".join(file.relative_to(paths.root()).as_posix() for file in templates.values())
-            yield f"no machine that a notebook takes; begin with a copy of {begin}"
+            yield f"not a machine for any notebook; start from a copy of {begin}"
 
 
 def _takers(path: Path, topic: str) -> Iterator[str]:

@@ -309,7 +309,7 @@ def test_a_machine_is_recognised_by_the_topic_that_reads_it(tmp_path):
 def test_a_toml_file_that_is_no_machine_gets_one_answer():
     report = inspect_file(str(paths.data("motion", "beam.toml")))
     assert report.splitlines()[-1] == (
-        "no machine that a notebook takes; begin with a copy of data/isolation/rigid_body.toml "
+        "not a machine for any notebook; start from a copy of data/isolation/rigid_body.toml "
         "or data/fixedpoint/oscillator.toml"
     )
     assert "not a machine" not in report

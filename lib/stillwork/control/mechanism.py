@@ -34,7 +34,7 @@ class Mechanism:
     coordinates : int
         Number of coordinates, at most 1000.
     parameters : ndarray, shape (parameters,)
-        Passed to both; changing them recompiles nothing.
+        Passed to both functions; a change does not recompile them.
 
     Raises
     ------

@@ -80,7 +80,7 @@ def _toml(path: Path) -> Iterator[str]:
         try:
             isolator, *_ = read_isolator(str(path), 1000.0)  # of the rate nothing here depends on
         except InputError as error:
-            yield f"{path.name}: not an isolator as it stands: {error}"
+            yield f"{path.name}: not usable as an isolator: {error}"
             return
         modes = ", ".join(f"{hertz:.4g}" for hertz in isolator.frequencies_hz)
         yield f"{path.name}: an isolator of {pluralise(isolator.axes, 'actuator')}, modes at {modes} Hz"
@@ -118,7 +118,7 @@ def _record(path: Path) -> Iterator[str]:
     try:
         record = load_unscaled(path)
     except InputError as error:
-        yield f"not a record as it stands: {error}"
+        yield f"not usable as a record: {error}"
         return
     units = [stated_unit(name) for name in record.names]
     odd = {name: said for name in record.names if (said := unknown_unit(name))}
@@ -195,7 +195,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             if chosen:
                 settings["response"] = chosen
     except InputError as error:
-        yield f"not a machine as it stands: {error}"
+        yield f"not usable as a machine: {error}"
         return
     words = [str(path.resolve())]
     for name in ("response_unit", "force_unit", "response"):
@@ -213,7 +213,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
 def _plant(path: Path) -> Iterator[str]:
     missing = outline(path)
     if missing:
-        yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py and arm.py"
+        yield f"{path.name}: not usable as a plant: {', '.join(missing)}; see data/fixedpoint/your_plant.py and arm.py"
         return
     yield f"{path.name}: the model functions of a plant; the notebook executes the file, this command did not"
     yield figures_command("fixedpoint/09-your-plant", {"plant": path.resolve()})
@@ -243,7 +243,7 @@ def plant_form(names: Collection[str]) -> dict[str, int]:
 
 
 def outline(file: Path) -> list[str]:
-    """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing."""
+    """What a Python file lacks to be a plant, from its source without executing it; empty if nothing."""
     try:
         tree = ast.parse(file.read_text(encoding="utf-8"))
     except FileNotFoundError:

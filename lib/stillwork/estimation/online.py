@@ -1,4 +1,4 @@
-"""Adaptation on people's own data: over a recorded run, as identification, or one sample at a time."""
+"""Adaptation on your own data: over a recorded run, as identification, or one sample at a time."""
 
 from dataclasses import dataclass
 
@@ -52,8 +52,8 @@ def adapt(
 ) -> Adaptation:
     """Run the updates over recorded regressors and recorded filtered errors.
 
-    The errors are those that the machine showed while it ran with its own weights: this replays what a
-    controller did, or takes a step from one stretch with frozen weights. To fit weights to a record, whose
+    The errors are those measured while the machine ran with its own weights: this replays a
+    controller's adaptation, or makes one step from a stretch with frozen weights. To fit weights to a record, whose
     errors depend on them, use `identify`.
 
     Parameters
@@ -67,12 +67,12 @@ def adapt(
     weights : array_like, shape (actuators, n), optional
         Initial value; zero by default.
     every : int
-        Keep the weights each so many samples.
+        Store the weights every this many samples.
 
     Returns
     -------
     Adaptation
-        Weights after the last sample and every so many before, FeRLS's covariance, and where its limit held it.
+        Weights after the last sample and those stored before, FeRLS's covariance, and where its limit acted.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def identify(
     weights: ArrayLike | None = None,
     every: Count = 1000,
 ) -> Adaptation:
-    """Fit weights to a record: the error of each sample is e = d + W psi with the weights of that moment.
+    """Fit weights to a record: the error of each sample is e = d + W psi with the weights at that sample.
 
     With FeRLS and an infinite `growth_limit` this is exponentially weighted least squares, sample by sample.
 
@@ -145,7 +145,7 @@ def identify(
 
 
 class AdaptationStepper:
-    """The adaptation for people who drive hardware: one call a sample.
+    """The adaptation for use with hardware: one call per sample.
 
     Parameters
     ----------
@@ -157,11 +157,11 @@ class AdaptationStepper:
     Attributes
     ----------
     weights : ndarray, shape (actuators, n)
-        W after the last sample that could be used.
+        W after the last valid sample.
     recursion : Recursion or None
-        What FeRLS keeps, after the same sample: `recursion.covariance`, `recursion.held` as in `Adaptation`.
+        State of FeRLS after the same sample: `recursion.covariance`, `recursion.held` as in `Adaptation`.
     samples : int
-        How many samples were seen.
+        Number of samples so far.
 
     Raises
     ------
@@ -194,13 +194,13 @@ class AdaptationStepper:
 
     @property
     def covariance(self) -> Float64[np.ndarray, "n n"] | None:
-        """P after the last sample that could be used; None for FeLMS."""
+        """P after the last valid sample; None for FeLMS."""
         return None if self.recursion is None else self.recursion.covariance
 
     def update(self, regressor: ArrayLike, error: ArrayLike) -> Float[np.ndarray, "actuators n"]:
-        """Take in psi_N, shape (n,), and e, shape (actuators,), of one sample; returns a copy of the new weights.
+        """Update with psi_N, shape (n,), and e, shape (actuators,), of one sample; returns a copy of the new weights.
 
-        After an exception weights and covariance are those of the sample before: safe to hold or to fade out.
+        After an exception weights and covariance are those of the previous sample, which may be kept or faded out.
 
         Parameters
         ----------

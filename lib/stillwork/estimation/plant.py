@@ -1,4 +1,4 @@
-"""Plants with one coordinate, and their inverse, from functions of people's own."""
+"""Plants with one coordinate, and their inverse, from user-defined functions."""
 
 import math
 from collections.abc import Callable
@@ -33,7 +33,7 @@ class Plant:
     force : callable
         ``force(position, velocity, acceleration, parameters)``, N: the inverse of the first.
     parameters : ndarray, shape (parameters,)
-        Passed to both; changing them recompiles nothing.
+        Passed to both functions; a change does not recompile them.
 
     Raises
     ------

@@ -42,14 +42,14 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
     InputError
         For NaN or infinite samples, shapes that do not fit, no more samples than unknowns, data so large
         or small (1e70, 1e-70) that their squares leave the range of floating-point numbers, or an estimate
-        that leaves it on the way; the message names the sample.
+        that overflows; the message names the sample.
 
     Warns
     -----
     ZeroEstimateWarning
         When a min-max bound is so large that every estimate is zero.
     GrowthLimitWarning
-        When the record ends while `growth_limit` of least squares holds a variance down: that unknown is not
+        When the record ends while `growth_limit` of least squares limits a variance: that unknown is not
         excited, or follows slowly.
 
     Examples
@@ -74,12 +74,12 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
 
 
 class GrowthLimitWarning(UserWarning):
-    """A guard against wind-up acts at the end: what it holds down is not excited, or follows slowly."""
+    """The guard against wind-up acts at the end of a record: the unknown is not excited, or follows slowly."""
 
 
 @checked
 def warn_held(unknowns: ArrayLike, stacklevel: int) -> None:
-    """Warn that `growth_limit` holds the variance of these unknowns, by number, down."""
+    """Warn that `growth_limit` limits the variance of these unknowns, given by number."""
     numbers = ", ".join(f"{unknown:g}" for unknown in require_array("unknowns", unknowns, ndim=1))
     warnings.warn(
         f"growth_limit holds the variance of unknown {numbers} down at the last sample: nothing "

@@ -18,7 +18,7 @@ START = 1e6  # how much more the largest sample of a regressor counts than the s
 @by_value
 @dataclass(frozen=True)
 class Track:
-    """What an estimator gave along a record."""
+    """Results of an estimator over a record."""
 
     estimates: Float64[np.ndarray, "unknowns samples"]  # x_t; min-max: 0 up to as many samples
     errors: Float64[np.ndarray, " samples"]  # y_t - a_t'x_(t-1), before the sample is used
@@ -283,9 +283,9 @@ class LeastSquares(_Recursion):
     forgetting : float
         lambda, between 0 and 1.
     initial_covariance : float, optional
-        P_0 = initial_covariance I, in the unit of 1 / regressor^2: large means that the start at x = 0 is not
-        believed. Without it the start follows from the data, so that no unit matters: zero is believed a
-        millionth as much as the sample in which the regressor was largest so far.
+        P_0 = initial_covariance I, in the unit of 1 / regressor^2: large means that the start at x = 0 has no
+        weight. By default it follows from the data, so that units do not matter: zero has a
+        millionth of the weight of the sample in which the regressor was largest so far.
     growth_limit : float
         How far an element of the diagonal of P may grow beyond P_0, at least 1; ``inf`` for the textbook's
         recursion. Without excitation P grows as 1 / forgetting^t: it overflows, and long before

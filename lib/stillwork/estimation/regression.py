@@ -1,6 +1,6 @@
-"""Recursive estimators with scikit-learn's interface: a record at once with `fit`, a stream with `partial_fit`.
+"""Recursive estimators with scikit-learn's interface: `fit` for a record, `partial_fit` for a stream.
 
-A sample with NaN in it (a feature or an output) is lost: time passes, so that forgetting forgets, and nothing is learned.
+A sample with NaN in a feature or an output is lost: forgetting acts, but nothing is learned.
 A call that is refused changes nothing.
 """
 
@@ -37,7 +37,7 @@ UNLIKE = 100.0  # largest over smallest root mean square of features, from which
 
 
 class UnlikeScalesWarning(UserWarning):
-    """Features are so unlike in size that the small ones are not learned: give them in like units."""
+    """Features differ so much in size that the small ones are not learned: use units in which they are similar."""
 
 
 class _InputTypeError(InputError, TypeError):
@@ -64,7 +64,7 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Raises
         ------
         InputError
-            When X does not fit what was learned.
+            When X does not match the fitted features.
         NotFittedError
             Before the first `fit` or `partial_fit`.
 
@@ -384,7 +384,7 @@ class LeastMeanSquares(UnweightedRegressor):
     Attributes
     ----------
     step_size : float
-        Above 0 and below 2; 1 meets every sample exactly, less averages over more of them.
+        Above 0 and below 2; 1 fits every sample exactly, less averages over more samples.
     regularisation : float, optional
         Above 0, in squared units of the features; without it 1e-5 of the largest |x|^2 so far.
     initial_coef : array_like, shape (features,) or (outputs, features), optional
@@ -396,7 +396,7 @@ class LeastMeanSquares(UnweightedRegressor):
     intercept_ : float or ndarray, shape (outputs,)
         Output where the features are 0; 0 without `fit_intercept`.
     scale_ratio_ : float
-        Largest over smallest root mean square of the features: the smallest one takes so many times squared longer.
+        Largest over smallest root mean square of the features: the smallest one takes this ratio squared times longer.
     n_features_in_ : int
         Number of features.
 
@@ -408,7 +408,7 @@ class LeastMeanSquares(UnweightedRegressor):
     Warns
     -----
     UnlikeScalesWarning
-        From `fit`, when features are so unlike in size that there were too few samples to learn that of the smallest.
+        From `fit`, when features differ so much in size that the samples were too few to learn that of the smallest.
 
     Notes
     -----
@@ -476,8 +476,8 @@ class RecursiveLeastSquares(WeightedRegressor):
     initial_coef : array_like, shape (features,) or (outputs, features), optional
         Estimate before the first sample; zero without.
     initial_covariance : float or array_like, optional
-        P before the first sample, its diagonal, or one number for all of it, in units of 1 / feature^2: large where the
-        initial estimate is not believed; an intercept is the last of the unknowns. Without it P follows from the data, as in `LeastSquares`, so that no unit of a feature matters.
+        P before the first sample, its diagonal, or one number for the diagonal, in units of 1 / feature^2: large if the
+        initial estimate is uncertain; an intercept is the last of the unknowns. Without it P follows from the data, as in `LeastSquares`, so that no unit of a feature matters.
     growth_limit : float
         Guard against wind-up, as `growth_limit` of `FeRls`: how far the variance of a coefficient may grow while
         nothing excites it; ``inf`` for none. Without forgetting there is no wind-up, and it is not used.

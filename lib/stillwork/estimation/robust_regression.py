@@ -1,4 +1,4 @@
-"""Regressors for what least squares is not made for: outliers, and noise of which nothing is known."""
+"""Regressors for data that least squares does not suit: outliers, and noise of unknown statistics."""
 
 import heapq
 from dataclasses import dataclass
@@ -101,7 +101,7 @@ class HuberRegressor(RecursiveRegressor):
 
 @dataclass(eq=False, repr=False)
 class HinfinityRegressor(UnweightedRegressor):
-    """The H-infinity filter of constant coefficients: a bound on their errors' energy over that of all that is unknown.
+    """The H-infinity filter of constant coefficients: a bound on the energy of their errors over that of all disturbances.
 
     Attributes
     ----------

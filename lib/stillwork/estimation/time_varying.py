@@ -73,7 +73,7 @@ class TimeVaryingModel:
 
     @checked
     def with_process(self, g: ArrayLike, process: ArrayLike) -> "TimeVaryingModel":
-        """The same model with other process noise: fictitious noise stands in for model errors."""
+        """The same model with other process noise: fictitious noise represents model errors."""
         return replace(self, g=g, process=process)
 
 

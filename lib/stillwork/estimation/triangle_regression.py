@@ -1,4 +1,4 @@
-"""Regressors that keep a triangle of all samples: min-max, ridge, and estimates for features that are off by noise.
+"""Regressors that keep a triangular factor of all samples: min-max, ridge, and estimates for noisy features.
 
 A triangle has the residuals of all weighted rows, so that a stream ends where its batch does, and loses no digits.
 """
@@ -130,7 +130,7 @@ class _Bounds:
 
 @dataclass(eq=False, repr=False)
 class MinMaxRegressor(TriangleRegressor):
-    """Least squares for features that are off by a bounded error: the smallest of the largest residuals.
+    """Least squares for features with a bounded error: minimises the largest residual.
 
     Over all perturbations dX with |dX diag(bound)^-1| <= 1 of the features seen so far it minimises the largest
     |y - (X + dX) coef|. Of sample j, row and output carry the weight (w_j forgetting^(t - j))^(1/2).
@@ -295,7 +295,7 @@ class _PenalisedRegressor(TriangleRegressor):
 class RidgeRegressor(_PenalisedRegressor):
     """Ridge regression whose penalty follows from the data: the smallest |y - X coef|^2 + penalty |coef|^2.
 
-    Scale the features alike: all coefficients are shrunk by one penalty. An intercept is not.
+    Scale the features similarly: one penalty shrinks all coefficients, but not the intercept.
 
     Attributes
     ----------
@@ -460,7 +460,7 @@ class TotalLeastSquares(_NoisyFeatures):
     noise : float or array_like, shape (features,)
         Standard deviation of the noise of each feature, in its unit, or one for all; 0 for one that is known exactly.
     output_noise : float
-        Of y. Only ratios count: twice of both is the same.
+        Standard deviation of the noise of y. Only the ratio to `noise` matters.
     forgetting : float
         lambda in (0, 1]; 1 weights all samples equally.
     fit_intercept : bool
@@ -506,9 +506,9 @@ class TotalLeastSquares(_NoisyFeatures):
 
 @dataclass(eq=False, repr=False)
 class InstrumentalRegressor(TriangleRegressor):
-    """Two-stage least squares: the features are replaced by what instruments explain of them.
+    """Two-stage least squares: the features are replaced by their projection on the instruments.
 
-    Instruments go with the features but not with their noise: a second sensor of the same, older samples, or the input
+    Instruments are correlated with the features but not with their noise: a second sensor of the same, older samples, or the input
     that drives what is measured. There are at least as many as features.
 
     Attributes
@@ -557,7 +557,7 @@ class InstrumentalRegressor(TriangleRegressor):
         sample_weight : array_like, shape (samples,), optional
             Weight of each squared error, beside that of forgetting; 0 for a lost sample.
         instruments : array_like, shape (samples, instruments), optional
-            The features themselves without: then it is least squares.
+            By default the features themselves: then it is least squares.
 
         Returns
         -------

@@ -1,7 +1,7 @@
 """The unscented Kalman filter (12)-(17), corrected, in kernels independent of the model.
 
 A model enters between them: draw points, let the caller move them, take their mean and covariance; draw
-again, let the caller say what they would measure, correct.
+again, let the caller compute their measurements, correct.
 """
 
 from dataclasses import dataclass
@@ -109,7 +109,7 @@ def predict_unscented(work, weights, process, size):
 
 @pasted_kernel
 def correct_unscented(work, weights, noise, size, outputs):
-    """(15)-(17): the points, what they would measure, and the measurement are in place."""
+    """(15)-(17): the points, their measurements and the actual measurement are in place."""
     points, observed, innovation, count = work[POINTS], work[OBSERVED], work[INNOVATION], 2 * size + 1
     mean, expected = work[MEANS, ESTIMATE], work[MEANS, EXPECTED]
     first, other = weights[2], weights[3]

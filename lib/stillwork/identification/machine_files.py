@@ -61,7 +61,9 @@ def kind_of(arrays: dict[str, np.ndarray]) -> str:
         return "frequency response"
     if "force" in words or "hammer" in words:
         return "hammer records"
-    raise InputError(f"it holds {', '.join(arrays) or 'nothing'}, not {FORMS}; name them so")
+    raise InputError(
+        f"it holds {', '.join(arrays) or 'nothing'}, but not {FORMS}; name its columns like this"
+    )
 
 
 @checked(missing=True)
