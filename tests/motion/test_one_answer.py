@@ -52,7 +52,7 @@ def answer(lines):
     kept = [
         line
         for line in lines
-        if line.partition(":")[0] in USES or line.startswith(("from the", "searched at"))
+        if line.partition(":")[0] in USES or line.startswith(("highest bandwidth first", "searched at"))
     ]
     assert len(kept) == len(USES) + 2
     return kept
