@@ -246,7 +246,7 @@ class AchievableBandwidth:
 
     @property
     def recommended(self) -> Bandwidth | None:
-        """The lower of both, feasible on both; None if one has none, or if the loop makes extra encirclements of -1."""
+        """The lower of both, feasible on both; None if one has none, or if the loop makes extra turns around -1."""
         if self.on_model is None or self.reason or self.encirclement_difference:
             return None
         if self.on_measurement is None:
@@ -298,7 +298,7 @@ class AchievableBandwidth:
                     ", about the suspension: below it the springs hold the machine, not the loop"
                 )
         if self.encirclement_difference is not None:
-            row["extra encirclements"] = str(self.encirclement_difference)
+            row["extra turns"] = str(self.encirclement_difference)
         return row
 
 

@@ -136,7 +136,7 @@ def retest_file(
         f"{Path(file).name} with {Path(controller).name}: {verdict}",
         peaks_text,
         *([] if stable else ["the loop is unstable on the model of this response"]),
-        *([f"extra encirclements of -1 on the measurement: {turns}"] if turns is not None else []),
+        *([f"extra turns around -1 on the measurement: {turns}"] if turns is not None else []),
         *(" ".join(row) for row in changes if row[-1] != INSIDE),
     ]
     head = ["", "at the design", "now", "change", ""]
