@@ -68,9 +68,9 @@ class Tree:
         for name in self.files.keys() - files.keys():
             (self.folder / name).unlink()
         self.files = files
-        faces = {name: sha for name, sha in files.items() if name.endswith("__init__.py")}
+        packages = {name: sha for name, sha in files.items() if name.endswith("__init__.py")}
         # An import leads to another module where modules come and go, or a package's public names change.
-        self._listing = hashlib.sha256(repr((sorted(files), sorted(faces.items()))).encode()).hexdigest()
+        self._listing = hashlib.sha256(repr((sorted(files), sorted(packages.items()))).encode()).hexdigest()
 
     def content(self, file: Path) -> bytes:
         name = file.relative_to(self.folder).as_posix()
@@ -105,15 +105,15 @@ class Tree:
         return found
 
     def _key(self, text: str, modules: dict[str, Path]) -> dict[str, str]:
-        faces = {name for name, file in modules.items() if file.name == "__init__.py"}
+        packages = {name for name, file in modules.items() if file.name == "__init__.py"}
         sources = {
             name: self.content(file) for name, file in modules.items() if name != "cells_of_a_notebook"
         }
         return {
             "bytes": digest([text, *(f"{n} {hashlib.sha256(s).hexdigest()}" for n, s in sources.items())]),
             "code": digest([text, *(f"{name} {code_of(source)}" for name, source in sources.items())]),
-            "definitions": digest([text, *reached(text.encode(), sources, faces)]),
-            "names": digest([text, *reached(text.encode(), sources, faces, values=True)]),
+            "definitions": digest([text, *reached(text.encode(), sources, packages)]),
+            "names": digest([text, *reached(text.encode(), sources, packages, values=True)]),
         }
 
 
@@ -131,12 +131,12 @@ def digest(lines: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
 
-def reached(text: bytes, sources: dict[str, bytes], faces: set[str], values: bool = False) -> list[str]:
+def reached(text: bytes, sources: dict[str, bytes], packages: set[str], values: bool = False) -> list[str]:
     """Digests of the definitions that the cells reach, and of all that stands outside of definitions."""
     defined: dict[str, list[tuple[str, Fragment]]] = {}
     lines, names = [], set(fragments(text)[0][1])
     for module, source in sources.items():
-        (outside, used), definitions = fragments(source, module in faces, values)
+        (outside, used), definitions = fragments(source, module in packages, values)
         lines.append(f"{module} {outside}")
         names |= used
         for name, fragment in definitions:
@@ -154,11 +154,11 @@ def reached(text: bytes, sources: dict[str, bytes], faces: set[str], values: boo
 
 @cache
 def fragments(
-    source: bytes, face: bool = False, values: bool = False
+    source: bytes, of_package: bool = False, values: bool = False
 ) -> tuple[Fragment, tuple[tuple[str, Fragment], ...]]:
     """What stands outside of a module's functions and classes, and these by name.
 
-    The texts in a package's `face` are its public names: that they are listed reaches none of them.
+    With `of_package` the texts in a package are its public names: a name that is listed is not reached by that.
     """
     tree = code(source)
     kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
@@ -170,7 +170,7 @@ def fragments(
     # A decorator acts when the module is imported.
     outside = [node for node in tree.body if node not in known]
     outside += [each for node in known if isinstance(node, kinds) for each in node.decorator_list]
-    return fragment(outside, face), tuple((name, fragment([node], face)) for name, node in inside)
+    return fragment(outside, of_package), tuple((name, fragment([node], of_package)) for name, node in inside)
 
 
 def assigned(node: ast.AST) -> list[str]:
@@ -184,7 +184,7 @@ def assigned(node: ast.AST) -> list[str]:
     return [part.id for part in parts] if all(isinstance(part, ast.Name) for part in parts) else []
 
 
-def fragment(nodes: list[ast.AST], face: bool) -> Fragment:
+def fragment(nodes: list[ast.AST], of_package: bool) -> Fragment:
     names: set[str] = set()
     for node in (each for top in nodes for each in ast.walk(top)):
         if isinstance(node, ast.Name):
@@ -193,7 +193,7 @@ def fragment(nodes: list[ast.AST], face: bool) -> Fragment:
             names.add(node.attr)
         elif isinstance(node, ast.alias) and node.asname:  # otherwise the name stands where it is used
             names.add(node.name)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and not face:
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and not of_package:
             names.add(node.value)
     text = "\n".join(map(ast.dump, nodes))
     return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest(), frozenset(names)

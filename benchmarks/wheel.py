@@ -24,11 +24,11 @@ from importlib import import_module
 import numpy as np
 folders = {name: import_module("stillwork." + name) for name in %s}
 lacking, failed = [], {}
-for folder, face in folders.items():
-    for name in getattr(face, "__all__", ()):
+for folder, package in folders.items():
+    for name in getattr(package, "__all__", ()):
         finder = doctest.DocTestFinder(recurse=False)
         try:
-            thing = inspect.unwrap(getattr(face, name))
+            thing = inspect.unwrap(getattr(package, name))
         except ImportError:
             lacking.append(name)
             continue

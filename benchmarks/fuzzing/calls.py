@@ -1,6 +1,6 @@
-"""A call of every public function and method of the toolbox and of every class of its faces, to be spoiled.
+"""A call of every public function and method of the toolbox and of every class of its public API, to be spoiled.
 
-Those of the `catalogue` are good and written out: all of the faces, and many behind them. The others, of `behind`, are
+Those of the `catalogue` are good and written out: the whole public API, and much beside it. The others, of `behind`, are
 made from the annotations.
 """
 
@@ -22,7 +22,7 @@ from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.lti.discretisation import zoh_response
 
-FACES = {
+PACKAGES = {
     "signals": signals,
     "lti": lti,
     "identification": identification,
@@ -113,7 +113,7 @@ def catalogue() -> dict:
     """Name to (callable, good arguments by name)."""
     rng = np.random.default_rng(5)
     noise = rng.standard_normal
-    signals, lti, i, e, c = map(_whole, FACES.values())
+    signals, lti, i, e, c = map(_whole, PACKAGES.values())
     model = lti.ModalModel(
         np.array([0.0, 300.0, 900.0]), np.array([0.0, 0.01, 0.02]), np.array([[0.3], [0.4], [0.2]]),
         np.array([[0.3, -0.4, 0.2]]), np.zeros((1, 1)),
@@ -510,11 +510,11 @@ def warm() -> None:
 
 
 def missing() -> list[str]:
-    """What of the toolbox nothing calls: of the faces without a call written out, of the rest without one made."""
+    """What of the toolbox nothing calls: of the public API without a call written out, of the rest without one made."""
     absent = [
         f"{folder}.{name}"
-        for folder, face in FACES.items()
-        for name in face.__all__
+        for folder, package in PACKAGES.items()
+        for name in package.__all__
         if not _called(folder, name)
     ]
     return [*absent, *_behind()[1]]
@@ -527,7 +527,7 @@ def behind() -> dict:
 
 @cache
 def _behind() -> tuple[dict, list[str]]:
-    folders = {folder: _whole(face) for folder, face in FACES.items()}
+    folders = {folder: _whole(package) for folder, package in PACKAGES.items()}
     return made_calls(catalogue(), folders, _called)
 
 

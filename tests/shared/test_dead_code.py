@@ -9,7 +9,7 @@ import pytest
 
 from workbook import paths
 
-# A face, a command, a page of the site, a study of `data/<topic>/choices.toml` and a notebook's text name a function
+# A public API, a command, a page of the site, a study of `data/<topic>/choices.toml` and a notebook's text name a function
 # without calling it.
 NAMED = re.compile(r"(?:experiments|contest|notebooks)[\w.]*:(\w+)|(?:stillwork|workbook)[\w.]*:(\w+)")
 WRITTEN = re.compile(r"`[\w.]*?(\w+)`")
@@ -28,7 +28,7 @@ def defined(statement):
 
 
 def used(tree, offers=False):
-    """Names that a piece of code reads, imports or, as a face, offers."""
+    """Names that a piece of code reads, imports or, as a package, exports."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):

@@ -14,19 +14,19 @@ import pytest
 
 FOLDERS = ("signals", "lti", "identification", "estimation", "control")
 TOOLBOX = {name: import_module(f"stillwork.{name}") for name in FOLDERS}
-FACES = [f"{folder}.{name}" for folder, package in TOOLBOX.items() for name in package.__all__]
+PUBLIC = [f"{folder}.{name}" for folder, package in TOOLBOX.items() for name in package.__all__]
 
 
-def handed_out(face):
-    folder, name = face.split(".")
+def public_object(path):
+    folder, name = path.split(".")
     return inspect.unwrap(getattr(TOOLBOX[folder], name))
 
 
 def given_back():
     """Classes of the toolbox of a public API, or that it returns, under their names."""
     found = {}
-    for face in FACES:
-        thing = handed_out(face)
+    for name in PUBLIC:
+        thing = public_object(name)
         if not inspect.isclass(thing):
             thing = typing.get_type_hints(thing).get("return")
         if inspect.isclass(thing) and thing.__module__.startswith("stillwork"):
@@ -58,16 +58,16 @@ def undescribed(function):
     return [name for name in names if not re.search(rf"\b{name}\b", inspect.getdoc(function) or "")]
 
 
-@pytest.mark.parametrize("name", [*FACES, *METHODS])
+@pytest.mark.parametrize("name", [*PUBLIC, *METHODS])
 def test_every_argument_is_described(name):
-    thing = METHODS.get(name) or handed_out(name)
+    thing = METHODS.get(name) or public_object(name)
     assert inspect.isclass(thing) or undescribed(thing) == []
 
 
 def run_examples():
     """What went wrong in each example; numpy is `np`, as everywhere, and the folders have their names."""
     found = {}
-    for name, thing in ({face: handed_out(face) for face in FACES} | METHODS).items():
+    for name, thing in ({name: public_object(name) for name in PUBLIC} | METHODS).items():
         finder = doctest.DocTestFinder(recurse=False)
         (example,) = finder.find(thing, name, globs={"np": np, **TOOLBOX})
         said = [] if example.examples else ["no example\n"]
@@ -85,7 +85,7 @@ def outcomes(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*FACES, *METHODS])
+@pytest.mark.parametrize("name", [*PUBLIC, *METHODS])
 def test_an_example_runs(name, outcomes):
     assert outcomes[name] == ""
 

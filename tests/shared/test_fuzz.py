@@ -32,7 +32,7 @@ from fuzzing import behind, calls
 
 asked = calls.catalogue() | calls.behind()
 names = {name.split(",")[0].rpartition(".")[2] for name in asked}
-public = [f"{folder}.{name}" for folder, face in calls.FACES.items() for name, _ in behind.public(calls._whole(face))]
+public = [f"{folder}.{name}" for folder, package in calls.PACKAGES.items() for name, _ in behind.public(calls._whole(package))]
 assert public and calls.missing() == []
 assert not {each for each in public if each.rpartition(".")[2] not in names | {"fit"} | {n.rpartition(".")[2] for n in calls.PARTS}}
 """

@@ -1,1 +1,1 @@
-"""What everything stands on: checked arguments, kernels, tables, lazy faces."""
+"""Foundations: checked arguments, kernels, tables, lazy exports."""

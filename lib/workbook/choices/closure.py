@@ -98,11 +98,11 @@ def _imported(tree: ast.AST, package: str, roots: list[Path]) -> Iterator[str]:
                 if _file(f"{base}.{alias.name}", roots):
                     yield f"{base}.{alias.name}"
                 elif source and source.name == "__init__.py":
-                    yield from _behind_face(base, source, alias.name, roots)
+                    yield from _behind_package(base, source, alias.name, roots)
 
 
-def _behind_face(package: str, file: Path, name: str, roots: list[Path]) -> Iterator[str]:
-    """Modules from which a package's face may take a public name at first use: those named beside it."""
+def _behind_package(package: str, file: Path, name: str, roots: list[Path]) -> Iterator[str]:
+    """Modules from which a package may export a public name at first use: those named beside it."""
     for node in ast.walk(syntax_tree(file)):
         if isinstance(node, ast.Dict):
             for key, value in zip(node.keys, node.values, strict=True):
