@@ -22,7 +22,7 @@ export PYTHONPATH := $(CURDIR)/lib:$(CURDIR)
 PINNED := lib/workbook/pinned.env
 UNDER_PINS = env $(shell grep -v '^\#' $(PINNED))
 
-# nbval is for the notebooks, anyio for nobody; loading them takes a second of every process.
+# nbval is for the notebooks, anyio is not used; loading them takes a second of every process.
 # Files go to the workers whole, for their tests share what is dear to make, and in the order of tests/order.py.
 UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/browser \
 	-n logical --dist loadfile --no-loadscope-reorder
@@ -30,8 +30,8 @@ UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/br
 RERUN ?= 3
 DAY := $(shell date +%Y%m%d)
 
-# A part of `make test`, $(1) in words and $(2) to run, whatever became of those before it. How long each took and
-# whether it passed stands at the end.
+# A part of `make test`: $(1) its name, $(2) the command, run even if a part before it failed. How long each took and
+# whether it passed is printed at the end.
 PARTS := build/test-parts
 part = @echo "$(1)"; begin=$$(date +%s); if $(2); then end=passed; else end=FAILED; fi; \
 	printf '%-20s%6d s  %s\n' "$(1)" $$(($$(date +%s) - begin)) $$end >> $(PARTS)
@@ -47,7 +47,7 @@ help: ## Show this list
 figures: $(READY) ## Build what is stale; ARGS="TOPIC/NOTEBOOK -p NAME=VALUE --jobs N --why"
 	@$(BIN)/python -m stillwork figures $(ARGS)
 
-choices: $(READY) ## Try every choice that the works leave open; ARGS="TOPIC --jobs N --budget MINUTES"
+choices: $(READY) ## Try every choice that the papers leave open; ARGS="TOPIC --jobs N --budget MINUTES"
 	@$(BIN)/python -m stillwork choices $(ARGS)
 
 .PHONY: readings

@@ -1,4 +1,4 @@
-"""What an installed checkout has and a wheel has not: the workbook's extension of Jupyter's server."""
+"""The part of an installed checkout that a wheel lacks: the workbook's extension of the Jupyter server."""
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 

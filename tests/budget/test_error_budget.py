@@ -612,7 +612,7 @@ def test_a_box_holds_what_lies_in_it():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda: white("floor", "floor", "m", 1.0), r"^floor: unit is 'm'.*'floor' takes m/s\^2"),
+        (lambda: white("floor", "floor", "m", 1.0), r"^floor: unit is 'm'.*'floor' needs m/s\^2"),
         (lambda: white("x", "flor", "m/s^2", 1.0), "^x: place.*did you mean 'floor'"),
         (lambda: control.Source("x", ("floor",), "m/s^2", lambda f: -f), "^x: density is negative"),
         (lambda: control.Source("x", ("floor",), "m/s^2", lambda f: f[:2]), "^x: density returned"),

@@ -650,7 +650,7 @@ def _require_units(network: Network, source: Source) -> None:
     wanted = tuple(places[place] for place in source.places)
     if source.units != wanted:
         raise InputError(
-            f"{source.name}: unit is {source.unit!r}, and {', '.join(map(repr, source.places))} takes "
+            f"{source.name}: unit is {source.unit!r}, and {', '.join(map(repr, source.places))} needs "
             f"{', '.join(wanted)}; convert it"
         )
 
