@@ -147,7 +147,7 @@ def paint_over_masses(
     label: str = "mass",
     zoom: tuple | None = None,
 ):
-    """One loop function of every measured mass, a panel a case (loops, controller, function), with the allowed peak.
+    """One loop function of every measured mass, a panel per case (loops, controller, function), with the allowed peak.
 
     `zoom` is what `add_zoom` needs for an inset in every panel.
     """
