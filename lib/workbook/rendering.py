@@ -113,7 +113,7 @@ def _places(figure) -> Iterator[None]:
     margins = [(each.subplotpars, dict(vars(each.subplotpars))) for each in figures]
     titles = [(text, text.get_position()) for each in figures for text in each.texts]
     places = [
-        # Where a locator put it last; without one a panel finds its place from the original one when drawn.
+        # Where a locator put it last; without one per panel finds its place from the original one when drawn.
         (each, each.get_in_layout(), each.get_position(True), each.get_position(not each.get_axes_locator()))
         for each in panels
     ]
