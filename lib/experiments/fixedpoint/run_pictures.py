@@ -133,7 +133,7 @@ def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], l
     places, shades = np.arange(len(columns)), {"cmap": "Blues", "vmin": 0, "vmax": 1}
     image = axes.pcolormesh(places, rows, grid, label="fraction of runs", **shades)
     axes.set_yticks(rows, list(fractions))
-    axes.set_xticks(places, columns)
+    axes.set_xticks(places, columns, fontsize=7)
     axes.grid(False)
     axes.invert_yaxis()
     axes.set_xlabel(label)
