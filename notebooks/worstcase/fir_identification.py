@@ -132,7 +132,7 @@ def explore_fig_1(period: int, input_noise: float, output_noise: float, second: 
     figure, panels = figures.new(1, 2, height=3.2)
     _paint_estimates(panels, study, parameters)
     figures.label(panels, "time (samples)")
-    figures.legend_below(panels[0], 3)
+    figures.legend_below(panels[0], 4)
     return figure
 
 
