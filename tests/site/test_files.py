@@ -396,6 +396,7 @@ NEWCOMERS = {
     "my own data": "guide/your-rig.html",
     "hammer test": "notebooks/motion/29",
     "change a parameter": "guide/install.html#Change",
+    "LMS step size": "notebooks/isolation/02",
     "licence": "guide/install.html#Licence",
     "python version": "guide/install.html",
     "exercises": "guide/course/index.html",

@@ -11,7 +11,7 @@ globalThis.rankedPlaces = (() => {
   const AGAIN = 0.7; // for each better place on the same page
 
   const plain = (text) => text.replace(/\bh[\s_-]?(?:infinity|inf|∞)(?!\p{L})/giu, "hinfinity");
-  const parted = (text) => `${text} ${text.replace(/(?<=\p{Ll}{2})(?=\p{Lu}\p{Ll})/gu, " ")}`;
+  const parted = (text) => `${text} ${text.replace(/(?<=\p{Ll}{2})(?=\p{Lu}\p{Ll})|(?<=\p{Ll})(?=\p{Lu}{2})/gu, " ")}`;
   const wordsOf = (text) => parted(plain(text)).toLowerCase().normalize("NFKD").match(/[\p{L}\p{N}]+/gu) ?? [];
   const root = (word) => (word.length > 3 && word.endsWith("s") && !word.endsWith("ss") ? word.slice(0, -1) : word);
 
