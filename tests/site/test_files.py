@@ -21,7 +21,7 @@ from workbook import paths
 from workbook.choices.command import robustness_of
 from workbook.choices.judging import Robustness
 from workbook.claims import Claim, Entry, Tolerance, ledger
-from workbook.headlines import summary_of
+from workbook.headlines import headlines, said_first, summary_of
 from workbook.notebooks import select
 from workbook.publish import replace_folder
 from workbook.report import column
@@ -343,8 +343,17 @@ def test_sentence_and_remark_are_about_one_outcome(agreeing, ours, otherwise, wo
 
 def test_no_sentence_of_the_ledger_contradicts_its_mark():
     """The headlines of all pages: what differs is worded as a negation, what agrees is not, and so is the remark."""
-    lines = [line for notebook in select() for line in summary_of(notebook.name).lines]
-    found = [line for line in lines if line.claim.ours is not None]
+    found = []
+    for topic in paths.topics():
+        standings, pages = robustness_of(topic), {}
+        for claim in ledger(topic=topic):
+            pages.setdefault(claim.notebook, []).append(claim)
+        for claims in pages.values():
+            found += [
+                line
+                for line in headlines(claims, standings, said_first(topic))
+                if line.claim.ours is not None
+            ]
     assert len({line.claim.notebook for line in found}) > 50
     for line in found:
         negated = " instead" in line.found or "Not found: " in line.found
