@@ -315,7 +315,7 @@ def test_noise_makes_no_machine_worse_than_six_decibels(written, tmp_path):
             assert low - 0.05 < size < high + 0.05
             said[noise, gain] = lines[0]
             change, spread = re.search(
-                r"gain about .*?<td>([-+\d.e]+) ± ([\d.e-]+) %", page.read_text(), re.DOTALL
+                r"gain near .*?<td>([-+\d.e]+) ± ([\d.e-]+) %", page.read_text(), re.DOTALL
             ).groups()
             assert abs(float(change) - 100 * (gain - 1)) < 1.5 * float(spread)
     assert "the promise holds" in said[0.03, 0.9] and "does not hold" in said[0.03, 1.4]

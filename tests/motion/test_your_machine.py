@@ -110,7 +110,7 @@ def test_units_in_the_file_are_obeyed(tmp_path, bracket):
     columns = {f"real {bracket}": values.real, f"imag {bracket}": values.imag}
     found = load_machine(write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns))
     assert np.abs(found.accelerance.response / ACCELERANCE - 1).max() < 1e-9
-    assert not any("nothing says" in note for note in found.notes)
+    assert not any("is not stated" in note for note in found.notes)
 
 
 def test_units_that_contradict_the_file_or_each_other_are_refused(tmp_path):

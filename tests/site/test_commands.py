@@ -144,7 +144,7 @@ def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
             assert found["worstcase/07-your-record"]["input_channel"] == name
             assert found["fixedpoint/09-your-plant"]["trajectory_channel"] == name
         else:
-            assert [line.partition(":")[0] for line in lines if "rename it and ask again" in line] == [
+            assert [line.partition(":")[0] for line in lines if "rename it and run this again" in line] == [
                 "no command for a feedforward in C",
                 "no command for isolation/08-your-floor",
                 *["no command for worstcase/07-your-record"][: not unknown],
@@ -244,7 +244,7 @@ def test_spectra_are_recognised_as_spectra(tmp_path, column, unit):
         "isolation/08-your-floor": {"floor_record": str(tmp_path / "a.npz"), "floor_unit": unit}
     }
     assert f"spectra over 99 frequencies up to 99 Hz: {column}" in report and "not a" not in report
-    assert ("put one of these for UNIT" in report) == (unit == "UNIT")
+    assert ("replace UNIT by one of these" in report) == (unit == "UNIT")
 
 
 def test_a_machine_that_cannot_be_used_says_why(tmp_path):
