@@ -134,7 +134,7 @@ COMMANDS = {
         ),
     ),
     "isolate": Command(
-        "design a self-tuning feedforward for your isolator and floor: C code, certificate and report page",
+        "design a self-tuned feedforward for your isolator and floor: C code, certificate and report page",
         "stillwork.design.isolate:isolate_file",
         (
             option(

@@ -50,7 +50,7 @@ def model_file(path: Path) -> Iterator[str]:
             yield f"not a machine of the topic {meant[0]}: {lacking[meant[0]]}"
         else:
             begin = " or ".join(file.relative_to(paths.root()).as_posix() for file in templates.values())
-            yield f"not a machine for any notebook; start from a copy of {begin}"
+            yield f"matches the machine of no notebook; start from a copy of {begin}"
 
 
 def _takers(path: Path, topic: str) -> Iterator[str]:

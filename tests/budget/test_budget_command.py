@@ -143,7 +143,7 @@ def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
         (
             'white = "0.3 nm/sqrt(Hz)"',
             'white = "0.3 nm"',
-            r"^stage sensor: unit is 'nm', and 'stage sensor' needs m/sqrt",
+            r"^stage sensor: unit is 'nm', but 'stage sensor' needs m/sqrt",
         ),
         ('white = "0.3 nm/sqrt(Hz)"', 'white = "0.3 mN/sqrt(Hz)"', r"^stage sensor: unit is 'mN/sqrt\(Hz\)'"),
         (

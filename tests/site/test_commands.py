@@ -71,7 +71,7 @@ def test_the_numbers_of_a_column_are_those_of_the_file(tmp_path):
     report = inspect_file(str(file))
     assert f"300 values from 0 to 6, mean {np.mean(samples % 7):.4g}" in report
     assert "a record of 2 channels: 10 Hz, 30 s" in report
-    assert "UNIT: m/s^2, m/s, m, N" in report
+    assert "one of these: m/s^2, m/s, m, N" in report
     found = commands(report)
     assert found["isolation/08-your-floor"]["floor_channels"] == ["a", "b"]
     assert found["worstcase/07-your-record"]["output_channel"] == "b"
@@ -309,7 +309,7 @@ def test_a_machine_is_recognised_by_the_topic_that_reads_it(tmp_path):
 def test_a_toml_file_that_is_no_machine_gets_one_answer():
     report = inspect_file(str(paths.data("motion", "beam.toml")))
     assert report.splitlines()[-1] == (
-        "not a machine for any notebook; start from a copy of data/isolation/rigid_body.toml "
+        "matches the machine of no notebook; start from a copy of data/isolation/rigid_body.toml "
         "or data/fixedpoint/oscillator.toml"
     )
     assert "not a machine" not in report

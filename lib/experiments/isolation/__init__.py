@@ -1,4 +1,4 @@
-"""Isolation: the rig that holds still by self-tuning feedforward, its twins, studies and pictures.
+"""Isolation: the rig that holds still by self-tuned feedforward, its twins, studies and pictures.
 
 A run in four lines::
 

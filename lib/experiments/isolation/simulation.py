@@ -1,4 +1,4 @@
-"""Closed-loop runs of a twin: passive, with feedback, with frozen or self-tuning feedforward."""
+"""Closed-loop runs of a twin: passive, with feedback, with frozen or self-tuned feedforward."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A self-tuning feedforward for an isolator: its filters, its effect, and whether its adaptation converges.
+"""A self-tuned feedforward for an isolator: its filters, its effect, and whether its adaptation converges.
 
     M q'' + C (q' - q0') + K (q - q0) = f,   q0 = G p
 

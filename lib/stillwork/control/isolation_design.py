@@ -1,4 +1,4 @@
-"""Design of an isolator's self-tuning feedforward, its certificate before it is switched on, and its prediction."""
+"""Design of an isolator's self-tuned feedforward, its certificate before it is switched on, and its prediction."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Filters of a self-tuning feedforward against floor vibration, after Beijen et al. (2018).
+"""Filters of a self-tuned feedforward against floor vibration, after Beijen et al. (2018).
 
 They are designed in continuous time and discretised with Tustin's rule. Every design returns second-order sections as `scipy.signal.sosfilt` takes them. Products are formed from poles
 and zeros in continuous time, before Tustin's rule: terms that cancel analytically are never subject to rounding.

@@ -1,4 +1,4 @@
-"""The command ``isolate``: a self-tuning feedforward in C for an isolator and its floor, with certificate and prediction."""
+"""The command ``isolate``: a self-tuned feedforward in C for an isolator and its floor, with certificate and prediction."""
 
 import html
 import json
@@ -76,7 +76,7 @@ def isolate_file(
     name: str = "isolator",
     precision: str = "double",
 ) -> list[str]:
-    """Design a self-tuning feedforward for an isolator on a floor; write it as C99 with a page into a new folder.
+    """Design a self-tuned feedforward for an isolator on a floor; write it as C99 with a page into a new folder.
 
     Parameters
     ----------
