@@ -176,7 +176,7 @@ def test_more_noise_than_is_allowed_is_not_written(machine):
     controller = error_driven(tied_to_error(runnable(pid, loop.compensator, np.inf, {}, ("rad", "N m"))))
     arguments = [controller], [loop], pid, ("rad", "N m"), (1.0, 1.0)
     rows = dict(noise_rows(sensor_noise("rad", np.inf, 0.0, 0.05, 0.0), *arguments))
-    assert "not known" in rows["noise of the sensor"] and "warning" not in rows
+    assert "unknown" in rows["noise of the sensor"] and "warning" not in rows
     wide = dict(noise_rows(sensor_noise("rad", 0.02, 0.05, 10.0, 0.0), *arguments))
     assert "of the limit" in wide["noise at the output"] and "wear" in wide["warning"]
     with pytest.raises(InputError, match=r"^noise: .* allow more"):
@@ -228,10 +228,10 @@ def test_single_precision_is_refused_where_no_form_holds_the_output(monkeypatch)
     written = error_driven(whole)
     rows = dict(single_rows([written], [[(loop, whole)]], (1.0, 1.0)))
     assert "error of the output" in rows["single precision"]
-    with pytest.raises(InputError, match=r"^precision: .* peaks at .* write double"):
+    with pytest.raises(InputError, match=r"^precision: .* peaks at .* use double"):
         single_rows([written], [[(loop, whole)]], (1.0, 40.0))
     monkeypatch.setattr(single_precision, "LOST_MOST", 1e-12)
-    with pytest.raises(InputError, match=r"^precision: in single precision .* write double"):
+    with pytest.raises(InputError, match=r"^precision: in single precision .* use double"):
         controller_code(written, "slow", "single")
 
 

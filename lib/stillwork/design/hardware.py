@@ -128,7 +128,7 @@ def single_rows(
     ]
     if not max(peaks) <= ALLOWED_DB:
         raise InputError(
-            f"precision: with coefficients in single precision the loop peaks at {max(peaks):.3f} dB; write double"
+            f"precision: with coefficients in single precision the loop peaks at {max(peaks):.3f} dB; use double"
         )
     worst = max(found, key=lambda each: each.error)
     words = f"error of the output {worst.error:.1e} of its rms (states {worst.form}); peaks at most {max(peaks):.3f} dB"
