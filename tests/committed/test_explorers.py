@@ -58,7 +58,8 @@ def test_the_first_control_has_fifteen_stops(explorers):
         if isinstance(first, Slider) and len(shares(first)) < MAIN:
             few[page] = name
             assert first.whole and len(shares(first)) == first.high - first.low + 1, "every whole number"
-    assert few == {"motion/02-model-reduction": "retained", "motion/03-position-dependence": "place"}
+    known = {"motion/02-model-reduction": "retained", "motion/03-position-dependence": "place"}
+    assert few == {page: name for page, name in known.items() if page in explorers}
 
 
 def test_every_slider_stands_on_a_stop_at_its_start(explorers):
@@ -70,7 +71,9 @@ def test_every_slider_stands_on_a_stop_at_its_start(explorers):
 
 
 def test_every_named_design_has_its_stops_and_a_picture(explorers):
-    assert {page for page, each in explorers.items() if not each.presets} == set(WITHOUT_PRESETS)
+    assert {
+        page for page, each in explorers.items() if not each.presets
+    } == WITHOUT_PRESETS.keys() & explorers.keys()
     for page, explorer in explorers.items():
         for design, settings in explorer.presets.items():
             assert explorer.draw(**settings).axes, (
@@ -81,7 +84,9 @@ def test_every_named_design_has_its_stops_and_a_picture(explorers):
             assert also <= set(ladder(slider, lambda value: [], MAIN, also).values), f"{page}: {name}"
 
 
-def test_a_preset_of_the_budget_shows_the_page_s_own_bar():
+def test_a_preset_of_the_budget_shows_the_page_s_own_bar(explorers):
+    if "budget/02-the-budget" not in explorers:  # another workbook
+        return
     for floor, name in (
         ("slab under footfall", "slab, all methods"),
         ("LIGO ground", "LIGO ground, all methods"),
