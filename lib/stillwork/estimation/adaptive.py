@@ -149,7 +149,8 @@ class FeRls:
     growth_limit : float
         How far an element of the diagonal of P may grow, at least 1; ``inf`` for the printed algorithm. It counts from
         P(-1), but from ten times the steady value that the regressor's own power gives, 1 / sum lambda^j psi^2, where
-        that is less, so that it also protects from a P(-1) that is too large. A floor that gets quieter by more than
+        that is less: it keeps P from winding up after any P(-1), but does not keep too large a P(-1) from breaking the
+        loop in its first samples. A floor that gets quieter by more than
         this, in power, and a combination of regressors that is weaker than this are followed more slowly; `held`
         of the result lists the regressors that the limit held. The triangle does not depend on the order of the
         regressors; forms with factors hold one regressor a sample, in turn, so that while limits act their result
