@@ -714,7 +714,7 @@ def is_feasible(
 def highest_peaks(loops: Sequence[Loop], controller: Pid, functions: Sequence[str]) -> dict[str, Peak]:
     """The highest peak over all loops, by function; infinite, at the worst pole, where a loop is unstable.
 
-    It is refined of those loops alone that come near it around their closed-loop poles.
+    Only the loops that come near it around their closed-loop poles are refined.
     """
     if not loops:
         raise InputError("loops is empty; give at least one")

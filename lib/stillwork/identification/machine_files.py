@@ -163,7 +163,7 @@ def load_machine(
 
 @checked(missing=True)
 def load_ratio(file: str | Path, response: str = "") -> Identified:
-    """A frequency response without unit (ratio of two equal quantities) from a file, as `load_machine` reads it."""
+    """A frequency response without unit (a ratio of two quantities of one unit) from a file, as `load_machine` reads it."""
     file = Path(file)
     arrays = read_arrays(file)
     if _frequency_name(arrays) is None:
