@@ -150,11 +150,10 @@ class FeRls:
         How far an element of the diagonal of P may grow, at least 1; ``inf`` for the printed algorithm. It counts from
         P(-1), but from ten times the steady value that the regressor's own power gives, 1 / sum lambda^j psi^2, where
         that is less: it keeps P from winding up after any P(-1), but does not keep too large a P(-1) from breaking the
-        loop in its first samples. A floor that gets quieter by more than
-        this, in power, and a combination of regressors that is weaker than this are followed more slowly; `held`
-        of the result lists the regressors that the limit held. The triangle does not depend on the order of the
-        regressors; forms with factors hold one regressor a sample, in turn, so that while limits act their result
-        depends on the order.
+        loop in its first samples. A floor that gets quieter by more than this, in power, and a combination of
+        regressors that is weaker than this are followed more slowly; `held` of the result lists the regressors that the
+        limit held. The triangle does not depend on the order of the regressors; forms with factors hold one regressor a
+        sample, in turn, so that while limits act their result depends on the order.
     form : str
         How P is kept, one of `covariance_forms.FORMS`. ``safe``: the triangle in float64; in float32, where it loses
         definiteness on regressors that one record drives, Bierman's factors, which take no longer.
