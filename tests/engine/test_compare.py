@@ -1,6 +1,7 @@
 """What counts as the same result, and what does not."""
 
 import io
+import json
 
 import numpy as np
 import pytest
@@ -186,6 +187,19 @@ def test_the_same_numbers_in_another_colour_are_another_figure(tmp_path, colour)
         table(tmp_path, name, [(0, 0), (1, 1)])
         (tmp_path / f"{name}.png").write_bytes(picture(colour=each))
     assert difference(tmp_path / "now", tmp_path / "before") is None
+
+
+@pytest.mark.slow
+def test_a_picture_of_rounding_is_compared_where_its_numbers_are_the_same(tmp_path):
+    (tmp_path / "rounding.json").write_text(
+        json.dumps({name: {"line": "rounding"} for name in ("now", "before", "off")})
+    )
+    for name, y, colour in (("now", 1e-15, RED), ("before", 1e-15, BLUE), ("off", 2e-15, BLUE)):
+        table(tmp_path, name, [(0, 1e-15), (1, y)])
+        (tmp_path / f"{name}.png").write_bytes(picture(colour=colour))
+    assert difference(tmp_path / "now", tmp_path / "now") == 0.0
+    assert difference(tmp_path / "now", tmp_path / "before") is None
+    assert difference(tmp_path / "now", tmp_path / "off") == 0.0
 
 
 @pytest.mark.slow
