@@ -58,8 +58,14 @@ def _paint_slope(axes, function: SecularFunction, alpha: np.ndarray):
 
 
 def _paint_iterates(axes, function: SecularFunction, root: float):
-    for decade, colour in ((-5, figures.BLUE), (-2, figures.SKY), (1, figures.ORANGE), (3, figures.RED)):
-        style = {"markersize": 2.5, "lw": 0.8, "color": colour, "label": f"from {10.0**decade:g} × root"}
+    starts = (
+        (-5, "10⁻⁵", figures.BLUE),
+        (-2, "0.01", figures.SKY),
+        (1, "10", figures.ORANGE),
+        (3, "1000", figures.RED),
+    )
+    for decade, factor, colour in starts:
+        style = {"markersize": 2.5, "lw": 0.8, "color": colour, "label": f"from {factor} × root"}
         axes.semilogy(function.iterates(root * 10.0**decade, 25), "o-", **style)
     axes.axhline(root, color=figures.BLACK, linewidth=0.8, label="root")
     axes.set(xlabel="iteration", ylabel="α")

@@ -66,8 +66,9 @@ def paint_bounds(matrix: np.ndarray, target: np.ndarray, consistent: np.ndarray)
         axes.text(alpha[0], function.threshold, " τ: zero from here on", va="bottom", fontsize=8)
         if function.excess == 0:
             axes.axhline(function.free_bound, color=figures.GREEN, linestyle="--", linewidth=0.9)
-            style = {"va": "bottom", "ha": "right", "fontsize": 8}
-            axes.text(alpha[-1], function.free_bound, "least squares up to here ", **style)
+            # Below its line, since the curve passes above it.
+            style = {"textcoords": "offset points", "va": "top", "ha": "right", "fontsize": 8}
+            axes.annotate("least squares up to here ", (alpha[-1], function.free_bound), (0, -3), **style)
         axes.set(xlabel="α", ylabel="bound η (unit of A)", title=title, ylim=(0, 1.15 * function.threshold))
         axes.legend(loc="lower right")
     return figure

@@ -39,11 +39,18 @@ def legend_above(axes, columns: int | None = None):
 
 
 def log_axis(axis):
-    """A logarithmic axis with few, plain numbers: decades, or 1, 2 and 5 where it spans less than two."""
+    """A logarithmic axis with few, plain numbers: decades; 1, 2 and 5 where it spans less than two; more in less than one."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 80 else (1.0, 2.0, 5.0)))
+    subs = (
+        (1.0,)
+        if high / low > 80
+        else (1.0, 2.0, 5.0)
+        if high / low > 8
+        else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    )
+    axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
 

@@ -29,7 +29,7 @@ def paint_noise_correlations(found: dict[str, Correlations]):
     for axes, name, theory, title in zip(panels, ("quotient", "cross"), theories, titles, strict=True):
         derived = [theory(int(lag)) for lag in lags]
         axes.plot(lags, derived, "kD", mfc="none", ms=9, label="derived from eqs. (18)-(21)")
-        style = {"color": figures.RED, "ms": 7, "label": "assumed: R diagonal, white"}
+        style = {"color": figures.RED, "ms": 10, "zorder": 1.5, "label": "assumed: R diagonal, white"}
         axes.plot(lags, (lags == 0) * float(name == "quotient"), "x", **style)
         for (label, seen), (colour, shift) in zip(found.items(), looks, strict=False):
             axes.plot(lags + shift, getattr(seen, name), ".", color=colour, ms=7, label=label)

@@ -45,7 +45,7 @@ def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
         if label == LITERAL:
             band = {"facecolor": "none", "alpha": 1.0, "zorder": 3.5}
         fill_range(envelope, time, error, max(1, round(0.06 / sample_time)), **style | band)
-        stretch.plot(time[part], error[part], **style)
+        stretch.plot(time[part], error[part], line, **style)
         reach = max(reach, 1.15 * np.nanmax(np.abs(error[time >= 2.0])))  # the start may be off by far more
     motion.set(xlabel="time (s)", ylabel=f"{name} ({unit})", title="motion")
     envelope.set(
