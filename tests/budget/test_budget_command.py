@@ -12,7 +12,15 @@ from stillwork.base.toml_files import read_toml
 from stillwork.control.digital import DigitalController
 from stillwork.control.error_budget import error_budget, tone_response
 from stillwork.control.pid import PidFamily
-from stillwork.design.budget import MACHINES, budget_file, machine_of, measured_at, new_budget, sources_of
+from stillwork.design.budget import (
+    MACHINES,
+    budget_file,
+    machine_of,
+    measured_at,
+    new_budget,
+    paint_budget,
+    sources_of,
+)
 from stillwork.lti.discretisation import tustin
 
 
@@ -246,6 +254,15 @@ def test_a_move_is_the_setpoint_that_a_file_holds_and_its_feedforward_takes_the_
         numbers[:2] == pytest.approx([waveform.std(), np.abs(waveform).max()], rel=6e-3) and len(numbers) == 3
     )
     assert any("scan: half the error that its feedforward leaves" in line for line in lines)
+
+
+def test_a_source_has_one_colour_on_both_sides_where_a_tone_stands_before_it(files):
+    """A tone has no density: it is drawn on the right alone."""
+    network, sources = scan(files["wafer-stage"], move="20 mm", move_s=0.2, rest_s=0.1)
+    left, right = paint_budget(error_budget(network, sources[::-1], (0.5, 2000.0))).axes
+    colours = [{line.get_label(): line.get_color() for line in axes.lines} for axes in (left, right)]
+    assert 0 < len(colours[0]) < len(colours[1]) - 1
+    assert all(colours[1][name] == colour for name, colour in colours[0].items())
 
 
 def test_a_periodic_file_is_its_tone_and_noise_may_come_from_a_file_or_as_a_power(files, tmp_path):

@@ -613,17 +613,17 @@ def paint_budget(budget: ErrorBudget):
     """Density and backward cumulative spectrum of the error, by source."""
     figure, (left, right) = figures.new(1, 2, height=3.2)
     f, smooth = budget.frequencies_hz, ~budget.is_tone
-    for name, density, below in zip(
-        budget.names, budget.density[:, 0], budget.cumulative(backward=True)[:, 0], strict=True
-    ):
+    below = budget.cumulative(backward=True)[:, 0]
+    for number, (name, density) in enumerate(zip(budget.names, budget.density[:, 0], strict=True)):
+        style = {"color": f"C{number}", "linewidth": 0.9, "label": name}  # a tone, which is right only, takes its own
         if density[smooth].any():
-            left.loglog(f[smooth], 1e9 * np.sqrt(density[smooth]), linewidth=0.9, label=name)
-        right.semilogx(f, 1e9 * np.sqrt(below), linewidth=0.9, label=name)
+            left.loglog(f[smooth], 1e9 * np.sqrt(density[smooth]), **style)
+        right.semilogx(f, 1e9 * np.sqrt(below[number]), **style)
     whole = budget.cumulative(backward=True)[:, 0].sum(axis=0)
     right.semilogx(f, 1e9 * np.sqrt(whole), color=figures.BLACK, linewidth=1.3, label="all")
     left.set(
         xlabel="frequency (Hz)", ylabel="error (nm/√Hz)", ylim=(1e-6 * max(left.get_ylim()[1], 1e-12), None)
     )
-    right.set(xlabel="frequency (Hz)", ylabel="rms above (nm)")
+    right.set(xlabel="frequency (Hz)", ylabel="rms error from all\nhigher frequencies (nm)")
     right.legend()
     return figure
