@@ -192,9 +192,11 @@ def paint_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], 
     for name, style in (("BBN-B", "--"), ("BBN-C", ":")):
         axes.loglog(band, criterion_density(name, band), style, color=figures.BLACK, label=name)
     shown = ground[0] >= 1.0
-    axes.loglog(ground[0][shown], ground[1][shown], color=figures.GREEN, lw=0.8, label="measured ground")
+    axes.loglog(
+        ground[0][shown], ground[1][shown], color=figures.GREEN, lw=0.8, label="LIGO ground, measured"
+    )
     axes.axvspan(40, 90, color=figures.GREY, alpha=0.15, lw=0, label="published: raised at 40-90 Hz")
-    axes.axvline(150, color=figures.GREY, alpha=0.3, lw=4, label="published: and near 150 Hz")
+    axes.axvline(150, color=figures.GREY, alpha=0.3, lw=4, label="published: raised near 150 Hz")
     axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-14, 1e-3))
     axes.set(xlim=(1, 1000))
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))

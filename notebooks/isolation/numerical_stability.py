@@ -518,7 +518,8 @@ def paint_map(
             for mark, (name, (condition, runs)) in zip("osD", shipped.items(), strict=False):
                 look = {"marker": mark, "c": [colors[form] for form in runs], "edgecolors": figures.BLACK}
                 worst = [run.worst for run in runs.values()]
-                axes.scatter(np.full(len(worst), condition), worst, s=40, zorder=3, label=name, **look)
+                sizes = np.where(np.arange(len(worst)) == 0, 90, 30)  # the next form lies on the first
+                axes.scatter(np.full(len(worst), condition), worst, s=sizes, zorder=3, label=name, **look)
         certain, mean = condition_bounds(forgettings[0], precision)
         bounds = ((certain, ":", "bound, errors of one sign"), (mean, "--", "bound, independent errors"))
         for bound, line, text in bounds:
