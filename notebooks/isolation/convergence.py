@@ -155,12 +155,17 @@ def paint_path_error(twin: Twin, floor: ShapedFloor):
 
 def paint_sideways(courses: Mapping[str, Sideways]):
     """Size of a sideways weight error over time, simulated and as the mean update predicts it."""
+    from matplotlib.ticker import LogLocator
+
     figure, axes = figures.new(1, 1, height=3.0)
     for (name, course), color in zip(courses.items(), (figures.BLUE, figures.RED), strict=False):
         axes.semilogy(course.time_s, course.size / course.size[0], color=color, label=name)
         style = {"color": figures.BLACK, "label": f"{name}, predicted"}
         axes.semilogy(course.time_s, course.predicted / course.size[0], ":", **style)
     axes.set(xlabel="time (s)", ylabel="sideways command over its start")
+    axes.yaxis.set_minor_locator(LogLocator(subs=(2.0, 3.0, 5.0, 7.0)))
+    axes.yaxis.set_major_formatter("{x:g}")  # 0.3 is read sooner than 3 × 10⁻¹
+    axes.yaxis.set_minor_formatter("{x:g}")
     axes.legend()
     return figure
 
