@@ -457,7 +457,7 @@ def paint_turning(noises, errors: np.ndarray):
         upper.set(title=EXCITATIONS[number], xscale="log", yscale="log", ylim=(0.05, 2.5))
         upper.set_yticks([0.0625, 0.125, 0.25, 0.5, 1, 2], ["1/16", "1/8", "1/4", "1/2", "1", "2"])
         upper.minorticks_off()
-    figures.label(panels, "output noise")
+    figures.label(panels, "output noise / signal")
     panels[0, 0].set_ylabel("error over least squares'")
     panels[1, 0].set_ylabel("error over that of zero")
     figures.legend_below(panels[0, 0], 2)
