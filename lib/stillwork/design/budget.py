@@ -615,7 +615,8 @@ def paint_budget(budget: ErrorBudget):
     f, smooth = budget.frequencies_hz, ~budget.is_tone
     below = budget.cumulative(backward=True)[:, 0]
     for number, (name, density) in enumerate(zip(budget.names, budget.density[:, 0], strict=True)):
-        style = {"color": f"C{number}", "linewidth": 0.9, "label": name}  # a tone, which is right only, takes its own
+        # By number, since a tone is drawn on the right alone.
+        style = {"color": f"C{number}", "linewidth": 0.9, "label": name}
         if density[smooth].any():
             left.loglog(f[smooth], 1e9 * np.sqrt(density[smooth]), **style)
         right.semilogx(f, 1e9 * np.sqrt(below[number]), **style)
