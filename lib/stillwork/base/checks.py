@@ -190,10 +190,10 @@ def require_array(
     """Return `value` as a finite, C-contiguous array that may be written to, else raise `InputError`.
 
     It is the one validation of arrays: lists, other number types, transposed, strided, read-only and
-        memory-mapped arrays come out alike, so that a kernel is compiled for one type alone. It is `value` itself
-        where nothing has to be changed; a function that writes to it copies it first. None in `shape` leaves an axis
-        free, `advice` says what to do about values that are not finite, `missing` lets NaN stand for lost ones, and
-        `infinite` lets an infinity stand for no limit.
+    memory-mapped arrays come out alike, so that a kernel is compiled for one type alone. It is `value` itself
+    where nothing has to be changed; a function that writes to it copies it first. None in `shape` leaves an axis
+    free, `advice` says what to do about values that are not finite, `missing` lets NaN stand for lost ones, and
+    `infinite` lets an infinity stand for no limit.
     """
     # Nearly all arrays of a calculation come as they are wanted: for them the rest would cost more than the check.
     ready = type(value) is np.ndarray and value.dtype == dtype and value.flags.carray
