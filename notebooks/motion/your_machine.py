@@ -86,10 +86,7 @@ def paint_sensitivities(found: Mapping[str, AchievableBandwidth], machine: Machi
         for name in chosen
     }
     low, high = machine.resonances_hz[0] / 80, 1.2 * machine.resonances_hz[-1]
-    figure = paint_over_masses(panels, low_hz=low, high_hz=high, label="sensor")
-    for axis in figure.axes:
-        axis.annotate("limit, 6 dB", (low, 6), (0, 3), textcoords="offset points", fontsize=7)
-    return figure
+    return paint_over_masses(panels, low_hz=low, high_hz=high, label="sensor")
 
 
 def machine_explorer(
