@@ -63,7 +63,7 @@ def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid, d
     broad = {"color": figures.GREY, "linewidth": 2.5}
     both = {"reference $r$": "reference_controller", "position $y$": "output_controller"}
     panels = {
-        f"{source} to force $f$": {"controller": (omega, controller.frequency_response(omega), broad)}
+        f"{source} to force $u$": {"controller": (omega, controller.frequency_response(omega), broad)}
         | {label: (omega, getattr(loop.at(controller, omega), name), style) for label, loop, style in lines}
         for source, name in both.items()
     }
@@ -112,7 +112,7 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
     figure, (left, right) = plain(2, 3.0, **margins)
     original = controller.frequency_response(omega)
     add_magnitude(left, omega, original, color=figures.GREY, linewidth=2.5, label="controller")
-    add_magnitude(left, omega, response.output_controller, label="equivalent, $y$ to $f$")
+    add_magnitude(left, omega, response.output_controller, label="equivalent, $y$ to $u$")
     add_magnitude(right, omega, response.input_sensitivity, label="input sensitivity")
     add_magnitude(right, omega, response.output_sensitivity, label="output sensitivity")
     mark_limit(right)
