@@ -56,6 +56,7 @@ def paint_transfer_matrix(
             axis.annotate("zero up to rounding", (0.5, 0.5), xycoords="axes fraction", ha="center")
             axis.set_yticks([])
     figures.label(axes, "frequency (Hz)", quantity)
+    figure.align_ylabels(axes[:, 0])
     figure.legend(
         axes[0, 0].lines[: len(systems)], list(systems), loc="outside lower center", ncols=len(systems)
     )
@@ -86,15 +87,17 @@ def paint_slope_ranges(
 ):
     """Slopes of both off-diagonal entries over the machines of a study, one row a scheme, with the published ones.
 
-    `slopes` in the limit and `above`, at 0.03 to 0.3 Hz, have shape (runs, 2, 2); `published` are those of q1 from u2
-    and of q2 from u1.
+    `slopes` in the limit and `above`, at 0.03 to 0.3 Hz, have shape (runs, 2, 2), and are the same where the limit is
+    only rounding: that is drawn once. `published` are those of q1 from u2 and of q2 from u1.
     """
     figure, axes = figures.new(1, 2, height=0.34 * len(slopes) + 1.6, sharey=True)
     rows = np.arange(len(slopes))
     entries = (("u2 to q1", (0, 1)), ("u1 to q2", (1, 0)))
     for number, (axis, (title, place)) in enumerate(zip(axes, entries, strict=True)):
         for row, name in zip(rows, slopes, strict=True):
-            kinds = ((above, 0.22, figures.ORANGE, "0.03 to 0.3 Hz"), (slopes, -0.22, figures.BLUE, "limit"))
+            kinds = [(above, 0.22, figures.ORANGE, "machines, 0.03 to 0.3 Hz")]
+            if not np.array_equal(slopes[name], above[name]):
+                kinds.append((slopes, -0.22, figures.BLUE, "machines, in the limit"))
             for values, offset, colour, label in kinds:
                 value = values[name][(slice(None), *place)]
                 at = np.full(len(value), row + offset)
@@ -104,10 +107,9 @@ def paint_slope_ranges(
         axis.set(title=title, xlabel="slope (decades per decade)", xlim=(least - 0.3, 0.3))
     axes[0].set_yticks(rows, list(slopes))
     axes[0].invert_yaxis()
-    lines = axes[0].lines
-    shown = [lines[-2], lines[-3], lines[-1]]
+    shown = {line.get_label(): line for line in axes[0].lines}
     names = ["machines, in the limit", "machines, 0.03 to 0.3 Hz", "published"]
-    figure.legend(shown, names, loc="outside lower center", ncols=3)
+    figure.legend([shown[name] for name in names], names, loc="outside lower center", ncols=3)
     return figure
 
 
