@@ -438,7 +438,13 @@ def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np
     for k, axis in enumerate(axes.ravel()):
         mode, unit, factor = STATES[k]
         if k >= 2:
-            axis.plot(time, truth[k] * factor, color=figures.GREY, linewidth=0.8, label="true state")
+            axis.plot(
+                time,
+                truth[k] * factor,
+                color=figures.GREY,
+                linewidth=0.8,
+                label="true state (flexible modes)",
+            )
         for name, found in estimates.items():
             error = (truth[k] - found[k]) * factor
             width = 2.4 if name == "Kalman" and k < 2 else 0.9  # where the penalised filter's line lies on it
@@ -495,9 +501,11 @@ def paint_statements(
     sizes.set_ylabel("relative error (median)")
     rows = np.arange(len(shares))
     table = np.array(list(shares.values()))
-    shading = held.pcolormesh(
-        weights, rows, table, cmap="Blues", vmin=0, vmax=1, shading="nearest", label="share"
+    edges = np.sqrt(
+        np.append(weights[0] ** 2 / weights[1], weights) * np.append(weights, weights[-1] ** 2 / weights[-2])
     )
+    borders = np.arange(len(shares) + 1) - 0.5
+    shading = held.pcolormesh(edges, borders, table, cmap="Blues", vmin=0, vmax=1, label="share")
     held.set_yticks(rows, [textwrap.fill(SAID[claim], 26) for claim in shares], fontsize=7)
     held.invert_yaxis()
     held.grid(False)
