@@ -422,8 +422,16 @@ def paint_bandwidths(
     for measure, colour in zip(MEASURES, (figures.BLUE, figures.RED), strict=True):
         kalman_hz, front_hz = bandwidths[measure, "observer's model"]
         name = measure.replace("r to e_true", "$r$ to $e_{true}$")
-        tracks = np.where(front_hz > 0, front_hz, np.nan)  # the first loop tracks nothing
+        tracks = np.where(front_hz > 0, front_hz, np.nan)
         axis.loglog(emphases, tracks, "o-", color=colour, label=f"front, {name}")
+        nothing = [emphasis for emphasis, hertz in zip(emphases, front_hz, strict=True) if not hertz > 0]
+        if nothing:  # no bandwidth: below the logarithmic axis
+            at = {
+                "transform": axis.get_xaxis_transform(),
+                "clip_on": False,
+                "label": f"front, {name}: tracks nothing",
+            }
+            axis.plot(nothing, np.zeros(len(nothing)), "x", color=colour, **at)
         axis.axhline(kalman_hz, color=colour, ls="--", linewidth=0.9, label=f"Kalman, {name}")
     axis.set(
         title="observer's model", xlabel="emphasis on the weighted error", ylabel="control bandwidth (Hz)"
