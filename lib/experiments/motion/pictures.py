@@ -59,7 +59,14 @@ def add_zoom(axis, place: Sequence[float], x: tuple[float, float], y: tuple[floa
         }
         inset.plot(*line.get_data(), **style)
     inset.tick_params(labelsize=6)
-    axis.indicate_inset_zoom(inset, edgecolor=figures.BLACK)
+    lines = axis.indicate_inset_zoom(inset, edgecolor=figures.BLACK).connectors
+    # The two of four that do not cross: Matplotlib's own choice takes the frame's data for its place.
+    axis.get_xlim(), axis.get_ylim()  # as they will be
+    frame = (axis.transScale + axis.transLimits).transform([(x[0], y[0]), (x[1], y[1])])
+    left, bottom, width, height = place
+    (x0, y0), (x1, y1) = (frame < [(left, bottom), (left + width, bottom + height)]).tolist()
+    for line, shown in zip(lines, (x0 != y0, x0 == y1, x1 == y0, x1 != y1), strict=True):
+        line.set_visible(shown)
 
 
 def plain_numbers(axis) -> None:
