@@ -142,7 +142,7 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
             axis.set_title(f"{name} over {rival}", fontsize=8)
     figures.label(axes, "sensor's noise over the thesis's", "size of the errors (%)")
     figures.legend_below(axes[-1, 0], 3)
-    figure.colorbar(mesh, ax=axes, label="lead (of errors over that of zero)")
+    figure.colorbar(mesh, ax=axes, label="lead (of errors over that of zero)", extend="max")
     return figure
 
 
