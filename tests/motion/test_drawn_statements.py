@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from experiments.motion.decoupling_pictures import paint_slope_ranges
 from experiments.motion.machines import loaded_modes
 from experiments.motion.pictures import add_zoom, labelled_lines, mark_limit, turning_points
 from motion.test_choices import open_loop_gain
@@ -29,6 +30,34 @@ def test_a_limit_and_a_zoom_add_no_line_to_those_that_are_judged():
     assert figure.axes == [axis]
     assert (inset.lines[0].get_xydata() == line.get_xydata()).all()
     assert (inset.lines[0].get_linestyle(), inset.get_xlim()) == ("--", (1.5, 2.5))
+
+
+def test_the_lines_of_a_zoom_do_not_cross_where_its_frame_is_narrow():
+    figure, axis = figures.new(1, 1)
+    axis.semilogx([10.0, 470.0, 3e3], [-110.0, -120.0, -190.0], label="plant")
+    add_zoom(axis, (0.17, 0.12, 0.32, 0.32), (462.0, 478.0), (-130.0, -118.0))
+    figure.draw_without_rendering()
+    (inset,) = axis.child_axes
+    (zoom,) = (each for each in axis.get_children() if hasattr(each, "connectors"))
+    shown = [each for each in zoom.connectors if each.get_visible()]
+    corners = inset.transAxes.transform([each.xy1 for each in shown])
+    frame = axis.transData.transform([each.xy2 for each in shown])
+
+    def side(a, b, p):
+        return np.sign((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]))
+
+    assert len(shown) == 2
+    assert side(corners[0], frame[0], corners[1]) == side(corners[0], frame[0], frame[1])
+
+
+def test_slopes_that_are_only_rounding_in_the_limit_are_drawn_once():
+    above = {"undamped": np.full((3, 2, 2), 0.01), "MC": np.zeros((3, 2, 2))}
+    slopes = {"undamped": np.zeros((3, 2, 2)), "MC": np.zeros((3, 2, 2))}
+    figure = paint_slope_ranges(slopes, above, dict.fromkeys(above, (0.0, 0.0)))
+    limit = [line for line in figure.axes[0].lines if line.get_label() == "machines, in the limit"]
+    assert [set(line.get_ydata()) for line in limit] == [{-0.22}]
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == ["machines, in the limit", "machines, 0.03 to 0.3 Hz", "published"]
 
 
 @pytest.mark.slow
