@@ -45,11 +45,11 @@ def stability_trial(rng: np.random.Generator, spread: float) -> dict[str, float]
     return {"first_unstable": float(not stable[0]), "second_stable": float(stable[1])}
 
 
-def paint_nyquist(loops: Mapping[str, Loop], controller: Pid):
+def paint_nyquist(loops: Mapping[str, Loop], controller: Pid, around: int = 150):
     """Nyquist plot of open loops near -1, with the verdict of the closed-loop eigenvalues."""
     figure, axis = figures.new(1, 1, height=4.2)
     for label, loop in loops.items():
-        omega = resonance_grid(loop.plant.poles, 10.0, 1e4, 300, 60)
+        omega = resonance_grid(loop.plant.poles, 10.0, 1e4, 300, around)
         open_loop = loop.at(controller, omega).loop
         verdict = "stable" if loop.is_stable(controller) else "unstable"
         near = open_loop[np.abs(open_loop) < 30]
@@ -66,4 +66,5 @@ def paint_three_masses(bandwidth_hz: float):
     masses = np.full(3, 4.0)
     machine = three_masses(masses, scaled_springs(masses, 45.0))
     controller = PidFamily(masses.sum())(bandwidth_hz)
-    return paint_nyquist({f"$x_{k + 1}$": make_loop(machine.at([0], [k])) for k in (0, 1)}, controller)
+    loops = {f"$x_{k + 1}$": make_loop(machine.at([0], [k])) for k in (0, 1)}
+    return paint_nyquist(loops, controller, around=60)  # coarse enough to redraw quickly
