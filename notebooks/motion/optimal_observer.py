@@ -436,5 +436,5 @@ def paint_bandwidths(
     axis.set(
         title="observer's model", xlabel="emphasis on the weighted error", ylabel="control bandwidth (Hz)"
     )
-    axis.legend()
+    axis.legend(loc="lower right")
     return figure
