@@ -5,7 +5,6 @@ import contextlib
 import numpy as np
 import pytest
 
-from experiments.budget import waterfall
 from workbook.explorer import Slider, label
 from workbook.notebooks import select
 from workbook.site.explorers import read_explorer, statements
