@@ -1,8 +1,9 @@
 """Explorers: turn a drawing function into sliders with live redraw, or a static picture in a build."""
 
-import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from stillwork.base.checks import InputError, nearest, require_choice, require_number
 from stillwork.base.garbage import no_collection
@@ -181,8 +182,8 @@ class Redraw:
     """Pictures of one drawing function, quick from the second on.
 
     Two thirds of a picture's time go into its layout, its minor ticks, and its texts. So the panels stay where
-    they were laid out first, a logarithmic axis shows its decades alone, and one renderer, which remembers the
-    texts that it has drawn, serves all pictures.
+    they were laid out first, a logarithmic axis shows its decades alone, and one renderer serves all pictures;
+    the glyphs of texts, and the places of their lines, are remembered.
 
     Parameters
     ----------
@@ -194,12 +195,13 @@ class Redraw:
         self._draw = draw
         self._renderer = None
         self._places = {}  # of the panels, by how many there are
+        self._layouts = {}  # of texts
 
     def __call__(self, **settings) -> bytes:
         """The picture for ``draw(**settings)``, as PNG."""
-        from workbook.rendering import copied_ticks
+        from workbook.rendering import copied_ticks, known_layouts
 
-        with no_collection(), copied_ticks():
+        with no_collection(), copied_ticks(), known_layouts(self._layouts):
             return self._picture(settings)
 
     def _picture(self, settings) -> bytes:
@@ -237,14 +239,9 @@ class Redraw:
         return all(box.x0 >= 0 and box.y0 >= 0 for box in boxes)
 
     def _png(self) -> bytes:
-        from matplotlib.image import imsave
+        from workbook.png import encode_fast
 
-        buffer = io.BytesIO()
-        fast = {"compress_level": 1}  # the picture goes a short way and is soon replaced
-        imsave(
-            buffer, self._renderer.buffer_rgba(), format="png", metadata={"Software": None}, pil_kwargs=fast
-        )
-        return buffer.getvalue()
+        return encode_fast(np.asarray(self._renderer.buffer_rgba()))
 
 
 def lines_of(figure) -> list[list]:

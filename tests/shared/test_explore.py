@@ -10,7 +10,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from stillwork.base.checks import InputError
 from workbook import figures
 from workbook.explorer import Choice, Redraw, Slider, StaticPicture, explore, label
-from workbook.rendering import RememberingRenderer
+from workbook.rendering import RememberingRenderer, known_layouts
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, 2.0, "V", basis="printed", place="Table 1"),
@@ -278,6 +278,14 @@ def test_copied_ticks_draw_what_matplotlib_s_own_do(monkeypatch):
     assert [slow(power=power) for power in (2, 4, 6)] == pictures
 
 
+def test_layouts_of_texts_that_are_known_are_matplotlib_s_own(monkeypatch):
+    quick = Redraw(ticked)
+    pictures = [quick(power=power) for power in (2, 4, 2)]
+    monkeypatch.setattr("workbook.rendering.known_layouts", lambda known: nullcontext())
+    slow = Redraw(ticked)
+    assert [slow(power=power) for power in (2, 4, 2)] == pictures
+
+
 @pytest.mark.slow
 def test_a_label_that_would_leave_the_picture_makes_a_new_layout():
     drawing, calls = counted(scaled)
@@ -298,7 +306,7 @@ def test_another_number_of_panels_makes_a_new_layout():
 
 def test_remembered_texts_are_what_matplotlib_draws():
     """Each text twice, among others that differ from it in one respect alone."""
-    remembering = RememberingRenderer(300, 200, 100)
+    remembering, layouts = RememberingRenderer(300, 200, 100), {}
     looks = [
         {},
         {"x": 0.101},
@@ -311,14 +319,28 @@ def test_remembered_texts_are_what_matplotlib_draws():
         {"antialiased": False},
         {"fontfeatures": ("-kern",), "s": "AVAVA"},
         {"s": "AVAVA"},
+        {"s": "two\nlines of it"},
+        {"s": "two\nlines of it", "linespacing": 2.0},
+        {"s": "two\nlines of it", "multialignment": "right"},
+        {"s": "a$b$", "parse_math": False},
+        {"s": "a$b$"},
+        {"ha": "center", "x": 0.5},
+        {"va": "top"},
+        {"rotation": 30, "rotation_mode": "anchor"},
+        {"s": "many words " * 9, "wrap": True},
+        {"s": "many words " * 9, "wrap": True, "x": 0.5},
     ]
     for look in looks * 2:
         drawn = []
-        for renderer in (RendererAgg(300, 200, 100), remembering):
+        for renderer, laid_out in (
+            (RendererAgg(300, 200, 100), nullcontext()),
+            (remembering, known_layouts(layouts)),
+        ):
             renderer.clear()
             figure = Figure(figsize=(3, 2), dpi=100)
             figure.text(**({"x": 0.1, "y": 0.5, "s": "gain of 2"} | look))
-            figure.draw(renderer)
+            with laid_out:
+                figure.draw(renderer)
             drawn.append(np.array(renderer.buffer_rgba()))
         assert (drawn[0] != 255).any()
         np.testing.assert_array_equal(*drawn)

@@ -30,6 +30,14 @@ def ramp(height, width, levels):
     return opaque(rgb)
 
 
+def test_the_fast_way_keeps_every_colour_and_alpha():
+    pixels = np.random.default_rng(4).integers(0, 256, (37, 53, 4), np.uint8)
+    data = png.encode_fast(pixels)
+    assert kind_of(data) == 6
+    np.testing.assert_array_equal(decoded(data), pixels)
+    np.testing.assert_array_equal(decoded(png.encode_fast(pixels[::2, ::3])), pixels[::2, ::3])
+
+
 def test_up_to_256_colours_come_back_exactly():
     rgb = np.random.default_rng(1).integers(0, 256, (256, 3))[np.arange(4000).reshape(50, 80) % 256]
     data = png.encode(opaque(rgb), 150)
