@@ -1,6 +1,7 @@
 """Figures of the observer contest, from its two tables."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -146,10 +147,16 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
     return figure
 
 
+@lru_cache(maxsize=1)
+def _map_observers() -> dict[str, OwnObserver]:
+    """Observers of the map with the contest's settings on the stage."""
+    settings = settings_for("stage", 0, MAPPED)
+    return {name: OwnObserver(ENTRANTS[name], tuple(settings[name])) for name in MAPPED}
+
+
 def paint_cell(size_percent: float, noise_exponent: float):
     """Explorer: errors of the map's observers, with the contest's settings, on eight scans of one cell of the map."""
-    settings = settings_for("stage", 0, MAPPED)
-    observers = {name: OwnObserver(ENTRANTS[name], tuple(settings[name])) for name in MAPPED}
+    observers = _map_observers()
     errors = flexible_errors(
         plant_of("stage"), size_percent / 100, 10.0**noise_exponent, "explorer", range(8), observers
     )

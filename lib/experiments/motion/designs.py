@@ -64,13 +64,21 @@ def stage_observer(
     """Observer of the stage for the measured mass `position` (1 to 7), reduced as in section 3.1."""
     if plant is None:
         return _published_observer(position, noise, noise_model)
-    reduced = truncate(plant.at([0], [position - 1]), RETAINED, COMPENSATED)
-    return kalman_observer(reduced, noise or published_noise(), noise_model)
+    return kalman_observer(_reduced(plant, position), noise or published_noise(), noise_model)
+
+
+def _reduced(plant: ModalModel, position: int) -> ModalModel:
+    return truncate(plant.at([0], [position - 1]), RETAINED, COMPENSATED)
+
+
+@lru_cache(maxsize=8)  # a mass each: an explorer varies the noise alone
+def _published_model(position: int) -> ModalModel:
+    return _reduced(stage(), position)
 
 
 @lru_cache(maxsize=128)  # studies vary what is done with the estimates, or the loops, far more often
 def _published_observer(position: int, noise: NoiseIntensities | None, noise_model: float | None) -> Observer:
-    return stage_observer(position, noise, noise_model, stage())
+    return kalman_observer(_published_model(position), noise or published_noise(), noise_model)
 
 
 def stage_compensator(
