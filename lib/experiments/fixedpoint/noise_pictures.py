@@ -100,21 +100,19 @@ def motion_at_rest(sample_time: float):
     return semi_implicit_motion(slopes, sample_time)[0]
 
 
-@lru_cache(maxsize=8)
-def _expected_beliefs(noise_deviation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Scales of R, and the computed and the true variances; they stay while the assumed scale alone moves."""
+@lru_cache(maxsize=1)
+def _expected_beliefs() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scales of R, the computed variances, and the true ones for a noise of 1 m: nothing else drives the true errors."""
     scales, sample_time, nothing = np.geomspace(1e-4, 1e4, 25), 1e-3, np.zeros((2, 2))
     still, process, assumed = motion_at_rest(sample_time), np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
-    settled = [
-        steady_errors(still, process, scale * assumed, noise_deviation, sample_time, nothing)
-        for scale in scales
-    ]
+    settled = [steady_errors(still, process, scale * assumed, 1.0, sample_time, nothing) for scale in scales]
     return scales, *(np.array([np.diag(getattr(s, n)) for s in settled]) for n in ("computed", "true"))
 
 
 def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
     """Computed and true standard deviation of the Kalman filter's errors when its R is scaled."""
-    scales, computed, true = _expected_beliefs(noise_deviation)
+    scales, computed, of_one = _expected_beliefs()
+    true = noise_deviation**2 * of_one
     figure = paint_beliefs(scales, computed, true, "factor on the assumed R", (assumed_scale,), "this factor")
     for axes in figure.axes:
         log_axis(axes.xaxis)
