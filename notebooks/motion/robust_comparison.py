@@ -573,7 +573,7 @@ def _contest(size_percent: float) -> tuple[Scan, Contest, Records]:
     """Scan, entrants and records for one size of the errors; they stay while the weight alone moves."""
     scan = published_scan()
     contest = prepare(scan, size_percent / 100, rigid=False)
-    return scan, contest, sample_scans(scan, 6, 1, size_percent / 100, "ends", False)
+    return scan, contest, sample_scans(scan, 1, 1, size_percent / 100, "ends", False)
 
 
 DRAWN = 8  # every so many samples of the explorer's lines, 0.8 ms: all of them are too many for the site
