@@ -81,17 +81,3 @@ def test_every_named_design_has_its_stops_and_a_picture(explorers):
         for name, slider in sliders(explorer).items():
             also = {each[name] for each in explorer.presets.values()}
             assert also <= set(ladder(slider, lambda value: [], MAIN, also).values), f"{page}: {name}"
-
-
-def test_a_preset_of_the_budget_shows_the_page_s_own_bar(explorers):
-    if "budget/02-the-budget" not in explorers:  # another workbook
-        return
-    for floor, name in (
-        ("slab under footfall", "slab, all methods"),
-        ("LIGO ground", "LIGO ground, all methods"),
-    ):
-        controls = waterfall.controls()
-        settings = {key: each.start for key, each in controls.items()} | waterfall.presets()[name]
-        axes = waterfall.explore_waterfall(**settings).axes[0]
-        own = waterfall.waterfall(floor)["all"].rms[0]
-        assert axes.patches[-1].get_height() == pytest.approx(1e9 * own, rel=1e-9)
