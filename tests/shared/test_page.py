@@ -168,7 +168,7 @@ def test_the_summary_has_what_was_published_and_found():
     # The mark is that over the open choices: the number agrees at the default, and depends on them.
     assert (first.claim.verdict, first.status) == ("replicated", "depends")
     assert repr(summary).splitlines()[0].startswith("◐")
-    assert "<li>◐ <strong>achievable bandwidth</strong>" in summary._repr_html_()
+    assert "<li>◐ <strong>bandwidth with PID</strong>" in summary._repr_html_()
 
 
 @pytest.mark.parametrize("name", ["fixedpoint/02-small-noise", "fixedpoint/05-differentiation-noise"])
