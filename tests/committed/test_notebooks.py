@@ -13,6 +13,7 @@ from workbook.claims import load_entries
 from workbook.compare import cells_apart
 from workbook.notebooks import notebook_text, select
 from workbook.site.explorers import statements
+from workbook.site.metadata import papers
 from workbook.tasks import Task
 
 NOTEBOOKS = select()
@@ -77,24 +78,33 @@ def printed_starts() -> list[tuple[str, str, float, str]]:
     found = []
     for notebook in select():
         for node in ast.walk(ast.Module(statements(notebook.source), [])):
-            if (
-                isinstance(node, ast.keyword)
-                and isinstance(call := node.value, ast.Call)
-                and len(call.args) > 2
-            ):
+            if isinstance(node, ast.keyword) and isinstance(call := node.value, ast.Call):
                 given = {
                     each.arg: each.value.value
                     for each in call.keywords
                     if isinstance(each.value, ast.Constant)
                 }
                 if given.get("basis") == "printed":
-                    found.append((notebook.name, node.arg, ast.literal_eval(call.args[2]), given["place"]))
+                    found.append((notebook.name, node.arg, printed_start(call), given["place"]))
     return found
 
 
+def printed_start(call: ast.Call) -> float:
+    """The number at which a `Slider` or a `Choice` starts; of one in decades that of which it is the logarithm."""
+    kind = call.func.id
+    named = {each.arg: each.value for each in call.keywords}
+    start = ast.literal_eval(named.get("start") or call.args[1 if kind == "Choice" else 2])
+    if kind == "Choice":
+        return numbers_in(start)[0]
+    unit = named.get("unit") or (call.args[3] if len(call.args) > 3 else ast.Constant(""))
+    return float(f"1e{start:g}") if unit.value.startswith("log10") else start
+
+
 def is_printed(topic: str, start: float, place: str) -> bool:
-    """Whether the ledger, an open choice or the settings of a machine have this number from this place."""
+    """Whether the ledger, an open choice, the settings of the paper or of a machine have this number from this place."""
     if any(each.published == start and each.place.startswith(place) for each in load_entries(topic).values()):
+        return True
+    if start in papers()[topic]["printed"].get(place, []):
         return True
     if any(
         place in each.source and start in numbers_in(each.source) for each in load_axes(topic)[0].values()

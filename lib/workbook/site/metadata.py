@@ -27,6 +27,7 @@ PAPER = {
     "rests": {},
     "headline": [],
     "machine": {},
+    "printed": {},
 }
 
 
