@@ -85,19 +85,20 @@ def printed_starts() -> list[tuple[str, str, float, str]]:
                     if isinstance(each.value, ast.Constant)
                 }
                 if given.get("basis") == "printed":
-                    found.append((notebook.name, node.arg, printed_start(call), given["place"]))
+                    start = printed_start(call)
+                    found.append((notebook.name, str(node.arg), start, str(given["place"])))
     return found
 
 
 def printed_start(call: ast.Call) -> float:
     """The number at which a `Slider` or a `Choice` starts; of one in decades that of which it is the logarithm."""
-    kind = call.func.id
+    kind = ast.unparse(call.func)
     named = {each.arg: each.value for each in call.keywords}
     start = ast.literal_eval(named.get("start") or call.args[1 if kind == "Choice" else 2])
     if kind == "Choice":
         return numbers_in(start)[0]
-    unit = named.get("unit") or (call.args[3] if len(call.args) > 3 else ast.Constant(""))
-    return float(f"1e{start:g}") if unit.value.startswith("log10") else start
+    unit = ast.literal_eval(named.get("unit") or (call.args[3] if len(call.args) > 3 else ast.Constant("")))
+    return float(f"1e{start:g}") if unit.startswith("log10") else start
 
 
 def is_printed(topic: str, start: float, place: str) -> bool:
