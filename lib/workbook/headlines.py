@@ -94,7 +94,7 @@ class Headline:
     @property
     def text(self) -> str:
         entry = self.claim.entry
-        return " ".join(filter(None, [f"{entry.place}, {entry.quantity}:", self.found, self.open_choices]))
+        return " ".join(filter(None, [f"{entry.quantity} ({entry.place}):", self.found, self.open_choices]))
 
 
 def headlines(

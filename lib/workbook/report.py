@@ -36,15 +36,18 @@ def our_quantity(claim: Claim) -> str:
 
 
 def interval_text(claim: Claim) -> str:
-    """The interval found, in per cent for a fraction of runs; empty where there is none or it is a point.
+    """The interval found, in per cent of the cases for a fraction of them; empty where there is none or it is a point.
 
     Where it holds the aim and the claim still does not agree, since the value itself is judged, it is followed by that.
     """
     entry, ends = claim.entry, claim.interval
     if not ends or ends[0] == ends[1]:
         return ""
-    scale, unit = (100, " %") if entry.is_fraction else (1, "")
-    text = f"{scale * ends[0]:.3g} to {scale * ends[1]:.3g}{unit}"
+    if entry.is_fraction:
+        of_cases = " of cases" if claim.ours in (0, 1) else ""  # beside "always" and "never"
+        text = f"{_percent(ends[0])} to {_percent(ends[1])} %{of_cases}"
+    else:
+        text = f"{ends[0]:.3g} to {ends[1]:.3g}"
     aim, rule = entry.published if entry.expected is None else entry.expected, entry.tolerance
     if claim.verdict not in ("deviates", "fails") or rule is None or not ends[0] <= (aim or 0.0) <= ends[1]:
         return text

@@ -204,7 +204,7 @@ def test_marked_entries_come_first_and_what_is_not_computed_is_not_hidden():
     assert [line.claim.entry.id[13] for line in headlines([Claim(e, 2.0) for e in marked], {})] == ["3", "6"]
     drawn = headlines([Claim(entry) for entry in entries], {}, ["motion.table-5.a"], "table-2")
     assert [line.claim.entry.id[13] for line in drawn] == ["5", "2", "0", "1", "3"]
-    assert drawn[0].text == "Table 5, time: Published 2 s. Not computed yet."
+    assert drawn[0].text == "time (Table 5): Published 2 s. Not computed yet."
     assert [line.mark for line in headlines([Claim(entries[0], 4.0), Claim(entries[1], 2.1)], {})] == [
         "◆",
         "●",
