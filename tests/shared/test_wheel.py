@@ -81,10 +81,10 @@ def test_inspect_works_without_a_checkout(wheel, tmp_path):
     record = next((ROOT / "data" / "worstcase" / "your_record").glob("*.csv"))
     done = _run(wheel, tmp_path, "inspect", str(record))
     assert done.returncode == 0, done.stderr
-    assert "record" in done.stdout and "checkout" in done.stdout
+    assert "record" in done.stdout and "require the cloned repository" in done.stdout
     done = _run(wheel, tmp_path, "inspect", str(ROOT / "data" / "isolation" / "fitted.toml"))
     assert done.returncode == 0, done.stderr
-    assert "checkout" in done.stdout
+    assert "cloned repository" in done.stdout
 
 
 @pytest.mark.slow
