@@ -113,6 +113,23 @@ def test_units_in_the_file_are_obeyed(tmp_path, bracket):
     assert not any("is not stated" in note for note in found.notes)
 
 
+def test_what_each_column_was_taken_for_is_reported(tmp_path):
+    polar = {"magnitude (dB re 1 g/N)": 20 * np.log10(np.abs(ACCELERANCE)), "phase": np.angle(ACCELERANCE)}
+    file = write_csv(tmp_path / "a.csv", **{"frequency (rad/s)": 2 * np.pi * HERTZ}, **polar)
+    taken = {
+        each.quantity: (each.unit, each.column, each.written)
+        for each in load_machine(file, read_as={"phase": "rad"}).readings
+    }
+    assert taken == {
+        "frequency": ("rad/s", "frequency (rad/s)", True),
+        "magnitude": ("dB re 1 g/N", "magnitude (dB re 1 g/N)", True),
+        "phase": ("rad", "phase", False),
+    }
+    again = load_machine(file, read_as={"frequency": "Hz", "magnitude": "1", "phase": "rad"}).accelerance
+    assert again.omega == pytest.approx(2 * np.pi * 2 * np.pi * HERTZ)
+    assert np.abs(again.response) == pytest.approx(9.80665 * np.abs(polar["magnitude (dB re 1 g/N)"]))
+
+
 def test_units_that_contradict_the_file_or_each_other_are_refused(tmp_path):
     columns = {"real (g/N)": ACCELERANCE.real, "imag (g/N)": ACCELERANCE.imag}
     file = write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns)

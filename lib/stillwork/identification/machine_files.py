@@ -1,8 +1,8 @@
 """Your own machine from a file: a measured frequency response, hammer records, or mass and stiffness."""
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from stillwork.identification.frequency_response import Identified, impact_respo
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.records import LAST_BRACKETS, UNITS_TEXT, is_time, sampling_rate, unit_factor
+from stillwork.signals.units import Reading
 
 FORMS = (
     "a frequency response (frequency, and complex values or magnitude and phase), hammer records (force and "
@@ -46,6 +47,7 @@ class MachineFile:
         "m",
         "N",
     )  # of the position and of what drives it: ("rad", "N m"), ("count", "A"), ...
+    readings: tuple[Reading, ...] = ()  # what each column that was used was taken for; none of matrices
 
     def __post_init__(self):
         check_fields(self)
@@ -75,6 +77,7 @@ def load_machine(
     sample_rate: float | None = None,
     response: str = "",
     damping_ratio: float = 0.005,
+    read_as: Mapping[str, str] | None = None,
 ) -> MachineFile:
     """Read a machine from a CSV, MAT, NPZ or universal file; the names of its columns decide which of the three forms it is.
 
@@ -101,6 +104,9 @@ def load_machine(
         Name of the complex response to use if there are several.
     damping_ratio : float
         Damping ratio of the flexible modes, for matrices without damping.
+    read_as : mapping of str to str, optional
+        Of a frequency response, the unit to read a quantity in whatever its name states: ``frequency`` in ``Hz`` or
+        ``rad/s``, ``magnitude`` in ``dB`` or ``1`` (linear), ``phase`` in ``deg`` or ``rad``.
 
     Returns
     -------
@@ -148,9 +154,9 @@ def load_machine(
         force_unit = force_unit or drive
         factor, force = unit_factor(response_unit)[0], unit_factor(force_unit)[0]
         if kind == "hammer records":
-            found, notes = _from_hammer(arrays, sample_rate, file.name)
+            found, notes, taken = _from_hammer(arrays, sample_rate, file.name)
         else:
-            found, notes = _from_response(arrays, response)
+            found, notes, taken = _from_response(arrays, response, read_as or {})
     except InputError as error:
         raise InputError(f"{file.name}: {error}") from None
     if silent:
@@ -158,7 +164,28 @@ def load_machine(
             f"the unit of {' and '.join(silent)} is not stated; assumed: {response_unit} over {force_unit}",
         )
     scaled = factor / force * found.response * (1j * found.omega) ** derivatives
-    return MachineFile(kind, file.name, found._replace(response=scaled), notes=notes, units=(position, drive))
+    readings = tuple(
+        _in_units(each, response_unit, force_unit, written=silent == [], hammer=kind == "hammer records")
+        for each in taken
+    )
+    return MachineFile(
+        kind,
+        file.name,
+        found._replace(response=scaled),
+        notes=notes,
+        units=(position, drive),
+        readings=readings,
+    )
+
+
+def _in_units(each: Reading, response: str, force: str, *, written: bool, hammer: bool) -> Reading:
+    """A reading of the response or the force with the units that `load_machine` agreed on."""
+    if each.quantity in ("magnitude", "real", "imaginary", "complex"):
+        decibels = "dB re 1 " if each.unit == "dB" else ""
+        return replace(each, unit=f"{decibels}{response}/{force}", written=written)
+    if hammer and each.quantity in ("force", "response"):
+        return replace(each, unit=force if each.quantity == "force" else response, written=written)
+    return each
 
 
 @checked(missing=True)
@@ -265,11 +292,17 @@ def _agreed(name: str, given: str, stated: str) -> str:
     return given or stated
 
 
-def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identified, tuple[str, ...]]:
+def _from_response(
+    arrays: dict[str, np.ndarray], response: str, read_as: Mapping[str, str] | None = None
+) -> tuple[Identified, tuple[str, ...], list[Reading]]:
+    read_as = read_as or {}
     axis = str(_frequency_name(arrays))  # there is one: `kind_of` found it
-    unit = _bracket(axis) or ("rad/s" if _word(axis) == "omega" else "hz")
+    written = _bracket(axis)
+    unit = read_as.get("frequency", "").lower() or written or ("rad/s" if _word(axis) == "omega" else "hz")
     per_hertz = _HERTZ[require_choice(f"{axis}: unit", unit, _HERTZ)]
     hertz = per_hertz * require_array(axis, np.ravel(arrays[axis].real), ndim=1)
+    spelled = {"hz": "Hz", "khz": "kHz", "rad/s": "rad/s"}[unit]
+    readings = [Reading("frequency", spelled, axis, bool(written) or _word(axis) == "omega")]
     notes = []
     same = {
         name: np.ravel(array) for name, array in arrays.items() if array.size == hertz.size and name != axis
@@ -284,13 +317,21 @@ def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identi
         name = require_choice("response", response or complex_ones[0], complex_ones)
         values = same[name]
         notes.append(f"taken: {name}")
+        readings.append(Reading("complex", "", name, False))
     elif (real := _named(same, "real", "re")) and (imaginary := _named(same, "imaginary", "imag", "im")):
         values = same[real] + 1j * same[imaginary]
+        readings += [Reading("real", "", real, False), Reading("imaginary", "", imaginary, False)]
     elif (size := _named(same, "magnitude", "mag", "amplitude", "gain")) and (
         angle := _named(same, "phase", "angle")
     ):
-        sizes = 10 ** (same[size] / 20) if _bracket(size).startswith("db") else same[size]
-        values = sizes * np.exp(1j * (same[angle] if _bracket(angle) == "rad" else np.radians(same[angle])))
+        decibels = read_as.get("magnitude", _bracket(size)).lower().startswith("db")
+        radians = read_as.get("phase", _bracket(angle)) == "rad"
+        sizes = 10 ** (same[size] / 20) if decibels else same[size]
+        values = sizes * np.exp(1j * (same[angle] if radians else np.radians(same[angle])))
+        readings += [
+            Reading("magnitude", "dB" if decibels else "", size, bool(_bracket(size))),
+            Reading("phase", "rad" if radians else "deg", angle, bool(_bracket(angle))),
+        ]
     else:
         raise InputError(
             "there is no response beside the frequency; give complex values, real and imaginary, or magnitude "
@@ -299,17 +340,20 @@ def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identi
     values = require_array("response", values, dtype=complex)
     coherence = _named(same, "coherence", "coh")
     seen = np.full(hertz.size, np.nan) if coherence is None else same[coherence].real
+    if coherence:
+        readings.append(Reading("coherence", "1", coherence, False))
     if np.any(np.diff(hertz) <= 0):
         raise InputError("the frequency does not rise from line to line; sort the rows")
     kept = (hertz > 0) & (np.abs(values) > 0)
     if kept.sum() < 32:
         raise InputError(f"{int(kept.sum())} usable lines are too few for a fit; give at least 32")
-    return Identified(2 * np.pi * hertz[kept], values[kept], seen[kept].astype(float)), tuple(notes)
+    found = Identified(2 * np.pi * hertz[kept], values[kept], seen[kept].astype(float))
+    return found, tuple(notes), readings
 
 
 def _from_hammer(
     arrays: dict[str, np.ndarray], sample_rate: float | None, source: str
-) -> tuple[Identified, tuple[str, ...]]:
+) -> tuple[Identified, tuple[str, ...], list[Reading]]:
     rate = sampling_rate(source, arrays, sample_rate)
     forces = [name for name in arrays if _word(name) in ("force", "hammer") and arrays[name].size > 1]
     if not forces:
@@ -350,7 +394,9 @@ def _from_hammer(
             f"the response still holds {100 * tail.max():.0f} % of its peak at the end of a record: the cut "
             "widens its resonances; record longer"
         )
-    return impact_response(force, response, rate), tuple(notes)
+    readings = [Reading("force", "", name, False) for name in forces]
+    readings += [Reading("response", "", name, False) for name in responses]
+    return impact_response(force, response, rate), tuple(notes), readings
 
 
 def _hits(arrays: dict[str, np.ndarray], names: list[str]) -> Float64[np.ndarray, "hits samples"]:
