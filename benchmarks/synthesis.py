@@ -1,7 +1,7 @@
-"""Norms, synthesis and a filtered record beside named peers, measured in one run: `make bench`.
+"""Norms and synthesis beside named peers, measured in one run: `make bench`.
 
 Processor time, medians over repeats in turn, as in `motion.py`. The peers are python-control's norms and, where slycot is
-installed, its `h2syn` and `hinfsyn`; without it textbook syntheses by scipy's Riccati solver; filterpy filters. Every peer
+installed, its `h2syn` and `hinfsyn`; without it textbook syntheses by scipy's Riccati solver. Every peer
 must give the same number first. No test asserts a time.
 """
 
@@ -16,14 +16,13 @@ sys.path[:0] = [str(ROOT / "lib"), str(ROOT / "benchmarks"), str(ROOT)]
 
 import control  # noqa: E402
 import numpy as np  # noqa: E402
-from filterpy.kalman import KalmanFilter  # noqa: E402
 from scipy import linalg  # noqa: E402
 
 from motion import machine, ratio, turns  # noqa: E402
-from stillwork.estimation import NoiseCovariances, h2_riccati, hinf_riccati, kalman_filter  # noqa: E402
+from stillwork.estimation import h2_riccati, hinf_riccati  # noqa: E402
 from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm  # noqa: E402
 
-STATES, SAMPLES = 16, 2000
+STATES = 16
 TOLERANCE = 1e-4  # of the search for the smallest level, ours and the peer's
 
 
@@ -34,15 +33,6 @@ def main() -> None:
     plant = generalised(rng)
     loop = plant.close(h2_riccati(plant).controller)
     peer_loop = loop.to_control()
-    noise = NoiseCovariances(process=0.1 * np.eye(8), sensor=np.eye(3))
-    sampled = StateModel(
-        0.9 * linalg.qr(rng.normal(size=(8, 8)))[0],
-        np.zeros((8, 1)),
-        rng.normal(size=(3, 8)),
-        np.zeros((3, 1)),
-        1.0,
-    )
-    record = rng.normal(size=(3, SAMPLES))
     pairs = {
         "h2_norm, beside control.norm": (lambda: h2_norm(loop), lambda: control.norm(peer_loop, 2)),
         "hinf_norm, beside control.norm": (
@@ -56,10 +46,6 @@ def main() -> None:
         f"hinf_riccati, beside {'control.hinfsyn' if has_slycot() else 'scipy'}": (
             lambda: hinf_riccati(plant, tolerance=TOLERANCE).level,
             lambda: peer_hinf(plant),
-        ),
-        f"kalman_filter, {SAMPLES} samples, beside filterpy": (
-            lambda: kalman_filter(sampled, noise, np.zeros((1, SAMPLES)), record, np.eye(8)).filtered[:, -1],
-            lambda: peer_filter(sampled, record),
         ),
     }
     for name, (ours, theirs) in pairs.items():
@@ -124,16 +110,6 @@ def peer_hinf(plant: GeneralisedPlant) -> float:
 
 def from_control(system) -> StateModel:
     return StateModel(*(np.asarray(each, float) for each in (system.A, system.B, system.C, system.D)))
-
-
-def peer_filter(model: StateModel, record: np.ndarray) -> np.ndarray:
-    found = KalmanFilter(dim_x=8, dim_z=3)
-    found.P, found.R, found.Q, found.F, found.H = np.eye(8), np.eye(3), 0.1 * np.eye(8), model.a, model.c
-    for k in range(record.shape[1]):
-        if k:
-            found.predict()
-        found.update(record[:, k : k + 1])
-    return found.x[:, 0]
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ PACKAGES = {
 # No calls: made by the functions beside them, warnings and errors.
 RESULTS = {
     "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
-    "HinfSynthesis", "KalmanRecord", "GainProof",
+    "HinfSynthesis", "GainProof",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # No calls: functions that pass parts of a recursion to its kernels, a sample at a time; `run` and the steppers validate before.
@@ -61,7 +61,6 @@ MAY_BE_INFINITE = {
         "enclose_quotients",
     ),  # where nothing is proven
     "enclose_hinf_norm",  # and of unstable models
-    *("kalman_filter", "KalmanRecord.smooth"),  # innovations of what is missing
     "min_max_solve",
     "run",
     "coupling_onset",
@@ -220,7 +219,6 @@ def catalogue() -> dict:
         state.a, np.ones((2, 3)), np.ones((3, 2)), np.array([[0, 0, 0.0], [0, 0, 1.0], [0, 1.0, 0]])
     )
     regular = lti.GeneralisedPlant(posed, 2, 2)
-    tracked = lti.StateModel(0.9 * np.eye(2), np.ones((2, 1)), np.array([[1.0, 2.0]]), np.zeros((1, 1)), 0.1)
     isolator = c.Isolator(
         np.array([[10.0]]), np.array([[20.0]]), np.array([[4e4]]), np.eye(1), 900.0, 1e-3, 1e-5, 1e-5
     )
@@ -232,7 +230,6 @@ def catalogue() -> dict:
         return isolator.paths(f, 1e-3)
 
     isolated = c.try_loop(feedforward, isolator, isolator_paths, ground, "FeRls", 0.1)
-    noises = e.NoiseCovariances(np.eye(2), np.eye(1), np.full((2, 1), 0.1))
     two = {"u": rows[:1, :20], "y": rows[1:2, :20]}
     impulse = {"force": noise((2, 128)), "response": noise((2, 128)), "rate": 100.0}
     return {
@@ -364,10 +361,6 @@ def catalogue() -> dict:
         "hinf_riccati": (e.hinf_riccati, {"plant": regular, "level": 9.0, "tolerance": 1e-2}),
         "hinf_riccati, model": (lambda **named: e.hinf_riccati(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2)), fields(posed)),
         "h2_riccati, discrete": (lambda **named: e.h2_riccati(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2)), {**fields(posed), "a": 0.5 * posed.a / np.abs(posed.poles).max(), "sample_time": 0.1}),
-        "NoiseCovariances": (e.NoiseCovariances, fields(noises)),
-        "kalman_gain": (e.kalman_gain, {"model": tracked, "noise": noises}),
-        "kalman_filter": (e.kalman_filter, {"model": tracked, "noise": noises, "u": rows[:1, :20], "y": rows[1:2, :20], "initial_covariance": np.eye(2), "initial": np.zeros(2)}),
-        "KalmanRecord.smooth": (e.kalman_filter(tracked, noises, rows[:1, :20], rows[1:2, :20], np.eye(2)).smooth, {}),
         "h2_lmi": (e.h2_lmi, {"plant": regular, "effort": 0.1, "noise": 0.1, "tolerance": 1e-3}),
         "h2_lmi, model": (lambda **named: e.h2_lmi(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2), 0.5, 0.5), fields(posed)),
         "mixed_lmi": (e.mixed_lmi, {"plant": regular, "level": 2.0, "ratio": 10.0, "effort": 0.1, "noise": 0.1, "tolerance": 1e-3}),

@@ -17,12 +17,12 @@ import pytest
 
 import stillwork
 from layering import modules
-from stillwork import estimation, lti
+from stillwork import estimation
 from stillwork.base import kernel_cache, kernels
 from stillwork.base.checks import InputError
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.base.kernels import callback
-from stillwork.estimation import coordinate_filters, filtering, hinfinity, kalman, min_max, time_varying
+from stillwork.estimation import coordinate_filters, filtering, hinfinity, min_max, time_varying
 from workbook import paths
 
 CALLED = """
@@ -422,17 +422,6 @@ def stepped(kind):
     return state.estimate
 
 
-def smoothed():
-    rng = np.random.default_rng(4)
-    a, b, c = np.array([[0.9, 0.2], [0.0, 0.8]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0], [1.0, 1.0]])
-    model = lti.StateModel(a, b, c, np.zeros((2, 1)), 1.0)
-    noise = estimation.NoiseCovariances(np.eye(2) / 10, np.eye(2), np.full((2, 2), 0.05))
-    y = rng.normal(size=(2, 30))
-    y[0, 7] = np.nan
-    record = estimation.kalman_filter(model, noise, rng.normal(size=(1, 30)), y, np.eye(2))
-    return np.concatenate([record.filtered, record.smooth()[0]])
-
-
 def solved():
     rng = np.random.default_rng(5)
     matrix, target = rng.normal(size=(20, 3)), rng.normal(size=20)
@@ -452,7 +441,6 @@ def solved():
         estimation.UnscentedKalman,
         "extended steps",
         "unscented steps",
-        "smoother",
         "block",
     ],
 )
@@ -461,11 +449,10 @@ def test_python_gives_the_numbers_of_the_kernels(kind, monkeypatch):
     calls = {
         "extended steps": lambda: stepped(estimation.ExtendedKalman),
         "unscented steps": lambda: stepped(estimation.UnscentedKalman),
-        "smoother": smoothed,
         "block": solved,
     }
     call = calls.get(kind, lambda: filtered(kind))
-    modules, found, run = (coordinate_filters, filtering, hinfinity, kalman, min_max, time_varying), [], []
+    modules, found, run = (coordinate_filters, filtering, hinfinity, min_max, time_varying), [], []
     for choose in (
         lambda kernel, *_: kernel,
         lambda kernel, *_: run.append(kernel) or kernels.uncompiled(kernel),

@@ -55,7 +55,7 @@ def test_the_places_that_it_names_hold_what_it_says():
     text = {
         f"{name}{kind}": (paths.root() / f"{name}{kind}").read_text("utf-8") for name, kind in places.items()
     }
-    assert "def kalman_gain(" in text["lib/stillwork/estimation/kalman.py"]
+    assert "def continuous_gain(" in text["lib/stillwork/estimation/riccati.py"]
     assert r"save(\"table-3-5\"" in text["notebooks/motion/09-bandwidth-table.ipynb"]
     assert "def verdict(" in text["lib/workbook/claims.py"]
 

@@ -17,7 +17,7 @@ from stillwork.control.fixed_point_linear import LinearFilter, semi_implicit_mot
 from stillwork.control.machine_loops import Intensities
 from stillwork.control.machine_tuning import DesignSettings, varied
 from stillwork.control.setpoint import Setpoint
-from stillwork.estimation import FeLms, FeRls, NoiseCovariances, adapt, kalman_filter
+from stillwork.estimation import FeLms, FeRls, adapt
 from stillwork.estimation.covariance_forms import factor_of
 from stillwork.estimation.filter_step import end_point_weights
 from stillwork.estimation.observer import Observer
@@ -42,7 +42,7 @@ from stillwork.signals.spectra import (
 EYE, ONE, NONE = np.eye(2), np.eye(1), np.zeros((1, 1))
 STAGE = ModalModel(np.array([0.0, 300.0]), np.array([0.0, 0.01]), EYE[:, :1], EYE[:1], NONE)
 LAG, SAMPLED = StateModel(-ONE, ONE, ONE, NONE), StateModel(0.5 * ONE, ONE, ONE, NONE, 0.1)
-NOISE, NOISES = NoiseCovariances(ONE, ONE), Intensities(1.0, 1.0, 1.0)
+NOISES = Intensities(1.0, 1.0, 1.0)
 HITS, ROWS = np.random.default_rng(1).standard_normal((2, 2, 2000))
 RECORD = np.zeros((1, 9))
 
@@ -98,17 +98,6 @@ REFUSED = [
     (lambda: criterion_velocity("VCC", [10.0]), "'VC-C'"),
     (lambda: criterion_met([1.0], [1e-6]), "centres_hz"),
     (lambda: one_third_octave_velocity([10.0, 10.1], [1.0, 1.0]), "frequencies_hz"),
-    (lambda: kalman_filter(LAG, NOISE, RECORD, RECORD, [[1.0]]), "model"),
-    (lambda: kalman_filter(SAMPLED, NOISE, RECORD, np.zeros((2, 9)), [[1.0]]), "y has"),
-    (lambda: kalman_filter(SAMPLED, NOISE, RECORD[:, 1:], RECORD, [[1.0]]), "u"),
-    (lambda: kalman_filter(SAMPLED, NOISE, RECORD, RECORD, [[-1.0]]), "initial_covariance"),
-    (
-        lambda: kalman_filter(SAMPLED, NoiseCovariances(EYE, [[1.0]]), RECORD, RECORD, [[1.0]]),
-        "noise.process",
-    ),
-    (lambda: kalman_filter(SAMPLED, NOISE, RECORD, RECORD + np.inf, [[1.0]]), "y"),
-    (lambda: NoiseCovariances(EYE, [[0.0]]), "sensor"),
-    (lambda: NoiseCovariances(EYE, [[1.0]], [[2.0], [0.0]]), "cross"),
     # What cannot end is refused with its size.
     (lambda: FeRls(1.0).start(30_000), "regressors needs"),
     (lambda: fir_regressors(np.ones(60), taps=30_000_000), "taps needs"),

@@ -385,7 +385,7 @@ QUESTIONS = {
 
 # Of what else a newcomer may ask: one of the first three places.
 NEWCOMERS = {
-    "Kalman filter": r"reference/stillwork.estimation.*#kalman_filter$",
+    "Kalman filter": r"reference/stillwork.estimation.*#(kalman_observer|ExtendedKalman|UnscentedKalman)$",
     "kalmann": "notebooks/motion/2[02]|reference/stillwork.estimation",
     "notch": "reference/stillwork.control.pid.html#Notch",
     "floor vibration spectrum": "guide/your-rig.html#A-floor",

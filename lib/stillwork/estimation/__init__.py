@@ -10,7 +10,6 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "coordinate_filters": ("ExtendedKalman", "LowPass", "UnscentedKalman"),
         "filtering": ("filter_signal",),
         "h2": ("H2Synthesis", "h2_riccati"),
-        "kalman": ("KalmanRecord", "NoiseCovariances", "kalman_filter", "kalman_gain"),
         "hinf_synthesis": ("HinfSynthesis", "hinf_riccati"),
         "matrix_inequalities": ("h2_lmi", "mixed_lmi"),
         "min_max": ("min_max_solve",),
