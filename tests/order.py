@@ -4,7 +4,6 @@ from pathlib import Path
 
 LONGEST = (
     "shared/test_fuzz.py",
-    "engine/test_faults.py",
     "motion/test_observer_contest.py",
     "engine/test_failures.py",
     "motion/test_modal_identification.py",

@@ -1,4 +1,4 @@
-"""Command line of the engine: ``python -m workbook figures|choices|claims|portable|accept|site|refresh|init|new|doctor``."""
+"""Command line of the engine: ``python -m workbook figures|choices|claims|accept|site|refresh|init|new|doctor``."""
 
 import argparse
 import sys
@@ -76,21 +76,6 @@ COMMANDS = {
             text("entry", "ID", "one entry in full, with its combinations"),
             flag("json", "as JSON"),
             flag("built", "with the results of the last build, accepted or not"),
-        ),
-        before=IN_A_WORKBOOK,
-    ),
-    "portable": Command(
-        "build under other processors' settings and compare",
-        "workbook.portable:portable",
-        (
-            _TARGETS,
-            option(
-                "--processor",
-                default="",
-                metavar="NAME",
-                help="part of a simulated processor's name, e.g. 2004",
-            ),
-            flag("sample", "a few notebooks under two processors"),
         ),
         before=IN_A_WORKBOOK,
     ),

@@ -23,7 +23,7 @@ from workbook.notebooks import cleaned, joined
 from workbook.tasks import Task, built
 
 # Of the range that a series spans: chosen, a ninth of a pixel in the tallest picture (1155 pixels with its frame), so
-# what agrees looks the same. How much of it is used is the `worst` that a build and `make portable` print, and most
+# what agrees looks the same. How much of it is used is the `worst` that a build prints, and most
 # where an adaptive filter carries rounding on. The rest is room for another system's libm.
 TABLE = 1e-4
 

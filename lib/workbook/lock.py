@@ -3,7 +3,6 @@
 import contextlib
 import fcntl
 import signal
-import subprocess
 from collections.abc import Callable, Iterator
 
 from stillwork.base.checks import InputError
@@ -75,21 +74,3 @@ def _handled(handler: Callable, *numbers: signal.Signals) -> Iterator[None]:
     finally:
         for each, usual in before.items():
             signal.signal(each, usual)
-
-
-def run_whole(command: list[str], **how) -> int:
-    """Run a command that tidies up after itself; returns its exit code, 128 + signal when interrupted.
-
-    An interrupt is passed on to it, and its end waited for. It stands in a group of processes of its own, so that
-    a terminal's Ctrl-C, too, reaches it once: from here. `how` is `subprocess.Popen`'s.
-    """
-    with interrupts() as caught:
-        passed = 0
-        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, process_group=0, **how)
-        while child.poll() is None:
-            for number in caught[passed:]:
-                child.send_signal(number)
-                passed += 1
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                child.wait(0.2)
-    return 128 + caught[0] if caught else child.returncode

@@ -14,7 +14,7 @@ from workbook import paths
 FILE = Path(__file__).with_name("pinned.env")
 VARIABLES = Path(__file__).with_name("variables.toml")
 
-# Other processors' settings in place of some pins, as ``NAME=VALUE`` words: what `make portable` turns.
+# Another processor's settings in place of some pins, as ``NAME=VALUE`` words (`.ci/run` builds a sample so).
 OTHER = "STILLWORK_PROCESSOR"
 
 
@@ -37,8 +37,7 @@ def settings() -> dict[str, str]:
     for word in words:
         if not word.partition("=")[0].isidentifier() or "=" not in word:
             raise InputError(
-                f"{OTHER} holds {short_repr(word)}; give NAME=VALUE words, of {', '.join(pins())} and others, "
-                "or name a processor: python -m stillwork portable --processor NAME"
+                f"{OTHER} holds {short_repr(word)}; give NAME=VALUE words, of {', '.join(pins())} and others"
             )
     return {**pins(), **dict(word.split("=", 1) for word in words)}
 

@@ -276,5 +276,5 @@ def test_the_ends_of_an_interval_may_move_by_the_drift_of_the_larger():
 
 def test_a_build_says_where_its_pictures_are(monkeypatch):
     assert summary([])[-1].endswith("pictures and tables: build/figures/")
-    monkeypatch.setenv(BUILT, str(paths.root() / "build" / "portable" / "x"))
-    assert summary([])[-1].endswith("pictures and tables: build/portable/x/")
+    monkeypatch.setenv(BUILT, str(paths.root() / "build" / "other" / "x"))
+    assert summary([])[-1].endswith("pictures and tables: build/other/x/")

@@ -220,5 +220,5 @@ def test_a_number_that_a_topic_lacks_gets_the_nearest_of_the_topic(workbook):
 
 def test_a_setting_of_the_processor_is_a_name_and_a_value(monkeypatch):
     monkeypatch.setenv(pinned.OTHER, "OPENBLAS_CORETYPE=Nehalem foo")
-    with pytest.raises(InputError, match=r"^STILLWORK_PROCESSOR\b.*'foo'.*NPY_.*--processor"):
+    with pytest.raises(InputError, match=r"^STILLWORK_PROCESSOR\b.*'foo'.*NPY_"):
         pinned.settings()

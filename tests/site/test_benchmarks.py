@@ -42,18 +42,14 @@ def test_a_table_says_on_what_it_was_measured_and_how_to_measure_it():
         assert (paths.root() / table.command.split()[1]).is_file()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["motion/99-none"], "there is no notebook or topic 'motion/99-none'"),
-        (["--pins", "--rounds", "0"], "--rounds is 0; give 1 or more"),
-    ],
-)
-def test_what_cannot_be_measured_is_refused_in_a_sentence(arguments, told):
-    command = [sys.executable, paths.root() / "benchmarks" / "build.py", *arguments]
+def test_what_cannot_be_measured_is_refused_in_a_sentence():
+    command = [sys.executable, paths.root() / "benchmarks" / "build.py", "motion/99-none"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2
-    assert f"error: {told}" in done.stderr and "Traceback" not in done.stderr
+    assert (
+        "error: there is no notebook or topic 'motion/99-none'" in done.stderr
+        and "Traceback" not in done.stderr
+    )
 
 
 def measured(toy, *arguments):
