@@ -329,11 +329,6 @@ def catalogue() -> dict:
         "RecursiveRegressor.score": (lambda X, y, sample_weight: e.RecursiveLeastSquares().fit(rows.T, signal).score(X, y, sample_weight), {"X": rows.T, "y": signal, "sample_weight": np.ones(60)}),
         "WeightedRegressor.partial_fit": (lambda X, y, sample_weight: e.RecursiveLeastSquares().partial_fit(rows.T, signal).partial_fit(X, y, sample_weight).coef_, {"X": rows.T, "y": signal, "sample_weight": np.ones(60)}),
         "UnweightedRegressor.partial_fit": (lambda X, y: e.LeastMeanSquares().partial_fit(rows.T, signal).partial_fit(X, y).coef_, {"X": rows.T, "y": signal}),
-        **{
-            kind.__name__: (lambda X, y, kind=kind, **named: kind(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(kind())})
-            for kind in (e.BiasCompensatedRegressor, e.HinfinityRegressor, e.HuberRegressor, e.InstrumentalRegressor, e.RidgeRegressor, e.TotalLeastSquares)
-        },
-        "advise": (lambda **named: e.advise(**named).ranking[0].coef, {"X": rows.T, "y": signal, "noise": 0.1, "instruments": None, "fit_intercept": True, "folds": 4}),
         "run": (e.run, {"estimator": e.MinMax(0.1, 0.9), "regressors": rows, "outputs": signal}),
         "run, least squares": (e.run, {"estimator": e.LeastSquares(0.9), "regressors": rows, "outputs": signal}),
         "run, ridge": (e.run, {"estimator": e.Ridge(0.1, 0.9), "regressors": rows, "outputs": signal}),

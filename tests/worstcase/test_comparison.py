@@ -23,8 +23,6 @@ from notebooks.worstcase.comparison import (
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import smallest_level
 from stillwork.estimation.linear_fits import (
-    admitted_noise,
-    compensated_ridge,
     cross_validated_penalty,
     evidence_penalty,
     hinfinity_estimate,
@@ -246,8 +244,6 @@ def test_huber_is_scikit_learn_s_at_its_scale():
     [
         lambda matrix, target: huber_estimate(matrix, target, np.ones(len(matrix))),
         lambda matrix, target: instrumental_variables(matrix, target, matrix),
-        lambda matrix, target: compensated_ridge(matrix, target, np.zeros(2), 20.0),
-        lambda matrix, target: admitted_noise(matrix, target, np.ones(2)),
         lambda matrix, target: evidence_penalty(matrix, target, 20.0),
     ],
 )

@@ -6,7 +6,6 @@ __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "adaptive": ("FeLms", "FeRls"),
-        "advice": ("advise",),
         "coordinate_filters": ("ExtendedKalman", "LowPass", "UnscentedKalman"),
         "filtering": ("filter_signal",),
         "h2": ("H2Synthesis", "h2_riccati"),
@@ -19,13 +18,6 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "recursive": ("run",),
         "recursive_settings": ("LeastSquares", "MinMax"),
         "regression": ("LeastMeanSquares", "RecursiveLeastSquares"),
-        "robust_regression": ("HinfinityRegressor", "HuberRegressor"),
-        "triangle_regression": (
-            "BiasCompensatedRegressor",
-            "InstrumentalRegressor",
-            "MinMaxRegressor",
-            "RidgeRegressor",
-            "TotalLeastSquares",
-        ),
+        "triangle_regression": ("MinMaxRegressor",),
     },
 )

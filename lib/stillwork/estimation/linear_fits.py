@@ -8,8 +8,6 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
-from scipy import stats
 
 from stillwork.base.bounds import Matrix, Vector, within
 from stillwork.base.checks import InputError, pluralise, require_array
@@ -52,75 +50,6 @@ def evidence_penalty(matrix: Matrix, target: Vector, samples: float) -> float:
     misfit = shrunk @ along + outside  # |A x - b|^2 + penalty |x|^2
     score = samples * np.log(misfit) - np.log(shrunk).sum(axis=1)
     return float(penalties[score.argmin()])
-
-
-@checked
-def compensated_ridge(
-    matrix: Matrix, target: Vector, variances: Vector, samples: float, penalty: float | None = None
-) -> tuple[Float64[np.ndarray, " unknowns"], float]:
-    """Ridge regression without the share that noise of these variances in the rows has of A'A, and its penalty.
-
-    Without a penalty that with the smallest estimate of the error of predictions from rows without noise, on a grid: the
-    mean square of the residuals less that of the coefficients' share of the noise, and twice the noise of b times the
-    degrees of freedom over the samples (Mallows, 1973). The noise of b is that of generalised cross-validation.
-    """
-    target = require_array("target", target, shape=(len(matrix),))
-    variances = require_array("variances", variances, shape=matrix.shape[1:])
-    products, correlation = matrix.T @ matrix, matrix.T @ target
-    taken = _noise_taken_out(matrix, variances, samples)
-    sizes, axes = np.linalg.eigh(products - taken * np.diag(variances))
-    if not sizes[-1] > 0:
-        return np.zeros(matrix.shape[1]), 0.0
-    least = 1e-12 * sizes[-1]
-    used = sizes > least  # the others are rounding of squares
-    sizes, axes = sizes[used], axes[:, used]
-    penalties = np.append(0.0, sizes[-1] * PENALTIES) if penalty is None else np.array([penalty])
-    shrunk = 1 / (sizes + penalties[:, None])
-    coefs = (shrunk * (axes.T @ correlation)) @ axes.T
-    left = np.sum((target[:, None] - matrix @ coefs.T) ** 2, axis=0)
-    freedom = shrunk @ np.einsum("ij,ji->i", axes.T @ products, axes)
-    noise = np.min(left * samples / np.maximum(samples - freedom, 1.0) ** 2)
-    scores = left - taken * coefs**2 @ variances + 2 * noise * freedom
-    best = scores.argmin()
-    return np.array(coefs[best]), float(penalties[best] if used.all() else max(penalties[best], least))
-
-
-def _noise_taken_out(matrix, variances, samples) -> float:
-    # of so many samples; where noise is all that a direction holds, a standard error of what it holds is left
-    noisy = variances > 0
-    if not noisy.any():
-        return 0.0
-    least = _least_square(matrix[:, ~noisy], matrix[:, noisy] / np.sqrt(variances[noisy]))
-    return float(min(samples, least * (1 - 1 / np.sqrt(max(samples, 1.0)))))
-
-
-def _least_square(known, uncertain) -> float:
-    """Square of the shortest combination of the uncertain columns and any of the known ones."""
-    count = known.shape[1]
-    _, whole = np.linalg.qr(np.column_stack([known, uncertain]))
-    corner = whole[count:, count:]
-    return float(np.linalg.svd(corner, compute_uv=False)[-1] ** 2) if len(corner) >= corner.shape[1] else 0.0
-
-
-@checked
-def admitted_noise(matrix: Matrix, target: Vector, deviations: Vector) -> float:
-    """Share of this noise of the rows that the data admit: 1, or less if they hold significantly less noise.
-
-    No relation of rows and target has less noise than that of the rows. The smallest |b - A x|^2 / (x' diag(deviations^2) x)
-    is chi-square where b has no noise of its own, and larger where it has (Anderson and Rubin, 1949). Below its 1 %
-    quantile the result is its root mean square. Columns of deviation 0 are known exactly, such as a constant.
-    """
-    target = require_array("target", target, shape=(len(matrix),))
-    deviations = require_array("deviations", deviations, shape=matrix.shape[1:])
-    if np.any(deviations < 0):
-        raise InputError("deviations holds a negative number; give zero or above")
-    noisy = deviations > 0
-    freedom = len(matrix) - matrix.shape[1]
-    if not noisy.any() or freedom < 1:
-        return 1.0
-    known = np.column_stack([matrix[:, ~noisy], target])
-    square = _least_square(known, matrix[:, noisy] / deviations[noisy])
-    return 1.0 if square >= stats.chi2.ppf(0.01, freedom) else float(np.sqrt(square / freedom))
 
 
 @checked
@@ -190,14 +119,12 @@ def hinfinity_model(
 
 
 @checked
-def last_estimate(
-    gains: FilterGains, target: Vector, forgetting: float, start: ArrayLike | None = None
-) -> Float64[np.ndarray, " unknowns"]:
+def last_estimate(gains: FilterGains, target: Vector, forgetting: float) -> Float64[np.ndarray, " unknowns"]:
     """The parameters of a `hinfinity_model` after its last row: its state, which has grown, taken back."""
     samples = len(target) + 1
     scale = forgetting ** (-np.arange(samples) / 2)
     outputs = scale * np.append(0.0, target)
-    return estimate(gains, np.zeros((1, samples)), outputs[None], start)[:, -1] / scale[-1]
+    return estimate(gains, np.zeros((1, samples)), outputs[None])[:, -1] / scale[-1]
 
 
 @checked
