@@ -1,7 +1,7 @@
 """Norms and synthesis beside named peers, measured in one run: `make bench`.
 
 Processor time, medians over repeats in turn, as in `motion.py`. The peers are python-control's norms and, where slycot is
-installed, its `h2syn` and `hinfsyn`; without it textbook syntheses by scipy's Riccati solver. Every peer
+installed, its `h2syn`; without it a textbook synthesis by scipy's Riccati solver. Every peer
 must give the same number first. No test asserts a time.
 """
 
@@ -19,11 +19,10 @@ import numpy as np  # noqa: E402
 from scipy import linalg  # noqa: E402
 
 from motion import machine, ratio, turns  # noqa: E402
-from stillwork.estimation import h2_riccati, hinf_riccati  # noqa: E402
+from stillwork.estimation import h2_riccati  # noqa: E402
 from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm  # noqa: E402
 
 STATES = 16
-TOLERANCE = 1e-4  # of the search for the smallest level, ours and the peer's
 
 
 def main() -> None:
@@ -42,10 +41,6 @@ def main() -> None:
         f"h2_riccati, beside {'control.h2syn' if has_slycot() else 'scipy'}": (
             lambda: h2_riccati(plant).norm,
             lambda: peer_h2(plant),
-        ),
-        f"hinf_riccati, beside {'control.hinfsyn' if has_slycot() else 'scipy'}": (
-            lambda: hinf_riccati(plant, tolerance=TOLERANCE).level,
-            lambda: peer_hinf(plant),
         ),
     }
     for name, (ours, theirs) in pairs.items():
@@ -83,29 +78,6 @@ def peer_h2(plant: GeneralisedPlant) -> float:
     f, gain = -b2.T @ x, y @ c2.T
     controller = StateModel(a + b2 @ f - gain @ c2, gain, f, np.zeros((2, 2)))
     return control.norm(plant.close(controller).to_control(), 2)
-
-
-def peer_hinf(plant: GeneralisedPlant) -> float:
-    """The smallest level by bisection: both Riccati solutions positive, and their product's radius below it."""
-    if has_slycot():
-        return control.hinfsyn(plant.model.to_control(), 2, 2)[2]
-    a, b1, b2, c1, c2, *_ = plant.blocks
-
-    def reached(level: float) -> bool:
-        weights = np.diag([*[-(level**2)] * 4, 1.0, 1.0])
-        try:
-            x = linalg.solve_continuous_are(a, np.hstack([b1, b2]), c1.T @ c1, weights)
-            y = linalg.solve_continuous_are(a.T, np.hstack([c1.T, c2.T]), b1 @ b1.T, weights)
-        except linalg.LinAlgError:
-            return False
-        positive = min(np.linalg.eigvalsh(each).min() for each in (x, y)) > -1e-8
-        return bool(positive and np.abs(np.linalg.eigvals(x @ y)).max() < level**2)
-
-    low, high = 1e-3, 1e3
-    while high > (1 + TOLERANCE) * low:
-        middle = np.sqrt(low * high)
-        low, high = (low, middle) if reached(middle) else (middle, high)
-    return high
 
 
 def from_control(system) -> StateModel:

@@ -32,7 +32,7 @@ PACKAGES = {
 # No calls: made by the functions beside them, warnings and errors.
 RESULTS = {
     "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
-    "HinfSynthesis", "GainProof",
+    "GainProof",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # No calls: functions that pass parts of a recursion to its kernels, a sample at a time; `run` and the steppers validate before.
@@ -353,12 +353,7 @@ def catalogue() -> dict:
         "H2Synthesis": (e.H2Synthesis, fields(e.h2_riccati(regular, 0.1, 0.1))),
         "h2_riccati": (e.h2_riccati, {"plant": regular, "effort": 0.1, "noise": 0.1}),
         "h2_riccati, model": (lambda **named: e.h2_riccati(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2)), fields(posed)),
-        "hinf_riccati": (e.hinf_riccati, {"plant": regular, "level": 9.0, "tolerance": 1e-2}),
-        "hinf_riccati, model": (lambda **named: e.hinf_riccati(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2)), fields(posed)),
         "h2_riccati, discrete": (lambda **named: e.h2_riccati(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2)), {**fields(posed), "a": 0.5 * posed.a / np.abs(posed.poles).max(), "sample_time": 0.1}),
-        "h2_lmi": (e.h2_lmi, {"plant": regular, "effort": 0.1, "noise": 0.1, "tolerance": 1e-3}),
-        "h2_lmi, model": (lambda **named: e.h2_lmi(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2), 0.5, 0.5), fields(posed)),
-        "mixed_lmi": (e.mixed_lmi, {"plant": regular, "level": 2.0, "ratio": 10.0, "effort": 0.1, "noise": 0.1, "tolerance": 1e-3}),
         "Application": (c.Application, fields(c.Application(True, 0.1, selectivity=2.0, high_pass_hz=1.0))),
         "DigitalController": (c.DigitalController, fields(digital)),
         "DigitalController.run": (digital.run, {"inputs": signal[None], "first": np.ones(1)}),

@@ -9,8 +9,6 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "coordinate_filters": ("ExtendedKalman", "LowPass", "UnscentedKalman"),
         "filtering": ("filter_signal",),
         "h2": ("H2Synthesis", "h2_riccati"),
-        "hinf_synthesis": ("HinfSynthesis", "hinf_riccati"),
-        "matrix_inequalities": ("h2_lmi", "mixed_lmi"),
         "min_max": ("min_max_solve",),
         "observer": ("NoiseIntensities", "kalman_observer"),
         "online": ("AdaptationStepper", "adapt", "identify"),
