@@ -39,7 +39,7 @@ part = @echo "$(1)"; begin=$$(date +%s); if $(2); then end=passed; else end=FAIL
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help figures choices contest test quick course lab site browser bench mutants dated accept release doctor clean
+.PHONY: help figures choices contest test quick course lab site browser bench dated accept release doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -91,8 +91,6 @@ browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get
 bench: $(READY) ## Measure speed beside named peers
 	@for file in $$(grep -l 'make bench' benchmarks/*.py); do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
 
-mutants: $(READY) ## Try small faults in the toolbox against its tests; ARGS="--count 200 --seed N --limit SECONDS --forks"
-	@$(BIN)/python benchmarks/mutants.py $(ARGS)
 
 dated: $(READY) ## Property tests on new examples, drawn from the day; DAY=20260101 for those of another
 	@echo "examples of --hypothesis-seed=$(DAY)"

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 LONGEST = (
-    "shared/test_fuzz.py",
+    "shared/test_wrong_values.py",
     "motion/test_observer_contest.py",
     "engine/test_failures.py",
     "motion/test_modal_identification.py",

@@ -198,7 +198,7 @@ def test_a_private_name_is_used_in_its_own_file_alone():
     folders = [read(paths.root() / name) for name in ("lib", "benchmarks", "tests")]
     folders += [read(paths.root() / name, paths.root()) for name in ("contest", "notebooks")]
     names = {name for folder in folders for name in folder}
-    assert "fuzzing.behind" in names and "shared.test_layers" in names
+    assert "calls" in names and "shared.test_layers" in names
     found = [
         (name, each) for folder in folders for name, tree in folder.items() for each in reached(tree, names)
     ]

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+TESTS = Path(__file__).parents[1]
 NUMBERS = (np.int8, np.int16, np.int64, np.uint8, np.uint16, np.uint64, np.float32, np.float64, np.longdouble)
 KINDS = (int, float)
 
 
 def instances() -> dict[str, object]:
-    """One of each class whose values a caller gives, out of the good calls of the fuzzing."""
-    sys.path.append(str(BENCHMARKS))
-    from fuzzing.calls import catalogue
+    """One of each class whose values a caller gives, out of the good calls."""
+    sys.path.append(str(TESTS))
+    from calls import catalogue
 
     found: dict[str, object] = {}
 

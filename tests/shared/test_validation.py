@@ -7,7 +7,6 @@ import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import import_module
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import pytest
 from jaxtyping import Float64
 from scipy import interpolate
 
+from calls import catalogue
 from stillwork.base import validation
 from stillwork.base.bounds import Fraction, Positive, Vector, at_least
 from stillwork.base.checks import InputError
@@ -194,10 +194,8 @@ def test_a_model_keeps_what_it_was_given():
 
 @pytest.fixture(scope="module")
 def models():
-    """Instances of the toolbox's frozen dataclasses that the fuzz knows a good call of."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
-        calls = import_module("fuzzing.calls").catalogue().values()
+    """Instances of the toolbox's frozen dataclasses out of the good calls."""
+    calls = catalogue().values()
     values = [value for _, good in calls for value in good.values()]
     made = [make(**good) for make, good in calls if inspect.isclass(make) and is_dataclass(make)]
     made = [each for each in values + made if is_dataclass(each) and each.__dataclass_params__.frozen]

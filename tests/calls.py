@@ -1,21 +1,13 @@
-"""A call of every public function and method of the toolbox and of every class of its public API, to be spoiled.
+"""A good call of every function and class of the toolbox's public API, and of much beside it, for property tests."""
 
-Those of the `catalogue` are good and written out: the whole public API, and much beside it. The others, of `behind`, are
-made from the annotations.
-"""
-
-import copy
 import dataclasses
 import pkgutil
-import re
 from functools import cache
 from importlib import import_module
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
-from fuzzing.behind import calls as made_calls
-from fuzzing.hostile import same, same_value, wrong
 from stillwork import control, estimation, identification, lti, signals
 from stillwork.estimation import robust
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
@@ -35,43 +27,8 @@ RESULTS = {
     "GainProof",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
-# No calls: functions that pass parts of a recursion to its kernels, a sample at a time; `run` and the steppers validate before.
-# Results of a search, which are made nowhere else.
-PARTS = {
-    "Designed.lines",
-    *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
-    *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
-    *(
-        "require_covariance",
-        "require_squares",
-        "require_finite_squares",
-        "require_floor_level",
-    ),  # checks themselves
-    *("solve_plain", "spectrum"),  # of a triangle that a regressor has made
-    *("Numbers.terms", "Numbers.files"),  # of the functions that write C
-    *("WeightedRegressor", "UnweightedRegressor"),  # abstract: `fit` is called of those that are derived
-}
 # Calls whose good arguments stand for a file or a machine that is not there.
 REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
-# Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing, no limit) is a stated result.
-MAY_BE_INFINITE = {
-    *(
-        "enclose_peaks",
-        "enclose_margins",
-        "enclose_quotients",
-    ),  # where nothing is proven
-    "enclose_hinf_norm",  # and of unstable models
-    "min_max_solve",
-    "run",
-    "coupling_onset",
-    "stable_range",
-    "maximise_bandwidth",
-    *("DigitalController", "error_driven"),
-    "ControlledRun",
-    "control.simulate",
-    "simulate_mechanism",
-    *("FeRls", "LeastSquares"),  # `growth_limit`
-}
 
 
 def _acceleration(position, velocity, force, parameters):
@@ -477,115 +434,12 @@ def catalogue() -> dict:
     }  # fmt: skip
 
 
-refused_as_made: set[str] = set()  # calls that are refused before anything is spoiled, found by `warm`
-
-
-def warm() -> None:
-    """Every good call once: it must work, and compiles what it needs before times are taken."""
-    for name, (function, good) in catalogue().items():
-        if name not in REFUSED:
-            function(**good)
-    for name, (function, good) in behind().items():
-        try:
-            function(**good)
-        except Exception:  # a separate case states what it is
-            refused_as_made.add(name)
-
-
 def missing() -> list[str]:
-    """What of the toolbox nothing calls: of the public API without a call written out, of the rest without one made."""
-    absent = [
+    """Names of the public API without a call."""
+    written = {each.split(",")[0] for each in catalogue()} | RESULTS
+    return [
         f"{folder}.{name}"
         for folder, package in PACKAGES.items()
         for name in package.__all__
-        if not _called(folder, name)
+        if not {name, f"{name}.fit", f"{folder}.{name}"} & written
     ]
-    return [*absent, *_behind()[1]]
-
-
-def behind() -> dict:
-    """Name to (callable, arguments by name) of the public functions and methods that the catalogue does not call."""
-    return _behind()[0]
-
-
-@cache
-def _behind() -> tuple[dict, list[str]]:
-    folders = {folder: _whole(package) for folder, package in PACKAGES.items()}
-    return made_calls(catalogue(), folders, _called)
-
-
-@cache
-def _called(folder: str, name: str) -> bool:
-    written = {each.split(",")[0] for each in catalogue()} | RESULTS | PARTS
-    name = name.removesuffix(".fit")  # a regressor is called by its fit
-    return name in written or f"{folder}.{name}" in written
-
-
-def case(rng: np.random.Generator) -> tuple:
-    """A call with one or two arguments in another form, or spoiled: (what, whether it must work, call)."""
-    calls = catalogue() | behind()
-    name = list(calls)[rng.integers(len(calls))]
-    function, good = calls[name]
-    if not good:
-        return name, [], False, function
-    benign = rng.random() < 0.2
-    arguments, told = dict(good), []
-    for key in rng.choice(list(good), size=min(len(good), 1 + int(rng.random() < 0.25)), replace=False):
-        key = str(key)
-        told.append(key)
-        if benign:
-            arguments[key] = same(rng, good[key])
-        else:
-            arguments[key] = Spoiled(rng, good[key])
-    must_work = benign and name in catalogue() and name not in REFUSED
-
-    def call():
-        built = {
-            key: argument.make() if isinstance(argument, Spoiled) else argument
-            for key, argument in arguments.items()
-        }
-        told[:] = [f"{key}={_short(built[key])}" for key in told]
-        before = copy.deepcopy(built)
-        result = function(**built)
-        assert same_value(built, before), "the call changes its arguments"
-        return result
-
-    return name, told, must_work, call
-
-
-def is_named(name: str, told: list[str], message: str) -> bool:
-    """Whether a refusal holds one of the spoiled arguments, or a field of one, by name, or another was no good before."""
-    if name in refused_as_made | REFUSED:
-        return True
-    _, good = (catalogue() | behind())[name]
-    words = {
-        word for each in told if (key := each.partition("=")[0]) in good for word in (key, *_names(good[key]))
-    }
-    return any(re.search(rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])", message) for word in words)
-
-
-def _names(value) -> set[str]:
-    """The names of a model's fields, and of those of the models in it."""
-    if isinstance(value, list | tuple):
-        return {name for each in value[:10] for name in _names(each)}
-    if not dataclasses.is_dataclass(value) or isinstance(value, type):
-        return set()
-    parts = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    return {*parts, *(name for part in parts.values() for name in _names(part))}
-
-
-class Spoiled:
-    """A wrong value that is made within the call: a model that refuses it there is an error like any other."""
-
-    def __init__(self, rng, value):
-        self.rng, self.value = rng, value
-
-    def make(self):
-        return wrong(self.rng, self.value)
-
-
-def _short(value) -> str:
-    try:
-        return " ".join(repr(value).split())[:150]
-    except Exception:
-        return type(value).__name__

@@ -1,1 +1,0 @@
-"""What `benchmarks/fuzz.py` throws at the toolbox and at the workbook: calls, files, tables, settings."""
