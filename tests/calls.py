@@ -389,7 +389,6 @@ def catalogue() -> dict:
         "tone_response": (c.tone_response, {"network": network, "source": source, "time": np.array([0.0, 0.1]), "band_hz": (0.1, 100.0)}),
         "ErrorBudget.edges": (c.error_budget(network, [source], (0.1, 100.0)).edges, {}),
         "box_band": (c.box_band, {"rms": lambda place: 1.0, "places": tuple(c.box_places(c.Uncertainty(frequency=0.05), model, 2))}),
-        "sensitivities": (c.sensitivities, {"rms": lambda mass: 1 / mass, "values": {"mass": 2.0}}),
         "FloorMachine": (c.FloorMachine, fields(afloat)),
         "Uncertainty": (c.Uncertainty, {"frequency": 0.05, "residue": 0.1, "damping": 0.2, "gain": 0.05, "mass": 0.02, "delay": 1e-5}),
         "worst_place": (c.worst_place, {"loop": search, "controller": pid(20.0), "function": "true_tracking", "uncertainty": c.Uncertainty(frequency=0.05, gain=0.1)}),

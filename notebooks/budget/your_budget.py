@@ -1,41 +1,29 @@
 """Your budget: a machine's TOML, its budget, and an explorer over its floor, sensor and bandwidth."""
 
 from dataclasses import replace
-from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from experiments.budget.waterfall import paint_waterfall
-from stillwork.base.toml_files import read_toml
 from stillwork.control.budget_sources import criterion_floor
-from stillwork.control.error_budget import Source, UnstableLoop, error_budget
-from stillwork.control.floor_machine import FloorMachine
+from stillwork.control.error_budget import UnstableLoop, error_budget
 from stillwork.control.pid import Pid, PidFamily
-from stillwork.design.budget import machine_of, new_budget, sources_of
+from stillwork.design.budget import MachineFile, new_budget, open_machine
 from workbook import figures
 
 
-def open_machine(
-    file: str, floor: str, folder: str
-) -> tuple[FloorMachine, list[Source], tuple[float, float]]:
-    """Machine, sources and band of a TOML; the template of the wafer-like stage, written to `folder`, without one."""
-    if not file:
-        new_budget(folder)
-        file = f"{folder}/wafer-stage.toml"
-    entries = read_toml(file)
-    built = machine_of(entries)
-    low, high = entries["band_hz"]
-    rate = 1 / built.sample_time if built.sample_time else 0.0
-    return (
-        built,
-        sources_of(entries, floor, Path(file).parent, rate, built.stage_mass),
-        (float(low), float(high)),
-    )
+def open_own(file: str, floor: str) -> MachineFile:
+    """Machine, sources and band of a TOML; without one those of the template of the wafer-like stage."""
+    with TemporaryDirectory() as folder:
+        if not file:
+            new_budget(folder)
+        return open_machine(file or f"{folder}/wafer-stage.toml", floor)  # the template names no other file
 
 
-def promised_and_kept(built: FloorMachine, sources: list[Source], band: tuple[float, float]) -> float:
+def promised_and_kept(own: MachineFile) -> float:
     """Largest distance between what halving a source is said to save and what it saves, over the error."""
-    network = built.network()
+    network, sources, band = own.machine.network(), own.sources, own.band
     budget = error_budget(network, sources, band)
     distances = []
     for k, source in enumerate(sources):
@@ -50,8 +38,9 @@ def promised_and_kept(built: FloorMachine, sources: list[Source], band: tuple[fl
     return max(distances)
 
 
-def explore_own(built: FloorMachine, sources: list[Source], band: tuple[float, float]):
+def explore_own(own: MachineFile):
     """Drawing function of the explorer: the machine's waterfall on a floor class, at another bandwidth and sensor."""
+    built, sources, band = own.machine, own.sources, own.band
 
     def draw(floor: str, bandwidth: float, sensor: float, feedforward_db: float):
         others = [source for source in sources if source.places != ("floor",)]

@@ -58,20 +58,76 @@ def test_a_template_gives_a_page_that_says_what_limits(name, files, tmp_path):
         budget_file(str(files[name]), out=str(tmp_path / "out"))
 
 
-def test_what_the_page_promises_comes_true(files, tmp_path):
-    """The first purchase, a better sensor, and the first number of the machine, bought in the file."""
+TEXTS = {  # of a number in the template of the wafer-like stage
+    "suspension frequency": "suspension_hz = 4.0",
+    "passive damping": "suspension_damping = 0.05",
+    "skyhook": "skyhook_damping = 0.6",
+    "frame mass": "frame_mass_kg = 180.0",
+    "delay": "delay_samples = 1.0",
+    "damping of the stage's modes": "modes_damping = 0.01",
+    "bandwidth": "bandwidth_hz = 80.0",
+    "stage mass": "stage_mass_kg = 20.0",
+    "remainder of the feedforward": "feedforward_db = 20.0",
+}
+SCAN = '\n[sources.scan]\nplace = "setpoint"\nmove = "20 mm"\nmove_s = 0.2\nrest_s = 0.1\n'
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "",
+        SCAN,  # its feedforward assumes the stage's mass: 2 % more would save, 10 % more does not
+        SCAN + "feedforward_mass_kg = 20.0\n",
+        '[sources.pump]\nplace = "frame force"\ntone_hz = 4.2\namplitude = "1 N"\n',  # beside the suspension
+    ],
+)
+def test_each_change_is_what_the_changed_file_gives(more, files, tmp_path):
+    """Every number 10 % off either way, and the sensor at half its level, written into the file."""
+    text = files["wafer-stage"].read_text() + more
+
+    def total(changed):
+        file = tmp_path / "changed.toml"
+        file.write_text(changed)
+        machine = machine_of(read_toml(file))
+        sources = sources_of(read_toml(file), "", tmp_path, 1e4, machine.stage_mass)
+        return 1e9 * float(error_budget(machine.network(), sources, (0.5, 2000.0)).rms[0])
+
+    files["wafer-stage"].write_text(text)
+    said = "\n".join(budget_file(str(files["wafer-stage"]), out=str(tmp_path / "out")))
+    now = total(text)
+    for name, old in TEXTS.items():
+        field, value = old.split(" = ")
+        row = re.search(rf"\d\. {name}(, whose [\w ]+,)? (10 % [^;\n]*)", said)
+        for way, ratio in (("lower", 0.9), ("higher", 1.1)):
+            fresh = float(value) - 20 * np.log10(ratio) if field == "feedforward_db" else float(value) * ratio
+            change_nm = total(text.replace(old, f"{field} = {fresh}", 1)) - now
+            found = re.search(rf"10 % {way} (saves|costs) ([\d.e+]*)", row[2]) if row else None
+            if found:
+                told = float(found[2]) * (-1 if found[1] == "saves" else 1)
+                assert told == pytest.approx(change_nm, rel=6e-3)
+            elif name != "delay" or way == "lower":
+                assert abs(change_nm) <= 1e-3 * now
+    assert ("whose feedforward follows" in said) == (more == SCAN)
+    assert ("whose feedforward stays" in said) == ("feedforward_mass" in more)
+    saved = re.search(r"stage sensor at half its level saves ([\d.]+) nm", said)
+    halved = now - total(text.replace("0.3 nm/sqrt(Hz)", "0.15 nm/sqrt(Hz)"))
+    assert float(saved[1]) == pytest.approx(halved, rel=6e-3) if saved else halved <= 1e-3 * now
+
+
+def test_a_change_that_makes_the_loop_unstable_is_named(files, tmp_path):
     file = files["wafer-stage"]
-    lines = budget_file(str(file), out=str(tmp_path / "1"))
-    sensor = float(re.search(r"stage sensor at half its level saves ([\d.]+) nm", lines[2])[1])
-    way, bandwidth = re.search(r"bandwidth 10 % (lower|higher) saves ([\d.]+) nm", lines[2]).groups()
-    other = float(budget_file(change(file, ("0.3 nm", "0.15 nm")), out=str(tmp_path / "2")) and 0)
-    half = rms(budget_file(str(file), out=str(tmp_path / "3")))
-    assert other == 0 and rms(lines) - half == pytest.approx(sensor, abs=0.01)
-    ratio = 0.9 if way == "lower" else 1.1
-    change(file, ("0.15 nm", "0.3 nm"), ("bandwidth_hz = 80.0", f"bandwidth_hz = {80 * ratio}"))
-    assert rms(lines) - rms(budget_file(str(file), out=str(tmp_path / "4"))) == pytest.approx(
-        float(bandwidth), rel=0.1
-    )
+    text, low, high = file.read_text(), 80.0, 2000.0
+    while high > 1.02 * low:
+        hertz = float(np.sqrt(low * high))
+        file.write_text(text.replace("bandwidth_hz = 80.0", f"bandwidth_hz = {hertz}"))
+        try:
+            machine_of(read_toml(file)).network()
+            low = hertz
+        except InputError:
+            high = hertz
+    file.write_text(text.replace("bandwidth_hz = 80.0", f"bandwidth_hz = {low}"))
+    said = "\n".join(budget_file(str(file), out=str(tmp_path / "out")))
+    assert re.search(r"bandwidth 10 % lower saves [\d.e+]+ nm \(10 % higher is unstable\)", said)
 
 
 def test_the_level_that_is_said_to_matter_doubles_the_power(files, tmp_path):
@@ -210,16 +266,6 @@ def test_what_would_pass_unseen_or_unnamed_is_refused_by_its_name(old, fresh, sa
         budget_file(change(files["wafer-stage"], (old, fresh)), out=str(tmp_path / "out"))
 
 
-def test_ten_percent_more_of_a_number_saves_what_is_said(files, tmp_path):
-    """The bandwidth against a loud tone on the frame: the error follows a power of it over the whole step."""
-    file = files["wafer-stage"]
-    change(file, ('"10 mN"', '"10 N"'), ("tone_hz = 50.0", "tone_hz = 15.0"))
-    lines = budget_file(str(file), out=str(tmp_path / "1"))
-    saved = float(re.search(r"bandwidth 10 % higher saves ([\d.e+]+) nm", lines[2])[1])
-    more = budget_file(change(file, ("bandwidth_hz = 80.0", "bandwidth_hz = 88.0")), out=str(tmp_path / "2"))
-    assert saved == pytest.approx(rms(lines) - rms(more), rel=0.03)
-
-
 def add(file, *lines):
     file.write_text(file.read_text() + "\n" + "\n".join(lines) + "\n")
     entries = read_toml(file)
@@ -305,7 +351,7 @@ def test_a_stage_elsewhere_has_its_own_error(files, tmp_path):
 
 def test_only_what_has_a_path_is_asked_for(files, tmp_path):
     lines = budget_file(str(files["microscope-stage"]), out=str(tmp_path / "out"))
-    assert "floor sensor" not in "\n".join(lines) and "hardly matters" in "\n".join(lines)
+    assert "floor sensor: no source" not in "\n".join(lines) and "hardly matters" in "\n".join(lines)
 
 
 def test_the_bandwidth_that_an_unstable_loop_is_offered_is_stable(files, tmp_path):
@@ -317,8 +363,17 @@ def test_the_bandwidth_that_an_unstable_loop_is_offered_is_stable(files, tmp_pat
     assert rms(budget_file(str(file), out=str(tmp_path / "out"))) > 0
 
 
-def test_a_method_that_the_machine_lacks_leaves_what_is_said(files, tmp_path):
+SENSORS = "".join(
+    f'\n[sources."{kind} sensor"]\nplace = "{kind} sensor"\nwhite = "1e-5 m/s^2/sqrt(Hz)"\n'
+    for kind in ("frame", "floor")
+)
+
+
+@pytest.mark.parametrize("floor", ["VC-A", "VC-G"])
+def test_a_method_that_the_machine_lacks_leaves_what_is_said_with_its_sensors_noise(floor, files, tmp_path):
+    """A sensor whose method is not there moves nothing, so that both may stand in the file."""
     file = files["microscope-stage"]
+    change(file, ('"VC-A"', f'"{floor}"'), ("20 uN", "0.2 uN"), ("0.1 mN/", "1 uN/"))
     lines = "\n".join(budget_file(str(file), out=str(tmp_path / "1")))
     said = {
         name: float(
@@ -326,47 +381,17 @@ def test_a_method_that_the_machine_lacks_leaves_what_is_said(files, tmp_path):
         )
         for name in ("a skyhook of 0.6", "a feedforward of 20 dB", "both")
     }
+    assert "assumed: 1e-05 m/s^2/sqrt(Hz) at the frame sensor" in lines
+    file.write_text(file.read_text() + SENSORS)
+    assert "assumed" not in "\n".join(budget_file(str(file), out=str(tmp_path / "given")))
     change(file, ("skyhook_damping = 0.0", "skyhook_damping = 0.6"))
-    bought = budget_file(str(file), out=str(tmp_path / "2"))
-    assert rms(bought) == said["a skyhook of 0.6"]
-    assert "lacks a skyhook" not in "\n".join(bought)
+    assert rms(budget_file(str(file), out=str(tmp_path / "2"))) == said["a skyhook of 0.6"]
     change(file, ("feedforward_db = 0.0", "feedforward_db = 20.0"))
     bought = budget_file(str(file), out=str(tmp_path / "3"))
     assert rms(bought) == said["both"]
     assert "not present" not in "\n".join(bought)
     change(file, ("skyhook_damping = 0.6", "skyhook_damping = 0.0"))
     assert rms(budget_file(str(file), out=str(tmp_path / "4"))) == said["a feedforward of 20 dB"]
-
-
-@pytest.mark.parametrize(
-    "number", ["stage mass", "damping of the stage's modes", "remainder of the feedforward"]
-)
-def test_a_sensitivity_is_what_changed_files_give(files, tmp_path, number):
-    """A hundredth of the number more and less, written into the file, the exact totals of the library between them."""
-    errors = []
-    said = "\n".join(budget_file(str(files["wafer-stage"]), out=str(tmp_path / "out")))
-    for ratio in (0.99, 1.01):
-        file = tmp_path / f"{ratio}.toml"
-        file.write_text(files["wafer-stage"].read_text())
-        change(
-            file,
-            *{
-                "stage mass": (("stage_mass_kg = 20.0", f"stage_mass_kg = {20 * ratio}"),),
-                "damping of the stage's modes": (
-                    ("modes_damping = 0.01", f"modes_damping = {0.01 * ratio}"),
-                ),
-                "remainder of the feedforward": (
-                    ("feedforward_db = 20.0", f"feedforward_db = {20 - 20 * np.log10(ratio)}"),
-                ),
-            }[number],
-        )
-        entries = read_toml(file)
-        machine = machine_of(entries)
-        sources = sources_of(entries, "", tmp_path, 10000.0)
-        errors.append(float(error_budget(machine.network(), sources, (0.5, 2000.0)).rms[0]))
-    slope = np.log(errors[1] / errors[0]) / np.log(1.01 / 0.99)
-    found = float(re.search(rf"{number} 10 % \w+.*?sensitivity ([-+][\d.e-]+)", said)[1])
-    assert found == pytest.approx(slope, rel=0.02, abs=2e-4)
 
 
 @pytest.mark.parametrize("stated", ["V/sqrt(Hz)", "mN/sqrt(Hz)", "lbf"])

@@ -554,15 +554,6 @@ def test_what_limits_and_what_to_buy():
     )
     assert budget.saved(0.5)[1, 0] == pytest.approx(budget.rms[0] - half.rms[0])
 
-    def rms(level):
-        return control.error_budget(
-            network, [sources[0], white("sensor", "stage sensor", "m", level)], (1.0, 300.0)
-        ).rms[0]
-
-    assert control.sensitivities(rms, {"level": 1e-9})["level"] == pytest.approx(
-        budget.shares[1, 0], rel=1e-4
-    )
-
 
 def test_a_source_that_ends_in_the_band_shows_its_share_at_the_edge():
     network = machine(0).network()

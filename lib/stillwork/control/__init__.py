@@ -11,7 +11,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "c_code": ("adaptation_code", "controller_code"),
         "decoupling": ("decouple",),
         "digital": ("DigitalController", "as_libraries", "error_driven", "load_controller"),
-        "error_budget": ("Network", "Source", "error_budget", "sensitivities", "tone_response"),
+        "error_budget": ("Network", "Source", "error_budget", "tone_response"),
         "feedback": ("damping_gain",),
         "feedforward": (
             "Feedforward",

@@ -24,7 +24,6 @@ from stillwork.signals.moving_average import average_filter
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 PANELS = 5  # a decade, and beside each pole at the powers of this ratio times its width:
 RATIO = 2.2
-CHANGE = 0.01  # of a parameter to either side, relative
 # Squared correlation of Hann-windowed lines with themselves and with their next two neighbours.
 NEIGHBOURS = (1.0, 4 / 9, 1 / 36)
 KNOWN = 1e12  # degrees of freedom of what is known exactly, and Hz to which a density without an end is known
@@ -738,42 +737,6 @@ def _quadrature(
     edge = np.concatenate([[low], edge[np.diff(edge, prepend=low) > 1e-12 * edge], [high]])
     half = np.diff(edge) / 2
     return ((edge[:-1] + half)[:, None] + half[:, None] * NODES).ravel(), (half[:, None] * WEIGHTS).ravel()
-
-
-@checked
-def sensitivities(rms: Callable[..., Any], values: Mapping[str, float]) -> dict[str, float]:
-    """Relative change of the error by that of each parameter, d ln rms / d ln p, by central differences.
-
-    Parameters
-    ----------
-    rms : callable
-        The error as a function of the parameters, passed by name.
-    values : mapping of str to float
-        Values of the parameters, above 0: bandwidth, damping, mass, delay, level of a sensor.
-
-    Returns
-    -------
-    dict of str to float
-
-    Raises
-    ------
-    InputError
-        When a value is not above 0.
-
-    Examples
-    --------
-    >>> found = control.sensitivities(lambda mass, bandwidth: mass / bandwidth**2, {"mass": 2.0, "bandwidth": 40.0})
-    >>> round(found["bandwidth"], 6)
-    -2.0
-    """
-    found = {}
-    for name, value in values.items():
-        require_number(name, value, above=0.0)
-        ends = [
-            float(user_callback(rms)(**{**values, name: value * np.exp(sign * CHANGE)})) for sign in (-1, 1)
-        ]
-        found[name] = float(np.log(ends[1] / ends[0]) / (2 * CHANGE))
-    return found
 
 
 class BoxBand(NamedTuple):

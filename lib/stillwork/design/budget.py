@@ -1,7 +1,8 @@
 """The command ``budget``: how still a machine can be, what limits it and what to buy next, on one page."""
 
 import html
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from string import Template
 
@@ -26,7 +27,6 @@ from stillwork.control.error_budget import (
     Source,
     UnstableLoop,
     error_budget,
-    sensitivities,
     tone_response,
 )
 from stillwork.control.floor_machine import COMMANDS, DISTURBANCES, MEASUREMENTS, FloorMachine, force_law
@@ -87,6 +87,22 @@ OFFERED = {
     "a feedforward of 20 dB": {"feedforward": 0.9},
     "both": {"skyhook": 0.6, "feedforward": 0.9},
 }
+SENSORS = {"skyhook": "frame sensor", "feedforward": "floor sensor"}  # that a method needs
+# Numbers of a file that "what to buy next" changes: table, field, default.
+NUMBERS = {
+    "suspension frequency": ("machine", "suspension_hz", 0.0),
+    "passive damping": ("machine", "suspension_damping", 0.0),
+    "skyhook": ("controller", "skyhook_damping", 0.0),
+    "frame mass": ("machine", "frame_mass_kg", 0.0),
+    "delay": ("controller", "delay_samples", 1.0),
+    "remainder of the feedforward": ("controller", "feedforward_db", 0.0),
+    "damping of the stage's modes": ("machine", "modes_damping", 0.01),
+    "bandwidth": ("controller", "bandwidth_hz", 0.0),
+    "stage mass": ("machine", "stage_mass_kg", 0.0),  # at the same bandwidth
+}
+OF_DESIGN = ("delay", "damping of the stage's modes", "bandwidth", "stage mass")  # fixed by a design's folder
+WAYS = {"lower": 0.9, "higher": 1.1}
+SEEN = 1e-3  # of the error, which is printed to three digits: a smaller change is not shown
 COUNTS, NOTHING = (
     7.0,
     1e6,
@@ -147,11 +163,8 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
         When a source has another unit than its place, a file cannot be used, or the loop is unstable.
     """
     require_package("matplotlib")
-    entries = read_toml(machine)
-    built = machine_of(entries, design)
-    band = _band(entries)
-    rate_hz = 1 / built.sample_time if built.sample_time else 0.0
-    sources = sources_of(entries, floor, Path(machine).parent, rate_hz, built.stage_mass)
+    file = open_machine(machine, floor, design)
+    entries, built, sources, band = file.entries, file.machine, file.sources, file.band
     target = Path(out or ".") / f"{Path(machine).stem}.budget.html"
     if target.exists():
         raise InputError(f"{target} exists; move it away, or give another --out")
@@ -165,8 +178,8 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
         "where it comes from": _parts(budget),
         "while it moves": _moving(network, sources, band),
         "over the stage's positions": [] if design else _positions(entries, sources, band),
-        "what to buy next": purchases(built, sources, band, budget),
-        "what each method gives": waterfall(built, sources, band),
+        "what to buy next": purchases(file, budget),
+        "what each method gives": waterfall(file),
         "what is not known": _unknown(network, sources, band, budget),
     }
     body = [f"<h2>{title.capitalize()}</h2>\n{table([], each)}" for title, each in rows.items() if each]
@@ -179,6 +192,59 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
         *(f"{title}: {'; '.join(' '.join(row) for row in each)}" for title, each in rows.items() if each),
         f"written: {target}",
     ]
+
+
+@dataclass(frozen=True)
+class MachineFile:
+    """A machine's TOML: its machine, sources and band, with the files of floor and design that replace parts of it."""
+
+    entries: Table
+    folder: Path  # of the files that it names
+    floor: str = ""
+    design: str = ""
+
+    @cached_property
+    def machine(self) -> FloorMachine:
+        """As `machine_of` builds it."""
+        return machine_of(self.entries, self.design)
+
+    @cached_property
+    def sources(self) -> list[Source]:
+        """As `sources_of` reads them."""
+        time = self.machine.sample_time
+        return sources_of(
+            self.entries, self.floor, self.folder, 1 / time if time else 0.0, self.machine.stage_mass
+        )
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Hz."""
+        low, high = require_array("band_hz", self.entries.get("band_hz", [0.5, 2000.0]), shape=(2,))
+        return float(low), float(high)
+
+    def changed(self, name: str, ratio: float) -> "MachineFile | None":
+        """The file with a number of `NUMBERS` times `ratio`; None if it has no effect, or the design fixes it."""
+        where, field, default = NUMBERS[name]
+        value = _number(self.entries.table(where), field, default)
+        if field == "feedforward_db":  # the remainder is 10^(-dB/20)
+            fresh = value - 20 * np.log10(ratio) if value else 0.0
+        else:
+            fresh = value * ratio
+        sampled = bool(self.machine.sample_time)
+        if fresh <= 0 or (self.design and name in OF_DESIGN) or (name == "delay" and not sampled):
+            return None
+        if name == "damping of the stage's modes" and not self.machine.stage.damping.any():
+            return None
+        table_of = {**self.entries[where], field: fresh}
+        other = replace(self, entries=Table({**self.entries, where: table_of}, self.entries.where))
+        if name != "stage mass":  # the sources stay, and with them what was read from files
+            other.__dict__["sources"] = self.sources
+        return other
+
+
+def open_machine(file: str, floor: str = "", design: str = "") -> MachineFile:
+    """Read a machine's TOML."""
+    return MachineFile(read_toml(file), Path(file).parent, floor, design)
 
 
 def machine_of(entries: Table, design: str = "", position: str = "") -> FloorMachine:
@@ -254,11 +320,6 @@ def _what_would_be_stable(built: FloorMachine) -> str:
 
 def _number(entries: Table, name: str, default: float) -> float:
     return float(require_number(f"{entries.where}: {name}", entries.get(name, default)))
-
-
-def _band(entries: Table) -> tuple[float, float]:
-    low, high = require_array("band_hz", entries.get("band_hz", [0.5, 2000.0]), shape=(2,))
-    return float(low), float(high)
 
 
 def sources_of(entries: Table, floor: str, folder: Path, rate_hz: float, mass: float = 0.0) -> list[Source]:
@@ -481,78 +542,65 @@ def _parts(budget: ErrorBudget) -> list[list[str]]:
     return rows
 
 
-def purchases(
-    machine: FloorMachine, sources: list[Source], band: tuple[float, float], budget: ErrorBudget
-) -> list[list[str]]:
-    """Savings in nanometres, the largest first: each source at half its level, each number of the machine improved by 10 %."""
-    moving = {source.name for source in sources if source.places[0] == "setpoint"}
-    offers = [
-        (
-            saved,
-            f"{name}: half the error that its feedforward leaves"
-            if name in moving
-            else f"{name} at half its level",
-            share,
-        )
-        for name, saved, share in zip(budget.names, budget.saved()[:, 0], budget.shares[:, 0], strict=True)
+def purchases(file: MachineFile, budget: ErrorBudget) -> list[list[str]]:
+    """What a change saves (nm), the largest first: each source at half its level, each number of the file 10 % off.
+
+    Each number is changed in the file, either way, and the error computed again. What changes the error by less than
+    `SEEN` of it is left out.
+    """
+    now, offers = budget.rms[0], []
+    moving = {source.name for source in file.sources if source.places[0] == "setpoint"}
+    for name, saved in zip(budget.names, budget.saved()[:, 0], strict=True):
+        half = "half the error that its feedforward leaves" if name in moving else ""
+        offers.append((saved, f"{name}: {half}" if half else f"{name} at half its level", {"": now - saved}))
+    for name in NUMBERS:
+        found = {}
+        for way, ratio in WAYS.items():
+            if name == "delay" and ratio > 1:
+                continue  # a longer one is not an improvement to buy
+            changed = file.changed(name, ratio)
+            if changed:
+                found[f"10 % {way}"] = _error(changed.machine, changed.sources, file.band)
+        if found:
+            offers.append((now - min(found.values()), f"{name}{_following(file, name)}", found))
+    rows = []
+    for _, words, found in sorted(offers, key=lambda offer: -offer[0]):
+        ways = sorted(found, key=lambda way: found[way])
+        if any(abs(found[way] - now) > SEEN * now for way in ways):
+            told = [f"{way} {_changed(found[way] - now, now)}".strip() for way in ways]
+            rows.append([f"{len(rows) + 1}.", f"{words} {told[0]}", *(f"({each})" for each in told[1:])])
+    return rows
+
+
+def _changed(more: float, now: float) -> str:
+    if np.isinf(more):
+        return "is unstable"
+    if abs(more) <= SEEN * now:
+        return "changes nothing"
+    return f"{'saves' if more < 0 else 'costs'} {nanometres(abs(more))}"
+
+
+def _following(file: MachineFile, name: str) -> str:
+    """Whether the setpoint's feedforward assumes the changed mass."""
+    if name != "stage mass":
+        return ""
+    stated = [
+        "feedforward_mass_kg" in file.entries.table("sources").table(source.name)
+        for source in file.sources
+        if source.places[0] == "setpoint"
     ]
-    numbers = {
-        "suspension frequency": machine.suspension_hz,
-        "passive damping": machine.suspension_damping,
-        "skyhook": machine.skyhook,
-        "frame mass": machine.frame_mass,
-        "delay": machine.delay,
-        "remainder of the feedforward": 1 - machine.feedforward if 0 < machine.feedforward < 1 else 0.0,
-        "damping of the stage's modes": float(np.any(machine.stage.damping > 0)),
-    }
-    pid = isinstance(machine.controller, Pid)
-    if pid:
-        numbers["bandwidth"] = np.sqrt(machine.controller.gain)
-        numbers["stage mass"] = 1.0  # at the same bandwidth
-
-    def rms(**values: float) -> float:
-        values = {name.replace("_", " "): value for name, value in values.items()}
-        changed = replace(
-            machine,
-            suspension_hz=values["suspension frequency"],
-            suspension_damping=values["passive damping"],
-            skyhook=values.get("skyhook", 0.0),
-            frame_mass=values["frame mass"],
-            delay=values.get("delay", 0.0),
-            stage=replace(
-                machine.stage,
-                damping=machine.stage.damping * values.get("damping of the stage's modes", 1.0),
-                input_shapes=machine.stage.input_shapes / values.get("stage mass", 1.0),
-            ),
-        )
-        if "remainder of the feedforward" in values:
-            changed = replace(changed, feedforward=1 - values["remainder of the feedforward"])
-        if pid:
-            ratio = values["bandwidth"] / numbers["bandwidth"]
-            old = machine.controller
-            gains = (
-                old.gain * ratio**2 * values["stage mass"],
-                *(ratio * each for each in (old.integrator, old.differentiator, old.low_pass)),
-            )
-            changed = replace(changed, controller=type(old)(*gains))
-        return float(error_budget(changed.network(), sources, band).rms[0])
-
-    found = sensitivities(rms, {name.replace(" ", "_"): value for name, value in numbers.items() if value})
-    for name, slope in found.items():
-        if name == "delay" and slope < 0:
-            continue  # a longer one is not an improvement to buy
-        way = "lower" if slope > 0 else "higher"
-        saved = budget.rms[0] * (1 - (0.9 if slope > 0 else 1.1) ** slope)
-        offers.append((saved, f"{name.replace('_', ' ')} 10 % {way}", slope))
-    order = sorted(offers, key=lambda offer: -offer[0])
-    return [
-        [f"{place + 1}.", words, f"saves {nanometres(saved)}", f"sensitivity {slope:+.2g}"]
-        for place, (saved, words, slope) in enumerate(order)
-    ]
+    if not stated:
+        return ""
+    both = "of some stays as the file states" if any(stated) else "follows"
+    return f", whose feedforward {'stays as the file states' if all(stated) else both},"
 
 
-def waterfall(machine: FloorMachine, sources: list[Source], band: tuple[float, float]) -> list[list[str]]:
-    """The error of the passive machine, then with each of its methods in turn, and with those that it lacks."""
+def waterfall(file: MachineFile) -> list[list[str]]:
+    """The error of the passive machine, then with each of its methods in turn, and with those that it lacks.
+
+    A method that is offered comes with the noise of its sensor: that of the file, or the upper end of `TYPICAL`.
+    """
+    machine, sources, band = file.machine, file.sources, file.band
     steps = {
         "passive": {"skyhook": 0.0, "feedforward": 0.0},
         "skyhook": {"skyhook": machine.skyhook},
@@ -562,18 +610,32 @@ def waterfall(machine: FloorMachine, sources: list[Source], band: tuple[float, f
     for name, changed in steps.items():
         if name == "passive" or any(changed.values()):
             chosen |= changed
-            rows.append(
-                [
-                    name if name == "passive" else f"and {name}",
-                    _rms_of(replace(machine, **chosen), sources, band),
-                ]
-            )
+            left = _rms_of(replace(machine, **chosen), sources, band)
+            rows.append([name if name == "passive" else f"and {name}", left])
+    known = {place for source in sources for place in source.places}
     for words, changed in OFFERED.items():
-        if not any(getattr(machine, name) for name in changed):
-            left = _rms_of(replace(machine, **changed), sources, band)
-            corner = machine.integrator_hz if "feedforward" in changed else machine.skyhook_hz
-            rows.append([f"not present: {words}, acting above {corner:.3g} Hz, would leave", left])
+        if any(getattr(machine, name) for name in changed):
+            continue
+        assumed = [SENSORS[name] for name in changed if SENSORS[name] not in known]
+        noises = [white(f"its {place}", place, PLACES[place], TYPICAL[place][1]) for place in assumed]
+        left = _rms_of(replace(machine, **changed), [*sources, *noises], band)
+        corner = machine.integrator_hz if "feedforward" in changed else machine.skyhook_hz
+        row = [f"not present: {words}, acting above {corner:.3g} Hz, would leave", left]
+        if assumed:
+            levels = " and ".join(
+                f"{TYPICAL[place][1]:g} {PLACES[place]}/sqrt(Hz) at the {place}" for place in assumed
+            )
+            row.append(f"(assumed: {levels})")
+        rows.append(row)
     return rows
+
+
+def _error(machine: FloorMachine, sources: list[Source], band: tuple[float, float]) -> float:
+    """Rms of the error, m; infinite if the loop is unstable."""
+    try:
+        return float(error_budget(machine.network(), sources, band).rms[0])
+    except UnstableLoop:
+        return np.inf
 
 
 def _rms_of(machine: FloorMachine, sources: list[Source], band: tuple[float, float]) -> str:
