@@ -59,8 +59,7 @@ const here = {
     const judged = L.judge(L.makeLoop(found, design), design);
     return { design, words, stable: judged.stable, rigid: found.rigid, peak: (judged.box ?? judged.nominal).output_sensitivity.size };
   },
-  toml: B.controllerToml,
-  code: B.biquadCode,
+  controller: B.controllerJson,
 };
 
 const plain = (value) =>

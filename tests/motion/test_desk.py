@@ -1,6 +1,5 @@
 """The desk's modules, run by node, against this library's own loops and against SciPy; its page and its files."""
 
-import ctypes
 import json
 import re
 import shutil
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from shared.compiled import STRICT
 from stillwork import control, lti
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
@@ -22,8 +20,8 @@ from stillwork.control.machine_loops import HELD, OF_ERROR, observing_compensato
 from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import Uncertainty, make_box
 from stillwork.design.design import design_file
-from stillwork.design.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine, show_desk
-from stillwork.design.desk_page import STATIC, offline_page, script, shipped_machines, widget_module
+from stillwork.design.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine
+from stillwork.design.desk_page import STATIC, offline_page, script, shipped_machines
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine
@@ -291,7 +289,7 @@ def test_the_measurement_stands_for_the_plant(node):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3, 5, 8, 9])
 def test_what_leaves_the_desk_runs_as_the_library_runs_it(node, tmp_path, seed):
-    """The step of the desk, and of its controller.toml in the loop with the library's plant, is that of the library."""
+    """The step of the desk, and of its controller.json in the loop with the library's plant, is that of the library."""
     machine, loop, pid, design = drawn(seed)
     if loop.compensator.a.shape[0] == 0:
         compensator = constant(np.zeros((2, 2)), loop.sample_time)
@@ -306,12 +304,12 @@ def test_what_leaves_the_desk_runs_as_the_library_runs_it(node, tmp_path, seed):
             [
                 ("here", "step", own, design, samples),
                 ("here", "scan", own, design, 0.5 * ramp * loop.sample_time**2, ramp),
-                ("here", "toml", own, design),
+                ("here", "controller", own, design),
             ]
         )
     )
-    (tmp_path / "controller.toml").write_text(text, encoding="utf-8")
-    exported = load_controller(tmp_path / "controller.toml")
+    (tmp_path / "controller.json").write_text(text, encoding="utf-8")
+    exported = load_controller(tmp_path / "controller.json")
     scale = np.abs(run_loop(loop, ours, samples)).max()
     for position in (step["position"], run_loop(loop, exported, samples)):
         np.testing.assert_allclose(position, run_loop(loop, ours, samples), atol=1e-7 * scale)
@@ -420,15 +418,15 @@ def test_the_blocks_of_a_design_come_back(node, tmp_path):
         node(
             [
                 ("here", "responses", machine, found["design"], grid),
-                ("here", "toml", machine, found["design"]),
+                ("here", "controller", machine, found["design"]),
             ]
         )
     )
     controller = load_controller(written).linear.frequency_response(grid)[0, 0]
     sensitivity = 1 / np.abs(1 + controller * number(again["plant"]))
     np.testing.assert_allclose(again["functions"]["output_sensitivity"], sensitivity, rtol=1e-7)
-    (tmp_path / "controller.toml").write_text(exported, encoding="utf-8")
-    assert main(["export", str(tmp_path / "controller.toml"), "--out", str(tmp_path / "code")]) == 0
+    (tmp_path / "controller.json").write_text(exported, encoding="utf-8")
+    assert main(["export", str(tmp_path / "controller.json"), "--out", str(tmp_path / "code")]) == 0
     [refused] = node([("files.js", "designOfController", '{"format": "another"}', None)])
     assert "controller.json" in refused["error"]
 
@@ -501,45 +499,6 @@ def test_a_typed_number_is_one_number_or_none(node):
         assert why in each["error"]
 
 
-def test_jupyter_shows_the_same_modules_and_python_has_their_state(tmp_path):
-    """Without a front end, as in a build: what the desk sends is set by hand, as the kernel gets it."""
-    desk, module = show_desk(rate=5e3), widget_module()
-    assert desk.machines == [machine_to_begin_with(rate=5e3)] and desk.machine == "an example of 10 kg"
-    assert desk.design == desk.reached == {} and desk.controller == ""
-    for name in ("ui.js", "loop.js", "optimise.js", "export.js"):
-        start, end = (f'deskModules["{name}"] =', "})();")
-        own, page = (text.partition(start)[2].partition(f"\n{end}")[0] for text in (module, script()))
-        assert own == page != ""
-    assert 'deskModules["main.js"]' not in module and 'deskModules["widget.js"]' not in script()
-    assert not re.search(r"https?://(?!www.w3.org/)|fetch\(|XMLHttpRequest", module)
-    shown = desk._repr_mimebundle_()[0]
-    assert shown["text/plain"] == "Desk of an example of 10 kg: 0 blocks, not shown"
-    text = '[controller]\nrate_hz = 5000.0\ninputs = ["e (m)"]\noutputs = ["f (N)"]\nbiquads = [\n  [2.0, 0.0, 0.0, 1.0, 0.0, 0.0],\n]\n'
-    desk.set_state(
-        {
-            "design": {"blocks": [{"kind": "gain", "value": 2.0}], "limit": None},
-            "controller": text,
-            "reached": {"bandwidth_hz": 43.21},
-        }
-    )
-    (tmp_path / "controller.toml").write_text(desk.controller, encoding="utf-8")
-    assert load_controller(tmp_path / "controller.toml").model.sample_time == 1 / 5000
-    assert repr(desk) == "Desk of an example of 10 kg: 1 blocks, 43.21 Hz"
-    for wrong in ({"blocks": 3}, {"blocks": [{}]}, {"block": []}):
-        with pytest.raises(InputError, match="design must have"):
-            desk.design = wrong
-
-
-@pytest.mark.slow
-def test_the_module_of_jupyter_is_one(tmp_path):
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed, which reads the desk's module: apt-get install nodejs")
-    (tmp_path / "widget.mjs").write_text(widget_module(), encoding="utf-8")
-    command = f"import({json.dumps((tmp_path / 'widget.mjs').as_uri())}).then((m) => console.log(typeof m.default.render))"
-    done = subprocess.run(["node", "--input-type=module", "--eval", command], capture_output=True, text=True)
-    assert done.stdout.strip() == "function", done.stderr
-
-
 def test_a_name_cannot_end_the_script():
     machine = entry(Machine((EXAMPLE,), 10.0, "</script><b>"), {})
     text = offline_page([machine])
@@ -601,34 +560,18 @@ def test_a_bare_measurement_is_judged_as_what_it_is_below_its_lines(node, rigid)
     assert 3 < sum(unstable > 0 for _, unstable, _ in wanted) < 21
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("language", ["c99", "c++17"])
-def test_the_biquads_in_c_hold_a_missing_error(node, tmp_path, language):
-    """Before and after it they are SciPy's filter, of the errors that were there or stood for it."""
-    machine, _, _, design = drawn(4)
-    [text] = values(node([("here", "code", entry(machine, {}), design)]))
-    [rows] = values(node([("response.js", "biquads", design)]))
-    (tmp_path / "desk.c").write_text(text, encoding="utf-8")
-    compiler = "gcc" if language == "c99" else "g++"
-    if shutil.which(compiler) is None:
-        pytest.skip(f"{compiler} is not installed, which compiles what the desk writes")
-    flags = [f"-std={language}", *STRICT, "-shared", "-fPIC"]
-    files = [str(tmp_path / "desk.c"), "-o", str(tmp_path / "desk.so")]
-    subprocess.run([compiler, *flags, *files], check=True)
-    step = ctypes.CDLL(str(tmp_path / "desk.so")).controller_step
-    step.argtypes, step.restype = (ctypes.c_void_p, ctypes.c_double), ctypes.c_double
-    given = np.random.default_rng(3).standard_normal(60)
-    given[5], given[20:32], given[40] = (
-        np.nan,
-        np.inf,
-        1e308,
-    )  # held, missing for two samples too long, out of range
-    state = ctypes.create_string_buffer(16 * len(rows) + 64)
-    out = np.array([step(state, error) for error in given])
-    assert np.array_equal(out[29:32], out[[29, 29, 29]]) and out[40] == out[39] and np.isfinite(out).all()
-    given[5], given[20:30] = given[4], given[19]
-    taken = np.delete(np.arange(60), [30, 31, 40])
-    np.testing.assert_allclose(out[taken], signal.sosfilt(rows, given[taken]), rtol=1e-9)
+@pytest.mark.parametrize("name", ['**//\nint injected;/*"', "??/\n[controller]"])
+def test_a_name_brings_no_code_into_the_c(node, tmp_path, name):
+    """A machine's name out of a file stands in the controller's file, as text, and not in the C."""
+    design = {"blocks": [{"kind": "gain", "value": 2.0}, {"kind": "sampling", "rate_hz": 5e3}], "limit": 3.0}
+    [text] = values(node([("here", "controller", machine_to_begin_with() | {"name": name}, design)]))
+    (tmp_path / "controller.json").write_text(text, encoding="utf-8")
+    assert json.loads(text)["machine"] == name
+    assert main(["export", str(tmp_path / "controller.json"), "--out", str(tmp_path / "code")]) == 0
+    assert not any("injected" in file.read_text() for file in (tmp_path / "code").glob("*.[ch]"))
+    controller = load_controller(tmp_path / "controller.json")
+    assert controller.model.sample_time == 1 / 5000 and controller.high == -controller.low == 3.0
+    np.testing.assert_array_equal(controller.model.d, [[2.0]])
 
 
 @pytest.mark.slow
@@ -696,19 +639,3 @@ def test_a_machine_without_a_stable_first_design_says_so(node):
     late = machine_to_begin_with() | {"start": {"rate_hz": 4000.0, "delay_samples": 1.2e5}}
     (found,) = values(node([("here", "first", late)]))
     assert "next to no gain" in found["words"][0] and found["design"]["blocks"][0]["gain"] < 1e-5
-
-
-def test_a_design_is_changed_in_python():
-    desk, seen = show_desk(), []
-    desk.observe(lambda change: seen.append(change["new"]["blocks"][0]["value"]), "design")
-    desk.design = {"blocks": [{"kind": "gain", "value": 1e5}], "limit": None}
-    design = desk.design
-    design["blocks"][0]["value"] *= 0.5
-    assert desk.design["blocks"][0]["value"] == 1e5
-    desk.design = design
-    design["blocks"][0]["value"] = np.float32(3)
-    desk.design = design
-    assert seen == [1e5, 5e4, 3.0] and type(desk.design["blocks"][0]["value"]) is float
-    for wrong in ({"blocks": [1]}, {"blocks": ["kind"]}, {"blocks": [{"kind": "gain", "value": np.nan}]}):
-        with pytest.raises(InputError, match="design must"):
-            desk.design = wrong

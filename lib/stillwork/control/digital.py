@@ -716,7 +716,7 @@ def as_libraries(controller: DigitalController) -> LibraryObjects:
 
 @checked(infinite=True)
 def load_controller(file: str | Path) -> DigitalController:
-    """Read a controller from the JSON file that `design` writes, or from the table [controller] of a TOML file.
+    """Read a controller from the JSON file that `design` writes, or from a table ``controller`` in JSON or TOML.
 
     The table holds ``rate_hz`` and either ``biquads`` or ``a``, ``b``, ``c`` and ``d``; optionally ``inputs``,
     ``outputs``, ``low``, ``high``, ``delay_samples``, ``patience_samples`` and ``tracking_time_s``, the time of
@@ -746,11 +746,7 @@ def load_controller(file: str | Path) -> DigitalController:
     """
     file = Path(file)
     if file.suffix.lower() == ".toml":
-        try:
-            return _from_table(read_toml(file).table("controller"))
-        except InputError as error:
-            named = str(error) if file.name in str(error) else f"{file.name}: {error}"
-            raise InputError(named) from None
+        return _from_table(read_toml(file), file.name)
     try:
         entries = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
@@ -762,6 +758,8 @@ def load_controller(file: str | Path) -> DigitalController:
     if not isinstance(entries, dict):
         raise InputError(f"{file.name} is no controller; give the controller.json that design wrote")
     table = Table(entries, file.name)
+    if "controller" in table:
+        return _from_table(table, file.name)
     if table["format"] != FORMAT:
         raise InputError(
             f"{file.name}: format is {short_repr(table['format'])}; the supported format is {FORMAT!r}"
@@ -781,7 +779,14 @@ def load_controller(file: str | Path) -> DigitalController:
     return DigitalController(model, tuple(_list(table, "inputs")), tuple(_list(table, "outputs")), **read)
 
 
-def _from_table(table: Table) -> DigitalController:
+def _from_table(entries: Table, name: str) -> DigitalController:
+    try:
+        return _of_numbers(entries.table("controller"))
+    except InputError as error:
+        raise InputError(str(error) if name in str(error) else f"{name}: {error}") from None
+
+
+def _of_numbers(table: Table) -> DigitalController:
     sample_time = 1 / require_number("rate_hz", table["rate_hz"], above=0.0)
     if "biquads" in table:
         model = from_biquads(require_array("biquads", table["biquads"], shape=(None, 6)), sample_time)

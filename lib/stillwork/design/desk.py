@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from stillwork.base.checks import InputError, require_number
-from stillwork.base.extras import require_package
 from stillwork.control.machine_designs import UNCERTAINTY, stated_uncertainty
 from stillwork.control.uncertainty import NAMES, uncertainty_of
 from stillwork.design.desk_page import offline_page
@@ -48,41 +47,6 @@ def desk_file(file: str = "", out: str = "", **options) -> list[str]:
         *machine["notes"],
         f"written: {target}",
     ]
-
-
-def show_desk(file: str = "", **options):
-    """The desk for a machine in a Jupyter cell, with its state in Python; needs anywidget.
-
-    It consists of the same modules as the page that `desk_file` writes; nothing is loaded from elsewhere, and downloads go
-    to the browser.
-
-    Parameters
-    ----------
-    file : str
-        See `desk_file`; empty: an example.
-    **options
-        Other arguments of `desk_file` except `out`.
-
-    Returns
-    -------
-    stillwork.design.desk_widget.DeskWidget
-        Shown if it is the last line of a cell. `design`, `controller` and `reached` hold the present state of the desk.
-
-    Raises
-    ------
-    InputError
-        As `desk_file`.
-
-    Examples
-    --------
-    >>> from stillwork.design.desk import show_desk
-    >>> show_desk()
-    Desk of an example of 10 kg: 0 blocks, not shown
-    """
-    require_package("anywidget")
-    from stillwork.design.desk_widget import DeskWidget
-
-    return DeskWidget(machine_to_begin_with(file, **options))
 
 
 def machine_to_begin_with(

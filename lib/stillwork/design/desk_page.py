@@ -61,9 +61,9 @@ def machines_script(machines: Sequence[Mapping[str, Any]]) -> str:
 
 
 @cache
-def script(start: str = "main.js") -> str:
-    """A module and all that it imports in one script, each in a function of its own, those that others import first."""
-    sources, imported, wanted = {}, {}, [start]
+def script() -> str:
+    """All modules in one script, each in a function of its own, those that others import first."""
+    sources, imported, wanted = {}, {}, ["main.js"]
     while wanted:
         name = wanted.pop()
         sources[name] = (STATIC / name).read_text(encoding="utf-8")
@@ -71,13 +71,6 @@ def script(start: str = "main.js") -> str:
         wanted += [each for each in imported[name] if each not in sources]
     parts = [_scoped(name, sources[name]) for name in TopologicalSorter(imported).static_order()]
     return '"use strict";\nconst deskModules = {};\n' + "\n".join(parts)
-
-
-@cache
-def widget_module() -> str:
-    """The module of JavaScript that Jupyter loads for the desk in a cell: its `render` takes anywidget's model and element."""
-    given = f"{json.dumps(body())}, {json.dumps(style())}"
-    return f'{script("widget.js")}\nexport default {{ render: (view) => deskModules["widget.js"].render(view, {given}) }};\n'
 
 
 def _scoped(name: str, text: str) -> str:

@@ -17,7 +17,7 @@ ADAPTATIONS = {"FeRls": FeRls, "FeLms": FeLms}
 def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
     """Write the content of `file` as C99 into a new or empty folder; returns a line that lists what was written.
 
-    The file is ``controller.json`` of the command ``design``; or TOML with a table [controller], see
+    The file is ``controller.json`` of the command ``design`` or of the desk; or TOML with a table [controller], see
     `stillwork.control.load_controller`, or [FeRls] or [FeLms] with their settings, ``actuators`` and ``regressors``.
     """
     table = read_toml(file) if file.lower().endswith(".toml") else Table({"controller": None}, file)

@@ -1,14 +1,10 @@
-// What leaves the desk: controller.toml for `stillwork export`, C99 of the biquads, the design as text.
+// What leaves the desk: controller.json for `stillwork export`, and the design as text.
 import { toDb } from "./complex.js";
 import { FUNCTIONS, SHOWN } from "./loop.js";
 import { makeObserver, product, zeros } from "./observer.js";
 import { BLOCKS, activeBlocks, biquads, integrators, timing } from "./response.js";
 
-const PATIENCE = 10; // samples for which a missing input is held, as in the C of `design`
-const number = (x) => (Number.isInteger(x) ? x.toFixed(1) : String(x));
-const list = (values) => `[${values.map(number).join(", ")}]`;
-const table = (m) =>
-  m.rows ? `[\n${Array.from({ length: m.rows }, (_, r) => `  ${list([...m.at.slice(r * m.cols, (r + 1) * m.cols)])},`).join("\n")}\n]` : "[]";
+const rows = (m) => Array.from({ length: m.rows }, (_, r) => [...m.at.slice(r * m.cols, (r + 1) * m.cols)]);
 
 // Time in which the integrator follows a limited force: the root of integral and differential time where there is a PID.
 export function trackingTime(design) {
@@ -77,111 +73,29 @@ export function observedController(machine, design) {
   return { a, b, c, d };
 }
 
-export function controllerToml(machine, design) {
+// The controller as a table that `export` turns into C: `rate_hz` and either biquads or state space.
+export function controllerJson(machine, design) {
   const { sampleTime, delay, observer } = timing(design);
   if (!sampleTime) throw new Error("a controller runs sampled: add a sampling block");
   const { position, drive } = machine.units;
-  const lines = [`# ${machine.name}, shaped at the desk; python -m stillwork export controller.toml --out DIR`, "[controller]"];
-  lines.push(`rate_hz = ${number(1 / sampleTime)}`, `inputs = ["e (${position})"]`, `outputs = ["f (${drive})"]`);
+  const controller = { rate_hz: 1 / sampleTime, inputs: [`e (${position})`], outputs: [`f (${drive})`] };
   if (observer && (observer.compensate || observer.damping > 0)) {
-    const whole = observedController(machine, design);
-    lines.push("# of two columns of b and d the first is e, the second the limited output beside what is fed forward");
-    for (const name of "abcd") lines.push(`${name} = ${table(whole[name])}`);
+    // Of two columns of b and d the first is e, the second the limited output beside what is fed forward.
+    for (const [name, values] of Object.entries(observedController(machine, design))) controller[name] = rows(values);
   } else {
-    lines.push(`biquads = [\n${biquads(design).map((row) => `  ${list(row)},`).join("\n")}\n]`);
+    controller.biquads = biquads(design);
   }
   const count = integrators(design);
+  // Integrators in a row would wind up at a limit.
   if (design.limit > 0 && count <= 1) {
-    lines.push(`low = ${number(-design.limit)}`, `high = ${number(design.limit)}`);
-    if (count) lines.push(`tracking_time_s = ${number(trackingTime(design))}`);
-  } else if (design.limit > 0) lines.push("# no limit: it has integrators in a row, which would wind up");
+    Object.assign(controller, { low: -design.limit, high: design.limit });
+    if (count) controller.tracking_time_s = trackingTime(design);
+  }
   const late = delay + Math.max(machine.delay_s || 0, 0) + sampleTime / 2;
   if (machine.model && !(machine.model.omega[0] > 0) && (design.move?.feedforward ?? true)) {
-    lines.push("[controller.motion]", `lag_s = ${number(late)}`, "[controller.motion.feedforward]", `acceleration = ${number(machine.mass)}`);
+    controller.motion = { lag_s: late, feedforward: { acceleration: machine.mass } };
   }
-  return `${lines.join("\n")}\n`;
-}
-
-export function biquadCode(machine, design, name = "controller") {
-  const { sampleTime, observer } = timing(design);
-  if (!sampleTime) throw new Error("a controller runs sampled: add a sampling block");
-  if (observer && (observer.compensate || observer.damping > 0)) {
-    throw new Error("biquads alone would leave the observer out: save controller.toml, and run `python -m stillwork export`");
-  }
-  const { position, drive } = machine.units, NAME = name.toUpperCase(), limit = design.limit > 0 ? design.limit : 0, rows = biquads(design);
-  const values = rows.map((row) => `    {${[...row.slice(0, 3), ...row.slice(4)].map(number).join(", ")}},`).join("\n");
-  const clamp = limit
-    ? `        if (value > ${NAME}_LIMIT) {\n            state->out = ${NAME}_LIMIT;\n        } else if (value < -${NAME}_LIMIT) {\n            state->out = -${NAME}_LIMIT;\n        } else {\n            state->out = value;\n        }\n`
-    : "        state->out = value;\n";
-  return `/* ${machine.name.replace(/\*\//g, "")}, shaped at the desk: error (${position}) to force (${drive}), every ${number(sampleTime)} s.
-   A missing error, not a number, is held for ${NAME}_PATIENCE samples; then, and out of range, output and states stay as
-   they were. A limited output winds its integrator up; the code that python -m stillwork export writes does not. */
-#include <math.h>
-#include <stddef.h>
-
-#ifdef __FAST_MATH__
-#error "missing numbers need IEEE arithmetic: compile without -ffast-math"
-#endif
-
-#define ${NAME}_SECTIONS ${rows.length}
-#define ${NAME}_PATIENCE ${PATIENCE}
-${limit ? `#define ${NAME}_LIMIT ${number(limit)}\n` : ""}
-typedef struct {
-    double memory[${NAME}_SECTIONS][2]; /* zero at the start, as all of it */
-    double error; /* the last that was there */
-    double out; /* the last that was given */
-    int missing; /* samples in a row */
-} ${name}_state;
-
-static const double ${name}_biquads[${NAME}_SECTIONS][5] = {/* b0, b1, b2, a1, a2 */
-${values}
-};
-
-#ifdef __cplusplus
-extern "C" {
-#endif
-
-double ${name}_step(${name}_state *state, double error);
-
-#ifdef __cplusplus
-}
-#endif
-
-double ${name}_step(${name}_state *state, double error)
-{
-    double next[${NAME}_SECTIONS][2];
-    double value;
-    double sum = 0.0;
-    size_t k;
-
-    if (isfinite(error)) {
-        state->error = error;
-        state->missing = 0;
-    } else if (state->missing < ${NAME}_PATIENCE) {
-        state->missing++;
-    } else {
-        return state->out;
-    }
-    value = state->error;
-    for (k = 0; k < ${NAME}_SECTIONS; k++) {
-        const double *section = ${name}_biquads[k];
-        const double *memory = state->memory[k];
-        const double out = section[0] * value + memory[0];
-
-        next[k][0] = section[1] * value - section[3] * out + memory[1];
-        next[k][1] = section[2] * value - section[4] * out;
-        sum += fabs(next[k][0]) + fabs(next[k][1]);
-        value = out;
-    }
-    if (isfinite(value) && isfinite(sum)) {
-        for (k = 0; k < ${NAME}_SECTIONS; k++) {
-            state->memory[k][0] = next[k][0];
-            state->memory[k][1] = next[k][1];
-        }
-${clamp}    }
-    return state->out;
-}
-`;
+  return `${JSON.stringify({ machine: machine.name, controller }, null, 1)}\n`;
 }
 
 // A bandwidth in words: a loop that stays below 0 dB has none.

@@ -1,6 +1,6 @@
 // The page: blocks to add, drag and type, and everything that follows from them, live.
 import { toDb } from "./complex.js";
-import { bandwidthText, biquadCode, controllerToml, designText } from "./export.js";
+import { bandwidthText, controllerJson, designText } from "./export.js";
 import { BELOW, DRIVE_UNITS, RESPONSE_UNITS, designOfController, machineOfJson, machineOfTable, measuredAlone } from "./files.js";
 import { FUNCTIONS, SHOWN, addPlace, boxSearch, judge, makeLoop } from "./loop.js";
 import { makeSearch, stableFirstDesign } from "./optimise.js";
@@ -33,12 +33,9 @@ const HANDLES = {
   low_pass_2: [{ x: "corner_hz", y: "damping", power: -1, label: "low-pass" }],
 };
 
-// `inside` is there where the desk is a part of another page, see widget.js: `kept` as of an address, and `changed`, which
-// is called with machine, design and result when nothing is being dragged. Keys, dropped files and address stay with that page.
-export function startDesk(root, machines, inside = null) {
-  const page = inside ? root : document, life = new AbortController(), { signal } = life;
+export function startDesk(root, machines) {
   const by = (name) => root.querySelector(`#desk-${name}`);
-  const focused = () => root.getRootNode().activeElement;
+  const focused = () => document.activeElement;
   const make = (tag, attributes = {}, ...children) => {
     const element = document.createElement(tag);
     for (const [name, value] of Object.entries(attributes)) {
@@ -50,7 +47,7 @@ export function startDesk(root, machines, inside = null) {
   };
   const completed = (each) => (each.model ? each : measuredAlone(each));
   machines = machines.map(completed);
-  const kept = inside ? inside.kept : fromAddress(location.hash);
+  const kept = fromAddress(location.hash);
   let machine = machines.find((each) => each.name === kept?.machine) ?? machines[0];
   // Beyond the bounds of the fields a number is still one that can be computed with; below zero it is not.
   const sound = (value, { low, high, whole }) => Number.isFinite(value) && (low > 0 ? value > 0 : value >= 0) && (!whole || (Number.isInteger(value) && value >= low && value <= high));
@@ -65,7 +62,7 @@ export function startDesk(root, machines, inside = null) {
   let history = makeHistory(begun.design);
   // A design whose machine is not on the page: it waits for its file.
   let waiting = machines.some((each) => each.name === kept?.machine) ? null : whole(kept);
-  const askForFile = () => waiting && say(`${inside ? "there is" : "the address holds"} a design for ${waiting.machine}: drop that file here again, and it is restored`);
+  const askForFile = () => waiting && say(`the address holds a design for ${waiting.machine}: drop that file here again, and it is restored`);
   let pinned = null, ghost = null, loops = new Map(), result = null, search = null, boxTimer = 0, dropped = null, shownUnits = "", timeAgain = 0, timed = "", turns = 0;
   let colours = palette(root);
   const plots = Object.fromEntries(ALTOGETHER.map((name) => [name, makePlot(by(name), { title: by(name).closest("figure").querySelector("figcaption").firstChild.textContent.trim(), equal: name === "nyquist" })]));
@@ -97,7 +94,6 @@ export function startDesk(root, machines, inside = null) {
       warn("");
     } catch (error) {
       warn(error.message);
-      if (history.now === history.settled) inside?.changed(machine, history.now, null);
       return;
     }
     const before = pinned ?? (history.now !== history.settled ? history.settled : null);
@@ -112,15 +108,9 @@ export function startDesk(root, machines, inside = null) {
     paint();
     showFigures();
     showHandles();
-    tell();
     root.dataset.milliseconds = (performance.now() - began).toFixed(2);
     clearTimeout(boxTimer);
     boxTimer = setTimeout(searchBox, IDLE);
-  }
-
-  // What was designed, once nothing is being dragged.
-  function tell() {
-    if (history.now === history.settled) inside?.changed(machine, history.now, result);
   }
 
   // The whole box, in slices, while nothing moves.
@@ -142,7 +132,6 @@ export function startDesk(root, machines, inside = null) {
       mine.box.exact = true;
       showFigures();
       describe();
-      tell();
     };
     loop.firstPlaces ??= loop.places.length;
     setTimeout(slice);
@@ -390,7 +379,6 @@ export function startDesk(root, machines, inside = null) {
 
   function remember() {
     if (waiting?.machine === machine.name) waiting = { ...waiting, design: history.now }; // its file is here: dropped again, it gets what is shown
-    if (inside) return;
     try {
       globalThis.history.replaceState(null, "", toAddress(machine.name, history.now));
     } catch {
@@ -770,7 +758,7 @@ export function startDesk(root, machines, inside = null) {
     const mine = search, own = machine, button = by("best");
     button.textContent = "Stop";
     const slice = () => {
-      const changed = machine !== own || history.now !== before || signal.aborted;
+      const changed = machine !== own || history.now !== before;
       let done = mine.stopped || changed;
       try {
         done = done || mine.step(14);
@@ -831,7 +819,7 @@ export function startDesk(root, machines, inside = null) {
   };
   by("undo").addEventListener("click", () => back("undo"));
   by("redo").addEventListener("click", () => back("redo"));
-  page.addEventListener("keydown", (event) => {
+  document.addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.altKey) return;
     const key = event.key.toLowerCase();
     if (key === "z" || key === "y") {
@@ -855,21 +843,20 @@ export function startDesk(root, machines, inside = null) {
     by("file").value = "";
   });
   for (const name of ["dragenter", "dragover"]) {
-    page.addEventListener(name, (event) => {
+    document.addEventListener(name, (event) => {
       event.preventDefault();
       root.classList.add("desk-dropping");
     });
   }
-  page.addEventListener("dragleave", (event) => root.contains(event.relatedTarget) || root.classList.remove("desk-dropping"));
-  page.addEventListener("drop", (event) => {
+  document.addEventListener("dragleave", (event) => root.contains(event.relatedTarget) || root.classList.remove("desk-dropping"));
+  document.addEventListener("drop", (event) => {
     event.preventDefault();
     root.classList.remove("desk-dropping");
     const [file] = event.dataTransfer.files;
     if (file) takeFile(file);
   });
   by("best").addEventListener("click", best);
-  by("toml").addEventListener("click", () => offer("controller.toml", () => controllerToml(machine, history.now)));
-  by("c").addEventListener("click", () => offer("controller.c", () => biquadCode(machine, history.now)));
+  by("controller").addEventListener("click", () => offer("controller.json", () => controllerJson(machine, history.now)));
   by("text").addEventListener("click", () => offer("design.txt", () => designText(machine, history.now, result)));
   by("link").addEventListener("click", async () => {
     try {
@@ -898,25 +885,21 @@ export function startDesk(root, machines, inside = null) {
     plot.canvas.addEventListener("pointermove", over);
     plot.canvas.addEventListener("pointerleave", over);
   }
-  const resize = () => {
+  addEventListener("resize", () => {
     Object.values(plots).forEach((plot) => plot.resize());
     request();
-  };
-  addEventListener("resize", resize, { signal });
-  const schemeChanged = () => {
+  });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     colours = palette(root);
     request();
-  };
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", schemeChanged, { signal });
-  // A design of a machine, {machine, design} and perhaps the `whole` machine, from outside: from the address, or from the page that the desk is part of.
+  });
+  // A design of a machine, {machine, design}, from the address.
   function take(found) {
     if (!usable(found.design)) {
       say(REFUSED);
-      if (result) tell();
       return;
     }
     if (JSON.stringify(found.design) === JSON.stringify(history.settled)) return;
-    if (found.whole && !machines.some((each) => each.name === found.machine)) machines.push(completed(found.whole));
     const other = machines.find((each) => each.name === found.machine);
     waiting = other ? null : found;
     if (!other) askForFile();
@@ -927,15 +910,7 @@ export function startDesk(root, machines, inside = null) {
     const found = whole(fromAddress(location.hash));
     if (found) take(found);
   };
-  if (inside) by("link").hidden = true;
-  else addEventListener("hashchange", fromHash, { signal });
-  const stop = () => {
-    life.abort();
-    clearTimeout(boxTimer);
-    cancelAnimationFrame(frame);
-    result = null;
-  };
-
+  addEventListener("hashchange", fromHash);
   Object.values(plots).forEach((plot) => plot.resize());
   showMachine();
   showBlocks();
@@ -945,5 +920,5 @@ export function startDesk(root, machines, inside = null) {
   if (kept && !whole(kept)) say(REFUSED);
   askForFile();
   root.dataset.ready = "yes";
-  return { get result() { return result; }, get design() { return history.now; }, hold, settle, refresh, take, resize, stop };
+  return { get result() { return result; }, get design() { return history.now; }, hold, settle };
 }
