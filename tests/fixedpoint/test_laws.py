@@ -1,7 +1,5 @@
 """Laws beside the fixed point and the filter of all coordinates: numpy twins, closed forms, energy, a solver."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -12,20 +10,18 @@ from stillwork.base.checks import InputError
 from stillwork.control import (
     Controller,
     DisturbanceObserver,
-    FixedPointStepper,
     JointKalman,
     KinematicDesign,
     Mechanism,
     SlotineLi,
     asin_trajectory,
-    fixed_point_code,
     regressor,
     simulate_adaptive,
     simulate_mechanism,
 )
 from stillwork.control.fixed_point_linear import linear_loop
 from stillwork.control.transformation import RobustTransformation
-from stillwork.estimation import ExtendedKalman, LowPass, Plant
+from stillwork.estimation import ExtendedKalman, LowPass
 from stillwork.estimation.coordinate_filters import MovingWindow
 from stillwork.estimation.filtering import UNIT_MASS
 
@@ -251,17 +247,10 @@ def test_what_they_are_not_made_for_is_refused(arm, short):
     for each, word in ((observer, "DisturbanceObserver"), (joint, "JointKalman")):
         with pytest.raises(InputError, match=word):
             linear_loop(arm.exact, each, DT, [0.0, 0.0], [0.0, 0.0])
-    with pytest.raises(InputError, match="DisturbanceObserver"):
-        fixed_point_code(observer, DT, "c")
-    with pytest.raises(InputError, match=r"^signal_filter\b"):
-        fixed_point_code(joint, DT, "c")
     with pytest.raises(InputError, match=r"^noise_deviation\b"):
         JointKalman(arm.approximate, noise_deviation=np.array([1e-4, 0.0]))
     with pytest.raises(InputError, match=r"^disturbance_step has shape \(3,\)"):
         JointKalman(arm.approximate, disturbance_step=np.ones(3))
-    slide = Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
-    with pytest.raises(InputError, match="JointKalman of 2 coordinates"):
-        FixedPointStepper(replace(joint, model=slide), DT)
     with pytest.raises(InputError, match=r"^gain\b"):
         DisturbanceObserver(1.5)
     with pytest.raises(InputError, match=r"^initial_deviation\b"):
