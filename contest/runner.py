@@ -24,7 +24,6 @@ import numpy as np
 
 from contest.nominal import NominalModel, NominalNoise, TuningParameter
 from stillwork.base.checks import InputError
-from stillwork.base.kernel_folder import FOLDER_VARIABLE
 
 CPU_SECONDS = 60  # that a scan may take, with its start
 PATIENCE = 10  # seconds of the clock for each of them: a busy machine is not the observer's fault
@@ -139,7 +138,7 @@ class ExternalObserver:
         self.folder = tempfile.TemporaryDirectory(prefix="observer-")
         environment = {"PATH": SYSTEM_PATH, "LANG": "C.UTF-8", "PYTHONPATH": str(LIBRARY)}
         own = "/tmp" if self.isolated else self.folder.name
-        environment |= dict.fromkeys(("HOME", "TMPDIR", "NUMBA_CACHE_DIR", FOLDER_VARIABLE), own)
+        environment |= dict.fromkeys(("HOME", "TMPDIR", "NUMBA_CACHE_DIR"), own)
         environment |= dict.fromkeys(
             ("PYTHONDONTWRITEBYTECODE", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
         )

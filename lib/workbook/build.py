@@ -3,12 +3,10 @@
 import contextlib
 import math
 import os
-import shutil
 import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-from stillwork.base.kernel_folder import cache_folder
 from workbook import paths
 from workbook.execution import Failure, Job, Outcome, execute, sweep
 from workbook.inputs import ENVIRONMENT, changes, environment_inputs, still, with_ledger
@@ -134,8 +132,6 @@ def _publish(task: Task, outcome: Outcome, made_from) -> Failure | None:
         kept = {name: still(name, value) for name, value in outcome.reads.items()}
         now = {name: value for name, value in kept.items() if value is not None}
         if different := changes(outcome.reads, now):
-            # What was compiled from such a library may lie beside code that did not change.
-            shutil.rmtree(cache_folder(), ignore_errors=True)
             return Failure("inputs", f"not as the kernel read them: {_short(different)}; build again")
         record = provenance(task.notebook, task.settings, inputs, outcome.software, made_from)
         files = {**outcome.files, "provenance.json": record, task.executed.name: outcome.executed}

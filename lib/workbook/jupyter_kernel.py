@@ -7,7 +7,6 @@ import threading
 from pathlib import Path
 
 import stillwork
-from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
 from workbook import paths
 from workbook.pinned import environment
 from workbook.warm import PROGRAM, ForkServer
@@ -49,7 +48,6 @@ def kernel_environment(folder: Path, output: Path) -> dict[str, str]:
         **environment(),
         paths.OUTPUT_VARIABLE: str(output),
         paths.ROOT_VARIABLE: str(paths.root()),
-        FOLDER_VARIABLE: cache_folder(),
         "IPYTHONDIR": str(folder / "ipython"),  # no user's startup files
         # Machine code of functions in cells is kept there, by their own source alone: nothing of another build.
         "XDG_CACHE_HOME": str(folder / "cache"),

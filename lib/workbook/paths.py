@@ -8,10 +8,9 @@ from functools import cache
 from pathlib import Path
 
 from stillwork.base.checks import InputError, nearest, require_number, short_repr
-from stillwork.base.kernel_folder import ROOT_VARIABLE
 from stillwork.base.toml_files import read_toml
 
-OUTPUT_VARIABLE = "STILLWORK_OUTPUT"
+OUTPUT_VARIABLE, ROOT_VARIABLE = "STILLWORK_OUTPUT", "STILLWORK_ROOT"
 
 
 def root() -> Path:

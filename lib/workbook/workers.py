@@ -8,7 +8,6 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import wait
 
 from stillwork.base.checks import InputError
-from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
 from workbook.pinned import environment
 
 ANSWER_S = 5.0  # within which a scheduler responds
@@ -45,7 +44,7 @@ def processes(jobs: int):
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
     # The processes, which start when they are needed, get it from here.
-    _become({**environment(), FOLDER_VARIABLE: cache_folder()})
+    _become(environment())
     try:
         with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent) as pool:
             try:

@@ -78,7 +78,7 @@ def test_every_variable_that_the_packages_read_has_its_line():
 
 
 def test_what_is_cleared_is_not_there_and_the_rest_is_as_the_table_says(monkeypatch):
-    for name in ("NUMBA_CACHE_DIR", "NUMBA_", "OMP_DISPLAY_ENV", "PYTHONSTARTUP", "LC_ALL", "MATPLOTLIBRC"):
+    for name in ("NUMBA_CPU_NAME", "NUMBA_", "OMP_DISPLAY_ENV", "PYTHONSTARTUP", "LC_ALL", "MATPLOTLIBRC"):
         monkeypatch.setenv(name, "odd")
     for name in ("PYTHONPATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "LABORATORY", "HOME"):
         monkeypatch.setenv(name, "mine")

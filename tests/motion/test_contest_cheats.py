@@ -108,7 +108,7 @@ CHEATS = {
     """,
     "the environment": """
         return len(set(os.environ) - {"PATH", "LANG", "PYTHONPATH", "HOME", "TMPDIR", "PYTHONDONTWRITEBYTECODE", "PWD",
-            "NUMBA_CACHE_DIR", "STILLWORK_KERNELS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS",
+            "NUMBA_CACHE_DIR", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS",
             "OLDPWD", "SHLVL", "_"})
     """,
     "a table written beside the packages": """

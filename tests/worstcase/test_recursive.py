@@ -6,17 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from naive import worstcase as naive
-from stillwork.base import kernels
 from stillwork.base.checks import InputError
 from stillwork.estimation import (
-    FeLms,
-    FeRls,
     LeastSquares,
     MinMax,
-    identify,
     min_max_solve,
-    online,
-    recursive_settings,
     run,
 )
 from stillwork.estimation.min_max import ZeroEstimateWarning
@@ -334,22 +328,3 @@ def test_estimates_do_not_depend_on_the_unit(update, unit):
 def test_bad_input_is_named(make, message):
     with pytest.raises(InputError, match=message):
         make()
-
-
-@pytest.mark.parametrize("kind", [MinMax(0.5, 0.9), MinMax(0.5, 0.9, "approximate"), LeastSquares(0.9), Ridge(0.3, 0.9), FeRls(1.0), FeRls(1.0, form="UD"), FeLms(0.1)])  # fmt: skip
-def test_a_short_record_is_run_by_python_before_its_kernel_is_compiled(kind, monkeypatch):
-    rows = np.random.default_rng(8).normal(size=(3, 40))
-    adaptive = isinstance(kind, FeRls | FeLms)
-
-    def found():
-        if adaptive:
-            return identify(kind, rows, rows[:1] + rows[1:2]).weights
-        return run(kind, rows, rows[0]).estimates
-
-    compiled = found()
-    for module in (online, recursive_settings):
-        monkeypatch.setattr(module, "kernel_for", lambda dispatcher, *_: kernels.uncompiled(dispatcher))
-    assert found() == pytest.approx(compiled, rel=1e-12, abs=1e-12)
-    monkeypatch.undo()
-    fresh = kernels.numba.njit(lambda x: x)
-    assert kernels.kernel_for(fresh, 1, 10.0) is not fresh and kernels.kernel_for(fresh, 1, 1e7) is fresh

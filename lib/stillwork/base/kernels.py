@@ -1,25 +1,41 @@
-"""The one place for compile flags of per-sample kernels and callbacks."""
+"""The one place for compile flags of per-sample kernels and callbacks, and for where their machine code is kept.
+
+Numba keeps machine code by the file of a function, and goes on with the old one after a change of what the function
+calls in another file. In a checkout its folder is therefore named by a digest of all files that hold kernels: a change of
+any of them compiles all anew.
+"""
 
 import contextlib
+import hashlib
 import inspect
-import os
-import sys
-from collections import defaultdict
 from collections.abc import Callable
 from functools import cache
-from types import FunctionType
+from pathlib import Path
 
 import numba
-import numpy as np
-from numba.core.ccallback import CFunc
-from numba.core.sigutils import normalize_signature
 
 from stillwork.base.checks import InputError
-from stillwork.base.kernel_cache import CodeCache, KernelCache
 
 # No fast-math: reordered sums break the symmetry that recursive least squares rests on.
 ARITHMETIC = {"error_model": "numpy"}
 FLAGS = {"nogil": True, **ARITHMETIC}
+ROOT = Path(__file__).parents[3]  # of a checkout
+FOLDERS = ("lib", "notebooks", "contest")  # of it, that hold kernels
+
+
+def kernels_digest(root: Path) -> str:
+    """Digest of all files of the checkout `root` that hold kernels, and of where they stand."""
+    digest = hashlib.sha256()
+    for file in sorted(each for folder in FOLDERS for each in (root / folder).rglob("*.py")):
+        source = file.read_bytes()
+        if b"_kernel" in source or b"base.kernels" in source or b"numba" in source:
+            digest.update(file.relative_to(root).as_posix().encode() + b"\0" + source)
+    return digest.hexdigest()[:16]
+
+
+if (ROOT / "data").is_dir():
+    _folder = numba.config.CACHE_DIR or ROOT / "build" / "kernels"  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(Path(_folder, kernels_digest(ROOT)))  # type: ignore[attr-defined]
 
 
 def kernel(function):
@@ -52,71 +68,30 @@ def pasted_kernel(function):
 
 
 def _compiled(function, **options):
-    """Numba's dispatcher, with a cache of the package's own."""
+    """Numba's dispatcher. Kept on disk is what lies in the files that the folder is named by, or in an installed package."""
     function = inspect.unwrap(function)
-    compiled = numba.njit(**FLAGS, **options)(function)
-    if not numba.config.DISABLE_JIT:
-        KernelCache(function).serve(compiled)
-        _take_constants_as_numbers(compiled)
-    return compiled
+    if _is_kept(Path(function.__code__.co_filename)):
+        with contextlib.suppress(RuntimeError):  # nowhere to write to
+            return numba.njit(**FLAGS, **options, cache=True)(function)
+    return numba.njit(**FLAGS, **options)(function)
 
 
-def _take_constants_as_numbers(compiled):
-    """A constant in a call has a type of its own for numba: the kernel would be compiled once more for each."""
-    template_of = compiled.get_call_template
-
-    def get_call_template(arguments, options):
-        plain = tuple(numba.types.unliteral(each) for each in arguments)
-        return template_of(plain, {name: numba.types.unliteral(each) for name, each in options.items()})
-
-    compiled.get_call_template = get_call_template
-
-
-SHORT = 1e6  # elementary operations, for which Python takes about as long as a kernel takes to compile
-CALL = 100  # of them that a sample takes beside its own
-_done: defaultdict = defaultdict(float)  # by Python, of each kernel
-
-
-def kernel_for(dispatcher, samples: int, operations: float):
-    """The kernel; or its Python, until that has taken as long as to compile the kernel, where it is not compiled yet."""
-    if not hasattr(dispatcher, "py_func") or dispatcher.overloads:
-        return dispatcher
-    _done[dispatcher] += samples * (CALL + operations)
-    if _done[dispatcher] > SHORT:
-        return dispatcher
-    index = getattr(getattr(dispatcher._cache, "_cache_file", None), "_index_path", "")
-    return dispatcher if os.path.exists(index) else uncompiled(dispatcher)
-
-
-@cache
-def uncompiled(dispatcher) -> Callable:
-    # the same code, in which kernels are Python functions as well
-    function = dispatcher.py_func
-    names = {
-        name: uncompiled(value)
-        for name, value in function.__globals__.items()
-        if name in function.__code__.co_names and hasattr(value, "py_func")
-    }
-    python = FunctionType(function.__code__, function.__globals__ | names, closure=function.__closure__)
-    return np.errstate(all="ignore")(python)
+def _is_kept(file: Path) -> bool:
+    return any(
+        file.is_relative_to(folder)
+        for folder in (Path(__file__).parents[1], *(ROOT / each for each in FOLDERS))
+    )
 
 
 @cache
 def callback(function: Callable, signature: str):
-    """Compile a function of a reader's own to a C callback, cached beside the file that defines it.
+    """Compile a function of a reader's own to a C callback, once in every process.
 
     All callbacks of one signature have one type, so a kernel that calls them is compiled once for every function.
-    A function typed at a prompt, or of a module that ``sys.modules`` does not hold, is
-    compiled anew in every process.
     """
     function = inspect.unwrap(function)
-    compiled = CFunc(function, normalize_signature(signature), locals={}, options=ARITHMETIC)
-    if function.__module__ in sys.modules:  # else no other process could read the cache
-        with contextlib.suppress(RuntimeError):  # typed at a prompt: no file to cache beside
-            CodeCache(function).serve(compiled)
     try:
-        compiled.compile()
-        return compiled
+        return numba.cfunc(signature, **ARITHMETIC)(function)
     except numba.core.errors.NumbaError as error:
         raise InputError(
             f"{function.__name__} cannot be compiled; use only numbers, loops, math and numpy in it, "

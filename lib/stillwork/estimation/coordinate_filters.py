@@ -14,13 +14,11 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Count, NonNegative, Positive, at_least
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.kernels import kernel_for
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.extended import plant_extended_step
 from stillwork.estimation.filter_step import (
     EXTENDED,
     LOW_PASS,
-    OPERATIONS,
     SAVITZKY_GOLAY,
     UNSCENTED,
     WINDOW,
@@ -227,15 +225,8 @@ class _KalmanFilter:
         advance = plant_unscented_step if kind == UNSCENTED else plant_extended_step
         acceleration, _, parameters = self.plant.compiled
         given = acceleration, parameters, sample_time, measured, force
-
-        def step_by(run) -> tuple[bool, np.ndarray, np.ndarray]:
-            estimate, work = state.estimate.copy(), state.work.copy()
-            return run(options, process, noise, work, *given, estimate), estimate, work
-
-        try:
-            definite, estimate, work = step_by(kernel_for(advance, 1, OPERATIONS))
-        except (ArithmeticError, ValueError):  # of a model: compiled it goes on with NaN or infinity
-            definite, estimate, work = step_by(advance)
+        estimate, work = state.estimate.copy(), state.work.copy()
+        definite = advance(options, process, noise, work, *given, estimate)
         if not (definite and np.isfinite(estimate).all()):
             raise InputError(
                 "the covariance stops being positive definite, or the estimate finite; raise process or noise, or check "

@@ -17,7 +17,6 @@ from stillwork.base.validation import checked
 from stillwork.estimation.extended import plant_extended_step
 from stillwork.estimation.unscented import plant_unscented_step
 
-OPERATIONS = 400  # of a sample in the unscented filter, which takes most
 WINDOW, LOW_PASS, UNSCENTED, EXTENDED, SAVITZKY_GOLAY = range(5)
 
 

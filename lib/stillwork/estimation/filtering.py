@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_finite_run
-from stillwork.base.kernels import borrowing_kernel, kernel_for
+from stillwork.base.kernels import borrowing_kernel
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
@@ -15,7 +15,7 @@ from stillwork.estimation.coordinate_filters import (
     UnscentedKalman,
     require_sample_time,
 )
-from stillwork.estimation.filter_step import OPERATIONS, filter_step
+from stillwork.estimation.filter_step import filter_step
 from stillwork.estimation.plant import Plant
 
 
@@ -79,14 +79,7 @@ def filter_signal(
     force = np.zeros_like(measured) if force is None else require_array("force", force, shape=measured.shape)
     estimates = np.empty((len(measured), 3))
     given = *model_of(signal_filter), measured, force, float(sample_time)
-
-    def run_by(run) -> int:
-        return run(signal_filter.packed(), *given, np.array([0.0, start_velocity, 0.0]), estimates)
-
-    try:
-        done = run_by(kernel_for(filter_record, len(measured), OPERATIONS))
-    except (ArithmeticError, ValueError):  # of a model: compiled it goes on with NaN or infinity
-        done = run_by(filter_record)
+    done = filter_record(signal_filter.packed(), *given, np.array([0.0, start_velocity, 0.0]), estimates)
     if done < len(measured):
         raise InputError(
             f"the filter's covariance stops being positive definite at sample {done}; "

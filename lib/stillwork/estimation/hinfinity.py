@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.algebra import add_square, condition, congruence, copy_matrix, measure, take_in_turn
 from stillwork.base.bounds import Positive, within
 from stillwork.base.checks import InputError, require_array
-from stillwork.base.kernels import kernel, kernel_for
+from stillwork.base.kernels import kernel
 from stillwork.base.validation import checked
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
@@ -81,8 +81,7 @@ def _attempts(model, gain: np.ndarray | None = None, covariance: np.ndarray | No
     a, g, c = (np.ascontiguousarray(each) for each in (model.a, g, c))
 
     def attempt(wanted):
-        run = kernel_for(_riccati, samples, states**2 * (2 * states + len(wanted) + outputs))
-        return run(a, g, c, np.ascontiguousarray(wanted), gain, covariance)
+        return _riccati(a, g, c, np.ascontiguousarray(wanted), gain, covariance)
 
     return attempt
 

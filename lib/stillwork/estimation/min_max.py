@@ -9,7 +9,6 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Matrix, NonNegative, Vector
-from stillwork.base.kernels import kernel_for
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.secular import CASES, ROUNDING, ZERO, min_max_root, require_problem, spectrum
 
@@ -123,8 +122,7 @@ def _in_units(matrix, target) -> tuple[np.ndarray, np.ndarray, tuple[float, floa
 def _solved(parts, rows, bound):
     # in units of the data: what `min_max_root` gives, and the estimate
     eigenvalues, coefficients, excess, right = parts
-    run = kernel_for(min_max_root, 10, 10 * len(eigenvalues))
-    found = run(eigenvalues, coefficients, excess, bound, rows * ROUNDING)
+    found = min_max_root(eigenvalues, coefficients, excess, bound, rows * ROUNDING)
     return *found, right @ (np.sqrt(eigenvalues) * coefficients / (eigenvalues + found[1]))
 
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.algebra import copy_matrix, copy_vector, plus_row
 from stillwork.base.bounds import Count, Matrix
 from stillwork.base.checks import InputError, pluralise, require_array
-from stillwork.base.kernels import kernel, kernel_for
+from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_step
 
@@ -304,12 +304,10 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
 
 def _advance(settings, weights, recursion, *inputs, first: int = 0) -> tuple[int, bool]:
     """Run an algorithm over some samples, `weights` and `recursion` in place; see `run_ferls`."""
-    samples, n = inputs[0].shape
     if recursion is not None:
-        run = kernel_for(run_ferls, samples, n * (n + len(weights)))
-        return run(weights, recursion, *recursion[-2:], *inputs, first)
+        return run_ferls(weights, recursion, *recursion[-2:], *inputs, first)
     rates = settings.step_size, settings.regularisation, settings.trace_copies(len(weights))
-    return kernel_for(run_felms, samples, n * len(weights))(weights, *rates, *inputs), True
+    return run_felms(weights, *rates, *inputs), True
 
 
 def _not_definite(sample: int) -> UnstableAdaptation:

@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float64, Int64
 
 from stillwork.base.bounds import Fraction, NonNegative, Positive
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
-from stillwork.base.kernels import kernel_for
 from stillwork.base.validation import by_value, check_fields
 from stillwork.estimation.recursive_kernels import known_length, run_least_squares, run_min_max, run_ridge
 
@@ -165,8 +164,7 @@ class _MinMaxUpdate(_Recursion):
         """
         iterations = self.iterations if self.update == "approximate" else 0
         known = known_length(rows.shape[1], len(rows))
-        run = kernel_for(run_min_max, len(rows), 10 * rows.shape[1] ** 2)
-        run(known, rows, outputs, bounds, self._weight, iterations, *state, *track)
+        run_min_max(known, rows, outputs, bounds, self._weight, iterations, *state, *track)
 
     def _check(self) -> None:
         require_choice("update", self.update, UPDATES)
@@ -369,8 +367,7 @@ class LeastSquares(_Recursion):
         array([2.])
         """
         settings = float(self.forgetting), START, float(self.growth_limit)
-        run = kernel_for(run_least_squares, len(rows), rows.shape[1] ** 2)
-        run(rows, outputs, *settings, *state, *track[:2])
+        run_least_squares(rows, outputs, *settings, *state, *track[:2])
 
 
 @by_value
@@ -389,8 +386,7 @@ class Ridge(_Recursion):
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
         settings = float(self.penalty), float(self.forgetting)
-        run = kernel_for(run_ridge, len(rows), rows.shape[1] ** 2)
-        run(rows, outputs, *settings, *state, *track[:2])
+        run_ridge(rows, outputs, *settings, *state, *track[:2])
         track[2][:] = self.penalty
 
 

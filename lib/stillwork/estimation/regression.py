@@ -20,7 +20,6 @@ from stillwork.base.checks import (
     require_kind,
     require_number,
 )
-from stillwork.base.kernels import kernel_for
 from stillwork.estimation.adaptive import INFLATION, FeLms, FeRls
 from stillwork.estimation.covariance_forms import FORMS, factor_of
 from stillwork.estimation.online import run_felms, run_ferls
@@ -455,8 +454,7 @@ class LeastMeanSquares(UnweightedRegressor):
             unit = np.sqrt(np.where(largest[1:] > 0, largest[1:], 1.0))[:, None]
             rows, outputs = rows / unit, outputs / unit
         steps = settings.step_size, settings.regularisation, settings.trace_copies(1)
-        run = kernel_for(run_felms, len(rows), coef.size)
-        run(coef, *steps, *_record(rows, outputs), False)
+        run_felms(coef, *steps, *_record(rows, outputs), False)
         sums = state[2] + squares_of_features
         self._note_scales(sums)
         return (coef, largest[-1], sums, state[3] + len(rows)), coef
@@ -576,8 +574,7 @@ class RecursiveLeastSquares(WeightedRegressor):
             ahead = int(larger.argmax())
             last = first + ahead if larger[ahead] else len(squares)
             record = _record(rows[first:last], outputs[first:last])
-            run = kernel_for(run_ferls, len(record[0]), rows.shape[1] ** 2 + coef.size)
-            stopped, _ = run(coef, recursion, *recursion[-2:], *record, False, state[3] + first)
+            stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *record, False, state[3] + first)
             if stopped < len(record[0]):
                 raise InputError(
                     "initial_covariance, growth_limit and X together make the covariance indefinite; give a smaller "
@@ -594,10 +591,10 @@ class RecursiveLeastSquares(WeightedRegressor):
         for i in np.flatnonzero(rise > 0):
             if largest[i] == 0:
                 covariance[i, i], levels[0, i] = 0.0, np.inf
-            kernel_for(admit_start, 1, len(rise))(covariance, i, rise[i])
+            admit_start(covariance, i, rise[i])
             levels[0, i] = min(levels[0, i], recursion.allowance / INFLATION * START / squares[i])
         for i in np.flatnonzero((rise > 0) & (largest > 0)):
-            share = kernel_for(believe_start, 1, len(rise) ** 2)(covariance, i, rise[i], gain)
+            share = believe_start(covariance, i, rise[i], gain)
             coef += share * np.outer(start[:, i] - coef[:, i], gain)
         return recursion._replace(matrix=factor_of(FORMS[recursion.form], covariance), levels=levels)
 

@@ -14,7 +14,7 @@ from stillwork.base.checks import (
     require_array,
     require_samples,
 )
-from stillwork.base.kernels import kernel, kernel_for
+from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, check_fields, checked
 
 # A singular value (or a part of b outside the column space) below this share of the largest is rounding.
@@ -178,8 +178,7 @@ class SecularFunction:
 
     @property
     def _sums(self):
-        run = kernel_for(spectral_sums, 1, 10 * len(self.eigenvalues))
-        return run(self.eigenvalues, self.coefficients, self.excess)
+        return spectral_sums(self.eigenvalues, self.coefficients, self.excess)
 
     @checked
     def __call__(self, alpha: float | ArrayLike) -> np.ndarray | float:
@@ -248,8 +247,7 @@ class SecularFunction:
             )
         if start is None:
             start = float(self._sums[2] / (self.threshold / self.bound - 1))
-        run = kernel_for(secular_root, 10, 10 * len(self.eigenvalues))
-        return run(self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, start)
+        return secular_root(self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, start)
 
     def _terms(self, alpha):
         alpha = require_array("alpha", alpha)[..., None]

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import Converted, InputError, pluralise, require_array, require_finite_run
-from stillwork.base.kernels import kernel, kernel_for
+from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.estimation.gaussian import require_covariance
 
@@ -123,8 +123,7 @@ def estimate(
     u = require_array("u", u, shape=(len(y), inputs, samples))
     initial = np.zeros(states) if initial is None else require_array("initial", initial, shape=(states,))
     out = np.empty((len(y), states, samples))
-    run = kernel_for(_estimate, out[:, 0].size, states * (states + inputs + 2 * y.shape[1]))
-    run(gains.forward, gains.inputs, gains.gain, gains.outputs, u, y, initial, out)
+    _estimate(gains.forward, gains.inputs, gains.gain, gains.outputs, u, y, initial, out)
     require_finite_run("the estimate", out, "check the gains and the size of the record", axis=2)
     return out[0] if single else out
 

@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
-from stillwork.base.kernels import kernel_for
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_plain
 from stillwork.estimation.regression import WeightedRegressor
 from stillwork.estimation.secular import ROUNDING
@@ -211,8 +210,7 @@ class MinMaxRegressor(TriangleRegressor):
                 forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
             mass, coef = forgetting * mass + float(weights[0]), np.empty((outputs.shape[1], columns))
             row, bound = np.concatenate([rows[0], outputs[0]]), bounds.largest * self._growth(mass)
-            run = kernel_for(advance_min_max, 1, 60 * columns**3)
-            if run(
+            if advance_min_max(
                 corner,
                 row,
                 math.sqrt(forgetting),
