@@ -119,7 +119,6 @@ ODD = {
     "JUPYTER_RUNTIME_DIR": "/proc/none",
     "NBFORMAT_VALIDATOR": "jsonschema",
     "PYZMQ_BACKEND": "cython",
-    "NUMBA_CACHE_DIR": "{root}/numba",
     "NUMBA_CPU_NAME": "generic",
     "OPENBLAS_CORETYPE": "Prescott",
     "OPENBLAS_VERBOSE": "2",
