@@ -165,7 +165,7 @@ def _root(function, low, high):
 
 
 def judged_margins(loop, pid):
-    """The five numbers but the modulus margin, by the names of `enclose_margins`; None of an unstable loop."""
+    """First crossing and margins, by the names of `loop_margins`; none but the crossing of an unstable loop."""
     whole = control.closed_loop(
         loop.sampled_plant if loop.sample_time else loop.plant,
         loop.compensator,
@@ -186,7 +186,15 @@ def judged_margins(loop, pid):
             crossing = atan(float(at)) / (pi * loop.sample_time) if loop.sample_time else float(at) / (2 * pi)
         found = {"crossing_hz": crossing}
         if not stable:
-            return found | {"gain_reduction": 1.0, "gain_margin": 0.0, "phase_margin": 0.0}
+            lost = dict.fromkeys(("gain_margin", "phase_margin", "modulus_margin"), 0.0)
+            return found | lost | {"gain_reduction": 1.0}
+
+        def apart(x):
+            return (open_loop.exact(x)[1] + Complex(1)).square()
+
+        distance = np.abs(1 + output)
+        k = int(np.clip(np.nanargmin(distance), 1, len(w) - 2))
+        nearest = apart(_extreme(apart, w[k - 1], w[k + 1], -1)).sqrt()
         angles, factors = [pi], []
         if observed:
             passes = _crossings(lambda x: open_loop.exact(x)[1].square(), w, np.abs(output))
@@ -206,18 +214,5 @@ def judged_margins(loop, pid):
         "gain_reduction": max([0.0, *(each for each in factors if 0 < each < 1)]),
         "gain_margin": min([inf, *(each for each in factors if each > 1)]),
         "phase_margin": degrees(min(angles)),
+        "modulus_margin": float(nearest),
     }
-
-
-def differing(loop, pid, found):
-    """Names of the enclosures that miss, of those wider than a millionth, and of those that are not proven."""
-    judged = judged_margins(loop, pid)
-    unproven = [name for name, each in found.items() if not each.proven]
-    wide = [name for name, each in found.items() if each.proven and each.high > each.low * (1 + 1e-6)]
-    missed = [
-        name
-        for name, value in judged.items()
-        if found[name].proven
-        and not (found[name].low <= value * (1 + 1e-13) and value * (1 - 1e-13) <= found[name].high)
-    ]
-    return missed, wide, unproven

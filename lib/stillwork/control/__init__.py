@@ -26,7 +26,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "floor_machine": ("FloorMachine",),
         "joint_kalman": ("JointKalman",),
         "kinematics": ("KinematicDesign",),
-        "loop_enclosures": ("enclose_margins", "enclose_peaks"),
+        "loop_margins": ("loop_margins",),
         "loops": ("closed_loop",),
         "mechanism": ("Mechanism",),
         "pid": ("PidFamily",),

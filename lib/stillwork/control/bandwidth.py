@@ -732,6 +732,20 @@ def highest_peaks(loops: Sequence[Loop], controller: Pid, functions: Sequence[st
     return found
 
 
+@checked
+def around_poles(
+    loop: SearchLoop, poles: Complex128[np.ndarray, " states"]
+) -> Float64[np.ndarray, " frequencies"]:
+    """Frequencies (rad/s) at and around closed-loop poles, where a response may rise between the points of a grid."""
+    poles = poles[poles.imag >= 0]
+    offsets = np.abs(poles.real)[:, None] * np.concatenate([-WIDTHS, WIDTHS])
+    omega = np.concatenate([(poles.imag[:, None] + offsets).ravel(), np.abs(poles)])
+    low, high = loop.omega[0], loop.omega[-1]
+    if isinstance(loop, Loop):  # it is defined beyond its grid
+        low, high = 0.0, (1 - 1e-9) * np.pi / loop.sample_time if loop.sample_time else np.inf
+    return np.minimum(omega[omega > low], high)
+
+
 def _still(loop: SearchLoop, constraint: PeakConstraint, place: slice, controller) -> bool:
     """Whether another controller exceeds the constraint at the same point of the grid."""
     response = getattr(loop.within(controller, place), constraint.function)
@@ -780,13 +794,7 @@ class _Design:
     def _near(self, number: int) -> tuple[np.ndarray, Any]:
         """Frequencies at and around the closed-loop poles, and the response there."""
         loop, poles = self.loops[number], self._poles(number)
-        poles = poles[poles.imag >= 0]
-        offsets = np.abs(poles.real)[:, None] * np.concatenate([-WIDTHS, WIDTHS])
-        omega = np.concatenate([(poles.imag[:, None] + offsets).ravel(), np.abs(poles)])
-        low, high = loop.omega[0], loop.omega[-1]
-        if isinstance(loop, Loop):  # it is defined beyond its grid
-            low, high = 0.0, (1 - 1e-9) * np.pi / loop.sample_time if loop.sample_time else np.inf
-        omega = np.setdiff1d(np.minimum(omega[omega > low], high), loop.omega)
+        omega = np.setdiff1d(around_poles(loop, poles), loop.omega)
         return omega, loop.at(self.controller, omega) if len(omega) else None
 
     @_kept

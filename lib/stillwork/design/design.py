@@ -24,7 +24,7 @@ from stillwork.control.digital import (
     tied_to_error,
 )
 from stillwork.control.feedforward import motion_of
-from stillwork.control.loop_enclosures import proven_numbers
+from stillwork.control.loop_margins import computed_numbers
 from stillwork.control.loop_noise import SHARE
 from stillwork.control.machine_designs import (
     DELAY,
@@ -291,8 +291,8 @@ def design_file(
     if made.others:
         facts.append(("other responses", ", ".join(each.source for each in made.others)))
     held = [*box_table(machine, spread, margins), *phases]
-    proven = proven_numbers([*loops, *reached.perturbed], pid, [each.model for each in controllers])
-    text = report(made, best, controllers, peaks, proven, helps, held, facts, sorted(code))
+    computed = computed_numbers([*loops, *reached.perturbed], pid, [each.model for each in controllers])
+    text = report(made, best, controllers, peaks, computed, helps, held, facts, sorted(code))
     (Path(folder) / "report.html").write_text(text, encoding="utf-8")
     return [
         f"{machine.source}: {taken.kind}; {machine.mass:.4g} {machine.mass_unit}; first resonance at {machine.resonances_hz[0]:.4g} Hz",
@@ -303,7 +303,7 @@ def design_file(
             for note in (f"{each.source}: {each.mass:.4g} {each.mass_unit}", *each.notes)
         ),
         *made.lines(),
-        f"the written controller over {pluralise(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, proven))}",
+        f"the written controller over {pluralise(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, computed))}",
         *(f"{name}: {words}" for name, words in (*noises, *rounded)),
         f"taken: {best}, stopped by {reached.summary['stopped by']}",
         f"the promise holds for {'; '.join(map(' '.join, held))}",
@@ -530,7 +530,7 @@ def report(
     best: str,
     controllers: list[DigitalController],
     peaks: dict[str, dict[str, float]],
-    proven: list[tuple[str, str]],
+    computed: list[tuple[str, str]],
     helps: list[list[str]],
     box: list[list[str]],
     about: list,
@@ -556,7 +556,7 @@ def report(
         box=table([], box or [["everything", "exactly as in the model: no uncertainty was stated"]]),
         uses=uses_table(made),
         peaks=table(["peak", *where], sizes),
-        proven=table([], list(map(list, proven))),
+        computed=table([], list(map(list, computed))),
         helps=table(["change", "bandwidth (Hz)"], helps or [["none of those tried", ""]]),
         machine=picture(paint_machine(machine), "accelerance of the model and of the measurement"),
         loops=picture(paint_loops(reached, controllers), "sensitivities of the sampled loop"),

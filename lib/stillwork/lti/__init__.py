@@ -9,7 +9,6 @@ __all__, __getattr__, __dir__ = lazy_exports(
             "tustin",
             "zoh",
         ),
-        "enclosures": ("Enclosure", "enclose_hinf_norm", "is_proven_stable"),
         "generalised_plant": ("GeneralisedPlant",),
         "modal": ("ModalModel", "modal_model"),
         "norms": ("h2_norm", "hinf_norm"),

@@ -1,0 +1,87 @@
+"""Peaks, crossings and margins of loops, compared with 70 digits and with matrices that are written apart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.motion.machines import published_noise, stage, stage_mass
+from naive.precise_margins import judged_margins, sample_case
+from naive.sampled_loops import judged_peak, sample_loop
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.bandwidth import PeakConstraint, make_loop, maximise_bandwidth
+from stillwork.control.digital import runnable
+from stillwork.control.loop_margins import MARGINS, computed_numbers, loop_margins
+from stillwork.control.machine_loops import HELD, observed_loops
+from stillwork.control.pid import PidFamily
+
+
+@pytest.mark.parametrize("seeds", [range(200, 215), pytest.param(range(215, 240), marks=pytest.mark.slow)])
+def test_peaks_are_those_of_loops_written_apart_and_keep_the_limit_of_a_search(seeds):
+    stable = 0
+    for seed in seeds:
+        case = sample_loop(np.random.default_rng(seed))
+        loop = make_loop(case.plant, sample_time=case.sample_time, delay=case.delay)
+        family = PidFamily(case.mass, case.notches)
+        designs = [family(case.search_hz[0]), family(case.search_hz[1])]
+        limits = [PeakConstraint("output_sensitivity", case.limit)]
+        try:
+            designs.append(maximise_bandwidth([loop], family, limits, *case.search_hz).controller)
+        except InputError:
+            pass
+        for number, pid in enumerate(designs):
+            slowest, peak = judged_peak(case, pid)
+            found = loop_margins(loop, pid)
+            for name in HELD:
+                assert (found[name] == np.inf) == (slowest > 0), (seed, number, name)
+                if slowest < 0:
+                    assert found[name] == pytest.approx(peak, rel=1e-6), (seed, number, name)
+                    stable += 1
+            if number == 2:
+                assert found["output_sensitivity"] <= case.limit * (1 + 1e-8)
+    assert stable > len(seeds)
+
+
+@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 40), marks=pytest.mark.slow)])
+def test_margins_are_those_of_seventy_digits_to_a_billionth(seeds):
+    """Also where the loop gain passes its bound by a billionth between two points of the grid."""
+    stable = 0
+    for seed in seeds:
+        kind, loop, pid = sample_case(np.random.default_rng(seed))
+        found, judged = loop_margins(loop, pid), judged_margins(loop, pid)
+        assert {name: found[name] for name in judged} == pytest.approx(judged, rel=1e-9, abs=0), (seed, kind)
+        stable += found["modulus_margin"] > 0
+    assert stable > len(seeds) / 3
+
+
+@pytest.mark.parametrize("sample_time", [0.0, 1e-3])
+def test_the_factors_of_a_gain_are_where_the_loop_becomes_unstable(sample_time):
+    loop = make_loop(stage().at([0], [4]), sample_time=sample_time, delay=1 if sample_time else 0)
+    pid = PidFamily(stage_mass())(10.0)
+    found = loop_margins(loop, pid)
+    for name, inside in (("gain_reduction", 1), ("gain_margin", -1)):
+        for sign, stable in ((inside, True), (-inside, False)):
+            factor = found[name] * (1 + sign * 1e-6)
+            assert loop.is_stable(replace(pid, gain=factor * pid.gain)) is stable
+
+
+def test_an_unstable_loop_has_margins_of_nothing():
+    loop, fast = make_loop(stage().at([0], [4])), PidFamily(stage_mass())(2000.0)
+    assert not loop.is_stable(fast)
+    found = loop_margins(loop, fast)
+    assert found["gain_reduction"] == 1.0 and found["output_sensitivity"] == np.inf
+    assert found["gain_margin"] == found["phase_margin"] == found["modulus_margin"] == 0.0
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+@pytest.mark.parametrize("application", [None, Application(compensate=True, damping=0.02, selectivity=2.0)])
+def test_the_written_controller_is_that_of_its_parts(application, delay):
+    [loop] = observed_loops([stage().at([0], [4])], application, 4, published_noise(), None, 1e-4, delay)
+    pid = PidFamily(stage_mass())(25.0)
+    written = runnable(pid, loop.compensator, np.inf, {}).model
+    assert loop_margins(loop, pid, written) == pytest.approx(loop_margins(loop, pid), rel=1e-6)
+    rows = computed_numbers([loop, loop], pid, [written])
+    assert str(rows).count(", computed to 1e-9") == len(rows) == len(HELD) + len(MARGINS)
+    wrong = replace(written, c=-written.c, d=-written.d)  # not the controller that was judged
+    assert loop_margins(loop, pid, wrong)["output_sensitivity"] == np.inf
