@@ -11,7 +11,16 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from naive.isolators import FINE, CompiledLoop, band_rms, coloured, draw_isolator, microseism, moved
+from naive.isolators import (
+    FINE,
+    CompiledLoop,
+    TrueIsolator,
+    band_rms,
+    coloured,
+    draw_isolator,
+    microseism,
+    moved,
+)
 from shared.compiled import call, compiled, pointer
 from stillwork.base.checks import InputError
 from stillwork.control import isolation_design
@@ -391,9 +400,38 @@ def test_a_limit_that_the_commands_would_reach_is_refused(tmp_path):
     true = draw_isolator(np.random.default_rng(1), 1, RATE)
     (tmp_path / "m.toml").write_text(true.toml())
     floor = write_floor(tmp_path, flat(4.0))
-    with pytest.raises(InputError, match="N rms"):
+    with pytest.raises(InputError, match=r"reaches [\d.]+ N; give"):
         isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE, limit=0.1)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
+    """The slab under footfall: a crest of five, and a limit of four times the rms cost six times the highest motion."""
+    new_file(str(tmp_path / "m.toml"))
+    slab = paths.data("isolation", "slab_footfall/slab_vertical.csv")
+    files = str(tmp_path / "m.toml"), str(slab), str(tmp_path / "out")
+    rate = 2000.0
+    with pytest.raises(InputError, match=r"limit is 5\.58 N.*reaches ([\d.]+) N; give") as refused:
+        isolate_file(*files, rate, limit=5.58)
+    limit = float(re.search(r"give ([\d.]+) N", str(refused.value))[1])
+    isolate_file(*files, rate, limit=limit)
+    about = json.loads((tmp_path / "out" / "isolator.json").read_text())
+    assert limit > max(*about["command_peak"], *about["command_rms_highest"])
+    time, floor = np.loadtxt(slab, delimiter=",", skiprows=1, unpack=True)
+    fine = signal.resample(
+        (floor - floor.mean()) * signal.windows.tukey(len(floor), 0.03), round(time[-1] * FINE * rate)
+    )
+    one = np.eye(1)
+    template = TrueIsolator(5 * one, 60 * one, 80e3 * one, one, 600 * np.pi, 1, rate, 1e-5, 1e-5, limit)
+    for seed in (0, 1, 2):
+        true = moved(template, np.random.default_rng(seed), 0.05)
+        loop = CompiledLoop(tmp_path / "out", "isolator")
+        loop.run(true, np.tile(fine, (1, 2)), 1)  # from rest: the feedforward waits for its filters
+        platform, _, flags = loop.run(true, fine[None], 2)
+        assert np.abs(loop.commands).max() == pytest.approx(max(about["command_peak"]), rel=0.2)
+        assert not flags & 1
+        assert band_rms(platform, FINE * rate, *about["judged_hz"])[0] < about["remains"][2][0]
 
 
 @pytest.mark.slow

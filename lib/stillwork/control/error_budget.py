@@ -19,6 +19,7 @@ from stillwork.lti.delays import delayed, split_delay
 from stillwork.lti.discretisation import continuous_poles, zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, block_matrix, interconnect, response_between
+from stillwork.signals.levels import expected_peak
 from stillwork.signals.moving_average import average_filter
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -456,8 +457,7 @@ class ErrorBudget:
         rate = np.sqrt(whole @ (self.weights_hz * self.frequencies_hz**2)) / np.maximum(
             self.rms, np.finfo(float).tiny
         )
-        count = np.sqrt(2 * np.log(np.maximum(2 * rate * duration, np.e)))
-        return self.rms * (count + np.euler_gamma / count)
+        return expected_peak(self.rms, rate, duration)
 
     def _freedom(self) -> Float64[np.ndarray, " errors"]:
         """Degrees of freedom of the total, from those of each estimated density (Satterthwaite)."""

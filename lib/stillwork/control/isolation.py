@@ -234,6 +234,10 @@ class FloorSpectra:
     source: str
     # E[p^2] / E[p]^2 and E[p^3] / E[p]^3 of the power p of half a second: 1 of a floor that keeps its strength
     bursts: tuple[float, float]
+    record: Float64[np.ndarray, "sensors samples"] | None = (
+        None  # m/s^2, from which they were estimated; from rest to rest
+    )
+    record_hz: NonNegative = 0.0  # its sample rate
 
     def __post_init__(self):
         check_fields(self)

@@ -32,6 +32,7 @@ from stillwork.estimation.mean_adaptation import (
     scatter,
     sum_kronecker,
 )
+from stillwork.signals.levels import expected_peak, next_rms
 
 HIGHEST_SENSITIVITY_DB = 6.0  # of the skyhook loop
 HIGHEST_PHASE = 90.0  # degrees
@@ -57,6 +58,12 @@ COARSE = 4  # of the coarse lines, which give way to fine ones
 BURST_S = 0.5  # of a stretch of a record whose power counts
 DRAWS = 24  # of isolators in the box, for the band of a prediction
 WIDE = 3.0  # standard deviations over the draws that the band takes in
+HIGHEST = (
+    0.99  # probability that another stretch as long as the record stays below what is called the highest
+)
+SLOWEST_HZ, LINES = 0.01, 4000  # of the responses through which a record runs: 0.27 % apart
+FADE_S = 0.5  # at both ends of the record
+FINER = 4  # samples between those of a record at which its peaks are sought
 # How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
 SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
 
@@ -93,6 +100,7 @@ def floor_spectra(
         below = fine < edge
         bands = [(fine[below], slow[below]), (f[COARSE:], lines[COARSE:])]
     parts = [binned(*band, count / sample_rate, source) for band in bands]
+    fade = min(2 * FADE_S * sample_rate / count, 0.1)
     return FloorSpectra(
         np.concatenate([part.frequencies_hz for part in parts]),
         np.concatenate([each.widths_hz for each in parts]),
@@ -100,6 +108,8 @@ def floor_spectra(
         count / sample_rate,
         source,
         _bursts(acceleration, sample_rate),
+        (acceleration - acceleration.mean(axis=1, keepdims=True)) * signal.windows.tukey(count, fade),
+        sample_rate,
     )
 
 
@@ -158,6 +168,7 @@ class IsolationDesign:
     """A loop on one isolator and floor: its adaptation, whether it converges, and its fixed point."""
 
     loop: FeedforwardLoop
+    isolator: Isolator
     paths: "_MovingPaths"
     steady: Steady
     step: float  # 1 - lambda of FeRLS, mu of FeLMS
@@ -185,9 +196,8 @@ def try_loop(
     """A loop with the fastest adaptation that keeps the `variance` and tolerates the floor's slow motion, or with `step`."""
     require_choice("algorithm", algorithm, ALGORITHMS)
     f, widths = floor.frequencies_hz, floor.widths_hz
-    primary, held, sampled = paths_of(f)
-    responses = loop.responses(primary, sampled, f)
-    moving = _MovingPaths(responses, primary, held, signal.freqz_sos(loop.skyhook, f, fs=loop.rate)[1])
+    moving = _moving(loop, paths_of, f)
+    responses = moving.seen
     noises = isolator.floor_noise, isolator.platform_noise
     steady = mean_adaptation(responses, widths, floor.density, *noises, 0.0)
     power = float(np.trace(steady.correlation))
@@ -215,6 +225,7 @@ def try_loop(
     added = 0.0 if moves is None else step * slow + step**2 * fast
     return IsolationDesign(
         loop=loop,
+        isolator=isolator,
         paths=moving,
         steady=steady,
         step=float(step),
@@ -286,6 +297,26 @@ class _MovingPaths:
 
     def _damped(self, seen):
         return self.skyhook[:, None, None] * seen
+
+
+def _moving(loop: FeedforwardLoop, paths_of: Paths, f: np.ndarray) -> _MovingPaths:
+    primary, held, sampled = paths_of(f)
+    responses = loop.responses(primary, sampled, f)
+    return _MovingPaths(responses, primary, held, signal.freqz_sos(loop.skyhook, f, fs=loop.rate)[1])
+
+
+@checked
+def paths_through(isolator: Isolator, rate: Positive, correction: Callable | None = None) -> Paths:
+    """The paths of an isolator over frequencies in Hz, with what was measured beyond its model; see `design_isolation`."""
+
+    def paths(f):
+        primary, held, sampled = isolator.paths(f, 1 / rate)
+        more = np.zeros(1)
+        if correction is not None:
+            more = require_array("what correction returns", correction(f), dtype=complex)
+        return primary, held + more, sampled + more
+
+    return paths
 
 
 def _motion_density(
@@ -432,18 +463,7 @@ def design_isolation(
     """
     require_choice("algorithm", algorithm, ALGORITHMS)
     estimate = isolator if estimate is None else estimate
-
-    def paths_of(model: Isolator) -> Paths:
-        def paths(f):
-            primary, held, sampled = model.paths(f, 1 / rate)
-            more = np.zeros(1)
-            if correction is not None:
-                more = require_array("what correction returns", correction(f), dtype=complex)
-            return primary, held + more, sampled + more
-
-        return paths
-
-    own = paths_of(isolator)
+    own = paths_through(isolator, rate, correction)
     mass = 1 / float(np.mean(np.diag(np.linalg.inv(estimate.mass))))
     omega = float(np.exp(np.mean(np.log(estimate.modes[0]))))
     first = FeedforwardLoop(
@@ -493,7 +513,11 @@ def design_isolation(
         step = design.step
         around = []
         for each in box:
-            around.append(try_loop(design.loop, each, paths_of(each), floor, algorithm, variance, step))
+            around.append(
+                try_loop(
+                    design.loop, each, paths_through(each, rate, correction), floor, algorithm, variance, step
+                )
+            )
             if problems := around[-1].certificate.problems:
                 failed.append((design.loop.gain, problems))
                 break
@@ -514,9 +538,9 @@ class IsolationPrediction:
     remains: Float64[np.ndarray, "3 axes"]  # rms acceleration in the band, m/s^2
     without: Float64[np.ndarray, " axes"]  # the same without any control
     feedback: Float64[np.ndarray, " axes"]  # and with the skyhook alone
-    # rms of each command over all of the floor's frequencies, scatter of the weights included, largest over the box, N:
-    # expected, and highest in a time as long as the floor's record
-    force: Float64[np.ndarray, "2 axes"]
+    # of each command over all of the floor's frequencies, scatter of the weights included, largest over the box, N: the
+    # expected rms, its highest over a time as long as the floor's record, and the peak on that record
+    force: Float64[np.ndarray, "3 axes"]
     # root of the sum over the floor sensors of |T|^2
     transmissibility: Float64[np.ndarray, "3 axes frequencies"]
     without_transmissibility: Float64[np.ndarray, "axes frequencies"]
@@ -527,11 +551,15 @@ class IsolationPrediction:
 def predict(
     design: IsolationDesign,
     around: list[IsolationDesign],
-    isolator: Isolator,
     floor: FloorSpectra,
+    correction: Callable | None = None,
     seed: Natural = 0,
 ) -> IsolationPrediction:
-    """Motion and transmissibility of a design and of the loops around it, each with weights drawn from their scatter."""
+    """Motion and transmissibility of a design and of the loops around it, each with weights drawn from their scatter.
+
+    Where `floor` has its record, that runs through every loop with frozen weights: its peaks are those of the commands,
+    and its scatter is that of the floor's spectra, too. Without it the spectra count as known, and the peaks are Rice's.
+    """
     if design.scatter is None:
         raise InputError(
             "design has a given step, whose scatter is unknown; give a design whose step was searched"
@@ -543,7 +571,7 @@ def predict(
     # A band of frequency that an end of the judged one cuts counts in part.
     cut = np.minimum(f + widths / 2, band[1]) - np.maximum(f - widths / 2, band[0])
     counted = np.clip(cut, 0.0, widths)
-    noises = isolator.floor_noise, isolator.platform_noise
+    noises = design.isolator.floor_noise, design.isolator.platform_noise
     rng = np.random.default_rng(seed)
 
     def rms(density):
@@ -553,7 +581,7 @@ def predict(
         return np.sqrt(np.sum(np.abs(whole) ** 2, axis=2)).T
 
     covariance = design.step * floor.bursts[0] * design.scatter.covariance
-    seen = floor.density + noises[0] ** 2 * np.eye(isolator.sensors)
+    seen = floor.density + noises[0] ** 2 * np.eye(design.isolator.sensors)
     psi = design.paths.seen.regressors
     plain = np.einsum("fis,fst,fjt->fij", psi, seen, np.conj(psi), optimize=True)
     power = np.einsum("f,fij->ij", widths, plain).real
@@ -568,12 +596,13 @@ def predict(
 
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0))
-    sizes, gains = [], []
+    sizes, gains, drawn = [], [], [design.steady.weights]
     for each in around:
         weights = each.steady.weights
         if isinstance(design.settings, FeLms):  # its slow directions stay long where they started
             weights = weights + rng.uniform() * (design.steady.weights - weights)
         weights = weights + (root @ rng.standard_normal(weights.size)).reshape(weights.shape)
+        drawn.append(weights)
         strength = JITTER ** rng.uniform(0, 1.5)
         sizes.append(rms(_motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
         gains.append(gain(each.paths.transmissibility(weights)))
@@ -584,15 +613,18 @@ def predict(
     ).real  # fmt: skip
     fixed = _motion_density(design.paths, design.steady.weights, floor, noises)
     density = fixed + wandering + jitter(design.paths)
-    # Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines; bursts
-    # make the time shorter.
-    varies = _varying(density, counted, floor, density @ counted)
     scattered = np.einsum("aiaj,ij->a", covariance.reshape(axes, n, axes, n), power)
-    forces = []
-    for each in (design, *around):
-        command = _density(floor, noises, *each.paths.commands(each.steady.weights))
-        whole = command @ widths + scattered
-        forces.append(np.sqrt(whole) * [np.ones(axes), np.exp(_varying(command, widths, floor, whole))])
+    forces = [
+        _forces(each, weights, scattered, floor, noises, correction)
+        for each, weights in zip((design, *around), drawn, strict=True)
+    ]
+    if floor.record is None:
+        varies = _varying(density, counted, floor, density @ counted)
+    else:
+        moved = _followed(
+            design, lambda paths: paths.transmissibility(design.steady.weights), floor, correction, band
+        )
+        varies = np.log(next_rms(moved, HIGHEST))
     bare = replace(design.paths, skyhook=0 * design.paths.skyhook)
     silent = np.zeros_like(design.steady.weights)
     return IsolationPrediction(
@@ -610,8 +642,61 @@ def predict(
 
 
 def _varying(density, widths, floor: FloorSpectra, power) -> np.ndarray:
-    """How far the logarithm of an rms over the floor's record strays: `WIDE` standard deviations."""
+    """How far the logarithm of an rms over the duration strays from known spectra: `WIDE` standard deviations.
+
+    Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines.
+    """
     return WIDE / 2 * np.sqrt(density**2 @ widths * floor.bursts[0] / floor.duration) / power
+
+
+def _rice(density: np.ndarray, rms: np.ndarray, floor: FloorSpectra) -> np.ndarray:
+    f, widths = floor.frequencies_hz, floor.widths_hz
+    rate = np.sqrt(density @ (widths * f**2) / np.maximum(density @ widths, np.finfo(float).tiny))
+    return expected_peak(rms, rate, floor.duration)
+
+
+def _forces(
+    design: IsolationDesign,
+    weights: np.ndarray,
+    scattered: np.ndarray,
+    floor: FloorSpectra,
+    noises,
+    correction,
+) -> list[np.ndarray]:
+    """Rms of each command, its highest and its peak with weights about those of the design."""
+    through = design.paths.commands(design.steady.weights)
+    whole = _density(floor, noises, *through)
+    expected = np.sqrt(whole @ floor.widths_hz + scattered)
+    if floor.record is None:
+        varies = _varying(whole, floor.widths_hz, floor, expected**2)
+        return [expected, expected * np.exp(varies), _rice(whole, expected, floor)]
+    command = _followed(design, lambda paths: paths.commands(weights)[0], floor, correction)
+    noise = whole - _density(floor, (0.0, 0.0), *through)
+    peak = np.abs(command).max(axis=1) + _rice(noise, np.sqrt(noise @ floor.widths_hz), floor)
+    return [expected, expected * next_rms(command, HIGHEST), peak]
+
+
+def _followed(
+    design: IsolationDesign,
+    respond: Callable[[_MovingPaths], np.ndarray],
+    floor: FloorSpectra,
+    correction: Callable | None,
+    band_hz: tuple[float, float] = (0.0, np.inf),
+) -> np.ndarray:
+    """What the floor's record becomes over time through a response of the loop, in a band."""
+    record = np.asarray(floor.record)
+    # Close enough for a straight line between the responses of a mode with 1 % of damping.
+    grid = np.geomspace(SLOWEST_HZ, min(floor.frequencies_hz[-1], 0.49 * design.loop.rate), LINES)
+    response = respond(
+        _moving(design.loop, paths_through(design.isolator, design.loop.rate, correction), grid)
+    )
+    lines, f = np.fft.rfft(record, axis=1), np.fft.rfftfreq(record.shape[1], 1 / floor.record_hz)
+    moved = np.zeros((response.shape[1], len(f)), complex)
+    for axis, sensor in np.ndindex(response.shape[1:]):
+        # Slower or faster motion than the grid's is left out.
+        moved[axis] += np.interp(f, grid, response[:, axis, sensor], left=0.0, right=0.0) * lines[sensor]
+    moved *= (f >= band_hz[0]) & (f <= band_hz[1])
+    return FINER * np.fft.irfft(moved, FINER * record.shape[1], axis=1)
 
 
 def _banded(draws: np.ndarray, expected: np.ndarray, varies: np.ndarray) -> np.ndarray:

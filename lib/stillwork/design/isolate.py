@@ -55,7 +55,6 @@ SLOWEST_HZ = 0.02  # lowest frequency at which a floor is judged, and the resolu
 SLOW_RATIO = 5.0  # of slow motion per root Hz over that in band, above which it is reported (chosen)
 LISTENED_S = 60.0  # duration over which the motion predicted by spectra is judged
 PAUSES = 5.0  # of the band's slowest time constant, for which the weights are kept after the limit acted
-PEAKS = 4.0  # of a command over its rms, for which the limit of the force must leave room (chosen)
 TEMPLATE = Path(__file__).with_name("isolate.toml")
 MECHANICS = ("mass", "damping", "stiffness", "actuator_pole_hz", "delay_s", "floor")
 
@@ -141,7 +140,7 @@ def isolate_file(
         variance=variance,
         spread=spread,
     )
-    found = predict(design, around, isolator, spectra)
+    found = predict(design, around, spectra, correction)
     require_force(found, limit)
     loop = design.loop
     pause = PAUSES / (2 * np.pi * loop.shaping.highpass_hz)
@@ -169,7 +168,8 @@ def isolate_file(
         [
             "command",
             f"{_listed(found.force[0])} N rms, the largest expected of {DRAWS} isolators in the box; over "
-            f"{spectra.duration:.3g} s up to {_listed(found.force[1])} N rms",
+            f"{spectra.duration:.3g} s up to {_listed(found.force[1])} N rms, and a peak of {_listed(found.force[2])} N "
+            + ("by Rice's formula" if spectra.record is None else "on the record itself"),
         ],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["assumed", each] for each in (*notes, *floor_notes)),
@@ -195,6 +195,7 @@ def isolate_file(
         "without": found.without.tolist(),
         "command_rms": found.force[0].tolist(),
         "command_rms_highest": found.force[1].tolist(),
+        "command_peak": found.force[2].tolist(),
     }
     files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
     write_folder(folder, files)  # before the page: what was computed is not lost with a picture
@@ -208,6 +209,7 @@ def isolate_file(
             ["axis", "without control", "skyhook alone", "expected", "lowest", "highest", "class"], remains
         ),
         low=f"{found.band_hz[0]:g}",
+        time=f"{spectra.duration:.3g}",
         high=f"{found.band_hz[1]:.4g}",
         spread=f"{100 * spread:g}",
         transmissibility=picture(paint_transmissibility(design, found), "transmissibility of every axis"),
@@ -228,11 +230,11 @@ def isolate_file(
 
 def require_force(found: IsolationPrediction, limit: float) -> None:
     """Refuse a `limit` that the commands may reach: a command at its limit isolates nothing."""
-    largest = float(found.force[0].max())
-    if limit < PEAKS * largest:
+    largest = float(found.force[1:].max())
+    if limit < largest:
         raise InputError(
-            f"not to be switched on: limit is {limit:g} N, and on this floor a command has {largest:.3g} N rms; give "
-            f"{PEAKS * largest:.3g} N or more, or start the band at a higher frequency"
+            f"not to be switched on: limit is {limit:g} N, and on this floor a command reaches {largest:.4g} N; give "
+            f"{1.001 * largest:.4g} N or more, or start the band at a higher frequency"
         )
 
 
@@ -396,6 +398,10 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
     if channels == 1 < sensors:
         notes.append(f"each of the {sensors} floor sensors has the spectrum of this one, independently")
         spectra = replace(spectra, density=spectra.density * np.eye(sensors))
+        if spectra.record is not None:  # each sensor at another time of the record
+            later = spectra.record.shape[1] // sensors
+            rows = [np.roll(spectra.record[0], k * later) for k in range(sensors)]
+            spectra = replace(spectra, record=np.array(rows))
     elif channels != sensors:
         raise InputError(
             f"{path.name} holds {pluralise(channels, 'channel')}, the isolator has {pluralise(sensors, 'floor sensor')}; give as many, or one"
