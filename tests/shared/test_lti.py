@@ -3,6 +3,7 @@
 import warnings
 from contextlib import suppress
 from dataclasses import replace
+from math import comb
 
 import control
 import numpy as np
@@ -360,6 +361,62 @@ def test_a_norm_beside_an_integrator_is_right_or_refused(make, leak):
                 assert lti.h2_norm(model) == pytest.approx(precise_h2_norm(model), rel=1e-6)
                 answered += 1
     assert answered or leak < 1e-6
+
+
+def companion(poles, gain=1.0, sample_time=0.0):
+    """Gain over the polynomial with these real poles, in companion form: of a multiple one a single Jordan block."""
+    n = len(poles)
+    a = np.diag(np.ones(n - 1), -1)
+    a[0] = -np.poly(poles)[1:]
+    return lti.StateModel(a, gain * np.eye(n)[:, :1], np.eye(n)[-1:], np.zeros((1, 1)), sample_time)
+
+
+@pytest.mark.parametrize("multiplicity", [2, 3, 4])
+@pytest.mark.parametrize("form", ["companion", "series"])
+def test_the_two_norm_of_a_multiple_pole_is_its_closed_form(form, multiplicity):
+    """1 / (s + a)^k: binomial(2k - 2, k - 1) / (2a)^(2k - 1), from the integral of its response squared."""
+    rng, k = np.random.default_rng(multiplicity), multiplicity
+    for rate in 10 ** rng.uniform(-3, 3, 60):
+        series = -rate * np.eye(k) + np.diag(np.ones(k - 1), -1)
+        lags = lti.StateModel(series, np.eye(k)[:, :1], np.eye(k)[-1:], np.zeros((1, 1)))
+        expected = np.sqrt(comb(2 * k - 2, k - 1) / (2 * rate) ** (2 * k - 1))
+        model = companion([-rate] * k) if form == "companion" else lags
+        assert lti.h2_norm(model) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("multiplicity", [2, 3])
+def test_the_two_norm_of_a_multiple_sampled_pole_is_the_sum_of_its_impulses(multiplicity):
+    rng = np.random.default_rng(multiplicity)
+    for pole in rng.uniform(-0.9, 0.9, 60):
+        impulse = signal.lfilter([1.0], np.poly([pole] * multiplicity), np.eye(1, 2000)[0])
+        model = companion([pole] * multiplicity, sample_time=0.1)
+        assert lti.h2_norm(model) == pytest.approx(np.linalg.norm(impulse), rel=1e-9)
+
+
+def test_two_norms_of_filters_with_a_double_pole():
+    damped = 2 * np.pi * 50.0  # critically damped
+    assert lti.h2_norm(companion([-1.0, -1.0])) == pytest.approx(0.5, rel=1e-12)
+    assert lti.h2_norm(companion([-damped] * 2, damped**2)) == pytest.approx(np.sqrt(damped / 4), rel=1e-12)
+    double = companion([0.5, 0.5], sample_time=1.0)
+    biquad = replace(double, c=np.array([[-0.45, 0.225]]), d=np.ones((1, 1)))
+    assert lti.h2_norm(biquad) == pytest.approx(
+        1.12694276695846, rel=1e-12
+    )  # (z^2 - 1.45 z + .475) / (z - .5)^2
+
+
+@pytest.mark.parametrize("distance", [1e-9, 1e-12, 0.0, -1e-3])
+def test_a_double_pole_that_rounding_may_move_to_instability_has_no_two_norm(distance):
+    """It moves by the root of the rounding, 1e-8."""
+    turn = linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    double = np.array([[-distance, 1.0, 0.0], [0.0, -distance, 0.0], [0.0, 0.0, -1.0]])
+    b, c = turn @ np.array([[0.0], [1.0], [1.0]]), np.array([[1.0, 0.0, 1.0]]) @ turn.T
+    for model in (
+        lti.StateModel(turn @ double @ turn.T, b, c, np.zeros((1, 1))),
+        companion([1 - distance] * 2, sample_time=1.0),
+        companion([distance - 1] * 2, sample_time=1.0),
+    ):
+        with pytest.raises(InputError, match=r"^model\b|uncertainty"):
+            lti.h2_norm(model)
 
 
 @pytest.mark.parametrize("omega", [1e-150, 1e-100, 1e100, 1e140, 1e150])
