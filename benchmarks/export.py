@@ -1,18 +1,15 @@
 """Time per sample of the generated C code beside Python's kernels and plain dense C, as ratios: `make bench`."""
 
 import ctypes
-import shutil
-import subprocess
 import sys
-import tempfile
-import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "lib"))
+sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 
 import numpy as np  # noqa: E402
 
+from benchmarks.timing import compiled, in_turn  # noqa: E402
 from stillwork.control import DigitalController, adaptation_code, controller_code  # noqa: E402
 from stillwork.control.applications import Application  # noqa: E402
 from stillwork.control.digital import anti_windup, observed_controller  # noqa: E402
@@ -69,9 +66,6 @@ void run(long samples, const feed_real *psi, const feed_real *e, feed_real *out)
 
 def main() -> None:
     """Print medians and ratios; ours and the peers take turns in one process."""
-    if not shutil.which("gcc"):
-        print("no gcc: nothing is compared")
-        return
     rng = np.random.default_rng(1)
     controller = observing()
     model = controller.linear
@@ -90,13 +84,7 @@ def main() -> None:
         code = {**adaptation_code(settings, 6, 9, "feed", precision), "run.c": FEED}
         given = [np.ascontiguousarray(each.T, dtype) for each in (psi, errors)]
         runs[f"FeRLS 6 x 9, C, {precision}"] = library(code, given, dtype)
-    times = {name: [] for name in runs}
-    for repeat in range(8):
-        for name, run in runs.items():
-            start = time.thread_time()
-            run()
-            if repeat:  # the first compiles
-                times[name].append((time.thread_time() - start) / SAMPLES)
+    times = in_turn(runs, 7, SAMPLES)
     print(
         f"a PID with an observer: {len(model.a)} states with limits; gcc -O2; processor time a sample, median\n"
     )
@@ -127,14 +115,7 @@ def observing() -> DigitalController:
 
 def library(files: dict[str, str], arrays: list[np.ndarray], dtype):
     """Compile `files` and return what calls their `run` with these arrays."""
-    folder = Path(tempfile.mkdtemp())
-    for name, text in files.items():
-        (folder / name).write_text(text)
-    sources = [name for name in files if name.endswith(".c")]
-    command = ["gcc", "-std=c99", "-O2", "-shared", "-fPIC", *sources, "-o", "all.so", "-lm"]
-    subprocess.run(command, cwd=folder, check=True)
-    loaded, out = ctypes.CDLL(str(folder / "all.so")), np.zeros(SAMPLES, dtype)
-    shutil.rmtree(folder)
+    loaded, out = compiled(files, "-std=c99", "-O2"), np.zeros(SAMPLES, dtype)
 
     def run():
         loaded.run(ctypes.c_long(SAMPLES), *(each.ctypes.data_as(ctypes.c_void_p) for each in (*arrays, out)))

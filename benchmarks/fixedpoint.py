@@ -6,20 +6,17 @@ With `--write` the filters' times are stored in `data/fixedpoint/filter_times.cs
 """
 
 import ctypes
-import os
-import platform
-import shutil
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "lib"))
+sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 
 import numpy as np  # noqa: E402
 
+from benchmarks import timing  # noqa: E402
 from experiments.fixedpoint import (  # noqa: E402
     PUBLISHED_CASES,
     added_controllers,
@@ -140,7 +137,7 @@ print(imported, total, missed)
 def main() -> None:
     models = load_oscillator()
     exact, approximate = models["exact"].plant, models["approximate"].plant
-    print(f"machine: {machine()}")
+    print(f"machine: {timing.machine('numba')}")
     times = filter_times(approximate)
     peers(approximate, times)
     whole_study(exact, approximate)
@@ -171,27 +168,15 @@ def runner(signal_filter):
     return run
 
 
-def filter_times(approximate) -> dict[str, tuple[float, float, float]]:
-    """Nanoseconds per sample: median, lowest, highest."""
+def filter_times(approximate) -> dict[str, list[float]]:
+    """Seconds a sample."""
     controllers = published_controllers(approximate) | added_controllers(approximate)
     contenders = {name: runner(controller.signal_filter) for name, controller in controllers.items()}
-    times = in_turn(contenders)
+    times = timing.in_turn(contenders, REPEATS, SAMPLES)
     print("\nfilters, ns a sample (median, lowest .. highest of", REPEATS, "repeats)")
-    for name, (median, low, high) in times.items():
-        print(f"  {name:24s} {median:7.0f}  {low:7.0f} .. {high:.0f}")
+    for name, each in times.items():
+        print(f"  {name:24s} {1e9 * np.median(each):7.0f}  {1e9 * min(each):7.0f} .. {1e9 * max(each):.0f}")
     return times
-
-
-def in_turn(contenders) -> dict[str, tuple[float, float, float]]:
-    taken = {name: [] for name in contenders}
-    for run in contenders.values():
-        run()
-    for _ in range(REPEATS):
-        for name, run in contenders.items():
-            start = time.process_time()
-            run()
-            taken[name].append((time.process_time() - start) / SAMPLES * 1e9)
-    return {name: (float(np.median(t)), min(t), max(t)) for name, t in taken.items()}
 
 
 def peers(approximate, times) -> None:
@@ -200,25 +185,17 @@ def peers(approximate, times) -> None:
     ours = runner(signal_filter)
     expected = ours().copy()
     contenders = {"ours": ours}
-    if shutil.which("gcc"):
-        contenders["C, gcc -O3 -march=native"] = c_filter(signal_filter, expected)
-    else:
-        print("no gcc: the comparison with C is left out")
-    taken = in_turn(contenders)
+    if library := timing.compiled({"peer.c": C_SOURCE}, "-O3", "-march=native"):
+        contenders["C, gcc -O3 -march=native"] = c_filter(library, signal_filter, expected)
+    taken = {name: np.median(each) for name, each in timing.in_turn(contenders, REPEATS, SAMPLES).items()}
     print("\nunscented Kalman filter, n = 2, beside its peers")
-    for name, (median, _, _) in taken.items():
+    for name, median in taken.items():
         if name != "ours":
-            report(f"ours / {name}", taken["ours"][0] / median, "at most", 1.5)
-    slow = filterpy_time(signal_filter, expected)
-    report("filterpy / ours", slow / taken["ours"][0], "at least", 300.0)
+            report(f"ours / {name}", taken["ours"] / median, "<= 1.5")
+    report("filterpy / ours", filterpy_time(signal_filter, expected) / taken["ours"], ">= 300")
 
 
-def c_filter(signal_filter, expected):
-    folder = Path(tempfile.mkdtemp())
-    (folder / "peer.c").write_text(C_SOURCE)
-    build = ["gcc", "-O3", "-march=native", "-shared", "-fPIC", "peer.c", "-o", "peer.so", "-lm"]
-    subprocess.run(build, check=True, cwd=folder)
-    library = ctypes.CDLL(str(folder / "peer.so"))
+def c_filter(library, signal_filter, expected):
     library.run.restype = ctypes.c_long
     measured, force = record()
     packed, out = signal_filter.packed(), np.empty((SAMPLES, 3))
@@ -248,7 +225,7 @@ def c_filter(signal_filter, expected):
 
 
 def filterpy_time(signal_filter, expected, samples: int = 400) -> float:
-    """Nanoseconds a sample."""
+    """Seconds a sample."""
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
     measured, force = record()
@@ -267,7 +244,7 @@ def filterpy_time(signal_filter, expected, samples: int = 400) -> float:
         peer.predict(u=force[k - 1] if k else 0.0)
         peer.update(np.array([(measured[k] - last) / SAMPLE_TIME, measured[k]]))
         last = measured[k]
-    taken = (time.process_time() - start) / samples * 1e9
+    taken = (time.process_time() - start) / samples
     assert np.abs(peer.x - expected[samples - 1, [1, 0]]).max() < 1e-9
     return taken
 
@@ -280,59 +257,37 @@ def whole_study(exact, approximate) -> None:
     for noise in PUBLISHED_CASES.values():
         compare(exact, controllers, trajectory, noise, runs=40, seed=0)
     print()
-    report("study of 3 filters x 5 noises x 40 seeds, s", time.process_time() - start, "below", 5.0)
+    report("study of 3 filters x 5 noises x 40 seeds, s", time.process_time() - start, "<= 5")
 
 
 def cold_start() -> None:
     with tempfile.TemporaryDirectory() as cache:
         for name, limit in (("cold", 8.0), ("second run", None)):
-            imported, total, missed = map(float, python(COLD, NUMBA_CACHE_DIR=cache).split())
+            imported, total, missed = map(float, timing.python(COLD, NUMBA_CACHE_DIR=cache).split())
             label = f"{name}: import and first call of every filter, s (import {imported:.1f})"
             if limit:
-                report(label, total, "below", limit)
+                report(label, total, f"<= {limit}")
             else:
                 print(f"  {label:62s} {total:8.2f}")
-                report("second run: kernels compiled", missed, "at most", 0.0)
+                report("second run: kernels compiled", missed, "<= 0")
 
 
-def report(name: str, value: float, rule: str, target: float) -> None:
-    met = value >= target if rule == "at least" else value <= target
-    print(f"  {name:62s} {value:8.2f}   target: {rule} {target:g}   {'met' if met else 'MISSED'}")
-
-
-def python(code: str, **environment) -> str:
-    env = {**os.environ, **environment, "PYTHONPATH": f"{ROOT / 'lib'}{os.pathsep}{ROOT}"}
-    return subprocess.run(
-        [sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True, check=True
-    ).stdout
-
-
-def machine() -> str:
-    name, info = platform.machine(), Path("/proc/cpuinfo")
-    if info.exists():
-        lines = [line for line in info.read_text().splitlines() if "model name" in line]
-        name = lines[0].partition(":")[2].strip() if lines else name
-    return f"{name}, {platform.system()}, Python {platform.python_version()}, numpy {np.__version__}"
+def report(name: str, value: float, target: str) -> None:
+    print(f"  {name:62s} {value:8.2f}   target: {target}   {timing.judged(value, target)}")
 
 
 def write(times) -> None:
     """The table that notebook 07 reads, and the machine it was measured on."""
-    import numba
-
-    folder = ROOT / "data" / "fixedpoint"
-    lines = ["filter,median_ns,lowest_ns,highest_ns"]
-    lines += [f'"{name}",{median:.3g},{low:.3g},{high:.3g}' for name, (median, low, high) in times.items()]
-    (folder / "filter_times.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    source = folder / "SOURCE.md"
-    heading = "\n## filter_times.csv\n"
-    kept = source.read_text(encoding="utf-8").partition(heading)[0]
-    source.write_text(
-        f"{kept}{heading}\n"
-        "Nanoseconds of processor time a sample of each filter's kernel, published settings: median, lowest and highest of "
-        f"{REPEATS} repeats over\n{SAMPLES} samples, written by `python benchmarks/fixedpoint.py --write`. Measured, "
-        "not computed: another machine\ngives other times, which is why notebook 07 reads this file.\n\n"
-        f"Machine: {machine()}, numba {numba.__version__}; other programs were running.\n",
-        encoding="utf-8",
+    timing.write_times(
+        "fixedpoint/filter_times.csv",
+        "filter",
+        "ns",
+        1e9,
+        times,
+        f"Nanoseconds of processor time a sample of each filter's kernel, published settings: median, lowest and highest of {REPEATS}\n"
+        f"repeats over {SAMPLES} samples, written by `python benchmarks/fixedpoint.py --write`. Measured, not computed: another\n"
+        "machine gives other times, which is why notebook 07 reads this file.\n\n"
+        f"Machine: {timing.machine('numba')}; other programs were running.",
     )
 
 

@@ -7,11 +7,7 @@ With `--write` the times beside peers are stored in `data/motion/times/` for the
 
 import ctypes
 import os
-import platform
-import shutil
-import subprocess
 import sys
-import tempfile
 import time
 import warnings
 from functools import partial
@@ -24,6 +20,7 @@ sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 import control  # noqa: E402
 import numpy as np  # noqa: E402
 
+from benchmarks.timing import compiled, in_turn, machine, ratio, write_times  # noqa: E402
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
 from experiments.motion.explorers import paint_design  # noqa: E402
 from experiments.motion.machines import (  # noqa: E402
@@ -50,13 +47,13 @@ PEER_DESIGNS = 12  # bisections of the peer, beside 141 scanned and 13 bisected 
 
 def main() -> None:
     warnings.simplefilter("ignore")  # python-control without slycot warns at every call
-    print(f"{machine()}; one thread; processor time, median (lowest .. highest)\n")
-    response = turns({"modal residues": modal_response, "control.frequency_response": peer_response}, 9)
-    tracking = turns({"simulate": our_tracking, "control.forced_response": peer_tracking}, 7)
-    search = turns(
+    print(f"{machine('control')}; one thread; processor time, median (lowest .. highest)\n")
+    response = in_turn({"modal residues": modal_response, "control.frequency_response": peer_response}, 9)
+    tracking = in_turn({"simulate": our_tracking, "control.forced_response": peer_tracking}, 7)
+    search = in_turn(
         {"search, seven loops with observers": our_search, "search through python-control": peer_search}, 3
     )
-    drawing = turns({"explorer, one redraw": redraw}, 5)
+    drawing = in_turn({"explorer, one redraw": redraw}, 5)
     rows = [
         ("response: python-control / ours, 16 states, 2000 points", ratio(response), ">= 50"),
         ("tracking: python-control / ours, per sample", ratio(tracking), ">= 50"),
@@ -65,7 +62,7 @@ def main() -> None:
         ("bandwidth search: the same, per design tried", ratio(search) * 154 / PEER_DESIGNS, ""),
         ("explorer, one redraw without encoding, s", float(np.median(next(iter(drawing.values())))), "< 0.2"),
     ]
-    filtering = turns(filter_contenders(), 7)
+    filtering = in_turn(filter_contenders(), 7)
     ours = np.array(filtering["Kalman step, ours"])
     for name, times in filtering.items():
         if "C" in name:
@@ -85,44 +82,18 @@ def main() -> None:
         print(f"  {name:60s} {value:10.3g}   {target}")
 
 
-def machine() -> str:
-    return f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, control {control.__version__}"
-
-
 def write(times: dict[str, list[float]]) -> None:
-    folder = ROOT / "data" / "motion" / "times"
-    folder.mkdir(parents=True, exist_ok=True)
-    lines = ["what,median_ms,lowest_ms,highest_ms"]
-    for name, each in times.items():
-        shown = ",".join(f"{1e3 * value:.4g}" for value in (np.median(each), min(each), max(each)))
-        lines.append(f'"{name}",{shown}')
-    (folder / "times.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "SOURCE.md").write_text(
-        "# Measured times of a response, a simulation, a search and a filter, beside named peers\n\n"
-        "Milliseconds of processor time, median, lowest and highest of repeats in turn; written by\n"
-        "`python benchmarks/motion.py --write`, which describes each. Measured, not computed: another machine\n"
-        "gives other times.\n\n"
-        f"Machine: {machine()}; other programs were running.\n",
-        encoding="utf-8",
+    write_times(
+        "motion/times/times.csv",
+        "what",
+        "ms",
+        1e3,
+        times,
+        "Milliseconds of processor time of a response, a simulation, a search and a filter, beside named peers: median, lowest\n"
+        "and highest of repeats in turn; written by `python benchmarks/motion.py --write`, which describes each. Measured, not\n"
+        "computed: another machine gives other times.\n\n"
+        f"Machine: {machine('control')}; other programs were running.",
     )
-
-
-def turns(contenders: dict, repeats: int) -> dict[str, list[float]]:
-    """Processor time of every contender, in turn, after one warm-up."""
-    times = {name: [] for name in contenders}
-    for run in contenders.values():
-        run()
-    for _ in range(repeats):
-        for name, run in contenders.items():
-            start = time.thread_time()
-            run()
-            times[name].append(time.thread_time() - start)
-    return times
-
-
-def ratio(times: dict[str, list[float]]) -> float:
-    ours, theirs = times.values()
-    return float(np.median(np.array(theirs) / np.array(ours)))
 
 
 PLANT = stage().at([0], [4])
@@ -267,14 +238,12 @@ def filter_contenders() -> dict:
 
     expected = ours()
     contenders = {"Kalman step, ours": ours}
-    if shutil.which("gcc"):
-        flags = {"gcc -O3 -march=native": ("-O3", "-march=native"), "gcc -O2": ("-O2",)}
-        for name, flag in flags.items():
-            alone, keeping = c_kalman(model, q, r, y, expected, flag)
+    for flags in (("-O3", "-march=native"), ("-O2",)):
+        if library := compiled({"peer.c": C_SOURCE}, *flags):
+            name = " ".join(("gcc", *flags))
+            alone, keeping = c_kalman(library, model, q, r, y, expected)
             contenders[f"Kalman step, C, {name}"] = alone
             contenders[f"Kalman step, C that keeps what ours keeps, {name}"] = keeping
-    else:
-        print("no gcc: the comparison with C is left out")
     from filterpy.kalman import KalmanFilter
 
     def peer():
@@ -292,13 +261,8 @@ def filter_contenders() -> dict:
     return contenders
 
 
-def c_kalman(model: TimeVaryingModel, q: float, r: float, y: np.ndarray, expected: np.ndarray, flags: tuple):
+def c_kalman(library, model: TimeVaryingModel, q: float, r: float, y: np.ndarray, expected: np.ndarray):
     """The filter in C twice: estimates alone, and with gains and covariances kept."""
-    folder = Path(tempfile.mkdtemp())
-    (folder / "peer.c").write_text(C_SOURCE)
-    build = ["gcc", *flags, "-shared", "-fPIC", "peer.c", "-o", "peer.so"]
-    subprocess.run(build, check=True, cwd=folder)
-    library = ctypes.CDLL(str(folder / "peer.so"))
     arrays = [
         np.ascontiguousarray(m) for m in (model.a, model.g[:, :, 0], model.c, model.initial_covariance, y)
     ]

@@ -12,13 +12,13 @@ from pathlib import Path
 
 os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / "lib"), str(ROOT / "benchmarks"), str(ROOT)]
+sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 
 import control  # noqa: E402
 import numpy as np  # noqa: E402
 from scipy import linalg  # noqa: E402
 
-from motion import machine, ratio, turns  # noqa: E402
+from benchmarks.timing import in_turn, machine, ratio  # noqa: E402
 from stillwork.estimation import h2_riccati  # noqa: E402
 from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm  # noqa: E402
 
@@ -27,7 +27,9 @@ STATES = 16
 
 def main() -> None:
     warnings.simplefilter("ignore")  # python-control without slycot warns at every call
-    print(f"{machine()}, slycot: {'yes' if has_slycot() else 'no'}; one thread; processor time, median\n")
+    print(
+        f"{machine('control')}, slycot: {'yes' if has_slycot() else 'no'}; one thread; processor time, median\n"
+    )
     rng = np.random.default_rng(1)
     plant = generalised(rng)
     loop = plant.close(h2_riccati(plant).controller)
@@ -45,7 +47,7 @@ def main() -> None:
     }
     for name, (ours, theirs) in pairs.items():
         np.testing.assert_allclose(ours(), theirs(), rtol=2e-3)
-        times = turns({"ours": ours, "peer": theirs}, 7)
+        times = in_turn({"ours": ours, "peer": theirs}, 7)
         mine = 1e3 * np.median(times["ours"])
         print(f"  {name:50s} {mine:9.3f} ms   peer over ours {ratio(times):8.3g}")
 
