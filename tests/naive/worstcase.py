@@ -108,21 +108,6 @@ def limited_least_squares(rows, outputs, forgetting, initial_covariance, growth_
     return estimates
 
 
-def least_squares_from_the_data(rows, outputs, forgetting, start):
-    """Weighted least squares with rows sqrt(1 / start) of what the largest square so far rose by, outputs zero."""
-    samples, n = rows.shape
-    estimates, largest = np.zeros((samples, n)), np.zeros(n)
-    R, s = np.zeros((n, n)), np.zeros(n)
-    for t in range(samples):
-        rise = np.maximum(rows[t] ** 2 - largest, 0)
-        largest += rise
-        R = forgetting * (R + np.diag(rise) / start) + np.outer(rows[t], rows[t])
-        s = forgetting * s + rows[t] * outputs[t]
-        known = np.flatnonzero(largest)
-        estimates[t, known] = np.linalg.solve(R[np.ix_(known, known)], s[known])
-    return estimates
-
-
 def ridge(rows, outputs, forgetting, penalty):
     """Ridge regression as an augmented least-squares problem, solved anew at every step."""
     samples, n = rows.shape

@@ -178,13 +178,16 @@ def test_limited_least_squares_are_those_of_the_information_form(seed, growth_li
 
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
-def test_least_squares_that_start_from_the_data_are_those_of_the_information_form(seed):
+def test_least_squares_without_a_start_are_those_of_all_rows(seed):
     rows, outputs = record(seed)
-    rows[:12, 2] = 0  # a regressor that comes later
+    rows[:12, 2] = 0  # a regressor that comes later: until then the others alone count
     rows[:, 1] *= np.linspace(0.05, 1.0, 60)  # and one that grows
     track = run(LeastSquares(FORGETTING), rows.T, outputs)
-    expected = naive.least_squares_from_the_data(rows, outputs, FORGETTING, 1e6)
-    assert track.estimates.T == pytest.approx(expected, rel=1e-6, abs=1e-8)
+    for t, used in ((8, [0, 1, 3]), (11, [0, 1, 3]), (20, [0, 1, 2, 3]), (59, [0, 1, 2, 3])):
+        A, b = naive.weighted(rows[: t + 1], outputs[: t + 1], FORGETTING)
+        expected = np.zeros(4)
+        expected[used] = np.linalg.lstsq(A[:, used], b)[0]
+        assert track.estimates[:, t] == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 @settings(max_examples=25)

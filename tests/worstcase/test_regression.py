@@ -84,7 +84,7 @@ def test_an_intercept_is_that_of_weighted_least_squares(forgetting, outputs):
     A, b = weighted(np.column_stack([X, np.ones(len(X))]), y, forgetting, weights)
     expected = np.linalg.lstsq(A, b)[0]
     for estimator, tolerance in (
-        (RecursiveLeastSquares(forgetting=forgetting), 1e-3),  # its start counts a millionth
+        (RecursiveLeastSquares(forgetting=forgetting), 1e-9),
         (MinMaxRegressor(0.0, forgetting=forgetting), 1e-9),
     ):
         found = estimator.fit(X, y, weights)

@@ -145,7 +145,7 @@ def identify(
 
 
 class AdaptationStepper:
-    """The adaptation for use with hardware: one call per sample.
+    """The adaptation for use with hardware: one call per sample, compiled when it is made.
 
     Parameters
     ----------
@@ -191,6 +191,7 @@ class AdaptationStepper:
             self.recursion = settings.start(self.weights.shape[1])
             self.weights = self.weights.astype(settings.dtype)
         self.samples = 0
+        self._step(np.zeros(self.weights.shape[1]), np.zeros(len(self.weights)))  # compiles what steps
 
     @property
     def covariance(self) -> Float64[np.ndarray, "n n"] | None:
@@ -230,30 +231,24 @@ class AdaptationStepper:
         actuators, n = self.weights.shape
         regressor = require_array("regressor", regressor, shape=(n,))
         error = require_array("error", error, shape=(actuators,))
-        settings, weights, recursion = self.settings, self.weights.copy(), None
-        if self.recursion is not None:
-            recursion = self.recursion.copy()
-        one = (each[None].astype(weights.dtype) for each in (regressor, error))
-        # The kernel of a whole record: who steps does not wait for another one to be compiled.
-        stopped, definite = _advance(
-            settings,
-            weights,
-            recursion,
-            *one,
-            False,
-            np.inf,
-            np.empty((0, actuators, n)),
-            2,
-            True,
-            first=self.samples,
-        )
+        stopped, definite, weights, recursion = self._step(regressor, error)
         if not definite:
             raise _not_definite(self.samples)
         if stopped == 0:
-            raise _runaway(self.samples, settings)
+            raise _runaway(self.samples, self.settings)
         self.weights, self.recursion = weights, recursion
         self.samples += 1
         return weights.copy()
+
+    def _step(self, regressor, error):
+        # whether the sample was taken in, whether P is definite, weights and recursion after it
+        weights = self.weights.copy()
+        recursion = None if self.recursion is None else self.recursion.copy()
+        one = (each[None].astype(weights.dtype) for each in (regressor, error))
+        history = np.empty((0, *weights.shape))
+        rest = *one, False, np.inf, history, 2, True
+        done = _advance(self.settings, weights, recursion, *rest, first=self.samples)
+        return *done, weights, recursion
 
 
 def _run(settings, regressors, name, signals, weights, every) -> Adaptation:

@@ -17,14 +17,13 @@ from stillwork.base.algebra import (
     solve_forward,
 )
 from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.covariance_forms import add_triangle_information, hold_diagonal, update_covariance
+from stillwork.estimation.covariance_forms import hold_diagonal, update_covariance
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
 ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
 # Unknowns and samples for which a kernel of their number alone is worth its compilation: it saves a tenth of a
 # microsecond a sample, and takes two seconds to compile.
 FEW, LONG = 8, 100_000
-FAR = 1e10  # what is left of so many times as much has 6 digits
 
 
 def known_length(unknowns: int, samples: int) -> tuple[float, ...]:
@@ -187,62 +186,16 @@ def run_ridge(rows, outputs, penalty, forgetting, information, correlation, esti
 
 
 @kernel
-def admit_start(covariance, i, information):
-    """Let P_ii begin at 1 / information, or bring it down where the difference to that would drown in rounding.
-
-    Its correlations stay as they are.
-    """
-    if covariance[i, i] == 0.0:
-        covariance[i, i] = 1.0 / information
-    elif covariance[i, i] * information > FAR:
-        share = np.sqrt(FAR / (covariance[i, i] * information))
-        for j in range(len(covariance)):
-            covariance[i, j] *= share
-            covariance[j, i] *= share
-
-
-@kernel
-def believe_start(covariance, i, information, gain):
-    """Take in the start of unknown i as a measurement of it that has this much information.
-
-    Returns the share of `gain`, P e_i of before, by which estimates move a unit towards their start.
-    """
-    add_triangle_information(covariance, i, information, gain)
-    return information / (1.0 + information * gain[i])
-
-
-@kernel
-def run_least_squares(
-    rows, outputs, forgetting, start, growth, covariance, estimate, limits, largest, held, estimates, errors
-):
+def run_least_squares(rows, outputs, forgetting, covariance, estimate, limits, held, estimates, errors):
     """Exponentially weighted recursive least squares, covariance form, P kept below limits of its diagonal.
 
-    At a sample that is larger than all before (`largest`) the start at x = 0 is believed as much as its square over
-    `start`, and the limit is `growth` times the inverse of this. `held` marks the limits that acted at the last sample.
+    `held` marks the limits that acted at the last sample.
     """
     n = len(estimate)
     gain = np.zeros(n)
-    rise = np.zeros(n)
     for t in range(len(outputs)):
         row = rows[t]
         errors[t] = error = minus_row(outputs[t], rows, t, estimate)
-        larger = False
-        for i in range(n):
-            larger |= abs(row[i]) > largest[i]
-        if larger:
-            for i in range(n):
-                rise[i] = 0.0
-                if abs(row[i]) > largest[i]:
-                    rise[i] = row[i] * row[i] - largest[i] * largest[i]
-                    admit_start(covariance, i, rise[i] / start)
-            for i in range(n):
-                if rise[i] > 0.0:
-                    if largest[i] > 0.0:
-                        share = believe_start(covariance, i, rise[i] / start, gain)
-                        add_scaled(-share * estimate[i], gain, estimate)
-                    largest[i] = abs(row[i])
-                    limits[i] = start / (row[i] * row[i]) * growth
-            error = minus_row(outputs[t], rows, t, estimate)
         _, shrink = update_covariance(covariance, row, forgetting, gain)
         share = error * shrink
         for i in range(n):

@@ -9,9 +9,9 @@ from stillwork.base.bounds import Fraction, NonNegative, Positive
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.validation import by_value, check_fields
 from stillwork.estimation.recursive_kernels import known_length, run_least_squares, run_min_max, run_ridge
+from stillwork.estimation.triangle_kernels import empty_record, least_share, track_rows
 
 UPDATES = ("exact", "approximate")
-START = 1e6  # how much more the largest sample of a regressor counts than the start, where that follows from the data
 
 
 @by_value
@@ -101,7 +101,7 @@ class _Recursion:
         >>> settings.held(settings.start(unknowns=2))
         array([False, False])
         """
-        return state[4] > 0 if isinstance(self, LeastSquares) else np.zeros(len(state[1]), bool)
+        return state[3] > 0 if isinstance(self, LeastSquares) else np.zeros(len(state[1]), bool)
 
 
 class _MinMaxUpdate(_Recursion):
@@ -274,21 +274,22 @@ class GrowingMinMax(_MinMaxUpdate):
 @by_value
 @dataclass(frozen=True)
 class LeastSquares(_Recursion):
-    """Exponentially weighted recursive least squares (RLS) in covariance form.
+    """Exponentially weighted recursive least squares (RLS): a triangle of all rows, or a covariance from a given start.
 
     Attributes
     ----------
     forgetting : float
         lambda, between 0 and 1.
     initial_covariance : float, optional
-        P_0 = initial_covariance I, in the unit of 1 / regressor^2: large means that the start at x = 0 has no
-        weight. By default it follows from the data, so that units do not matter: zero has a
-        millionth of the weight of the sample in which the regressor was largest so far.
+        P_0 = initial_covariance I of the covariance form, in the unit of 1 / regressor^2: large means that the start at
+        x = 0 has no weight. Without it the start has none: the estimate has the digits of a QR decomposition, and units do
+        not matter. An unknown that nothing excites, or whose regressor those before it explain, is 0.
     growth_limit : float
-        How far an element of the diagonal of P may grow beyond P_0, at least 1; ``inf`` for the textbook's
-        recursion. Without excitation P grows as 1 / forgetting^t: it overflows, and long before
-        that its return breaks the recursion. Information is added only where P exceeds the limit; `held` of the
-        track lists the unknowns for which it acted at the last sample.
+        How far a variance may grow without excitation, at least 1: with P_0 an element of the diagonal of P beyond it;
+        without, of a regressor, once what those before it explain is taken out, beyond its smallest. ``inf`` for the
+        textbook's recursion, in which P grows as 1 / forgetting^t: it overflows, and long before that its return breaks
+        the recursion; the triangle stays finite. Information is added only where a variance exceeds the limit; `held` of
+        the track lists the unknowns for which it acted at the last sample.
 
     Raises
     ------
@@ -316,7 +317,7 @@ class LeastSquares(_Recursion):
             require_number("growth_limit", self.growth_limit, at_least=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
-        """P, x, the limits of the diagonal of P, the largest regressors and the limits that act, before the first sample.
+        """P or the triangle, x, the limits of the diagonal of P and those that act, before the first sample.
 
         Parameters
         ----------
@@ -333,13 +334,12 @@ class LeastSquares(_Recursion):
         >>> estimation.LeastSquares(0.98, initial_covariance=1e3).start(unknowns=1)[0]
         array([[1000.]])
         """
+        vectors = (np.full(unknowns, each) for each in (0.0, 0.0, 0.0))
         if self.initial_covariance is None:
-            initial, limit, largest = 0.0, np.inf, 0.0
-        else:  # given once for all: no sample is larger than infinity
-            initial = float(self.initial_covariance)
-            limit, largest = initial * float(self.growth_limit), np.inf
-        vectors = (np.full(unknowns, each) for each in (0.0, limit, largest, 0.0))
-        return initial * np.eye(unknowns), *vectors
+            return empty_record(unknowns, 1), *vectors
+        initial = float(self.initial_covariance)
+        estimate, limits, held = vectors
+        return initial * np.eye(unknowns), estimate, initial * float(self.growth_limit) + limits, held
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
         """As of all estimators, without bounds.
@@ -366,8 +366,13 @@ class LeastSquares(_Recursion):
         >>> estimates[-1].round(3)
         array([2.])
         """
-        settings = float(self.forgetting), START, float(self.growth_limit)
-        run_least_squares(rows, outputs, *settings, *state, *track[:2])
+        forgetting = float(self.forgetting)
+        if self.initial_covariance is not None:
+            run_least_squares(rows, outputs, forgetting, *state, *track[:2])
+            return
+        record, estimate, _, held = state
+        share = least_share(self.growth_limit)
+        track_rows(record, estimate, rows, outputs, forgetting, share, held, *track[:2])
 
 
 @by_value

@@ -1,14 +1,39 @@
-"""One row more in the triangle of a record, and the min-max estimate from it without a singular value decomposition."""
+"""The triangle of a record, to which each row adds by rotations: least squares of a stream, and the min-max estimate.
+
+The record of least squares is one array, ``state``. Its first rows are the triangle of [X, y] without what all rows have
+in common where there is an intercept: R of weighted deviations, and beside it Q'y. The five rows below are, for each
+column, its weighted mean, the sum of its squares, the largest |R_jj| so far, the share of the last time constant in which
+row j was held, and (first element) the sum of the weights.
+"""
+
+import math
 
 import numpy as np
 
 from stillwork.base.algebra import cholesky_solve
+from stillwork.base.checks import require_number
 from stillwork.base.kernels import kernel
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
 # Below these shares of the data the rank decides, which singular values show and a triangle does not.
 LEAST_EXCESS, LEAST_PENALTY = 1e-9, 1e-20
 EVALUATIONS = 60
+MEAN, POWER, PEAK, HELD, MASS, BESIDE = range(6)  # places below the triangle, and how many
+SINGULAR = 1e-13  # |R_jj| over the size of feature j, below which the features before it explain all of it
+
+
+def empty_record(features: int, outputs: int) -> np.ndarray:
+    """A record of no rows."""
+    return np.zeros((features + BESIDE, features + outputs))
+
+
+def least_share(growth_limit: float) -> float:
+    """Of |R_jj| over its peak, for variances that may grow by this limit."""
+    if growth_limit != np.inf:
+        require_number("growth_limit", growth_limit, at_least=1.0)
+    return max(
+        1 / math.sqrt(growth_limit), 1e-100
+    )  # so much less that it counts for nothing, and no number vanishes
 
 
 @kernel
@@ -16,7 +41,7 @@ def add_row(triangle, row, root):
     """The triangle of `root` times the rows that it stands for and one row more, in place; `row` is used up."""
     if root != 1.0:
         triangle *= root
-    for k in range(len(row)):
+    for k in range(len(triangle)):
         if row[k] == 0.0:
             continue
         length = np.hypot(triangle[k, k], row[k])
@@ -26,6 +51,129 @@ def add_row(triangle, row, root):
             upper = triangle[k, j]
             triangle[k, j] = along * upper + across * row[j]
             row[j] = along * row[j] - across * upper
+
+
+@kernel
+def _forget(state, features, forgetting):
+    root = np.sqrt(forgetting)
+    for i in range(features):
+        for j in range(i, state.shape[1]):
+            state[i, j] *= root
+    for j in range(features):
+        state[features + POWER, j] *= forgetting
+        state[features + HELD, j] *= forgetting
+    state[features + MASS, 0] *= forgetting
+
+
+@kernel
+def _hold(state, features, forgetting, share):
+    # Row j of [R, Q'y] times a number is as if its combination of features were seen again with what the estimate says:
+    # the estimate stays. So |R_jj| is kept above a share of its peak, and above what rounding would lose.
+    for j in range(features):
+        pivot, peak = abs(state[j, j]), state[features + PEAK, j]
+        if pivot > peak:
+            state[features + PEAK, j] = pivot
+            continue
+        least = 2.0 * SINGULAR * np.sqrt(state[features + POWER, j])
+        least = max(share * peak, least if peak > least else 0.0)
+        if 0.0 < pivot < least:
+            for k in range(j, state.shape[1]):
+                state[j, k] *= least / pivot
+            state[features + HELD, j] += 1.0 - forgetting
+
+
+@kernel
+def _take_in(state, features, row, weight, forgetting, share, centred):
+    # One row [x, y] more, which is used up.
+    if forgetting < 1.0:
+        _forget(state, features, forgetting)
+    if weight > 0.0:
+        mass = state[features + MASS, 0]
+        state[features + MASS, 0] = mass + weight
+        for j in range(features):
+            state[features + POWER, j] += weight * row[j] * row[j]
+        root = np.sqrt(weight)
+        if centred:
+            gain = weight / (mass + weight)
+            root *= np.sqrt(mass / (mass + weight))
+            for j in range(len(row)):
+                row[j] -= state[features + MEAN, j]
+                state[features + MEAN, j] += gain * row[j]
+        for j in range(len(row)):
+            row[j] *= root
+        add_row(state[:features], row, 1.0)
+    if forgetting < 1.0:
+        _hold(state, features, forgetting, share)
+
+
+@kernel
+def _solve_record(state, features, centred, coef):
+    # The least-squares estimate; a feature that those before it explain gets 0. The last of `coef` is the intercept.
+    outputs, dependent = state.shape[1] - features, False
+    for j in range(features):
+        dependent |= not abs(state[j, j]) > SINGULAR * np.sqrt(state[features + POWER, j])
+    if dependent:
+        state = state.copy()
+        for j in range(features):
+            if not abs(state[j, j]) > SINGULAR * np.sqrt(state[features + POWER, j]):
+                # what is left of its row belongs to the features after it
+                row = state[j].copy()
+                state[j] = 0.0
+                row[: j + 1] = 0.0
+                add_row(state[:features], row, 1.0)
+    for o in range(outputs):
+        for i in range(features - 1, -1, -1):
+            coef[o, i] = 0.0
+            if state[i, i] != 0.0:
+                total = state[i, features + o]
+                for k in range(i + 1, features):
+                    total -= state[i, k] * coef[o, k]
+                coef[o, i] = total / state[i, i]
+        if centred:
+            coef[o, features] = state[features + MEAN, features + o]
+            for i in range(features):
+                coef[o, features] -= coef[o, i] * state[features + MEAN, i]
+
+
+@kernel
+def learn_rows(state, X, y, weights, forgetting, share, centred, coef):
+    """Rows of features and outputs more in a record, and in `coef` the estimate of all so far, an intercept last.
+
+    A row of weight 0 is lost: time passes. `share` is the least of |R_jj| over its peak: forgetting of a combination of
+    features that nothing excites ends there.
+    """
+    features = X.shape[1]
+    row = np.empty(state.shape[1])
+    for t in range(len(X)):
+        for j in range(features):
+            row[j] = X[t, j]
+        for j in range(y.shape[1]):
+            row[features + j] = y[t, j]
+        _take_in(state, features, row, weights[t], forgetting, share, centred)
+    _solve_record(state, features, centred, coef)
+
+
+@kernel
+def track_rows(state, estimate, rows, outputs, forgetting, share, held, estimates, errors):
+    """Row by row of one output, without an intercept: the `errors` before each, and the `estimates` after.
+
+    `held` marks the features whose row was held at the last sample.
+    """
+    features = rows.shape[1]
+    row, coef, before = np.empty(features + 1), np.empty((1, features)), np.empty(features)
+    for t in range(len(rows)):
+        error = outputs[t]
+        for j in range(features):
+            row[j] = rows[t, j]
+            error -= row[j] * estimate[j]
+            before[j] = forgetting * state[features + HELD, j]
+        row[features] = outputs[t]
+        errors[t] = error
+        _take_in(state, features, row, 1.0, forgetting, share, False)
+        _solve_record(state, features, False, coef)
+        for j in range(features):
+            estimate[j] = estimates[t, j] = coef[0, j]
+            held[j] = state[features + HELD, j] > before[j]
 
 
 @kernel

@@ -7,6 +7,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,47 +15,8 @@ import numpy as np
 from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_plain
 from stillwork.estimation.regression import WeightedRegressor
-from stillwork.estimation.secular import ROUNDING
+from stillwork.estimation.secular import ROUNDING, min_max_root
 from stillwork.estimation.triangle_kernels import advance_min_max
-
-
-class TriangleRegressor(WeightedRegressor):
-    """Solves for the estimate from the triangle of [X, y] in `_solve`; an intercept is the last of X."""
-
-    forgetting: Any
-
-    def _start(self, columns, outputs):
-        # the triangle, the sum of the weights
-        size = columns + outputs
-        return np.zeros((size, size)), 0.0
-
-    def _advance(self, state, rows, outputs, weights):
-        corner, mass = state[:2]
-        forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
-        table = np.hstack([rows, outputs])
-        if len(weights) == 1:
-            mass = forgetting * mass + float(weights[0])
-        else:
-            fading = forgetting ** np.arange(len(weights) - 1, -1, -1)
-            mass = forgetting ** len(weights) * mass + weights @ fading
-            table = np.sqrt(fading)[:, None] * table
-        corner = np.linalg.qr(np.concatenate([forgetting ** (len(weights) / 2) * corner, table]), mode="r")
-        return (corner, mass), self._solve(corner, rows.shape[1], outputs.shape[1], mass)
-
-    def _solve(self, corner, columns, outputs, mass) -> np.ndarray:
-        raise NotImplementedError
-
-    def _per_column(self, name, columns) -> np.ndarray:
-        # a setting that is one number or one for each feature; an intercept's is zero
-        features = columns - bool(self.fit_intercept)
-        values = require_array(name, getattr(self, name))
-        if values.shape not in ((), (features,)):
-            raise InputError(
-                f"{name} has shape {values.shape}; give a number, or one for each of {pluralise(features, 'feature')}"
-            )
-        if np.any(values < 0):
-            raise InputError(f"{name} holds a negative number; give zero or above")
-        return np.append(np.resize(values, features), np.zeros(columns - features))
 
 
 def _column_sizes(matrix) -> np.ndarray:
@@ -103,7 +65,7 @@ class _Bounds:
 
 
 @dataclass(eq=False, repr=False)
-class MinMaxRegressor(TriangleRegressor):
+class MinMaxRegressor(WeightedRegressor):
     """Least squares for features with a bounded error: minimises the largest residual.
 
     Over all perturbations dX with |dX diag(bound)^-1| <= 1 of the features seen so far it minimises the largest
@@ -140,7 +102,8 @@ class MinMaxRegressor(TriangleRegressor):
     Notes
     -----
     What is kept of the samples is a triangle that has their residuals, so that the estimate is exact at every time and
-    loses no digits; it is that of `min_max_solve`. There is nothing to wind up: an estimate without excitation fades to
+    loses no digits; it is that of `min_max_solve`. With an intercept the offset of a feature does not matter. The kernel of a
+    row is compiled when the estimator is made. There is nothing to wind up: an estimate without excitation fades to
     zero where its bound does not fade as well.
 
     Warns
@@ -161,14 +124,17 @@ class MinMaxRegressor(TriangleRegressor):
     (array([1.25]), array([1.11]))
     """
 
-    _bounds: ClassVar[Any] = None  # those of the last call
-
     bound: Any
     bound_on: Any = "record"
     forgetting: Any = 1.0
     initial_coef: Any = None
     initial_covariance: Any = np.inf
     fit_intercept: Any = True
+
+    _bounds: ClassVar[Any] = None  # those of the last call
+
+    def __post_init__(self):
+        _compile()
 
     def _warn(self):
         if self._zero:
@@ -179,53 +145,69 @@ class MinMaxRegressor(TriangleRegressor):
                 stacklevel=4,
             )
 
-    def _start(self, columns, outputs):
-        corner, _ = super()._start(columns, outputs)
-        self._bounds = None
+    def _start(self, columns, outputs) -> np.ndarray:
+        size = columns + outputs
+        corner = np.zeros((size, size))
         if not (isinstance(self.initial_covariance, float) and self.initial_covariance == np.inf):
             root = np.full(
                 columns, 1 / np.sqrt(require_number("initial_covariance", self.initial_covariance, above=0.0))
             )
-            if self.fit_intercept:
-                root[-1] = 0.0  # nothing is known of it
+            first = np.zeros((outputs, columns))
+            features = columns - self._has_intercept
+            root[features:] = 0.0  # nothing is known of an intercept
+            first[:, :features] = self._initial(self.initial_coef, features, outputs)
             corner[:columns, :columns] = np.diag(root)
-            corner[:columns, columns:] = root[:, None] * self._initial(self.initial_coef, columns, outputs).T
+            corner[:columns, columns:] = root[:, None] * first.T
         elif self.initial_coef is not None:
             raise InputError(
                 "initial_covariance is inf, so that initial_coef does not count; give a finite one"
             )
-        return corner, 0.0
+        return corner
 
-    def _advance(self, state, rows, outputs, weights):
-        # a row of a stream takes one kernel, which begins where the one before it ended
+    def _update(self, X, outputs, weights, anew):
+        rows, outputs = self._weighted(X, outputs, weights)
         columns, bounds = rows.shape[1], self._bounds
-        same = bounds is not None and bounds.bound is self.bound and bounds.columns == columns
+        if anew:
+            # the triangle of [X, y], the sum of the weights, and the regularisation of each output
+            self._state = self._start(columns, outputs.shape[1]), 0.0, np.zeros(outputs.shape[1])
+        corner, mass, alphas = self._state
+        same = not anew and bounds is not None and bounds.bound is self.bound
         if not (same and isinstance(self.bound, float | int)):
             bounds = self._bounds = _Bounds(self.bound, self._per_column("bound", columns))
-        alphas = state[2] if len(state) > 2 else np.zeros(outputs.shape[1])
+        forgetting = self.forgetting
+        if not (isinstance(forgetting, float) and 0.0 < forgetting <= 1.0):
+            forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
         if len(rows) == 1 and bounds.largest > 0:
-            corner, mass, alphas = state[0].copy(), state[1], alphas.copy()
-            forgetting = self.forgetting
-            if not (isinstance(forgetting, float) and 0.0 < forgetting <= 1.0):
-                forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
+            # a row of a stream takes one kernel, which begins where the one before it ended
             mass, coef = forgetting * mass + float(weights[0]), np.empty((outputs.shape[1], columns))
             row, bound = np.concatenate([rows[0], outputs[0]]), bounds.largest * self._growth(mass)
-            if advance_min_max(
-                corner,
-                row,
-                math.sqrt(forgetting),
-                bounds.order,
-                bounds.known,
-                bounds.shares,
-                bound,
-                coef,
-                alphas,
-            ):
-                self._zero = math.isinf(max(alphas.tolist()))
-                return (corner, mass, alphas), coef
-            return (corner, mass, alphas), self._solve(corner, columns, outputs.shape[1], mass)
-        state, coef = super()._advance(state, rows, outputs, weights)
-        return (*state, alphas), coef
+            corner, alphas = corner.copy(), alphas.copy()
+            root = math.sqrt(forgetting)
+            how = row, root, bounds.order, bounds.known, bounds.shares, bound, coef, alphas
+            solved = advance_min_max(corner, *how)
+            self._zero = math.isinf(max(alphas.tolist()))
+        else:
+            fading = forgetting ** np.arange(len(weights) - 1, -1, -1)
+            mass, solved = forgetting ** len(weights) * mass + float(weights @ fading), False
+            table = np.sqrt(fading)[:, None] * np.hstack([rows, outputs])
+            corner = np.concatenate([forgetting ** (len(weights) / 2) * corner, table])
+            corner = np.linalg.qr(corner, mode="r")
+        if not solved:
+            coef = self._solve(corner, columns, mass)
+        self._state = corner, mass, alphas
+        return self._parted(coef)
+
+    def _per_column(self, name, columns) -> np.ndarray:
+        # a setting that is one number or one for each feature; an intercept's is zero
+        features = columns - self._has_intercept
+        values = require_array(name, getattr(self, name))
+        if values.shape not in ((), (features,)):
+            raise InputError(
+                f"{name} has shape {values.shape}; give a number, or one for each of {pluralise(features, 'feature')}"
+            )
+        if np.any(values < 0):
+            raise InputError(f"{name} holds a negative number; give zero or above")
+        return np.append(np.resize(values, features), np.zeros(columns - features))
 
     def _growth(self, mass) -> float:
         # of the bound over that of one sample, or of all
@@ -233,7 +215,7 @@ class MinMaxRegressor(TriangleRegressor):
             return math.sqrt(mass)
         return 1.0
 
-    def _solve(self, corner, columns, outputs, mass):
+    def _solve(self, corner, columns, mass):
         largest, shares = self._bounds.largest * self._growth(mass), self._bounds.shares
         self._zero = False  # whether the bound explains all of the data away
         known, targets = self._bounds.values == 0, corner.T[columns:]
@@ -244,3 +226,11 @@ class MinMaxRegressor(TriangleRegressor):
             return estimate / shares
 
         return np.array([_solve_around_known(corner[:, :columns], each, known, estimate) for each in targets])
+
+
+@cache
+def _compile() -> None:
+    # the kernel of a row, and the one that decides where it cannot
+    one = np.ones(1)
+    advance_min_max(np.eye(2), np.ones(2), 1.0, np.zeros(1, int), 0, one, 0.1, np.ones((1, 1)), np.zeros(1))
+    min_max_root(one, one, 1.0, 0.1, 0.1)

@@ -1,0 +1,212 @@
+"""The estimators of a stream against certified values, exact relations and shifted, scaled and turned copies of records."""
+
+import os
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from naive.nist import datasets, digits
+from stillwork.estimation import LeastMeanSquares, LeastSquares, MinMaxRegressor, RecursiveLeastSquares, run
+
+
+def scaled_qr(A, b):
+    units = np.linalg.norm(A, axis=0)
+    q, r = np.linalg.qr(A / units)
+    return np.linalg.solve(r, q.T @ b) / units
+
+
+def rows_of(estimator, X, y):
+    for k in range(len(X)):
+        estimator.partial_fit(X[k : k + 1], y[k : k + 1])
+    return np.append(estimator.coef_, estimator.intercept_)
+
+
+@pytest.mark.parametrize("name", datasets())
+def test_certified_digits_are_kept(name):
+    X, y, certified, intercept = datasets()[name]
+    A = np.column_stack([X, np.ones(len(X))]) if intercept else X
+    # of Filip's columns numpy's rank is one too small
+    peer = scaled_qr(A, y) if name == "Filip" else np.linalg.lstsq(A, y)[0]
+    wanted = digits(peer, certified) - 1
+    fitted = RecursiveLeastSquares(fit_intercept=intercept).fit(X, y)
+    whole = np.append(fitted.coef_, fitted.intercept_)
+    assert digits(whole[: A.shape[1]], certified) >= wanted
+    stream = rows_of(RecursiveLeastSquares(fit_intercept=intercept), X, y)
+    assert stream == pytest.approx(whole, rel=1e-12)
+
+
+OFFSETS = [
+    (101325.0, 20.0, 2.0, 500),
+    (101325.0, 20.0, 2.0, 2000),
+    (300.0, 0.01, 5.0, 1000),
+    (1e6, 10.0, 2.0, 1000),
+]
+
+
+@pytest.mark.parametrize(("offset", "size", "slope", "samples"), [*OFFSETS, (300.0, 0.01, 5.0, 2000)])
+@pytest.mark.parametrize("forgetting", [1.0, 0.999])
+def test_features_with_an_offset_keep_their_slope(offset, size, slope, samples, forgetting):
+    X = offset + size * np.random.default_rng(1).standard_normal((samples, 1))
+    y = slope * X[:, 0] + 7.0
+    found = RecursiveLeastSquares(forgetting=forgetting).fit(X, y)
+    assert found.coef_ == pytest.approx([slope], rel=1e-10)
+    rounding = 1e-15 * offset / size * offset * slope  # of the slope, times the offset
+    assert found.intercept_ == pytest.approx(7.0, abs=100 * rounding)
+    track = run(LeastSquares(min(forgetting, 1 - 1e-9)), np.vstack([X.T, np.ones(samples)]), y)
+    assert track.estimates[0, -1] == pytest.approx(slope, rel=1e-8)
+    assert LeastMeanSquares().fit(X, y).coef_ == pytest.approx([slope], rel=1e-4)
+    assert MinMaxRegressor(0.0, forgetting=forgetting).fit(X, y).coef_ == pytest.approx([slope], rel=1e-8)
+
+
+@pytest.mark.parametrize(("offset", "size", "slope", "samples"), OFFSETS)
+def test_least_mean_squares_find_the_slope_of_a_machine_that_starts_at_zero(offset, size, slope, samples):
+    X = offset + size * np.random.default_rng(2).standard_normal((samples, 1))
+    X[0] = 0.0
+    assert LeastMeanSquares().fit(X, slope * X[:, 0] + 7.0).coef_ == pytest.approx([slope], rel=1e-2)
+
+
+def record(seed, samples=120, features=3):
+    rng = np.random.default_rng(seed)
+    X = rng.standard_normal((samples, features))
+    X[40:60] = X[40]  # a rest
+    X[:, -1] = np.sign(X[:, -1])  # two levels
+    return X, X @ rng.standard_normal(features) + 0.3 * rng.standard_normal(samples)
+
+
+EXACT = [
+    RecursiveLeastSquares(),
+    RecursiveLeastSquares(forgetting=0.97),
+    MinMaxRegressor(0.0, forgetting=0.97),
+]
+BOUNDED = MinMaxRegressor([0.1, 0.2, 0.3], forgetting=0.97)
+
+
+@settings(max_examples=30)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.tuples(*3 * [st.floats(-6, 6)]),
+    st.tuples(*3 * [st.sampled_from([0.0, 1.0, -3e3, 1e5])]),
+    st.permutations(range(3)),
+    st.sampled_from([*EXACT, BOUNDED]),
+)
+def test_neither_unit_nor_offset_nor_order_of_the_features_matters(seed, powers, offsets, order, estimator):
+    X, y = record(seed)
+    units, given = 10.0 ** np.array(powers), estimator.get_params()
+    copy = type(estimator)(**given)
+    if estimator is BOUNDED:
+        copy.set_params(bound=(given["bound"] * units)[order])
+    moved = ((X + offsets) * units)[:, order]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        expected = type(estimator)(**given).fit(X, y).predict(X)
+        assert copy.fit(moved, y).predict(moved) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e4]), st.sampled_from(EXACT))
+def test_two_features_that_differ_by_a_millionth_are_told_apart(seed, offset, estimator):
+    rng = np.random.default_rng(seed)
+    one = rng.standard_normal((300, 1))
+    X = offset + np.hstack([one, one + 1e-6 * rng.standard_normal((300, 1))])
+    found = type(estimator)(**estimator.get_params()).fit(X, X @ [2.0, -3.0])
+    assert found.coef_ == pytest.approx([2.0, -3.0], abs=1e-7 * max(1.0, offset) / 10)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.95, 1.0]), st.booleans())
+def test_a_feature_that_others_explain_changes_no_prediction(seed, forgetting, intercept):
+    X, y = record(seed)
+    more = np.column_stack([X[:, :2], X[:, 0], X[:, 2], X[:, 1] - 2 * X[:, 2], np.full(len(X), 0.1)])
+    kind = RecursiveLeastSquares(forgetting=forgetting, fit_intercept=intercept)
+    found = kind.fit(more, y)
+    root = np.sqrt(forgetting ** np.arange(len(X) - 1, -1, -1))
+    A = np.column_stack([X, np.ones(len(X))])  # the constant feature stands for an intercept
+    expected = A @ np.linalg.lstsq(A * root[:, None], y * root)[0]
+    assert found.predict(more) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert found.coef_[[2, 4]] == pytest.approx([0, 0], abs=0)
+
+
+@pytest.mark.parametrize("rest", ["constant", "lost"])
+def test_a_million_rests_are_survived(rest):
+    X, y = record(3, samples=800)
+    stream = RecursiveLeastSquares(forgetting=0.99).partial_fit(X[:400], y[:400])
+    still = np.full((10**6, 3), 5.0 if rest == "constant" else np.nan)
+    stream.partial_fit(still, np.full(10**6, 2.0))
+    assert np.isfinite(stream.coef_).all()
+    assert stream.predict(still[:1]) == pytest.approx([2.0] if rest == "constant" else [np.nan], nan_ok=True)
+    stream.partial_fit(X[400:], y[400:])
+    # what is left of the rest is one row of all its weight, of the first 400 what the limit keeps
+    weights = np.append(0.99**400 / (1 - 0.99) if rest == "constant" else 0.0, 0.99 ** np.arange(399, -1, -1))
+    A = (
+        np.column_stack([np.vstack([np.full((1, 3), 5.0), X[400:]]), np.ones(401)])
+        * np.sqrt(weights)[:, None]
+    )
+    expected = np.linalg.lstsq(A, np.append(2.0, y[400:]) * np.sqrt(weights))[0]
+    assert np.append(stream.coef_, stream.intercept_) == pytest.approx(expected, abs=1e-5)
+
+
+def test_single_precision_keeps_its_digits():
+    X, y = record(4)
+    narrow = (X + 100).astype(np.float32), y.astype(np.float32)
+    wide = RecursiveLeastSquares().fit(*(each.astype(float) for each in narrow))
+    assert np.array_equal(RecursiveLeastSquares().fit(*narrow).coef_, wide.coef_)
+
+
+def test_the_covariance_is_that_of_the_normal_equations():
+    X, y = record(5)
+    root = np.sqrt(0.97 ** np.arange(len(X) - 1, -1, -1))
+    A = np.column_stack([X, np.ones(len(X))]) * root[:, None]
+    found = RecursiveLeastSquares(forgetting=0.97).fit(X, y)
+    assert found.covariance_ == pytest.approx(np.linalg.inv(A.T @ A), rel=1e-9, abs=1e-12)
+    assert np.isinf(RecursiveLeastSquares().fit(X[:2], y[:2]).covariance_).all()
+
+
+STEPS = """
+import numpy as np
+from numba.core.event import install_recorder
+from stillwork import estimation
+
+rng = np.random.default_rng(1)
+X, y = rng.standard_normal((20_000, 3)), rng.standard_normal(20_000)
+X[1000:1300] = X[1000]
+X[5000:5100] = np.nan
+frozen = X.copy()
+frozen.flags.writeable = False
+makers = {
+    "RLS": lambda: estimation.RecursiveLeastSquares(forgetting=0.99),
+    "RLS, P": lambda: estimation.RecursiveLeastSquares(forgetting=0.99, initial_covariance=1.0),
+    "RLS, UD": lambda: estimation.RecursiveLeastSquares(forgetting=0.99, initial_covariance=1.0, form="UD"),
+    "LMS": estimation.LeastMeanSquares,
+    "min-max": lambda: estimation.MinMaxRegressor(0.3, forgetting=0.99),
+    "min-max, known": lambda: estimation.MinMaxRegressor([0.3, 0.0, 0.1], "sample"),
+    "FeLMS": lambda: estimation.AdaptationStepper(estimation.FeLms(0.1), np.zeros((2, 3))),
+    "FeRLS": lambda: estimation.AdaptationStepper(estimation.FeRls(1.0), np.zeros((2, 3), order="F")),
+    "FeRLS, UD": lambda: estimation.AdaptationStepper(estimation.FeRls(1.0, form="UD"), np.zeros((1, 3))),
+    "FeRLS, float32": lambda: estimation.AdaptationStepper(
+        estimation.FeRls(1.0, 0.999, dtype="float32"), np.zeros((1, 3))
+    ),
+}
+for name, make in makers.items():
+    made = make()
+    with install_recorder("numba:compile") as compiled:
+        for k in range(20_000):
+            if hasattr(made, "partial_fit"):
+                table = (frozen, X, np.asfortranarray(X[k : k + 2])[::2])[k % 3]
+                made.partial_fit(table[k : k + 1] if k % 3 < 2 else table, y[k : k + 1])
+            else:
+                row = np.nan_to_num(X[k])
+                made.update(row, made.weights @ row - y[k])
+    assert not compiled.buffer, (name, [each[1].data for each in compiled.buffer][:1])
+"""
+
+
+@pytest.mark.slow
+def test_nothing_is_compiled_in_the_middle_of_a_stream(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}  # no kernel is there yet
+    done = subprocess.run([sys.executable, "-c", STEPS], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
