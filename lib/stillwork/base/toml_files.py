@@ -1,10 +1,14 @@
 """TOML files of people's own: what is missing or of another kind is an `InputError` that names it."""
 
+import re
 import tomllib
 from collections.abc import Collection
 from pathlib import Path
 
 from stillwork.base.checks import InputError, nearest, require_array, require_number, short_repr
+
+MOST_BYTES = 2**20
+MOST_PARTS = 32  # of a dotted key: the time to read one grows with the square of its parts
 
 
 class Table(dict):
@@ -37,7 +41,17 @@ def read_toml(file: str | Path) -> Table:
     """Read a TOML file; it can hold values only, so reading it executes nothing."""
     file = Path(file)
     try:
-        return Table(tomllib.loads(file.read_text(encoding="utf-8")), file.name)
+        if (size := file.stat().st_size) > MOST_BYTES:
+            raise InputError(
+                f"{file} has {size:.3g} bytes, more than {MOST_BYTES >> 20} MB; give a TOML file"
+            )
+        text = file.read_text(encoding="utf-8")
+        parts = re.split(r"[,=\[\]{}\n]", re.sub(r"[ \t]+", "", text))
+        if (most := max(each.count(".") for each in parts)) > MOST_PARTS:
+            raise InputError(f"{file}: a key has {most + 1} parts; give tables of values")
+        return Table(tomllib.loads(text), file.name)
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"no file {file}; give the path of a TOML file") from None
     except OSError as error:
@@ -62,6 +76,8 @@ def read_numbers(file: str | Path, *, lists: bool = True) -> Table:
 def _entry(value, where: str):
     if isinstance(value, dict):
         return Table(value, where)
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise InputError(f"{where} is an integer of {value.bit_length()} bits; TOML's have 64")
     return [_entry(each, where) for each in value] if isinstance(value, list) else value
 
 
