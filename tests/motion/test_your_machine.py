@@ -123,7 +123,7 @@ def test_what_each_column_was_taken_for_is_reported(tmp_path):
     assert taken == {
         "frequency": ("rad/s", "frequency (rad/s)", True),
         "magnitude": ("dB re 1 g/N", "magnitude (dB re 1 g/N)", True),
-        "phase": ("rad", "phase", False),
+        "phase": ("rad", "phase", True),
     }
     again = load_machine(file, read_as={"frequency": "Hz", "magnitude": "1", "phase": "rad"}).accelerance
     assert again.omega == pytest.approx(2 * np.pi * 2 * np.pi * HERTZ)
@@ -146,12 +146,16 @@ def test_units_that_contradict_the_file_or_each_other_are_refused(tmp_path):
 
 def test_decibels_say_what_they_refer_to(tmp_path):
     sizes = 20 * np.log10(np.abs(ACCELERANCE) / 9.80665)
-    columns = {"magnitude (dB re 1 g/N)": sizes, "phase (deg)": np.degrees(np.angle(ACCELERANCE))}
-    found = load_machine(write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns))
-    assert np.abs(found.accelerance.response / ACCELERANCE - 1).max() < 1e-9
+    for reference, more in (("1", 0), ("1e-6", 120), ("0.1", 20)):
+        columns = {
+            f"magnitude (dB re {reference} g/N)": sizes + more,
+            "phase (deg)": np.degrees(np.angle(ACCELERANCE)),
+        }
+        found = load_machine(write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns))
+        assert np.abs(found.accelerance.response / ACCELERANCE - 1).max() < 1e-9
 
 
-@pytest.mark.parametrize("bracket", ["(g/lbf)", "(dB re 1e-6 g/N)", "[furlong]"])
+@pytest.mark.parametrize("bracket", ["(g/lbf)", "(dB re 1e-6 g/lbf)", "[furlong]"])
 def test_an_unknown_unit_is_not_taken_for_none(tmp_path, bracket):
     columns = {f"real {bracket}": ACCELERANCE.real, f"imag {bracket}": ACCELERANCE.imag}
     file = write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns)

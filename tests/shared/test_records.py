@@ -17,7 +17,6 @@ from stillwork.identification.machine_files import stated_units
 from stillwork.signals import datafiles
 from stillwork.signals.densities import read_densities, stated_density
 from stillwork.signals.records import (
-    UNITS,
     Record,
     load_record,
     resample,
@@ -25,8 +24,8 @@ from stillwork.signals.records import (
     sampling_rate,
     stated_unit,
     to_acceleration,
-    unit_factor,
 )
+from stillwork.signals.units import UNITS, unit_factor
 from stillwork.signals.universal import read_universal
 
 RATE = 500.0
@@ -134,7 +133,7 @@ def test_units(unit, factor, si):
 
 def test_unknown_unit_names_the_nearest():
     with pytest.raises(InputError, match=r"^unit\b.*'mm/s'"):
-        unit_factor("mm/sec")
+        unit_factor("mm/z")
     assert "kg" not in UNITS  # a mass, not a thousand times gravity
 
 
@@ -251,7 +250,7 @@ def npy(array):
     [
         ([("a.npy", npy(SIGNALS)), ("read.me", b"notes")], {}, r"'read\.me'"),
         ([("a.npy", b"no array")], {}, "'a'"),
-        ([("a.npy", npy(np.zeros(10**6)))], {"said": 2**33}, r"8\.6e[+]09.*4 GB"),
+        ([("a.npy", npy(np.zeros(10**6)))], {"said": 2**33}, r"8\.6e[+]09.*0\.5 GB"),
         ([("a.npy", npy(np.zeros(10**6)))] * 2, {"compression": zipfile.ZIP_BZIP2}, r"'a\.npy'"),
         ([(f"{n}.npy", b"") for n in range(10_001)], {}, r"\b10001\b.*\b10000\b"),
         ([("a.npy", npy(SIGNALS).replace(b"(2, 1000)", b"(2, 10**9"))], {}, r"^a\.npz\b"),
@@ -330,7 +329,7 @@ def test_cut_files_give_our_error(tmp_path):
         ("a.csv", "time,x\n10:00:01.250,1\n", r"column time\b.*\brow 1\b"),
         ("a.csv", "time,x\n1.2.3,1\n", r"column time: '1\.2\.3'"),
         ("a.csv", "time,x\n0,1\n0.1,1,2,3\n", r"row 2 .*\b4\b.*\b2\b"),
-        ("a.csv", "time,x\n0,1,5\n0.1,1,2\n", r"\b2 columns.*\b3\b"),
+        ("a.csv", "time,x\n0,1,5\n0.1,1,2\n", r"row 1 .*\b3\b.*\b2\b"),
         ("a.tsv", "\r,", r"^a\.tsv\b"),
         ("a.xlsx", "", r"\bfiles\b"),
         ("a.mat", "not a mat file" * 20, r"^a\.mat\b.*-v7"),

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 from experiments.isolation.floors import SAMPLE_RATE, SENSORS
 from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
 from stillwork.signals.criteria import criterion_density
-from stillwork.signals.records import STANDARD_GRAVITY, Record, resample, to_acceleration
+from stillwork.signals.records import Record, resample, to_acceleration
+from stillwork.signals.units import STANDARD_GRAVITY
 from workbook import paths
 
 # The range of interest of the FeRLS paper ends here; a criterion continued further would be no measurement.

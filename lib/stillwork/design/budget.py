@@ -36,8 +36,9 @@ from stillwork.design.retest import model_of
 from stillwork.lti.modal import ModalModel
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.densities import agreed_density, density_unit, frequency_axis, hertz_in, read_densities
-from stillwork.signals.records import Record, is_time, load_record, to_acceleration, unit_factor
+from stillwork.signals.records import Record, is_time, load_record, to_acceleration
 from stillwork.signals.spectra import estimate_spectrum
+from stillwork.signals.units import unit_factor
 from workbook import figures
 
 PLACES = {**DISTURBANCES, **MEASUREMENTS, **COMMANDS}

@@ -12,15 +12,8 @@ from stillwork.base.checks import InputError, one_line, pluralise, short_repr
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import DENSITY_UNITS_TEXT, frequency_axis, hertz_in, spectra_of
-from stillwork.signals.records import (
-    MOTION_UNITS,
-    UNITS_TEXT,
-    is_time,
-    load_unscaled,
-    stated_unit,
-    unit_factor,
-    unknown_unit,
-)
+from stillwork.signals.records import is_time, load_unscaled, stated_unit, unknown_unit
+from stillwork.signals.units import MOTION_UNITS, UNITS_TEXT, unit_factor
 from workbook.own_files import command, figures_command, in_checkout, model_file
 
 # What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of

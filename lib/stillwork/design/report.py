@@ -30,17 +30,9 @@ from stillwork.signals.densities import (
     spectra_of,
     stated_density,
 )
-from stillwork.signals.records import (
-    UNITS_TEXT,
-    Record,
-    channel_unit,
-    is_time,
-    load_unscaled,
-    sampling_rate,
-    stated_unit,
-    unit_factor,
-)
+from stillwork.signals.records import Record, channel_unit, is_time, load_unscaled, sampling_rate, stated_unit
 from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
+from stillwork.signals.units import UNITS_TEXT, unit_factor
 from workbook import figures
 from workbook.progress import Progress
 

@@ -13,23 +13,20 @@ from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
-from stillwork.signals.records import LAST_BRACKETS, UNITS_TEXT, is_time, sampling_rate, unit_factor
-from stillwork.signals.units import Reading
+from stillwork.signals.densities import frequency_axis
+from stillwork.signals.headings import column_unit, heading, in_hertz, known_units
+from stillwork.signals.records import is_time, sampling_rate
+from stillwork.signals.units import DRIVES, MOVES, Reading, Unit, unit_factor
 
 FORMS = (
     "a frequency response (frequency, and complex values or magnitude and phase), hammer records (force and "
     "response), or the matrices M and K"
 )
-POSITIONS, DRIVES = ("m", "rad", "count"), ("N", "N m", "A", "V")
-# Of an acceleration, a velocity and a position
-MOVES = {f"{each}{over}": (each, k) for each in POSITIONS for k, over in enumerate(("/s^2", "/s", ""))}
 PADDING = 4  # lengths of a record that has died out: zeros appended to it give a finer grid
 LONGEST_HIT = 0.2  # part of a record during which the force may exceed a tenth of its peak
+COHERENCE_ROUNDING = 1e-3  # by which a coherence may exceed 1
 DIED_OUT = 0.02  # of the peak, what the last tenth of a record may still hold
-_PLAIN = ("", "-", "1", "s", "ms", "rad", "deg", "degrees", "°")  # in brackets of time, phase and coherence
-_FREQUENCIES = ("frequency", "frequencies", "freq", "freqs", "f", "hz", "hertz", "omega")
-_ANGLES = (*_FREQUENCIES, "phase", "angle", "w")
-_HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
+_SILENT = ("frequency", "time", "rate", "phase", "coherence")  # their units are none of a machine's
 
 
 @by_value
@@ -59,9 +56,9 @@ def kind_of(arrays: dict[str, np.ndarray]) -> str:
     words = {_word(name) for name in arrays}
     if {"m", "k"} <= words or {"mass", "stiffness"} <= words:
         return "matrices"
-    if _frequency_name(arrays):
+    if frequency_axis(arrays):
         return "frequency response"
-    if "force" in words or "hammer" in words:
+    if any(heading(name).quantity == "force" for name in arrays):
         return "hammer records"
     raise InputError(
         f"it holds {', '.join(arrays) or 'nothing'}, but not {FORMS}; name its columns like this"
@@ -140,16 +137,12 @@ def load_machine(
             return MachineFile(kind, file.name, model=model, units=(units[0], units[2]))
         named = response.partition("[")[0]
         read = [each for each in (response, named) if each in arrays] or list(arrays)
+        _require_known(read)
         stated = stated_units(read)
         response_unit = _agreed("response_unit", response_unit, stated[0])
         force_unit = _agreed("force_unit", force_unit, stated[1])
         silent = [name for name, unit in (("response", response_unit), ("force", force_unit)) if not unit]
         response_unit = response_unit or "m/s^2"
-        if unknown := _unknown_unit(read):
-            raise InputError(
-                f"{unknown}: the unit is not known; convert it to one of {UNITS_TEXT} and name it so, or leave the brackets "
-                "out of the name and give response_unit and force_unit"
-            )
         position, derivatives, drive = _machine_units(response_unit, force_unit)
         force_unit = force_unit or drive
         factor, force = unit_factor(response_unit)[0], unit_factor(force_unit)[0]
@@ -181,7 +174,8 @@ def load_machine(
 def _in_units(each: Reading, response: str, force: str, *, written: bool, hammer: bool) -> Reading:
     """A reading of the response or the force with the units that `load_machine` agreed on."""
     if each.quantity in ("magnitude", "real", "imaginary", "complex"):
-        decibels = "dB re 1 " if each.unit == "dB" else ""
+        unit = heading(each.column).meaning
+        decibels = f"dB re {unit.reference if unit else 1:g} " if each.unit.lower().startswith("db") else ""
         return replace(each, unit=f"{decibels}{response}/{force}", written=written)
     if hammer and each.quantity in ("force", "response"):
         return replace(each, unit=force if each.quantity == "force" else response, written=written)
@@ -193,10 +187,18 @@ def load_ratio(file: str | Path, response: str = "") -> Identified:
     """A frequency response without unit (a ratio of two quantities of one unit) from a file, as `load_machine` reads it."""
     file = Path(file)
     arrays = read_arrays(file)
-    if _frequency_name(arrays) is None:
+    if not frequency_axis(arrays):
         raise InputError(f"{file.name} holds {', '.join(arrays) or 'nothing'}, and no frequency; name it so")
     try:
-        return _from_response(arrays, response)[0]
+        _require_known(arrays)
+        found, _, readings = _from_response(arrays, response)
+        for each in readings:
+            unit = heading(each.column).meaning
+            if each.quantity not in _SILENT and unit and unit.si not in ("1", unit.lower_si):
+                raise InputError(
+                    f"{each.column}: a ratio of two quantities of one unit has none; give such a ratio"
+                )
+        return found
     except InputError as error:
         raise InputError(f"{file.name}: {error}") from None
 
@@ -220,8 +222,8 @@ def _machine_units(response_unit: str, force_unit: str) -> tuple[str, int, str]:
 @checked
 def complex_responses(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Every complex response by name; those of a matrix of outputs by inputs as ``h[1,1]``, ``h[2,1]``, ..."""
-    axis = _frequency_name(arrays)
-    if axis is None:
+    axis = frequency_axis(arrays)
+    if not axis:
         raise InputError(f"arrays holds {', '.join(arrays) or 'nothing'}, and no frequency; name it so")
     lines = arrays[axis].size
     found = {}
@@ -241,46 +243,35 @@ def stated_units(names: Iterable[str]) -> tuple[str, str]:
     """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(g)`` and ``(N)``; empty: none."""
     units: dict[str, str] = {}
     for name in names:
-        whole = _in_brackets(name)
-        top, _, below = whole.rpartition("/")
-        top, below = top.strip("() "), below.strip("() ")
-        if is_unit(top, tuple(MOVES)) and is_unit(below, DRIVES):
-            stated = {"response": top, "force": below}
-        else:
-            kinds = (("response", tuple(MOVES)), ("force", DRIVES))
-            # rad and rad/s behind a phase and a frequency are no motion of the machine.
-            stated = {
-                kind: whole for kind, wanted in kinds if _word(name) not in _ANGLES and is_unit(whole, wanted)
-            }
-        for kind, unit in stated.items():
-            if unit_factor(units.setdefault(kind, unit)) != unit_factor(unit):
+        found = heading(name)
+        unit = found.meaning
+        if unit is None or unit.power or found.quantity in _SILENT:
+            continue
+        stated = {}
+        if unit.ratio:
+            stated = {"response": unit.upper, "force": unit.lower}
+        elif not unit.lower and unit.si in MOVES and found.quantity != "force":
+            stated = {"response": unit.upper}
+        elif not unit.lower and unit.si in DRIVES:
+            stated = {"force": unit.upper}
+        for kind, text in stated.items():
+            if unit_factor(units.setdefault(kind, text)) != unit_factor(text):
                 raise InputError(
-                    f"the {kind} is in {units[kind]} and in {unit}; give one unit to all of its columns"
+                    f"the {kind} is in {units[kind]} and in {text}; give one unit to all of its columns"
                 )
     return units.get("response", ""), units.get("force", "")
 
 
-def _in_brackets(name: str) -> str:
-    """What stands in the brackets at the end of a name, after ``dB re 1``."""
-    found = LAST_BRACKETS.search(name)
-    return re.sub(r"(?i)^dB\b\s*((re\s*)?1\s+|re\s+)?", "", found[1]) if found else ""
-
-
-def _unknown_unit(names: Iterable[str]) -> str:
-    """The first name whose brackets hold nothing that is known of a machine; empty when there is none."""
+def _require_known(names: Iterable[str]) -> None:
+    """Refuse a name that holds a unit which is not known, or none of its quantity."""
     for name in names:
-        if _in_brackets(name).lower() not in (*_PLAIN, *_HERTZ) and stated_units([name]) == ("", ""):
-            return name
-    return ""
-
-
-@checked
-def is_unit(text: str, wanted: tuple[str, ...]) -> bool:
-    """Whether `text` is a unit of one of these SI units."""
-    try:
-        return unit_factor(text)[1] in wanted
-    except InputError:
-        return False
+        found = heading(name)
+        if odd := found.unknown or found.strange:
+            raise InputError(
+                f"{name}: {odd!r} is no unit that is known{f' of a {found.quantity}' * bool(found.quantity)}; convert it to one "
+                f"of these and name it so: {known_units(found.quantity or 'real')}; or leave it out of the name, and give "
+                "response_unit and force_unit where they differ from m/s^2 and N"
+            )
 
 
 def _agreed(name: str, given: str, stated: str) -> str:
@@ -295,67 +286,96 @@ def _agreed(name: str, given: str, stated: str) -> str:
 def _from_response(
     arrays: dict[str, np.ndarray], response: str, read_as: Mapping[str, str] | None = None
 ) -> tuple[Identified, tuple[str, ...], list[Reading]]:
-    read_as = read_as or {}
-    axis = str(_frequency_name(arrays))  # there is one: `kind_of` found it
-    written = _bracket(axis)
-    unit = read_as.get("frequency", "").lower() or written or ("rad/s" if _word(axis) == "omega" else "hz")
-    per_hertz = _HERTZ[require_choice(f"{axis}: unit", unit, _HERTZ)]
-    hertz = per_hertz * require_array(axis, np.ravel(arrays[axis].real), ndim=1)
-    spelled = {"hz": "Hz", "khz": "kHz", "rad/s": "rad/s"}[unit]
-    readings = [Reading("frequency", spelled, axis, bool(written) or _word(axis) == "omega")]
-    notes = []
+    axis = frequency_axis(arrays)  # there is one: `kind_of` found it
+    unit, reading = column_unit(axis, "frequency", (read_as or {}).get("frequency", ""))
+    hertz = in_hertz(unit) * require_array(axis, np.ravel(arrays[axis]), ndim=1)
     same = {
         name: np.ravel(array) for name, array in arrays.items() if array.size == hertz.size and name != axis
     }
     same |= complex_responses(arrays)
-    complex_ones = [name for name in same if np.iscomplexobj(same[name])]
-    if complex_ones:
-        if len(complex_ones) > 1 and not response:
-            raise InputError(
-                f"it holds {len(complex_ones)} responses; choose with response={complex_ones[0]!r}"
-            )
-        name = require_choice("response", response or complex_ones[0], complex_ones)
-        values = same[name]
-        notes.append(f"taken: {name}")
-        readings.append(Reading("complex", "", name, False))
-    elif (real := _named(same, "real", "re")) and (imaginary := _named(same, "imaginary", "imag", "im")):
-        values = same[real] + 1j * same[imaginary]
-        readings += [Reading("real", "", real, False), Reading("imaginary", "", imaginary, False)]
-    elif (size := _named(same, "magnitude", "mag", "amplitude", "gain")) and (
-        angle := _named(same, "phase", "angle")
-    ):
-        decibels = read_as.get("magnitude", _bracket(size)).lower().startswith("db")
-        radians = read_as.get("phase", _bracket(angle)) == "rad"
-        sizes = 10 ** (same[size] / 20) if decibels else same[size]
-        values = sizes * np.exp(1j * (same[angle] if radians else np.radians(same[angle])))
-        readings += [
-            Reading("magnitude", "dB" if decibels else "", size, bool(_bracket(size))),
-            Reading("phase", "rad" if radians else "deg", angle, bool(_bracket(angle))),
-        ]
-    else:
-        raise InputError(
-            "there is no response beside the frequency; give complex values, real and imaginary, or magnitude "
-            "and phase"
-        )
+    values, readings = _response(same, response, read_as or {})
+    notes = tuple(f"taken: {each.column}" for each in readings if each.quantity == "complex")
     values = require_array("response", values, dtype=complex)
-    coherence = _named(same, "coherence", "coh")
-    seen = np.full(hertz.size, np.nan) if coherence is None else same[coherence].real
-    if coherence:
-        readings.append(Reading("coherence", "1", coherence, False))
+    seen = np.full(hertz.size, np.nan)
+    if len(names := _called(same, "coherence", response)) > 1:
+        raise InputError(f"it holds several coherences ({', '.join(names)}); leave all but one out")
+    for name in names:
+        unit, taken = column_unit(name, "coherence")
+        seen, readings = unit.factor * same[name].real, [*readings, taken]
+        if np.nanmax(seen, initial=0.0) > 1 + COHERENCE_ROUNDING:
+            raise InputError(
+                f"{name} reaches {np.nanmax(seen):.4g}, and a coherence is at most 1; name it coherence (%) if it is in per cent"
+            )
     if np.any(np.diff(hertz) <= 0):
         raise InputError("the frequency does not rise from line to line; sort the rows")
     kept = (hertz > 0) & (np.abs(values) > 0)
     if kept.sum() < 32:
         raise InputError(f"{int(kept.sum())} usable lines are too few for a fit; give at least 32")
     found = Identified(2 * np.pi * hertz[kept], values[kept], seen[kept].astype(float))
-    return found, tuple(notes), readings
+    return found, notes, [reading, *readings]
+
+
+def _response(
+    same: dict[str, np.ndarray], response: str, read_as: Mapping[str, str]
+) -> tuple[np.ndarray, list[Reading]]:
+    """The complex response of columns of one length, in the unit that these state, and what they were taken for."""
+    complex_ones = [name for name in same if np.iscomplexobj(same[name])]
+    if len(complex_ones) > 1 and not response:
+        raise InputError(f"it holds {len(complex_ones)} responses; choose with response={complex_ones[0]!r}")
+    if complex_ones:
+        name = require_choice("response", response or complex_ones[0], complex_ones)
+        unit = heading(name).meaning
+        if unit and (unit.decibels or unit.power):
+            raise InputError(
+                f"{name}: complex values in {heading(name).unit} are no response; give them linear"
+            )
+        return same[name], [Reading("complex", "", name, False)]
+    pairs = {
+        each: [_called(same, quantity, response) for quantity in each]
+        for each in (("real", "imaginary"), ("magnitude", "phase"))
+    }
+    whole = {
+        pair: [names[0] for names in each] for pair, each in pairs.items() if [*map(len, each)] == [1, 1]
+    }
+    if not whole and (
+        several := [name for each in pairs.values() for names in each if all(each) for name in names]
+    ):
+        raise InputError(
+            f"it holds several responses ({', '.join(several)}); choose with a part of their names as response, or leave some out"
+        )
+    if not whole:
+        raise InputError(
+            "there is no response beside the frequency; give complex values, real and imaginary, or magnitude "
+            "and phase"
+        )
+    (first, second), names = next(iter(whole.items()))
+    (one, taken), (other, also) = (
+        column_unit(name, each, read_as.get(each, ""))
+        for name, each in zip(names, (first, second), strict=True)
+    )
+    x, y = (same[name] for name in names)
+    if first == "real":
+        # A unit other than 1 and % is the response's, which `load_machine` knows.
+        return _plain(one) * x + 1j * _plain(other) * y, [taken, also]
+    size = one.reference * 10 ** (x / 20) if one.decibels else x
+    return _plain(one) * size * np.exp(1j * other.factor * y), [taken, also]
+
+
+def _plain(unit: Unit) -> float:
+    return unit.factor if unit.si == "1" else 1.0
+
+
+def _called(same: dict[str, np.ndarray], quantity: str, response: str) -> list[str]:
+    """The names of the columns of a quantity, or those of them that `response` is a part of."""
+    names = [name for name in same if heading(name).quantity == quantity]
+    return [name for name in names if response and response in name] or names
 
 
 def _from_hammer(
     arrays: dict[str, np.ndarray], sample_rate: float | None, source: str
 ) -> tuple[Identified, tuple[str, ...], list[Reading]]:
     rate = sampling_rate(source, arrays, sample_rate)
-    forces = [name for name in arrays if _word(name) in ("force", "hammer") and arrays[name].size > 1]
+    forces = [name for name in arrays if heading(name).quantity == "force" and arrays[name].size > 1]
     if not forces:
         raise InputError("the force holds one number; give its samples, hits by samples")
     length = max(arrays[name].shape[-1] for name in forces)
@@ -456,22 +476,6 @@ def _matrix(arrays: dict[str, np.ndarray], *words: str) -> np.ndarray | None:
     return np.column_stack([column.ravel() for column in columns]).astype(float)
 
 
-def _frequency_name(arrays: dict[str, np.ndarray]) -> str | None:
-    return _named(
-        {name: array for name, array in arrays.items() if array.size > 1},
-        *_FREQUENCIES,
-    )
-
-
-def _named(arrays: dict[str, np.ndarray], *words: str) -> str | None:
-    return next((name for name in arrays if _word(name) in words), None)
-
-
 def _word(name: str) -> str:
     """First word of a name, without the structure that it is a member of: ``force_n`` and ``force (N)`` are force."""
     return re.split(r"[\s(\[{（_\d]", name.lower().rpartition(".")[2].strip(), maxsplit=1)[0]
-
-
-def _bracket(name: str) -> str:
-    found = re.search(r"[(\[{（](.+)[)\]}）]", name)
-    return found[1].strip().lower() if found else ""

@@ -1,6 +1,5 @@
 """Power spectral densities of motions from files: CSV, MAT or NPZ with a column of frequencies."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -8,38 +7,24 @@ import numpy as np
 from stillwork.base.checks import InputError, pluralise, require_choice
 from stillwork.base.validation import checked
 from stillwork.signals.datafiles import read_columns
-from stillwork.signals.records import (
-    BRACKETS,
-    LAST_BRACKETS,
-    MOTION_UNITS,
-    stated_unit,
-    unit_factor,
-    unknown_unit,
-)
+from stillwork.signals.headings import column_unit, heading, in_hertz
+from stillwork.signals.records import stated_unit, unknown_unit
+from stillwork.signals.units import MOTION_UNITS, meaning, unit_factor
 
 DENSITY_UNITS_TEXT = (
     "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), for example, with m, u or n before a unit"
 )
-# What a column beside a frequency is called when it is a part of a response, and no density.
-_PARTS = re.compile(r"\b(re|real|im|imag|imaginary|mag|magnitude|amplitude|gain|phase|angle|coherence|coh)\b")
-_SUFFIX = re.compile(r"_([munpk]?[mg])(_s2|_s)?_(rthz|sqrthz|2_hz)$")
-# Units of a column of frequencies, in lower case; mhz is mHz, since floors have these and no column here is in MHz.
-HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e-3, "rad/s": 1 / (2 * np.pi)}
-_FREQUENCY_WORDS = ("frequency", "frequencies", "freq", "f", "hz")
+# What a column beside a frequency holds when it is a part of a response, and no density.
+_PARTS = ("real", "imaginary", "magnitude", "phase", "coherence")
 
 
 @checked
 def density_unit(unit: str) -> tuple[str, int] | None:
     """Unit of the motion in a unit of a density, and the power to which the density has it; None for a record's."""
-    plain = unit.strip().replace("²", "^2").replace("√Hz", "sqrt(Hz)").replace(" ", "")
-    for pattern, power in (
-        (r"\((.+)\)\^2/Hz", 2),
-        (r"(\w+)\^2/Hz", 2),
-        (r"\(?(.+?)\)?/(?:sqrt\(Hz\)|rtHz|Hz\^0\.5|Hz\^\(1/2\))", 1),
-    ):
-        if found := re.fullmatch(pattern, plain):
-            return found[1], power
-    if "hz" in plain.lower():
+    found = meaning(unit)
+    if found and found.power:
+        return found.upper, found.power
+    if "hz" in unit.lower():
         raise InputError(f"unit is {unit!r}; give a density as {DENSITY_UNITS_TEXT}")
     return None
 
@@ -47,15 +32,8 @@ def density_unit(unit: str) -> tuple[str, int] | None:
 @checked
 def stated_density(name: str) -> str:
     """Unit of a density in a name, in brackets or at its end, as ``ground_m_rthz`` does; empty: none."""
-    if found := LAST_BRACKETS.search(name):
-        try:
-            return found[1] if density_unit(found[1]) else ""
-        except InputError:
-            return ""
-    if found := _SUFFIX.search(name.strip().lower()):
-        motion = found[1] + {"_s2": "/s^2", "_s": "/s", None: ""}[found[2]]
-        return f"({motion})^2/Hz" if found[3] == "2_hz" else f"{motion}/sqrt(Hz)"
-    return ""
+    found = heading(name)
+    return found.unit.replace("rtHz", "sqrt(Hz)") if found.meaning and found.meaning.power else ""
 
 
 @checked
@@ -64,7 +42,8 @@ def spectra_of(columns: dict[str, np.ndarray]) -> dict[str, str]:
     axis = frequency_axis(columns)
     others = {name: column for name, column in columns.items() if name != axis and column.size > 1}
     if not axis or any(
-        column.dtype.kind == "c" or _PARTS.search(name.lower()) for name, column in others.items()
+        column.dtype.kind == "c" or (heading(name).quantity in _PARTS and not stated_density(name))
+        for name, column in others.items()
     ):
         return {}
     return {name: stated_density(name) for name in others}
@@ -105,6 +84,9 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
         raise InputError(f"{path.name} holds a density that is missing, infinite or negative; correct it")
     order = np.argsort(f[known], kind="stable")  # some analysers write the highest frequency first
     f, rows = f[known][order], rows[:, order]
+    if np.any(np.diff(f) <= 0):
+        again = f[1:][np.diff(f) <= 0][0]
+        raise InputError(f"{path.name}: {axis!r} holds {again:.6g} Hz twice; leave one of the lines out")
     squares = [
         factor**2 * (row**2 if power == 1 else row) * (2 * np.pi * f) ** (2 * derivatives)
         for row, (factor, power, derivatives) in zip(rows, scales, strict=True)
@@ -156,20 +138,12 @@ def _meaning(unit: str) -> tuple[float, int, int]:
 def frequency_axis(columns: dict[str, np.ndarray]) -> str:
     """Name of the column of frequencies; empty where there is none."""
     for name, column in columns.items():
-        words = re.split(r"[\s_(\[{（.]", name.strip().lower())
-        if words[0] in _FREQUENCY_WORDS and column.size > 1 and column.dtype.kind != "c":
+        if heading(name).quantity == "frequency" and column.size > 1 and column.dtype.kind != "c":
             return name
     return ""
 
 
 @checked
 def hertz_in(axis: str) -> float:
-    """Hz in the unit behind the name of a column of frequencies, in brackets or after ``_``; without any 1.
-
-    Another unit in brackets is refused.
-    """
-    if found := BRACKETS.search(axis):
-        unit = found[1].strip()
-        unit = unit if unit == "MHz" else unit.lower()  # which is refused: it is no mHz
-        return HERTZ[require_choice(f"{axis}: unit", unit, HERTZ)]
-    return HERTZ.get(axis.strip().lower().rpartition("_")[2], 1.0)
+    """Hz in the unit that the name of a column of frequencies states; without any 1 (``omega``: rad/s)."""
+    return in_hertz(column_unit(axis, "frequency")[0])

@@ -14,8 +14,9 @@ import numpy as np
 from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 
-# A record of an hour at 10 kHz on ten channels takes 3 GB and ten seconds.
-MOST_BYTES = 4 * 2**30
+# Of numbers: ten channels for ten minutes at 10 kHz take 480 MB, and what is computed of them several times that.
+MOST_BYTES = 2**29
+MOST_MEMORY = 4 * 2**30  # of the process
 MOST_SECONDS = 60
 _REFUSED = 2  # exit code of the process that reports the reason on stderr
 
@@ -58,6 +59,10 @@ def read_mat(path: Path) -> dict[str, np.ndarray]:
             raise _refusal(
                 path, message.rpartition("\n")[2] or f"its reader ended with code {done.returncode}"
             )
+        if (size := result.stat().st_size) > MOST_BYTES:
+            raise InputError(
+                f"{path.name} holds {size:.2g} bytes of numbers, more than {MOST_BYTES / 2**30:g} GB; cut it"
+            )
         with np.load(result, allow_pickle=False) as file:
             names = json.loads(file["names"].tobytes())
             return {name: file[f"arr_{number}"] for number, name in enumerate(names)}
@@ -86,7 +91,7 @@ def _limit() -> None:
     except ImportError:  # Windows has none
         return
     for limit, most in (
-        (resource.RLIMIT_AS, MOST_BYTES),
+        (resource.RLIMIT_AS, MOST_MEMORY),
         (resource.RLIMIT_CPU, MOST_SECONDS),
         (resource.RLIMIT_CORE, 0),  # a crash leaves no file behind
     ):
@@ -102,7 +107,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     try:
         tree = loadmat(sys.stdin.buffer, simplify_cells=True)
     except MemoryError:
-        raise _refusal(path, f"it takes more than {MOST_BYTES >> 30} GB of memory") from None
+        raise _refusal(path, f"it takes more than {MOST_MEMORY >> 30} GB of memory") from None
     except Exception as error:  # on a damaged file scipy raises whatever its parser stumbles over
         raise _refusal(path, str(error)) from None
     found: dict[str, np.ndarray] = {}

@@ -1,6 +1,5 @@
 """Measured records: read from CSV, MAT, NPZ or UFF, checked, in SI units, evenly sampled."""
 
-import re
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -12,7 +11,6 @@ from scipy import signal
 
 from stillwork.base.checks import (
     InputError,
-    nearest,
     pluralise,
     require_array,
     require_choice,
@@ -21,36 +19,8 @@ from stillwork.base.checks import (
 )
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.signals.datafiles import read_columns
-
-STANDARD_GRAVITY = 9.80665  # m/s^2
-MOTION_UNITS = ("m/s^2", "m/s", "m")
-_QUANTITIES = (
-    *MOTION_UNITS,
-    "N",
-    "N m",
-    "V",
-    "A",
-    "Pa",
-    "rad",
-    "rad/s",
-    "rad/s^2",
-    "count",
-    "count/s",
-    "count/s^2",
-)
-SI_UNITS = (*_QUANTITIES, "1")
-_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "k": 1e3}
-# What a unit means: factor to SI, and the SI unit.
-UNITS = {
-    **{f"{p}{q}": (factor, q) for q in _QUANTITIES for p, factor in _PREFIXES.items()},
-    **{f"{p}g": (factor * STANDARD_GRAVITY, "m/s^2") for p, factor in _PREFIXES.items() if p != "k"},
-    **{f"c{q}": (0.01, q) for q in MOTION_UNITS},
-    "Gal": (0.01, "m/s^2"),
-    "1": (1.0, "1"),
-}
-UNITS_TEXT = (
-    f"{', '.join(_QUANTITIES)} or 1, with m, u, n, p or k in front, or cm/s^2, cm/s, cm, Gal, g, mg, ug, ng"
-)
+from stillwork.signals.headings import column_unit, heading
+from stillwork.signals.units import MOTION_UNITS, QUANTITIES, SI_UNITS, UNITS_TEXT, is_unit, unit_factor
 
 # A step of time may differ from the period by this share: printed times are often that coarse. An instant off by
 # d seconds falsifies a component at f by at most 2 pi f d of its size, 6 % at a tenth of the sample rate.
@@ -59,22 +29,6 @@ DRIFT_TOLERANCE = 1.0  # periods that a slow clock may leave the even grid over 
 RATE_TOLERANCE = 0.01  # a stated rate may differ so much from the time column's
 PLAUSIBLE_RATES_HZ = (10.0, 1e6)  # outside, a time column is in ms or a rate in kHz
 SHORTEST_SAMPLES = 256
-
-# What stands in the brackets of a name, and in those at its end; full-width brackets are of Chinese and Japanese files.
-BRACKETS = re.compile(r"[(\[{（](.+?)[)\]}）]")
-LAST_BRACKETS = re.compile(r"[(\[{（](.+)[)\]}）]\s*$")
-_TIME_NAMES = ("t", "time", "times", "zeit")
-_TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}  # s
-_RATE_NAMES = (
-    "fs",
-    "fs_hz",
-    "rate",
-    "rate_hz",
-    "sample_rate",
-    "sample_rate_hz",
-    "samplerate",
-    "sampling_rate",
-)
 
 # Resampling filter: passes up to 0.8 of the lower Nyquist frequency, stops from it on, by 80 dB.
 PASS_SHARE = 0.8
@@ -132,7 +86,7 @@ class Record:
                 f"give at least {SHORTEST_SAMPLES}"
             )
         if self.unit not in SI_UNITS:
-            raise InputError(f"unit is {self.unit!r}; convert to {', '.join(_QUANTITIES)} or 1")
+            raise InputError(f"unit is {self.unit!r}; convert to {', '.join(QUANTITIES)} or 1")
         if len(self.names) != len(self.signals):
             raise InputError(
                 f"names has {pluralise(len(self.names), 'entry')} for {pluralise(len(self.signals), 'channel')}; name each"
@@ -247,34 +201,17 @@ def load_unscaled(
 
 
 @checked
-def unit_factor(unit: str) -> tuple[float, str]:
-    """Factor to SI and the SI unit of `unit`; an unknown one raises `InputError` that names the nearest."""
-    plain = unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "^2").replace("s2", "s^2")
-    plain = re.sub(r"^([munpk]?)N[-*· ]?m$", r"\1N m", plain.replace("counts", "count"))
-    if plain not in UNITS:
-        raise InputError(f"unit is {unit!r}; use {UNITS_TEXT}{nearest(plain, UNITS)}")
-    return UNITS[plain]
-
-
-@checked
 def stated_unit(name: str) -> str:
-    """The unit in the brackets of a channel's name; empty when there is none that is known."""
-    return next((each for each in BRACKETS.findall(name) if _is_known(each)), "")
+    """The unit that a channel's name states; empty when there is none that is known."""
+    found = heading(name)
+    return found.unit if found.meaning and is_unit(found.unit, SI_UNITS) else ""
 
 
 @checked
 def unknown_unit(name: str) -> str:
-    """What stands in a name's brackets where nothing in them is a known unit; empty: nothing, or numbers."""
-    words = [each for each in BRACKETS.findall(name) if re.search(r"[^\W\d_]", each)]
-    return words[-1] if words and not any(map(_is_known, words)) else ""
-
-
-def _is_known(unit: str) -> bool:
-    try:
-        unit_factor(unit)
-    except InputError:
-        return False
-    return True
+    """What a channel's name states where a unit stands, and is none of a channel; empty: nothing, or numbers."""
+    found = heading(name)
+    return found.unknown or ("" if stated_unit(name) else found.unit)
 
 
 @checked
@@ -387,9 +324,10 @@ def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | N
     found = stated
     for name, column in columns.items():
         if is_time(name) and column.size > 1:
-            found = sample_rate_of(np.ravel(column) * _seconds(name), source)
-        elif name.lower().rpartition(".")[2] in _RATE_NAMES and column.size == 1:
-            found = require_number(f"{source}: {name}", column.item(), above=0.0)
+            found = sample_rate_of(np.ravel(column) * column_unit(name, "time")[0].factor, source)
+        elif column.size == 1 and heading(name).quantity == "rate":
+            hertz = column_unit(name, "rate")[0].factor
+            found = hertz * require_number(f"{source}: {name}", column.item(), above=0.0)
         else:
             continue
         if stated is not None and abs(found - stated) > RATE_TOLERANCE * stated:
@@ -404,18 +342,7 @@ def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | N
 @checked
 def is_time(name: str) -> bool:
     """Whether a column of that name holds the time."""
-    words = _words(name)
-    return bool(words) and words[0] in _TIME_NAMES
-
-
-def _seconds(name: str) -> float:
-    """Seconds in the unit that stands behind the name of a time, in brackets or after ``_``; 1 without any."""
-    unit = "".join(_words(name)[1:2]).replace("µ", "u").replace("μ", "u")
-    return _TIME_UNITS.get(unit, 1.0)
-
-
-def _words(name: str) -> list[str]:
-    return re.split(r"[\s_,()\[\]{}（）]+", name.lower().rpartition(".")[2].strip())
+    return heading(name).quantity == "time"
 
 
 def _require_whole(source: str, column: np.ndarray, rate: float) -> None:

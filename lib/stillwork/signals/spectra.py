@@ -190,6 +190,8 @@ def band_power(frequencies_hz: ArrayLike, density: ArrayLike, low_hz: float, hig
     """Integral of a density between two frequencies (trapezoids; the ends are interpolated)."""
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     s = require_array("density", density, shape=f.shape)
+    if np.any(np.diff(f) <= 0):
+        raise InputError("frequencies_hz must rise from line to line; sort them, and give each only once")
     require_number("high_hz", high_hz, above=f[0], at_most=f[-1])
     require_number("low_hz", low_hz, at_least=f[0], below=high_hz)
     inside = f[(f > low_hz) & (f < high_hz)]
