@@ -413,7 +413,7 @@ def described(floor: RecordedFloor) -> Iterator[str]:
     spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, RESOLUTION_HZ)
     f = spectrum.frequencies_hz
     met = [criterion_met(*one_third_octave_velocity(f, row)) for row in spectrum.density]
-    yield f"Finest criterion met at 8-80 Hz, by sensor: {_list(met)}."
+    yield f"Finest criterion met up to 80 Hz, by sensor: {_list(met)}."
 
 
 def findings(isolated: Isolated) -> Iterator[str]:

@@ -352,7 +352,7 @@ def test_a_floor_is_described_by_its_own_numbers():
     text = " ".join(described(RecordedFloor(motion, 5000.0, "mine.csv")))
     assert "mine.csv: 2 floor sensors, 10 s." in text and "0.707, 2.12 mm/s², peak 3 mm/s²" in text
     # 1e-3 / sqrt(2) / (2 pi 20) = 5.6 um/s: VC-D allows 6.25; three times that: VC-B allows 25.
-    assert "by sensor: VC-D, VC-B." in text
+    assert "by sensor: VC-D (2.5 to 81 Hz), VC-B." in text
 
 
 def test_more_channels_than_sensors_are_refused(twin, tmp_path):

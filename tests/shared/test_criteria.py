@@ -68,18 +68,41 @@ def test_a_sine_falls_into_its_band():
     assert np.sort(velocity)[-2] == 0
 
 
+CENTRES = 2.0 ** (np.arange(-2, 22) / 3)  # 0.63 to 101.6 Hz
+# The published tables, um/s: flat to 80 Hz from 1 Hz, VC-A and VC-B from 8 Hz and with 1 / f below, down to 4 Hz.
+PUBLISHED = {"VC-A": 50.0, "VC-B": 25.0, "VC-C": 12.5, "VC-D": 6.25, "VC-E": 3.12, "VC-F": 1.56, "VC-G": 0.78}
+
+
 def test_finest_criterion_met():
-    centres = 2.0 ** (np.arange(9, 20) / 3)
-    assert criterion_met(centres, np.full(11, 3.119e-6)) == "VC-E"
-    assert criterion_met(centres, np.full(11, 3.121e-6)) == "VC-D"
-    assert criterion_met(centres, np.full(11, 1e-3)) == "none"
+    assert criterion_met(CENTRES, np.full(24, 3.119e-6)) == "VC-E"
+    assert criterion_met(CENTRES, np.full(24, 3.121e-6)) == "VC-D"
+    assert criterion_met(CENTRES, np.full(24, 1e-3)) == "none"
 
 
-def test_every_band_from_8_to_80_hz_counts_and_no_other():
-    centres = 2.0 ** (np.arange(7, 22) / 3)
-    for centre in centres:
-        velocity = np.where(centres == centre, 1e-3, 1e-9)
-        assert criterion_met(centres, velocity) == ("none" if 8 <= centre < 81 else "VC-M")
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_each_criterion_is_judged_in_every_band_of_its_own_and_in_no_other(name):
+    lowest = 3.9 if name in ("VC-A", "VC-B") else 0.99
+    for k, centre in enumerate(CENTRES):
+        velocity = np.full(24, 1e-9)
+        limit = 1e-6 * PUBLISHED[name] * (8 / centre if lowest > 1 and centre < 8 else 1.0)
+        velocity[k] = 1.01 * limit
+        met = criterion_met(CENTRES, velocity)
+        if not lowest < centre < 81:  # no reason against it, nor against a finer one that begins no lower
+            assert met == "VC-M" or (lowest > 1 and met < "VC-C")
+        else:
+            assert met < name or met == "none"
+            velocity[k] = 0.99 * limit
+            assert criterion_met(CENTRES, velocity) <= name
+
+
+def test_a_floor_that_is_loud_below_8_hz_alone_is_no_fine_one():
+    """Half of VC-A below 6.5 Hz, which is VC-B, and less than VC-F above."""
+    velocity = np.where(CENTRES < 6.5, 0.499 * criterion_velocity("VC-A", CENTRES), 1.5e-6)
+    assert criterion_met(CENTRES, velocity) == "VC-B"
+    assert criterion_met(CENTRES[CENTRES > 6.5], velocity[CENTRES > 6.5]) == "VC-F (8 to 81 Hz)"
+    assert criterion_met(CENTRES[CENTRES < 50], velocity[CENTRES < 50]) == "VC-B (4 to 40 Hz)"
+    slow = np.where(CENTRES < 3.9, 1e-3, 1e-9)  # below 4 Hz only VC-C and finer are defined
+    assert criterion_met(CENTRES, slow) == "VC-B"
 
 
 @pytest.mark.parametrize(("inside", "bands"), [([15.0, 16.0], []), ([15.0, 16.0, 17.0], [16.0])])

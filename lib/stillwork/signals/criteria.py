@@ -12,6 +12,7 @@ from stillwork.signals.spectra import band_power
 # One-third-octave band at f: from 2^(-1/6) f to 2^(1/6) f.
 BAND_EDGE = 2.0 ** (1 / 6)
 BAND_WIDTH = BAND_EDGE - 1 / BAND_EDGE
+HIGHEST_HZ = 81.0  # the last centre of a criterion is 80 Hz, by powers of two 80.6 Hz
 
 # Root-mean-square velocity per one-third-octave band, m/s: Amick, Gendreau, Busch and Gordon, "Evolving criteria
 # for research facilities: vibration", SPIE 5933 (2005), and IEST-RP-CC012; H to M continue by halves.
@@ -87,12 +88,23 @@ def criterion_density(name: str, frequencies_hz: Vector) -> Float64[np.ndarray, 
 
 @checked
 def criterion_met(centres_hz: Vector, velocity: ArrayLike) -> str:
-    """Finest of VC-A to VC-M that one-third-octave velocities meet in every band from 8 to 80 Hz, or ``none``."""
+    """Finest of VC-A to VC-M that one-third-octave velocities meet in every band in which it is defined, or ``none``.
+
+    These are the bands from 4 Hz (VC-A and VC-B) or from 1 Hz (VC-C and finer) to 80 Hz. Where some of them are
+    not given, the range that is stands behind the name: ``VC-D (5 to 81 Hz)``.
+
+    References
+    ----------
+    Amick, Gendreau, Busch and Gordon, Evolving criteria for research facilities: vibration, SPIE 5933 (2005).
+    """
     v = require_array("velocity", velocity, shape=centres_hz.shape)
-    judged = (centres_hz > 7.9) & (centres_hz < 81)
-    if not judged.any():
+    if not np.any((centres_hz > 7.9) & (centres_hz < HIGHEST_HZ)):
         raise InputError("centres_hz holds no band from 8 to 80 Hz; the criteria cannot be judged")
     for name in reversed([name for name in CRITERIA if name.startswith("VC")]):
+        lowest = 4.0 if name in ("VC-A", "VC-B") else 1.0
+        judged = (centres_hz > lowest / 1.01) & (centres_hz < HIGHEST_HZ)
         if np.all(v[judged] <= criterion_velocity(name, centres_hz[judged])):
-            return name
+            first, last = centres_hz[judged].min(), centres_hz[judged].max()
+            whole = first < BAND_EDGE * lowest and last > 80 / BAND_EDGE
+            return name if whole else f"{name} ({first:.2g} to {last:.2g} Hz)"
     return "none"
