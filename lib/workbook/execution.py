@@ -12,6 +12,7 @@ import os
 import platform
 import re
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Callable
@@ -115,15 +116,25 @@ def _folder():
 
 
 def sweep() -> None:
-    """Remove the folders of runners that were killed; one that has just been made may not be locked yet."""
+    """Remove the folders of runners that were killed; one that has just been made may not be locked yet.
+
+    Only folders to which this user alone has access are opened: the place is shared, and others may put links and FIFOs there.
+    """
     _take_temporary()
     for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
         try:
-            if time.time() - folder.stat().st_mtime > 60:
-                with (folder / LOCK).open() as lock:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            about = folder.lstat()
+            private = (
+                stat.S_ISDIR(about.st_mode) and about.st_uid == os.getuid() and not about.st_mode & 0o077
+            )
+            if private and time.time() - about.st_mtime > 60:
+                held = os.open(folder / LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+                try:
+                    fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     shutil.rmtree(folder, ignore_errors=True)
-        except OSError:  # in use, gone meanwhile, or owned by another user
+                finally:
+                    os.close(held)
+        except OSError:  # in use, or gone meanwhile
             continue
 
 

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import pytest
 from engine import toy as toys
 from engine.toy import until
 from workbook import paths
-from workbook.execution import Failure
+from workbook.execution import LOCK, PREFIX, Failure, sweep
 from workbook.inputs import present
 from workbook.warm import PROGRAM
 
@@ -206,6 +207,30 @@ def test_kernels_die_with_a_runner_that_is_killed_and_the_next_build_tidies_up(t
     toy.add("isolation/01-first")
     assert toy.run("figures").returncode == 0
     assert toy.leftovers() == []
+
+
+def test_what_others_put_beside_the_temporary_folders_neither_hangs_nor_hurts(tmp_path, monkeypatch):
+    """A FIFO for a lock, a link to a folder of mine, and a folder that others may write to or that is another user's."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    mine = tmp_path / "mine"
+    places = [tmp_path / f"{PREFIX}{name}" for name in ("old", "pipe", "open", "theirs", "link", "links")]
+    for folder in (mine, *places[:4], places[5]):
+        folder.mkdir(mode=0o700)
+        (folder / LOCK).touch()
+    places[1].joinpath(LOCK).unlink()
+    os.mkfifo(places[1] / LOCK)
+    places[2].chmod(0o777)
+    places[4].symlink_to(mine)
+    places[5].joinpath(LOCK).unlink()
+    places[5].joinpath(LOCK).symlink_to(mine / LOCK)
+    if not os.getuid():  # only root gives away
+        os.chown(places[3], 65534, 65534)
+    for folder in (mine, *places):
+        os.utime(folder, (0, 0))
+    sweep()  # opening the FIFO would wait for a writer
+    assert not places[0].exists() and (mine / LOCK).exists()
+    left = {folder.name.removeprefix(PREFIX) for folder in places if folder.exists()}
+    assert left == {"open", "link", "links", *({"theirs"} if not os.getuid() else ())}
 
 
 def test_a_warmed_process_whose_driver_was_killed_ends_without_a_word():
