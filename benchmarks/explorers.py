@@ -20,7 +20,9 @@ os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS
 
 from stillwork.base.checks import InputError  # noqa: E402
 from workbook import explorer as explorers  # noqa: E402
+from workbook import figures  # noqa: E402
 from workbook.notebooks import select  # noqa: E402
+from workbook.redraw import Redraw  # noqa: E402
 
 LIMIT_MS = 100.0
 
@@ -98,6 +100,7 @@ def redraw_ms(redraw: Callable, settings: list[dict]) -> float | None:
 
 
 def main() -> None:
+    figures.use_house_style()
     caught = []
 
     def explore(draw, presets=None, **controls):
@@ -120,7 +123,7 @@ def main() -> None:
             with contextlib.redirect_stdout(None):  # the notebook's own tables
                 exec(compile(source, notebook.name, "exec"), space)
         [(draw, controls, designs)] = caught
-        redraw = explorers.Redraw(draw)
+        redraw = Redraw(draw)
         redraw(**settings(controls)[0])  # the first picture finds the layout of all
         times = [
             (redraw_ms(redraw, moves(controls, one)), one) for one in [*settings(controls), *designs.values()]

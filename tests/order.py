@@ -16,7 +16,6 @@ LONGEST = (
     "engine/test_cluster.py",
     "engine/test_contributing.py",
     "engine/test_variables.py",
-    "shared/test_rendering.py",
     "worstcase/test_regression.py",
     "motion/test_joint.py",
     "choices/test_running.py",

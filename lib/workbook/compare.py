@@ -27,14 +27,6 @@ from workbook.tasks import Task, built
 # where an adaptive filter carries rounding on. The rest is room for another system's libm.
 TABLE = 1e-4
 
-# A line that was thinned may have kept other points of the same curve where a value lay on the edge: then the
-# points of each must lie on the other, to what the thinning may leave out and the tolerance.
-THINNED = 1e-3
-
-# A table has seven digits: two x further apart are two points, however near. Where a line is steep its y then tells
-# of the step between them.
-PLACE = 2e-6
-
 # A number is printed rounded: numbers that agree may still fall on two sides of a rounding. Of a number with a single
 # digit that is a factor of two, at most; what a statement rests on is a claim or a plotted number, held more closely.
 PRINTED = 1.0  # units of the last printed digit
@@ -190,24 +182,13 @@ def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) ->
             if not same_size(built[key], values):
                 return None
             continue
-        off, allowed = np.inf, TABLE
+        off = np.inf
         if built[key].shape == values.shape:
             off = max(distance(built[key][:, column], values[:, column]) for column in range(3))
-        flat = np.isnan(values[:, 2]).all() and np.isnan(built[key][:, 2]).all()
-        if off > TABLE and flat and not same_places(built[key], values):
-            off, allowed = apart(built[key], values), THINNED
-        if not off <= allowed:
+        if not off <= TABLE:
             return None
         worst = max(worst, off)
     return worst
-
-
-def same_places(now: np.ndarray, before: np.ndarray) -> bool:
-    """Whether two series have their points at the same x, but for its last digit: then none was kept in another's place."""
-    if now.shape != before.shape:
-        return False
-    x, zero = before[:, 0], 1e-12 * np.nanmax(np.abs(before[:, 0]), initial=0.0)
-    return np.allclose(now[:, 0], x, PLACE, zero, equal_nan=True)
 
 
 def same_size(now: np.ndarray, before: np.ndarray) -> bool:
@@ -298,44 +279,6 @@ def distance(now: np.ndarray, before: np.ndarray) -> float:
         now, before = np.log(now), np.log(before)
     span = np.ptp(before) or np.abs(before).max() or 1.0
     return float(np.abs(now - before).max() / span)
-
-
-def apart(now: np.ndarray, before: np.ndarray) -> float:
-    """Largest distance of a point of either line from the other line, as a part of the committed one's range.
-
-    A table does not state whether an axis was logarithmic; the scale in which the lines are closest counts.
-    """
-    found = []
-    for scales in itertools.product((np.array, np.log), repeat=2):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            first, second = (np.c_[scales[0](line[:, 0]), scales[1](line[:, 1])] for line in (now, before))
-        # On a scale on which a point has no place (the logarithm of zero) nothing can be compared.
-        if all(
-            np.isfinite(each).sum() == np.isfinite(raw[:, :2]).sum()
-            for each, raw in ((first, now), (second, before))
-        ):
-            span = np.nanmax(second, axis=0) - np.nanmin(second, axis=0)
-            size = np.nanmax(np.abs(second), axis=0)  # of a line that does not rise
-            span = np.where(span > 0, span, np.where(size > 0, size, 1.0))
-            first, second = first / span, second / span
-            found.append(max(_off(first, second), _off(second, first)))
-    return min(found, default=np.inf)
-
-
-def _off(points: np.ndarray, line: np.ndarray) -> float:
-    """Largest distance of the finite points from the line."""
-    points = points[np.isfinite(points).all(axis=1)]
-    start, step = line[:-1], np.diff(line, axis=0)
-    there = np.isfinite(step).all(axis=1)
-    start, step = start[there], step[there]
-    if not len(points) or not len(start):
-        return 0.0 if len(points) == len(start) else np.inf
-    length = np.maximum((step**2).sum(axis=1), 1e-300)
-    worst = 0.0
-    for point in points:
-        share = np.clip(((point - start) * step).sum(axis=1) / length, 0, 1)
-        worst = max(worst, np.hypot(*(start + share[:, None] * step - point).T).min())
-    return worst
 
 
 def _noted(figure: Path) -> dict[str, str]:

@@ -3,10 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from stillwork.base.checks import InputError, nearest, require_choice, require_number
-from stillwork.base.garbage import no_collection
 from workbook.paths import in_batch
 
 BASES = ("printed", "assumed", "our result", "default")
@@ -178,72 +175,6 @@ class StaticPicture:
         return f"explorer at its start: {self.settings}"
 
 
-class Redraw:
-    """Pictures of one drawing function, quick from the second on.
-
-    Two thirds of a picture's time go into its layout, its minor ticks, and its texts. So the panels stay where
-    they were laid out first, a logarithmic axis shows its decades alone, and one renderer serves all pictures;
-    the glyphs of texts, and the places of their lines, are remembered.
-
-    Parameters
-    ----------
-    draw : callable
-        Returns a `matplotlib.figure.Figure`.
-    """
-
-    def __init__(self, draw: Callable):
-        self._draw = draw
-        self._renderer = None
-        self._places = {}  # of the panels, by how many there are
-        self._layouts = {}  # of texts
-
-    def __call__(self, **settings) -> bytes:
-        """The picture for ``draw(**settings)``, as PNG."""
-        from workbook.rendering import copied_ticks, known_layouts
-
-        with no_collection(), copied_ticks(), known_layouts(self._layouts):
-            return self._picture(settings)
-
-    def _picture(self, settings) -> bytes:
-        figure = self._draw(**settings)
-        if places := self._places.get(len(figure.axes)):
-            figure.set_layout_engine("none")
-            for axes, place in zip(figure.axes, places, strict=True):
-                axes.set_position(place)
-            self._render(figure)
-            if self._complete(figure):
-                return self._png()
-            figure = self._draw(**settings)  # a panel that was put in its place takes no part in a layout
-        if (engine := figure.get_layout_engine()) is not None:
-            engine.set(w_pad=0.08, h_pad=0.06)  # inches: room for tick labels to grow
-        self._render(figure)
-        self._places[len(figure.axes)] = [axes.get_position(original=True) for axes in figure.axes]
-        return self._png()
-
-    def _render(self, figure) -> None:
-        from workbook.rendering import RememberingRenderer, ticks_once
-
-        for axes in figure.axes:
-            axes.minorticks_off()
-        size = figure.bbox.size
-        if self._renderer is None or (self._renderer.width, self._renderer.height) != tuple(size):
-            self._renderer = RememberingRenderer(*size, figure.dpi)
-        self._renderer.clear()
-        with ticks_once(figure):
-            figure.draw(self._renderer)
-
-    def _complete(self, figure) -> bool:
-        """Whether no label of an axis reaches out of the picture."""
-        labels = [axis.label for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
-        boxes = [label.get_window_extent(self._renderer) for label in labels if label.get_text()]
-        return all(box.x0 >= 0 and box.y0 >= 0 for box in boxes)
-
-    def _png(self) -> bytes:
-        from workbook.png import encode_fast
-
-        return encode_fast(np.asarray(self._renderer.buffer_rgba()))
-
-
 def lines_of(figure) -> list[list]:
     """Points (n, 2) of the lines of each panel; lines across a whole panel are marks, not data."""
     return [
@@ -293,6 +224,8 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
         else:
             show_behind(figure, ghost)
         return figure
+
+    from workbook.redraw import Redraw
 
     picture_of = Redraw(drawn)
     if in_batch():

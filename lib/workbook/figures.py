@@ -2,6 +2,8 @@
 
 import csv
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from stillwork.base.checks import InputError
 from workbook.palette import (  # noqa: F401
     BLACK,
     BLUE,
+    COLOURS,
     GREEN,
     GREY,
     ORANGE,
@@ -25,10 +28,36 @@ from workbook.palette import (  # noqa: F401
 
 HEADER = ("panel", "series", "x", "y", "z")  # of a table of plotted numbers
 WIDTH = 7.2  # inches, every figure: they stand below one another on a page
+MOST_PIXELS = 1000  # of a saved picture's width
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """matplotlib's settings of the workbook's figures, for a ``with`` or as a decorator of what draws one.
+
+    In a notebook `workbook.page.Page` sets them for the whole kernel.
+    """
+    from matplotlib import style
+
+    with style.context(_style()):
+        yield
+
+
+def use_house_style() -> None:
+    """Set matplotlib's settings of the workbook's figures from here on."""
+    from matplotlib import style
+
+    style.use(_style())
+
+
+def _style() -> dict:
+    from matplotlib import cycler
+
+    return {**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}
 
 
 def new(rows: int = 1, columns: int = 1, height: float | None = None, **options):
-    """New figure in the house style: ``figure, axes = new(2, 3)``; matplotlib's settings stay as they are.
+    """New figure in the width of a page: ``figure, axes = new(2, 3)``.
 
     Parameters
     ----------
@@ -39,11 +68,10 @@ def new(rows: int = 1, columns: int = 1, height: float | None = None, **options)
     **options
         Passed to `matplotlib.figure.Figure.subplots` (``sharex``, ``squeeze``, ``gridspec_kw``, ...).
     """
-    from workbook.house_style import HouseFigure, house_style
+    from matplotlib.figure import Figure
 
-    with house_style():
-        figure = HouseFigure(figsize=(WIDTH, height or 2.4 * rows + 0.5), layout="constrained")
-        return figure, figure.subplots(rows, columns, **options)
+    figure = Figure(figsize=(WIDTH, height or 2.4 * rows + 0.5), layout="constrained")
+    return figure, figure.subplots(rows, columns, **options)
 
 
 def mark_published(axes, x, y, label: str = "published", **options):
@@ -91,26 +119,41 @@ class SavedFigure:
 def save(figure, path: Path) -> SavedFigure:
     """Write a figure as ``path.png`` and its plotted numbers as ``path.csv``.
 
-    Dense lines are thinned to what the picture can show, see `workbook.thinning`, and so are its colours,
-    see `workbook.png`. The figure itself stays as it is. Two calls with the same data write the same bytes.
+    The picture has at most 256 colours and 1,000 pixels across. Two calls with the same data write the same bytes.
     `read_table` reads the numbers.
 
     Raises
     ------
     InputError
-        When an axis that shows data has no label: a reader would have to guess the unit.
+        When an axis that shows data has no label: a reader would have to guess the unit; or when a formula in the
+        figure cannot be set.
     """
-    from workbook import png, rendering
-    from workbook.thinning import thin
-
-    dpi = STYLE["savefig.dpi"]
-    with thin(figure, dpi):
-        table = _table(plotted(figure))
-        picture = png.encode(rendering.pixels(figure, dpi), dpi)
+    table = _table(plotted(figure))
+    picture = _png(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.with_name(path.name + ".png").write_bytes(picture)
     path.with_name(path.name + ".csv").write_text(table, encoding="utf-8")
     return SavedFigure(path, picture)
+
+
+def _png(figure) -> bytes:
+    """A figure as PNG with a palette, the same bytes each time: no date and no program's name in it."""
+    from PIL import Image
+
+    width, _ = figure.get_size_inches()
+    dpi = min(STYLE["savefig.dpi"], MOST_PIXELS / width)
+    drawn, written = io.BytesIO(), io.BytesIO()
+    try:
+        figure.savefig(drawn, format="png", dpi=dpi)
+    except ValueError as error:
+        raise InputError(
+            f"figure cannot be drawn ({' '.join(str(error).split())}); correct its formula, or write \\$ for a dollar"
+        ) from None
+    # Of Pillow's ways this keeps areas to one level of 255; edges of lines over a map may be off by some 40.
+    colours = Image.open(drawn).convert("RGB")
+    colours = colours.quantize(256, Image.Quantize.MEDIANCUT, kmeans=1, dither=Image.Dither.NONE)
+    colours.save(written, format="png", dpi=(dpi, dpi))
+    return written.getvalue()
 
 
 def _table(rows: list[tuple]) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from stillwork.base.checks import InputError, require_choice, require_kind, short_repr
 from workbook import paths
 from workbook.claims import ClaimsTable, make_claim
-from workbook.figures import SavedFigure, plotted, save
+from workbook.figures import SavedFigure, plotted, save, use_house_style
 
 # Letters, digits, - and _, with dots inside: a name that is a file's on every system, and no path.
 _NAME = re.compile(r"(?=.{1,100}$)[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*")
@@ -20,7 +20,8 @@ _NAME = re.compile(r"(?=.{1,100}$)[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*")
 class Page:
     """The page of one notebook: ``page = Page("isolation/02-convergence")``.
 
-    In a build it writes to the folder that the runner gives, in Jupyter to ``build/interactive/``.
+    In a build it writes to the folder that the runner gives, in Jupyter to ``build/interactive/``. It sets
+    matplotlib's settings to those of the workbook's figures.
 
     Attributes
     ----------
@@ -40,6 +41,7 @@ class Page:
             raise InputError(
                 f"notebook is {short_repr(self.notebook)}; give 'topic/name', e.g. 'topic/02-result'"
             )
+        use_house_style()
         if not paths.in_batch() and _in_jupyter():
             self.show_summary()
 

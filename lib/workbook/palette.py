@@ -16,7 +16,7 @@ COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK)  # of lines, in turn
 
 STYLE = {
     "figure.dpi": 100,
-    "savefig.dpi": 150,
+    "savefig.dpi": 138,
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.titlesize": 9,

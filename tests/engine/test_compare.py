@@ -115,24 +115,6 @@ def test_on_a_logarithmic_scale_it_is_of_the_decades(tmp_path):
     assert table_difference(table(tmp_path, "far", zip(x, 10**x * 1.1, strict=True)), before) is None
 
 
-def test_a_line_thinned_to_other_points_is_the_same_line(tmp_path):
-    x = np.linspace(0, 1, 401)  # both keep the ends, as thinning does
-    curve = np.c_[x, x**2]
-    before = table(tmp_path, "before", curve[::2])
-    now = np.concatenate([curve[:1], curve[1:-1:3], curve[-1:]])
-    assert table_difference(table(tmp_path, "now", now), before) <= 1e-3
-    assert table_difference(table(tmp_path, "far", now * [1, 1.01]), before) is None
-
-
-def test_a_neighbour_kept_on_a_steep_stretch_is_the_same_line(tmp_path):
-    flat, edge = np.c_[np.linspace(0, 1, 50), np.zeros(50)], [[1.01, 60], [1.1, 60]]
-    before = table(tmp_path, "before", np.r_[flat, [[1.004, 24]], edge])
-    now = np.r_[flat, [[1.00404, 24.24]], edge]  # on the edge, a point further
-    assert table_difference(table(tmp_path, "now", now), before) <= 1e-3
-    now[50, 1] += 20
-    assert table_difference(table(tmp_path, "moved", now), before) is None
-
-
 def test_infinities_and_gaps_stand_where_they_stood(tmp_path):
     files = [table(tmp_path, str(y), [(0, 1), (1, y), (2, 3)]) for y in (np.inf, -np.inf, np.nan)]
     for number, now in enumerate(files):

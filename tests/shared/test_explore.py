@@ -1,5 +1,3 @@
-from contextlib import nullcontext
-
 import ipywidgets
 import numpy as np
 import pytest
@@ -9,8 +7,8 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from stillwork.base.checks import InputError
 from workbook import figures
-from workbook.explorer import Choice, Redraw, Slider, StaticPicture, explore, label
-from workbook.rendering import RememberingRenderer, known_layouts
+from workbook.explorer import Choice, Slider, StaticPicture, explore, label
+from workbook.redraw import Redraw, RememberingRenderer
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, 2.0, "V", basis="printed", place="Table 1"),
@@ -253,39 +251,6 @@ def test_the_panels_stay_where_the_first_picture_put_them(monkeypatch):
     assert second == first
 
 
-def ticked(power):
-    """Ticks with their own labels, turned, on a second axis, logarithmic, minor, and a legend."""
-    figure, axes = figures.new(2, 2, sharex=True)
-    for axis in axes.ravel():
-        axis.plot([1, 10, 10.0**power], [1, 2, 3], label="line")
-    axes[0, 0].set_yticks([1, 2, 3], ["one", "two", "three"], rotation=90, fontsize=6)
-    axes[0, 1].tick_params(axis="both", labelcolor="red", labelsize=11, length=9)
-    axes[0, 1].twinx().plot([1, 2], [3.0, 400.0])
-    axes[1, 0].set_xscale("log")
-    axes[1, 1].minorticks_on()
-    for text in axes[1, 1].get_yticklabels()[:1]:
-        text.set_fontweight("bold")
-    axes[1, 1].set(xlabel="time (s)", ylabel="gain (1)")
-    axes[1, 1].legend()
-    return figure
-
-
-def test_copied_ticks_draw_what_matplotlib_s_own_do(monkeypatch):
-    quick = Redraw(ticked)
-    pictures = [quick(power=power) for power in (2, 4, 6)]
-    monkeypatch.setattr("workbook.rendering.copied_ticks", nullcontext)
-    slow = Redraw(ticked)
-    assert [slow(power=power) for power in (2, 4, 6)] == pictures
-
-
-def test_layouts_of_texts_that_are_known_are_matplotlib_s_own(monkeypatch):
-    quick = Redraw(ticked)
-    pictures = [quick(power=power) for power in (2, 4, 2)]
-    monkeypatch.setattr("workbook.rendering.known_layouts", lambda known: nullcontext())
-    slow = Redraw(ticked)
-    assert [slow(power=power) for power in (2, 4, 2)] == pictures
-
-
 @pytest.mark.slow
 def test_a_label_that_would_leave_the_picture_makes_a_new_layout():
     drawing, calls = counted(scaled)
@@ -306,7 +271,7 @@ def test_another_number_of_panels_makes_a_new_layout():
 
 def test_remembered_texts_are_what_matplotlib_draws():
     """Each text twice, among others that differ from it in one respect alone."""
-    remembering, layouts = RememberingRenderer(300, 200, 100), {}
+    remembering = RememberingRenderer(300, 200, 100)
     looks = [
         {},
         {"x": 0.101},
@@ -320,27 +285,18 @@ def test_remembered_texts_are_what_matplotlib_draws():
         {"fontfeatures": ("-kern",), "s": "AVAVA"},
         {"s": "AVAVA"},
         {"s": "two\nlines of it"},
-        {"s": "two\nlines of it", "linespacing": 2.0},
-        {"s": "two\nlines of it", "multialignment": "right"},
         {"s": "a$b$", "parse_math": False},
         {"s": "a$b$"},
         {"ha": "center", "x": 0.5},
         {"va": "top"},
-        {"rotation": 30, "rotation_mode": "anchor"},
-        {"s": "many words " * 9, "wrap": True},
-        {"s": "many words " * 9, "wrap": True, "x": 0.5},
     ]
     for look in looks * 2:
         drawn = []
-        for renderer, laid_out in (
-            (RendererAgg(300, 200, 100), nullcontext()),
-            (remembering, known_layouts(layouts)),
-        ):
+        for renderer in (RendererAgg(300, 200, 100), remembering):
             renderer.clear()
             figure = Figure(figsize=(3, 2), dpi=100)
             figure.text(**({"x": 0.1, "y": 0.5, "s": "gain of 2"} | look))
-            with laid_out:
-                figure.draw(renderer)
+            figure.draw(renderer)
             drawn.append(np.array(renderer.buffer_rgba()))
         assert (drawn[0] != 255).any()
         np.testing.assert_array_equal(*drawn)

@@ -40,7 +40,9 @@ def decibel(response) -> np.ndarray:
 
 def add_magnitude(axis, omega, response, **style) -> None:
     """Add the magnitude in dB of a response over frequencies (rad/s) in Hz."""
-    axis.semilogx(np.asarray(omega) / (2 * np.pi), decibel(response), **style)
+    if axis.get_xscale() != "log":  # `semilogx` makes the axis anew for each line, and explorers draw many
+        axis.set_xscale("log")
+    axis.plot(np.asarray(omega) / (2 * np.pi), decibel(response), **style)
 
 
 def mark_limit(axis) -> None:

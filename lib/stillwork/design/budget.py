@@ -672,6 +672,7 @@ def _unknown(
     return rows
 
 
+@figures.house_style()
 def paint_budget(budget: ErrorBudget):
     """Density and backward cumulative spectrum of the error, by source."""
     figure, (left, right) = figures.new(1, 2, height=3.2)

@@ -575,6 +575,7 @@ def uses_table(made: Designed) -> str:
     return words + table(["use", *columns, "why not"], rows)
 
 
+@figures.house_style()
 def paint_machine(machine: Machine):
     """Accelerance of the model at every sensor, and of the measurement at the first."""
     figure, axis = figures.new(1, 1, height=3.0)
@@ -596,6 +597,7 @@ def paint_machine(machine: Machine):
     return figure
 
 
+@figures.house_style()
 def paint_stabilisation(fit: ModalFit):
     """Poles over the model order: those that stay from order to order, and those taken for modes, are marked."""
     diagram = fit.diagram
@@ -614,6 +616,7 @@ def paint_stabilisation(fit: ModalFit):
     return figure
 
 
+@figures.house_style()
 def paint_loops(reached: AchievableBandwidth, controllers: list[DigitalController]):
     """Both sensitivities of every sensor with the written coefficients, and their limit."""
     figure, axes = figures.new(1, 2, height=2.8, sharey=True)

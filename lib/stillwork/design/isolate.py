@@ -481,6 +481,7 @@ def remains_rows(found: IsolationPrediction, floor: FloorSpectra) -> list[list[s
     return rows
 
 
+@figures.house_style()
 def paint_transmissibility(design: IsolationDesign, found: IsolationPrediction):
     """Transmissibility of every axis: without control, expected, and the band over the box."""
     axes_count = len(found.without)

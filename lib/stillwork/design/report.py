@@ -221,6 +221,7 @@ def _densities_of(hertz, density, names, unit: str) -> str:
     return picture(paint_densities(hertz, density, names, unit), "power spectral densities")
 
 
+@figures.house_style()
 def paint_densities(hertz, density, names, unit: str):
     """Power spectral densities over frequency, and the rms that gathers from the lowest one on."""
     power = integrate.cumulative_trapezoid(density, hertz, initial=0.0)
@@ -231,6 +232,7 @@ def paint_densities(hertz, density, names, unit: str):
     return figure
 
 
+@figures.house_style()
 def paint_response(record: Record, resolution: float):
     """Size of the response of every other channel to the first, and its coherence."""
     found = estimate_response(record.signals[:1], record.signals[1:], record.sample_rate, resolution)

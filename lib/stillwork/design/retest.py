@@ -313,6 +313,7 @@ def _peaks(loop: Loop, controller: DigitalController) -> dict[str, Peak]:
     return found
 
 
+@figures.house_style()
 def paint_retest(before: Loop, loops: Mapping[str, Loop], controller: DigitalController):
     """Both sensitivities of the design on its model, and on the new response."""
     figure, axes = figures.new(1, 2, height=2.8, sharey=True)

@@ -14,6 +14,7 @@ from pathlib import Path
 from stillwork.base.checks import InputError
 from workbook import paths
 from workbook.explorer import Choice, Slider, basis_text, label
+from workbook.figures import house_style
 from workbook.notebooks import read_notebook
 from workbook.publish import digest, read_record, replace_file
 from workbook.site.explorers import Explorer, read_explorer, statements
@@ -173,7 +174,7 @@ def packed(value: dict) -> str:
 
 def compute(name: str) -> dict:
     """What a page holds of a notebook's explorer: ``states`` and their ``count``, or ``reason`` why it has none."""
-    with tempfile.TemporaryDirectory() as folder, _writing_to(folder):
+    with tempfile.TemporaryDirectory() as folder, _writing_to(folder), house_style():
         # What a drawing function trips over is told on its page, and does not stop the site.
         try:
             explorer, known = read_explorer(read_notebook(name)), {}
