@@ -9,7 +9,6 @@ import subprocess
 import numpy as np
 import pytest
 
-from notebooks.isolation.your_floor import SHORTEST_S
 from shared.universal_files import function, write_universal
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
@@ -166,7 +165,6 @@ def test_what_a_command_prints_steers_no_terminal(monkeypatch, capsys):
 
 
 def test_a_record_too_short_for_a_floor_gets_no_command_for_it(tmp_path):
-    assert inspecting.SHORTEST_FLOOR_S == SHORTEST_S
     rows = "\n".join(f"{i / 100},{i % 7}" for i in range(1400))
     (tmp_path / "a.csv").write_text(f"time,a\n{rows}\n")
     assert list(commands(inspect_file(str(tmp_path / "a.csv")))) == ["fixedpoint/09-your-plant"]

@@ -6,17 +6,9 @@ import shlex
 import numpy as np
 import pytest
 
-from experiments.isolation import load_twin, loop
-from experiments.isolation.recorded_floors import record_floor
-from experiments.isolation.simulation import simulate
-from experiments.isolation.sources import BLOCK, Sources
-from notebooks.isolation.your_floor import isolate, open_floor
-from shared.compiled import compiled, pointer
+from shared.compiled import compiled
 from stillwork.__main__ import main
-from stillwork.base.toml_files import read_toml
 from stillwork.control.digital import load_controller
-from stillwork.estimation.adaptive import FeRls
-from stillwork.estimation.online import UnstableAdaptation
 from stillwork.identification.machine_files import load_machine
 from stillwork.signals.records import load_record, load_unscaled
 from workbook import paths
@@ -27,7 +19,6 @@ LINES = [line for language, block in BLOCKS if not language for line in block.sp
 BUILDS = [line for line in LINES if line.startswith("make figures")]
 INSPECTIONS = [line for line in LINES if line.startswith("python -m stillwork inspect")]
 CODE = [line for line in LINES if line.startswith("python -m stillwork design")]
-EXPORTS = [line for line in LINES if line.startswith("python -m stillwork export")]
 RETESTS = [line for line in LINES if line.startswith("python -m stillwork retest")]
 REPORTS = [line for line in LINES if line.startswith("python -m stillwork report")]
 SNIPPETS = [block for language, block in BLOCKS if language == "python"]
@@ -65,8 +56,7 @@ def test_every_command_is_one_that_these_tests_know():
     others = [
         line
         for line in LINES
-        if line not in BUILDS + INSPECTIONS + CODE + RETESTS + EXPORTS + REPORTS
-        and not line.startswith("cp ")
+        if line not in BUILDS + INSPECTIONS + CODE + RETESTS + REPORTS and not line.startswith("cp ")
     ]
     assert others == [
         "make doctor",
@@ -77,7 +67,7 @@ def test_every_command_is_one_that_these_tests_know():
     assert {
         line.split()[1] for line in LINES + re.findall(r"`(make [a-z]+)`", GUIDE) if line.startswith("make")
     } <= set(targets)
-    assert all((BUILDS, INSPECTIONS, CODE, RETESTS, EXPORTS, REPORTS))
+    assert all((BUILDS, INSPECTIONS, CODE, RETESTS, REPORTS))
 
 
 @pytest.mark.slow
@@ -156,76 +146,14 @@ def test_the_table_of_a_controller_is_exported(tmp_path):
 
 @pytest.mark.slow
 def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):
-    [snippet, _] = SNIPPETS
+    [snippet] = SNIPPETS
     monkeypatch.chdir(tmp_path)
     exec(snippet.replace('"data/', f'"{paths.root().as_posix()}/data/'), {})
     record = load_record(tmp_path / "without_drift.npz", "m/s^2")
-    assert record.sample_rate == 3200 and record_floor(
-        record, channels=3, sample_rate=5000.0
-    ).duration == pytest.approx(20)
-    twin = load_twin("rigid_body")
-    settings = {"twin": twin, "ground_gain": 1.0, "common": 1.0, "duration_s": 20.0, "seed": 1}
-    source = str(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"))
-    drifting = open_floor(source, "m/s^2", 0.0, ["accel_2"], **settings)
-    with pytest.raises(UnstableAdaptation):
-        isolate(twin, drifting, 1, start=2.0)
-    cured = open_floor(str(tmp_path / "without_drift.npz"), "m/s^2", 0.0, [], **settings)
-    assert isolate(twin, cured, 1, start=2.0).left("FeRLS")[0] < 0.1
+    assert record.sample_rate == 3200 and record.duration == pytest.approx(20)
     slow = np.abs(np.fft.rfft(record.signals[0]))[:40]  # below 2 Hz
     original = load_record(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"), "m/s^2")
     assert slow[1:].max() < 0.05 * np.abs(np.fft.rfft(original.signals[0]))[1:40].max()
-
-
-ADAPTING = """
-#include "feed.h"
-static feed_state s;
-void begin(void) { feed_start(&s); }
-int adapt(const double *regressor, const double *error, double *weights)
-{
-    const int used = feed_update(&s, regressor, error);
-    for (int k = 0; k < FEED_ACTUATORS * FEED_REGRESSORS; k++)
-        weights[k] = (&s.weights[0][0])[k];
-    return used;
-}
-"""
-
-
-@pytest.mark.slow
-def test_the_feedforward_in_c_learns_in_the_loop_with_the_twin(tmp_path, monkeypatch):
-    """From the record to C by the guide's own lines; then each sample of the twin's loop takes the weights of the C."""
-    [_, snippet] = SNIPPETS
-    monkeypatch.chdir(tmp_path)
-    scope = {}
-    exec(snippet.replace('"data/', f'"{paths.root().as_posix()}/data/'), scope)
-    assert main(shlex.split(EXPORTS[0])[3:]) == 0
-    files = {each.name: each.read_text(encoding="utf-8") for each in (tmp_path / "my_feedforward").iterdir()}
-    library = compiled(files, tmp_path / "built", ADAPTING)
-    library.begin()
-
-    heard, floor, samples, last = scope["twin"], scope["floor"], 20_000, 5_000
-    sources = Sources(heard, [(samples, floor)], True, [3])
-    weights = np.zeros((heard.actuators, heard.regressors))
-    closed = loop.loop_of(heard, True, weights, FeRls(1.0).start(heard.regressors))
-    widths = (heard.outputs, heard.outputs, heard.sensors, heard.actuators, heard.regressors, heard.actuators)
-    kept = loop.Signals(*(np.zeros((1, n)) for n in widths), np.zeros((1, *weights.shape)), np.zeros((1, 1)))
-    power = np.empty(samples)
-    for first in range(0, samples, BLOCK):
-        moved, noise = sources.sample(min(BLOCK, samples - first))
-        for k in range(len(moved)):
-            limit = heard.instruments.force_limit
-            frozen = (loop.FROZEN, 0.0, 1.0, 1.0, *closed.recursion[-2:], limit, None, ())
-            status, *_ = loop.advance(moved[k : k + 1], noise[k : k + 1], closed, kept, 1, 0, *frozen)
-            assert status == loop.STABLE
-            assert library.adapt(*map(pointer, (kept.filtered_regressors, kept.error, closed.weights)))
-            power[first + k] = kept.error[0] @ kept.error[0]
-
-    table = read_toml(tmp_path / "feed.toml").table("FeRls")
-    settings = FeRls(table["initial_covariance"], table["forgetting"], form="UD")
-    run = {"duration_s": samples / heard.instruments.sample_rate, "seed": 3}
-    wanted = simulate(heard, floor, adaptation=settings, **run).final_weights
-    assert np.abs(closed.weights - wanted).max() < 1e-6 * np.abs(wanted).max()  # a loop lets roundings grow
-    before = simulate(heard, floor, **run, signals_from_s=0.0).error
-    assert power[-last:].mean() < 0.5 * np.sum(before[:, -last:] ** 2, axis=0).mean()
 
 
 def test_every_template_in_the_table_exists_and_loads():

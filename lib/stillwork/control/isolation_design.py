@@ -205,7 +205,7 @@ def try_loop(
     share = 1.0 if algorithm == "FeRls" else float(np.linalg.eigvalsh(steady.correlation)[-1]) / power
     red = red_number(responses, floor, noises[0], steady, loop.shaping.highpass_hz)
     inside = (f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz)
-    left = _motion_density(moving, steady.weights, floor, noises)
+    left = motion_density(moving, steady.weights, floor, noises)
     motion = float((left * widths)[:, inside].sum())
     moves = None
     if step is None:
@@ -319,7 +319,7 @@ def paths_through(isolator: Isolator, rate: Positive, correction: Callable | Non
     return paths
 
 
-def _motion_density(
+def motion_density(
     paths: _MovingPaths, weights: np.ndarray, floor: FloorSpectra, noises: tuple[float, float]
 ) -> Float64[np.ndarray, "axes frequencies"]:
     """Density of the platform's true acceleration with frozen weights, (m/s^2)^2/Hz."""
@@ -604,14 +604,14 @@ def predict(
         weights = weights + (root @ rng.standard_normal(weights.size)).reshape(weights.shape)
         drawn.append(weights)
         strength = JITTER ** rng.uniform(0, 1.5)
-        sizes.append(rms(_motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
+        sizes.append(rms(motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
         gains.append(gain(each.paths.transmissibility(weights)))
     secondary = design.paths.seen.secondary
     wandering = np.einsum(
         "fab,fac,bicj,fij->af", secondary, np.conj(secondary), covariance.reshape(axes, n, axes, n), plain,
         optimize=True,
     ).real  # fmt: skip
-    fixed = _motion_density(design.paths, design.steady.weights, floor, noises)
+    fixed = motion_density(design.paths, design.steady.weights, floor, noises)
     density = fixed + wandering + jitter(design.paths)
     scattered = np.einsum("aiaj,ij->a", covariance.reshape(axes, n, axes, n), power)
     forces = [
@@ -630,8 +630,8 @@ def predict(
     return IsolationPrediction(
         band_hz=band,
         remains=_banded(np.array(sizes), rms(density), varies),
-        without=rms(_motion_density(bare, silent, floor, noises)),
-        feedback=rms(_motion_density(design.paths, silent, floor, noises)),
+        without=rms(motion_density(bare, silent, floor, noises)),
+        feedback=rms(motion_density(design.paths, silent, floor, noises)),
         force=np.max(forces, axis=0),
         transmissibility=_banded(
             np.array(gains), gain(design.paths.transmissibility(design.steady.weights)), np.zeros(1)

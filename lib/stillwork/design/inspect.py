@@ -22,7 +22,7 @@ FORMS = ({"acceleration": 4, "force": 4}, {"inertia": 3, "bias": 4})
 TABLES = ("EXACT", "APPROXIMATE")
 
 FLOOR_SENSORS = 3  # of the shipped rig: more channels than these its notebook does not take
-SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cost seconds to import
+SHORTEST_FLOOR_S = 15.0  # of a floor, for some averaging of its spectra (chosen)
 
 
 def inspect_file(file: str) -> str:

@@ -125,6 +125,7 @@ def isolate_file(
         require_number("limit", limit, above=0.0)
     isolator, estimate, measured, notches, notes = read_isolator(machine, rate)
     spectra, floor_notes, seen = read_floor(floor, unit, isolator.sensors, rate, list(channel))
+    spectra = at_sensors(spectra, isolator.sensors, floor_notes)
     for each in seen:  # a design takes a minute, and may be refused for just that
         print(f"{Path(floor).name}: {each}", file=sys.stderr, flush=True)
     correction = None if measured is None else unmodelled(isolator, measured, rate)
@@ -146,31 +147,7 @@ def isolate_file(
     pause = PAUSES / (2 * np.pi * loop.shaping.highpass_hz)
     files = isolation_code(loop, design.settings, design.steady.weights, limit, pause, name, precision)
     facts = [
-        [
-            "isolator",
-            f"{pluralise(isolator.axes, 'actuator')}, modes at {_listed(isolator.frequencies_hz)} Hz",
-        ],
-        ["skyhook gain", f"{loop.gain:.4g} N s/m on each axis"],
-        ["weak integrators", f"third order, cut-off {loop.cutoff_hz:g} Hz, beta {loop.beta:.4g} 1/s"],
-        [
-            "high-pass of the floor sensors",
-            f"{pluralise(loop.highpasses, 'time')} 1 - (a / (s + a))^3 with that cut-off",
-        ],
-        ["band", f"{loop.shaping.highpass_hz:.3g} to {loop.shaping.lowpass_hz:.4g} Hz"],
-        [
-            "adaptation",
-            f"{algorithm}, {_step(design, algorithm)}, time constant {design.time_constant:.3g} s",
-        ],
-        [
-            "scatter of the weights",
-            f"raises the power of what remains by {100 * design.variance:.2g} %",
-        ],
-        [
-            "command",
-            f"{_listed(found.force[0])} N rms, the largest expected of {DRAWS} isolators in the box; over "
-            f"{spectra.duration:.3g} s up to {_listed(found.force[1])} N rms, and a peak of {_listed(found.force[2])} N "
-            + ("by Rice's formula" if spectra.record is None else "on the record itself"),
-        ],
+        *facts_of(design, found, spectra),
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["assumed", each] for each in (*notes, *floor_notes)),
         *(["check the floor", each] for each in seen),
@@ -221,10 +198,58 @@ def isolate_file(
     return [
         f"{Path(machine).name} on {spectra.source}",
         *(": ".join(row) for row in facts),
-        *(f"{row[0]}: {row[1]}, worst in the box {row[2]}, limit {row[3]}" for row in checks),
-        f"remains at {found.band_hz[0]:g} to {found.band_hz[1]:.4g} Hz (m/s^2):",
-        *(f"  axis {row[0]}: {row[4]} to {row[5]}, without control {row[1]}; {row[6]}" for row in remains),
+        *answer(design, around, found, spectra),
         f"{folder}: {', '.join(sorted([*files, 'report.html']))}",
+    ]
+
+
+def facts_of(design: IsolationDesign, found: IsolationPrediction, spectra: FloorSpectra) -> list[list[str]]:
+    """What was chosen, and the commands that follow."""
+    loop, isolator = design.loop, design.isolator
+    algorithm = type(design.settings).__name__
+    return [
+        [
+            "isolator",
+            f"{pluralise(isolator.axes, 'actuator')}, modes at {_listed(isolator.frequencies_hz)} Hz",
+        ],
+        ["skyhook gain", f"{loop.gain:.4g} N s/m on each axis"],
+        ["weak integrators", f"third order, cut-off {loop.cutoff_hz:g} Hz, beta {loop.beta:.4g} 1/s"],
+        [
+            "high-pass of the floor sensors",
+            f"{pluralise(loop.highpasses, 'time')} 1 - (a / (s + a))^3 with that cut-off",
+        ],
+        ["band", f"{loop.shaping.highpass_hz:.3g} to {loop.shaping.lowpass_hz:.4g} Hz"],
+        [
+            "adaptation",
+            f"{algorithm}, {_step(design, algorithm)}, time constant {design.time_constant:.3g} s",
+        ],
+        [
+            "scatter of the weights",
+            f"raises the power of what remains by {100 * design.variance:.2g} %",
+        ],
+        [
+            "command",
+            f"{_listed(found.force[0])} N rms, the largest expected of {DRAWS} isolators in the box; over "
+            f"{spectra.duration:.3g} s up to {_listed(found.force[1])} N rms, and a peak of {_listed(found.force[2])} N "
+            + ("by Rice's formula" if spectra.record is None else "on the record itself"),
+        ],
+    ]
+
+
+def answer(
+    design: IsolationDesign, around: list[IsolationDesign], found: IsolationPrediction, spectra: FloorSpectra
+) -> list[str]:
+    """The certificate and what remains, one line each."""
+    return [
+        *(
+            f"{row[0]}: {row[1]}, worst in the box {row[2]}, limit {row[3]}"
+            for row in certificate_rows(design, around)
+        ),
+        f"remains at {found.band_hz[0]:g} to {found.band_hz[1]:.4g} Hz (m/s^2):",
+        *(
+            f"  axis {row[0]}: {row[4]} to {row[5]}, without control {row[1]}; {row[6]}"
+            for row in remains_rows(found, spectra)
+        ),
     ]
 
 
@@ -354,8 +379,13 @@ def unmodelled(isolator: Isolator, measured, rate: float):
     return more
 
 
-def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[str]):
-    """Cross spectra of the floor sensors below 0.45 times the rate, notes, and what may disturb the adaptation."""
+def read_floor(
+    file: str, unit: str, sensors: int, rate: float, channels: list[str], record_hz: float = 0.0
+) -> tuple[FloorSpectra, list[str], list[str]]:
+    """Cross spectra of a file's channels, of as many as `sensors` at most, below 0.45 times the rate.
+
+    Also notes, and what may disturb the adaptation. `record_hz` is a record's sample rate; 0: as the file states.
+    """
     path = Path(file)
     spectral = density_unit(unit) if unit else any(map(stated_density, read_columns(path)))
     notes = []
@@ -370,7 +400,15 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
         spectra, known = binned(lines, density, LISTENED_S, f"spectra of {path.name}"), float(f[0])
         seen, slow = [], slow_ratio(lines, rows)
     else:
-        record = to_acceleration(load_record(path, unit, channels=channels or None, most_channels=sensors))
+        record = to_acceleration(
+            load_record(
+                path,
+                unit,
+                sample_rate=record_hz or None,
+                channels=channels or None,
+                most_channels=sensors,
+            )
+        )
         peak, rms = np.abs(record.signals).max(), record.signals.std(axis=1).max()
         require_floor_level(record.source, unit, float(peak), float(rms))
         spectra = floor_spectra(record.signals, record.sample_rate, record.source, LINE_HZ, SLOWEST_HZ)
@@ -394,19 +432,24 @@ def read_floor(file: str, unit: str, sensors: int, rate: float, channels: list[s
             f"{HEARD_HZ[0]:g} to {HEARD_HZ[1]:g} Hz: the weak integrators pass it on, so the adaptation is made slower and "
             "the high-pass of the floor sensors stronger, which isolates less in the band."
         )
+    return spectra, notes, seen
+
+
+def at_sensors(spectra: FloorSpectra, sensors: int, notes: list[str]) -> FloorSpectra:
+    """The spectra of every sensor; one channel gives that of each, their motions being independent, which is noted."""
     channels = spectra.density.shape[1]
     if channels == 1 < sensors:
         notes.append(f"each of the {sensors} floor sensors has the spectrum of this one, independently")
-        spectra = replace(spectra, density=spectra.density * np.eye(sensors))
-        if spectra.record is not None:  # each sensor at another time of the record
-            later = spectra.record.shape[1] // sensors
-            rows = [np.roll(spectra.record[0], k * later) for k in range(sensors)]
-            spectra = replace(spectra, record=np.array(rows))
+        record = spectra.record
+        if record is not None:  # each sensor at another time of it
+            record = np.array([np.roll(record[0], k * (record.shape[1] // sensors)) for k in range(sensors)])
+        spectra = replace(spectra, density=spectra.density * np.eye(sensors), record=record)
     elif channels != sensors:
         raise InputError(
-            f"{path.name} holds {pluralise(channels, 'channel')}, the isolator has {pluralise(sensors, 'floor sensor')}; give as many, or one"
+            f"{spectra.source} holds {pluralise(channels, 'channel')}, the isolator has {pluralise(sensors, 'floor sensor')}; "
+            "give as many, or one"
         )
-    return spectra, notes, seen
+    return spectra
 
 
 def _down_to(lowest_hz: float, spectra: FloorSpectra) -> FloorSpectra:
