@@ -21,7 +21,7 @@ from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import Uncertainty, make_box
 from stillwork.design.design import design_file
 from stillwork.design.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine
-from stillwork.design.desk_page import STATIC, offline_page, script, shipped_machines
+from stillwork.design.desk_page import modules, offline_page, script, shipped_machines
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine
@@ -43,8 +43,8 @@ def node(tmp_path_factory):
     if shutil.which("node") is None:
         pytest.skip("node is not installed, which runs the desk's modules: apt-get install nodejs")
     folder = tmp_path_factory.mktemp("modules")
-    for file in STATIC.glob("*.js"):
-        shutil.copy(file, folder)
+    for name, text in modules().items():
+        (folder / name).write_text(text, encoding="utf-8")
     (folder / "package.json").write_text('{"type": "module"}')
 
     def run(calls):
@@ -360,6 +360,7 @@ def test_the_best_of_a_structure_keeps_six_decibels_in_the_whole_box(node):
 FILES = {
     "pairs.csv": "frequency (Hz),real (m/s^2/N),imaginary (m/s^2/N)\n{}",
     "polar.csv": "# comment\nfrequency (Hz);magnitude (dB re 1 mm/s/N);phase (deg)\n{}",
+    "names.csv": "freq_rad_s,Gain dB re 1 g/N,CH1 Phase in Grad\n{}",
     "omega.csv": "omega\tmagnitude (rad/(N m))\tphase (rad)\n{}",
 }
 
@@ -372,6 +373,7 @@ def test_a_table_is_read_as_the_library_reads_it(node, tmp_path):
     columns = {
         "pairs.csv": (",", [hertz, size * np.cos(angle), size * np.sin(angle)]),
         "polar.csv": (";", [hertz, 20 * np.log10(size), np.degrees(angle)]),
+        "names.csv": (",", [TURN * hertz, 20 * np.log10(size), np.degrees(angle)]),
         "omega.csv": ("\t", [TURN * hertz, size, angle]),
     }
     calls = []
@@ -395,7 +397,7 @@ def test_a_table_is_read_as_the_library_reads_it(node, tmp_path):
         ("time (s),force 1 (N)\n0,1\n", "stillwork desk FILE"),
         ("1,2,3\n2,3,4\n", "names"),
         ("frequency,real\n1,2\n", "magnitude"),
-        ("frequency (Hz),real (furlong/N),imaginary (furlong/N)\n1,2,3\n", "unit is not known"),
+        ("frequency (Hz),real (furlong/N),imaginary (furlong/N)\n1,2,3\n", "no unit that is known"),
     ):
         [found] = node([("files.js", "machineOfTable", text, "x")])
         assert told in found["error"]

@@ -10,6 +10,8 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from stillwork.signals.headings import page_table
+
 STATIC = Path(__file__).parent / "desk_static"
 # Machines of the site's desk, as `python -m stillwork desk FILE --out desk.json` wrote them.
 SHIPPED = ("motion/impact_frf_25k6", "motion/your_machine")
@@ -61,12 +63,19 @@ def machines_script(machines: Sequence[Mapping[str, Any]]) -> str:
 
 
 @cache
+def modules() -> dict[str, str]:
+    """The page's modules by name: those of its folder, and the table by which it reads the names of columns."""
+    own = {file.name: file.read_text(encoding="utf-8") for file in STATIC.glob("*.js")}
+    return own | {"units.js": f"export const TABLE = {json.dumps(page_table())};\n"}
+
+
+@cache
 def script() -> str:
     """All modules in one script, each in a function of its own, those that others import first."""
-    sources, imported, wanted = {}, {}, ["main.js"]
+    every, sources, imported, wanted = modules(), {}, {}, ["main.js"]
     while wanted:
         name = wanted.pop()
-        sources[name] = (STATIC / name).read_text(encoding="utf-8")
+        sources[name] = every[name]
         imported[name] = re.findall(r'from "\./([\w.]+)"', sources[name])
         wanted += [each for each in imported[name] if each not in sources]
     parts = [_scoped(name, sources[name]) for name in TopologicalSorter(imported).static_order()]

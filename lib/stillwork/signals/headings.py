@@ -5,10 +5,26 @@ import re
 import unicodedata
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
-from stillwork.signals.units import DRIVES, MOVES, POSITIONS, ROOT, UNITS, Reading, Unit, meaning, spelled
+from stillwork.signals.units import (
+    DECIBELS,
+    DENSITIES,
+    DRIVES,
+    FOLDED,
+    MOVES,
+    POSITIONS,
+    ROOT,
+    SYMBOLS,
+    UNITS,
+    WORDS,
+    Reading,
+    Unit,
+    meaning,
+    spelled,
+)
 
 _REFERENCE = r"\b(db)\s*[(\[{]\s*((?:re|ref|rel)\b)"  # dB (re 1 m/N) is (dB re 1 m/N)
 _LETTER = r"[^\W\d_]"
@@ -26,7 +42,7 @@ HOLDS = {
     "real": ("real re realteil", (*MOVES, "1"), ""),
     "imaginary": ("imaginary imag im imaginärteil", (*MOVES, "1"), ""),
     "coherence": ("coherence coh kohärenz", ("1",), "1"),
-    "force": ("force hammer kraft torque", DRIVES, ""),
+    "force": ("force hammer kraft torque", DRIVES, "N"),
     "acceleration": ("acceleration accel acc beschleunigung", ("m/s^2", "rad/s^2", "count/s^2", "V"), ""),
     "velocity": ("velocity vel speed geschwindigkeit", ("m/s", "rad/s", "count/s", "V"), ""),
     "position": ("position pos displacement disp weg", (*POSITIONS, "V"), ""),
@@ -35,12 +51,20 @@ HOLDS = {
 }  # fmt: skip
 _OF_WORD = {word: quantity for quantity, (words, _, _) in HOLDS.items() for word in words.split()}
 # Quantities whose names may hold nothing that is not understood, where they state no unit.
-_STRICT = ("frequency", "time", "magnitude", "phase", "real", "imaginary", "coherence", "force")
+_STRICT = ("frequency", "time", "rate", "magnitude", "phase", "real", "imaginary", "coherence", "force")
 _RESPONSES = ("magnitude", "phase", "real", "imaginary", "coherence")
+_OF_A_RESPONSE = (
+    "force",
+    "acceleration",
+    "velocity",
+    "position",
+    "voltage",
+    "current",
+)  # a magnitude or a phase of these
 _RADIANS = ("omega", "w", "kreisfrequenz", "angular")  # a frequency called so is in rad/s
 _LABELS = (
     "angle axis vector array data value values part response resp function frf h g p s l c k x y z xy of in at on from to "
-    "ch chan channel trace input output in out measured measurement meas avg average mean median est estimate stamp base "
+    "ch chan channel trace input output in out measured measurement meas avg average mean median sample sampling est estimate stamp base "
     "relative elapsed open closed loop plant sensor force acceleration velocity position displacement current voltage "
     "grid list unwrapped wrapped shift hammer hit run left right top bottom front rear upper lower tip impact point node dof "
     "lin linear absolute ratio"
@@ -50,7 +74,7 @@ _OTHERS = (
     "log lg ln logarithmic logmag normalized normalised squared inverse reciprocal index bin bins error std stdev sigma "
     "variance deviation uncertainty resolution step delay lag margin"
 ).split()
-_LOGARITHMS = ("log", "logarithmic", "logmag")
+_LOGARITHMS = ("log", "logarithmic", "logmag")  # of a magnitude in decibels
 
 
 @dataclass(frozen=True)
@@ -98,8 +122,10 @@ def heading(name: str) -> Heading:
     means = unit[1]
     others = {re.sub(r"\d+$", "", each) for part in (label, *odd) for each in _words(part)} & set(_OTHERS)
     if quantity == "magnitude" and means and means.decibels:
-        others -= {"log", "logarithmic", "logmag"}
+        others -= set(_LOGARITHMS)
     if others - ({"squared"} if quantity == "coherence" else set()):
+        quantity = ""
+    if quantity == "force" and means and means.ratio:
         quantity = ""
     unknown = next((each for each, other in stated if not _same(other, stated[-1][1])), "")
     if odd and (means is None or (quantity in _STRICT and not set(_words(odd[-1])) <= set(_LABELS))):
@@ -170,7 +196,8 @@ def _quantity(words: list[str]) -> str:
             continue
         if _OF_WORD[plain] in ("frequency", "time") and after in (["response"], ["resp"], ["responses"]):
             continue
-        found = _OF_WORD[plain]
+        if found not in _RESPONSES or _OF_WORD[plain] not in _OF_A_RESPONSE:
+            found = _OF_WORD[plain]
     return found
 
 
@@ -218,7 +245,7 @@ def column_unit(name: str, quantity: str, read_as: str = "") -> tuple[Unit, Read
     stated = heading(name)
     if (odd := stated.unknown or stated.strange) and not read_as:
         raise InputError(
-            f"{name!r}: {odd!r} is no unit of a {quantity} that is known; name it with one of {known_units(quantity)}, "
+            f"{name!r}: {odd!r} is no unit that is known; name it with one of {known_units(quantity)}, "
             "or without any"
         )
     by_name = quantity == "frequency" and any(
@@ -240,3 +267,32 @@ def column_unit(name: str, quantity: str, read_as: str = "") -> tuple[Unit, Read
 def in_hertz(unit: Unit) -> float:
     """Factor to Hz of a unit of frequencies."""
     return unit.factor / (2 * math.pi) if unit.si == "rad/s" else unit.factor
+
+
+def page_table() -> dict[str, Any]:
+    """All of it as the desk's page reads it, whose headings.js reads names alike."""
+    return {
+        "words": WORDS,
+        "symbols": SYMBOLS,
+        "root": ROOT,
+        "decibels": DECIBELS,
+        "densities": DENSITIES,
+        "reference": _REFERENCE,
+        "argument": _ARGUMENT,
+        "scaled": _SCALED,
+        "separators": _SEPARATORS,
+        "units": UNITS,
+        "folded": FOLDED,
+        "holds": HOLDS,
+        "strict": _STRICT,
+        "responses": _RESPONSES,
+        "of_a_response": _OF_A_RESPONSE,
+        "radians": _RADIANS,
+        "labels": _LABELS,
+        "others": _OTHERS,
+        "logarithms": _LOGARITHMS,
+        "positions": POSITIONS,
+        "drives": DRIVES,
+        "moves": MOVES,
+        "known": {each: known_units(each) for each in HOLDS},
+    }

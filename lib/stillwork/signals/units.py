@@ -50,13 +50,13 @@ UNITS = {
 UNITS_TEXT = f"{', '.join(QUANTITIES)} or 1, with m, u, n, p or k in front, or cm/s^2, cm/s, cm, deg, Gal, g, mg, ug, ng"
 # Capital letters or small ones throughout a name: what is then one unit, and what may be two.
 _AMBIGUOUS = ("mhz", "mpa", "mn", "grad")
-_FOLDED = {
+FOLDED = {
     low: next(iter(same))
     for low in {each.lower() for each in UNITS} - set(_AMBIGUOUS)
     if len(same := {each for each in UNITS if each.lower() == low}) == 1
 }
 # Other spellings, replaced one after the other, in any case of letters and in this one.
-_WORDS = (
+WORDS = (
     (r"[\u03bc\u00b5]", "u"),
     (r"[\u00b7\u22c5]", "*"),
     (r"\u2212", "-"),
@@ -80,7 +80,7 @@ _WORDS = (
     (r"^(?:-|abs|absolute|lin|linear|ratio|unitless|dimensionless)$", "1"),
     (r"\s*/\s*", "/"),
 )
-_SYMBOLS = (
+SYMBOLS = (
     (r"\s*(?:\*\*|\^)\s*", "^"),
     (r"\bs2\b", "s^2"),
     (r"/s/s$", "/s^2"),
@@ -89,10 +89,11 @@ _SYMBOLS = (
     (r"^([munpk]?)N[-* .]?m$", "$1N m"),
 )
 ROOT = r"(?:\u221a|sqrt|rt)\s*\(?\s*hz\s*\)?|hz\s*\^?\s*\(\s*1\s*/\s*2\s*\)|hz\s*\^\s*(?:0?\.5|1/2)"  # of Hz
-_DECIBELS = (
-    r"(?:db|decibels?)\s*(?:\(\s*)?(?:(?:re|ref|rel)\b[.:]?\s*)?([\d.]+(?:e-?\d+)?(?![\d.]*/))?\s*(.*?)\s*"
+DECIBELS = (
+    r"(?:db|decibels?)(?![a-z])\s*(?:\(\s*)?(?:(?:re|ref|rel)\b[.:]?\s*)?"
+    r"(\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\d.]*/))?\s*(.*?)\s*"
 )
-_DENSITIES = (
+DENSITIES = (
     (r"\((.+)\)\^?2/Hz", 2),
     (r"([^\W\d_]+)\^?2/Hz", 2),
     (r"(.+)/rtHz", 1),
@@ -122,14 +123,10 @@ class Unit:
 class Reading:
     """What a reader took a column of a file for."""
 
-    quantity: (
-        str  # frequency, time, rate, magnitude, phase, real, imaginary, complex, coherence, force or response
-    )
+    quantity: str  # frequency, magnitude, phase, real, imaginary, complex, coherence, force or response
     unit: str  # as it was read: Hz, rad/s, dB re 1 m/N, deg, m/s^2/N, ...
     column: str  # its name in the file
-    written: (
-        bool  # the unit stands in the file, or the caller gave it; otherwise it is the documented default
-    )
+    written: bool  # in the file, or the caller gave it; otherwise it is the documented default
 
 
 @checked
@@ -145,7 +142,7 @@ def unit_factor(unit: str) -> tuple[float, str]:
 def meaning(text: str) -> Unit | None:
     """What a unit means, one of a density, a ratio or decibels too; None where it is not known."""
     plain = re.sub(ROOT, "rtHz", unicodedata.normalize("NFKC", text).strip(), flags=re.IGNORECASE)
-    if found := re.fullmatch(_DECIBELS, plain, flags=re.IGNORECASE):
+    if found := re.fullmatch(DECIBELS, plain, flags=re.IGNORECASE):
         number, rest = found[1], found[2]
         if rest.endswith(")") and rest.count(")") > rest.count("("):
             rest = rest[:-1]
@@ -163,7 +160,7 @@ def _linear(text: str) -> Unit | None:
     if plain == "1/kg":
         return Unit(1.0, "m/s^2", "m/s^2", "N", "N")
     squeezed = re.sub(r"hz$", "Hz", plain.replace(" ", ""), flags=re.IGNORECASE)
-    for pattern, power in _DENSITIES:
+    for pattern, power in DENSITIES:
         if (found := re.fullmatch(pattern, squeezed)) and (motion := _simple(spelled(_bare(found[1])))):
             return Unit(*motion, _bare(found[1]), power=power)
     upper, _, lower = (spelled(_bare(each)) for each in plain.rpartition("/"))
@@ -181,7 +178,7 @@ def _bare(text: str) -> str:
 def spelled(text: str) -> str:
     """A unit in the spelling of `UNITS`, as far as it is another spelling of one."""
     plain = unicodedata.normalize("NFKC", text).strip()
-    for patterns, flags in ((_WORDS, re.IGNORECASE), (_SYMBOLS, 0)):
+    for patterns, flags in ((WORDS, re.IGNORECASE), (SYMBOLS, 0)):
         for pattern, other in patterns:
             plain = re.sub(pattern, other.replace("$1", r"\1"), plain, flags=flags)
     return plain
@@ -191,9 +188,9 @@ def _simple(plain: str) -> tuple[float, str] | None:
     if plain in UNITS:
         return UNITS[plain]
     # Of MHz, MM, MS, M and G nobody knows whether they are meant as they are written.
-    if re.match(r"M[A-Za-z]|[GM]$", plain) or plain.lower() not in _FOLDED:
+    if re.match(r"M[A-Za-z]|[GM]$", plain) or plain.lower() not in FOLDED:
         return None
-    return UNITS[_FOLDED[plain.lower()]]
+    return UNITS[FOLDED[plain.lower()]]
 
 
 @checked

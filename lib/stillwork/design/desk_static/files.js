@@ -1,105 +1,107 @@
 // Files that are dropped: a frequency response as CSV, or the controller.json of a design.
 
-const GRAVITY = 9.80665;
-const PREFIXES = { "": 1, m: 1e-3, u: 1e-6, n: 1e-9, k: 1e3 };
-const POSITIONS = ["m", "rad", "count"], DRIVES = ["N", "N m", "A", "V"];
-const FREQUENCIES = ["frequency", "frequencies", "freq", "freqs", "f", "hz", "hertz", "omega"];
-const ANGLES = [...FREQUENCIES, "phase", "angle", "w"];
-const PLAIN = ["", "-", "1", "s", "ms", "rad", "deg", "degrees", "°", "hz", "khz", "rad/s"]; // in brackets of time, phase, frequency and coherence
-export const RESPONSE_UNITS = POSITIONS.flatMap((each) => ["/s^2", "/s", ""].map((over) => each + over));
+import { DRIVES, MOVES, POSITIONS, columnUnit, heading, meaning, unitFactor } from "./headings.js";
+
+const SILENT = ["frequency", "time", "rate", "phase", "coherence"]; // their units are none of a machine's
+const EMPTY = ["", "#N/A", "#NA", "N/A", "n/a", "NA", "NaN", "nan", "-nan", "null", "NULL", "None"]; // fields without a number
+export const RESPONSE_UNITS = Object.keys(MOVES);
 export const DRIVE_UNITS = DRIVES;
-
-// Factor to SI and the unit there; null for one that no machine has.
-export function unitFactor(text) {
-  let plain = text.trim().replace(/[µμ]/g, "u").replace("²", "^2").replace("s2", "s^2").replace("counts", "count");
-  plain = plain.replace(/^([munk]?)N[-*· ]?m$/, "$1N m");
-  const gravity = plain.match(/^([mun]?)g$/);
-  if (gravity) return [PREFIXES[gravity[1]] * GRAVITY, "m/s^2"];
-  for (const unit of [...RESPONSE_UNITS, ...DRIVES]) {
-    for (const [prefix, factor] of Object.entries(PREFIXES)) if (plain === prefix + unit) return [factor, unit];
-  }
-  return null;
-}
-
-const wordOf = (name) => name.toLowerCase().trim().split(/[\s([_\d]/)[0];
-const bracketOf = (name) => (name.match(/[([](.+)[)\]]/)?.[1] ?? "").trim().toLowerCase();
-
-// What stands in the brackets at the end of a name, after `dB re 1`.
-const inBrackets = (name) => (name.match(/[([](.+)[)\]]\s*$/)?.[1] ?? "").replace(/^dB\b\s*((re\s*)?1\s+|re\s+)?/i, "");
-const isOne = (text, units) => units.includes(unitFactor(text)?.[1]);
 
 // Units of response and drive that the names state: {response, drive}, empty where none does.
 export function statedUnits(names) {
   const found = { response: "", drive: "" };
-  for (const name of names) {
-    const whole = inBrackets(name), cut = whole.lastIndexOf("/");
-    const [top, below] = [whole.slice(0, Math.max(cut, 0)), whole.slice(cut + 1)].map((each) => each.replace(/^[() ]+|[() ]+$/g, ""));
-    if (isOne(top, RESPONSE_UNITS) && isOne(below, DRIVES)) {
-      found.response ||= top;
-      found.drive ||= below;
-    } else if (!ANGLES.includes(wordOf(name))) {
-      // rad and rad/s behind a phase and a frequency are no motion of the machine.
-      if (isOne(whole, RESPONSE_UNITS)) found.response ||= whole;
-      if (isOne(whole, DRIVES)) found.drive ||= whole;
-    }
+  const state = (kind, unit) => {
+    const [one, other] = [found[kind] || unit, unit].map(unitFactor);
+    if (one[0] !== other[0] || one[1] !== other[1]) throw new Error(`the ${kind} is in ${found[kind]} and in ${unit}; give one unit to all of its columns`);
+    found[kind] ||= unit;
+  };
+  for (const { quantity, means } of names.map(heading)) {
+    if (!means || means.power || SILENT.includes(quantity)) continue;
+    if (means.si in MOVES && DRIVES.includes(means.lowerSi)) {
+      state("response", means.upper);
+      state("drive", means.lower);
+    } else if (!means.lower && means.si in MOVES && quantity !== "force") state("response", means.upper);
+    else if (!means.lower && DRIVES.includes(means.si)) state("drive", means.upper);
   }
   return found;
 }
 
-// Columns of a table of numbers by name; lines with # in front are skipped.
+// Columns of a table of numbers by name; lines that begin with # are skipped.
 export function parseTable(text) {
-  const lines = text.replace(/^\uFEFF/, "").split(/\r?\n/).map((line) => line.split("#")[0].trim()).filter(Boolean);
+  const lines = text.replace(/^\uFEFF/, "").split(/\r?\n/).map((line) => line.replace(/^ +| +$/g, "")).filter((line) => line.trim() && (!line.startsWith("#") || line.startsWith("#N/A")));
+  let mark = lines[0]?.match(/^"?sep=(.)"?$/)?.[1];
+  if (mark) lines.shift();
   if (lines.length < 2) throw new Error("it holds no table: give a line of names and rows of numbers");
-  const body = lines[1];
-  const mark = ["\t", ";", ","].find((each) => body.includes(each));
-  const decimal = mark === ";" && body.includes(",") && !body.includes(".") ? "," : ".";
-  const fields = (line) => (mark ? line.split(mark) : line.split(/\s+/)).map((each) => each.trim().replace(/^"(.*)"$/, "$1"));
-  const names = mark ? fields(lines[0]) : lines[0].match(/[^\s([]+(?:\s*[([][^)\]]*[)\]]+)?/g);
-  if (names.every((each) => each !== "" && Number.isFinite(Number(each.replace(decimal, "."))))) {
-    throw new Error("its first line is no line of names; name the columns, e.g. frequency (Hz),real,imaginary");
+  mark ??= ["\t", ";", ","].find((each) => lines[1].includes(each));
+  const fields = (line) => {
+    const all = (mark ? line.split(mark) : line.trim().split(/\s+/)).map((each) => each.trim().replace(/^"(.*)"$/, "$1").trim());
+    return all.slice(0, all.findLastIndex(Boolean) + 1);
+  };
+  const bracketed = mark ? [] : lines[0].match(/[^\s([{]+(?:\s*[([{][^)\]}]*[)\]}]+)?/g);
+  let names = bracketed?.length === fields(lines[1]).length ? bracketed : fields(lines[0]), rows = lines.slice(1);
+  const number = (each) => each !== "" && Number.isFinite(Number(each.replace(",", ".")));
+  if (names.every(number)) throw new Error("its first line is no line of names; name the columns, e.g. frequency (Hz),real,imaginary");
+  const units = fields(rows[0]).map((each) => each.replace(/^[()[\] ]+|[()[\] ]+$/g, ""));
+  if (units.length && units.every((each) => !each || (meaning(each) && !number(each)))) {
+    names = names.map((name, k) => (units[k] ? `${name} (${units[k]})` : name));
+    rows = rows.slice(1);
   }
-  const rows = lines.slice(1).map((line, k) => {
-    const values = fields(line).map((each) => (each === "" ? NaN : Number(each.replace(decimal, "."))));
-    if (values.length < names.length) throw new Error(`row ${k + 1} holds ${values.length} values for ${names.length} columns`);
-    return values;
+  const again = names.find((name, k) => names.indexOf(name) < k);
+  if (again !== undefined) throw new Error(`it names two columns ${again}; give each a name of its own`);
+  const comma = mark && mark !== "," && rows.some((row) => row.includes(",")) && !rows.some((row) => row.includes("."));
+  const numbers = rows.map((row, k) => {
+    const all = fields(row);
+    if (all.length > names.length) throw new Error(`row ${k + 1} holds ${all.length} values for ${names.length} columns`);
+    return names.map((name, j) => {
+      const each = all[j] ?? "", value = EMPTY.includes(each) ? NaN : Number(comma ? each.replace(",", ".") : each);
+      if (Number.isNaN(value) && !EMPTY.includes(each)) throw new Error(`${name}: ${each} in row ${k + 1} is not a number; correct it`);
+      return value;
+    });
   });
-  return Object.fromEntries(names.map((name, k) => [name, rows.map((row) => row[k])]));
+  return Object.fromEntries(names.map((name, k) => [name, numbers.map((row) => row[k])]));
+}
+
+// The complex response of real and imaginary, or of magnitude and phase, and what was taken without a word in the file.
+function responseOf(columns, names) {
+  const called = (quantity) => names.filter((name) => heading(name).quantity === quantity);
+  const pairs = [["real", "imaginary"], ["magnitude", "phase"]].map((pair) => pair.map((each) => [each, called(each)]));
+  const whole = pairs.find((pair) => pair.every(([, found]) => found.length === 1));
+  const several = pairs.filter((pair) => pair.every(([, found]) => found.length)).flatMap((pair) => pair.flatMap(([, found]) => found));
+  if (!whole && several.length) throw new Error(`it holds several responses (${several.join(", ")}); leave some out`);
+  if (!whole) throw new Error("no response stands beside the frequency; give real and imaginary, or magnitude and phase");
+  const [[first, [one]], [second, [other]]] = whole;
+  const x = columnUnit(one, first), y = columnUnit(other, second), plain = (unit) => (unit.si === "1" ? unit.factor : 1);
+  if (x.lowerSi && !DRIVES.includes(x.lowerSi)) throw new Error(`${one}: a response is a motion over a force`);
+  if (first === "real") return { values: columns[one].map((value, k) => [plain(x) * value, plain(y) * columns[other][k]]), silent: [] };
+  const values = columns[one].map((value, k) => {
+    const size = plain(x) * (x.decibels ? x.reference * 10 ** (value / 20) : value), angle = y.factor * columns[other][k];
+    return [size * Math.cos(angle), size * Math.sin(angle)];
+  });
+  return { values, silent: [...(y.written ? [] : ["phase in degrees"]), ...(heading(one).unit ? [] : ["magnitude linear"])] };
 }
 
 // A machine out of a CSV file; `units` {response, drive} where the file does not say them.
 export function machineOfTable(text, name, units = {}) {
-  const columns = parseTable(text), names = Object.keys(columns);
-  const column = (...words) => names.find((each) => words.includes(wordOf(each)));
-  const axis = column(...FREQUENCIES);
-  if (!axis) {
-    const raw = column("force", "hammer") || (column("m", "mass") && column("k", "stiffness"));
+  const columns = parseTable(text), names = Object.keys(columns), quantities = names.map((each) => heading(each).quantity);
+  const axis = names[quantities.indexOf("frequency")];
+  if (axis === undefined) {
+    const first = names.map((each) => each.toLowerCase().split(/[\s([_\d]/)[0]), has = (...words) => words.every((word) => first.includes(word));
     throw new Error(
-      raw
+      quantities.includes("force") || has("m", "k") || has("mass", "stiffness")
         ? "hammer records and matrices need a fit: run `python -m stillwork desk FILE`"
         : `it holds ${names.join(", ")}, and no frequency; name it so`,
     );
   }
-  const scale = { hz: 1, khz: 1e3, "rad/s": 1 / (2 * Math.PI) }[bracketOf(axis) || (wordOf(axis) === "omega" ? "rad/s" : "hz")];
-  if (!scale) throw new Error(`${axis}: give the frequency in Hz, kHz or rad/s`);
-  const hz = columns[axis].map((value) => value * scale);
-  const real = column("real", "re"), imaginary = column("imaginary", "imag", "im");
-  const size = column("magnitude", "mag", "amplitude", "gain"), angle = column("phase", "angle");
-  let values;
-  if (real && imaginary) values = hz.map((_, k) => [columns[real][k], columns[imaginary][k]]);
-  else if (size && angle) {
-    const decibels = bracketOf(size).startsWith("db"), radians = bracketOf(angle) === "rad";
-    values = hz.map((_, k) => {
-      const r = decibels ? 10 ** (columns[size][k] / 20) : columns[size][k];
-      const a = radians ? columns[angle][k] : (columns[angle][k] * Math.PI) / 180;
-      return [r * Math.cos(a), r * Math.sin(a)];
-    });
-  } else throw new Error("no response stands beside the frequency; give real and imaginary, or magnitude and phase");
+  const bad = names.find((each) => heading(each).unknown || heading(each).strange);
+  if (bad !== undefined) columnUnit(bad, heading(bad).quantity || "real");
+  const scale = columnUnit(axis, "frequency"), { values, silent } = responseOf(columns, names);
+  const hz = columns[axis].map((value) => (value * scale.factor) / (scale.si === "rad/s" ? 2 * Math.PI : 1));
   for (let k = 1; k < hz.length; k++) {
     if (!(hz[k] > hz[k - 1])) throw new Error("the frequency does not rise from line to line; sort the rows");
   }
   const stated = statedUnits(names), notes = [];
-  const unknown = names.find((each) => !PLAIN.includes(inBrackets(each).toLowerCase()) && !Object.values(statedUnits([each])).some(Boolean));
-  if (unknown) throw new Error(`${unknown}: the unit is not known; use ${RESPONSE_UNITS.join(", ")} over ${DRIVES.join(", ")}, with m, u, n or k in front`);
+  if (!scale.written) silent.unshift("frequency in Hz");
+  if (silent.length) notes.push(`the file does not say it; taken for: ${silent.join(", ")}`);
   const response = units.response || stated.response || "m/s^2";
   const [factor, responseUnit] = unitFactor(response) ?? [];
   const order = RESPONSE_UNITS.indexOf(responseUnit);

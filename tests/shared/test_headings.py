@@ -1,0 +1,427 @@
+"""Names of columns: what each states is read right or refused, in every file and on the desk's page alike."""
+
+import itertools
+import json
+import math
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stillwork.base.checks import InputError
+from stillwork.base.toml_files import read_toml
+from stillwork.design.desk_page import modules
+from stillwork.design.inspect import inspect_file
+from stillwork.identification.machine_files import load_machine, load_ratio
+from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.densities import read_densities
+from stillwork.signals.headings import column_unit, heading
+from stillwork.signals.records import load_record
+from stillwork.signals.spectra import band_power
+
+TURN, DEGREE, G = 2 * math.pi, math.pi / 180, 9.80665
+REFUSED = None
+# What one step of the column is: in Hz, s, rad, per one; of a magnitude ("dB", factor of the motion over the force) or the
+# factor alone; of a channel the factor to SI and the SI unit. A second entry: refused.
+DEFAULT = "default"  # no unit is stated: the documented one, which is reported
+HEADERS = {
+    # Bode 100, Siglent, Keysight, PicoScope, FRA4PicoScope
+    "Frequency (Hz)": ("frequency", 1),
+    "Trace 1: Gain: Magnitude (dB)": ("magnitude", ("dB", 1)),
+    "Trace 2: Gain: Phase (°)": ("phase", DEGREE),
+    "Trace 2: Gain: Phase (deg)": ("phase", DEGREE),
+    "Trace 1: Gain: Real ": ("real", DEFAULT),
+    "Frequency(Hz)": ("frequency", 1),
+    "CH1 Amplitude(dB)": ("magnitude", ("dB", 1)),
+    "CH2 Phase(Deg)": ("phase", DEGREE),
+    "Frequency Log(Hz)": ("", 1),
+    "Frequency log(Hz)": ("", 1),
+    "Gain (dB)": ("magnitude", ("dB", 1)),
+    "Gain dB": ("magnitude", ("dB", 1)),
+    "Phase degrees": ("phase", DEGREE),
+    "Log Mag(dB)": ("magnitude", ("dB", 1)),
+    "Lin Mag": ("magnitude", DEFAULT),
+    "Log Mag": ("", DEFAULT),
+    # LMS and Siemens Test.Lab, B&K, SR785, Polytec, National Instruments, Zurich Instruments
+    "Linear frequency [Hz]": ("frequency", 1),
+    "Amplitude [(m/s^2)/N]": ("magnitude", 1),
+    "Phase [°]": ("phase", DEGREE),
+    "FRF Magnitude [g/N]": ("magnitude", G),
+    "Magnitude dB[m/s²/N]": ("magnitude", ("dB", 1)),
+    "Magnitude [dB/1m (m/s²)/N]": REFUSED,
+    "Coherence [-]": ("coherence", 1),
+    "Coherence [%]": ("coherence", 0.01),
+    "Mag (dBVpk)": REFUSED,
+    "Magnitude (mm/s/N)": ("magnitude", 1e-3),
+    "Velocity [mm/s]": ("velocity", (1e-3, "m/s")),
+    "Frequency - Plot 0": REFUSED,
+    "Time (s)": ("time", 1),
+    "Amplitude - Voltage (dBV)": REFUSED,
+    "chunk;timestamp (ticks)": REFUSED,
+    "frequency_Hz": ("frequency", 1),
+    "r (V)": ("", (1, "V")),
+    "phase_rad": ("phase", 1),
+    # MATLAB, python-control, SciPy, ObsPy
+    "freq_rad_s": ("frequency", 1 / TURN),
+    "freqHz": ("frequency", 1),
+    "magdB": ("", DEFAULT),
+    "bode.mag": ("magnitude", DEFAULT),
+    "bode.wout_rad_per_s": ("", (1, "rad/s")),
+    "omega": ("frequency", 1 / TURN),
+    "w": ("frequency", 1 / TURN),
+    "frequency": ("frequency", DEFAULT),
+    "Frequency (rad/s)": ("frequency", 1 / TURN),
+    "Frequency rad/s": ("frequency", 1 / TURN),
+    "Frequency [rad/sec]": ("frequency", 1 / TURN),
+    "mag_db": ("magnitude", ("dB", 1)),
+    "magnitude_dB": ("magnitude", ("dB", 1)),
+    "phase_deg": ("phase", DEGREE),
+    "time_msec": ("time", 1e-3),
+    "time (msec)": ("time", 1e-3),
+    "sampling_rate": ("rate", DEFAULT),
+    "fs_kHz": ("rate", 1000),
+    "acc_z_counts": ("acceleration", (1, "count")),  # of a record; of a machine it is refused
+    "Magnitude Acc/Force (g/N)": ("magnitude", G),
+    "Acc/Force (g/N)": ("", (G, "m/s^2")),
+    "Level (dBm)": REFUSED,
+    # Excel in German
+    "Zeit in ms": ("time", 1e-3),
+    "Zeit [s]": ("time", 1),
+    "Frequenz in kHz": ("frequency", 1000),
+    "Betrag in dB": ("magnitude", ("dB", 1)),
+    "Phase in Grad": ("phase", DEGREE),
+    "Kraft in N": ("force", (1, "N")),
+    "Beschleunigung / (m/s²)": ("acceleration", (1, "m/s^2")),
+    "Weg in µm": ("position", (1e-6, "m")),
+    "Kreisfrequenz": ("frequency", 1 / TURN),
+    # Whatever else a table has
+    "frequency_khz": ("frequency", 1000),
+    "Frequency / Hz": ("frequency", 1),
+    "Frequency, Hz": ("frequency", 1),
+    "frequency_mhz": REFUSED,
+    "Frequency (MHz)": REFUSED,
+    "Frequency (cycles/min)": REFUSED,
+    "frequency_bins": ("", DEFAULT),
+    "normalized frequency": ("", DEFAULT),
+    "time (counts)": REFUSED,
+    "time_ticks": REFUSED,
+    "TIME (MS)": REFUSED,
+    "t [µs]": ("time", 1e-6),
+    "phase (gon)": REFUSED,
+    "phase_turns": REFUSED,
+    "Phase lag (deg)": ("", DEGREE),
+    "mag x10^6 (m/N)": REFUSED,
+    "magnitude (dB re 1e-6 m/N)": ("magnitude", ("dB", 1e-6)),
+    "Magnitude dB (re 1 g/kN)": ("magnitude", ("dB", G / 1000)),
+    "coherence_percent": ("coherence", 0.01),
+    "sensor #1 (m/s^2)": ("", (1, "m/s^2")),
+    "accel_m_s2": ("acceleration", (1, "m/s^2")),
+    "force_n": ("force", (1, "N")),
+    "torque_nm": REFUSED,
+    "torque (Nm)": ("force", (1, "N m")),
+    "force_lbf": REFUSED,
+}  # fmt: skip
+
+
+def found_in(name):
+    """What `HEADERS` lists, of a name."""
+    found = heading(name)
+    if found.unknown or found.strange:
+        return REFUSED
+    quantity, unit = found.quantity, found.meaning
+    if quantity == "frequency" and (unit or name in ("omega", "w", "Kreisfrequenz")):
+        unit = column_unit(name, "frequency")[0]
+        return quantity, unit.factor / TURN if unit.si == "rad/s" else unit.factor
+    if unit is None:
+        return quantity, DEFAULT
+    if unit.decibels:
+        return quantity, ("dB", unit.reference * unit.factor)
+    plain = quantity in ("", "acceleration", "velocity", "position", "force") and unit.si not in ("Hz", "rad")
+    return quantity, (unit.factor, unit.si) if plain else unit.factor
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_a_header_of_the_trade_is_read_right_or_refused(name):
+    wanted, found = HEADERS[name], found_in(name)
+    if wanted is REFUSED:
+        assert found is REFUSED
+    else:
+        assert found is not REFUSED and found[0] == wanted[0]
+        flat = (
+            (found[1] if isinstance(found[1], tuple) else (found[1],)),
+            (wanted[1] if isinstance(wanted[1], tuple) else (wanted[1],)),
+        )
+        for one, other in zip(*flat, strict=True):
+            assert one == (pytest.approx(other, rel=1e-12) if not isinstance(other, str) else other)
+
+
+@pytest.mark.slow
+def test_a_header_says_on_the_page_what_it_says_in_a_file(tmp_path):
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed, which runs the desk's modules: apt-get install nodejs")
+    for name, text in modules().items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "package.json").write_text('{"type": "module"}')
+    call = 'import { heading } from "./headings.js"; import { readFileSync } from "node:fs";'
+    call += "console.log(JSON.stringify(JSON.parse(readFileSync(0)).map(heading)));"
+    (tmp_path / "run.js").write_text(call)
+    names = list(HEADERS) + [written for written, *_ in every_writing()]
+    done = subprocess.run(
+        ["node", "run.js"], cwd=tmp_path, input=json.dumps(names), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    for name, there in zip(names, json.loads(done.stdout), strict=True):
+        here, unit = heading(name), there["means"] or {}
+        assert (here.quantity, here.unit, here.unknown, here.strange) == tuple(
+            there[each] for each in ("quantity", "unit", "unknown", "strange")
+        ), name
+        if here.meaning is None:
+            assert unit == {}, name
+        else:
+            assert unit["factor"] == pytest.approx(here.meaning.factor, rel=1e-12), name
+            assert [unit[each] for each in ("si", "lowerSi", "decibels", "reference", "power")] == [
+                here.meaning.si,
+                here.meaning.lower_si,
+                here.meaning.decibels,
+                here.meaning.reference,
+                here.meaning.power,
+            ], name
+
+
+# Quantity, how names call it, and units with what one of them is.
+PREFIXED = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
+KINDS = {
+    "frequency": (("frequency", "Freq", "f"), {"Hz": 1.0, "rad/s": 1 / TURN}),
+    "time": (("time", "Time", "t", "Zeit"), {"s": 1.0}),
+    "phase": (("phase", "Phase", "CH1 Phase"), {"rad": 1.0, "deg": DEGREE}),
+    "force": (("force", "Force", "hammer"), {"N": 1.0, "V": 1.0}),
+    "acceleration": (("acceleration", "accel"), {"m/s^2": 1.0, "g": G}),
+    "magnitude": (("magnitude", "Gain", "CH2 Amplitude"), {"m/s^2/N": 1.0, "m/N": 1.0, "rad/s/A": 1.0}),
+}
+WRITINGS = (
+    "{name} ({unit})", "{name}[{unit}]", "{name} {{{unit}}}", "{name}（{unit}）", "{name} {unit}", "{name}_{unit}", "{name}, {unit}",
+    "{name} / {unit}", "{name} in {unit}", "{name}_{flat}", "{name}-{unit}", "{NAME} ({UNIT})", "{name}_{low}", "run.{name} ({unit})",
+)  # fmt: skip
+
+
+def every_writing():
+    """A name, its quantity, and what one step of its column is, over quantities, units, prefixes and forms of writing."""
+    for quantity, (names, units) in KINDS.items():
+        for name, (unit, size), (prefix, factor), form in itertools.product(
+            names, units.items(), PREFIXED.items(), WRITINGS
+        ):
+            if (prefix and unit[:3] == "deg") or (prefix == "k" and unit in ("g", "s")):
+                continue
+            text = f"{prefix}{unit}"
+            written = form.format(
+                name=name, unit=text, flat=text.replace("/", "_").replace("^", ""), low=text.lower(),
+                NAME=name.upper(), UNIT=text.upper()
+            )  # fmt: skip
+            yield written, quantity, factor * size, text
+
+
+WHOLE = list(every_writing())
+
+
+def test_a_unit_in_any_writing_is_read_right_or_refused():
+    right = 0
+    for written, quantity, wanted, _ in WHOLE:
+        try:
+            unit, reading = column_unit(written, quantity)
+        except InputError:
+            continue
+        factor = unit.factor / TURN if quantity == "frequency" and unit.si == "rad/s" else unit.factor
+        if reading.written:
+            assert factor == pytest.approx(wanted, rel=1e-12), written
+            right += 1
+        else:
+            raise AssertionError(f"{written}: its unit was passed over")
+    assert right > 0.8 * len(WHOLE)
+
+
+@pytest.mark.slow
+@settings(max_examples=300, deadline=None)
+@given(
+    st.sampled_from(sorted(KINDS)), st.text("abcdefghijklmnopqrstuvwxyzHNVA/^_ ()[]0123456789%.", max_size=12)
+)
+def test_what_stands_behind_a_quantity_is_understood_or_refused(quantity, more):
+    """Whatever follows, a unit is one of the table, or the name is refused, or holds nothing but labels and numbers."""
+    name = f"{KINDS[quantity][0][0]} {more}"
+    found = heading(name)
+    if found.quantity == quantity and quantity != "acceleration" and not (found.unknown or found.strange):
+        if found.meaning is None:
+            column_unit(name, quantity)  # the documented default
+        else:
+            assert column_unit(name, quantity)[1].written
+
+
+# ------------------------------------------------------------------------------------------------- whole files
+
+HZ = np.arange(10.0, 110.0)
+ACCELERANCE = 0.125 - 0.4 * HZ**2 / (60.0**2 - HZ**2 + 1j * HZ)
+
+
+def table(path, columns, separator=",", decimal=".", head=""):
+    rows = [separator.join(columns)] + [
+        separator.join(f"{x:.12g}".replace(".", decimal) for x in row)
+        for row in np.column_stack(list(columns.values()))
+    ]
+    path.write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+SIZE, ANGLE = np.abs(ACCELERANCE), np.angle(ACCELERANCE)
+FILES = {
+    "names alone": {"freq_rad_s": TURN * HZ, "mag_db": 20 * np.log10(SIZE), "phase_rad": ANGLE},
+    "blanks": {"frequency rad/s": TURN * HZ, "Gain dB": 20 * np.log10(SIZE), "Phase deg": ANGLE / DEGREE},
+    "kHz": {"frequency_khz": HZ / 1000, "magnitude_dB": 20 * np.log10(SIZE), "phase": ANGLE / DEGREE},
+    "analyser": {
+        "Frequency(Hz)": HZ, "CH1 Amplitude(dB)": 20 * np.log10(SIZE), "CH1 Phase(Deg)": ANGLE / DEGREE
+    },
+    "python-control": {"omega": TURN * HZ, "real": ACCELERANCE.real, "imag": ACCELERANCE.imag},
+    "compliance": {
+        "f [Hz]": HZ, "mag [um/N]": 1e6 * SIZE / (TURN * HZ) ** 2, "phase [rad]": ANGLE + math.pi
+    },
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILES)
+def test_a_frequency_response_is_read_in_the_units_of_its_names(tmp_path, name):
+    file = load_machine(table(tmp_path / "a.csv", FILES[name]))
+    assert file.accelerance.omega == pytest.approx(TURN * HZ)
+    assert np.abs(file.accelerance.response / ACCELERANCE - 1).max() < 1e-8
+    assert "frequency response of a machine" in inspect_file(str(tmp_path / "a.csv"))
+    np.savez(tmp_path / "a.npz", **FILES[name])
+    again = load_machine(tmp_path / "a.npz").accelerance
+    assert np.abs(again.response / ACCELERANCE - 1).max() < 1e-8
+
+
+def test_a_default_is_reported(tmp_path):
+    file = load_machine(table(tmp_path / "a.csv", {"frequency": HZ, "mag": SIZE, "phase": ANGLE / DEGREE}))
+    assert [(each.quantity, each.unit, each.written) for each in file.readings] == [
+        ("frequency", "Hz", False), ("magnitude", "m/s^2/N", False), ("phase", "deg", False)
+    ]  # fmt: skip
+
+
+def test_several_responses_in_one_table_need_a_choice(tmp_path):
+    columns = {"Frequency(Hz)": HZ}
+    for number, factor in ((1, 1.0), (2, 3.0)):
+        columns |= {
+            f"CH{number} Amplitude(dB)": 20 * np.log10(factor * SIZE),
+            f"CH{number} Phase(Deg)": ANGLE / DEGREE,
+        }
+    file = table(tmp_path / "a.csv", columns)
+    with pytest.raises(InputError, match=r"CH1 Amplitude.*CH2 Amplitude"):
+        load_machine(file)
+    chosen = load_machine(file, response="CH2").accelerance.response
+    assert np.abs(chosen / (3 * ACCELERANCE) - 1).max() < 1e-8
+
+
+def test_a_ratio_has_no_unit(tmp_path):
+    columns = {"frequency": HZ, "mag (m/m)": SIZE, "phase": ANGLE / DEGREE}
+    assert np.abs(load_ratio(table(tmp_path / "a.csv", columns)).response) == pytest.approx(SIZE)
+    columns = {"frequency": HZ, "mag (m/N)": SIZE, "phase": ANGLE / DEGREE}
+    with pytest.raises(InputError, match="ratio"):
+        load_ratio(table(tmp_path / "a.csv", columns))
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "taken"),
+    [("coherence (%)", 100, True), ("coherence_percent", 100, True), ("coherence", 1, True), ("coherence", 100, False)],
+)  # fmt: skip
+def test_a_coherence_is_at_most_one(tmp_path, name, factor, taken):
+    columns = {
+        "frequency": HZ,
+        "real": ACCELERANCE.real,
+        "imag": ACCELERANCE.imag,
+        name: factor * np.full(100, 0.9),
+    }
+    file = table(tmp_path / "a.csv", columns)
+    if taken:
+        assert load_machine(file).accelerance.coherence == pytest.approx(0.9)
+    else:
+        with pytest.raises(InputError, match=r"coherence reaches 90.*per cent"):
+            load_machine(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "step"), [("time (msec)", 1e3), ("time_msec", 1e3), ("Zeit in ms", 1e3), ("t_us", 1e6)]
+)
+def test_a_record_at_20_khz_is_one_whatever_its_time_is_called(tmp_path, name, step):
+    t = np.arange(400) / 20e3
+    columns = {name: step * t, "sensor #1 (m/s^2)": np.sin(t), "sensor #2 (m/s^2)": np.cos(t)}
+    record = load_record(table(tmp_path / "a.csv", columns))
+    assert record.sample_rate == pytest.approx(20e3) and record.unit == "m/s^2"
+    assert record.names == ("sensor #1 (m/s^2)", "sensor #2 (m/s^2)")
+
+
+def test_a_time_in_what_is_no_time_is_refused(tmp_path):
+    for name in ("time (counts)", "time_ticks"):
+        file = table(tmp_path / "a.csv", {name: np.arange(400.0), "x (m)": np.sin(np.arange(400.0))})
+        with pytest.raises(InputError, match=r"no unit that is known.*ms"):
+            load_record(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sep=;\nZeit in s;Weg in mm\n0;0\n0,5;1,5\n1;2\n",
+        "Zeit in s\tWeg in mm\n0\t0\n0,5\t1,5\n1\t2\n",
+        "Zeit in s;Weg in mm\n0;0\n0,5;1,5\n1;2\n",
+        "Zeit;Weg\n(s);(mm)\n0;0\n0,5;1,5\n1;2\n",
+        "# a note\nZeit in s,Weg in mm\n0,0\n# another\n0.5,1.5\n1,2\n",
+    ],
+)
+def test_the_decimal_mark_is_that_of_all_rows(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text)
+    time, way = read_arrays(tmp_path / "a.csv").values()
+    assert (time.tolist(), way.tolist()) == ([0, 0.5, 1], [0, 1.5, 2])
+
+
+def test_a_sign_of_a_number_within_a_row_is_no_comment(tmp_path):
+    (tmp_path / "a.csv").write_text("time,x,y\n0,#N/A,1\n#N/A,3,4\n1,2,3\n")
+    found = read_arrays(tmp_path / "a.csv")
+    np.testing.assert_array_equal(found["x"], [np.nan, 3, 2])
+    np.testing.assert_array_equal(found["time"], [0, np.nan, 1])
+
+
+def test_equal_frequencies_of_a_density_are_refused(tmp_path):
+    with pytest.raises(InputError, match="rise"):
+        band_power([1.0, 10.0, 10.0, 100.0], [1e-8, 1e-8, 1e-6, 1e-6], 1.0, 10.0)
+    file = table(tmp_path / "a.csv", {"frequency": np.array([1.0, 10, 10, 100]), "x (m^2/Hz)": np.ones(4)})
+    with pytest.raises(InputError, match="10 Hz twice"):
+        read_densities(file, "", [], 1)
+
+
+def sparse(path, size):
+    with path.open("wb") as file:
+        file.truncate(size)
+    return path
+
+
+def test_the_size_is_looked_at_before_reading(tmp_path):
+    for file in (sparse(tmp_path / "a.csv", 3 * 2**30), sparse(tmp_path / "b.csv", 2**29)):
+        with pytest.raises(InputError, match=r"bytes|characters"):
+            read_arrays(file)
+    with pytest.raises(InputError, match="bytes"):
+        read_toml(sparse(tmp_path / "a.toml", 3 * 2**30))
+    for text, told in ((f"a = 0x{'F' * 100_000}", "400000 bits"), (f"{'a.' * 100_000}a = 1", "100001 parts")):
+        (tmp_path / "a.toml").write_text(text)
+        with pytest.raises(InputError, match=told) as refusal:
+            read_toml(tmp_path / "a.toml")
+        assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 500
+
+
+def test_an_unknown_unit_is_refused_with_those_that_are_known():
+    for name, quantity, known in (
+        ("frequency (cpm)", "frequency", "Hz.*kHz.*rad/s|rad/s.*Hz"),
+        ("time_ticks", "time", r"\bms\b.*\bmin\b"),
+        ("phase (gon)", "phase", r"\bdeg\b"),
+        ("magnitude (furlong/N)", "magnitude", r"m/s\^2/N.*dB"),
+    ):
+        with pytest.raises(InputError, match=known):
+            column_unit(name, quantity)
