@@ -1,5 +1,6 @@
 """Your own machine as a modal model: fitted to its frequency response, or built from mass and stiffness."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -149,20 +150,23 @@ def _fitted(
             f"fitted from {band[0]:.4g} to {band[1]:.4g} Hz: from {whole[0]:.4g} to {whole[1]:.4g} Hz one resonance alone "
             "stood out; give fit_hz, the band in which the response is reliable"
         )
-    model = fit.model
-    low = fit.omega[0] / (2 * np.pi)
-    notes += [
-        f"the mass is that from {low:.4g} Hz on, with a standard deviation of {100 * fit.mass_deviation:.2g} %",
-    ]
     if fit.turned:
         measured = measured._replace(response=-measured.response)
-        notes.append(TURNED)
+    notes += [*_model_notes(file, fit), *_misfit_notes(measured, fit, band)]
+    model = fit.model
+    return Machine((model,), _mass(model), file.source, measured, fit, notes=tuple(notes), units=file.units)
+
+
+def _model_notes(file: MachineFile, fit: ModalFit) -> Iterator[str]:
+    """What the fitted model is, and what of the response it is without."""
+    model, low = fit.model, fit.omega[0] / (2 * np.pi)
+    yield f"the mass is that from {low:.4g} Hz on, with a standard deviation of {100 * fit.mass_deviation:.2g} %"
+    if fit.turned:
+        yield TURNED
     if not model.rigid_modes:
-        notes.append(
-            f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz"
-        )
+        yield f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz"
     if model.drag:
-        notes.append(
+        yield (
             f"on viscous friction: {model.drag:.4g} 1/s of the mass, {model.drag * _mass(model):.4g} "
             f"{file.units[1]}/({file.units[0]}/s)"
         )
@@ -172,20 +176,25 @@ def _fitted(
             for omega, degrees in zip(fit.phased.model.frequencies, fit.phased.degrees, strict=True)
             if abs(degrees) >= LEAST_PHASE
         )
-        notes.append(
+        yield (
             f"the modes have phases of their own, {turned}: dampers that the mode shapes do not decouple; the model is "
             "without, loops are judged with them"
         )
     if fit.delay:
-        notes.append(
+        yield (
             f"the response is {1e6 * abs(fit.delay):.4g} us {'late' if fit.delay > 0 else 'early'}: a delay beside the "
             "machine, which the model is without"
         )
+
+
+def _misfit_notes(measured: Identified, fit: ModalFit, band: tuple[float, float]) -> Iterator[str]:
+    """Where the model is off the response by more than its noise, and what its lines do not resolve."""
+    model = fit.model
     inside = (measured.omega >= fit.omega[0]) & (measured.omega <= fit.omega[-1])
     coherence = np.clip(np.nan_to_num(measured.coherence[inside], nan=1.0), 1e-6, 1.0)
     noise = float(np.sqrt(np.mean((1 - coherence) / coherence)))
     if fit.rms_error > max(MISFIT, 3 * noise):
-        notes.append(
+        yield (
             f"all over the band the model is off by {100 * fit.rms_error:.2g} % (root mean square), and noise by the coherence is "
             f"{100 * noise:.2g} %: what is promised in the box around the model may not hold around this machine; strong or "
             "dry damping, play, or modes that were not found: end fit_hz before them"
@@ -193,30 +202,29 @@ def _fitted(
     below = fit.omega < model.frequencies[1] / 2
     missed = float(np.sqrt(np.mean(fit.error[below] ** 2))) if below.any() else 0.0
     if missed > MAX_RELATIVE_ERROR:
-        notes.append(
+        yield (
             f"up to {model.frequencies[1] / (4 * np.pi):.4g} Hz the model is off by {100 * missed:.2g} % (root mean "
             "square): noise, or a suspension that the lines do not resolve; mind the mass, start fit_hz above it, or "
             "measure finer"
         )
     end = fit.omega > (1 - BAND_END_SHARE) * fit.omega[-1]
     if len(fit.cut):
-        notes.append(
+        yield (
             f"a resonance at about {fit.cut[0] / (2 * np.pi):.4g} Hz, beyond the band, is left out of the model; widen "
             "fit_hz to hold it"
         )
     elif (off := float(np.sqrt(np.mean(fit.error[end] ** 2)))) > MAX_RELATIVE_ERROR:
-        notes.append(
+        yield (
             f"at the end of the band, {band[1]:.4g} Hz, the model is off by {100 * off:.2g} % (root mean square): "
             "noise, or a resonance that the band cuts, which draws at the mass; end fit_hz well beyond it, or before it"
         )
     widths = 2 * model.damping[1:] * model.frequencies[1:] / (2 * np.pi)
     spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
     if spacing > widths.min():
-        notes.append(
+        yield (
             f"lines {spacing:.3g} Hz apart do not resolve a resonance {widths.min():.3g} Hz wide: its peak may lie "
             "between them"
         )
-    return Machine((model,), _mass(model), file.source, measured, fit, notes=tuple(notes), units=file.units)
 
 
 def _closer(
