@@ -50,7 +50,10 @@ def run(
             raise
         if isinstance(told, OSError) and told.filename and told.strerror:
             told = f"{os.fsdecode(told.filename)}: {told.strerror}"
-        print(f"{program}: {one_line(options.command.by_options(str(told)))}", file=sys.stderr)
+        text = options.command.by_options(str(told))
+        # A message of several lines has escaped what stands in them; the name of a file in another has not.
+        lines = map(one_line, text.split("\n") if isinstance(told, InputError) else [text])
+        print(f"{program}: " + "\n".join(lines), file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         if arguments is None:  # what was being made when it came goes half made, and without a word
