@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy import linalg, signal
 from scipy.io import savemat
 
 from experiments.motion.machines import measured_accelerance
@@ -360,6 +361,31 @@ def test_a_record_that_is_cut_is_noted_and_not_padded(tmp_path):
     whole, cut = load_machine(hits(tmp_path)), load_machine(hits(tmp_path, tail=True))
     assert len(whole.accelerance.omega) == 4 * len(cut.accelerance.omega)
     assert "peak" in cut.notes[1] and "end" in cut.notes[1]
+
+
+@pytest.mark.parametrize(
+    ("rate", "lasts", "pulse", "width"),
+    [
+        (2e3, 0.5, "hann", 0.008),
+        (5e3, 0.5, "sine", 0.002),
+        (5e3, 1.0, "hann", 0.002),
+        (1e4, 0.5, "hann", 0.016),
+    ],
+)
+def test_hits_without_noise_give_their_machine(tmp_path, rate, lasts, pulse, width):
+    """Where the force's spectrum is zero a line holds nothing; SciPy integrates the same three masses."""
+    time = np.arange(round(rate * lasts)) / rate
+    share = np.minimum(time / width, 1.0)
+    force = 100 * (np.sin(np.pi * share) if pulse == "sine" else 0.5 * (1 - np.cos(2 * np.pi * share)))
+    inverse = np.linalg.inv(MASS)
+    a = np.block([[np.zeros((3, 3)), np.eye(3)], [-inverse @ STIFFNESS, -inverse @ DAMPING]])
+    b = np.append(np.zeros(3), inverse[0])[:, None]
+    _, seen, _ = signal.lsim((a, b, a[3:4], b[3:4]), force, time)
+    columns = {"force (N)": force, "response (m/s^2)": seen}
+    found = built(write_csv(tmp_path / "hit.csv", **{"time (s)": time}, **columns))
+    wanted = np.sqrt(linalg.eigvalsh(STIFFNESS, MASS)[1:]) / (2 * np.pi)
+    nearest = [np.abs(found.resonances_hz / hertz - 1).min() for hertz in wanted]
+    assert max(nearest) < 1e-3 and found.mass == pytest.approx(12.0, rel=2e-3)
 
 
 def test_two_responses_want_a_choice(tmp_path):

@@ -226,6 +226,9 @@ def _poles(sums, order, omega):
     below = np.linalg.lstsq(normal[:-inputs, :-inputs], -normal[:-inputs, -inputs:], rcond=1e-15)[0]
     companion = np.eye(order * inputs, k=inputs)
     companion[-inputs:] = -below.T
-    values = np.linalg.eigvals(companion).astype(complex)
+    try:
+        values = np.linalg.eigvals(companion).astype(complex)
+    except np.linalg.LinAlgError:  # of coefficients that a few lines far above all others have made huge
+        return np.zeros(0, complex)
     found = np.log(values[values != 0]) * (omega[-1] - omega[0]) / np.pi
     return found[found.imag > 0] + 1j * omega[0]

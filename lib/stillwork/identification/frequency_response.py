@@ -7,8 +7,11 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import Matrix, Positive
-from stillwork.base.checks import InputError, pluralise, require_array
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import checked
+
+
+SILENT = 1e-6  # of the force's largest amplitude, below which a line holds rounding alone: no sensor's range is wider
 
 
 class Identified(NamedTuple):
@@ -44,7 +47,8 @@ class Identified(NamedTuple):
 def impact_response(force: Matrix, response: ArrayLike, rate: Positive) -> Identified:
     """H1 estimate from hits, one record per hit, with cross spectra and the force's auto spectrum averaged over hits.
 
-    The coherence of a single hit would be one everywhere, without meaning: it is NaN.
+    The coherence of a single hit would be one everywhere, without meaning: it is NaN. Lines at which force or response
+    has no power but rounding are left out.
     """
     response = require_array("response", response, shape=force.shape)
     if not len(force):
@@ -53,14 +57,12 @@ def impact_response(force: Matrix, response: ArrayLike, rate: Positive) -> Ident
     s_ff, s_aa = (np.abs(f) ** 2).mean(axis=0), (np.abs(a) ** 2).mean(axis=0)
     s_fa = (f.conj() * a).mean(axis=0)
     omega = 2 * np.pi * np.fft.rfftfreq(force.shape[1], 1 / rate)
-    keep = slice(1, None)
-    dead = (s_ff == 0) | (s_aa == 0)
-    if np.any(dead[keep]):
-        raise InputError(
-            f"force or response has no power at {pluralise(int(dead[keep].sum()), 'frequency')}; hit harder"
-        )
-    coherence = np.abs(s_fa) ** 2 / (s_ff * s_aa) if len(force) > 1 else np.full(len(omega), np.nan)
-    found = Identified(omega[keep], (s_fa / s_ff)[keep], coherence[keep])
+    keep = (s_ff > SILENT**2 * s_ff.max()) & (s_aa > 0) & (omega > 0)
+    s_ff, s_aa, s_fa = (power[keep] for power in (s_ff, s_aa, s_fa))
+    coherence = np.abs(s_fa) ** 2 / (s_ff * s_aa) if len(force) > 1 else np.full(len(s_ff), np.nan)
+    found = Identified(omega[keep], s_fa / s_ff, coherence)
+    if not len(found.omega):
+        raise InputError("force or response has no power at any frequency; hit harder")
     if not np.isfinite(omega).all():
         raise InputError(f"rate is {rate:g}, too large for frequencies in rad/s; give it in Hz")
     if not np.isfinite(found.response).all() or (len(force) > 1 and not np.isfinite(found.coherence).all()):
