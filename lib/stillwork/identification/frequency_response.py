@@ -10,7 +10,6 @@ from stillwork.base.bounds import Matrix, Positive
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import checked
 
-
 SILENT = 1e-6  # of the force's largest amplitude, below which a line holds rounding alone: no sensor's range is wider
 
 
