@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from workbook import paths
-from workbook.claims import Claim, claims_text, ledger
+from workbook.claims import Claim, claims_text, ledger, load_entries
 from workbook.compare import Comparison, compare, found_claims, same_outputs
 from workbook.lock import exclusive_lock, interrupts, unwound
-from workbook.notebooks import cleaned, notebook_text, select
+from workbook.notebooks import cleaned, notebook_text, select, with_pictures
 from workbook.provenance import commit, is_traceable, with_commit
 from workbook.publish import RECORD, Edited, read_record, replace_all, replace_file, seconds_taken
 from workbook.tasks import DURATIONS, Task, durations, tasks, updated_durations
@@ -174,7 +174,7 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
     for name in before - now:
         if name.endswith(OWN):
             (home / name).unlink()
-    _take_over_outputs(task, copy / "notebooks" / f"{task.notebook.name}.ipynb")
+    _take_over_outputs(task, copy / "notebooks" / f"{task.notebook.name}.ipynb", home)
 
 
 def _note_durations(built: list[Task], copy: Path) -> None:
@@ -213,11 +213,17 @@ def _same(file: Path, content: bytes) -> bool:
     return file.is_file() and file.read_bytes() == content
 
 
-def _take_over_outputs(task: Task, file: Path) -> None:
+def _take_over_outputs(task: Task, file: Path, home: Path) -> None:
     notebook = json.loads(file.read_text(encoding="utf-8"))
     executed = cleaned(notebook, json.loads(task.executed.read_text(encoding="utf-8")))
     for cell, before in zip(executed["cells"], notebook["cells"], strict=True):
         if cell["cell_type"] == "code" and same_outputs(cell["outputs"], before["outputs"]):
             cell["outputs"] = before["outputs"]
+    published = {
+        name.split(".")[1]
+        for name, entry in load_entries(task.notebook.topic).items()
+        if entry.is_replication
+    }
+    executed = with_pictures(executed, home, published)
     if (text := notebook_text(executed)) != file.read_text(encoding="utf-8"):
         replace_file(file, text.encode())

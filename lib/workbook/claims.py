@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from html import escape
 from pathlib import Path
 
 from stillwork.base.checks import (
@@ -381,7 +382,7 @@ class ClaimsTable:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(claims_text(found), encoding="utf-8")
 
-    def __repr__(self) -> str:
+    def _rows(self) -> list[tuple[str, ...]]:
         rows = [("claim", "place", "published", "ours", "interval", "unit", "verdict")]
         for claim in self.claims:
             entry = claim.entry
@@ -389,15 +390,31 @@ class ClaimsTable:
             published = "" if entry.published is None else f"{entry.published:.4g}"
             row = (entry.id, entry.place, published, claim.shown(3), spread)
             rows.append((*row, entry.unit, claim.judgement))
-        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-        lines.insert(1, "-" * len(lines[0]))
-        reasons = [
+        return rows
+
+    def _reasons(self) -> list[str]:
+        return [
             f"{c.entry.id}: {c.entry.reason}"
             for c in self.claims
             if c.entry.reason and c.verdict not in AGREEMENT
         ]
+
+    def __repr__(self) -> str:
+        rows = self._rows()
+        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        lines.insert(1, "-" * len(lines[0]))
+        reasons = self._reasons()
         return "\n".join(lines + (["", *reasons] if reasons else []))
+
+    def _repr_html_(self) -> str | None:
+        if paths.in_batch():  # a committed notebook holds text
+            return None
+        head, *body = self._rows()
+        lines = ["".join(f"<th>{word}</th>" for word in head)]
+        lines += ["".join(f"<td>{escape(word)}</td>" for word in row) for row in body]
+        table = "".join(f"<tr>{line}</tr>" for line in lines)
+        return f"<table>{table}</table>" + "".join(f"<p>{escape(why)}</p>" for why in self._reasons())
 
 
 def claims_text(found: dict[str, dict]) -> str:

@@ -2,7 +2,10 @@
 
 import difflib
 import json
+import re
+from base64 import b64encode
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +15,8 @@ from workbook.parameters import Parameter, read_parameters
 
 NEAREST = 3  # how many are suggested where none is near
 LISTED = 12  # parameters that are all named in a line
+PICTURES = 3  # that a committed notebook shows
+SAVED = re.compile(r"([\w.-]+)\.png, \1\.csv")  # the text of a saved figure
 
 # A notebook's own, in the form that is committed: no version of whatever ran it.
 METADATA = {
@@ -171,6 +176,39 @@ def cleaned(notebook: dict, executed: dict) -> dict:
             cell["metadata"] = {k: v for k, v in cell["metadata"].items() if k == "tags"}
         cells.append(cell)
     return {**notebook, "cells": cells, "metadata": METADATA}
+
+
+def with_pictures(notebook: dict, folder: Path, published: Collection[str]) -> dict:
+    """A cleaned notebook with the first picture that it saves and the `published` ones, `PICTURES` at most.
+
+    Parameters
+    ----------
+    notebook : dict
+    folder : Path
+        Where its accepted pictures are, as PNG.
+    published : collection of str
+        Names of the pictures that stand in the source.
+    """
+    every = [output for cell in notebook["cells"] for output in cell.get("outputs", [])]
+    saved = [name for output in every if (name := _saved(output))]
+    shown = [*saved[:1], *(name for name in saved[1:] if name in published)][:PICTURES]
+    cells = []
+    for cell in notebook["cells"]:
+        if "outputs" in cell:
+            outputs = [output for each in cell["outputs"] if (output := _text_only(each))]
+            for output in outputs:
+                name = _saved(output)
+                if name in shown and (folder / f"{name}.png").is_file():
+                    output["data"]["image/png"] = b64encode((folder / f"{name}.png").read_bytes()).decode()
+            cell = {**cell, "outputs": outputs}
+        cells.append(cell)
+    return {**notebook, "cells": cells}
+
+
+def _saved(output: dict) -> str | None:
+    """Name of the figure that an output of `workbook.page.Page.save` shows."""
+    found = SAVED.fullmatch("".join(output.get("data", {}).get("text/plain", "")))
+    return found and found[1]
 
 
 def notebook_text(notebook: dict) -> str:

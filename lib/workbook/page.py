@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from stillwork.base.checks import InputError, require_choice, require_kind, short_repr
 from workbook import paths
 from workbook.claims import ClaimsTable, make_claim
-from workbook.figures import SavedFigure, plotted, save, use_house_style
+from workbook.figures import plotted, save, use_house_style
 
 # Letters, digits, - and _, with dots inside: a name that is a file's on every system, and no path.
 _NAME = re.compile(r"(?=.{1,100}$)[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*")
@@ -55,8 +55,8 @@ class Page:
             if (summary := summary_of(self.notebook)).lines:
                 display(summary)
 
-    def save(self, name: str, figure, rounding: Mapping[str, str] | None = None) -> SavedFigure:
-        """Write ``<name>.png`` and the plotted numbers ``<name>.csv``; returns a picture for the notebook.
+    def save(self, name: str, figure, rounding: Mapping[str, str] | None = None) -> None:
+        """Write ``<name>.png`` and the plotted numbers ``<name>.csv``, and show the picture in the notebook.
 
         Parameters
         ----------
@@ -99,7 +99,10 @@ class Page:
             notes.write_text(noted + "\n", encoding="utf-8")
         else:
             notes.unlink(missing_ok=True)
-        return saved
+        if _shell() is not None:
+            from IPython.display import display
+
+            display(saved)
 
     def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:
         """Hold `ours` against the ledger's entry `claim` (with the topic in front); returns the verdict.
@@ -119,7 +122,11 @@ class Page:
         return made.verdict
 
 
+def _shell():
+    """IPython, where it runs this."""
+    return sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+
+
 def _in_jupyter() -> bool:
     """Whether a kernel of Jupyter runs this; `paths.in_batch` marks those of a build."""
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    return hasattr(shell, "kernel")
+    return hasattr(_shell(), "kernel")

@@ -11,13 +11,13 @@ from workbook import paths
 from workbook.choices.axes import load_axes
 from workbook.claims import load_entries
 from workbook.compare import cells_apart
-from workbook.notebooks import notebook_text, select
+from workbook.notebooks import PICTURES, notebook_text, select
 from workbook.site.explorers import statements
 from workbook.site.metadata import papers
 from workbook.tasks import Task
 
 NOTEBOOKS = select()
-FORBIDDEN = ("image/png", "text/html", "papermill", "injected-parameters", "widget-view", str(paths.root()))
+FORBIDDEN = ("text/html", "papermill", "injected-parameters", "widget-view", str(paths.root()))
 
 
 def cells(notebook, kind="code"):
@@ -28,8 +28,10 @@ def text(cell) -> str:
     return "".join(cell["source"])
 
 
-def test_there_are_notebooks():
+def test_there_are_notebooks_and_their_pictures_are_small():
     assert NOTEBOOKS
+    every = [output for each in NOTEBOOKS for cell in cells(each) for output in cell["outputs"]]
+    assert sum(len(output.get("data", {}).get("image/png", "")) for output in every) < 10e6
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda notebook: notebook.name)
@@ -46,6 +48,7 @@ class TestNotebook:
             assert output.get("name") != "stderr", output
         dumped = json.dumps(outputs) + json.dumps([cell["metadata"] for cell in code])
         assert not [word for word in FORBIDDEN if word in dumped]
+        assert dumped.count("image/png") <= PICTURES
 
     def test_a_fresh_run_prints_what_is_committed(self, notebook):
         assert cells_apart(Task(notebook, {}, {})) == []

@@ -1,5 +1,8 @@
 """Parameters: declared in the notebook, checked before anything runs."""
 
+import json
+from base64 import b64decode
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,7 +10,7 @@ from hypothesis import strategies as st
 from engine.toy import cell, notebook
 from stillwork.base.checks import InputError
 from workbook import pinned
-from workbook.notebooks import assign, read_notebook, select
+from workbook.notebooks import assign, read_notebook, select, with_pictures
 from workbook.parameters import Parameter
 from workbook.tasks import Task
 
@@ -222,3 +225,29 @@ def test_a_setting_of_the_processor_is_a_name_and_a_value(monkeypatch):
     monkeypatch.setenv(pinned.OTHER, "OPENBLAS_CORETYPE=Nehalem foo")
     with pytest.raises(InputError, match=r"^STILLWORK_PROCESSOR\b.*'foo'.*NPY_"):
         pinned.settings()
+
+
+def test_a_committed_notebook_shows_its_first_and_the_published_pictures_at_most_three(tmp_path):
+    names = ["map", "fig-1", "own", "fig-2", "fig-3"]
+    for name in names:
+        (tmp_path / f"{name}.png").write_bytes(name.encode())
+    cells = [{"cell_type": "code", "outputs": [saved_output(name)]} for name in names]
+    other = {"output_type": "display_data", "data": {"text/plain": "explorer", "image/png": "AAAA"}}
+    cells.append({"cell_type": "code", "outputs": [other]})
+    before = json.dumps(cells)
+    made = with_pictures({"cells": cells}, tmp_path, {"fig-1", "fig-2", "fig-3"})["cells"]
+    shown = [cell["outputs"][0]["data"].get("image/png") for cell in made]
+    assert [each and b64decode(each).decode() for each in shown] == [
+        "map",
+        "fig-1",
+        None,
+        "fig-2",
+        None,
+        None,
+    ]
+    assert json.dumps(cells) == before
+
+
+def saved_output(name):
+    data = {"text/plain": [f"{name}.png, {name}.csv"], "image/png": "AAAA"}
+    return {"output_type": "display_data", "data": data, "metadata": {}}

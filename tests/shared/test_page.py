@@ -44,9 +44,8 @@ def drawing():
 
 
 def test_in_jupyter_it_writes_below_build(workbook):
-    saved = Page("motion/01-x").save("fig-1", drawing())
+    Page("motion/01-x").save("fig-1", drawing())
     folder = workbook / "build" / "interactive" / "motion" / "01-x"
-    assert saved.path == folder / "fig-1"
     assert sorted(file.name for file in folder.iterdir()) == ["fig-1.csv", "fig-1.png"]
 
 
@@ -209,6 +208,23 @@ def test_marked_entries_come_first_and_what_is_not_computed_is_not_hidden():
         "◆",
         "●",
     ]
+
+
+def test_a_saved_figure_is_shown_wherever_it_stands_in_its_cell(workbook, monkeypatch):
+    shown = []
+    monkeypatch.setattr("IPython.display.display", shown.append)
+    Page("motion/01-x").save("fig-1", drawing())
+    assert not shown  # outside IPython
+    monkeypatch.setattr("workbook.page._shell", lambda: object())
+    Page("motion/01-x").save("fig-1", drawing())
+    assert [repr(each) for each in shown] == ["fig-1.png, fig-1.csv"]
+
+
+def test_the_claims_are_a_table_for_jupyter(workbook):
+    page = Page("motion/01-x")
+    page.check("motion.gain", 2.5, interval=(2.4, 2.6))
+    html = page.claims._repr_html_()
+    assert "<th>published</th>" in html and "<td>2.4 .. 2.6</td>" in html and "<td>motion.gain</td>" in html
 
 
 def test_jupyter_shows_the_summary_and_a_build_does_not(monkeypatch):
