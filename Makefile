@@ -118,7 +118,7 @@ RELATIVE := import glob, os; \
 	print(*(os.path.relpath(each, os.path.dirname(file)) for each in folders), sep=chr(10), file=open(file, "w"))
 
 # The last line marks the environment as whole: one that was interrupted is made anew.
-.venv/complete: environment.txt pyproject.toml
+.venv/complete: environment.txt
 	@$(call path,$(PYTHON)) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || \
 		{ echo "$(PYTHON) is not a Python 3.11, 3.12, 3.13 or 3.14; name one: make PYTHON=/path/to/python3.12"; exit 1; }
 	@echo "Making .venv with the pinned packages (a minute or two, once)"

@@ -8,15 +8,15 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 from workbook import paths
+from workbook.dependencies import look_again
 from workbook.execution import Failure, Job, Outcome, execute, sweep
-from workbook.inputs import ENVIRONMENT, changes, environment_inputs, still, with_ledger
-from workbook.jupyter_kernel import stop
+from workbook.inputs import changes, claimed_inputs, ledger_inputs, notebook_inputs
+from workbook.kernels import stop, warmed
 from workbook.lock import exclusive_lock, interrupts
 from workbook.progress import Progress
 from workbook.provenance import commit, modified, provenance
 from workbook.publish import read_record, replace_record, tidy
 from workbook.tasks import Task, built, durations, tasks
-from workbook.warm import warmed
 from workbook.workers import client_of, cores
 
 # Warming a process costs about as much as the imports of this many notebooks.
@@ -79,6 +79,7 @@ def build_figures(
 def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable):
     """Run the stale tasks; returns the failures and the signals that came."""
     made_from = commit(), modified()
+    ledger = {name: value for topic in paths.topics() for name, value in ledger_inputs(topic).items()}
     build = uuid.uuid4().hex
     failures: list[tuple[Task, Failure]] = []
     running = {}
@@ -92,7 +93,7 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
             for future in done:
                 task = running.pop(future)
                 outcome = _outcome(future)
-                failure = outcome.failure or _publish(task, outcome, made_from)
+                failure = outcome.failure or _publish(task, outcome, made_from, ledger)
                 so_far = f"{len(stale) - len(running)} of {len(stale)}{progress.left() if running else ''}"
                 if failure:
                     failures.append((task, failure))
@@ -121,18 +122,15 @@ def _outcome(future: Future) -> Outcome:
         return Outcome(failure=Failure("", f"{type(error).__name__}: {error}"))
 
 
-def _publish(task: Task, outcome: Outcome, made_from) -> Failure | None:
-    """Put the results in their place, unless what they were made from is not what stands here."""
+def _publish(task: Task, outcome: Outcome, made_from, ledger: dict[str, str]) -> Failure | None:
+    """Put the results in their place, unless what they depend on changed since the build began."""
     try:
-        claimed = outcome.claimed()
-        known = {name.removeprefix("file ") for name in task.inputs if name.startswith("file ")}
-        reads = {name: value for name, value in outcome.reads.items() if name not in known}
-        inputs = {**task.inputs, **with_ledger(reads, claimed)}
-        # After the ledger was read here: what changes from now on makes the results stale.
-        kept = {name: still(name, value) for name, value in outcome.reads.items()}
-        now = {name: value for name, value in kept.items() if value is not None}
-        if different := changes(outcome.reads, now):
-            return Failure("inputs", f"not as the kernel read them: {_short(different)}; build again")
+        claimed = claimed_inputs(outcome.claimed())
+        inputs = {**claimed, **task.inputs}
+        look_again()
+        now = {**claimed, **notebook_inputs(task.notebook, task.settings)}
+        if different := changes({**{name: ledger.get(name, "") for name in claimed}, **task.inputs}, now):
+            return Failure("inputs", f"changed while it was built: {_short(different)}; build again")
         record = provenance(task.notebook, task.settings, inputs, outcome.software, made_from)
         files = {**outcome.files, "provenance.json": record, task.executed.name: outcome.executed}
         replace_record(task.target, files, inputs, outcome.seconds)
@@ -176,8 +174,8 @@ def _print_summary(variants: list[Task]) -> None:
 
 @contextlib.contextmanager
 def _threads(jobs: int, warm: bool):
-    with warmed(warm) as process, ThreadPoolExecutor(jobs) as pool:
-        yield (lambda job, task, progress: pool.submit(execute, job, progress.step, process)), stop
+    with warmed(warm) as forks, ThreadPoolExecutor(jobs) as pool:
+        yield (lambda job, task, progress: pool.submit(execute, job, progress.step, forks)), stop
 
 
 @contextlib.contextmanager
@@ -185,21 +183,20 @@ def _cluster(address: str):
     with client_of(address) as client, client.get_executor(pure=False) as executor:
 
         def submit(job, task, progress):
-            around = {name: value for name, value in task.inputs.items() if name.startswith(ENVIRONMENT)}
-            future = executor.submit(execute_elsewhere, job, around)
+            future = executor.submit(execute_elsewhere, job, task)
             future.add_done_callback(lambda _: progress.step(task.cells))
             return future
 
         yield submit, lambda build: client.run(stop, build)
 
 
-def execute_elsewhere(job: Job, around: dict[str, str]) -> Outcome:
-    """`execute` on a worker, once its Python, packages and settings have been seen to be the driver's.
-
-    What the notebook read there is compared with what stands here when its results come back.
-    """
-    if different := changes(around, environment_inputs()):
-        return Outcome(failure=Failure("worker", f"its environment differs: {_short(different)}"))
+def execute_elsewhere(job: Job, task: Task) -> Outcome:
+    """`execute` on a worker, once its checkout, Python, packages and settings have been seen to be the driver's."""
+    look_again()
+    if different := changes(task.inputs, notebook_inputs(task.notebook, task.settings)):
+        return Outcome(
+            failure=Failure("worker", f"what the notebook depends on differs there: {_short(different)}")
+        )
     return execute(job)
 
 

@@ -22,9 +22,7 @@ from pathlib import Path
 
 from stillwork.base.checks import one_line
 from workbook import paths
-from workbook.inputs import read_inputs
-from workbook.jupyter_kernel import kernel_manager
-from workbook.warm import ForkServer
+from workbook.kernels import kernel_manager
 
 PREFIX, LOCK = "stillwork-", "lock"
 
@@ -66,11 +64,10 @@ class Failure:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a job: the files it wrote, the executed notebook and what was read for them, or a failure."""
+    """What came of a job: the files it wrote and the executed notebook, or a failure."""
 
     files: dict[str, bytes] = field(default_factory=dict)
     executed: bytes = b""
-    reads: dict[str, str] = field(default_factory=dict)
     software: dict[str, object] = field(default_factory=dict)
     failure: Failure | None = None
     seconds: float = 0.0
@@ -80,9 +77,7 @@ class Outcome:
         return set(json.loads(self.files.get("claims.json", b"{}")))
 
 
-def execute(
-    job: Job, on_cell: Callable[[], object] = lambda: None, warm: ForkServer | None = None
-) -> Outcome:
+def execute(job: Job, on_cell: Callable[[], object] = lambda: None, forks: bool = False) -> Outcome:
     """Execute a notebook in a kernel of its own; a failure is an outcome, not an exception.
 
     Parameters
@@ -90,12 +85,12 @@ def execute(
     job : Job
     on_cell : callable
         Called when a code cell has run.
-    warm : ForkServer, optional
-        The process to fork the kernel from; without, one is started.
+    forks : bool
+        Whether the kernel is forked from a warmed process (`workbook.kernels.warmed`), or started.
     """
     begin = time.monotonic()
     with _folder() as folder:
-        outcome = _execute(job, folder, on_cell, warm)
+        outcome = _execute(job, folder, on_cell, forks)
     return replace(outcome, seconds=time.monotonic() - begin)
 
 
@@ -148,7 +143,7 @@ def _take_temporary() -> None:
         tempfile.tempdir = next(map(os.path.abspath, usable), None)
 
 
-def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: ForkServer | None) -> Outcome:
+def _execute(job: Job, folder: Path, on_cell: Callable[[], object], forks: bool) -> Outcome:
     import nbformat
     from nbclient.exceptions import DeadKernelError
     from papermill import execute_notebook
@@ -173,8 +168,8 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: ForkSe
         if counts(cell):
             on_cell()
 
-    output, reads = folder / "output", folder / "reads"
-    manager = kernel_manager(job.build, folder, output, reads, warm)
+    output = folder / "output"
+    manager = kernel_manager(job.build, folder, output, forks)
     try:
         executed = execute_notebook(
             source,
@@ -205,10 +200,9 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: ForkSe
     _forget_run(executed)
     try:
         files = _collect(output, job.notebook)
-        inputs = read_inputs(reads)  # last: where the folder was emptied, so was this
     except (OSError, ValueError) as error:
         return Outcome(failure=Failure("files", str(error)))
-    return Outcome(files, nbformat.writes(executed).encode() + b"\n", inputs, _software())
+    return Outcome(files, nbformat.writes(executed).encode() + b"\n", _software())
 
 
 def _where(begun: list[str]) -> str:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from workbook import paths
-from workbook.inputs import changes, environment_inputs, notebook_inputs, present_again
+from workbook.dependencies import keep_facts
+from workbook.inputs import changes, notebook_inputs, present_again
 from workbook.notebooks import Notebook, assign, select
 from workbook.publish import digest, read_record
 
@@ -32,7 +33,7 @@ class Task:
     settings : dict
         Parameters that differ from the published settings.
     inputs : dict of str to str
-        What its results depend on, as far as it is known before it runs.
+        What its results depend on, but for the entries of the ledger that it claims.
     """
 
     notebook: Notebook
@@ -88,11 +89,10 @@ class Task:
 
 def tasks(*targets: str, settings: dict[str, str] | None = None) -> list[Task]:
     """What topics and notebooks (all without any) and the text of ``-p`` mean; `InputError` before anything runs."""
-    around = environment_inputs()
-    return [
-        Task(notebook, changed, {**notebook_inputs(notebook, changed), **around})
-        for notebook, changed in assign(select(*targets), settings or {})
-    ]
+    chosen = assign(select(*targets), settings or {})
+    found = [Task(notebook, changed, notebook_inputs(notebook, changed)) for notebook, changed in chosen]
+    keep_facts()
+    return found
 
 
 def durations() -> dict[str, float]:

@@ -7,9 +7,9 @@ import pytest
 
 from choices.toy_work import A, B, axis
 from stillwork.base.checks import InputError
-from workbook.choices.closure import study_digest
-from workbook.choices.notebook_study import run_notebook
+from workbook.choices.notebook_study import run_notebook, study_digest
 from workbook.choices.running import Journal, run_combinations
+from workbook.dependencies import look_again
 
 TOY = "motion/01-toy"
 CELLS = [
@@ -88,7 +88,8 @@ def test_its_digest_is_that_of_its_cells_and_of_what_they_import(workbook, tmp_p
     def digest_of(*change):
         write(tmp_path, *change)
         study_digest.cache_clear()
-        return study_digest(TOY, "motion")
+        look_again()
+        return study_digest(TOY)
 
     first = digest_of()
     assert digest_of(CELLS, "# Other words") == first

@@ -12,7 +12,7 @@ from jupyter_client.manager import start_new_kernel
 
 from engine import toy as toys
 from workbook import paths
-from workbook.choices.closure import modules
+from workbook.dependencies import closure
 
 FIRST, SECOND = "isolation/01-first", "isolation/02-second"
 IMPORT = "from notebooks.isolation.first import trial, twice"
@@ -135,5 +135,5 @@ def test_tests_import_each_and_it_bears_the_name_of_its_notebook():
 @pytest.mark.slow
 def test_the_digest_of_a_study_follows_what_it_imports():
     for name in beside():
-        assert name in (found := modules(name))
+        assert name in (found := closure(modules=[name]))
         assert any(each.startswith("stillwork.") for each in found), name

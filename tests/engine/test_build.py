@@ -1,20 +1,14 @@
 """What a build makes, what it leaves alone, and what it says."""
 
 import json
-import os
-import py_compile
 import re
 import shutil
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 from engine import toy as toys
-from workbook import publish
-from workbook.inputs import read_inputs
-from workbook.kernel_process import IgnoredPaths
 from workbook.progress import Progress
 
 pytestmark = pytest.mark.slow
@@ -83,6 +77,10 @@ def change_pin(toy):
     toy.replace("environment.txt", "numpy==2.4.5", "numpy==2.4.6")
 
 
+def change_other_pin(toy):
+    toy.replace("environment.txt", "ruff==1.0", "ruff==1.1")
+
+
 def remove_output(toy):
     (toy.root / f"build/figures/{FIRST}/fig-1.csv").unlink()
 
@@ -109,6 +107,7 @@ def forget_state(toy):
         (change_data, {OTHER}, "data/motion/rig.toml changed"),
         (change_ledger, {OTHER}, "ledger motion.gain changed"),
         (change_pin, ALL, "environment: numpy 2.4.5 -> 2.4.6"),
+        (change_other_pin, set(), "of what no kernel loads"),
         (remove_output, {FIRST}, "output fig-1.csv missing"),
         (leave_a_file, {FIRST}, "output extra.csv is not the build's"),
         (edit_output, {FIRST}, "output fig-1.csv was changed by hand"),
@@ -139,16 +138,14 @@ def test_what_cannot_change_a_result_makes_nothing_stale(toy):
     assert toy.reasons() == {}
 
 
-def test_what_a_notebook_read_is_what_makes_it_stale(toy):
+def test_what_a_notebook_leads_to_is_what_makes_it_stale(toy):
     toy.write("mylab/stage.py", "from mylab.parts import mass\n")
     toy.write("mylab/parts.py", "mass = 1.0\n")
     toy.write("lib/experiments/motion/paint.py", "LABEL = 'time (s)'\n")
     toy.add(
-        "motion/02-reads",
-        "import importlib, sys\nsys.path.append(str(paths.root()))\nimportlib.import_module(plant)",
-        "from experiments.motion import paint",
+        "motion/02-leads",
+        "from mylab import stage\nfrom experiments.motion import paint",
         "records = sorted(paths.data('motion', 'records').iterdir())\nrecords[0].read_text()",
-        parameters="seed: int = 1  # of the noise\nlevel: float = 1.0  # V\nplant: str = 'mylab.stage'  # module",
     )
     toy.write("data/motion/records/floor.csv", "1,2\n")
     assert toy.run("figures").returncode == 0
@@ -161,220 +158,32 @@ def test_what_a_notebook_read_is_what_makes_it_stale(toy):
     ):
         before = (toy.root / name).read_text()
         toy.write(name, before + "more = 1\n")
-        assert toy.reasons() == {"motion/02-reads": f"{name} changed"}
+        assert toy.reasons() == {"motion/02-leads": f"{name} changed"}
         toy.write(name, before)
     toy.write("data/motion/records/second.csv", "1,2\n")
-    assert toy.reasons() == {"motion/02-reads": "data/motion/records/ changed"}
-
-
-def test_what_a_notebook_read_elsewhere_makes_it_stale_too(toy, tmp_path):
-    plant = tmp_path / "plant.py"
-    plant.write_text("mass = 1.0\n")
-    toy.add("motion/02-own", f"import runpy\nlevel = runpy.run_path({str(plant)!r})['mass']")
-    assert toy.run("figures", "motion/02-own").returncode == 0
-    assert toy.reasons() == {}
-    plant.write_text("mass = 2.0\n")
-    (reason,) = toy.reasons().values()
-    assert reason.removeprefix("file ") == f"{plant} changed"
+    assert toy.reasons() == {"motion/02-leads": "data/motion/records/second.csv added"}
 
 
 @pytest.mark.parametrize(
-    ("path", "left_out"),
+    ("edited", "said"),
     [
-        ("{home}/.local/share/lab/plant.py", False),
-        ("{home}/.cache/x/record.csv", False),
-        ("{home}/.config/lab/rig.toml", False),
-        ("{home}/.ipython/lab.py", False),
-        ("/run/media/me/disk/record.csv", False),
-        ("/run/user/1000/gvfs/share/record.csv", False),
-        ("/usr/local/share/lab/plant.py", False),
-        (json.__file__, True),
-        (np.__file__, True),
-        ("/usr/share/zoneinfo/UTC", True),
-        ("/proc/cpuinfo", True),
-        ("{home}/.cache/matplotlib/fontlist-v390.json", True),
-        ("{home}/.config/matplotlib/stylelib/mine.mplstyle", True),
-        ("{home}/.local/share/fonts/Mine.TTF", True),
-        ("{home}/.cache/numba/plant-1.py311.nbi", True),
-        ("/tmp/stillwork-1/ipython/profile_default/history.sqlite", True),
-        ("{root}/build/kernels/0/a.nbi", True),
-        ("{home}/lab/__pycache__/plant.cpython-312.pyc", True),
-        ("{home}/lab/__pycache__/record.csv", False),
-        ("{home}/lab/plant.pyc", False),
-        ("{root}/lib/experiments/motion/model.py", False),
+        ("lib/experiments/motion/late.py", "lib/experiments/motion/late.py changed"),
+        ("data/motion/published.toml", "ledger motion.gain changed"),
     ],
 )
-def test_what_is_left_out_has_a_reason(path, left_out, tmp_path, monkeypatch):
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
-    for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    path = path.format(home=tmp_path / "home", root=tmp_path / "root")
-    assert IgnoredPaths("/tmp/stillwork-1/reads").holds(path) == left_out
-
-
-def test_a_checkout_in_a_place_that_is_left_out_is_watched(monkeypatch):
-    monkeypatch.setenv("STILLWORK_ROOT", "/usr/share/toy")
-    left_out = IgnoredPaths("/nowhere/reads")
-    assert not left_out.holds("/usr/share/toy/data/motion/rig.toml")
-    assert left_out.holds("/usr/share/toy/build/a.csv") and left_out.holds("/usr/share/toys/a.csv")
-
-
-def test_an_installed_package_that_no_pin_speaks_for_is_watched(tmp_path, monkeypatch):
-    packages = tmp_path / "venv" / "site-packages"
-    for name, record in {
-        "My_Lab-1.0": "mylab/__init__.py,,\nmylab_units.py,,\n../../bin/mylab,,\n",
-        "Pinned_One-2.0": "pinned/__init__.py,,\n",
-    }.items():
-        (packages / f"{name}.dist-info").mkdir(parents=True)
-        (packages / f"{name}.dist-info" / "RECORD").write_text(record)
-    (tmp_path / "root").mkdir()
-    pins = "--only-binary :all:\nnumpy==2.4.5\npinned-one==2.0 ; x \\\n    --hash=a\n"
-    (tmp_path / "root" / "environment.txt").write_text(pins)
-    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
-    monkeypatch.syspath_prepend(packages)
-    left_out = IgnoredPaths("/nowhere/reads")
-    for name in ("mylab/stage.py", "mylab_units.py"):
-        assert not left_out.holds(str(packages / name))
-    for name in ("pinned/__init__.py", "mylab/__pycache__/stage.cpython-312.pyc", "mylab_other/a.py"):
-        assert left_out.holds(str(packages / name))
-
-
-def test_a_variable_of_the_user_s_hides_no_tree(tmp_path, monkeypatch):
-    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
-    monkeypatch.setattr(sys, "pycache_prefix", str(tmp_path))
-    for name in ("MPLCONFIGDIR", "NUMBA_CACHE_DIR", "STILLWORK_KERNELS"):
-        monkeypatch.setenv(name, str(tmp_path))
-    left_out = IgnoredPaths("/nowhere/reads")
-    for name in ("record.csv", "lab/plant.py", "root/lib/experiments/motion/model.py"):
-        assert not left_out.holds(str(tmp_path / name))
-    for name in "fontlist-v390.json stylelib/a.mplstyle matplotlibrc base_0/a.nbi lab/a.nbc a.pyc".split():
-        assert left_out.holds(str(tmp_path / name))
-
-
-def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
+def test_what_is_edited_while_it_is_built_is_noticed(toy, edited, said):
     edit = (
-        "from pathlib import Path\nfile = Path(paths.root(), 'lib/experiments/motion/late.py')\n"
-        "before = file.read_text()\nwritten = file.write_text('number = 2')\n"
-        "from experiments.motion.late import number\nwritten = file.write_text(before)"
+        f"from pathlib import Path\nfile = Path(paths.root(), '{edited}')\n"
+        "from workbook.page import Page\nfrom experiments.motion.late import number\n"
+        "verdict = Page('motion/02-late').check('motion.gain', 2.0)\n"
+        "written = file.write_text(file.read_text().replace('2', '3'))"
     )
-    toy.write("lib/experiments/motion/late.py", "number = 1\n")
+    toy.write("lib/experiments/motion/late.py", "number = 2\n")
     toy.add("motion/02-late", edit)
     done = toy.run("figures", "motion/02-late")
     assert done.returncode == 1
-    assert "lib/experiments/motion/late.py changed" in done.stdout
-    assert toy.reasons() == {"motion/02-late": "never built"}
-
-
-def test_bytecode_of_another_source_is_not_run(toy):
-    """Python matches it by size and second of change, which an edit right after an import keeps."""
-    model = toy.root / "lib/experiments/isolation/model.py"
-    now = model.stat()
-    change_library(toy)
-    os.utime(model, ns=(now.st_atime_ns, now.st_mtime_ns))
-    py_compile.compile(str(model))
-    toy.replace("lib/experiments/isolation/model.py", "2.5", "3.5")
-    os.utime(model, ns=(now.st_atime_ns, now.st_mtime_ns))
-    assert toy.run("figures", SECOND).returncode == 0
-    assert toy.results()[f"build/figures/{SECOND}/out.csv"] == b"1,3.5\n"
-
-
-@pytest.mark.parametrize("text", [None, "", '{"path": "a", "dig'])
-def test_what_was_read_is_not_guessed(tmp_path, text):
-    log = tmp_path / "reads"
-    if text is not None:
-        log.write_text(text)
-    with pytest.raises(ValueError, match="kernel"):
-        read_inputs(log)
-
-
-@pytest.mark.parametrize(("room", "noted"), [(10_000, True), (10, False)])
-def test_a_log_that_does_not_fit_on_the_disk_is_removed(toy, room, noted):
-    script = (
-        "import os, resource, sys\nfrom workbook.kernel_process import IgnoredPaths, watch\n"
-        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
-        "watch('reads', IgnoredPaths('/nowhere/reads'))\nopen('environment.txt').close()"
-    )
-    environment = toy.environment() | {"STILLWORK_ROOT": str(toy.root)}
-    subprocess.run([sys.executable, "-c", script], cwd=toy.root, env=environment, check=True)
-    assert (toy.root / "reads").exists() == noted
-
-
-def read_by(folder, imports, code):
-    """What a kernel notes as read by some code that runs in a folder, once all is imported that the code needs."""
-    script = (
-        f"{imports}\nfrom workbook.kernel_process import IgnoredPaths, watch\n"
-        f"watch('reads', IgnoredPaths('/nowhere/reads'))\n{code}"
-    )
-    environment = os.environ | {"STILLWORK_ROOT": str(folder / "root")}  # outside of which they read
-    subprocess.run([sys.executable, "-c", script], cwd=folder, env=environment, check=True)
-    return [json.loads(line) for line in (folder / "reads").read_text().splitlines()]
-
-
-@pytest.mark.parametrize(
-    "load", ["ctypes.CDLL('model.so')", "ExtensionFileLoader('model', 'model.so').create_module(spec)"]
-)
-def test_a_library_of_machine_code_is_read_without_being_opened(tmp_path, load):
-    (tmp_path / "model.so").write_bytes(b"no machine code")
-    imports = (
-        "import contextlib, ctypes\nfrom importlib.machinery import ExtensionFileLoader, ModuleSpec\n"
-        "spec = ModuleSpec('model', None, origin='model.so')"
-    )
-    (read,) = read_by(tmp_path, imports, f"with contextlib.suppress(OSError, ImportError):\n    {load}")
-    assert read == {"path": str(tmp_path / "model.so"), "digest": publish.digest(b"no machine code")}
-
-
-@pytest.mark.parametrize(
-    ("code", "noted"),
-    [
-        ("np.memmap('record.bin')", True),
-        ("open('record.bin', 'r+b').close()", True),
-        ("open('record.bin', 'a+b').close()", True),
-        ("os.open('record.bin', os.O_RDWR)", True),
-        ("os.open('record.bin', os.O_RDWR | os.O_CREAT)", True),
-        ("sqlite3.connect('record.bin')", True),
-        ("sqlite3.connect(f'file:{os.getcwd()}/record.bin?mode=ro', uri=True)", True),
-        ("open('record.bin', 'ab').close()\nopen('record.bin').close()", True),
-        ("open('record.bin').close()\nopen('record.bin', 'w').close()", True),
-        (
-            "os.rename('record.bin', 'a')\ntry: open('record.bin')\n"
-            "except OSError: os.rename('a', 'record.bin')\nopen('record.bin').close()",
-            True,
-        ),
-        ("open('record.bin', 'ab').close()", False),
-        ("os.open('record.bin', os.O_WRONLY)", False),
-        ("open('record.bin', 'wb').close()\nopen('record.bin').close()", False),
-        ("os.open('record.bin', os.O_RDWR | os.O_TRUNC)\nopen('record.bin').close()", False),
-        ("np.memmap('new.bin', mode='w+', shape=9)[:] = 1\nnp.memmap('new.bin')", False),
-        ("sqlite3.connect('new.bin').execute('create table a (b)')\nsqlite3.connect('new.bin')", False),
-    ],
-)
-def test_what_is_opened_for_reading_too_is_read_unless_it_was_made_here(tmp_path, code, noted):
-    (tmp_path / "record.bin").write_bytes(b"volts")
-    read = read_by(tmp_path, "import os, sqlite3\nimport numpy as np", code)
-    expected = [{"path": str(tmp_path / "record.bin"), "digest": publish.digest(b"volts")}] * noted
-    assert [each for each in read if each["path"].startswith(str(tmp_path))] == expected
-
-
-@pytest.mark.parametrize(
-    ("code", "noted"),
-    [
-        ("os.listdir('records')", True),
-        ("os.chdir('records')\nos.listdir()", True),
-        ("glob.glob('records/*.csv')", True),
-        ("sorted(Path('records').glob('*.csv'))", True),
-        ("list(os.walk('records'))", True),
-        ("sys.path.append('records')\nimport plant", False),
-        ("sys.path.append('records')\nlist(pkgutil.iter_modules())\nlist(metadata.distributions())", False),
-        ("os.mkdir('mine')\nos.listdir('mine')", False),
-    ],
-)
-def test_a_folder_that_is_listed_is_read_wherever_it_lies(tmp_path, code, noted):
-    (tmp_path / "records").mkdir()
-    (tmp_path / "records" / "plant.py").touch()
-    imports = "import glob, os, pkgutil, sys\nfrom importlib import metadata\nfrom pathlib import Path"
-    read = [each["path"] for each in read_by(tmp_path, imports, code)]
-    assert [path for path in read if path.endswith("/")] == [f"{tmp_path}/records/"] * noted
+    assert f"changed while it was built: {said}" in done.stdout
+    assert toy.reasons()["motion/02-late"] == "never built"
 
 
 def test_a_build_builds_what_why_says_and_nothing_else(toy):

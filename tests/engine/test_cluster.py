@@ -85,7 +85,7 @@ def test_an_interrupt_ends_the_kernels_on_the_workers(toy, scheduler):
 
     def kernels():
         return [
-            each for each in toy.processes() if any("kernel_process.py" in word for word in each.cmdline())
+            each for each in toy.processes() if any("ipykernel_launcher" in word for word in each.cmdline())
         ]
 
     assert len(kernels()) == 1

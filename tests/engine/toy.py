@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -243,16 +242,7 @@ def make(root: Path) -> Toy:
     for package in ("stillwork/base", "stillwork/signals", "workbook"):
         shutil.copytree(LIBRARY / package, root / "lib" / package, ignore=ignore)
     # Of what its kernels are warmed with, the toy needs Jupyter's part alone: two seconds a build.
-    process = "lib/workbook/kernel_process.py"
-    text, found = re.subn(
-        r"^SLOW = \(.*?^\)",
-        'SLOW = ("ipykernel.kernelapp",)',
-        (root / process).read_text(),
-        flags=re.S | re.M,
-    )
-    assert found == 1
-    toy.write(process, text)
-    toy.replace(process, "    _first_use()\n    import gc", "    import gc")
+    toy.write("lib/workbook/warm.py", "import ipykernel.kernelapp\n")
     toy.write("lib/experiments/__init__.py", "")  # else an installed one of this name goes before it
     for topic in ("isolation", "motion"):
         toy.write(f"lib/experiments/{topic}/__init__.py", "")
@@ -260,7 +250,6 @@ def make(root: Path) -> Toy:
         toy.write(f"data/{topic}/rig.toml", "mass = 1.0\n")
         toy.write(f"data/{topic}/published.toml", LEDGER.format(topic=topic))
     toy.write("pyproject.toml", (LIBRARY.parent / "pyproject.toml").read_text(encoding="utf-8"))
-    # As in the workbook itself all that is installed is pinned; a kernel watches what is not.
     others = {each.name for each in metadata.distributions()} - {"numpy", "scipy", "stillwork"}
     pins = [f"{name}==1.0" for name in sorted(others)]
     pins += ["numpy==2.4.5 \\", "    --hash=sha256:0", "    # via a", "scipy==1.17.1"]

@@ -8,9 +8,9 @@ import subprocess
 import sys
 
 import pytest
+from stillwork.base.source_digest import code
 
 from layering import folder, imports, modules
-from stillwork.base.source_digest import code
 from workbook import paths
 from workbook.site.reference import TOOLBOX
 

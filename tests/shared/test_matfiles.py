@@ -1,10 +1,6 @@
 """MAT files: what a damaged one does to its reader, it does not do to us."""
 
 import io
-import json
-import os
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -72,20 +68,6 @@ def test_every_array_of_numbers_comes_back(tmp_path):
 def test_a_reader_that_dies_gives_our_error(other_reader, body, why):
     with pytest.raises(InputError, match=rf"^hers\.mat\b.*{why}"):
         read_mat(other_reader(body))
-
-
-@pytest.mark.slow
-def test_a_build_sees_the_file(tmp_path):
-    (tmp_path / "hers.mat").write_bytes(saved())
-    script = (
-        "from pathlib import Path\nfrom stillwork.signals.matfiles import read_mat\n"
-        "from workbook.kernel_process import IgnoredPaths, watch\n"
-        "watch('reads', IgnoredPaths('/nowhere/reads'))\nread_mat(Path('hers.mat'))"
-    )
-    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
-    read = [json.loads(line)["path"] for line in (tmp_path / "reads").read_text().splitlines()]
-    assert str(tmp_path / "hers.mat") in read
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):

@@ -18,8 +18,8 @@ import numpy as np
 from stillwork.base.checks import InputError, require_count
 from workbook import paths
 from workbook.choices.axes import Multiverse
-from workbook.choices.closure import study_digest
 from workbook.choices.judging import agreement
+from workbook.choices.notebook_study import study_digest
 from workbook.choices.results import Outcomes, collect
 from workbook.choices.running import Call, calls_at
 from workbook.claims import Entry
@@ -173,7 +173,7 @@ def age(outcomes: Outcomes) -> str:
 
 
 def _code(multiverse: Multiverse) -> str:
-    return study_digest(multiverse.function, multiverse.topic)
+    return study_digest(multiverse.function)
 
 
 def _noted(multiverse: Multiverse) -> dict:

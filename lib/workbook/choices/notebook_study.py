@@ -4,10 +4,13 @@ import contextlib
 import io
 import json
 from collections.abc import Mapping
+from functools import cache
 
 from stillwork.base.checks import InputError, nearest
 from workbook import paths
+from workbook.dependencies import dependencies
 from workbook.parameters import read_parameters
+from workbook.publish import digest
 
 Value = float | tuple[float, tuple[float, float]]
 
@@ -41,6 +44,20 @@ def code_cells(notebook: str) -> list[tuple[str, bool]]:
         for source, cell in found
         if "explore(" not in source
     ]
+
+
+@cache  # for the life of the process: what it has imported does not change under it either
+def study_digest(function: str) -> str:
+    """Digest of what a study depends on (`workbook.dependencies`): one of ``package.module:function``, or a notebook's cells.
+
+    The ledger and the combinations are left out: they state what is computed, not what comes out.
+    """
+    if "/" in function:
+        sources = [source for source, _ in code_cells(function)]
+        found = {"cells": digest("\n".join(sources).encode()), **dependencies(sources)}
+    else:
+        found = dependencies(modules=[function.partition(":")[0]])
+    return digest(json.dumps([function, sorted(found.items())]).encode())
 
 
 def run_notebook(notebook: str, entries: tuple[str, ...], options: Mapping) -> dict[str, Value]:

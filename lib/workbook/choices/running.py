@@ -18,8 +18,7 @@ import numpy as np
 
 from stillwork.base.checks import InputError
 from workbook.choices.axes import POINTS, Multiverse, Option
-from workbook.choices.closure import study_digest
-from workbook.choices.notebook_study import run_notebook
+from workbook.choices.notebook_study import run_notebook, study_digest
 from workbook.choices.results import Outcomes, Value, collect, rounded
 from workbook.progress import Progress
 
@@ -143,7 +142,7 @@ def calls_of(multiverse: Multiverse) -> dict[tuple[int, int], Call]:
 
 def calls_at(multiverse: Multiverse, points: list[tuple[int, ...]]) -> dict[tuple[int, int], Call]:
     """The runs of a study at these points, by point and place of the seed."""
-    code = study_digest(multiverse.function, multiverse.topic)
+    code = study_digest(multiverse.function)
     own_seed = multiverse.seeded and "/" in multiverse.function  # a parameter of the notebook
     return {
         (k, s): Call(
@@ -168,7 +167,7 @@ def compute(run: Call) -> dict[str, Value] | str:
     InputError
         When the study cannot be called like this, does not return what it should, or is other code than required.
     """
-    if study_digest(run.function, run.topic) != run.code:
+    if study_digest(run.function) != run.code:
         raise InputError(f"{run.function}: the worker's checkout differs; bring it to the same state")
     function = _function_of(run)
     arguments = run.options | {"seed": run.seed}
