@@ -102,6 +102,9 @@ def test_another_pin_makes_the_environment_again(checkout):
     make(checkout, "figures")
     calls(checkout)
     later = (checkout / ".venv" / "complete").stat().st_mtime + 10
+    os.utime(checkout / "pyproject.toml", (later, later))
+    assert make(checkout, "figures").returncode == 0
+    assert short(calls(checkout)) == ["-m stillwork figures"]  # nothing that is installed comes from there
     os.utime(checkout / "environment.txt", (later, later))
     assert make(checkout, "figures").returncode == 0
     assert short(calls(checkout))[:3] == MADE

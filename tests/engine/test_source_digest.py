@@ -9,9 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from stillwork.base.source_digest import code_digest
 
 import stillwork
+from workbook.source_digest import code_digest
 
 LIBRARY = Path(stillwork.__file__).parents[1]
 FILES = sorted(LIBRARY.rglob("*.py"))

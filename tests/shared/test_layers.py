@@ -13,6 +13,7 @@ from stillwork.base.source_digest import code
 from layering import folder, imports, modules
 from workbook import paths
 from workbook.site.reference import TOOLBOX
+from workbook.source_digest import code
 
 ORDER = (*TOOLBOX, "workbook", "workbook.site")
 ABOVE = len(ORDER)  # the command line, then what stands outside the package
