@@ -8,7 +8,6 @@ import subprocess
 import sys
 
 import pytest
-from stillwork.base.source_digest import code
 
 from layering import folder, imports, modules
 from workbook import paths
