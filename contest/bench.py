@@ -180,16 +180,11 @@ def push(plant: ContestPlant, truth: Truth) -> Truth:
 Scan = Generator[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray, np.ndarray]
 
 
-def open_scan(done: ScanRecord, states: int) -> Scan:
-    """Give out what was recorded, sample by sample, for an estimate each; returns the estimates."""
-    estimates = np.empty((len(done.inputs), states))
-    for k in range(len(estimates)):
-        estimates[k] = yield done.inputs[k].copy(), done.measurements[k].copy(), done.states[k]
-    return estimates
-
-
 def loop_scan(machine: Bench, memory: tuple | None = None) -> Scan:
-    """The same of a scan with the observer in the loop; returns the true states, infinite once the loop has run away."""
+    """A scan with the observer in the loop, sample by sample: input, measurement and true state for an estimate each.
+
+    Returns the true states, infinite once the loop has run away.
+    """
     t, memory = machine.truth, memory or machine.memory()
     system, measured = machine.system, np.zeros(t.sensor.shape[1])
     states = np.full((len(t.sensor), t.a.shape[1]), np.inf)

@@ -111,8 +111,3 @@ class OwnObserver:
         out = np.empty((len(inputs), self.states))
         self.made.advance(self.made.data, self.memory, inputs, measurements, out)
         return out
-
-    @property
-    def bytes(self) -> int:
-        """What its data and its memory take."""
-        return sum(each.nbytes for each in (*self.made.data, *self.memory))

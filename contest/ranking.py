@@ -106,10 +106,12 @@ def mean_ranks(of: Block) -> pd.DataFrame:
 
 
 def leave_one_out(of: Block) -> pd.DataFrame:
-    """Places by mean rank, a column for each machine that is left out; ties share one."""
+    """Places by mean rank, a column for each machine that is left out, where there are others; ties share one."""
+    plants = dict.fromkeys(of.plants)
     columns = {
-        plant: stats.rankdata(of.without(plant).relative_ranks.mean(axis=(0, 1)).round(12), "min")
-        for plant in dict.fromkeys(of.plants)
+        plant: stats.rankdata(rest.relative_ranks.mean(axis=(0, 1)).round(12), "min")
+        for plant in plants
+        for rest in [of.without(plant) if len(plants) > 1 else of]
     }
     return pd.DataFrame(columns, index=list(of.entrants)).astype(int)
 
@@ -236,10 +238,6 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
     ranks, behind, robust = mean_ranks(flexible), against(flexible), robustness(flexible)
     errors, loop = mean_errors(flexible), loops(table)
     rigid = mean_errors(block(table, "rigid"))
-    compute = {
-        score: table[table["score"] == score].drop(columns=KEYS).median()
-        for score in ("microseconds", "bytes")
-    }
     rows = []
     for name in [*ranks.index, *loop.index.difference(ranks.index)]:
         row = {"observer": name}
@@ -267,11 +265,6 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
                 if "unstable loops" in shown
                 else {}
             )
-        row |= {
-            shown: f"{compute[score][name]:.2g}"
-            for score, shown in (("microseconds", "µs a sample"), ("bytes", "bytes"))
-            if np.isfinite(compute[score].get(name, np.nan))
-        }
         rows.append(row)
     found = pd.DataFrame(rows).fillna("")
     return found.loc[:, (found != "").any()]

@@ -5,18 +5,17 @@ three times; an observer is given the actuator's voltage and one or two other se
 the laser measured. The model, the noises and the settings are fitted to one release, two others judge.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float64
 from scipy.optimize import least_squares
 
-from contest.nominal import NominalModel, NominalNoise, OwnObserver
-from contest.runner import Disqualified, ExternalObserver, declared_knobs
-from contest.scores import ENTRANTS
+from contest.nominal import NominalModel, NominalNoise, TuningParameter
+from contest.scores import ENTRANTS, observer_of
 from contest.tuning import WORST, positions
 from stillwork.base.checks import InputError
 from stillwork.lti.discretisation import zoh_modes
@@ -39,6 +38,7 @@ LAGS = 25  # samples of each signal in the linear filters
 LINEAR = ("linear, trained", "linear, oracle")  # fitted to the training release; to what is judged
 # Ours whose design takes a sensor of any kind: those of the model's derivatives are made for positions.
 POSITIONS_ALONE = ("regularised least squares", "sensitivity penalised", "guaranteed cost")
+COLUMNS = ["task", "part", "trained", "judged", "entrant", "error"]
 RUNNING = tuple(name for name in ENTRANTS if name not in POSITIONS_ALONE)
 
 
@@ -153,79 +153,74 @@ def linear_estimate(run: Run, fitted_to: Run) -> np.ndarray:
     return regressors(run) @ weights
 
 
-def own_estimate(name: str, settings: Sequence[float] | np.ndarray) -> Callable[[tuple, Run], np.ndarray]:
-    """Deflections that one of ours estimates."""
-
-    def estimate(given: tuple, run: Run) -> np.ndarray:
-        observer = OwnObserver(ENTRANTS[name], tuple(np.asarray(settings, dtype=float).tolist()))
-        observer.start(*given)
-        return observer.run(np.ascontiguousarray(run.voltage[:, None]), run.measured)[:, 0]
-
-    return estimate
+def estimate(name: str, file: str | None, settings: tuple[float, ...], given: tuple, run: Run) -> np.ndarray:
+    """Deflections that an observer with these settings estimates, one of ours or the one of a file."""
+    observer = observer_of(name, file, settings)
+    observer.start(*given)
+    return observer.run(np.ascontiguousarray(run.voltage[:, None]), run.measured)[:, 0]
 
 
-def their_estimate(source: str, settings: Sequence[float] | np.ndarray) -> Callable[[tuple, Run], np.ndarray]:
-    """Deflections that an observer from a file estimates."""
-
-    def estimate(given: tuple, run: Run) -> np.ndarray:
-        with ExternalObserver(source) as observer:
-            observer.start(*given, tuple(np.asarray(settings, dtype=float).tolist()))
-            pairs = zip(run.voltage[:, None], run.measured, strict=True)
-            return np.array([observer.step(*pair)[0] for pair in pairs])
-
-    return estimate
-
-
-def tuned_estimate(entrant: Callable, knobs: Sequence, task: str, release: int) -> Callable:
-    """The estimate with the settings of least error on the training release, by the official tuner's rule."""
-    given, run = fitted(task, release), run_of(task, release)
+def tuned_settings(
+    name: str, file: str | None, knobs: Sequence[TuningParameter], given: tuple, run: Run
+) -> tuple[float, ...]:
+    """Those of least error on the training release, by the official tuner's rule."""
     tried = []
-    for settings in positions(knobs):
+    every = [tuple(settings) for settings in positions(knobs).tolist()]
+    for settings in every:
         try:
-            tried.append(min(errors_of(run, entrant(settings)(given, run))["whole"], WORST))
-        except (InputError, Disqualified):  # there is no such design
+            tried.append(min(errors_of(run, estimate(name, file, settings, given, run))["whole"], WORST))
+        except InputError:  # there is no such design
             tried.append(np.inf)
-    return entrant(positions(knobs)[int(np.argmin(tried))])
+    return every[int(np.argmin(tried))]
 
 
-def record_table(
-    names: Sequence[str] = RUNNING, sources: Mapping[str, str] | None = None, tuned: bool = False
-) -> tuple[pd.DataFrame, dict[str, str]]:
-    """A row for each task, pair of releases, part and entrant; and who was disqualified, with the reason.
+def rows_on(task: str, trained: int, estimates: Callable[[tuple, Run], dict[str, np.ndarray]]) -> list[tuple]:
+    """Rows of the releases that judge, of ``estimates(given, run)`` by name."""
+    rows = []
+    for judged in set(range(len(RELEASES))) - {trained}:
+        run = run_of(task, judged)
+        for name, found in estimates(fitted(task, trained), run).items():
+            errors = errors_of(run, found)
+            rows += [(task, part, trained, judged, name, errors[part]) for part in PARTS]
+    return rows
 
-    The knobs of observers from files stand at their defaults where these are not to be `tuned`.
-    """
-    rows: list[tuple] = []
-    out: dict[str, str] = {}
-    knobs = {name: declared_knobs(source) for name, source in (sources or {}).items()}
+
+def file_rows(name: str, file: str, knobs: Sequence[TuningParameter], tuned: bool) -> list[tuple]:
+    """Rows of a file's observer, its knobs at their defaults where these are not to be `tuned`."""
+    rows = []
     for task in TASKS:
         for trained in range(len(RELEASES)):
-            given = fitted(task, trained)
-            estimates = {
-                name: tuned_estimate(partial(own_estimate, name), ENTRANTS[name].knobs, task, trained)
+            given, run = fitted(task, trained), run_of(task, trained)
+            own = (
+                tuned_settings(name, file, knobs, given, run)
+                if tuned
+                else tuple(knob.default for knob in knobs)
+            )
+            rows += rows_on(
+                task, trained, lambda given, run, own=own: {name: estimate(name, file, own, given, run)}
+            )
+    return rows
+
+
+def record_table(names: Sequence[str] = RUNNING) -> pd.DataFrame:
+    """A row for each task, pair of releases, part and entrant."""
+    rows: list[tuple] = []
+    for task in TASKS:
+        for trained in range(len(RELEASES)):
+            train = run_of(task, trained)
+            settings = {
+                name: tuned_settings(name, None, ENTRANTS[name].knobs, fitted(task, trained), train)
                 for name in names
             }
-            for name, source in (sources or {}).items():
-                theirs, own = partial(their_estimate, source), knobs[name]
-                estimates[name] = (
-                    tuned_estimate(theirs, own, task, trained)
-                    if tuned
-                    else theirs([knob.default for knob in own])
-                )
-            for judged in set(range(len(RELEASES))) - {trained}:
-                run, found = run_of(task, judged), {}
-                for name, estimate in estimates.items():
-                    try:
-                        found[name] = estimate(given, run)
-                    except Disqualified as reason:
-                        out[name] = str(reason)
-                fits = zip(LINEAR, (run_of(task, trained), run), strict=True)
-                found |= {name: linear_estimate(run, to) for name, to in fits}
-                for name, estimate in found.items():
-                    errors = errors_of(run, estimate)
-                    rows += [(task, part, trained, judged, name, errors[part]) for part in PARTS]
-    table = pd.DataFrame(rows, columns=["task", "part", "trained", "judged", "entrant", "error"])
-    return table[~table["entrant"].isin(out)], out
+
+            def estimates(given, run, settings=settings, train=train):
+                ours = {name: estimate(name, None, own, given, run) for name, own in settings.items()}
+                return ours | {
+                    name: linear_estimate(run, to) for name, to in zip(LINEAR, (train, run), strict=True)
+                }
+
+            rows += rows_on(task, trained, estimates)
+    return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def record_standings(table: pd.DataFrame) -> pd.DataFrame:
@@ -244,7 +239,7 @@ def record_standings(table: pd.DataFrame) -> pd.DataFrame:
 
 def main() -> None:
     """Make the committed table."""
-    table, _ = record_table()
+    table = record_table()
     table.round({"error": 4}).to_csv(FILE, index=False, lineterminator="\n")
     print(record_standings(table).to_string(index=False))
 

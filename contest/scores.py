@@ -1,13 +1,7 @@
 """One seed of the contest on one plant: every observer on the same scans, one scan at a time."""
 
-import fcntl
-import os
-import tempfile
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, lru_cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +15,7 @@ from contest.multi_model import MULTI_MODEL
 from contest.nominal import Baseline, OwnObserver, nominal_of
 from contest.parametric import PARAMETRIC
 from contest.plants import plant_of
-from contest.runner import Disqualified, ExternalObserver
+from contest.runner import FileObserver
 from contest.structured import STRUCTURED
 from contest.uncertainties import UNCERTAINTIES, Truth, hidden_seed, sample_truth
 
@@ -57,15 +51,6 @@ class Scan(NamedTuple):
         return *nominal_of(plant, UNCERTAINTIES[self.uncertainty].noise), plant.sample_time
 
 
-class Scored(NamedTuple):
-    """What one observer got on one scan."""
-
-    entrant: str
-    scan: Scan
-    score: str
-    value: float
-
-
 class Oracle:
     """Uses the true states."""
 
@@ -83,25 +68,13 @@ def _designs(name: str, knobs: tuple[float, ...]) -> dict:
     return {}
 
 
-@contextmanager
-def turn() -> Iterator[None]:
-    """Scans of observers that are not ours run one at a time on a machine: by its load they could speak to each other."""
-    with open(Path(tempfile.gettempdir()) / f"stillwork-contest-{os.getuid()}", "w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
-
-
-@contextmanager
-def opened(entrant: str, source: str | None, given: tuple, knobs: tuple[float, ...]) -> Iterator:
-    """An observer at the beginning of a scan: from `source`, or one of ours."""
-    if source is not None:
-        with turn(), ExternalObserver(source) as observer:
-            observer.start(*given, knobs)
-            yield observer
-        return
-    own = Oracle() if entrant == ORACLE else OwnObserver(ENTRANTS[entrant], knobs, _designs(entrant, knobs))
-    own.start(*given)
-    yield own
+def observer_of(
+    entrant: str, file: str | None, knobs: tuple[float, ...]
+) -> OwnObserver | FileObserver | Oracle:
+    """An observer before a scan: the one of a `file`, or one of ours."""
+    if file is not None:
+        return FileObserver(file, knobs)
+    return Oracle() if entrant == ORACLE else OwnObserver(ENTRANTS[entrant], knobs, _designs(entrant, knobs))
 
 
 @lru_cache(maxsize=64)  # all observers run on the same
@@ -120,27 +93,14 @@ def recorded(scan: Scan) -> bench.ScanRecord:
     return bench.record(bench.assemble(plant, truth_of(scan), bench.BANDWIDTH_RATIO_LOW, estimated=False))
 
 
-def estimate_scores(
-    entrant: str, source: str | None, scan: Scan, knobs: tuple[float, ...]
-) -> dict[str, float]:
-    """Errors of the rigid-body and the flexible states relative to those of the estimate zero, time and memory.
-
-    Microseconds a sample: of one of ours without its design; of a file all that its process takes, over its samples.
-    """
+def estimate_scores(entrant: str, file: str | None, scan: Scan, knobs: tuple[float, ...]) -> dict[str, float]:
+    """Errors of the rigid-body and the flexible states relative to those of the estimate zero."""
     record, given = recorded(scan), scan.given()
-    with opened(entrant, source, given, knobs) as observer:
-        if source is not None:
-            estimates = bench.run_scan(bench.open_scan(record, len(given[0].a)), observer.step)
-        else:
-            observer.step(record.inputs[0], record.measurements[0])  # compiles it
-            observer.start(*given)
-            began = time.thread_time()  # what else the machine does is not the observer's time
-            estimates = observer.run(record.inputs, record.measurements)
-            taken, held = time.thread_time() - began, float(observer.bytes)
-    if source is not None:
-        taken, held = observer.cpu_seconds, np.nan
+    observer = observer_of(entrant, file, knobs)
+    observer.start(*given)
+    estimates = observer.run(record.inputs, record.measurements)
     rigid, flexible = bench.state_errors(record, estimates, given[0].rigid_modes)
-    return {"flexible": flexible, "rigid": rigid, "microseconds": 1e6 * taken / len(estimates), "bytes": held}
+    return {"flexible": flexible, "rigid": rigid}
 
 
 def loop_scores(scan: Scan, run: Callable) -> dict[str, float]:
@@ -152,37 +112,26 @@ def loop_scores(scan: Scan, run: Callable) -> dict[str, float]:
     return {"tracking": float(ratios[0]), "rejection": float(ratios[1])}
 
 
-def scores_of(entrant: str, source: str | None, scan: Scan, knobs: tuple[float, ...]) -> dict[str, float]:
+def scores_of(entrant: str, file: str | None, scan: Scan, knobs: tuple[float, ...]) -> dict[str, float]:
     """What an observer gets on a scan, by score."""
     if scan.track == "estimate":
-        return {} if entrant == ORACLE else estimate_scores(entrant, source, scan, knobs)
+        return {} if entrant == ORACLE else estimate_scores(entrant, file, scan, knobs)
 
     def run(task: bench.Scan) -> np.ndarray:
-        with opened(entrant, source, scan.given(), knobs) as observer:
-            return bench.run_scan(task, observer.step)
+        observer = observer_of(entrant, file, knobs)
+        observer.start(*scan.given())
+        return bench.run_scan(task, observer.step)
 
     if scan.track == "loop":
         return loop_scores(scan, run)
     return {"bandwidth": bench.allowed_bandwidth(plant_of(scan.plant), truth_of(scan), run)}
 
 
-def contest_trial(
-    tasks: Sequence[tuple[Scan, Mapping[str, tuple[float, ...]]]], sources: Mapping[str, str]
-) -> tuple[list[Scored], dict[str, str]]:
-    """Scores on these scans, each with the settings of its entrants, and who was disqualified, with the reason.
-
-    `sources` are those of observers that are not ours, by name.
-    """
-    scores: list[Scored] = []
-    out: dict[str, str] = {}
-    for scan, settings in tasks:
-        for name, knobs in settings.items():
-            if name in out:
-                continue
-            try:
-                found = scores_of(name, sources.get(name), scan, knobs)
-            except Disqualified as reason:
-                out[name] = str(reason)
-            else:
-                scores += [Scored(name, scan, score, value) for score, value in found.items()]
-    return scores, out
+def rows_of(settings: Mapping[str, tuple[float, ...]], scans: Sequence[Scan]) -> list[tuple]:
+    """Rows (score, public number, machine, uncertainty, seed, entrant, value) of ours with these settings."""
+    return [
+        (score, scan.public, scan.plant, scan.uncertainty, scan.seed, name, value)
+        for scan in scans
+        for name, knobs in settings.items()
+        for score, value in scores_of(name, None, scan, knobs).items()
+    ]

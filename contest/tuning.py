@@ -1,13 +1,11 @@
 """The official tuner: every entrant's knobs, set by one procedure with one budget on the development set.
 
-``python -m contest.tuning`` tunes ours, and finds the loops that distinguish observers. The development set is public:
-``write_development_set`` writes its scans with their truth.
+``python -m contest.tuning`` tunes ours, and finds the loops that distinguish observers.
 """
 
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,8 +13,7 @@ from scipy.stats import qmc
 
 from contest.nominal import TuningParameter
 from contest.plants import PLANTS
-from contest.runner import Disqualified
-from contest.scores import ENTRANTS, ORACLE, Scan, recorded, scores_of
+from contest.scores import ENTRANTS, ORACLE, Scan, scores_of
 from contest.uncertainties import UNCERTAINTIES
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.toml_files import read_toml
@@ -24,7 +21,7 @@ from workbook import paths
 
 DEVELOPMENT = "development"  # in a public number's place
 TUNINGS = 2  # how often all is tuned, each time on another seed; a judged seed takes one of them
-TRIES = 8  # settings of each entrant, the budget of evaluations; each scan may take `CPU_SECONDS`
+TRIES = 8  # settings of each entrant, the budget of evaluations
 TUNED_ON = ("none", "all 5 %", "drift 5 %", "outliers", "noise x30")
 WORST = 2.0  # an error beyond twice that of the estimate zero counts no more than that
 TELLING = 2.0  # a loop is judged where the true states are so many times better than the Kalman filter
@@ -52,19 +49,19 @@ def development_scans(plant: str, tuning: int) -> list[Scan]:
 
 
 def tune(
-    name: str, source: str | None, knobs: Sequence[TuningParameter], plant: str, tuning: int
-) -> list[float]:
+    name: str, file: str | None, knobs: Sequence[TuningParameter], plant: str, tuning: int
+) -> tuple[float, ...]:
     """The settings of an observer on a plant with the least mean error of the flexible states; of equals the first."""
     costs = []
     for settings in positions(knobs):
         try:
             found = [
-                scores_of(name, source, scan, tuple(settings)) for scan in development_scans(plant, tuning)
+                scores_of(name, file, scan, tuple(settings)) for scan in development_scans(plant, tuning)
             ]
             costs.append(capped_mean([each["flexible"] for each in found]))
-        except (InputError, Disqualified):  # there is no such design
+        except InputError:  # there is no such design
             costs.append(np.inf)
-    return [float(f"{position:.6g}") for position in positions(knobs)[int(np.argmin(costs))]]
+    return tuple(float(f"{position:.6g}") for position in positions(knobs)[int(np.argmin(costs))])
 
 
 def settings_for(plant: str, seed: int, names: Iterable[str] = ENTRANTS) -> dict[str, tuple[float, ...]]:
@@ -76,20 +73,6 @@ def settings_for(plant: str, seed: int, names: Iterable[str] = ENTRANTS) -> dict
         else tuple(knob.default for knob in ENTRANTS[name].knobs)
         for name in names
     }
-
-
-def write_development_set(folder: str | Path) -> None:
-    """Write the development set: a file a scan, with what an observer is given, what it meets and the true states."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    for plant in PLANTS:
-        for seed in range(TUNINGS):
-            for uncertainty in UNCERTAINTIES:
-                scan = Scan("estimate", plant, uncertainty, DEVELOPMENT, seed)
-                record, (model, noise, sample_time) = recorded(scan), scan.given()
-                name = f"{plant}-{uncertainty}-{seed}.npz".replace(" ", "_").replace("%", "percent")
-                known = vars(model) | vars(noise) | {"sample_time": sample_time}
-                np.savez_compressed(folder / name, **known, **vars(record))
 
 
 def telling_loops(plant: str, track: str, uncertainties: Iterable[str]) -> list[str]:
@@ -153,7 +136,7 @@ def main(names: list[str]) -> None:
         )
     for name in set(names or with_knobs) - {"loops"}:
         tuned = partial(tune, name, None, ENTRANTS[name].knobs)
-        write_settings(name, lambda plant, tuned=tuned: [tuned(plant, each) for each in range(TUNINGS)])
+        write_settings(name, lambda plant, tuned=tuned: [list(tuned(plant, each)) for each in range(TUNINGS)])
         print(name, flush=True)
 
 

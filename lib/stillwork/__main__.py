@@ -10,7 +10,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 from stillwork.base.checks import InputError  # noqa: E402
 from stillwork.base.command_line import Command, Option, flag, named, number, option, run, text  # noqa: E402
 from workbook.__main__ import COMMANDS as OF_THE_WORKBOOK  # noqa: E402
-from workbook.__main__ import PROCESSES, RENAMED, SCHEDULER  # noqa: E402
+from workbook.__main__ import RENAMED  # noqa: E402
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -214,30 +214,25 @@ COMMANDS = {
         (_file("controller.json, or TOML"), *_C_FOLDER),
     ),
     "contest": Command(
-        "run observers, yours among them, on hidden seeds and rank them",
+        "run an observer of yours, with your rights, and rank it beside the built-in ones",
         "contest.table:hold_contest",  # needs a checkout, and reports where there is none
         (
             option(
                 "files",
                 nargs="*",
                 metavar="MY_OBSERVER.py",
-                help="each defines a class Observer; or a library MY_OBSERVER.so, or tcp:HOST:PORT",
+                help="each defines a class Observer; without files the committed standings are printed",
             ),
-            number("seeds", "N", "scans per machine and uncertainty (default: 1)", default=1),
-            flag("hidden", "derive the seeds from a public number, read from standard input"),
-            flag("tuned", "first let the official tuner set the parameters that a file declares"),
-            number("loops", "N", "seeds for which closed loops are run, too; 0 for none (default: all)", int),
             option(
-                "--only",
+                "--machine",
                 action="append",
                 default=[],
                 metavar="NAME",
-                help="of the built-in observers, run only this and the Kalman filter; take the other rows from the table --out",
+                help="run on this machine only; may be repeated (default: every machine)",
             ),
-            text("dev", "FOLDER", "write the development set with its true values there, and run nothing"),
-            PROCESSES,
-            SCHEDULER,
-            text("out", "FILE.csv", "write or extend this table, with its results as JSON beside it"),
+            flag("all", "run every scan of the table, with its closed loops, and the measured record"),
+            flag("tuned", "first let the official tuner set the parameters that a file declares"),
+            text("out", "FILE.csv", "write the table with a column for each file"),
         ),
     ),
 }

@@ -1,12 +1,6 @@
 """The contest of observers: what an observer is given, what the scores mean, how ranks and their intervals are made."""
 
-import hashlib
 import json
-import re
-import shutil
-import socketserver
-import subprocess
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -14,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy import integrate
 
-from contest import bench, plants, ranking, tuning
+from contest import bench, compute, plants, ranking
 from contest import table as tables
 from contest.machines import BUILDERS, machine_numbers
 from contest.noise_map import (
@@ -45,135 +39,14 @@ from contest.ranking import (
     robustness,
     standings,
 )
-from contest.record import record_standings
-from contest.runner import can_isolate
-from contest.scores import ENTRANTS, ORACLE, Scan, opened, recorded, scores_of, truth_of
-from contest.table import FILE, as_markdown, digest_of, joined, run_contest
+from contest.record import FILE as RECORDED
+from contest.scores import ENTRANTS, ORACLE, Scan, scores_of, truth_of
+from contest.table import written_table
 from contest.tuning import TUNINGS, scans_of, settings_for
 from contest.uncertainties import UNCERTAINTIES, hidden_seed, sample_truth
-from stillwork.base.checks import InputError
 from workbook import paths
 
 GUIDE = (paths.root() / "docs" / "contest.md").read_text(encoding="utf-8")
-# The guide's Kalman filter shares no code with ours: its Riccati equation is run until it stands still.
-[KALMAN] = re.findall(r"^```python\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)
-[HEADER] = re.findall(r"^```c\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)
-LIBRARY = """
-#include <stdlib.h>
-#include <string.h>
-static int n, m, p;
-static double *a, *b, *x, *y;
-static double *copy(const double *from, int count)
-{
-    return memcpy(malloc(count * sizeof(double)), from, count * sizeof(double));
-}
-void observer_start(int states, int inputs, int outputs, const double *A, const double *B, const double *C,
-                    const double *process, const double *sensor, double sample_time, int knobs, const double *settings)
-{
-    n = states; m = inputs; p = outputs;
-    a = copy(A, n * n); b = copy(B, n * m); x = calloc(n, sizeof(double)); y = calloc(n, sizeof(double));
-}
-void observer_step(const double *input, const double *measurement, double *estimate)
-{
-    for (int i = 0; i < n; i++) {
-        y[i] = 0;
-        for (int j = 0; j < n; j++) y[i] += a[i * n + j] * x[j];
-        for (int j = 0; j < m; j++) y[i] += b[i * m + j] * input[j];
-    }
-    memcpy(x, y, n * sizeof(double));
-    memcpy(estimate, x, n * sizeof(double));
-}
-"""
-MODEL_ALONE = """
-import numpy as np
-class Observer:
-    def start(self, model, noise, sample_time):
-        self.model, self.x = model, np.zeros(len(model.a))
-    def step(self, input, measurement):
-        self.x = self.model.a @ self.x + self.model.b @ input
-        return self.x
-"""
-
-
-CHECKED = "        assert size == 3.0\n        self.model,"
-
-
-def estimates_of(source, scan):
-    record, given = recorded(scan), scan.given()
-    with opened("mine", str(source), given, ()) as observer:
-        return bench.run_scan(bench.open_scan(record, len(given[0].a)), observer.step)
-
-
-@pytest.fixture
-def written(tmp_path):
-    def write(text, name="mine.py"):
-        (tmp_path / name).write_text(text, encoding="utf-8")
-        return tmp_path / name
-
-    return write
-
-
-@pytest.mark.slow
-def test_a_foreign_kalman_filter_gets_what_ours_gets(written):
-    file = str(written(KALMAN))
-    for scan in (
-        Scan("estimate", "gantry", "lost 20 %", "a test", 0),
-        Scan("loop", "stage", "all 5 %", "a test", 0),
-    ):
-        ours, theirs = (
-            scores_of(name, source, scan, ()) for name, source in (("Kalman", None), ("mine", file))
-        )
-        names = {"flexible", "rigid", "tracking", "rejection"} & set(ours)
-        assert [theirs[each] for each in names] == pytest.approx([ours[each] for each in names], rel=1e-5)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
-def test_a_library_in_c_enters(written, tmp_path):
-    source, scan = written(LIBRARY, "mine.c"), Scan("estimate", "gantry", "lost 20 %", "a test", 0)
-    for name in ("observer_start", "observer_step"):
-        [declared] = re.findall(rf"void {name}\([^)]*\)", HEADER)
-        assert declared.split("(")[0] in LIBRARY and declared.count(",") == re.search(
-            rf"void {name}\([^)]*\)", LIBRARY
-        )[0].count(",")
-    subprocess.run(["cc", "-shared", "-fPIC", "-o", tmp_path / "mine.so", source], check=True)
-    python = estimates_of(written(MODEL_ALONE), scan)
-    np.testing.assert_allclose(estimates_of(tmp_path / "mine.so", scan), python, rtol=1e-9, atol=1e-18)
-
-
-@pytest.mark.slow
-def test_a_program_at_a_socket_enters_and_is_not_isolated(written):
-    class Handler(socketserver.StreamRequestHandler):
-        def handle(self):
-            given = json.loads(self.rfile.readline())
-            a, b = (np.array(given["model"][each]) for each in "ab")
-            x, answer = np.zeros(len(a)), {}
-            while True:
-                self.wfile.write(json.dumps(answer).encode() + b"\n")
-                if not (line := self.rfile.readline()):
-                    return
-                x = a @ x + b @ np.array(json.loads(line)[0])
-                answer = x.tolist()
-
-    scan = Scan("estimate", "gantry", "lost 20 %", "a test", 0)
-    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        source = f"tcp:127.0.0.1:{server.server_address[1]}"
-        found = estimates_of(source, scan)
-        assert not tables.ExternalObserver(source).isolated
-        server.shutdown()
-    np.testing.assert_allclose(found, estimates_of(written(MODEL_ALONE), scan), rtol=1e-9, atol=1e-18)
-
-
-def test_a_file_that_is_not_there_and_a_name_that_is_taken_are_reported(written):
-    with pytest.raises(InputError, match=r"^nowhere\.py\b"):
-        run_contest("a test", 1, ["nowhere.py"])
-    with pytest.raises(InputError, match="'Kalman'"):
-        run_contest("a test", 1, [str(written(KALMAN, "Kalman.py"))])
-    with pytest.raises(InputError, match="cannot be reached"):  # two ports of a host are two observers
-        run_contest("a test", 1, ["tcp:127.0.0.1:1", "tcp:127.0.0.1:2"])
-    with pytest.raises(InputError, match="one name"):
-        run_contest("a test", 1, [str(written(KALMAN)), str(written(KALMAN))])
 
 
 def scan_on(name, uncertainty, samples=bench.SAMPLES, seed=1):
@@ -332,36 +205,6 @@ def test_sample_by_sample_is_what_the_whole_scan_gives(name):
     assert np.array_equal(observer.run(record.inputs, changed)[:40], whole[:40])
 
 
-def test_the_tuner_takes_the_least_error_for_a_file_as_for_ours(written, monkeypatch):
-    monkeypatch.setattr(tuning, "TUNED_ON", ("all 5 %",))
-    monkeypatch.setattr(tuning, "TRIES", 3)
-    knobs = ENTRANTS["unknown input"].knobs
-    [scan] = tuning.development_scans("drive", 1)
-    errors = [
-        scores_of("unknown input", None, scan, tuple(each))["flexible"] for each in tuning.positions(knobs)
-    ]
-    best = tuning.positions(knobs)[np.argmin(errors)]
-    assert tuning.tune("unknown input", None, knobs, "drive", 1) == pytest.approx(list(best), rel=1e-5)
-    text = KALMAN.replace("sample_time):", "sample_time, factor):").replace(
-        "noise.process", "(factor**2 * noise.process)"
-    )
-    assert tuning.tune("mine", str(written(text)), knobs, "drive", 1) == pytest.approx(list(best), rel=1e-5)
-    assert tuning.positions(()).shape == (1, 0)
-    with pytest.raises(InputError, match=r"^name\b.*'particle'"):
-        tuning.main(["particle"])
-
-
-def test_the_development_set_holds_what_is_given_and_the_truth(tmp_path, monkeypatch):
-    monkeypatch.setattr(tuning, "PLANTS", {"drive": PLANTS["drive"]})
-    monkeypatch.setattr(tuning, "UNCERTAINTIES", {"lost 20 %": None})
-    tuning.write_development_set(tmp_path)
-    files = sorted(tmp_path.iterdir())
-    assert len(files) == TUNINGS
-    with np.load(files[0]) as scan:
-        assert scan["states"].shape == (bench.SAMPLES, len(scan["a"]))
-        assert np.isnan(scan["measurements"]).mean() == pytest.approx(0.2, abs=0.05)
-
-
 def synthetic(values, plants=None, seeds=None):
     """A block of cells x draws x entrants, the second of them called Kalman."""
     cells, draws, count = values.shape
@@ -417,120 +260,45 @@ def test_one_machine_that_decides_is_seen():
     assert robustness(synthetic(values)).loc["b", "diverged"] == pytest.approx(1 / 28)
 
 
-@pytest.fixture(scope="module")
-def small():
-    """Some entrants on two machines, one seed, with loops."""
-    return run_contest("a test", 1, only=["zero", "open model"], plants=("drive", "stage"))[0]
-
-
 @pytest.mark.slow
-def test_the_table_says_what_the_scans_gave(small):
-    assert list(small.columns) == [*KEYS, "zero", "open model", "Kalman", ORACLE]
+def test_the_table_holds_what_the_scans_gave():
+    with ThreadPoolExecutor(1) as pool:
+        small = tables.own_table("a test", 1, ["drive"], pool.submit)
+    assert list(small.columns) == [*KEYS, *ENTRANTS, ORACLE]
     flexible = small[small["score"] == "flexible"]
-    assert len(flexible) == 2 * len(UNCERTAINTIES) and (flexible["zero"] == 1).all()
-    one = flexible[(flexible["plant"] == "stage") & (flexible["uncertainty"] == "delay")]["Kalman"].item()
-    scan = Scan("estimate", "stage", "delay", "a test", 0)
+    assert len(flexible) == len(UNCERTAINTIES) and (flexible["zero"] == 1).all()
+    one = flexible[flexible["uncertainty"] == "delay"]["Kalman"].item()
+    scan = Scan("estimate", "drive", "delay", "a test", 0)
     assert one == pytest.approx(scores_of("Kalman", None, scan, ())["flexible"], rel=1e-3)
     found = standings(small).set_index("observer")
     assert "[" not in found.loc["Kalman", "mean rank"] and ORACLE in found.index  # one seed has no interval
-    loops = {(row.plant, row.uncertainty) for row in small[small["score"] == "tracking"].itertuples()}
-    told = {
-        (scan.plant, scan.uncertainty)
-        for plant in ("drive", "stage")
-        for scan in scans_of(plant, "a test", 0)
-        if scan.track == "loop"
-    }
-    assert loops == told
-
-
-@pytest.mark.slow
-def test_who_comes_later_joins_and_workers_change_nothing(small, written):
-    given = {"only": ["zero"], "plants": ("drive", "stage"), "loops": 0}
-    file = str(written(MODEL_ALONE))
-    with ThreadPoolExecutor(2) as pool:
-        later, out = run_contest("a test", 1, [file], executor=pool, **given)
-    assert not out and set(later["score"]) == {
-        "flexible",
-        "rigid",
-        "microseconds",
-        "bytes",
-    }  # no loops at all
-    whole = joined(small, later)
-    assert list(whole.columns)[-1] == "mine" and len(whole) == len(small)
-    assert whole["open model"].equals(small.set_index(KEYS)["open model"].sort_index().reset_index(drop=True))
-    with pytest.raises(InputError, match="another edition"):
-        joined(small.assign(Kalman=small["Kalman"] + 1), later)
-
-
-@pytest.mark.slow
-def test_the_contest_goes_on_without_the_disqualified(written, monkeypatch, capsys):
-    bad = str(written(MODEL_ALONE.replace("return self.x", "return self.x * np.nan"), "hopeless.py"))
-    monkeypatch.setattr(tables, "PLANTS", {"drive": PLANTS["drive"]})
-    table, out = run_contest("a test", 1, [bad], only=["zero"], plants=("drive",), loops=0)
-    assert (
-        out == {"hopeless": "raises ValueError: an estimate that is not finite"} and "hopeless" not in table
-    )
-
-
-@pytest.mark.slow
-def test_a_file_that_needs_its_knobs_runs_at_their_defaults(written):
-    knob = 'KNOBS = [("size", 0.5, 8.0, 3.0)]\n' + MODEL_ALONE.replace("sample_time):", "sample_time, size):")
-    file = written(
-        knob.replace("return self.x", "return 0 * self.x").replace("        self.model,", CHECKED, 1)
-    )
-    assert "assert size == 3.0" in file.read_text()
-    wrong = written('KNOBS = [("a", 1.0)]\n' + MODEL_ALONE, "wrong.py")
-    given = {"only": ["zero"], "plants": ("drive",), "loops": 0}
-    table, out = run_contest("a test", 1, [str(file), str(wrong)], **given)
-    assert list(out) == ["wrong"] and "KNOBS" in out["wrong"]
-    flexible = table[table["score"] == "flexible"]
-    assert (flexible["mine"] == flexible["zero"]).all() and len(flexible) == 12
-
-
-def test_the_results_say_what_ran_and_who_was_isolated(written, tmp_path):
-    table = pd.read_csv(FILE)
-    table = table.assign(mine=table["Kalman"], older=table["Kalman"])
-    table["tcp:127.0.0.1:5"] = table["Kalman"]
-    file = written(MODEL_ALONE)
-    tables.write_table(table, tmp_path / "out.csv", tables.entries([file, "tcp:127.0.0.1:5"]))
-    found = json.loads((tmp_path / "out.json").read_text())
-    digest = hashlib.sha256(file.read_bytes()).hexdigest()
-    assert found["entered"] == {
-        "mine": {"sha256": digest, "isolated": can_isolate()},
-        "older": {"sha256": None, "isolated": False},
-        "tcp:127.0.0.1:5": {"sha256": None, "isolated": False},
-    }
-    assert found["edition"] == tables.EDITION and len(found["code"]) == 12 and "scipy" in found["environment"]
-    tables.write_table(table, tmp_path / "out.csv")  # another run without it
-    assert json.loads((tmp_path / "out.json").read_text())["entered"] == found["entered"]
-
-
-def test_the_number_is_read_from_standard_input(monkeypatch, capsys):
-    monkeypatch.setattr("sys.stdin", __import__("io").StringIO("\n"))
-    with pytest.raises(InputError, match=r"^hidden"):
-        tables.hold_contest([], seeds=1, hidden=True)
+    loops = {row.uncertainty for row in small[small["score"] == "tracking"].itertuples()}
+    assert loops == {scan.uncertainty for scan in scans_of("drive", "a test", 0) if scan.track == "loop"}
 
 
 def test_the_committed_table_is_whole_and_the_leaderboard_shows_it():
-    table, recorded = pd.read_csv(FILE), pd.read_csv(tables.RECORDED)
-    entered = [name for name in ENTRANTS if name in table]
-    flexible = block(table, "flexible", entered)
-    assert flexible.values.shape[::2] == (len(PLANTS) * len(UNCERTAINTIES), len(entered))
-    assert len(table["public"].unique()) == 2 and len(flexible.groups) >= ranking.FEWEST_DRAWS
-    loops = block(table, "tracking", [*entered, ORACLE])
+    table = written_table()
+    flexible = block(table, "flexible", list(ENTRANTS))
+    assert flexible.values.shape[::2] == (len(PLANTS) * len(UNCERTAINTIES), len(ENTRANTS))
+    assert tuple(table["public"].unique()) == tables.PUBLICS and len(flexible.groups) >= ranking.FEWEST_DRAWS
+    loops = block(table, "tracking", [*ENTRANTS, ORACLE])
     assert len(loops.groups) == 4 and set(loops.groups) == set(range(TUNINGS))
-    page = tables.PAGE.read_text(encoding="utf-8")
-    for some in (*by_track(standings(table)).values(), record_standings(recorded)):
-        assert as_markdown(some) in page
-    late = ", ".join(name for name in ENTRANTS if name not in table)
-    assert not late or f"entered after them: {late}." in page
-    stored = json.loads(FILE.with_suffix(".json").read_text())
-    assert stored["standings"] == standings(table).to_dict("records")
-    assert stored["machines"] == {name: digest_of(name) for name in PLANTS}
+    shown = tables.leaderboard(table, pd.read_csv(RECORDED), pd.read_csv(compute.FILE))
+    assert shown == tables.PAGE.read_text(encoding="utf-8")
+
+
+def test_times_are_of_every_entrant_over_the_kalman_filters():
+    table = pd.read_csv(compute.FILE)
+    assert table[["plant", "entrant"]].apply(tuple, axis=1).tolist() == [
+        (plant, name) for plant in PLANTS for name in ENTRANTS
+    ]
+    assert (table.loc[table["entrant"] == "Kalman", "ratio"] - 1).abs().max() < 0.1
+    fresh = {name: ratio for _, name, ratio, _ in compute.times_on("drive", rounds=1)}
+    assert fresh["unscented Kalman"] > 5 * fresh["open model"]
 
 
 def test_tracks_hold_their_yardsticks():
-    tracks = by_track(standings(pd.read_csv(FILE)))
+    tracks = by_track(standings(written_table()))
     assert {"zero", "Kalman"} <= set(tracks["Estimate"]["observer"]) and ORACLE not in set(
         tracks["Estimate"]["observer"]
     )
@@ -539,11 +307,10 @@ def test_tracks_hold_their_yardsticks():
 
 @pytest.mark.slow
 def test_the_committed_table_is_of_this_code():
-    table = pd.read_csv(FILE).set_index(KEYS)
-    public = str(table.index.get_level_values("public")[0])
+    table, public = written_table().set_index(KEYS), tables.PUBLICS[0]
     for track, score, plant in (("estimate", "flexible", "drive"), ("loop", "tracking", "stage")):
         scan = next(each for each in scans_of(plant, public, 0) if each.track == track)
-        row = table.loc[(score, int(public), plant, scan.uncertainty, 0)]
+        row = table.loc[(score, public, plant, scan.uncertainty, 0)]
         for name, knobs in settings_for(plant, 0, ["Kalman", "fictitious noise", "extended Kalman"]).items():
             assert scores_of(name, None, scan, knobs)[score] == pytest.approx(row[name], rel=2e-3), name
 

@@ -339,7 +339,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path, capsys, name, content, 
             "export '' --out x",
             "claims --entry ''",
         ),
-        *("export a.json --out ''", "choices --scheduler ''", "contest --dev ''", "contest --out ''"),
+        *("export a.json --out ''", "choices --scheduler ''", "contest --out ''"),
     ],
 )
 def test_an_empty_name_is_refused_with_its_argument(words, capsys):
@@ -376,8 +376,8 @@ def test_a_command_by_its_old_name_prints_the_new_one(capsys):
             ["figures", "--out", "x"],
             "unknown '--out'; it is an option of report, design, isolate, budget, retest, desk, export, contest",
         ),
-        (["doctor", "--sedes", "3"], "unknown '--sedes'"),  # near the contest's --seeds alone
-        (["contest", "--sedes", "3"], "unknown '--sedes'; did you mean '--seeds'?"),
+        (["doctor", "--tunde"], "unknown '--tunde'"),  # near the contest's --tuned alone
+        (["contest", "--tunde"], "unknown '--tunde'; did you mean '--tuned'?"),
         (["claims", "-p", "a=1"], "unknown '-p'; it is an option of figures"),
     ],
 )

@@ -401,7 +401,7 @@ NEWCOMERS = {
     "PID tuning": "notebooks/motion/05",
     "total least squares": ".*#total_least_squares|notebooks/worstcase/06",
     "H infinity": "reference/stillwork.*hinf",
-    "add my own observer": "guide/contest.html#Submit",
+    "add my own observer": "guide/contest.html#Run",
     "my own data": "guide/your-rig.html",
     "hammer test": "notebooks/motion/29",
     "change a parameter": "guide/install.html#Change",
