@@ -293,11 +293,11 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
     blocks = [drawn_from.sample(simulation.BLOCK) for _ in range(samples // simulation.BLOCK)]
 
     def alone(settings):
-        code, numbers, start = simulation.algorithm_of(twin, settings)
+        law, start = simulation.algorithm_of(twin, settings)
         kept = simulation.KeptSignals(twin, simulation.BLOCK, simulation.BLOCK, simulation.BLOCK, 1)
 
         def run():
-            closed = loop.loop_of(twin, True, np.zeros((twin.actuators, twin.regressors)), start)
+            closed = loop.loop_of(twin, True, np.zeros((1, twin.actuators, twin.regressors)), start)
             signals = kept.block(0, simulation.BLOCK)
             begin = time.thread_time()
             for floor, noise in blocks:
@@ -308,12 +308,9 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
                     signals,
                     simulation.BLOCK,
                     0,
-                    code,
-                    *numbers,
+                    law,
                     *closed.recursion[-2:],
                     np.inf,
-                    None,
-                    (),
                 )
             return time.thread_time() - begin, len(blocks) * simulation.BLOCK
 

@@ -1,23 +1,21 @@
 """The closed loop, sample by sample: plant, instruments, skyhook, feedforward and its adaptation in one kernel.
 
-The kernel works on blocks of samples with all memory in `State`, so that a run of any length takes constant
+The kernel works on blocks of samples with all memory in `ClosedLoop`, so that a run of any length takes constant
 memory and does not depend on how it is cut into blocks. Filters are cascades of second-order sections in
 transposed direct form II, a bank of channels side by side: section after section, each over all channels.
 
-Several runs of one loop go side by side in the same kernel (`together`): every channel then stands once a run, the
-runs next to each other, so that a processor's vectors hold the same number of several runs.
+Several runs of one loop go through the same kernel: their channels stand one run after the other in every bank, so that a
+section's loop is as long as all of them together. What a run has for itself, plant and adaptation, goes run by run.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments.isolation.lanes import at_most, lanes
-from experiments.isolation.together import ferls_updates, hold_each
 from experiments.isolation.twin import Twin
 from stillwork.base.algebra import plus_row, set_product
 from stillwork.base.checks import InputError
-from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
+from stillwork.base.kernels import borrowing_kernel, pasted_kernel
 from stillwork.estimation.adaptive import Recursion, felms_update, ferls_step
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
@@ -36,34 +34,56 @@ class Bank(NamedTuple):
     second: np.ndarray  # (sections, channels)
 
 
-class Workspace(NamedTuple):
-    """Workspace of one sample."""
+class Law(NamedTuple):
+    """What the kernel does with the weights, and the numbers of FeLMS."""
 
-    product: np.ndarray  # (outputs,) of the plant
-    readings: np.ndarray  # (outputs + sensors,): readings of the sensors
-    resonance: np.ndarray  # (actuators,)
-    damping: np.ndarray  # (outputs,)
-    error: np.ndarray  # (outputs,)
-    axes: np.ndarray  # (outputs,)
-    shaped: np.ndarray  # (sensors,)
-    both: np.ndarray  # (2 sensors,)
-    regressor: np.ndarray  # (regressors,), psi
-    filtered: np.ndarray  # (regressors,), psi_N in the precision of the weights
-    rounded: np.ndarray  # (actuators,), e in the precision of the weights
+    code: int  # FROZEN, FELMS or FERLS
+    step_size: float = 0.0
+    regularisation: float = 1.0
+    trace_copies: float = 1.0  # how often the trace counts the regressors
+
+
+class Rows(NamedTuple):
+    """Workspace of one sample, a row a run."""
+
+    vector: np.ndarray  # (runs, inputs): states of the plant and workspace for its inputs
+    product: np.ndarray  # (runs, outputs) of the plant
+    platform: np.ndarray  # (runs, outputs), a1
+    readings: np.ndarray  # (runs, outputs) of the platform's sensors
+    floor: np.ndarray  # (runs, sensors): readings of the floor's
+    command: np.ndarray  # (runs, actuators): u on its way through the sample of delay
+    resonance: np.ndarray  # (runs, actuators)
+    damping: np.ndarray  # (runs, outputs)
+    error: np.ndarray  # (runs, outputs)
+    axes: np.ndarray  # (runs, axes)
+    direct: np.ndarray  # (runs, sensors): the floor through the integrators
+    band: np.ndarray  # (runs, sensors): the same of the shaped floor
+    regressor: np.ndarray  # (runs, regressors), psi
+    filtered: np.ndarray  # (runs, regressors), psi_N in the precision of the weights
+    rounded: np.ndarray  # (runs, actuators), e in the precision of the weights
+
+
+class Channels(NamedTuple):
+    """The same memory where a bank takes the channels of all runs in one loop."""
+
+    readings: np.ndarray  # of the platform in all runs, then of the floor
+    command: np.ndarray
+    resonance: np.ndarray
+    damping: np.ndarray
+    error: np.ndarray
+    axes: np.ndarray
+    shaped: np.ndarray  # the floor through N
+    both: np.ndarray  # `direct` of all runs, then `band`
 
 
 class ClosedLoop(NamedTuple):
-    """Coefficients and memory of a closed loop; the kernel changes the memory in place.
-
-    Memory of several runs side by side is that many times as wide: channel after channel, each once a run.
-    """
+    """Coefficients and memory of a closed loop in several runs; the kernel changes the memory in place."""
 
     plant: np.ndarray  # (inputs, outputs): [A B; C D]' padded, from [states, force, floor] to [states, a1]
     states: int  # of the plant
-    vector: np.ndarray  # (inputs,): states of the plant and workspace for its inputs
-    workspace: Workspace
+    rows: Rows
+    channels: Channels
     floor_inertia: np.ndarray  # (actuators, sensors)
-    command: np.ndarray  # (actuators,): u on its way through the sample of delay
     actuator: Bank
     parasitic: Bank
     conditioning: Bank  # platform sensors, then floor sensors
@@ -71,85 +91,87 @@ class ClosedLoop(NamedTuple):
     shaping: Bank  # N on the floor sensors
     integrator: Bank  # beta H, power after power, on [a0, N a0]
     error: Bank  # N P2^-1
-    modes: np.ndarray  # (sections, 5, axes), N P2^-1 of a full estimate; empty if diagonal
+    modes: np.ndarray  # (sections, 5, runs * axes), N P2^-1 of a full estimate; empty if diagonal
     before: np.ndarray  # (axes, outputs)
     after: np.ndarray  # (actuators, axes)
-    weights: np.ndarray  # (actuators, regressors), W
-    recursion: Recursion  # P, of FeRLS
+    weights: np.ndarray  # (runs, actuators, regressors), W
+    recursion: Recursion  # of FeRLS; `matrix` and `levels` with a first axis of runs
     power: np.ndarray  # (runs,): sum of e'e since the weights were last kept
 
 
 class Signals(NamedTuple):
-    """What a block of samples leaves behind; the first six have length 0 where they are not kept.
+    """What a block of samples leaves behind, a row a run; the first six have length 0 where they are not kept."""
 
-    Of several runs side by side each channel stands once a run.
-    """
-
-    platform: np.ndarray  # (samples, outputs), a1 without noise
-    measured_platform: np.ndarray  # (samples, outputs), noisy and conditioned
-    sensed_floor: np.ndarray  # (samples, sensors), floor, noisy and conditioned
-    command: np.ndarray  # (samples, actuators)
-    filtered_regressors: np.ndarray  # (samples, regressors), psi_N
-    error: np.ndarray  # (samples, actuators), e
-    weights: np.ndarray  # (kept, actuators, regressors)
+    platform: np.ndarray  # (samples, runs, outputs), a1 without noise
+    measured_platform: np.ndarray  # (samples, runs, outputs), noisy and conditioned
+    sensed_floor: np.ndarray  # (samples, runs, sensors), floor, noisy and conditioned
+    command: np.ndarray  # (samples, runs, actuators)
+    filtered_regressors: np.ndarray  # (samples, runs, regressors), psi_N
+    error: np.ndarray  # (samples, runs, actuators), e
+    weights: np.ndarray  # (kept, runs, actuators, regressors)
     error_power: np.ndarray  # (kept, runs), mean of e'e since the last kept
 
 
-def loop_of(
-    twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursion, runs: int = 1
-) -> ClosedLoop:
-    """Loop of a twin at rest, with its skyhook closed or open, for a number of runs side by side, each with its `weights`."""
-    model = twin.plant.discrete(twin.sample_time)
+def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursion) -> ClosedLoop:
+    """Loop of a twin at rest, with its skyhook closed or open, in as many runs as there are `weights`."""
+    runs, model = len(weights), twin.plant.discrete(twin.sample_time)
     matrix = np.block([[model.a, model.b], [model.c, model.d]]).T
-    # Vectors of the processor hold the channels of a single run, and are to be full.
-    whole = VECTOR if runs == 1 else COLUMNS
-    inputs, outputs = (padded(size, whole) for size in matrix.shape)
+    inputs, outputs = (padded(size) for size in matrix.shape)
     plant = aligned(inputs, outputs)
     plant[: len(matrix), : matrix.shape[1]] = matrix
     filters = twin.error_filter
     diagonal = twin.feedforward.estimate == "diagonal"
-    powers = twin.feedforward.integrator_powers
     skyhook = bank_of(twin.skyhook_filter, twin.outputs * runs)
     skyhook.sections[:] *= feedback
-    if runs > 1:
-        recursion = recursion._replace(
-            **{name: side_by_side(getattr(recursion, name), runs) for name in ("matrix", "levels", "gain")}
-        )
-    precision = recursion.matrix.dtype
-    errors, floors = padded(twin.outputs * runs, VECTOR), padded(2 * twin.sensors * runs, VECTOR)
+    recursion = recursion._replace(
+        **{name: np.stack([getattr(recursion, name)] * runs) for name in ("matrix", "levels")}
+    )
+    modes = np.zeros((0, 5, 0)) if diagonal else rows_of(np.moveaxis(filters.sections, 0, -1))
+    integrator = np.tile(twin.integrator, (twin.feedforward.integrator_powers, 1))
+    rows, channels = _memory(twin, runs, inputs, outputs, recursion.matrix.dtype)
     return ClosedLoop(
         plant=plant,
         states=len(model.a),
-        vector=aligned(inputs * runs),
-        workspace=Workspace(
-            product=aligned(outputs * runs),
-            readings=aligned((twin.outputs + twin.sensors) * runs),
-            resonance=aligned(twin.actuators * runs),
-            damping=aligned(twin.outputs * runs),
-            error=aligned(errors),
-            axes=aligned(twin.outputs * runs),
-            shaped=aligned(twin.sensors * runs),
-            both=aligned(floors),
-            regressor=aligned(twin.regressors * runs),
-            filtered=aligned(twin.regressors * runs).astype(precision, copy=False),
-            rounded=np.zeros(twin.actuators * runs, precision),
-        ),
+        rows=rows,
+        channels=channels,
         floor_inertia=twin.plant.floor_inertia,
-        command=aligned(twin.actuators * runs),
         actuator=bank_of(twin.instruments.actuator, twin.actuators * runs),
         parasitic=bank_of(twin.instruments.parasitic, twin.actuators * runs),
         conditioning=bank_of(twin.instruments.conditioning, (twin.outputs + twin.sensors) * runs),
         skyhook=skyhook,
         shaping=bank_of(twin.noise_shaping, twin.sensors * runs),
-        integrator=bank_of(np.tile(twin.integrator, (powers, 1)), floors),
-        error=bank_of(filters.sections[0], errors),
-        modes=np.zeros((0, 5, 0)) if diagonal else rows_of(np.moveaxis(filters.sections, 0, -1)),
+        integrator=bank_of(integrator, padded(2 * twin.sensors * runs)),
+        error=bank_of(filters.sections[0], padded(twin.outputs * runs)),
+        modes=np.tile(modes, runs),
         before=np.ascontiguousarray(filters.before),
         after=np.ascontiguousarray(filters.after),
-        weights=side_by_side(weights, 1).astype(precision, copy=False),
+        weights=weights.astype(recursion.matrix.dtype),
         recursion=recursion,
         power=np.zeros(runs),
     )
+
+
+def _memory(twin: Twin, runs: int, inputs: int, outputs: int, precision) -> tuple[Rows, Channels]:
+    a, o, n = twin.actuators, twin.outputs, twin.sensors
+    sizes = {"command": a, "resonance": a, "damping": o, "error": o, "axes": o}
+    wide = {name: aligned(padded(size * runs)) for name, size in sizes.items()}
+    readings, both = aligned(runs * (o + n)), aligned(padded(2 * n * runs))
+    rows = {name: wide[name][: runs * size].reshape(runs, size) for name, size in sizes.items()}
+    channels = {name: wide[name][: runs * size] for name, size in sizes.items()} | {"error": wide["error"]}
+    found = Rows(
+        vector=aligned(runs, inputs),
+        product=aligned(runs, outputs),
+        platform=aligned(runs, o),
+        readings=readings[: runs * o].reshape(runs, o),
+        floor=readings[runs * o :].reshape(runs, n),
+        direct=both[: runs * n].reshape(runs, n),
+        band=both[runs * n : 2 * runs * n].reshape(runs, n),
+        regressor=aligned(runs, twin.regressors),
+        filtered=aligned(runs, twin.regressors).astype(precision, copy=False),
+        rounded=np.zeros((runs, a), precision),
+        **rows,
+    )
+    return found, Channels(readings=readings, shaped=aligned(runs * n), both=both, **channels)
 
 
 def rows_of(sections: np.ndarray) -> np.ndarray:
@@ -164,9 +186,9 @@ def bank_of(sections: np.ndarray, channels: int) -> Bank:
     return Bank(rows_of(sections), aligned(len(sections), channels), aligned(len(sections), channels))
 
 
-def padded(size: int, whole: int) -> int:
-    """Next multiple: whole vectors take less time than a part of one."""
-    return -(-size // whole) * whole
+def padded(size: int) -> int:
+    """Next multiple of a vector: whole vectors take less time than a part of one."""
+    return -(-size // VECTOR) * VECTOR
 
 
 def aligned(*shape: int) -> np.ndarray:
@@ -175,13 +197,6 @@ def aligned(*shape: int) -> np.ndarray:
     raw = np.zeros(size + CACHE_LINE // 8)
     offset = -raw.ctypes.data // 8 % (CACHE_LINE // 8)
     return raw[offset : offset + size].reshape(shape)
-
-
-def side_by_side(array: np.ndarray, runs: int) -> np.ndarray:
-    """Copy with every channel of the last axis once a run."""
-    wide = aligned(*array.shape[:-1], array.shape[-1] * runs)
-    wide[:] = np.repeat(array, runs, axis=-1)
-    return wide
 
 
 @pasted_kernel
@@ -217,16 +232,10 @@ def _filter_each(bank, values):
 
 
 @borrowing_kernel
-def filter_block(bank, signals, together):
+def filter_block(bank, signals):
     """A block of samples, (samples, channels), through a bank with a cascade for each channel, in place."""
-    bank, signals = _bank_in_lanes(bank, together), lanes(signals, together)
     for k in range(len(signals)):
         _filter_each(bank, signals[k])
-
-
-@inlined_kernel
-def _bank_in_lanes(bank, together):
-    return bank.sections, lanes(bank.first, together), lanes(bank.second, together)
 
 
 @pasted_kernel
@@ -237,17 +246,10 @@ def _copy(source, target):
 
 
 @pasted_kernel
-def _place(source, target, place):
-    """All channels of one array into another, from a place on."""
-    for i in range(len(source)):
-        target[place + i] = source[i]
-
-
-@pasted_kernel
-def _keep(source, kept, k):
-    """Row k of a signal that is kept."""
-    for i in range(kept.shape[1]):
-        kept[k, i] = source[i]
+def _copy_rows(source, target):
+    for run in range(target.shape[0]):
+        for i in range(target.shape[1]):
+            target[run, i] = source[run, i]
 
 
 @pasted_kernel
@@ -264,179 +266,180 @@ def _multiply(matrix, vector, product):
 
 
 @pasted_kernel
-def _command(weights, regressor, damping, command):
-    """u = W psi less the damping."""
-    for i in range(weights.shape[0]):
-        command[i] = plus_row(-damping[i], weights, i, regressor)
-
-
-@kernel
-def advance(
-    floor,
-    noise,
-    loop,
-    signals,
-    keep_every,
-    phase,
-    adaptation,
-    step_size,
-    regularisation,
-    trace_copies,
-    inner,
-    other,
-    force_limit,
-    together,
-    alone,
-):
-    """Advance the loop over a block of samples; returns (status, samples done, run whose command was too large).
-
-    The floor is a0 (samples, sensors), the noise n1 and n0 (samples, outputs + sensors), before the conditioners;
-    `loop` and `signals` are changed in place. `keep_every` samples lie between two kept weights, `phase` since the
-    last when the block starts. `adaptation` is FROZEN, FELMS or FERLS; for FELMS `trace_copies` is how often the
-    trace counts the regressors. `inner` and `other`, of the loop's recursion, decide when this is compiled which
-    forms it knows. A command beyond `force_limit`, or NaN, stops the run. `together` is None or a tuple as long as
-    the runs side by side are many, which the compiler then knows; each channel of every array stands for that many,
-    and P has the triangle's form. `alone` is None where `together` is not: the compiler leaves out what asks for it.
-    """
-    runs, commands, each = len(loop.power), loop.command, loop.recursion.levels
-    # Local names: what is read from a field anew at every sample costs time.
-    floor, noise = lanes(floor, together), lanes(noise, together)
-    plant, floor_inertia, before, after = loop.plant, loop.floor_inertia, loop.before, loop.after
-    vector, command, weights, power = lanes((loop.vector, loop.command, loop.weights, loop.power), together)
-    product, readings, resonance, damping, error, axes, shaped, both, regressor, filtered, rounded = lanes(
-        loop.workspace, together
-    )
-    _, form, forgetting, _, allowance, _, _, _ = loop.recursion
-    matrix, levels, gain = lanes((loop.recursion.matrix, each, loop.recursion.gain), together)
-    actuator = _bank_in_lanes(loop.actuator, together)
-    parasitic = _bank_in_lanes(loop.parasitic, together)
-    conditioning = _bank_in_lanes(loop.conditioning, together)
-    skyhook = _bank_in_lanes(loop.skyhook, together)
-    shaping = _bank_in_lanes(loop.shaping, together)
-    integrator, integrator_1, integrator_2 = _bank_in_lanes(loop.integrator, together)
-    errors = _bank_in_lanes(loop.error, together)
-    modes = (loop.modes, errors[1], errors[2])
-    (
-        kept_platform,
-        kept_measured,
-        kept_sensed,
-        kept_command,
-        kept_regressors,
-        kept_error,
-        kept_weights,
-        kept_power,
-    ) = lanes(signals, together)
-
-    samples, sensors = floor.shape
-    actuators, count = weights.shape
-    outputs, states = skyhook[1].shape[1], loop.states
-    through = len(integrator) * sensors // max(count - sensors, 1)  # sections of one power of beta H
-    full = len(loop.modes) > 0
-    keep = len(kept_platform) > 0
-    # Parts of them, which have their meaning: an index from within a whole is looked at for its sign.
-    motion, forces = vector[:states], vector[states : states + actuators]
-    ground = vector[states + actuators :]
-    unfiltered = error[:outputs]
-    platform, platform_readings, floor_readings = product[states:], readings[:outputs], readings[outputs:]
-    direct, band = both[:sensors], both[sensors : 2 * sensors]
-
-    for k in range(samples):
-        # Force: the command of the sample before, through the actuator's lag.
-        _filter(actuator, command)
-        _copy(command, forces)
-        _copy(command, resonance)
-        _filter(parasitic, resonance)
-
-        # Plant and sensors.
+def _move(loop, floor):
+    """Plant: the command of the sample before, through the actuators' lag, and the floor move it; a1 of all runs."""
+    rows, channels, states = loop.rows, loop.channels, loop.states
+    actuators, sensors = loop.floor_inertia.shape
+    _filter(loop.actuator, channels.command)
+    _copy(channels.command, channels.resonance)
+    _filter(loop.parasitic, channels.resonance)
+    for run in range(len(floor)):
+        vector, product = rows.vector[run], rows.product[run]
+        forces, ground, outputs = vector[states:], vector[states + actuators :], product[states:]
+        for i in range(actuators):
+            forces[i] = rows.command[run, i]
         for i in range(sensors):
-            ground[i] = floor[k, i]
-            floor_readings[i] = floor[k, i] + noise[k, outputs + i]
-        _multiply(plant, vector, product)
-        _copy(product, motion)
-        for i in range(outputs):
-            platform[i] += resonance[i]
-            platform_readings[i] = platform[i] + noise[k, i]
-        _filter(conditioning, readings)
+            ground[i] = floor[run, i]
+        _multiply(loop.plant, vector, product)
+        for i in range(states):
+            vector[i] = product[i]
+        for i in range(rows.platform.shape[1]):
+            rows.platform[run, i] = outputs[i] + rows.resonance[run, i]
 
-        # Filtered error, eq. (16).
-        _copy(readings, damping)
-        _copy(readings, unfiltered)
-        if full:
-            set_product(before, readings, axes)
-            _filter_each(modes, axes)
-            set_product(after, axes, error)
-        else:
-            _filter(errors, error)
 
-        # Regressors psi and psi_N: N acts on the sensors, before the integrators.
-        _copy(floor_readings, shaped)
-        _filter(shaping, shaped)
-        _copy(floor_readings, direct)
-        _copy(shaped, band)
-        _place(direct, regressor, 0)
-        _place(band, filtered, 0)
-        for power_of in range(1, count // sensors):
-            first = (power_of - 1) * through
-            last = first + through
-            _filter((integrator[first:last], integrator_1[first:last], integrator_2[first:last]), both)
-            _place(direct, regressor, power_of * sensors)
-            _place(band, filtered, power_of * sensors)
+@pasted_kernel
+def _sense(loop, floor, platform_noise, floor_noise):
+    """Readings of all sensors, noisy and conditioned."""
+    rows = loop.rows
+    for run in range(len(floor)):
+        for i in range(rows.platform.shape[1]):
+            rows.readings[run, i] = rows.platform[run, i] + platform_noise[run, i]
+        for i in range(floor.shape[1]):
+            rows.floor[run, i] = floor[run, i] + floor_noise[run, i]
+    _filter(loop.conditioning, loop.channels.readings)
 
-        # Command: feedforward (13), skyhook (1), and what the floor's inertia adds on the same way.
-        _filter(skyhook, damping)
-        _command(weights, regressor, damping, command)
-        for i in range(len(commands)):
-            if not abs(commands[i]) <= force_limit:  # true for NaN as well
-                return OVERLOAD, k, i % runs
-        squares = 0.0
-        for i in range(actuators):
-            squares += error[i] * error[i]
-        power[0] += squares
+
+@pasted_kernel
+def _filter_error(loop):
+    """Filtered error, eq. (16)."""
+    rows, channels = loop.rows, loop.channels
+    _copy(channels.readings, channels.damping)
+    if len(loop.modes) == 0:
+        _copy_rows(rows.readings, rows.error)
+        _filter(loop.error, channels.error)
+    else:
+        for run in range(len(rows.axes)):
+            set_product(loop.before, rows.readings[run], rows.axes[run])
+        _filter_each((loop.modes, loop.error.first, loop.error.second), channels.axes)
+        for run in range(len(rows.axes)):
+            set_product(loop.after, rows.axes[run], rows.error[run])
+
+
+@pasted_kernel
+def _regress(loop):
+    """Regressors psi and psi_N: N acts on the sensors, before the integrators."""
+    rows, channels = loop.rows, loop.channels
+    sections, first, second = loop.integrator
+    sensors, count = rows.floor.shape[1], rows.regressor.shape[1]
+    through = len(sections) * sensors // max(count - sensors, 1)  # sections of one power of beta H
+    band = channels.both[len(channels.shaped) :]
+    _copy_rows(rows.floor, rows.direct)
+    _copy(channels.both, channels.shaped)
+    _filter(loop.shaping, channels.shaped)
+    for i in range(len(channels.shaped)):
+        band[i] = channels.shaped[i]
+    for power in range(count // sensors):
+        if power > 0:
+            begin, end = (power - 1) * through, power * through
+            _filter((sections[begin:end], first[begin:end], second[begin:end]), channels.both)
+        for run in range(len(rows.floor)):
+            for i in range(sensors):
+                rows.regressor[run, power * sensors + i] = rows.direct[run, i]
+                rows.filtered[run, power * sensors + i] = rows.band[run, i]
+
+
+@pasted_kernel
+def _command(loop, force_limit):
+    """Feedforward (13) and skyhook (1); returns a run whose command is too large, or -1."""
+    rows = loop.rows
+    _filter(loop.skyhook, loop.channels.damping)
+    stopped = -1
+    for run in range(len(rows.command)):
+        weights, regressor, squares = loop.weights[run], rows.regressor[run], 0.0
+        for i in range(len(weights)):
+            rows.command[run, i] = plus_row(-rows.damping[run, i], weights, i, regressor)
+            squares += rows.error[run, i] * rows.error[run, i]
+            if not abs(rows.command[run, i]) <= force_limit:  # true for NaN as well
+                stopped = run
+        loop.power[run] += squares
+    return stopped
+
+
+@pasted_kernel
+def _keep(loop, signals, k):
+    """What is kept of sample k."""
+    rows = loop.rows
+    _copy_rows(rows.platform, signals.platform[k])
+    _copy_rows(rows.readings, signals.measured_platform[k])
+    _copy_rows(rows.floor, signals.sensed_floor[k])
+    _copy_rows(rows.command, signals.command[k])
+    _copy_rows(rows.filtered, signals.filtered_regressors[k])
+    _copy_rows(rows.error, signals.error[k])
+
+
+@pasted_kernel
+def _compensate(loop, floor):
+    """Add what the floor's inertia takes, on the same way as the command."""
+    command = loop.rows.command
+    for run in range(len(command)):
+        for i in range(command.shape[1]):
+            command[run, i] = plus_row(command[run, i], loop.floor_inertia, i, floor[run])
+
+
+@pasted_kernel
+def _adapt(loop, law, inner, other, k):
+    """One sample of the adaptation; returns a run whose P is indefinite, or -1."""
+    rows, recursion = loop.rows, loop.recursion
+    if law.code == FELMS:
+        numbers = law.step_size, law.regularisation, law.trace_copies
+        for run in range(len(loop.weights)):
+            felms_update(loop.weights[run], rows.filtered[run], rows.error[run], *numbers)
+    elif law.code == FERLS:
+        _copy_rows(rows.error, rows.rounded)
+        for run in range(len(loop.weights)):
+            leverage = ferls_step(
+                loop.weights[run],
+                recursion.matrix[run],
+                recursion.form,
+                recursion.forgetting,
+                recursion.levels[run],
+                recursion.allowance,
+                recursion.gain,
+                inner,
+                other,
+                rows.filtered[run],
+                rows.rounded[run],
+                k,
+            )
+            if not leverage >= recursion.forgetting:
+                return run
+    return -1
+
+
+@pasted_kernel
+def _keep_weights(loop, weights, error_power, keep_every):
+    """The weights of all runs, and the mean power since the last that were kept."""
+    for run in range(len(weights)):
+        _copy_rows(loop.weights[run], weights[run])
+        error_power[run] = loop.power[run] / float(keep_every)
+        loop.power[run] = 0.0
+
+
+@borrowing_kernel
+def advance(floor, noise, loop, signals, keep_every, phase, law, inner, other, force_limit):
+    """Advance the loop over a block of samples; returns (status, samples done, run that stopped it).
+
+    The floor is a0 (samples, runs, sensors), the noise n1 and n0 (samples, runs, outputs) and (samples, runs, sensors),
+    before the conditioners; `loop` and `signals` are changed in place. `keep_every` samples lie between two kept weights,
+    `phase` since the last when the block starts. `inner` and `other`, of the loop's recursion, decide when this is compiled
+    which forms it knows. A command beyond `force_limit`, or NaN, stops the run.
+    """
+    keep = len(signals.platform) > 0
+    for k in range(len(floor)):
+        _move(loop, floor[k])
+        _sense(loop, floor[k], noise[0][k], noise[1][k])
+        _filter_error(loop)
+        _regress(loop)
+        stopped = _command(loop, force_limit)
+        if stopped >= 0:
+            return OVERLOAD, k, stopped
         if keep:
-            _keep(platform, kept_platform, k)
-            _keep(platform_readings, kept_measured, k)
-            _keep(floor_readings, kept_sensed, k)
-            _keep(command, kept_command, k)
-            _keep(filtered, kept_regressors, k)
-            _keep(error, kept_error, k)
-        for i in range(actuators):
-            command[i] = plus_row(command[i], floor_inertia, i, ground)
-
-        if adaptation == FELMS:
-            felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
-        elif adaptation == FERLS:
-            if together is not None:
-                leverage, within = ferls_updates(
-                    weights, matrix, forgetting, levels, each, allowance, gain, filtered, error
-                )
-                if not at_most(forgetting, leverage):
-                    return INDEFINITE, k, 0
-                if not within:
-                    hold_each(loop.recursion.matrix, forgetting, each, runs)
-            if alone is not None:
-                _copy(error, rounded)
-                leverage = ferls_step(
-                    weights,
-                    matrix,
-                    form,
-                    forgetting,
-                    levels,
-                    allowance,
-                    gain,
-                    inner,
-                    other,
-                    filtered,
-                    rounded,
-                    k,
-                )
-                if not leverage >= forgetting:
-                    return INDEFINITE, k, 0
-
+            _keep(loop, signals, k)
+        _compensate(loop, floor[k])
+        stopped = _adapt(loop, law, inner, other, k)
+        if stopped >= 0:
+            return INDEFINITE, k, stopped
         if (phase + k + 1) % keep_every == 0:
             row = (phase + k) // keep_every
-            for i in range(actuators):
-                for j in range(count):
-                    kept_weights[row, i, j] = weights[i, j]
-            kept_power[row, 0] = power[0] / float(keep_every)
-            power[0] = 0.0
-    return STABLE, samples, 0
+            _keep_weights(loop, signals.weights[row], signals.error_power[row], keep_every)
+    return STABLE, len(floor), 0

@@ -19,10 +19,10 @@ from stillwork.base.checks import (
     require_count,
     require_number,
 )
-from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.adaptive import FeLms, FeRls, Recursion
 from stillwork.estimation.online import UnstableAdaptation
 
-TOGETHER = 8  # runs in one kernel: two vectors of AVX2, one of AVX-512
+TOGETHER = 8  # runs in one kernel
 
 SIGNALS = (*loop.Signals._fields[:6], "floor")  # of a `Run`: what the kernel leaves behind, and the floor
 
@@ -98,14 +98,12 @@ def simulate_together(
 ) -> list[dict[str, Run]]:
     """For each seed what `simulate` gives for each of several algorithms, on a floor and noises that are drawn once.
 
-    Several seeds go through one kernel side by side, with the same bits in less time. Weights and error power are kept
+    Several seeds go through one kernel, with the same bits in less time. Weights and error power are kept
     every `keep_every_s`; from `signals_from_s` on `signals` are, at the full rate. `weights` are those of all runs, or
-    one W for each seed. Several seeds take FeRLS in the triangle's form and float64. The first run that diverges ends
+    one W for each seed. The first run that diverges ends
     them all; `to_the_break` keeps that of one seed and one algorithm up to there instead of raising.
     """
     seeds = [require_count("seed", seed, at_least=0) for seed in seeds]
-    if len(seeds) > 1:
-        _require_triangle(adaptations)
     if to_the_break and (len(seeds) > 1 or len(adaptations) > 1):
         raise InputError("to_the_break keeps one run; give one seed and one algorithm")
     rate = twin.instruments.sample_rate
@@ -133,12 +131,11 @@ def simulate_together(
     for at in range(0, len(seeds), runs):
         batch, sides = seeds[at : at + runs], []
         places = np.minimum(np.arange(at, at + runs), len(seeds) - 1)
-        begin = np.moveaxis(each[places], 0, -1).reshape(twin.actuators, -1)
         for adaptation in adaptations.values():
-            code, numbers, recursion = algorithm_of(twin, adaptation)
-            closed = loop.loop_of(twin, feedback, begin, recursion, runs)
+            law, recursion = algorithm_of(twin, adaptation)
+            closed = loop.loop_of(twin, feedback, each[places], recursion)
             kept = KeptSignals(twin, total, every, first, runs, signals)
-            sides.append((adaptation, code, numbers, closed, kept))
+            sides.append((adaptation, law, closed, kept))
         until, broke_s = total, None
         try:
             _advance(twin, Sources(twin, segments, noise, batch, runs), sides, total, first, start)
@@ -163,7 +160,7 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
         # A block ends where the signals start.
         samples = min(BLOCK, (first if done < first else total) - done)
         floor_block, noise_block = sources.sample(samples)
-        for adaptation, code, numbers, closed, kept in sides:
+        for adaptation, law, closed, kept in sides:
             room = kept.room("floor", done, samples)
             room[:] = floor_block[: len(room)]
             status, reached, stopped = loop.advance(
@@ -173,42 +170,28 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
                 kept.block(done, samples),
                 kept.every,
                 done % kept.every,
-                code,
-                *numbers,
+                law,
                 *closed.recursion[-2:],
                 twin.instruments.force_limit,
-                sources.together,
-                () if sources.together is None else None,
             )
             if status != loop.STABLE:
-                peak = np.abs(floor_block[:, stopped :: sources.runs]).max()
+                peak = np.abs(floor_block[:, stopped]).max()
                 raise _unstable(status, done + reached, twin, adaptation, start, peak)
         done += samples
 
 
-def _require_triangle(adaptations) -> None:
-    for name, adaptation in adaptations.items():
-        if not isinstance(adaptation, FeRls):
-            continue
-        if adaptation.dtype != "float64" or adaptation.form not in ("safe", "triangle"):
-            raise InputError(
-                f"adaptations[{name!r}] has the form {adaptation.form!r} in {adaptation.dtype}; "
-                "several seeds take 'triangle' in float64, other forms run one seed at a time"
-            )
-
-
-def algorithm_of(twin: Twin, adaptation):
-    """Code of the kernel, numbers of FeLMS, and the recursion of FeRLS at the start."""
+def algorithm_of(twin: Twin, adaptation) -> tuple[loop.Law, Recursion]:
+    """What the kernel does, and the recursion of FeRLS at the start."""
     n = twin.regressors
     if isinstance(adaptation, FeRls):
-        return loop.FERLS, (0.0, 1.0, 1.0), adaptation.start(n)
+        return loop.Law(loop.FERLS), adaptation.start(n)
     still = FeRls(1.0).start(n)
     if isinstance(adaptation, FeLms):
         numbers = (adaptation.step_size, adaptation.regularisation, adaptation.trace_copies(twin.actuators))
-        return loop.FELMS, numbers, still
+        return loop.Law(loop.FELMS, *numbers), still
     if adaptation is not None:
         raise InputError(f"adaptation is {adaptation!r}; give FeLms(...), FeRls(...) or None")
-    return loop.FROZEN, (0.0, 1.0, 1.0), still
+    return loop.Law(loop.FROZEN), still
 
 
 def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
@@ -268,7 +251,7 @@ def _unstable(status: int, sample: int, twin: Twin, adaptation, weights, peak: f
 
 
 class KeptSignals:
-    """Arrays that outlive the blocks; of several runs side by side each channel stands once a run."""
+    """Arrays that outlive the blocks; of several runs side by side a row of channels a run."""
 
     def __init__(
         self, twin: Twin, total: int, every: int, first: int, runs: int, signals: Collection[str] = SIGNALS
@@ -279,10 +262,10 @@ class KeptSignals:
         widths = (twin.outputs, twin.outputs, n, twin.actuators, twin.regressors, twin.actuators, n)
         # The kernel writes all of them or none: what is not wanted goes where the next block's will.
         self.long = {
-            name: np.empty((long if name in signals else min(long, BLOCK), width * runs))
+            name: np.empty((long if name in signals else min(long, BLOCK), runs, width))
             for name, width in zip(SIGNALS, widths, strict=True)
         }
-        self.weights = np.empty((total // every, twin.actuators, twin.regressors * runs))
+        self.weights = np.empty((total // every, runs, twin.actuators, twin.regressors))
         self.power = np.empty((total // every, runs))
 
     def block(self, done: int, samples: int) -> loop.Signals:
@@ -302,22 +285,18 @@ class KeptSignals:
         """One of the runs, its first `until` samples."""
         rows = until // self.every
 
-        def of(array):
-            return np.ascontiguousarray(array[..., run :: self.runs])
-
         recursion = closed.recursion._replace(
-            matrix=of(closed.recursion.matrix), levels=of(closed.recursion.levels)
+            matrix=closed.recursion.matrix[run], levels=closed.recursion.levels[run]
         )
-        long = max(until - self.first, 0)
-        signals = {
-            name: of(array[: long if name in self.signals else 0]).T for name, array in self.long.items()
-        }
+        long, signals = max(until - self.first, 0), {}
+        for name, array in self.long.items():
+            signals[name] = np.ascontiguousarray(array[: long if name in self.signals else 0, run]).T
         return Run(
             sample_rate=rate,
             time_s=self.every / rate * np.arange(1, rows + 1),
-            weights=of(self.weights[:rows]),
-            error_power=of(self.power[:rows])[:, 0],
-            final_weights=of(closed.weights).astype(float),
+            weights=np.ascontiguousarray(self.weights[:rows, run]),
+            error_power=np.ascontiguousarray(self.power[:rows, run]),
+            final_weights=closed.weights[run].astype(float),
             covariance=recursion.covariance,
             held=recursion.held,
             broke_s=broke_s,

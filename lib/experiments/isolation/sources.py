@@ -16,7 +16,7 @@ Floor = ShapedFloor | RecordedFloor
 class Sources:
     """Floor motion and sensor noise, block by block, each of every run from a random stream of its own.
 
-    Channel c of run r stands at c * runs + r; the last seed's run stands in every place that is left over.
+    The last seed's run fills the places that are left over.
     """
 
     def __init__(
@@ -26,7 +26,7 @@ class Sources:
         self.floor_streams, self.noise_streams = (
             [np.random.Generator(np.random.SFC64(s)) for s in each] for each in zip(*streams, strict=True)
         )
-        self.runs, self.together = runs, None if runs == 1 else (0,) * runs
+        self.runs = runs
         instruments = twin.instruments
         self.rate = instruments.sample_rate
         each = [twin.outputs, twin.sensors]
@@ -37,7 +37,7 @@ class Sources:
         self.omega = 2 * np.pi * np.asarray(instruments.mains_hz) / self.rate
         angle = np.outer(np.arange(BLOCK), self.omega)
         self.waves = np.hstack([np.sin(angle), np.cos(angle)])
-        self.sensors = twin.sensors
+        self.outputs, self.sensors = twin.outputs, twin.sensors
         self.room = np.empty((len(seeds), BLOCK * len(self.deviation)))
         self.segments = list(segments)
         self.done = 0
@@ -48,11 +48,11 @@ class Sources:
         self.position = 0
         if isinstance(self.part, ShapedFloor):
             each = np.moveaxis(self.part.sections, 0, -1)
-            self.shaping = loop.bank_of(each, self.sensors * self.runs)
+            self.shaping = loop.bank_of(np.tile(each, self.runs), self.sensors * self.runs)
 
-    def sample(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Next block of a0, (samples, sensors * runs), and of (n1, n0), (samples, (outputs + sensors) * runs)."""
-        floor = np.empty((samples, self.sensors * self.runs))
+    def sample(self, samples: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Next block of a0, (samples, runs, sensors), and of n1 and n0, (samples, runs, outputs or sensors)."""
+        floor = np.empty((samples, self.runs, self.sensors))
         filled = 0
         while filled < samples:
             if not self.left:
@@ -62,22 +62,28 @@ class Sources:
             filled += take
             self.left -= take
             self.position += take
-        noise = np.zeros((samples, len(self.deviation) * self.runs))
+        noise = tuple(np.zeros((samples, self.runs, count)) for count in (self.outputs, self.sensors))
         if self.deviation.any() or self.mains.any():
             start = (self.omega * self.done)[:, None]
             hum = self.waves[:samples] @ np.vstack([np.cos(start) * self.mains, np.sin(start) * self.mains])
-            _interleave(self._sample(self.noise_streams, hum.shape), self.deviation, hum, noise)
+            _put(self._sample(self.noise_streams, hum.shape), self.deviation, hum, *noise)
         self.done += samples
         return floor, noise
 
     def _fill(self, floor):
         if isinstance(self.part, RecordedFloor):
             record = self.part.acceleration[:, self.position : self.position + len(floor)].T
-            floor[:] = np.repeat(record, self.runs, axis=1)
+            floor[:] = record[:, None]
             return
         nothing = np.zeros((len(floor), self.sensors))
-        _interleave(self._sample(self.floor_streams, nothing.shape), self.part.scale, nothing, floor)
-        loop.filter_block(self.shaping, floor, self.together)
+        _put(
+            self._sample(self.floor_streams, nothing.shape),
+            self.part.scale,
+            nothing,
+            floor,
+            floor[:, :, :0].copy(),
+        )
+        loop.filter_block(self.shaping, floor.reshape(len(floor), -1))
 
     def _sample(self, streams: list[np.random.Generator], shape: tuple[int, int]) -> np.ndarray:
         """White noise of variance 1, (runs, samples, channels), until the next call: fresh memory would cost as much."""
@@ -88,10 +94,14 @@ class Sources:
 
 
 @kernel
-def _interleave(drawn, scale, added, out):
-    """The runs of `drawn` side by side, each channel times its `scale`, with what is `added` to all of them."""
-    runs = out.shape[1] // len(scale)
-    for k in range(len(out)):
-        for c in range(len(scale)):
-            for run in range(runs):
-                out[k, c * runs + run] = drawn[min(run, len(drawn) - 1), k, c] * scale[c] + added[k, c]
+def _put(drawn, scale, added, first, second):
+    """Channels of `first` and then of `second`: every run's `drawn` times the channel's `scale`, and what is `added`."""
+    before = first.shape[2]
+    for k in range(len(first)):
+        for run in range(first.shape[1]):
+            own = min(run, len(drawn) - 1)
+            for c in range(before):
+                first[k, run, c] = drawn[own, k, c] * scale[c] + added[k, c]
+            for c in range(second.shape[2]):
+                at = before + c
+                second[k, run, c] = drawn[own, k, at] * scale[at] + added[k, at]
