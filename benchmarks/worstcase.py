@@ -26,9 +26,8 @@ sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 
 import numpy as np  # noqa: E402
 
-from experiments.worstcase import solve_cone_program  # noqa: E402
-from experiments.worstcase.rank_one import FastMinMax  # noqa: E402
-from notebooks.worstcase.time_updates import slope  # noqa: E402
+from notebooks.worstcase.geometry import solve_cone_program  # noqa: E402
+from notebooks.worstcase.time_updates import FastMinMax, slope  # noqa: E402
 from stillwork.estimation import LeastSquares, MinMax, MinMaxRegressor, RecursiveLeastSquares  # noqa: E402
 from stillwork.estimation.recursive_kernels import FEW, LONG  # noqa: E402
 from stillwork.estimation.recursive_settings import Ridge  # noqa: E402

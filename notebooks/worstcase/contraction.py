@@ -2,10 +2,32 @@
 
 import numpy as np
 
-from experiments.worstcase.theory import convergence_trial, counter_example
-from stillwork.estimation.secular import SecularFunction
+from experiments.worstcase.theory import convergence_trial, counter_example, random_problem
+from stillwork.estimation.secular import SecularFunction, secular_function
 from workbook import figures
 from workbook.studies import run_study
+
+
+def scalar_trial(rng: np.random.Generator) -> dict[str, float]:
+    """Section 8's statements on the scalar case: slopes of f between its ends, and the rate beta."""
+    matrix, target, threshold = random_problem(rng, 1)
+    function = secular_function(matrix, target, threshold * rng.uniform(0.02, 0.98))
+    energy = function.eigenvalues[0]  # a'a
+    beta = function.bound / threshold
+    kappa = energy * function.excess**2 / (target @ target)
+    slopes = function.slope(energy * np.geomspace(1e-8, 1e8, 200))
+    root, _ = function.root()
+    path = function.iterates(root * 10.0 ** rng.uniform(-3, 3), 12)
+    distances = np.abs(path - root)
+    rounding = 1e-13 * (path[:-1] + root)
+    return {
+        "bounded": float(np.all((slopes > 0) & (slopes <= beta * (1 + 1e-12)))),
+        "rising": float(np.all(np.diff(slopes) >= -1e-12 * beta)),
+        "at_zero": float(function.slope(0.0) / (beta * np.sqrt(kappa / energy)) - 1),
+        "at_infinity": float(slopes[-1] / beta - 1),
+        "contracts": float(np.all(distances[1:] <= beta * distances[:-1] + rounding)),
+    }
+
 
 # === Contraction pictures ==================================================================================
 

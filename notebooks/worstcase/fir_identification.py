@@ -2,9 +2,60 @@
 
 import numpy as np
 
-from experiments.worstcase.simulations import fir_trial
+from experiments.worstcase.simulations import _fir_record, fir_trial
+from stillwork.estimation.min_max import min_max_solve
 from workbook import figures
 from workbook.studies import Study, mean_interval, run_study
+
+
+def gain_trial(
+    rng: np.random.Generator,
+    parameters: tuple[float, ...],
+    period: int,
+    samples: int,
+    gain: float,
+    output_noise: float,
+) -> dict[str, float]:
+    """One record whose true input is `gain` times the measured one: a perturbation that is the same at every instant.
+
+    Distances from the true parameters: of ``min_max``, given the norm of that perturbation, and of ``least`` squares.
+    """
+    regressors, outputs, _ = _fir_record(rng, gain * np.array(parameters), period, samples, 0.0, output_noise)
+    bound = abs(gain - 1) * np.linalg.norm(regressors, 2)
+    estimates = {
+        "min_max": min_max_solve(regressors.T, outputs, bound).estimate,
+        "least": np.linalg.lstsq(regressors.T, outputs)[0],
+    }
+    return {name: float(np.linalg.norm(estimate - parameters)) for name, estimate in estimates.items()}
+
+
+def criterion_trial(
+    rng: np.random.Generator, shares: tuple[float, ...], parameters: tuple[float, ...], **record
+) -> dict[str, np.ndarray]:
+    """``saved``: by how much the smallest worst-case residual is below that of least squares, as a share of it.
+
+    The bound is each of `shares` of the one at which the estimate becomes zero; `record` as of `fir_trial`.
+    """
+    regressors, outputs, _ = _fir_record(rng, parameters, **record)
+    matrix = regressors.T
+    least = np.linalg.lstsq(matrix, outputs)[0]
+    residual, length = np.linalg.norm(matrix @ least - outputs), np.linalg.norm(least)
+    bounds = np.array(shares) * np.linalg.norm(matrix.T @ outputs) / np.linalg.norm(outputs)
+    worst = [min_max_solve(matrix, outputs, bound).worst_case_residual for bound in bounds]
+    return {"saved": 1 - np.array(worst) / (residual + bounds * length)}
+
+
+def least_squares_limit(parameters: tuple[float, float], period: int, input_noise: float) -> np.ndarray:
+    """What least squares tends to in Fig. 1's setting: (R + s I)^-1 R x.
+
+    R is the input's covariance, for two taps of a square wave of amplitude 1 with an even `period`; s the
+    variance of the uniform input noise, input_noise^2 / 3.
+    """
+    parameters = np.asarray(parameters, float)
+    neighbour = 1 - 4 / period
+    covariance = np.array([[1, neighbour], [neighbour, 1]])
+    return np.linalg.solve(covariance + input_noise**2 / 3 * np.eye(2), covariance @ parameters)
+
 
 # === Identification pictures ======================================================================================
 # Pictures of FIR identification with noisy inputs (Fig. 1) and of what happens as the record grows.

@@ -1,11 +1,97 @@
 """Pictures of the min-max problem for one and two unknowns, and of its secular equation."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from experiments.worstcase.simulations import sample_problem
+from experiments.worstcase.theory import random_problem
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.secular import secular_function
 from workbook import figures
+
+
+def solution_trial(rng: np.random.Generator, perturbations: int) -> dict[str, float]:
+    """Theorem 1 on one problem: cost against the cone program's, (6), the zero case, the worst perturbation.
+
+    ``share``: bound over threshold. ``cost``: relative distance of the costs. ``identity``: relative
+    residual of (6). ``crossings``: sign changes of alpha - f(alpha) over 24 decades. ``zero_agrees``: 1
+    when the estimate is zero exactly for a bound above the threshold and the cone program agrees (to 1e-6
+    of |b| in A x). ``attained``: relative distance of the worst perturbation's residual from (2).
+    ``exceeded``: largest of the random perturbations' residuals over (2). ``several``: 1 with more than
+    one unknown and a nonzero estimate.
+    """
+    matrix, target, threshold = random_problem(rng, int(rng.integers(1, 7)))
+    bound = threshold * 10.0 ** rng.uniform(-1.5, 0.15)
+    found = solve_silently(matrix, target, bound)
+    other, cost = solve_cone_program(matrix, target, bound)
+    residual = matrix @ found.estimate - target
+    length = np.linalg.norm(found.estimate)
+    size = np.linalg.norm(target)
+    vanishes = np.linalg.norm(matrix @ other) < 1e-6 * size
+    directions = rng.standard_normal((perturbations, *matrix.shape))
+    directions *= bound / np.linalg.norm(directions, 2, axis=(1, 2))[:, None, None]
+    sampled = np.linalg.norm((matrix + directions) @ found.estimate - target, axis=1)
+    attained = np.linalg.norm((matrix + found.perturbation) @ found.estimate - target)
+    identity, crossings = 0.0, 1
+    if length > 0:
+        identity = found.alpha * length / (bound * np.linalg.norm(residual)) - 1
+        function = secular_function(matrix, target, bound)
+        alphas = function.eigenvalues[0] * np.geomspace(1e-12, 1e12, 2401)
+        crossings = np.count_nonzero(np.diff(np.sign(alphas - function(alphas))))
+    return {
+        "share": bound / threshold,
+        "cost": abs(found.worst_case_residual / cost - 1),
+        "identity": abs(identity),
+        "zero_agrees": float((bound >= threshold) == (length == 0) == vanishes),
+        "attained": abs(attained / found.worst_case_residual - 1),
+        "exceeded": float(sampled.max() / found.worst_case_residual),
+        "crossings": float(crossings),
+        "several": float(matrix.shape[1] > 1 and length > 0),
+    }
+
+
+def non_unique_trial(rng: np.random.Generator) -> dict[str, float]:
+    """Section 2's degenerate case: b along one singular direction of A, and the bound that singular value.
+
+    Costs |A x - b| + eta |x| of the estimates between zero and least squares: ``spread``, largest less smallest over
+    the smallest; ``solver``, that of `min_max_solve` over it, less 1; ``elsewhere``, smallest of 100 other estimates
+    over it, less 1.
+    """
+    rows = int(rng.integers(3, 20))
+    unknowns = int(rng.integers(2, rows))
+    matrix = rng.standard_normal((rows, unknowns))
+    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
+    k = int(rng.integers(unknowns))
+    target, least, bound = sizes[k] * left[:, k], right[k], sizes[k]
+
+    def cost(x):
+        return np.linalg.norm(matrix @ x - target) + bound * np.linalg.norm(x)
+
+    between = np.array([cost(share * least) for share in np.linspace(0, 1, 21)])
+    elsewhere = min(cost(rng.random() * least + 0.1 * rng.standard_normal(unknowns)) for _ in range(100))
+    solved = cost(solve_silently(matrix, target, bound).estimate)
+    return {
+        "spread": np.ptp(between) / between.min(),
+        "solver": solved / between.min() - 1,
+        "elsewhere": elsewhere / between.min() - 1,
+    }
+
+
+def solve_cone_program(matrix: ArrayLike, target: ArrayLike, bound: float) -> tuple[np.ndarray, float]:
+    """Minimise |A x - b| + eta |x| (2) as a second-order cone program, by cvxpy and Clarabel: the estimate and its cost.
+
+    It shares no code and no formula with `min_max_solve`. Compare costs, not estimates: near the minimum
+    the cost is flat, and a solver that is right to 1e-8 in cost is right to 1e-4 in x.
+    """
+    import cvxpy
+
+    matrix = np.asarray(matrix, float)
+    target = np.asarray(target, float)
+    unknown = cvxpy.Variable(matrix.shape[1])
+    cost = cvxpy.norm(matrix @ unknown - target, 2) + bound * cvxpy.norm(unknown, 2)
+    cvxpy.Problem(cvxpy.Minimize(cost)).solve(solver=cvxpy.CLARABEL)
+    estimate = np.asarray(unknown.value, dtype=float)
+    return estimate, float(np.linalg.norm(matrix @ estimate - target) + bound * np.linalg.norm(estimate))
 
 
 def costs(matrix: np.ndarray, target: np.ndarray, bound: float, points: np.ndarray) -> np.ndarray:

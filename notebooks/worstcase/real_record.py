@@ -4,10 +4,114 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from jaxtyping import Float64
+from scipy import signal
 
-from experiments.worstcase.measured import bound_sweep, window_residuals
-from experiments.worstcase.pairs import MeasuredPair, Spectra, load_pair
-from workbook import figures
+from experiments.worstcase.measured import residuals_of, window_residuals, windows_of
+from experiments.worstcase.pairs import MeasuredPair, Spectra, open_pair, residual
+from stillwork.base.checks import require_number
+from stillwork.estimation.linear_fits import total_least_squares
+from stillwork.estimation.min_max import qr_r, solve_sweep
+from stillwork.estimation.recursive import run_silently
+from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
+from stillwork.identification.regressors import fir_regressors
+from workbook import figures, paths
+
+
+def load_blows() -> list[MeasuredPair]:
+    """The shipped hammer blows on a light structure, force and acceleration, one of eight samples kept of 25.6 kHz.
+
+    A blow lasts a millisecond: what the force sensor shows in the second half of its record is noise.
+    """
+    file = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
+    with np.load(file, allow_pickle=False) as archive:
+        force, answer = (signal.decimate(archive[name], 8, ftype="fir") for name in ("force_n", "accel_m_s2"))
+        rate = float(archive["fs_hz"]) / 8
+    noise = float(np.median(force[:, force.shape[1] // 2 :].std(axis=1)))
+    return [MeasuredPair(*blow, rate, (0.0, rate / 2), noise) for blow in zip(force, answer, strict=True)]
+
+
+def blow_trial(
+    rng: np.random.Generator, blows: list[MeasuredPair], taps: int, length: int, noisier: float
+) -> dict[str, Float64[np.ndarray, " pairs"]]:
+    """An FIR model from each blow predicts the others, by a force sensor that noise makes `noisier` times as noisy.
+
+    By method: rms residual over rms output on the first `length` samples, for all ordered pairs of blows.
+    """
+    noise = blows[0].noise
+    added = noise * np.sqrt(require_number("noisier", noisier, at_least=1.0) ** 2 - 1)
+    inputs = (blow.input + added * rng.standard_normal(len(blow.input)) for blow in blows)
+    windows = [
+        (fir_regressors(force, taps)[:, :length].T, each.output[:length])
+        for force, each in zip(inputs, blows, strict=True)
+    ]
+    judged = [(window, windows[:k] + windows[k + 1 :]) for k, window in enumerate(windows)]
+    return residuals_of(judged, replace(blows[0], noise=noisier * noise))
+
+
+def total_trial(
+    rng: np.random.Generator, motion: np.ndarray, noise: float, taps: int, length: int
+) -> dict[str, float]:
+    """Total against plain least squares on a machine that is exactly an FIR filter, with noise on both channels.
+
+    A stretch of `motion` drives a filter of random, fading taps; input and output get white noise of one size, as
+    total least squares presumes. ``total``, ``least``: rms residual over rms output on the window that follows.
+    """
+    start = rng.integers(len(motion) - 2 * length - taps)
+    motion = motion[start : start + 2 * length + taps]
+    response = rng.standard_normal(taps) * np.exp(-np.arange(taps) / 8)
+    output = signal.lfilter(response, 1.0, motion) + noise * rng.standard_normal(len(motion))
+    matrix = fir_regressors(motion + noise * rng.standard_normal(len(motion)), taps)[:, taps:].T
+    output = output[taps:]
+    estimates = {
+        "total": total_least_squares(matrix[:length], output[:length]),
+        "least": np.linalg.lstsq(matrix[:length], output[:length])[0],
+    }
+    return {
+        name: residual(matrix[length:], output[length:], estimate) for name, estimate in estimates.items()
+    }
+
+
+def tracking_residuals(pair: MeasuredPair, taps: int, memories: list[int]) -> dict[str, np.ndarray]:
+    """One-step prediction errors of the recursive estimators over the whole record, against memory length (samples).
+
+    By method: rms prediction error over rms output, from ten memory lengths of the longest memory on.
+    """
+    regressors = fir_regressors(pair.input, taps)
+    start = min(10 * max(memories), len(pair.output) // 2)
+    scale = np.sqrt(np.mean(pair.output[start:] ** 2))
+    found = {name: [] for name in ("RLS", "ridge", "min-max, typical bound")}
+    for memory in memories:
+        forgetting = 1 - 1 / require_number("memories", memory, above=1.0)
+        estimators = {
+            "RLS": LeastSquares(forgetting, 1 / pair.noise**2),
+            "ridge": Ridge(memory * pair.noise**2, forgetting),
+            "min-max, typical bound": MinMax(pair.typical_bound(taps, forgetting), forgetting),
+        }
+        for name, estimator in estimators.items():
+            errors = run_silently(estimator, regressors, pair.output).errors[start:]
+            found[name].append(np.sqrt(np.mean(errors**2)) / scale)
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray, most: int) -> np.ndarray:
+    """Median out-of-sample residual of min-max when the bound is `factors` times the typical one."""
+    regressors = fir_regressors(pair.input, taps)
+    typical = pair.typical_bound(taps, 1 - 1 / length)
+    windows, found = windows_of(pair, regressors, length, most), []
+    for fit, later in windows:
+        # a rotation of the rows changes no residual: taps + 1 of them say all
+        corner = qr_r(np.column_stack(fit))
+        swept = solve_sweep(corner[:, :-1], corner[:, -1], factors * typical)
+        found.append([residual(*later, solution.estimate) for solution in swept])
+    return np.median(found, axis=0)
+
+
+def load_pair(band_hz: tuple[float, float], quiet_hz: tuple[float, float]) -> tuple[MeasuredPair, Spectra]:
+    """The shipped record `structure_accel_3k2`, channels 2 (input) and 3 (output), and its spectra."""
+    file = paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz")
+    pair, spectra = open_pair(file, band_hz=band_hz, quiet_hz=quiet_hz)
+    return MeasuredPair(pair.input, pair.output, pair.sample_rate, pair.band_hz, pair.noise[0]), spectra
 
 
 def exchange(pair: MeasuredPair, spectra: Spectra, quiet_hz: tuple[float, float]) -> MeasuredPair:

@@ -4,17 +4,114 @@ from functools import lru_cache
 
 import numpy as np
 
-from experiments.worstcase.simulations import (
-    FIG_2_PARAMETERS,
-    forgetting_trial,
-    path,
-    settled,
-    settled_from,
-    tracking_trial,
-)
-from stillwork.identification.regressors import exponential_bound, exponential_weights
+from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
+from stillwork.estimation.recursive import run_silently
+from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
+from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
 from workbook import figures
 from workbook.studies import Study, fraction, mean_interval, run_study, spread_interval
+
+
+def tracking_record(
+    rng: np.random.Generator,
+    truth: np.ndarray,
+    row_error: float,
+    noise: float,
+    amplitude: float = 1.0,
+    delay_line: bool = False,
+    error_law: str = "ball",
+) -> tuple[np.ndarray, np.ndarray]:
+    """Regressors as measured (unknowns, samples) and outputs of a trial of Fig. 2; arguments as of `tracking_trial`."""
+    unknowns, samples = truth.shape
+    if delay_line:
+        regressors = fir_regressors(rng.standard_normal(samples + unknowns - 1), unknowns)[:, unknowns - 1 :]
+    else:
+        regressors = rng.standard_normal((unknowns, samples))
+    regressors *= amplitude
+    directions = rng.standard_normal((unknowns, samples))
+    radius = row_error * rng.random(samples) ** (1 / unknowns)
+    if error_law != "ball":
+        radius[:] = row_error
+    if error_law == "one direction":
+        directions[:] = directions[:, :1]
+    errors = directions * (radius / np.linalg.norm(directions, axis=0))
+    outputs = np.sum((regressors + errors) * truth, axis=0) + noise * rng.standard_normal(samples)
+    return regressors, outputs
+
+
+def forgetting_trial(
+    rng: np.random.Generator, truth: np.ndarray, forgetting: float, row_error: float, noise: float
+) -> dict[str, float]:
+    """RMS error norm over the second half of a trial of Fig. 2, with forgetting and without.
+
+    ``min_max``, ``least``: with `forgetting`; ``min_max_kept``, ``least_kept``: all rows count alike.
+    """
+    rows, outputs = tracking_record(rng, truth, row_error, noise)
+    estimators = {
+        "min_max": MinMax(exponential_bound(row_error, forgetting), forgetting),
+        "min_max_kept": GrowingMinMax(row_error),
+        "least": LeastSquares(forgetting, 1e4),
+        "least_kept": LeastSquares(1 - 1e-12, 1e4),
+    }
+    late = slice(truth.shape[1] // 2, None)
+    tracks = {
+        name: run_silently(estimator, rows, outputs).estimates for name, estimator in estimators.items()
+    }
+    return {
+        name: float(np.sqrt(np.mean(np.sum((track - truth)[:, late] ** 2, axis=0))))
+        for name, track in tracks.items()
+    }
+
+
+def tracking_trial(
+    rng: np.random.Generator,
+    truth: np.ndarray,
+    bound: float,
+    forgetting: float,
+    row_error: float,
+    noise: float,
+    penalty: float,
+    update: str = "exact",
+    amplitude: float = 1.0,
+    delay_line: bool = False,
+    error_law: str = "ball",
+) -> dict[str, np.ndarray]:
+    """One trial of Fig. 2: white regressors that are off by a bounded error, outputs with Gaussian noise.
+
+    `truth` is from `path`; RLS and ridge, with its constant `penalty`, forget like min-max. The regressors have the
+    standard deviation `amplitude`, each row anew or, in a `delay_line`, one sample a row. Their errors are drawn
+    uniformly from the ``ball`` of radius `row_error` or its ``sphere``, or have all ``one direction`` and that length.
+    ``min_max``, ``rls``, ``ridge``, ``zero``: error norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2 of the
+    unweighted regressors, ``weighted_norm`` of the weighted ones at the end; ``vanished``: share of the time with a
+    zero estimate.
+    """
+    unknowns = len(truth)
+    regressors, outputs = tracking_record(rng, truth, row_error, noise, amplitude, delay_line, error_law)
+    min_max = run_silently(MinMax(bound, forgetting, update), regressors, outputs)
+    tracks = {
+        "min_max": min_max.estimates,
+        "rls": run_silently(LeastSquares(forgetting, 1e4), regressors, outputs).estimates,
+        "ridge": run_silently(Ridge(penalty, forgetting), regressors, outputs).estimates,
+        "zero": np.zeros_like(truth),
+    }
+    found = {name: np.linalg.norm(truth - values, axis=0) for name, values in tracks.items()}
+    found["norm"] = np.linalg.norm(regressors, 2)
+    weights = exponential_weights(truth.shape[1], forgetting)
+    found["weighted_norm"] = np.linalg.norm(regressors * weights, 2)
+    found["vanished"] = np.isinf(min_max.alphas[unknowns:]).mean()
+    return found
+
+
+def settled(errors: np.ndarray, forgetting: float, memories: float = 3.0) -> np.ndarray:
+    """Root mean square of error norms (..., samples) after so many memory lengths 1 / (1 - forgetting)."""
+    start = settled_from(forgetting, memories)
+    return np.sqrt(np.mean(np.square(errors[..., start:]), axis=-1))
+
+
+def settled_from(forgetting: float, memories: float = 3.0) -> int:
+    """The sample after so many memory lengths."""
+    return int(np.ceil(memories / (1 - forgetting)))
+
 
 # === Tracking pictures =====================================================================================
 METHODS = (

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.worstcase import solve_cone_program
 from naive import worstcase as naive
+from notebooks.worstcase.geometry import solve_cone_program
 from stillwork.base.checks import InputError
 from stillwork.estimation import min_max_solve
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently, solve_sweep

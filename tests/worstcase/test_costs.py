@@ -50,9 +50,9 @@ class Numpy:
         count += a.shape[0] * a.shape[1] * b.shape[1]
         return numbers(np.dot(a.astype(float), b.astype(float)))
 
-from experiments.worstcase import rank_one
+from notebooks.worstcase import time_updates
 from stillwork.estimation import secular, recursive_kernels as steps
-for module in (rank_one, secular, steps):
+for module in (time_updates, secular, steps):
     module.np = Numpy()
 
 def counted(update, n):
@@ -82,7 +82,7 @@ def counted(update, n):
         "ridge": lambda r, y, b, o: steps.run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
         "exact": lambda r, y, b, o: steps.run_min_max((), r, y, b, weight, 0, *state, *o),
         "approximate": lambda r, y, b, o: steps.run_min_max((), r, y, b, weight, 2, *state, *o),
-        "fast": lambda r, y, b, o: rank_one.run_fast(r, y, b, weight, *state, *o),
+        "fast": lambda r, y, b, o: time_updates.run_fast(r, y, b, weight, *state, *o),
     }[update]
     half = samples // 2
     run(rows[:half], outputs[:half], bounds[:half], [a[:half] for a in out])

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.worstcase.rank_one import FastMinMax, update_eigenpairs
+from notebooks.worstcase.time_updates import FastMinMax, update_eigenpairs
 from stillwork.estimation import MinMax, run
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from experiments.worstcase.pairs import MeasuredPair, load_pair, open_pair, residual
+from experiments.worstcase.pairs import MeasuredPair, open_pair, residual
+from notebooks.worstcase.real_record import load_pair
 from notebooks.worstcase.your_record import (
     delay_of,
     fit_pair,

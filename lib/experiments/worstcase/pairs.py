@@ -10,7 +10,6 @@ from scipy import linalg, signal
 
 from stillwork.base.checks import InputError, pluralise, require_count, require_number
 from stillwork.signals.records import channel_unit, load_unscaled
-from workbook import paths
 
 QUIETEST = 0.1  # share of the band whose density counts as sensor noise when nothing else is said
 SETTLE_S = 1.0  # cut off after a band-pass
@@ -153,13 +152,6 @@ def _noise(frequency, densities, band_hz, quiet_hz) -> tuple[np.ndarray, str]:
     inside = (frequency > max(band_hz[0], frequency[0])) & (frequency < band_hz[1])
     quietest = np.quantile(densities[:, inside], QUIETEST, axis=1)
     return np.sqrt(quietest * width), "the quietest tenth of the band"
-
-
-def load_pair(band_hz: tuple[float, float], quiet_hz: tuple[float, float]) -> tuple[MeasuredPair, Spectra]:
-    """The shipped record `structure_accel_3k2`, channels 2 (input) and 3 (output), and its spectra."""
-    file = paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz")
-    pair, spectra = open_pair(file, band_hz=band_hz, quiet_hz=quiet_hz)
-    return MeasuredPair(pair.input, pair.output, pair.sample_rate, pair.band_hz, pair.noise[0]), spectra
 
 
 def residual(matrix, target, estimate) -> float:

@@ -8,10 +8,9 @@ import numpy as np
 from scipy import signal, special
 
 from stillwork.base.checks import InputError
-from stillwork.estimation.min_max import min_max_solve
 from stillwork.estimation.recursive import run_silently, worst_case_residuals
-from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
-from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
+from stillwork.estimation.recursive_settings import GrowingMinMax
+from stillwork.identification.regressors import fir_regressors
 
 FIG_2_PARAMETERS = (-0.0134, -0.0316, 0.0265, -0.0114, 0.0132)
 
@@ -77,55 +76,6 @@ def sample_bounded(rng: np.random.Generator, law: str, bound: float, count: int)
     return bound / 2 * special.ndtri(rng.uniform(tail, 1 - tail, count))
 
 
-def gain_trial(
-    rng: np.random.Generator,
-    parameters: tuple[float, ...],
-    period: int,
-    samples: int,
-    gain: float,
-    output_noise: float,
-) -> dict[str, float]:
-    """One record whose true input is `gain` times the measured one: a perturbation that is the same at every instant.
-
-    Distances from the true parameters: of ``min_max``, given the norm of that perturbation, and of ``least`` squares.
-    """
-    regressors, outputs, _ = _fir_record(rng, gain * np.array(parameters), period, samples, 0.0, output_noise)
-    bound = abs(gain - 1) * np.linalg.norm(regressors, 2)
-    estimates = {
-        "min_max": min_max_solve(regressors.T, outputs, bound).estimate,
-        "least": np.linalg.lstsq(regressors.T, outputs)[0],
-    }
-    return {name: float(np.linalg.norm(estimate - parameters)) for name, estimate in estimates.items()}
-
-
-def criterion_trial(
-    rng: np.random.Generator, shares: tuple[float, ...], parameters: tuple[float, ...], **record
-) -> dict[str, np.ndarray]:
-    """``saved``: by how much the smallest worst-case residual is below that of least squares, as a share of it.
-
-    The bound is each of `shares` of the one at which the estimate becomes zero; `record` as of `fir_trial`.
-    """
-    regressors, outputs, _ = _fir_record(rng, parameters, **record)
-    matrix = regressors.T
-    least = np.linalg.lstsq(matrix, outputs)[0]
-    residual, length = np.linalg.norm(matrix @ least - outputs), np.linalg.norm(least)
-    bounds = np.array(shares) * np.linalg.norm(matrix.T @ outputs) / np.linalg.norm(outputs)
-    worst = [min_max_solve(matrix, outputs, bound).worst_case_residual for bound in bounds]
-    return {"saved": 1 - np.array(worst) / (residual + bounds * length)}
-
-
-def least_squares_limit(parameters: tuple[float, float], period: int, input_noise: float) -> np.ndarray:
-    """What least squares tends to in Fig. 1's setting: (R + s I)^-1 R x.
-
-    R is the input's covariance, for two taps of a square wave of amplitude 1 with an even `period`; s the
-    variance of the uniform input noise, input_noise^2 / 3.
-    """
-    parameters = np.asarray(parameters, float)
-    neighbour = 1 - 4 / period
-    covariance = np.array([[1, neighbour], [neighbour, 1]])
-    return np.linalg.solve(covariance + input_noise**2 / 3 * np.eye(2), covariance @ parameters)
-
-
 def _growing_windows(regressors, outputs):
     # least squares and total least squares of rows 0..t for all t, from sums of products: (A'A) x = A'b, and
     # the eigenvector of the smallest eigenvalue of [A b]'[A b]
@@ -159,107 +109,6 @@ def path(kind: str, parameters: tuple[float, ...], samples: int) -> np.ndarray:
     elif kind != "constant":
         raise InputError(f"kind is {kind!r}; use 'constant', 'jump' or, for two parameters or more, 'drift'")
     return values
-
-
-def tracking_record(
-    rng: np.random.Generator,
-    truth: np.ndarray,
-    row_error: float,
-    noise: float,
-    amplitude: float = 1.0,
-    delay_line: bool = False,
-    error_law: str = "ball",
-) -> tuple[np.ndarray, np.ndarray]:
-    """Regressors as measured (unknowns, samples) and outputs of a trial of Fig. 2; arguments as of `tracking_trial`."""
-    unknowns, samples = truth.shape
-    if delay_line:
-        regressors = fir_regressors(rng.standard_normal(samples + unknowns - 1), unknowns)[:, unknowns - 1 :]
-    else:
-        regressors = rng.standard_normal((unknowns, samples))
-    regressors *= amplitude
-    directions = rng.standard_normal((unknowns, samples))
-    radius = row_error * rng.random(samples) ** (1 / unknowns)
-    if error_law != "ball":
-        radius[:] = row_error
-    if error_law == "one direction":
-        directions[:] = directions[:, :1]
-    errors = directions * (radius / np.linalg.norm(directions, axis=0))
-    outputs = np.sum((regressors + errors) * truth, axis=0) + noise * rng.standard_normal(samples)
-    return regressors, outputs
-
-
-def forgetting_trial(
-    rng: np.random.Generator, truth: np.ndarray, forgetting: float, row_error: float, noise: float
-) -> dict[str, float]:
-    """RMS error norm over the second half of a trial of Fig. 2, with forgetting and without.
-
-    ``min_max``, ``least``: with `forgetting`; ``min_max_kept``, ``least_kept``: all rows count alike.
-    """
-    rows, outputs = tracking_record(rng, truth, row_error, noise)
-    estimators = {
-        "min_max": MinMax(exponential_bound(row_error, forgetting), forgetting),
-        "min_max_kept": GrowingMinMax(row_error),
-        "least": LeastSquares(forgetting, 1e4),
-        "least_kept": LeastSquares(1 - 1e-12, 1e4),
-    }
-    late = slice(truth.shape[1] // 2, None)
-    tracks = {
-        name: run_silently(estimator, rows, outputs).estimates for name, estimator in estimators.items()
-    }
-    return {
-        name: float(np.sqrt(np.mean(np.sum((track - truth)[:, late] ** 2, axis=0))))
-        for name, track in tracks.items()
-    }
-
-
-def tracking_trial(
-    rng: np.random.Generator,
-    truth: np.ndarray,
-    bound: float,
-    forgetting: float,
-    row_error: float,
-    noise: float,
-    penalty: float,
-    update: str = "exact",
-    amplitude: float = 1.0,
-    delay_line: bool = False,
-    error_law: str = "ball",
-) -> dict[str, np.ndarray]:
-    """One trial of Fig. 2: white regressors that are off by a bounded error, outputs with Gaussian noise.
-
-    `truth` is from `path`; RLS and ridge, with its constant `penalty`, forget like min-max. The regressors have the
-    standard deviation `amplitude`, each row anew or, in a `delay_line`, one sample a row. Their errors are drawn
-    uniformly from the ``ball`` of radius `row_error` or its ``sphere``, or have all ``one direction`` and that length.
-    ``min_max``, ``rls``, ``ridge``, ``zero``: error norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2 of the
-    unweighted regressors, ``weighted_norm`` of the weighted ones at the end; ``vanished``: share of the time with a
-    zero estimate.
-    """
-    unknowns = len(truth)
-    regressors, outputs = tracking_record(rng, truth, row_error, noise, amplitude, delay_line, error_law)
-    min_max = run_silently(MinMax(bound, forgetting, update), regressors, outputs)
-    tracks = {
-        "min_max": min_max.estimates,
-        "rls": run_silently(LeastSquares(forgetting, 1e4), regressors, outputs).estimates,
-        "ridge": run_silently(Ridge(penalty, forgetting), regressors, outputs).estimates,
-        "zero": np.zeros_like(truth),
-    }
-    found = {name: np.linalg.norm(truth - values, axis=0) for name, values in tracks.items()}
-    found["norm"] = np.linalg.norm(regressors, 2)
-    weights = exponential_weights(truth.shape[1], forgetting)
-    found["weighted_norm"] = np.linalg.norm(regressors * weights, 2)
-    found["vanished"] = np.isinf(min_max.alphas[unknowns:]).mean()
-    return found
-
-
-def settled(errors: np.ndarray, forgetting: float, memories: float = 3.0) -> np.ndarray:
-    """Root mean square of error norms (..., samples) after so many memory lengths 1 / (1 - forgetting)."""
-    start = settled_from(forgetting, memories)
-    return np.sqrt(np.mean(np.square(errors[..., start:]), axis=-1))
-
-
-def settled_from(forgetting: float, memories: float = 3.0) -> int:
-    """The sample after so many memory lengths."""
-    return int(np.ceil(memories / (1 - forgetting)))
 
 
 def sample_problem(seed: int, rows: int, unknowns: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
