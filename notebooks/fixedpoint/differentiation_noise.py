@@ -1,13 +1,177 @@
 """Noise of numerical differentiation: what this notebook alone needs."""
 
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Bool, Float64
+from numpy.typing import ArrayLike
 
 from experiments.fixedpoint import statements as said
+from experiments.fixedpoint.axes import legend_above, log_axis
 from experiments.fixedpoint.choices import PRINTED_NOISE, SAMPLE_TIME, Values, trajectory
-from experiments.fixedpoint.differentiation import difference_quotient, quotient_trial, rejects_gaussian
+from experiments.fixedpoint.differentiation import steady_errors
 from experiments.fixedpoint.noise import Noise
+from experiments.fixedpoint.noise_pictures import motion_at_rest
+from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from workbook import figures
 from workbook.studies import mean_interval, run_study
+
+
+def quotient_trial(
+    rng: np.random.Generator, noise: Noise, samples: int, sample_time: float
+) -> dict[str, float]:
+    """One record of noise: mean of the quotient over its deviation, variance over (s / dt)^2, correlation."""
+    error = noise.sample(rng, samples)
+    quotient = difference_quotient(error, sample_time)
+    scale = noise.standard_deviation / sample_time
+    return {
+        "mean": float(quotient.mean() / (np.sqrt(2) * scale)),
+        "variance": float(quotient.var() / scale**2),
+        "correlation": float(np.corrcoef(quotient, error[1:])[0, 1]),
+    }
+
+
+def rejects_gaussian(values: ArrayLike, level: float = 1e-3) -> bool:
+    """Whether skewness and kurtosis of a record tell it from independent Gaussian noise (Jarque and Bera's test)."""
+    from scipy.stats import jarque_bera
+
+    require_number("level", level, above=0, below=1)
+    return bool(jarque_bera(require_array("values", values, ndim=1)).pvalue < level)
+
+
+def difference_quotient(measured: ArrayLike, sample_time: float) -> Float64[np.ndarray, " quotients"]:
+    """(z_i - z_{i-1}) / sample_time of a record, shape (samples - 1,), in m/s."""
+    require_number("sample_time", sample_time, above=0)
+    return np.diff(require_array("measured", measured, ndim=1)) / sample_time
+
+
+def quotient_covariance(deviation: float, sample_time: float) -> Float64[np.ndarray, "2 2"]:
+    """Covariance of the errors of [difference quotient, position] at one instant.
+
+    The first entry is (21), 2 s^2 / dt^2 (a variance, which the paper calls a standard deviation); the
+    others follow in the same way: s^2 / dt between the two, s^2 of the position.
+    """
+    variance = require_number("deviation", deviation, at_least=0) ** 2
+    require_number("sample_time", sample_time, above=0)
+    return variance * np.array([[2 / sample_time**2, 1 / sample_time], [1 / sample_time, 1.0]])
+
+
+def quotient_autocorrelation(lag: int) -> float:
+    """Correlation of two difference quotients' errors `lag` samples apart: 1, -1/2, 0, 0, ..."""
+    return {0: 1.0, 1: -0.5}.get(abs(lag), 0.0)
+
+
+def quotient_cross_correlation(lag: int) -> float:
+    """Correlation of the quotient's error with the position's error `lag` samples later.
+
+    1/sqrt 2 at lag 0, -1/sqrt 2 at lag -1, else 0.
+    """
+    return {0: 1.0, -1: -1.0}.get(lag, 0.0) / np.sqrt(2)
+
+
+@dataclass(frozen=True)
+class Correlations:
+    """Sample correlations of a record of errors at lags -`reach` .. `reach`."""
+
+    lags: np.ndarray
+    quotient: Float64[np.ndarray, " lags"]  # of the difference quotient with itself
+    cross: Float64[np.ndarray, " lags"]  # of the quotient with the position's error `lag` samples later
+    variance: float  # of the quotient, m^2/s^2
+
+
+def correlations(error: ArrayLike, sample_time: float, reach: int = 4) -> Correlations:
+    """Correlations found in a record of measurement errors (m), up to a lag of `reach` samples."""
+    error = require_array("error", error, ndim=1)
+    require_count("reach", reach, at_least=0)
+    if len(error) < reach + 3:
+        raise InputError(
+            f"error holds {pluralise(len(error), 'sample')}; lags up to {reach} take {reach + 3} at least"
+        )
+    quotient = difference_quotient(error, sample_time)
+    if np.ptp(quotient) == 0:
+        raise InputError("error is a straight line; correlations are of what differs from sample to sample")
+    position = error[1:] - error[1:].mean()
+    centred = quotient - quotient.mean()
+    lags = np.arange(-reach, reach + 1)
+    return Correlations(
+        lags,
+        np.array([_correlation(centred, centred, lag) for lag in lags]),
+        np.array([_correlation(centred, position, lag) for lag in lags]),
+        float(centred.var()),
+    )
+
+
+def _correlation(first, second, lag) -> float:
+    """Of first[i] with second[i + lag], normalised by the whole records."""
+    samples = len(first)
+    early, late = first[max(0, -lag) : samples - max(0, lag)], second[max(0, lag) : samples - max(0, -lag)]
+    return float(early @ late / (samples * first.std() * second.std()))
+
+
+def paint_noise_correlations(found: dict[str, Correlations]):
+    """Sample correlations of the difference quotient, with itself and with the position, and theory."""
+    figure, panels = figures.new(1, 2, height=3.0, sharey=True)
+    lags = next(iter(found.values())).lags
+    theories = (quotient_autocorrelation, quotient_cross_correlation)
+    titles = ("quotient with itself", "quotient with the position")
+    looks = ((figures.BLUE, -0.12), (figures.GREEN, 0.0), (figures.ORANGE, 0.12))
+    for axes, name, theory, title in zip(panels, ("quotient", "cross"), theories, titles, strict=True):
+        derived = [theory(int(lag)) for lag in lags]
+        axes.plot(lags, derived, "kD", mfc="none", ms=9, label="derived from eqs. (18)-(21)")
+        style = {"color": figures.RED, "ms": 10, "zorder": 1.5, "label": "assumed: R diagonal, white"}
+        axes.plot(lags, (lags == 0) * float(name == "quotient"), "x", **style)
+        for (label, seen), (colour, shift) in zip(found.items(), looks, strict=False):
+            axes.plot(lags + shift, getattr(seen, name), ".", color=colour, ms=7, label=label)
+        axes.set(xlabel="lag (samples)", ylabel="correlation", title=title)
+    legend_above(panels[0], 3)
+    return figure
+
+
+def paint_beliefs(
+    deviations,
+    computed,
+    true,
+    label="noise of the measured position (m)",
+    marks=(1e-5, 1e-4),
+    marked="the paper's two noises",
+):
+    """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise.
+
+    Along the quantity that `label` names; `marks` are its values that were published or are looked at.
+    """
+    figure, panels = figures.new(1, 2, height=3.0)
+    for axes, column, unit, name in zip(panels, (1, 0), ("m", "m/s"), ("position", "velocity"), strict=True):
+        axes.loglog(
+            deviations, np.sqrt(computed[:, column]), "--", color=figures.RED, label="computed by the filter"
+        )
+        axes.loglog(deviations, np.sqrt(true[:, column]), color=figures.BLUE, label="true")
+        axes.set(xlabel=label, ylabel=f"standard deviation of the error ({unit})", title=name)
+        for number, mark in enumerate(marks):
+            label_it = {"label": f"_{marked}" if number else marked}
+            axes.axvline(mark, color=figures.BLACK, linestyle=":", linewidth=1, **label_it)
+    legend_above(panels[0])
+    return figure
+
+
+@lru_cache(maxsize=1)
+def _expected_beliefs() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scales of R, the computed variances, and the true ones for a noise of 1 m: nothing else drives the true errors."""
+    scales, sample_time, nothing = np.geomspace(1e-4, 1e4, 25), 1e-3, np.zeros((2, 2))
+    still, process, assumed = motion_at_rest(sample_time), np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
+    settled = [steady_errors(still, process, scale * assumed, 1.0, sample_time, nothing) for scale in scales]
+    return scales, *(np.array([np.diag(getattr(s, n)) for s in settled]) for n in ("computed", "true"))
+
+
+def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
+    """Computed and true standard deviation of the Kalman filter's errors when its R is scaled."""
+    scales, computed, of_one = _expected_beliefs()
+    true = noise_deviation**2 * of_one
+    figure = paint_beliefs(scales, computed, true, "factor on the assumed R", (assumed_scale,), "this factor")
+    for axes in figure.axes:
+        log_axis(axes.xaxis)
+        log_axis(axes.yaxis)
+    return figure
 
 
 def encoder_rejected(

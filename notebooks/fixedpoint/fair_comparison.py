@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.fixedpoint.axes import COLOURS, log_axis
+from experiments.fixedpoint.axes import COLOURS, METRICS, log_axis, points_with_intervals
+from experiments.fixedpoint.error_lines import approximate, paint_error_lines
 from experiments.fixedpoint.metrics import QUANTITIES, compare, judge
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.oscillator import VanDerPol, load_oscillator
@@ -39,6 +40,47 @@ from stillwork.estimation.gaussian import COVARIANCE, ESTIMATE, MEANS, PAST
 from stillwork.estimation.plant import Plant
 from workbook import figures
 from workbook.studies import Study
+
+
+def paint_low_pass(exponent: float, bandwidth: float, strength: float):
+    """The low pass with other settings than the paper's, in large Gaussian noise."""
+    transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
+    chosen = Controller(
+        LowPass(bandwidth, from_zero=True), transformation, KinematicDesign(exponent), approximate()
+    )
+    noise = Noise("gaussian", 1e-4)
+    return paint_error_lines({LOW_PASS: chosen}, asin_trajectory(), noise, "large Gaussian noise")
+
+
+def paint_tuned_errors(studies: dict[str, dict[str, Study]]):
+    """Errors on fresh noise of the tuned filters, mean and 95 % interval, a row a noise."""
+    quantities = ("velocity", "position", "roughness")
+    height = 2.0 * len(studies) + 0.6
+    figure, panels = figures.new(len(studies), len(quantities), height=height, squeeze=False)
+    for row, (case, study) in zip(panels, studies.items(), strict=True):
+        for axes, quantity in zip(row, quantities, strict=True):
+            for place, (name, runs) in enumerate(study.items()):
+                points_with_intervals(axes, [METRICS[quantity][2] * runs[quantity]], [place], name)
+            first = quantity == quantities[0]
+            axes.set(xlabel=METRICS[quantity][0], title=case if first else "")
+            axes.set_yticks(range(len(study)), list(study) if first else [""] * len(study))
+            axes.set(ylim=(len(study) - 0.5, -0.5), xlim=(0, 1.06 * axes.get_xlim()[1]))
+    return figure
+
+
+def paint_cost_against_error(cost_ns: dict[str, float], errors: dict[str, float], unit: str):
+    """What a filter costs against what it gives."""
+    figure, axes = figures.new(1, height=3.2)
+    for name, error in errors.items():
+        axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=name)
+        below = -13 if name == EXTENDED else 4  # its neighbour is close
+        axes.annotate(name, (cost_ns[name], error), xytext=(6, below), textcoords="offset points", fontsize=8)
+    axes.set(xscale="log", xlabel="measured time per sample, printed settings (ns)", ylabel=unit)
+    axes.set(xlim=(0.7 * min(cost_ns.values()), 3 * max(cost_ns.values())))  # the names stand to the right
+    axes.set_ylim(0, 1.15 * max(errors.values()))
+    log_axis(axes.xaxis)
+    return figure
+
 
 # Two knobs that every loop has: Lambda in 1/s, and the strength of (8), minus its local gain.
 SHARED = {"exponent": (6.0, 160.0), "strength": (0.02, 1.4)}

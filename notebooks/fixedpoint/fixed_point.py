@@ -1,11 +1,17 @@
 """Pictures of the iteration: contraction, filters' responses, stability, limit cycles."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from experiments.fixedpoint.axes import COLOURS, legend_above
+from experiments.fixedpoint.convergence_study import at_rest
+from experiments.fixedpoint.metrics import noisy_run
+from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import INTEGRATION, LITERAL
-from stillwork.control.fixed_point import Controller
+from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.fixed_point_convergence import (
     LimitCycle,
     StableRange,
@@ -13,12 +19,61 @@ from stillwork.control.fixed_point_convergence import (
     iterate,
     limit_cycles,
     stable_range,
+    strongest_oscillation,
 )
 from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop, linear_loop
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.transformation import FlowTransformation, Transformation
 from stillwork.estimation.coordinate_filters import MovingWindow
+from stillwork.estimation.plant import Plant
 from workbook import figures
+
+
+def cycles_over_gain(
+    plant: Plant, controller: Controller, strengths: Sequence[float], width: float, sample_time: float
+) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """Predicted and simulated limit cycle for each -A: frequency in Hz, amplitude in m/s^2; NaN without one."""
+    predicted, simulated = [], []
+    loop = linear_loop(plant, controller, sample_time, integration=INTEGRATION)
+    for strength in strengths:
+        transformation = FlowTransformation(-strength, width)
+        stable = [cycle for cycle in limit_cycles(loop, transformation) if cycle.stable]
+        predicted.append((stable[0].frequency_hz, stable[0].iteration_error) if stable else (np.nan, np.nan))
+        moved = replace(controller, transformation=transformation)
+        still = at_rest(round(8 / sample_time), sample_time)
+        run = simulate(plant, moved, still, start=(0.0, 1e-3), integration=INTEGRATION)
+        tail = slice(round(4 / sample_time), None)
+        found = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], sample_time)
+        simulated.append((found.frequency_hz, found.amplitude))
+    return predicted, simulated
+
+
+def divergence_by_noise(
+    plant: Plant,
+    controller: Controller,
+    deviations: Sequence[float],
+    runs: int,
+    seed: int,
+    sample_time: float = 1e-3,
+) -> list[float]:
+    """Fraction of runs of 12 s at rest that diverge, for each standard deviation of Gaussian noise."""
+    still, streams = at_rest(round(12 / sample_time), sample_time), np.random.SeedSequence(seed).spawn(runs)
+
+    def diverges(stream, deviation) -> bool:
+        noise = Noise("gaussian", deviation)
+        return noisy_run(plant, controller, still, noise, stream).diverged_at is not None
+
+    return [sum(diverges(stream, deviation) for stream in streams) / runs for deviation in deviations]
+
+
+def response_noise(
+    plant: Plant, controller: Controller, deviation: float, seed: int, sample_time: float = 1e-3
+) -> float:
+    """Standard deviation of response - desired at rest in Gaussian noise, m/s^2; 5 s after the first."""
+    still = at_rest(round(6 / sample_time), sample_time)
+    run = noisy_run(plant, controller, still, Noise("gaussian", deviation), seed)
+    return float(np.std((run.acceleration_estimate - run.desired)[round(1 / sample_time) :]))
+
 
 SMALL = {"textcoords": "offset points", "fontsize": 7}  # words beside a mark
 BLANK = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}  # no line runs through the words

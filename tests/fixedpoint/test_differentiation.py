@@ -1,17 +1,16 @@
 import numpy as np
 import pytest
 
-from experiments.fixedpoint import (
-    Noise,
+from experiments.fixedpoint import Noise, steady_errors
+from notebooks.fixedpoint.differentiation_noise import (
     correlations,
     difference_quotient,
     quotient_autocorrelation,
     quotient_covariance,
     quotient_cross_correlation,
+    quotient_trial,
     rejects_gaussian,
-    steady_errors,
 )
-from experiments.fixedpoint.differentiation import quotient_trial
 from stillwork.control.fixed_point_linear import linear_filter
 from stillwork.estimation.coordinate_filters import UnscentedKalman
 

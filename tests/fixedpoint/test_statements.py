@@ -8,10 +8,9 @@ from experiments.fixedpoint.statements import (
     SMOOTHEST,
     WINDOW_PRECISE,
     figure_statements,
-    longest_replaced,
-    rankings,
     statements,
 )
+from notebooks.fixedpoint.every_claim import longest_replaced, rankings
 from workbook.studies import Study
 
 

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from experiments.fixedpoint import Noise, published_controllers
-from experiments.fixedpoint.convergence_study import (
-    at_rest,
-    cycles_over_gain,
-    divergence_by_noise,
-    response_noise,
-)
+from experiments.fixedpoint.convergence_study import at_rest
 from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW
+from notebooks.fixedpoint.fixed_point import cycles_over_gain, divergence_by_noise, response_noise
 from stillwork.control import FlowTransformation, simulate
 
 SAMPLE_TIME = 1e-3

@@ -5,15 +5,7 @@ from stillwork.base.lazy_exports import lazy_exports
 __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
-        "differentiation": (
-            "correlations",
-            "difference_quotient",
-            "quotient_autocorrelation",
-            "quotient_covariance",
-            "quotient_cross_correlation",
-            "rejects_gaussian",
-            "steady_errors",
-        ),
+        "differentiation": ("steady_errors",),
         "metrics": ("compare", "judge"),
         "noise": ("Noise",),
         "oscillator": ("VanDerPol", "load_oscillator"),

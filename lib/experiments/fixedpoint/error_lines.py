@@ -7,19 +7,17 @@ from experiments.fixedpoint.metrics import judge, noisy_run
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW, published_controllers
-from stillwork.control.fixed_point import Controller
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import asin_trajectory
-from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation.coordinate_filters import LowPass, MovingWindow
 from workbook import figures
 
 
-def _approximate():
+def approximate():
     return load_oscillator()["approximate"].plant
 
 
-def _paint_error_lines(controllers, trajectory, noise, title, seconds=(6.0, 6.5), **options):
+def paint_error_lines(controllers, trajectory, noise, title, seconds=(6.0, 6.5), **options):
     """A run of each controller on the exact plant, in noise of one seed."""
     figure, axes = figures.new(height=3.2)
     exact = load_oscillator()["exact"].plant
@@ -38,7 +36,7 @@ def _paint_error_lines(controllers, trajectory, noise, title, seconds=(6.0, 6.5)
 
 def paint_noise_free(frequency_hz: float, sharpness: float, window_length: int, bandwidth: float):
     """Tracking error without noise of the three filters, with other settings of two of them."""
-    chosen = published_controllers(_approximate())
+    chosen = published_controllers(approximate())
     del chosen[LITERAL]
     for name, other in (
         (WINDOW, MovingWindow(int(window_length))),
@@ -46,33 +44,23 @@ def paint_noise_free(frequency_hz: float, sharpness: float, window_length: int, 
     ):
         chosen[name] = replace(chosen[name], signal_filter=other)
     trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
-    return _paint_error_lines(chosen, trajectory, Noise(), "without noise")
+    return paint_error_lines(chosen, trajectory, Noise(), "without noise")
 
 
 def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: str):
     """Tracking error of the four controllers in noise of another size and kind."""
-    chosen, trajectory = published_controllers(_approximate()), asin_trajectory(frequency_hz=frequency_hz)
+    chosen, trajectory = published_controllers(approximate()), asin_trajectory(frequency_hz=frequency_hz)
     noise = Noise(kind, amplitude)
-    return _paint_error_lines(chosen, trajectory, noise, f"{kind} noise", integration=integration)
-
-
-def paint_low_pass(exponent: float, bandwidth: float, strength: float):
-    """The low pass with other settings than the paper's, in large Gaussian noise."""
-    transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
-    chosen = Controller(
-        LowPass(bandwidth, from_zero=True), transformation, KinematicDesign(exponent), _approximate()
-    )
-    noise = Noise("gaussian", 1e-4)
-    return _paint_error_lines({LOW_PASS: chosen}, asin_trajectory(), noise, "large Gaussian noise")
+    return paint_error_lines(chosen, trajectory, noise, f"{kind} noise", integration=integration)
 
 
 def paint_shift(frequency_hz: float, exponent: float):
     """Both forms of the Kalman filter without noise: the printed one tracks late by one sample."""
-    trajectory, published = asin_trajectory(frequency_hz=frequency_hz), published_controllers(_approximate())
+    trajectory, published = asin_trajectory(frequency_hz=frequency_hz), published_controllers(approximate())
     moved = {
         name: replace(published[name], kinematics=KinematicDesign(exponent)) for name in (KALMAN, LITERAL)
     }
-    figure = _paint_error_lines(moved, trajectory, Noise(), "without noise", (0.0, 12.0))
+    figure = paint_error_lines(moved, trajectory, Noise(), "without noise", (0.0, 12.0))
     [axes] = figure.axes
     nominal = trajectory.time[::20], trajectory.velocity[::20]
     axes.plot(*nominal, "k:", lw=1, label="1 ms times the nominal velocity")

@@ -12,13 +12,10 @@ from experiments.fixedpoint.axes import (
     log_axis,
     points_with_intervals,
 )
-from experiments.fixedpoint.metrics import compare
-from experiments.fixedpoint.noise import Noise
-from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import LITERAL, published_controllers
+from experiments.fixedpoint.published import LITERAL
 from stillwork.base.rounding import first_largest
 from stillwork.control.fixed_point import ControlledRun
-from stillwork.control.trajectory import Trajectory, asin_trajectory
+from stillwork.control.trajectory import Trajectory
 from workbook import figures
 from workbook.studies import Study
 
@@ -125,25 +122,6 @@ def paint_errors_over_frequency(
     return figure
 
 
-def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], label: str):
-    """Fraction of runs that obey each statement, a row a statement, a column a setting."""
-    figure, axes = figures.new(1, height=0.34 * len(fractions) + 1.2)
-    grid = np.array(list(fractions.values()), dtype=float)
-    rows = np.arange(len(fractions))
-    places, shades = np.arange(len(columns)), {"cmap": "Blues", "vmin": 0, "vmax": 1}
-    image = axes.pcolormesh(places, rows, grid, label="fraction of runs", **shades)
-    axes.set_yticks(rows, list(fractions))
-    axes.set_xticks(places, columns, fontsize=7)
-    axes.grid(False)
-    axes.invert_yaxis()
-    axes.set_xlabel(label)
-    for (row, column), value in np.ndenumerate(grid):
-        style = {"ha": "center", "va": "center", "fontsize": 7, "color": "w" if value > 0.5 else "k"}
-        axes.text(column, row, f"{value:.2g}", **style)
-    figure.colorbar(image, ax=axes, label="fraction of runs that obey the statement")
-    return figure
-
-
 def paint_estimate_shift(runs: dict[str, ControlledRun]):
     """Error of the filter's estimates against the derivative, after 2 s: a shift in time is a straight line."""
     figure, panels = figures.new(1, 2, height=3.4)
@@ -161,22 +139,4 @@ def paint_estimate_shift(runs: dict[str, ControlledRun]):
         axes.plot(reach, step_ms * reach, "k:", lw=1, label=f"one sample ({step_ms:g} ms) ahead")
         axes.set(xlabel=across, ylabel=up)
     legend_above(panels[0])
-    return figure
-
-
-def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
-    """RMS errors of the four controllers, mean over two noise records."""
-    exact, approximate = (model.plant for model in load_oscillator().values())
-    trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
-    controllers, noise = published_controllers(approximate), Noise("gaussian", amplitude)
-    found = compare(exact, controllers, trajectory, noise, runs=2, seed=0)
-    figure, panels = figures.new(1, 2, height=2.2)
-    for axes, quantity in zip(panels, ("position", "roughness"), strict=True):
-        for place, (name, study) in enumerate(found.items()):
-            mean = METRICS[quantity][2] * study[quantity].mean()
-            axes.plot(mean, place, "o", color=COLOURS[name], label=name)
-        axes.set(xscale="log", xlabel=METRICS[quantity][0], ylim=(len(found) - 0.5, -0.5))
-        axes.set_yticks(range(len(found)), [""] * len(found))
-        log_axis(axes.xaxis)
-    panels[0].set_yticklabels(list(found))
     return figure

@@ -1,12 +1,10 @@
 """The paper's rankings of its three filters as statements that each run obeys or not."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool
 
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
-from workbook.studies import Study, fraction, mean_interval
+from workbook.studies import Study, mean_interval
 
 SMOOTHEST = "low pass smoothest"
 NOISIEST = "Kalman filter noisiest"
@@ -78,73 +76,3 @@ def pooled(studies: dict[str, dict[str, Study]], kalman: str) -> dict[str, Bool[
     """The statements over the runs of all cases together."""
     each = [statements(study, kalman) for study in studies.values()]
     return {name: np.concatenate([obeyed[name] for obeyed in each]) for name in each[0]}
-
-
-def rankings(small: list[dict[str, Study]], large: list[dict[str, Study]]) -> dict[str, list[float]]:
-    """Fractions of runs that obey what the paper says, a number for each pair of studies, in small and in large noise."""
-
-    def share(studies, kalman, name, quantity="position"):
-        return [float(statements(study, kalman, quantity)[name].mean()) for study in studies]
-
-    return {
-        "small noise: low pass smoothest": share(small, LITERAL, SMOOTHEST),
-        "small noise: Kalman filter noisiest": share(small, LITERAL, NOISIEST),
-        "large noise: Kalman filter noisiest": share(large, LITERAL, NOISIEST),
-        "small noise: window most precise, (14) printed": share(small, LITERAL, WINDOW_PRECISE),
-        "small noise: window most precise, (14) corrected": share(small, KALMAN, WINDOW_PRECISE),
-        "small noise: window most precise in q', (14) printed": share(
-            small, LITERAL, WINDOW_PRECISE, "velocity"
-        ),
-        "large noise: low pass best, (14) printed": share(large, LITERAL, LOW_PASS_BEST),
-        "large noise: low pass best, (14) corrected": share(large, KALMAN, LOW_PASS_BEST),
-        "large noise: low pass best in q', (14) printed": share(large, LITERAL, LOW_PASS_BEST, "velocity"),
-    }
-
-
-def changed(before: dict[str, Study], after: dict[str, Study], kalman: str) -> str:
-    """Statements whose fraction differs between two readings of the paper, as text; ``none`` without any."""
-    old, new = statements(before, kalman), statements(after, kalman)
-    moved = [
-        f"{name} {old[name].mean():.2g} -> {new[name].mean():.2g}"
-        for name in old
-        if old[name].mean() != new[name].mean()
-    ]
-    return "; ".join(moved) or "none"
-
-
-@dataclass(frozen=True)
-class StatementTable:
-    """Fraction of runs that obey each statement, a row per case and statement; prints as text."""
-
-    rows: tuple[tuple[str, str, str, str], ...]
-
-    def __repr__(self) -> str:
-        return "\n".join("{:16s} {:27s} {:22s} {:22s}".format(*row).rstrip() for row in self.rows)
-
-
-def table(studies: dict[str, dict[str, Study]], corrected: str, printed: str) -> StatementTable:
-    """All statements in all cases, for both forms of the Kalman filter, with Wilson's 95 % intervals.
-
-    Runs that repeat one another, as those without noise do, are one run: they get no interval.
-    """
-    rows = [("case", "statement", "(14) printed", "(14) corrected")]
-    for case, study in studies.items():
-        repeated = all(np.ptp(found[quantity]) == 0 for found in study.values() for quantity in found.values)
-        forms = [statements(study, form) for form in (printed, corrected)]
-        for name in forms[0]:
-            cells = []
-            for obeyed in forms:
-                share, (low, high) = fraction(obeyed[name])
-                cells.append(f"{share:.2f}" if repeated else f"{share:.2f} ({low:.2f} .. {high:.2f})")
-            rows.append((case, name, *cells))
-    return StatementTable(tuple(rows))
-
-
-def longest_replaced(gaps: list[float], studies: list[dict[str, Study]], kalman: str) -> float:
-    """Longest gap, s, at which the better simple filter tracks q as well as the Kalman filter in every run; 0 if none."""
-    replaced = [0.0]
-    for gap, study in zip(gaps, studies, strict=True):
-        simple = np.minimum(study[WINDOW]["position"], study[LOW_PASS]["position"])
-        if (np.isfinite(simple) & (simple <= study[kalman]["position"])).all():
-            replaced.append(gap)
-    return max(replaced)
