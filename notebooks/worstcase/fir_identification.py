@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.worstcase.simulations import _fir_record, fir_trial
+from experiments.worstcase.simulations import fir_record, fir_trial
 from stillwork.estimation.min_max import min_max_solve
 from workbook import figures
 from workbook.studies import Study, mean_interval, run_study
@@ -20,7 +20,7 @@ def gain_trial(
 
     Distances from the true parameters: of ``min_max``, given the norm of that perturbation, and of ``least`` squares.
     """
-    regressors, outputs, _ = _fir_record(rng, gain * np.array(parameters), period, samples, 0.0, output_noise)
+    regressors, outputs, _ = fir_record(rng, gain * np.array(parameters), period, samples, 0.0, output_noise)
     bound = abs(gain - 1) * np.linalg.norm(regressors, 2)
     estimates = {
         "min_max": min_max_solve(regressors.T, outputs, bound).estimate,
@@ -36,7 +36,7 @@ def criterion_trial(
 
     The bound is each of `shares` of the one at which the estimate becomes zero; `record` as of `fir_trial`.
     """
-    regressors, outputs, _ = _fir_record(rng, parameters, **record)
+    regressors, outputs, _ = fir_record(rng, parameters, **record)
     matrix = regressors.T
     least = np.linalg.lstsq(matrix, outputs)[0]
     residual, length = np.linalg.norm(matrix @ least - outputs), np.linalg.norm(least)

@@ -35,7 +35,7 @@ def fir_trial(
     of the correction of A. ``perturbation``: norm of the true perturbation. ``bound``: eta_t.
     """
     noises = {"input_noise": input_noise, "output_noise": output_noise, "law": law}
-    regressors, outputs, errors = _fir_record(rng, parameters, period, samples, **noises)
+    regressors, outputs, errors = fir_record(rng, parameters, period, samples, **noises)
     taps = len(regressors)
     estimator = GrowingMinMax(np.sqrt(taps) * input_noise, update)
     bounds = estimator.bounds(0, samples)
@@ -55,7 +55,7 @@ def fir_trial(
     return found
 
 
-def _fir_record(rng, parameters, period, samples, input_noise, output_noise, law="uniform"):
+def fir_record(rng, parameters, period, samples, input_noise, output_noise, law="uniform"):
     """Measured regressors, outputs, and the errors of the regressors."""
     parameters = np.asarray(parameters, float)
     taps = len(parameters)
