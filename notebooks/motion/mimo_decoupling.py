@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from experiments.motion.beam import beam
+from experiments.motion.beam import beam, beam_parameters, beam_shapes
 from experiments.motion.decoupled_damping import added_damping
 from experiments.motion.decoupling_schemes import (
     Settings,
@@ -17,7 +17,44 @@ from experiments.motion.decoupling_schemes import (
 from experiments.motion.intervals import Values
 from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.control.feedback import damping_gain
+from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
+from workbook import figures
+
+
+def paint_beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
+    """Flexible mode shapes of the uniform beam with the places of actuators and sensors."""
+    published = beam_parameters()["published"]["frequencies_hz"]
+    along = np.linspace(0, 1, 201)
+    figure, axis = figures.new(1, 1, height=2.6)
+    shapes = beam_shapes(along, 2 + len(published))[:, 2:]
+    for frequency, shape in zip(published, shapes.T, strict=True):
+        axis.plot(along, shape, label=f"{frequency:g} Hz")
+    axis.plot(actuators, np.full(len(actuators), -2.35), "^", color=figures.BLACK, label="actuators")
+    for number, place in enumerate(actuators, 1):
+        axis.annotate(str(number), (place, -2.3), xytext=(6, 0), textcoords="offset points", fontsize=8)
+    axis.plot(sensors, np.full(len(sensors), 2.35), "v", color=figures.GREY, label="sensors")
+    axis.set(xlabel="place along the beam (of its length)", ylabel="mode shape (tip = 2)")
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=len(published) + 2)
+    return figure
+
+
+def observable_noise_models(plant: ModalModel) -> int:
+    """How many constant forces, one per actuator, the sensors can tell apart: the rank test (3.17).
+
+    The rank of [A B; C 0] beyond the states, after scaling.
+    """
+    states = plant.state_space()
+    size = np.linalg.norm(states.a)
+    whole = np.block([[states.a, states.b], [states.c, np.zeros_like(states.d)]])
+    scale = np.repeat(np.where(plant.frequencies > 0, plant.frequencies, size**0.5), 2)
+    scale[1::2] = 1.0  # velocities count as the displacement they lead to
+    whole[:, : len(states.a)] /= scale
+    whole[: len(states.a)] *= scale[:, None]
+    whole /= np.linalg.norm(whole, axis=1)[:, None]
+    whole /= np.linalg.norm(whole, axis=0)
+    return int(np.linalg.matrix_rank(whole, tol=1e-10)) - len(states.a)
+
 
 ACTUATORS, SENSORS = (0.1, 0.85), (0.03, 0.92)  # places as parts of the length; unpublished
 TRAVEL, SENSOR_TRAVEL = (-0.1, 0.15), (-0.03, 0.07)  # of both along the beam; unpublished

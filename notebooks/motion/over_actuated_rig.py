@@ -1,11 +1,14 @@
 """The loops of the over-actuated rig and its tracking, and an explorer of one entry (notebook 24)."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
+from scipy import linalg, signal
+from scipy.optimize import linear_sum_assignment
 
 from experiments.motion.intervals import Values
 from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
@@ -14,15 +17,94 @@ from experiments.motion.rig_designs import (
     COLOURS,
     FORCES,
     MOTIONS,
-    UNITS,
     frequencies,
     published_settings,
     rig_loops,
 )
 from experiments.motion.rig_loops import RigLoop
+from experiments.motion.rig_study import Levelling, lines_of, to_error
+from stillwork.base.checks import InputError
+from stillwork.control.discrete_damping import sampled_feedback
+from stillwork.control.feedback import fed_back
+from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
+from stillwork.lti.discretisation import zoh_modes
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.simulation import simulate
 from stillwork.signals.spectra import Spectrum
 from workbook import figures
+
+
+def sampled_damping(
+    model: ModalModel, gains: Float64[np.ndarray, "inputs flexible"], sample_time: float
+) -> tuple[Float64[np.ndarray, " flexible"], Float64[np.ndarray, " flexible"]]:
+    """Damping ratios under u = K eta_dot on true states: of the continuous and of the sampled flexible modes.
+
+    What a gain designed in continuous time gives when its force is held over a sample (section 4.1.2), sorted by
+    the frequency of the continuous modes; each sampled mode stands beside the continuous one nearest to it.
+    """
+    rigid = model.rigid_modes
+    gain = np.zeros((gains.shape[0], 2 * len(model.frequencies)))
+    gain[:, 2 * rigid + 1 :: 2] = gains
+    continuous, sampled = fed_back(model, gain), sampled_feedback(model, gain, sample_time)
+    poles = [
+        (each.frequencies * (-each.damping + 1j * np.sqrt(1 - each.damping**2)))[rigid:]
+        for each in (continuous, sampled)
+    ]
+    nearest = linear_sum_assignment(np.abs(poles[0][:, None] - poles[1]))[1]
+    return continuous.damping[rigid:], sampled.damping[rigid:][nearest]
+
+
+def placed_damping(model: ModalModel, target: float, sample_time: float) -> Float64[np.ndarray, " flexible"]:
+    """Damping ratios that pole placement on the sampled flexible modes reaches (section 4.1.2), ascending frequency.
+
+    The frequencies stay, all damping ratios shall become `target`. The gain acts on positions too.
+    """
+    flexible = model.modes(slice(model.rigid_modes, None))
+    held = zoh_modes(flexible, sample_time)
+    upper = np.exp(flexible.frequencies * (-target + 1j * np.sqrt(1 - target**2)) * sample_time)
+    with warnings.catch_warnings():
+        # The poles are placed all the same; only their most robust eigenvectors were still being looked for.
+        warnings.filterwarnings("ignore", message="Convergence was not reached")
+        try:
+            gain = signal.place_poles(held.a, held.b, np.concatenate([upper, upper.conj()])).gain_matrix
+        except ValueError as error:
+            raise InputError(f"the poles of model cannot be placed ({error}); leave modes out") from None
+    poles = np.log(linalg.eigvals(held.a - held.b @ gain).astype(complex)) / sample_time
+    poles = poles[poles.imag > 0]
+    poles = poles[np.argsort(np.abs(poles))]
+    return -poles.real / np.abs(poles)
+
+
+def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:
+    """Largest singular value over frequency of O_yu C_fb, which section 6.3 keeps below 1 (scaled directions)."""
+    o_yu = np.moveaxis(loop.compensator.frequency_response(loop.omega)[3:, :3], -1, 0)
+    seen = loop.decoupling.sensing @ o_yu @ loop.decoupling.actuation * loop.controlled(pids)[:, None, :]
+    return float(np.linalg.norm(seen, 2, axis=(1, 2)).max())
+
+
+UNITS = (("m/N", "m/Nm", "m/Nm"), ("rad/N", "rad/Nm", "rad/Nm"), ("rad/N", "rad/Nm", "rad/Nm"))
+
+
+def levelling_error(
+    loop: RigLoop,
+    pids: Sequence[Pid],
+    trajectory: Levelling,
+    noise: NoiseIntensities,
+    rng: np.random.Generator,
+    periods: int = 1,
+) -> Float64[np.ndarray, "3 samples"]:
+    """True error over the last period (m, rad, rad), simulated with noise after `periods` periods of settling."""
+    model = to_error(loop, pids)
+    count = round(trajectory.period / loop.sample_time)
+    if abs(count * loop.sample_time - trajectory.period) > 1e-9 * trajectory.period:
+        raise InputError("period of the trajectory is not a multiple of the sample time; change one of them")
+    time = np.arange((periods + 1) * count) * loop.sample_time
+    known = (lines_of(trajectory, loop) @ np.exp(1j * np.outer(trajectory.omega, time))).real
+    sizes = np.sqrt(np.repeat([noise.process, noise.sensor], 3))
+    random = sizes[:, None] * rng.standard_normal((6, len(time)))
+    inputs = np.vstack([known[:3], known[3:] + random[:3], random[3:]])
+    return simulate(model, inputs)[:, -count:]
 
 
 def physical_plant(loop: RigLoop) -> np.ndarray:

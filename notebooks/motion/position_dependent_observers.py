@@ -1,12 +1,14 @@
 """Position-dependent observers (section 4.2), one line a place, coloured along the structure (notebook 15)."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.designs import Design
-from experiments.motion.machines import stage, stage_mass
+from experiments.motion.designs import RETAINED, Design
+from experiments.motion.machines import shapes_along, stage, stage_mass
 from experiments.motion.pictures import (
     LABELS,
     add_magnitude,
@@ -15,12 +17,105 @@ from experiments.motion.pictures import (
     paint_magnitudes,
     plain,
 )
-from experiments.motion.position_dependence import place_loops, stage_grid
+from experiments.motion.position_dependence import GainTable, at_place, compensator_at, stage_grid
+from experiments.motion.scan_study import along_scan
 from stillwork.control.applications import Application
-from stillwork.control.bandwidth import Loop
+from stillwork.control.bandwidth import Loop, make_loop
+from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.control.pid import Pid, PidFamily
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.estimation.robust import kalman_gains
+from stillwork.estimation.time_varying import estimate
+from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel
 from workbook import figures
+
+
+def nodes(plant: ModalModel, grid: ArrayLike, mode: int) -> Float64[np.ndarray, " nodes"]:
+    """Places (m) where a mode shape is zero: a sensor there does not see it, an actuator does not move it."""
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(grid, plant.output_shapes[:, mode]).roots(extrapolate=False)
+
+
+def place_loops(
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, design: Design, **response_grid
+) -> list[Loop]:
+    """One loop a place, with the observer of that place; `response_grid` goes to `make_loop`."""
+    return [
+        make_loop(at_place(plant, grid, place), compensator_at(plant, grid, place, design), **response_grid)
+        for place in np.asarray(places, float).tolist()
+    ]
+
+
+def damping_along(
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, sample_time: float
+) -> Float64[np.ndarray, "places 1 states"]:
+    """Discrete damping gains (4.3) of an actuator that moves along the structure, solved at every place."""
+    models = (at_place(plant, grid, place, "actuator") for place in np.asarray(places, float).tolist())
+    return np.array(
+        [discrete_damping_gain(model.modes(slice(0, RETAINED)), increase, sample_time) for model in models]
+    )
+
+
+def damping_table(
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, sample_time: float
+) -> GainTable:
+    """The same gains computed beforehand on a grid of places without a node, for linear interpolation."""
+    return GainTable(np.asarray(places, float), damping_along(plant, grid, places, increase, sample_time))
+
+
+AMPLITUDE = 0.01  # N, of the force
+
+
+@dataclass(frozen=True)
+class Passage:
+    """True and estimated modal position of one mode while the sensor follows a trajectory."""
+
+    time: Float64[np.ndarray, " samples"]  # s
+    truth: Float64[np.ndarray, " samples"]  # m sqrt(kg)
+    estimate: Float64[np.ndarray, " samples"]  # m sqrt(kg)
+
+    def worst(self, start: float, end: float) -> float:
+        """Largest estimation error between two times (s), relative to the mode's largest motion there."""
+        window = (self.time >= start) & (self.time <= end)
+        size = np.abs(self.truth[window]).max()
+        return float(np.abs(self.truth - self.estimate)[window].max() / size)
+
+
+def move(
+    start: float, wait: float, speed: float, length: float, rest: float, sample_time: float
+) -> np.ndarray:
+    """Places (m): stand at `start` for `wait` s, move `length` m at `speed` m/s, stand for `rest` s."""
+    time = np.arange(round((wait + length / speed + rest) / sample_time) + 1) * sample_time
+    return start + np.clip(speed * (time - wait), 0.0, length)
+
+
+def pass_node(
+    plant: ModalModel,
+    grid: ArrayLike,
+    places: ArrayLike,
+    mode: int,
+    noise: NoiseIntensities,
+    sample_time: float,
+    phase: float = 0.0,
+) -> Passage:
+    """Run the time-varying Kalman filter while an unknown force excites one mode at its resonance.
+
+    The filter models all modes of the plant and is designed for `noise`; the sensor follows `places` (m).
+    """
+    places = np.asarray(places, float)
+    shapes = shapes_along(plant, grid, places)
+    model = along_scan(plant, sample_time, shapes, noise.process / sample_time, noise.sensor / sample_time)
+    time = np.arange(len(places)) * sample_time
+    force = AMPLITUDE * np.sin(plant.frequencies[mode] * time + phase)
+    a, b = model.a[0], model.b[0]
+    states = simulate(StateModel(a, b, np.eye(len(a)), np.zeros_like(b), sample_time), force[None])
+    y = np.einsum("koi,ik->ok", model.c, states)
+    found = estimate(kalman_gains(model), np.zeros((1, len(places))), y)
+    return Passage(time, states[2 * mode], found[2 * mode])
 
 
 def _along(loops: Mapping[float, Loop], low_hz: float, high_hz: float):

@@ -1,26 +1,115 @@
 """The rig over geometries: what this notebook alone needs."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from jaxtyping import Float64
 from matplotlib.lines import Line2D
 
 from experiments.motion.intervals import Values, central
 from experiments.motion.pictures import plain
-from experiments.motion.rig import assumed_geometry, rig_model
+from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, rig_model
 from experiments.motion.rig_designs import (
     CASES,
     COLOURS,
     MOTIONS,
+    RigSettings,
     bandwidths,
     model_errors,
     published_settings,
+    rig_controllers,
     rig_loops,
 )
-from experiments.motion.rig_study import levelling, levelling_errors, printed_controllers, sample_geometry
+from experiments.motion.rig_loops import MEASURES, RigLoop
+from experiments.motion.rig_study import Levelling, flexible_peaks, levelling, levelling_rms
+from stillwork.base.checks import InputError
+from stillwork.base.validation import checked
+from stillwork.control.pid import Pid
+from stillwork.estimation.observer import NoiseIntensities
 from workbook import figures
+
+PRINTED_HZ = {"Original": (6.0, 8.0), "MC": (9.0, 11.0), "AD": (12.0, 13.0), "MC and AD": (17.0, 21.0)}
+
+
+def sample_geometry(rng: np.random.Generator) -> Geometry:
+    """A geometry from the ranges of ``rig.toml``; the length stays, since only ratios of lengths matter."""
+    ranges, known = assumed()["ranges"], assumed_geometry()
+    return replace(
+        known,
+        mass=float(np.exp(rng.uniform(*np.log(ranges["mass"])))),
+        width=known.length * rng.uniform(*ranges["aspect"]),
+        actuators=rng.uniform(*ranges["actuators"]),
+        sensors=(rng.uniform(*ranges["sensors"]), rng.uniform(*ranges["sensors"])),
+    )
+
+
+def printed_controllers(loop: RigLoop) -> dict[str, tuple[Pid, Pid, Pid]]:
+    """The controllers of all cases at the bandwidths of Table 6.2."""
+    family = rig_controllers(loop.decoupling.masses)
+    return {case: family(*hz) for case, hz in PRINTED_HZ.items()}
+
+
+def levelling_errors(
+    loops: Mapping[str, Sequence[RigLoop]],
+    pids: Mapping[str, Sequence[Pid] | None],
+    trajectory: Levelling,
+    noise: NoiseIntensities,
+    mass_error: float = 0.0,
+) -> Float64[np.ndarray, "2 cases 3"]:
+    """`levelling_rms` at the first position, with the original's and with each case's own controllers.
+
+    NaN where there is no controller, or the loop is unstable.
+    """
+
+    def rms(case: str, owner: str) -> Float64[np.ndarray, "3"]:
+        if pids[owner] is not None:
+            with suppress(InputError):  # of an unstable loop
+                return levelling_rms(loops[case][0], pids[owner], trajectory, noise, mass_error)
+        return np.full(3, np.nan)
+
+    with_original = [rms(case, "Original") for case in CASES]
+    return np.array([with_original, [with_original[0], *(rms(case, case) for case in CASES[1:])]])
+
+
+@checked
+def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.ndarray]:
+    """One geometry, one draw of model errors, all four cases, under both readings of "peaks below 6 dB".
+
+    With one entry a reading (`MEASURES`) in front: ``crossing`` (cases, 3) in Hz, mean over positions;
+    ``peaks`` (cases, functions); ``original`` and ``redesigned`` (cases, 3), rms errors in m and rad at the
+    first position with the original and with the redesigned controllers; all NaN where no bandwidth passes.
+    Then ``printed`` (2, cases, 3), the same errors with the bandwidths of Table 6.2, and ``edges`` (3,) in m. Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
+    ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
+    """
+    geometry = sample_geometry(rng)
+    loops = rig_loops(geometry, settings, model_errors(rng))
+    trajectory = levelling(rng)
+    found = [bandwidths(loops, measure).values() for measure in MEASURES]
+    pids = [{case: each.pids for case, each in zip(CASES, designs, strict=True)} for designs in found]
+    errors = [levelling_errors(loops, pid, trajectory, settings.noise) for pid in pids]
+    original, redesigned = np.swapaxes(errors, 0, 1)
+    flexible = [flexible_peaks(loop) for loop in loops.values()]
+    printed = printed_controllers(loops["Original"][0])
+    excited = [excitation(geometry, used) for used in ((0, 1, 2, 3), geometry.used)]
+    return {
+        "crossing": np.array([[design.crossing_hz.mean(axis=0) for design in designs] for designs in found]),
+        "peaks": np.array([[each.peaks.max(axis=0) for each in designs] for designs in found]),
+        "original": original,
+        "redesigned": redesigned,
+        "printed": levelling_errors(loops, printed, trajectory, settings.noise),
+        "edges": geometry.edges,
+        "flexible": np.array([each.peaks for each in flexible]),
+        "coupling": np.array([each.coupling for each in flexible]),
+        "mass": np.array(geometry.mass),
+        "aspect": np.array(geometry.width / geometry.length),
+        "actuators": np.array(geometry.actuators),
+        "sensors": np.array(geometry.sensors),
+        "excitation": np.abs(excited).max(axis=2),
+    }
+
 
 # === Geometry pictures ============================================================================================
 # The rig's tables over geometries, and an explorer of one geometry (notebook 25).

@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,31 +13,25 @@ from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.intervals import Values, central, key
-from experiments.motion.machines import stage
-from experiments.motion.perturbed_tracking import CASES, MEASURED, published_blocks, tracking_trial
-from experiments.motion.scan_study import (
-    Errors,
-    Records,
-    Scan,
-    filter_model,
-    judge,
-    published_scan,
-    record_scans,
-    rms,
-)
+from experiments.motion.machines import published_deviations, published_setpoint, stage
+from experiments.motion.perturbed_tracking import APPLICATIONS, CASES, MEASURED
+from experiments.motion.scan_study import Scan, along_scan, contiguous, published_scan, rms
 from experiments.motion.uncertainty import LAWS, norm_bound, perturbed, sample_errors, sampled_derivatives
 from stillwork.base.algebra import (
     add_product,
+    advance_state,
     condition,
     copy_vector,
     measure,
     minus_row,
     multiply,
+    plus_row,
     set_product,
 )
-from stillwork.base.checks import require_finite_run
+from stillwork.base.checks import InputError, require_finite_run
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.validation import checked
+from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.uncertain_modes import uncertain_channel
 from stillwork.estimation.robust import (
@@ -55,12 +49,199 @@ from stillwork.estimation.robust import (
     step_data,
 )
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel, estimate
+from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import hinf_norm
+from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 from stillwork.lti.structured import prove_gain
 from workbook import figures, paths
 from workbook.studies import Study, fraction, run_study
+
+Blocks = Mapping[str, tuple[StateModel | None, StateModel]]  # compensator and controller of each case
+
+
+_setpoint = cache(published_setpoint)  # every trial needs it, and the nominal stage
+
+
+@cache
+def _nominal() -> ModalModel:
+    """The observers' model of the stage, from the force to y5."""
+    return stage().at([0], [MEASURED - 1])
+
+
+@cache
+def published_blocks() -> Blocks:
+    """The designs of Table 3.5: the largest bandwidth that each application allows on the nominal stage."""
+    controllers = {name: stage_bandwidth(name).controller.state_space() for name in ("PID", *APPLICATIONS)}
+    return {
+        case: (stage_compensator(MEASURED, DESIGNS[observer]), controllers[controller])
+        for case, (observer, controller) in CASES.items()
+    }
+
+
+@checked(infinite=True)
+def tracking_trial(
+    rng: np.random.Generator,
+    blocks: Blocks,
+    size: float,
+    law: str = "ends",
+    rigid: bool = True,
+    retune: bool = True,
+    sample_time: float = 1e-4,
+) -> dict[str, float]:
+    """Rms of the true error in the scanning phase (m) of every case, on one perturbed plant and one draw of the noise.
+
+    With `retune` the feedforward is fitted to the perturbed plant without observer, as the data-based tuning would;
+    else it keeps the gains of the nominal plant. The noise is white from sample to sample and held between them.
+    """
+    setpoint = _setpoint(sample_time)
+    nominal = _nominal()
+    plant = perturbed(nominal, sample_errors(rng, nominal, size, law, rigid))
+    sizes = np.array([*published_deviations().values()])[:, None]
+    noise = rng.standard_normal((3, setpoint.derivatives.shape[1])) * sizes
+    if size:
+        answers = _answers(plant, blocks, retune, sample_time)
+    else:  # every run of a study has this plant
+        key = (sample_time, *((case, *map(id, designs)) for case, designs in blocks.items()))
+        if key not in _exact:
+            _exact[key] = blocks, _answers(plant, blocks, retune, sample_time)
+        answers = _exact[key][1]
+    return {
+        case: np.inf
+        if answer is None
+        else rms((answer.error + simulate(answer.noise, noise)[0])[setpoint.scanning])
+        for case, answer in answers.items()
+    }
+
+
+class _Answer(NamedTuple):
+    """Response of a stable loop, independent of the noise."""
+
+    error: Float64[np.ndarray, " samples"]  # m, on the setpoint
+    noise: StateModel  # sampled, from the noises to the error
+
+
+# Of the exact plant, by the sample time and the designs, which are kept beside: who are gone could leave their `id`.
+_exact: dict[tuple, tuple[Blocks, dict[str, _Answer | None]]] = {}
+
+
+def _answers(
+    plant: ModalModel, blocks: Blocks, retune: bool, sample_time: float
+) -> dict[str, _Answer | None]:
+    """Of every case; None where its loop is unstable."""
+    setpoint, deviations = _setpoint(sample_time), list(published_deviations())
+    feedforward: Feedforward | None = None
+    found: dict[str, _Answer | None] = {}
+    # The first case has no observer: its loop is the one that is tuned.
+    for case, (block, controller) in blocks.items():
+        loop = closed_loop(plant, block, controller)
+        if not loop.is_stable:
+            found[case] = None
+            continue
+        if feedforward is None:
+            tuned_on = plant if retune else _nominal()
+            feedforward = fit_feedforward(error_loop(closed_loop(tuned_on, None, controller)), setpoint)
+        error = tracking_error(error_loop(loop), setpoint, feedforward)
+        found[case] = _Answer(error, zoh(channel(loop, deviations, "e_true"), sample_time))
+    return found
+
+
+@dataclass(frozen=True)
+class Records:
+    """Recorded scans of several plants."""
+
+    u: Float64[np.ndarray, "runs inputs samples"]  # N, force of controller and feedforward
+    y: Float64[np.ndarray, "runs outputs samples"]  # m, measurement
+    states: Float64[np.ndarray, "runs states samples"]  # true modal states, form 1
+
+
+def filter_model(scan: Scan) -> TimeVaryingModel:
+    """Nominal model for the filters."""
+    w, v, d = scan.deviations
+    return along_scan(scan.nominal, scan.sample_time, scan.shapes, w**2, v**2 + d**2)
+
+
+def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generator) -> Records:
+    """Simulate one scan for every plant, exactly at the samples, with fresh noise for each."""
+    samples, runs, control = len(scan.shapes), len(errors), scan.controller
+    factors = 1 + np.asarray(errors, float)
+    if np.any(np.diff(scan.nominal.frequencies * factors[:, :, 0]) < 0):
+        raise InputError("errors are so large that two modes change places; give smaller ones")
+    sampled = [zoh_modes(perturbed(scan.nominal, error), scan.sample_time) for error in errors]
+    noise = rng.standard_normal((runs, 3, samples)) * np.array(scan.deviations)[:, None]
+    states = np.zeros((runs, samples, len(sampled[0].a)))
+    u, y = np.zeros((runs, samples)), np.zeros((runs, samples))
+    _scan(
+        np.array([m.a for m in sampled]),
+        np.array([m.b[:, 0] for m in sampled]),
+        scan.shapes * factors[:, None, :, 3],
+        contiguous(scan.setpoint.derivatives[0], scan.mass * scan.setpoint.derivatives[2]),
+        contiguous(control.a, control.b[:, 0], control.c),
+        noise,
+        states,
+        u,
+        y,
+    )
+    return Records(u[:, None], y[:, None], np.ascontiguousarray(np.swapaxes(states, 1, 2)))
+
+
+@kernel
+def _scan(a, b, shapes, given, control, noise, states, u, y):
+    (runs, samples, n), (reference, forward), (ca, cb, cc) = states.shape, given, control
+    m = ca.shape[0]
+    for run in range(runs):
+        plant, into, seen = a[run], b[run], shapes[run]
+        x, following, z, z_following = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m)
+        positions = x[::2]
+        for k in range(samples):
+            copy_vector(x, states[run, k])
+            u[run, k] = force = plus_row(forward[k], cc, 0, z)
+            y[run, k] = output = plus_row(noise[run, 2, k] - noise[run, 1, k], seen, k, positions)
+            advance_state(ca, cb, reference[k] - output, z, z_following)
+            advance_state(plant, into, force + noise[run, 0, k], x, following)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Estimation errors over the scanning phase, per run and state (SI units)."""
+
+    rms: Float64[np.ndarray, "runs states"]
+    bias: Float64[np.ndarray, "runs states"]  # mean
+    drift: Float64[np.ndarray, "runs states"]  # change over the phase, of the straight line through the error
+    size: Float64[np.ndarray, "runs states"]  # rms of the true state about its mean, over the same phase
+    end: Float64[np.ndarray, "runs states"]  # error at the end of the phase
+    accelerating: Float64[np.ndarray, "runs states"]  # rms error outside the phase of constant velocity
+    move: Float64[np.ndarray, "runs states"]  # rms error over the whole move ...
+    move_size: Float64[np.ndarray, "runs states"]  # ... and rms of the true state
+
+    def flexible(self) -> Float64[np.ndarray, " runs"]:
+        """Root mean square over the flexible states of error over true size: what MC and AD live on."""
+        return np.sqrt(np.mean((self.rms[:, 2:] / self.size[:, 2:]) ** 2, axis=1))
+
+
+def judge(scan: Scan, records: Records, estimates: ArrayLike) -> Errors:
+    """Errors of the estimates of all runs in the scanning phase."""
+    estimates = np.asarray(estimates, float)
+    window = scan.setpoint.scanning
+    true = records.states[:, :, window]
+    whole = records.states - estimates
+    error = whole[:, :, window]
+    # The snap segments at both ends of the move: everything before the settling and after the scan.
+    time = scan.setpoint.time
+    moving = (time < scan.setpoint.acceleration_end) | (~window & (time > scan.setpoint.scan[0]))
+    line = np.linspace(-1, 1, window.sum())
+    return Errors(
+        rms(error),
+        error.mean(axis=2),
+        2 * (error @ line) / (line @ line),
+        true.std(axis=2),
+        error[:, :, -1],
+        rms(whole[:, :, moving]),
+        rms(whole),
+        rms(records.states),
+    )
+
 
 # === Filters ======================================================================================================
 # Filters side by side on the same scans, each with one setting, tuned alike; what section 5.4.3 says of Fig. 5.10.

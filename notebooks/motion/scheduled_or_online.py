@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.machines import published_setpoint, shapes_along, stage, stage_mass
-from experiments.motion.position_dependence import GainTable, gain_table, scheduled_gains
+from experiments.motion.position_dependence import GainTable
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
 from stillwork.base.algebra import add_scaled, advance_state, copy_vector, minus_row, plus_column, plus_row
 from stillwork.base.checks import InputError
@@ -17,12 +17,27 @@ from stillwork.base.kernels import kernel
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.setpoint import Setpoint, point_to_point
+from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from workbook import figures
+
+
+def gain_table(
+    a: ArrayLike, g: ArrayLike, rows: ArrayLike, grid: ArrayLike, process: ArrayLike, sensor: ArrayLike
+) -> GainTable:
+    """Stationary Kalman filter gains for the rows of C at every point of an ascending grid (m)."""
+    gains = [discrete_gain(a, g, c, process, sensor).filter_gain for c in np.asarray(rows, float)]
+    return GainTable(np.asarray(grid, float), np.array(gains))
+
+
+def scheduled_gains(model: TimeVaryingModel, table: GainTable, places: ArrayLike) -> FilterGains:
+    """Filter whose gain is looked up at every sample; everything else is the time-varying filter's."""
+    return FilterGains(model.a, model.b, table.at(places), model.c)
+
 
 RETAINED, COMPENSATED = 4, 3
 

@@ -8,15 +8,46 @@ import numpy as np
 from experiments.motion.designs import DESIGNS, as_read, design_controller, limit, stage_compensator
 from experiments.motion.intervals import Values, key
 from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
-from experiments.motion.perturbed_tracking import CASES, MEASURED, noisy_scan_trial
+from experiments.motion.perturbed_tracking import CASES, MEASURED, WARM_UP
 from experiments.motion.pictures import paint_errors
-from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
+from stillwork.control.feedforward import (
+    Feedforward,
+    error_loop,
+    fit_feedforward,
+    noise_error,
+    tracking_error,
+)
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint
+from stillwork.lti.state_space import StateModel
 from stillwork.signals.moving_average import rms
 from workbook import figures
 from workbook.studies import run_study, spread_interval
+
+
+def noisy_scan_trial(
+    rng: np.random.Generator,
+    loops: dict[str, StateModel],
+    setpoint: Setpoint,
+    feedforward: Feedforward | Mapping[str, Feedforward],
+    deviations: dict[str, float],
+) -> dict[str, float]:
+    """Rms of the true error in the scan (m) of several loops with modified feedforward under one noise realisation.
+
+    The feedforward is one for all, or each loop's own.
+    """
+    seed = rng.integers(2**63)  # every loop meets the same noise
+    samples = WARM_UP + setpoint.derivatives.shape[1]
+    found = {}
+    for name, loop in loops.items():
+        draws = np.random.default_rng(seed)
+        noise = noise_error(loop, setpoint.sample_time, samples, deviations, draws)[0, WARM_UP:]
+        own = feedforward if isinstance(feedforward, Feedforward) else feedforward[name]
+        error = tracking_error(error_loop(loop), setpoint, own) + noise
+        found[name] = rms(error[setpoint.scanning])
+    return found
+
 
 # === Tracking pictures ============================================================================================
 # Figure and explorer of tracking (notebook 11).

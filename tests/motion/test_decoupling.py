@@ -27,7 +27,6 @@ from experiments.motion.decoupling_schemes import (
     crosswise_force,
     geometry_trial,
     half_power_selectivity,
-    kept_out_trial,
     low_frequency_slopes,
     off_diagonal_peak,
     oscillates_stably,
@@ -38,6 +37,7 @@ from experiments.motion.decoupling_schemes import (
     with_scheme,
 )
 from experiments.motion.machines import published_noise
+from notebooks.motion.decoupled_damping import kept_out_trial
 from stillwork.base.checks import InputError
 from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.control.feedback import damping_gain

@@ -5,22 +5,20 @@ import pytest
 from scipy import linalg, signal
 
 from experiments.motion.designs import DESIGNS, stage_compensator
-from experiments.motion.ideal_feedforward import (
-    feedforward_error,
-    ideal_force,
-    invert,
-    respond,
-    sampled_ideal_force,
-)
+from experiments.motion.ideal_feedforward import invert
 from experiments.motion.machines import published_setpoint, stage, stage_mass
 from experiments.motion.position_dependence import stage_grid
 from notebooks.motion.twenty_nine_scans import (
     LocationStudy,
     bare_error,
+    feedforward_error,
     fit_to_force,
+    ideal_force,
     location_loops,
     location_noise,
     ranges,
+    respond,
+    sampled_ideal_force,
     study_locations,
 )
 from stillwork.control.feedforward import (

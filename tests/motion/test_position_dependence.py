@@ -8,16 +8,14 @@ from experiments.motion.designs import (
     stage_observer,
 )
 from experiments.motion.machines import published_noise, shapes_along, stage, stage_mass
-from experiments.motion.position_dependence import (
-    at_place,
+from experiments.motion.position_dependence import at_place, observer_at, stage_grid
+from notebooks.motion.position_dependent_observers import (
     damping_along,
     damping_table,
     move,
     nodes,
-    observer_at,
     pass_node,
     place_loops,
-    stage_grid,
 )
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.pid import PidFamily

@@ -11,7 +11,6 @@ from experiments.motion.rig import (
     assumed_geometry,
     rig_model,
 )
-from experiments.motion.rig_control import placed_damping, sampled_damping
 from experiments.motion.rig_designs import (
     bandwidths,
     model_errors,
@@ -21,15 +20,9 @@ from experiments.motion.rig_designs import (
     rig_loops,
 )
 from experiments.motion.rig_loops import sampled_controller
-from experiments.motion.rig_study import (
-    flexible_peaks,
-    levelling,
-    levelling_error,
-    levelling_rms,
-    output_variance,
-    rig_trial,
-    sample_geometry,
-)
+from experiments.motion.rig_study import flexible_peaks, levelling, levelling_rms, output_variance
+from notebooks.motion.over_actuated_rig import levelling_error, placed_damping, sampled_damping
+from notebooks.motion.rig_over_geometries import rig_trial, sample_geometry
 from stillwork.base.checks import InputError
 from stillwork.control.loops import channel
 from stillwork.estimation.observer import NoiseIntensities

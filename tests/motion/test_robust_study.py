@@ -4,15 +4,10 @@ import numpy as np
 import pytest
 
 from experiments.motion.machines import stage
-from experiments.motion.scan_study import (
-    filter_model,
-    judge,
-    published_scan,
-    record_scans,
-)
+from experiments.motion.scan_study import published_scan
 from experiments.motion.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from naive import motion_filters as naive
-from notebooks.motion.robust_comparison import output_errors
+from notebooks.motion.robust_comparison import filter_model, judge, output_errors, record_scans
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import kalman_gains

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 from experiments.motion.machines import shapes_along, stage, stage_mass
-from experiments.motion.position_dependence import GainTable, gain_table, scheduled_gains
+from experiments.motion.position_dependence import GainTable
 from experiments.motion.scan_study import output_rows
 from notebooks.motion.scheduled_or_online import (
+    gain_table,
     observer_model,
     position_scan,
     published_fast_setpoint,
     run_applied,
+    scheduled_gains,
 )
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import PidFamily

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.perturbed_tracking import noisy_scan_trial
 from naive.motion import integrate_setpoint, moving_windows
 from notebooks.motion.disturbance_rejection import band_power, cumulative_power
+from notebooks.motion.tracking import noisy_scan_trial
 from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
     Feedforward,

@@ -22,6 +22,9 @@ __all__, __getattr__, __dir__ = lazy_exports(
             "stage",
             "stage_mass",
         ),
-        "position_dependence": ("at_place", "observer_at", "place_loops"),
+        "position_dependence": (
+            "at_place",
+            "observer_at",
+        ),
     },
 )

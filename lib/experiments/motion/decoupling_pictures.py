@@ -1,10 +1,10 @@
 """Figures of the decoupled machine: every entry of a transfer matrix in its place."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from experiments.motion.beam import beam, beam_parameters, beam_shapes
+from experiments.motion.beam import beam, beam_parameters
 from experiments.motion.decoupling_schemes import Settings, actuators_of, published_settings, with_scheme
 from experiments.motion.pictures import decibel, plain
 from stillwork.lti.peaks import resonance_grid
@@ -60,23 +60,6 @@ def paint_transfer_matrix(
     figure.legend(
         axes[0, 0].lines[: len(systems)], list(systems), loc="outside lower center", ncols=len(systems)
     )
-    return figure
-
-
-def paint_beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
-    """Flexible mode shapes of the uniform beam with the places of actuators and sensors."""
-    published = beam_parameters()["published"]["frequencies_hz"]
-    along = np.linspace(0, 1, 201)
-    figure, axis = figures.new(1, 1, height=2.6)
-    shapes = beam_shapes(along, 2 + len(published))[:, 2:]
-    for frequency, shape in zip(published, shapes.T, strict=True):
-        axis.plot(along, shape, label=f"{frequency:g} Hz")
-    axis.plot(actuators, np.full(len(actuators), -2.35), "^", color=figures.BLACK, label="actuators")
-    for number, place in enumerate(actuators, 1):
-        axis.annotate(str(number), (place, -2.3), xytext=(6, 0), textcoords="offset points", fontsize=8)
-    axis.plot(sensors, np.full(len(sensors), 2.35), "v", color=figures.GREY, label="sensors")
-    axis.set(xlabel="place along the beam (of its length)", ylabel="mode shape (tip = 2)")
-    axis.legend(loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=len(published) + 2)
     return figure
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy import linalg
 
 from experiments.motion.beam import beam, beam_parameters
 from experiments.motion.decoupled_damping import (
@@ -65,18 +64,6 @@ def common_band_passed(
         before, behind = mended, np.eye(len(gain))
     a, b, c = (np.kron(np.eye(len(before)), getattr(one, name)) for name in "abc")
     return StateModel(a, b @ before, behind @ c, np.zeros_like(gain))
-
-
-def minimal_order(gain: StateModel) -> int:
-    """Order of a minimal realisation of a stable model, by the rank of its Hankel operator."""
-    rate = np.abs(gain.poles).max()
-    a = gain.a / rate
-    # Of unit size: the rank is judged against rounding.
-    b, c = (matrix / np.linalg.norm(matrix) for matrix in (gain.b, gain.c))
-    reach = linalg.solve_continuous_lyapunov(a, -b @ b.T)
-    seen = linalg.solve_continuous_lyapunov(a.T, -c.T @ c)
-    hankel = np.sqrt(np.maximum(linalg.eigvals(reach @ seen).real, 0))
-    return int(np.count_nonzero(hankel > 1e-6 * hankel.max()))
 
 
 # Name to the number of actuators beyond that of the rigid-body modes; None: one per mode.
@@ -260,26 +247,6 @@ def crosswise_force(
     # at mode i's resonance
     forces = np.einsum("if,fji->ij", plant.input_shapes[rigid : rigid + count], response)
     return np.where(np.eye(count, dtype=bool), 0, np.abs(forces)).max(axis=1)
-
-
-def kept_out_trial(rng: np.random.Generator, settings: Settings) -> Mapping[str, np.ndarray]:
-    """Over-actuation on one machine when the actuators decouple the first or the second flexible mode too.
-
-    ``peaks``, shape (decoupled mode, damped mode): the largest off-diagonal entry around each damped mode over the
-    undamped one.
-    """
-    machine = sample_beam(rng)
-    rigid = machine.rigid_modes
-    plant = machine.at(range(rigid + 1), range(rigid))
-    gain = scheme_gain("over-actuation", plant, settings)
-    damped = range(rigid, rigid + settings.damped)
-    peaks = []
-    for mode in damped:
-        decoupling = decouple(plant, (*range(rigid), mode))
-        system, bare = (decoupled_plant(plant, decoupling, part * gain) for part in (1, 0))
-        frequencies = plant.frequencies[list(damped)]
-        peaks.append([off_diagonal_peak(system, w) / off_diagonal_peak(bare, w) for w in frequencies])
-    return {"peaks": np.array(peaks)}
 
 
 def off_diagonal_peak(system: StateModel, omega: float) -> float:

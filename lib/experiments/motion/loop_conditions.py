@@ -52,23 +52,6 @@ def keeps_integral_action(compensator: StateModel, application: str) -> Observer
     return ObserverConditions(*gains.tolist(), bool(from_output and (from_force or not compensates)))
 
 
-def observable_noise_models(plant: ModalModel) -> int:
-    """How many constant forces, one per actuator, the sensors can tell apart: the rank test (3.17).
-
-    The rank of [A B; C 0] beyond the states, after scaling.
-    """
-    states = plant.state_space()
-    size = np.linalg.norm(states.a)
-    whole = np.block([[states.a, states.b], [states.c, np.zeros_like(states.d)]])
-    scale = np.repeat(np.where(plant.frequencies > 0, plant.frequencies, size**0.5), 2)
-    scale[1::2] = 1.0  # velocities count as the displacement they lead to
-    whole[:, : len(states.a)] /= scale
-    whole[: len(states.a)] *= scale[:, None]
-    whole /= np.linalg.norm(whole, axis=1)[:, None]
-    whole /= np.linalg.norm(whole, axis=0)
-    return int(np.linalg.matrix_rank(whole, tol=1e-10)) - len(states.a)
-
-
 def without_compliance(observer: Observer) -> Observer:
     """The same observer, gain included, with T_DC taken out: it moves into S."""
     feedthrough = np.zeros_like(observer.model.feedthrough)

@@ -1,21 +1,17 @@
 """Discrete control of the rig: PID, observer in predictor form, measurement compensation and active damping."""
 
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from scipy import linalg, signal
-from scipy.optimize import linear_sum_assignment
 
 from stillwork.base.checks import InputError, require_number
 from stillwork.control.applications import filtered_estimates
-from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.discrete_observer import DiscreteObserver, discrete_kalman_observer
-from stillwork.control.feedback import band_pass, damping_gain, fed_back
+from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti.discretisation import tustin, zoh_modes
+from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
@@ -98,44 +94,3 @@ def rig_compensator(
             raise InputError(f"target_damping is {target_damping:g}, below that of a mode; raise it")
         gains = damping_gain(model, increase)[:, 2 * rigid + 1 :: 2]
     return RigCompensator(observer, compensate, gains, selectivity)
-
-
-def sampled_damping(
-    model: ModalModel, gains: Float64[np.ndarray, "inputs flexible"], sample_time: float
-) -> tuple[Float64[np.ndarray, " flexible"], Float64[np.ndarray, " flexible"]]:
-    """Damping ratios under u = K eta_dot on true states: of the continuous and of the sampled flexible modes.
-
-    What a gain designed in continuous time gives when its force is held over a sample (section 4.1.2), sorted by
-    the frequency of the continuous modes; each sampled mode stands beside the continuous one nearest to it.
-    """
-    rigid = model.rigid_modes
-    gain = np.zeros((gains.shape[0], 2 * len(model.frequencies)))
-    gain[:, 2 * rigid + 1 :: 2] = gains
-    continuous, sampled = fed_back(model, gain), sampled_feedback(model, gain, sample_time)
-    poles = [
-        (each.frequencies * (-each.damping + 1j * np.sqrt(1 - each.damping**2)))[rigid:]
-        for each in (continuous, sampled)
-    ]
-    nearest = linear_sum_assignment(np.abs(poles[0][:, None] - poles[1]))[1]
-    return continuous.damping[rigid:], sampled.damping[rigid:][nearest]
-
-
-def placed_damping(model: ModalModel, target: float, sample_time: float) -> Float64[np.ndarray, " flexible"]:
-    """Damping ratios that pole placement on the sampled flexible modes reaches (section 4.1.2), ascending frequency.
-
-    The frequencies stay, all damping ratios shall become `target`. The gain acts on positions too.
-    """
-    flexible = model.modes(slice(model.rigid_modes, None))
-    held = zoh_modes(flexible, sample_time)
-    upper = np.exp(flexible.frequencies * (-target + 1j * np.sqrt(1 - target**2)) * sample_time)
-    with warnings.catch_warnings():
-        # The poles are placed all the same; only their most robust eigenvectors were still being looked for.
-        warnings.filterwarnings("ignore", message="Convergence was not reached")
-        try:
-            gain = signal.place_poles(held.a, held.b, np.concatenate([upper, upper.conj()])).gain_matrix
-        except ValueError as error:
-            raise InputError(f"the poles of model cannot be placed ({error}); leave modes out") from None
-    poles = np.log(linalg.eigvals(held.a - held.b @ gain).astype(complex)) / sample_time
-    poles = poles[poles.imag > 0]
-    poles = poles[np.argsort(np.abs(poles))]
-    return -poles.real / np.abs(poles)

@@ -1,6 +1,6 @@
 """The four uses of the observer on the rig (Table 6.2) for one geometry."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
@@ -126,16 +126,8 @@ def bandwidths(loops: dict[str, list[RigLoop]], measure: str) -> dict[str, RigBa
     return found
 
 
-def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:
-    """Largest singular value over frequency of O_yu C_fb, which section 6.3 keeps below 1 (scaled directions)."""
-    o_yu = np.moveaxis(loop.compensator.frequency_response(loop.omega)[3:, :3], -1, 0)
-    seen = loop.decoupling.sensing @ o_yu @ loop.decoupling.actuation * loop.controlled(pids)[:, None, :]
-    return float(np.linalg.norm(seen, 2, axis=(1, 2)).max())
-
-
 COLOURS = dict(zip(CASES, (figures.BLACK, figures.BLUE, figures.GREEN, figures.RED), strict=True))
 FORCES, MOTIONS = ("F_z", "M_x", "M_y"), ("z", "r_x", "r_y")
-UNITS = (("m/N", "m/Nm", "m/Nm"), ("rad/N", "rad/Nm", "rad/Nm"), ("rad/N", "rad/Nm", "rad/Nm"))
 
 
 def frequencies(

@@ -1,30 +1,19 @@
 """The rig on a levelling trajectory, and over geometries that are not published: one trial of the study behind Tables 6.2 to 6.4."""
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, published
-from experiments.motion.rig_designs import (
-    CASES,
-    RigSettings,
-    bandwidths,
-    model_errors,
-    rig_controllers,
-    rig_loops,
-)
-from experiments.motion.rig_loops import MEASURES, RigLoop
+from experiments.motion.rig import assumed, published
+from experiments.motion.rig_loops import RigLoop
 from stillwork.base.checks import InputError
-from stillwork.base.validation import checked
 from stillwork.control.loops import channel
 from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
 
@@ -55,7 +44,7 @@ def levelling(rng: np.random.Generator) -> Levelling:
     return Levelling(a["period"], sizes[:, None] * phases)
 
 
-def _to_error(loop: RigLoop, pids: Sequence[Pid]) -> StateModel:
+def to_error(loop: RigLoop, pids: Sequence[Pid]) -> StateModel:
     """From (v, w, d) at sensors and actuators to the true error in (z, rx, ry).
 
     Under the modified feedforward of Appendix A the setpoint acts like v, the original feedforward like w.
@@ -76,7 +65,7 @@ def held_mass(omega: Float64[np.ndarray, " frequencies"], sample_time: float) ->
     return sample_time**2 * (turned + 1) / (2 * (turned - 1) ** 2)
 
 
-def _lines(
+def lines_of(
     trajectory: Levelling, loop: RigLoop, mass_error: float = 0.0
 ) -> Complex128[np.ndarray, "6 harmonics"]:
     """Amplitudes of (v, w): the trajectory at the sensors, and the rigid-body forces that would follow it.
@@ -101,9 +90,9 @@ def levelling_rms(
 
     The feedforward takes the rig for heavier by `mass_error`, relative.
     """
-    model = _to_error(loop, pids)
+    model = to_error(loop, pids)
     z = np.exp(1j * trajectory.omega * loop.sample_time)
-    drive = _lines(trajectory, loop, mass_error)
+    drive = lines_of(trajectory, loop, mass_error)
     periodic = np.zeros(3)
     for point, amplitudes in zip(z, drive.T, strict=True):
         state = np.linalg.solve(point * np.eye(len(model.a)) - model.a, model.b[:, :6] @ amplitudes)
@@ -127,42 +116,6 @@ def output_variance(a, b, c, d) -> Float64[np.ndarray, " outputs"]:
         if np.abs(more).max() < 1e-14 * np.abs(covariance).max():
             return np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)
     raise InputError("a: the model is not stable enough for its noise to settle; lower the bandwidth")
-
-
-def levelling_error(
-    loop: RigLoop,
-    pids: Sequence[Pid],
-    trajectory: Levelling,
-    noise: NoiseIntensities,
-    rng: np.random.Generator,
-    periods: int = 1,
-) -> Float64[np.ndarray, "3 samples"]:
-    """True error over the last period (m, rad, rad), simulated with noise after `periods` periods of settling."""
-    model = _to_error(loop, pids)
-    count = round(trajectory.period / loop.sample_time)
-    if abs(count * loop.sample_time - trajectory.period) > 1e-9 * trajectory.period:
-        raise InputError("period of the trajectory is not a multiple of the sample time; change one of them")
-    time = np.arange((periods + 1) * count) * loop.sample_time
-    known = (_lines(trajectory, loop) @ np.exp(1j * np.outer(trajectory.omega, time))).real
-    sizes = np.sqrt(np.repeat([noise.process, noise.sensor], 3))
-    random = sizes[:, None] * rng.standard_normal((6, len(time)))
-    inputs = np.vstack([known[:3], known[3:] + random[:3], random[3:]])
-    return simulate(model, inputs)[:, -count:]
-
-
-PRINTED_HZ = {"Original": (6.0, 8.0), "MC": (9.0, 11.0), "AD": (12.0, 13.0), "MC and AD": (17.0, 21.0)}
-
-
-def sample_geometry(rng: np.random.Generator) -> Geometry:
-    """A geometry from the ranges of ``rig.toml``; the length stays, since only ratios of lengths matter."""
-    ranges, known = assumed()["ranges"], assumed_geometry()
-    return replace(
-        known,
-        mass=float(np.exp(rng.uniform(*np.log(ranges["mass"])))),
-        width=known.length * rng.uniform(*ranges["aspect"]),
-        actuators=rng.uniform(*ranges["actuators"]),
-        sensors=(rng.uniform(*ranges["sensors"]), rng.uniform(*ranges["sensors"])),
-    )
 
 
 class FlexiblePeaks(NamedTuple):
@@ -191,68 +144,3 @@ def flexible_peaks(loops: list[RigLoop]) -> FlexiblePeaks:
         slow = np.abs(seen[np.searchsorted(loop.omega, modes[0] / 10)])
         coupling.append(slow[~np.eye(3, dtype=bool)].mean())
     return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
-
-
-def printed_controllers(loop: RigLoop) -> dict[str, tuple[Pid, Pid, Pid]]:
-    """The controllers of all cases at the bandwidths of Table 6.2."""
-    family = rig_controllers(loop.decoupling.masses)
-    return {case: family(*hz) for case, hz in PRINTED_HZ.items()}
-
-
-def levelling_errors(
-    loops: Mapping[str, Sequence[RigLoop]],
-    pids: Mapping[str, Sequence[Pid] | None],
-    trajectory: Levelling,
-    noise: NoiseIntensities,
-    mass_error: float = 0.0,
-) -> Float64[np.ndarray, "2 cases 3"]:
-    """`levelling_rms` at the first position, with the original's and with each case's own controllers.
-
-    NaN where there is no controller, or the loop is unstable.
-    """
-
-    def rms(case: str, owner: str) -> Float64[np.ndarray, "3"]:
-        if pids[owner] is not None:
-            with suppress(InputError):  # of an unstable loop
-                return levelling_rms(loops[case][0], pids[owner], trajectory, noise, mass_error)
-        return np.full(3, np.nan)
-
-    with_original = [rms(case, "Original") for case in CASES]
-    return np.array([with_original, [with_original[0], *(rms(case, case) for case in CASES[1:])]])
-
-
-@checked
-def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.ndarray]:
-    """One geometry, one draw of model errors, all four cases, under both readings of "peaks below 6 dB".
-
-    With one entry a reading (`MEASURES`) in front: ``crossing`` (cases, 3) in Hz, mean over positions;
-    ``peaks`` (cases, functions); ``original`` and ``redesigned`` (cases, 3), rms errors in m and rad at the
-    first position with the original and with the redesigned controllers; all NaN where no bandwidth passes.
-    Then ``printed`` (2, cases, 3), the same errors with the bandwidths of Table 6.2, and ``edges`` (3,) in m. Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
-    ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
-    """
-    geometry = sample_geometry(rng)
-    loops = rig_loops(geometry, settings, model_errors(rng))
-    trajectory = levelling(rng)
-    found = [bandwidths(loops, measure).values() for measure in MEASURES]
-    pids = [{case: each.pids for case, each in zip(CASES, designs, strict=True)} for designs in found]
-    errors = [levelling_errors(loops, pid, trajectory, settings.noise) for pid in pids]
-    original, redesigned = np.swapaxes(errors, 0, 1)
-    flexible = [flexible_peaks(loop) for loop in loops.values()]
-    printed = printed_controllers(loops["Original"][0])
-    excited = [excitation(geometry, used) for used in ((0, 1, 2, 3), geometry.used)]
-    return {
-        "crossing": np.array([[design.crossing_hz.mean(axis=0) for design in designs] for designs in found]),
-        "peaks": np.array([[each.peaks.max(axis=0) for each in designs] for designs in found]),
-        "original": original,
-        "redesigned": redesigned,
-        "printed": levelling_errors(loops, printed, trajectory, settings.noise),
-        "edges": geometry.edges,
-        "flexible": np.array([each.peaks for each in flexible]),
-        "coupling": np.array([each.coupling for each in flexible]),
-        "mass": np.array(geometry.mass),
-        "aspect": np.array(geometry.width / geometry.length),
-        "actuators": np.array(geometry.actuators),
-        "sensors": np.array(geometry.sensors),
-        "excitation": np.abs(excited).max(axis=2),
-    }
