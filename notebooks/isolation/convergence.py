@@ -1,25 +1,143 @@
 """Convergence of FeLMS and FeRLS: what this notebook alone needs."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import signal
 
 from experiments.isolation import convergence as con
-from experiments.isolation.convergence import ALGORITHMS, STYLES, Course, Starts
-from experiments.isolation.floors import ShapedFloor, flat_floor
+from experiments.isolation.convergence import (
+    ALGORITHMS,
+    FINAL_SHARE,
+    SHARE,
+    STYLES,
+    Course,
+    Starts,
+    converge,
+    settling_times,
+)
+from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, flat_floor
 from experiments.isolation.mean_convergence import Sideways, mean_course
 from experiments.isolation.responses import responses
-from experiments.isolation.simulation import TOGETHER, simulate, simulate_together
+from experiments.isolation.simulation import TOGETHER, sample_seeds, simulate, simulate_together
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin, load_twin
+from stillwork.base.checks import InputError
 from stillwork.base.rounding import in_order
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Steady
 from workbook import figures
 from workbook.claims import load_entries
 from workbook.studies import Study, fraction, mean_interval, run_study, spread_interval
+
+
+def narrow_floor(twin: Twin, low_hz: float, high_hz: float) -> ShapedFloor:
+    """Floor confined to a band, second-order Butterworth, m/s^2/sqrt(Hz) inside; sensors independent."""
+    rate = twin.instruments.sample_rate
+    sections = signal.butter(2, [low_hz, high_hz], "bandpass", fs=rate, output="sos")
+    return ShapedFloor(
+        np.repeat(sections[None], twin.sensors, axis=0),
+        np.full(twin.sensors, FLAT_LEVEL * np.sqrt(rate / 2)),
+        rate,
+    )
+
+
+def follow_sideways(
+    twin: Twin, floor: ShapedFloor, duration_s: float, memory_s: float, seed: int
+) -> Sideways:
+    """Run FeRLS without noise from the optimum plus a sideways error of the weights."""
+    if twin.rig is None:
+        raise InputError("the model has no geometry, so no sideways motion; take one with a body and struts")
+    forgetting = float(np.exp(-twin.sample_time / memory_s))
+    steady = steady_state(twin, floor, noise=False, forgetting=forgetting)
+    pattern = twin.rig.actuators.jacobian[:, 0]
+    pattern = pattern / np.linalg.norm(pattern)
+    error = 1e-3 * np.outer(pattern, np.ones(twin.regressors))
+    adaptation = FeRls(steady.covariance, forgetting, growth_limit=np.inf)
+    settings = {"adaptation": adaptation, "weights": steady.weights + error, "noise": False, "seed": seed}
+    run = simulate(twin, floor, duration_s, **settings)
+    update = np.kron(np.eye(twin.actuators), np.linalg.inv(steady.correlation)) @ steady.update
+    values, vectors = np.linalg.eig(update)
+    modes = np.linalg.solve(vectors, error.ravel().astype(complex))
+    mean = (vectors @ (np.exp(-np.outer(values, run.time_s) / memory_s) * modes[:, None])).real.T
+
+    def size(off):
+        along = np.einsum("a,kar->kr", pattern, off)
+        return np.sqrt(np.einsum("ki,ij,kj->k", along, steady.correlation, along))
+
+    return Sideways(
+        run.time_s,
+        size(run.weights - steady.weights),
+        size(mean.reshape(-1, *error.shape)),
+        float(steady.rls_eigenvalues.real.min()),
+    )
+
+
+def convergence_trial(
+    draws: Sequence[np.random.Generator],
+    *,
+    twin: Twin,
+    floor: ShapedFloor,
+    both: dict,
+    duration_s: float,
+    final: np.ndarray | None = None,
+) -> list[dict[str, np.ndarray]]:
+    """Repetitions of the experiment of Table 1 for `run_study` with `together`: both algorithms on the same floor.
+
+    For each the time constants ``"FeLMS tau"``, towards `final` or the run's own final values; the same in the
+    narrower band of a first-order course ``"FeLMS tau 37"``; final values ``"FeLMS final"`` and deviations
+    ``"FeLMS deviation"`` at the end; and ``"FeLMS error"``, a number, the quadratic filtered error at the end over
+    that without feedforward.
+    """
+    seeds = sample_seeds(draws)
+    still = simulate_together(twin, floor, FINAL_SHARE * duration_s, seeds=seeds, adaptations={"": None})
+    moving = converge(twin, floor, both, duration_s, seeds)
+    return [
+        _measures(courses, before[""].error_power.mean(), final)
+        for courses, before in zip(moving, still, strict=True)
+    ]
+
+
+def _measures(courses: dict[str, Course], before: float, final: np.ndarray | None) -> dict[str, np.ndarray]:
+    found = {}
+    for name, course in courses.items():
+        towards = course.final if final is None else final
+        for key, share in (("tau", SHARE), ("tau 37", 1 - SHARE)):
+            found[f"{name} {key}"] = settling_times(course.time_s, course.weights, towards, share)
+        found[f"{name} final"] = course.final
+        found[f"{name} deviation"] = course.deviation
+        found[f"{name} error"] = course.final_error / before
+    return found
+
+
+def steady_trial(
+    draws: Sequence[np.random.Generator],
+    *,
+    twin: Twin,
+    floor: ShapedFloor,
+    steady: Steady,
+    settled: dict,
+    duration_s: float,
+) -> list[dict[str, np.ndarray]]:
+    """Scatter of the weights around the oracle's fixed point once settled: mean squares by algorithm.
+
+    For `run_study` with `together`. Every run starts at the fixed point and its first half is left out, so no
+    transient from zero is in it, and the deviation is taken from the oracle, so slow wandering counts in full.
+    """
+    seeds = sample_seeds(draws)
+    found = simulate_together(
+        twin, floor, duration_s, adaptations=settled, weights=steady.weights, seeds=seeds
+    )
+    return [
+        {
+            name: np.mean((run.weights[run.time_s > duration_s / 2, 0] - steady.weights[0]) ** 2, axis=0)
+            for name, run in runs.items()
+        }
+        for runs in found
+    ]
+
 
 # === Convergence pictures =========================================================================================
 # Figures of the initial convergence: Fig. 5, Table 1, open choices, stability of the mean.
@@ -230,7 +348,7 @@ def repeat(
         steady, **settings, initial_covariance=initial_covariance, sample_time=twin.sample_time
     )
     return run_study(
-        con.convergence_trial,
+        convergence_trial,
         runs,
         seed,
         together=TOGETHER,
@@ -502,7 +620,7 @@ def scatter_of(seed: int, low_pass_hz: float, literal: bool = False) -> dict:
     settled["FeRLS", 0.0] = FeRls(steady.covariance, 1.0, growth_limit=np.inf)
     names = {f"{algorithm} {setting:g}": (algorithm, setting) for algorithm, setting in settled}
     study = run_study(
-        con.steady_trial,
+        steady_trial,
         TOGETHER,
         seed,
         together=TOGETHER,

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import optimize, signal
 
 from experiments.isolation.floors import ShapedFloor, coloured_floor, flat_floor
-from experiments.isolation.responses import control_paths, responses, series, thinned
+from experiments.isolation.responses import responses, thinned
 from experiments.isolation.rig import Rig
 from experiments.isolation.twin import Twin, equal_struts
 from stillwork.base.checks import InputError, require_number
@@ -16,6 +16,41 @@ from stillwork.control.isolation_filters import secondary_path
 from stillwork.signals.criteria import criterion_density, criterion_velocity, one_third_octave_velocity
 from stillwork.signals.spectra import Spectrum
 from workbook import figures
+
+
+def series(sections: np.ndarray, sample_time: float):
+    """Sections one after another, as a `control.StateSpace`."""
+    import control
+
+    whole = control.ss([], [], [], [[1.0]], sample_time)
+    for row in sections:
+        whole = control.ss(control.tf(row[:3], row[3:], sample_time)) * whole
+    return whole
+
+
+def control_paths(twin: Twin, feedback: bool = True):
+    """Primary and secondary path, a0 to a1 and u to a1 (a1 behind its conditioner), as discrete `control.StateSpace`."""
+    import control
+
+    sample_time = twin.sample_time
+    n = twin.actuators
+
+    def bank(sections, channels):
+        return control.append(*[series(sections, sample_time)] * channels)
+
+    delay = control.append(*[control.ss(0, 1, 1, 0, sample_time)] * n)
+    force_path = bank(twin.instruments.actuator, n) * delay
+    plant = twin.plant.discrete(sample_time).to_control()
+    from_force, from_floor = plant[:, :n], plant[:, n:]
+    open_path = (from_force + bank(twin.instruments.parasitic, n)) * force_path
+    disturbance = from_floor + open_path * control.ss([], [], [], twin.plant.floor_inertia, sample_time)
+    conditioning = bank(twin.instruments.conditioning, twin.outputs)
+    if feedback:
+        skyhook = bank(twin.skyhook_filter, twin.outputs)
+        closed = control.feedback(np.eye(twin.outputs), open_path * skyhook * conditioning)
+        open_path, disturbance = closed * open_path, closed * disturbance
+    return conditioning * disturbance, conditioning * open_path
+
 
 # === Modes ========================================================================================================
 # Suspension modes of a twin with its real skyhook loop: weak integrator, notch, lag and delay included.

@@ -1,16 +1,199 @@
 """Power that remains: what this notebook alone needs."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
 from scipy import linalg
 
 from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, flat_floor
-from experiments.isolation.performance import ENTRIES
-from experiments.isolation.power import RESOLUTION_HZ, limit_ratio_db, power_trial
-from experiments.isolation.simulation import TOGETHER
-from experiments.isolation.twin import Twin, equal_struts
+from experiments.isolation.performance import DIRECTIONS, CaseRecord, expected_density, record_cases, tune
+from experiments.isolation.performance_pictures import _STYLES
+from experiments.isolation.power import (
+    BAND_HZ,
+    RESOLUTION_HZ,
+    limit_ratio_db,
+    reduction_percent,
+    without_lines,
+)
+from experiments.isolation.responses import COARSE_HZ, thinned
+from experiments.isolation.simulation import TOGETHER, sample_seeds
+from experiments.isolation.steady import steady_state
+from experiments.isolation.twin import Twin, equal_struts, load_twin
+from stillwork.base.checks import InputError, require_array
+from stillwork.signals.spectra import Spectrum, band_power
+from workbook import figures
 from workbook.studies import fraction, run_study, spread_interval
+
+
+def paint_power(
+    frequencies_hz: np.ndarray, densities: dict[str, np.ndarray], published: tuple[float, float, float]
+):
+    """Fig. 8: power spectral density of the platform and its running sum from 1 Hz, in z, θx and θy.
+
+    Published is the share of the power at 1-300 Hz removed in z, θx, θy, per cent.
+    """
+    figure, axes = figures.new(2, 3, height=5.0, sharex=True)
+    units = ("(m/s²)²", "(rad/s²)²", "(rad/s²)²")
+    inside = (frequencies_hz >= BAND_HZ[0]) & (frequencies_hz <= 1000)
+    f = frequencies_hz[inside]
+    for name, density in densities.items():
+        running = np.cumsum(density[:, inside], axis=1) * (f[1] - f[0])
+        for k in range(3):
+            for panel, row, width in ((axes[0, k], density[k, inside], 0.9), (axes[1, k], running[k], 1.2)):
+                points = thinned(f, row)
+                wide = 1.8 if name == "FeRLS" else 1.0  # FeLMS lies on it
+                panel.loglog(f[points], row[points], label=name, **{"lw": width * wide, **_STYLES[name]})
+    for k, direction in enumerate(DIRECTIONS):
+        axes[0, k].set(title=f"(a) {direction}", ylabel=f"PSD ({units[k]}/Hz)")
+        axes[1, k].set(title=f"(b) {direction}", ylabel=f"power from 1 Hz ({units[k]})")
+        axes[1, k].set(xlabel="frequency (Hz)")
+        before = np.sum(densities["feedback"][k, inside & (frequencies_hz <= BAND_HZ[1])]) * (f[1] - f[0])
+        figures.mark_published(
+            axes[1, k], BAND_HZ[1], before * (1 - published[k] / 100), "published, relative to feedback"
+        )
+        axes[1, k].axvline(BAND_HZ[1], color=figures.GREY, ls=":", lw=1)
+        style = {"xycoords": ("data", "axes fraction"), "ha": "right", "fontsize": 7}
+        axes[1, k].annotate(f"{published[k]:g} % less\nat 300 Hz", (280, 0.04), **style)
+    figures.legend_below(axes[1, 0], 5)
+    return figure
+
+
+def paint_removed(study, published: tuple[float, float, float]):
+    """Share of the power removed per direction: every run of both algorithms, the limit, the published values."""
+    figure, axes = figures.new(1, 1, height=2.8)
+    where = np.arange(3.0)
+    for name, shift in (("FeLMS", -0.2), ("FeRLS", 0.0), ("limit", 0.2)):
+        values = study[f"removed {name}"]
+        style, label = ("output noise", "output-noise limit") if name == "limit" else (name, name)
+        x = np.repeat(where + shift, len(values))
+        axes.plot(x, values.T.ravel(), "o", ms=4, alpha=0.7, color=_STYLES[style]["color"], label=label)
+    figures.mark_published(axes, where, published, "published, FeRLS", markerfacecolor="white")
+    axes.set(xticks=where, xticklabels=DIRECTIONS, xlabel="direction", ylabel="power removed at 1-300 Hz (%)")
+    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
+    return figure
+
+
+def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
+    """Explorer: what is left of the power in z and θx with optimum weights, by cause."""
+    twin = load_twin("rigid_body").varied(
+        platform_noise=output_noise * 1e-4, floor_noise=floor_noise * 1e-5, mains_hz=[], floor_mains=[],
+        platform_mains=[],
+    )  # fmt: skip
+    floor = flat_floor(low_pass_hz)
+    f = np.geomspace(*BAND_HZ, 250)
+    weights = steady_state(twin, floor, frequencies_hz=COARSE_HZ).weights
+    before = sum(expected_density(twin, floor, f).values())
+    causes = expected_density(twin, floor, f, weights=weights)
+    after = sum(causes.values())
+    removed = reduction_percent(f, before, after)
+    colors = {"floor": figures.GREEN, "floor noise": figures.ORANGE, "output noise": figures.RED}
+    figure, axes = figures.new(1, 2, height=3.0)
+    for k, panel in enumerate(axes):
+        panel.loglog(f, before[k], color=figures.BLUE, label="feedback")
+        panel.loglog(f, after[k], color=figures.BLACK, label="with feedforward")
+        for cause, color in colors.items():
+            panel.loglog(f, causes[cause][k], ":", color=color, label=f"left by {cause}")
+        top = before[k].max()
+        panel.set(title=f"{DIRECTIONS[k]}: {removed[k]:.1f} % removed", xlabel="frequency (Hz)")
+        panel.set(ylim=(top * 1e-7, top * 3))
+    axes[0].set_ylabel("PSD ((m/s²)²/Hz, (rad/s²)²/Hz)")
+    figures.legend_below(axes[0], 3)
+    return figure
+
+
+def floor_level_for(
+    twin: Twin, floor: ShapedFloor, weights: ArrayLike, removed_percent: ArrayLike
+) -> Float64[np.ndarray, "3"]:
+    """Amplitude of the floor in z, θx, θy, relative to `floor`, at which given shares of the power are removed.
+
+    The sensors' noise stays, so a weaker floor leaves a larger share. Weights are kept.
+
+    The shares are those of the power at 1-300 Hz that are removed, per cent, over feedback only.
+    """
+    left = 1 - require_array("removed_percent", removed_percent, shape=(3,)) / 100
+    f = np.geomspace(*BAND_HZ, 1000)
+    powers = []
+    for given in (None, weights):
+        causes = expected_density(twin, floor, f, weights=given)
+        by_floor = np.array([band_power(f, row, *BAND_HZ) for row in causes["floor"]])
+        noise = np.array(
+            [band_power(f, row, *BAND_HZ) for row in causes["floor noise"] + causes["output noise"]]
+        )
+        powers.append((by_floor, noise))
+    (floor_before, noise_before), (floor_after, noise_after) = powers
+    square = (noise_after - left * noise_before) / (left * floor_before - floor_after)
+    if np.any(square <= 0):
+        raise InputError("removed_percent cannot be reached with these weights; give a lower value")
+    return np.sqrt(square)
+
+
+def power_trial(
+    draws: Sequence[np.random.Generator],
+    *,
+    twin: Twin,
+    floor: ShapedFloor,
+    felms_s: float | None,
+    ferls_s: float,
+    record_s: float,
+) -> list[dict[str, np.ndarray]]:
+    """Repetitions of the experiment of Fig. 8 for `run_study` with `together`: adapt, freeze, record, compare.
+
+    ``removed FeLMS``, ``removed FeRLS``: share of the power at 1-300 Hz that the feedforward removes from the
+    feedback-only case, per cent, (3,); ``removed limit``: the same if only the output noise were left;
+    ``removed with mains``: as FeRLS, lines counted, which all others but the spectra bridge. ``in band``, ``above band``: power with
+    FeRLS over that of the output noise at 3-200 and 300-500 Hz, (3,); ``low end``: power with FeRLS over feedback
+    only at 1-2 Hz. ``density feedback``, ``... FeLMS``, ``... FeRLS``, ``... output noise``: spectra, (3,
+    frequencies). Without `felms_s` FeLMS is left out.
+    """
+    seeds = sample_seeds(draws)
+    tuned = tune(twin, floor, felms_s, ferls_s, seeds)
+    records = {}
+    for name in ("feedback", *tuned[0]):
+        weights = None if name == "feedback" else [each[name] for each in tuned]
+        after = [seed + 1 for seed in seeds]
+        records[name] = record_cases(twin, floor, name, record_s, after, weights=weights)
+    return [
+        _removed(twin, dict(zip(records, each, strict=True))) for each in zip(*records.values(), strict=True)
+    ]
+
+
+def _removed(twin: Twin, records: dict[str, CaseRecord]) -> dict[str, np.ndarray]:
+    measured = {name: record.spectrum(RESOLUTION_HZ) for name, record in records.items()}
+    measured["output noise"] = records["feedback"].output_noise(RESOLUTION_HZ)
+    bridged = {name: without_lines(each, twin.instruments.mains_hz) for name, each in measured.items()}
+    f = measured["feedback"].frequencies_hz
+    found: dict[str, np.ndarray] = {}
+    if "FeLMS" in bridged:
+        found["removed FeLMS"] = reduction_percent(f, bridged["feedback"].density, bridged["FeLMS"].density)
+    return (
+        found
+        | measures(bridged["feedback"], bridged["FeRLS"], bridged["output noise"])
+        | {
+            "removed with mains": reduction_percent(
+                f, measured["feedback"].density, measured["FeRLS"].density
+            ),
+            **{f"density {name}": spectrum.density for name, spectrum in measured.items()},
+        }
+    )
+
+
+def measures(before: Spectrum, after: Spectrum, limit: Spectrum) -> dict[str, np.ndarray]:
+    """Of FeRLS, in the words of `power_trial`, from spectra with feedback alone, with it, and of the output noise."""
+    f = before.frequencies_hz
+    return {
+        "removed FeRLS": reduction_percent(f, before.density, after.density),
+        "removed limit": reduction_percent(f, before.density, limit.density),
+        "in band": after.power(3.0, 200.0) / limit.power(3.0, 200.0),
+        "above band": after.power(300.0, 500.0) / limit.power(300.0, 500.0),
+        "low end": after.power(1.0, 2.0) / before.power(1.0, 2.0),
+    }
+
+
+ENTRIES = ("z", "theta-x", "theta-y")  # the ledger's words for them
+
 
 FELMS_S, FERLS_S, RECORD_S = 250.0, 60.0, 40.0  # s, of a run of notebook 05
 RUNS = 16  # with three directions 48 for an ordering

@@ -3,13 +3,15 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.performance import (
+    DIRECTIONS,
     diagonal_size,
     exact_transmissibility,
     expected_density,
@@ -18,11 +20,119 @@ from experiments.isolation.performance import (
     reduction_db,
     tune,
 )
-from experiments.isolation.responses import responses
+from experiments.isolation.performance_pictures import _STYLES
+from experiments.isolation.responses import COARSE_HZ, responses, thinned
 from experiments.isolation.simulation import TOGETHER
+from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
+from stillwork.base.checks import require_array
 from stillwork.signals.spectra import band_power
+from workbook import figures
 from workbook.studies import fraction
+
+
+def band_means(
+    frequencies_hz: ArrayLike, responses: dict[str, np.ndarray], lines_hz: ArrayLike
+) -> tuple[Float64[np.ndarray, " bands"], dict[str, Complex128[np.ndarray, "3 3 bands"]]]:
+    """Complex means of estimated responses over a twelfth of an octave, in which uncorrelated noise averages out.
+
+    Lines within two steps of one of the mains (`lines_hz`) stand for themselves: their peaks are no noise.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    apart = np.abs(f[:, None] - require_array("lines_hz", lines_hz, ndim=1)).min(axis=1, initial=np.inf)
+    band = np.where(apart <= 2.001 * (f[1] - f[0]), -f, np.floor(12 * np.log2(f)))
+    starts = np.flatnonzero(np.diff(band, prepend=np.nan) != 0)
+    counts = np.diff(starts, append=len(f))
+    means = {name: np.add.reduceat(response, starts, axis=2) / counts for name, response in responses.items()}
+    return np.add.reduceat(f, starts) / counts, means
+
+
+_LOW_DB = -80.0  # where the panels of the diagonal end
+
+
+PUBLISHED_BAND_HZ = (3.0, 200.0)  # where the paper states 20 to 40 dB
+
+
+_REDUCTION_STYLES = (
+    {"color": figures.SKY, "lw": 0.8},
+    {"color": figures.BLACK},
+    {"color": figures.GREEN, "ls": "--"},
+)
+
+
+# Below this a transmissibility is rounding: the rig's symmetry makes the element zero.
+_ROUNDING = 1e-9
+
+
+def paint_transmissibility(f: np.ndarray, cases: dict[str, np.ndarray]):
+    """Fig. 7: the 3x3 matrix of transmissibilities over Hz, platform direction down, floor direction across."""
+    figure, axes = figures.new(3, 3, height=6.6, sharex=True)
+    units = np.array([["", " (m/rad)", " (m/rad)"], [" (rad/m)", "", ""], [" (rad/m)", "", ""]])
+    for i, to in enumerate(DIRECTIONS):
+        for j, start in enumerate(DIRECTIONS):
+            panel = axes[i, j]
+            # An off-diagonal panel takes its scale from the lengths involved: rad/m is large, m/rad small.
+            shift = {"": 0.0, " (m/rad)": -25.0, " (rad/m)": 25.0}[units[i, j]]
+            for name, response in cases.items():
+                size = np.abs(response[i, j])
+                if size.max() > _ROUNDING:
+                    # How deep a zero reaches below the panel hangs on the last bits.
+                    size = np.maximum(size, 10 ** ((_LOW_DB + shift - 10) / 20))
+                    shown = thinned(f, size)
+                    decibels = 20 * np.log10(size[shown])
+                    panel.semilogx(f[shown], decibels, label=name, lw=0.9, **_STYLES[name])
+            if i == j:
+                _mark_reduction(panel, f, cases["feedback"][i, i])
+            panel.set(title=f"{start} → {to}{units[i, j]}", ylim=(_LOW_DB + shift, 25 + shift))
+            panel.set(xlim=(f[0], f[-1]))
+    figures.label(axes, "frequency (Hz)", "magnitude (dB)")
+    figures.legend_below(axes[0, 0], 5)
+    return figure
+
+
+def _mark_reduction(panel, frequencies_hz: np.ndarray, feedback: np.ndarray):
+    """Shade the published 20 to 40 dB below `feedback` alone, taken as its median over a twelfth of a decade."""
+    edges = np.geomspace(*PUBLISHED_BAND_HZ, 23)
+    decibels = 20 * np.log10(np.abs(feedback))
+    inside = [(frequencies_hz >= low) & (frequencies_hz <= high) for low, high in pairwise(edges)]
+    level = np.array([np.median(decibels[each]) for each in inside])
+    middle = np.sqrt(edges[1:] * edges[:-1])
+    style = {"color": figures.GREY, "alpha": 0.25, "lw": 0}
+    panel.fill_between(middle, level - 40, level - 20, label="published: 20 to 40 dB less", **style)
+
+
+def paint_reduction(reductions: dict[str, tuple[np.ndarray, np.ndarray]]):
+    """Reduction (dB) of the three diagonal elements by the feedforward, with the published 20 and 40 dB."""
+    figure, axes = figures.new(1, 3, height=2.7, sharey=True)
+    for k, (panel, direction) in enumerate(zip(axes, DIRECTIONS, strict=True)):
+        panel.fill_between(
+            PUBLISHED_BAND_HZ, 20, 40, color=figures.GREY, alpha=0.2, lw=0, label="published, 3-200 Hz"
+        )
+        for (name, (f, reduction)), style in zip(reductions.items(), _REDUCTION_STYLES, strict=False):
+            shown = thinned(f, reduction[k])
+            panel.semilogx(f[shown], reduction[k][shown], label=name, **style)
+        panel.axhline(0, color=figures.GREY, lw=0.8)
+        panel.set(title=direction, xlabel="frequency (Hz)", ylim=(-15, 65), xlim=(f[0], f[-1]))
+    axes[0].set_ylabel("reduction (dB)")
+    figures.legend_below(axes[0], 4)
+    return figure
+
+
+def explore_transmissibility(integrator_cutoff_hz: float, shaping_hz: float, floor_hz: float):
+    """Explorer: noise-free transmissibility with optimum weights over the cut-offs that bound it."""
+    twin = load_twin("rigid_body").varied(integrator_cutoff_hz=integrator_cutoff_hz)
+    twin = twin.varied(shaping=replace(twin.feedforward.shaping, lowpass_hz=shaping_hz))
+    f = np.geomspace(0.5, 1000, 250)
+    weights = steady_state(twin, flat_floor(floor_hz), frequencies_hz=COARSE_HZ).weights
+    figure, axes = figures.new(1, 1, height=3.0)
+    for name, given in (("feedback", None), ("FeRLS", weights)):
+        z = exact_transmissibility(twin, f, weights=given)[0, 0]
+        label = name if given is None else "with feedforward, optimum weights"
+        axes.semilogx(f, 20 * np.log10(np.abs(z)), label=label, **_STYLES[name])
+    axes.set(xlabel="frequency (Hz)", ylabel="transmissibility z → z (dB)", ylim=(-80, 15), xlim=(0.5, 1000))
+    axes.legend(loc="lower left")
+    return figure
+
 
 RESOLUTION_HZ = 0.25
 FERLS_S, FELMS_S = 100.0, 300.0  # of adaptation before the weights are frozen

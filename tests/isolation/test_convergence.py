@@ -3,17 +3,12 @@
 import numpy as np
 import pytest
 
-from experiments.isolation.convergence import (
-    Course,
-    algorithms,
-    converge,
-    convergence_trial,
-    settling_times,
-)
+from experiments.isolation.convergence import Course, algorithms, converge, settling_times
 from experiments.isolation.floors import coloured_floor, flat_floor
-from experiments.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
+from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
+from notebooks.isolation.convergence import convergence_trial, follow_sideways, narrow_floor
 from notebooks.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
 from stillwork.base.checks import InputError
 

@@ -4,8 +4,9 @@ import control
 import numpy as np
 import pytest
 
-from experiments.isolation.responses import control_paths, responses
+from experiments.isolation.responses import responses
 from experiments.isolation.twin import load_twin
+from notebooks.isolation.floor_and_paths import control_paths
 from stillwork.base.checks import InputError
 
 F = np.array([0.5, 3.0, 15.0, 24.0, 35.0, 40.0, 90.0, 200.0, 350.0, 962.0, 2000.0])

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import ShapedFloor
-from experiments.isolation.simulation import sample_seeds, simulate, simulate_together
+from experiments.isolation.simulation import simulate, simulate_together
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import require_array, require_number
 from stillwork.estimation.adaptive import FeLms, FeRls
@@ -108,70 +108,6 @@ def converge(
             for name, run in each.items()
         }
         for each in runs
-    ]
-
-
-def convergence_trial(
-    draws: Sequence[np.random.Generator],
-    *,
-    twin: Twin,
-    floor: ShapedFloor,
-    both: dict,
-    duration_s: float,
-    final: np.ndarray | None = None,
-) -> list[dict[str, np.ndarray]]:
-    """Repetitions of the experiment of Table 1 for `run_study` with `together`: both algorithms on the same floor.
-
-    For each the time constants ``"FeLMS tau"``, towards `final` or the run's own final values; the same in the
-    narrower band of a first-order course ``"FeLMS tau 37"``; final values ``"FeLMS final"`` and deviations
-    ``"FeLMS deviation"`` at the end; and ``"FeLMS error"``, a number, the quadratic filtered error at the end over
-    that without feedforward.
-    """
-    seeds = sample_seeds(draws)
-    still = simulate_together(twin, floor, FINAL_SHARE * duration_s, seeds=seeds, adaptations={"": None})
-    moving = converge(twin, floor, both, duration_s, seeds)
-    return [
-        _measures(courses, before[""].error_power.mean(), final)
-        for courses, before in zip(moving, still, strict=True)
-    ]
-
-
-def _measures(courses: dict[str, Course], before: float, final: np.ndarray | None) -> dict[str, np.ndarray]:
-    found = {}
-    for name, course in courses.items():
-        towards = course.final if final is None else final
-        for key, share in (("tau", SHARE), ("tau 37", 1 - SHARE)):
-            found[f"{name} {key}"] = settling_times(course.time_s, course.weights, towards, share)
-        found[f"{name} final"] = course.final
-        found[f"{name} deviation"] = course.deviation
-        found[f"{name} error"] = course.final_error / before
-    return found
-
-
-def steady_trial(
-    draws: Sequence[np.random.Generator],
-    *,
-    twin: Twin,
-    floor: ShapedFloor,
-    steady: Steady,
-    settled: dict,
-    duration_s: float,
-) -> list[dict[str, np.ndarray]]:
-    """Scatter of the weights around the oracle's fixed point once settled: mean squares by algorithm.
-
-    For `run_study` with `together`. Every run starts at the fixed point and its first half is left out, so no
-    transient from zero is in it, and the deviation is taken from the oracle, so slow wandering counts in full.
-    """
-    seeds = sample_seeds(draws)
-    found = simulate_together(
-        twin, floor, duration_s, adaptations=settled, weights=steady.weights, seeds=seeds
-    )
-    return [
-        {
-            name: np.mean((run.weights[run.time_s > duration_s / 2, 0] - steady.weights[0]) ** 2, axis=0)
-            for name, run in runs.items()
-        }
-        for runs in found
     ]
 
 

@@ -5,15 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
-from scipy import linalg, signal
+from scipy import linalg
 
 from experiments.isolation.convergence import ALGORITHMS
-from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor
-from experiments.isolation.simulation import simulate
-from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array, require_choice
-from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.mean_adaptation import Steady
 
 
@@ -77,45 +73,3 @@ class Sideways:
     predicted: Float64[np.ndarray, " kept"]
     # smallest real part of the eigenvalues of R^-1 A: the rate of decay in the end, times the memory
     eigenvalue: float
-
-
-def narrow_floor(twin: Twin, low_hz: float, high_hz: float) -> ShapedFloor:
-    """Floor confined to a band, second-order Butterworth, m/s^2/sqrt(Hz) inside; sensors independent."""
-    rate = twin.instruments.sample_rate
-    sections = signal.butter(2, [low_hz, high_hz], "bandpass", fs=rate, output="sos")
-    return ShapedFloor(
-        np.repeat(sections[None], twin.sensors, axis=0),
-        np.full(twin.sensors, FLAT_LEVEL * np.sqrt(rate / 2)),
-        rate,
-    )
-
-
-def follow_sideways(
-    twin: Twin, floor: ShapedFloor, duration_s: float, memory_s: float, seed: int
-) -> Sideways:
-    """Run FeRLS without noise from the optimum plus a sideways error of the weights."""
-    if twin.rig is None:
-        raise InputError("the model has no geometry, so no sideways motion; take one with a body and struts")
-    forgetting = float(np.exp(-twin.sample_time / memory_s))
-    steady = steady_state(twin, floor, noise=False, forgetting=forgetting)
-    pattern = twin.rig.actuators.jacobian[:, 0]
-    pattern = pattern / np.linalg.norm(pattern)
-    error = 1e-3 * np.outer(pattern, np.ones(twin.regressors))
-    adaptation = FeRls(steady.covariance, forgetting, growth_limit=np.inf)
-    settings = {"adaptation": adaptation, "weights": steady.weights + error, "noise": False, "seed": seed}
-    run = simulate(twin, floor, duration_s, **settings)
-    update = np.kron(np.eye(twin.actuators), np.linalg.inv(steady.correlation)) @ steady.update
-    values, vectors = np.linalg.eig(update)
-    modes = np.linalg.solve(vectors, error.ravel().astype(complex))
-    mean = (vectors @ (np.exp(-np.outer(values, run.time_s) / memory_s) * modes[:, None])).real.T
-
-    def size(off):
-        along = np.einsum("a,kar->kr", pattern, off)
-        return np.sqrt(np.einsum("ki,ij,kj->k", along, steady.correlation, along))
-
-    return Sideways(
-        run.time_s,
-        size(run.weights - steady.weights),
-        size(mean.reshape(-1, *error.shape)),
-        float(steady.rls_eigenvalues.real.min()),
-    )

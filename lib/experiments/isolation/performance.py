@@ -21,7 +21,6 @@ from stillwork.signals.criteria import BAND_EDGE
 from stillwork.signals.spectra import ResponseEstimate, Spectrum, estimate_response, estimate_spectrum
 
 DIRECTIONS = ("z", "θx", "θy")
-ENTRIES = ("z", "theta-x", "theta-y")  # the ledger's words for them
 _ROWS = [2, 3, 4]  # of (x, y, z, θx, θy, θz)
 CASES = ("passive", "feedback", "FeLMS", "FeRLS")
 SETTLE_S = 5.0  # start of a record that is cut off: two dozen time constants of the weak integrators
@@ -188,22 +187,6 @@ def expected_density(
         "floor noise": _power(by_sensors, twin.instruments.floor_noise**2),
         "output noise": _power(by_output, twin.instruments.platform_noise**2),
     }
-
-
-def band_means(
-    frequencies_hz: ArrayLike, responses: dict[str, np.ndarray], lines_hz: ArrayLike
-) -> tuple[Float64[np.ndarray, " bands"], dict[str, Complex128[np.ndarray, "3 3 bands"]]]:
-    """Complex means of estimated responses over a twelfth of an octave, in which uncorrelated noise averages out.
-
-    Lines within two steps of one of the mains (`lines_hz`) stand for themselves: their peaks are no noise.
-    """
-    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    apart = np.abs(f[:, None] - require_array("lines_hz", lines_hz, ndim=1)).min(axis=1, initial=np.inf)
-    band = np.where(apart <= 2.001 * (f[1] - f[0]), -f, np.floor(12 * np.log2(f)))
-    starts = np.flatnonzero(np.diff(band, prepend=np.nan) != 0)
-    counts = np.diff(starts, append=len(f))
-    means = {name: np.add.reduceat(response, starts, axis=2) / counts for name, response in responses.items()}
-    return np.add.reduceat(f, starts) / counts, means
 
 
 def reduction_db(

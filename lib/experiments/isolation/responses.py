@@ -67,40 +67,6 @@ def _kept(sections: bytes, frequencies_hz: bytes, rate: float) -> np.ndarray:
     return found
 
 
-def series(sections: np.ndarray, sample_time: float):
-    """Sections one after another, as a `control.StateSpace`."""
-    import control
-
-    whole = control.ss([], [], [], [[1.0]], sample_time)
-    for row in sections:
-        whole = control.ss(control.tf(row[:3], row[3:], sample_time)) * whole
-    return whole
-
-
-def control_paths(twin: Twin, feedback: bool = True):
-    """Primary and secondary path, a0 to a1 and u to a1 (a1 behind its conditioner), as discrete `control.StateSpace`."""
-    import control
-
-    sample_time = twin.sample_time
-    n = twin.actuators
-
-    def bank(sections, channels):
-        return control.append(*[series(sections, sample_time)] * channels)
-
-    delay = control.append(*[control.ss(0, 1, 1, 0, sample_time)] * n)
-    force_path = bank(twin.instruments.actuator, n) * delay
-    plant = twin.plant.discrete(sample_time).to_control()
-    from_force, from_floor = plant[:, :n], plant[:, n:]
-    open_path = (from_force + bank(twin.instruments.parasitic, n)) * force_path
-    disturbance = from_floor + open_path * control.ss([], [], [], twin.plant.floor_inertia, sample_time)
-    conditioning = bank(twin.instruments.conditioning, twin.outputs)
-    if feedback:
-        skyhook = bank(twin.skyhook_filter, twin.outputs)
-        closed = control.feedback(np.eye(twin.outputs), open_path * skyhook * conditioning)
-        open_path, disturbance = closed * open_path, closed * disturbance
-    return conditioning * disturbance, conditioning * open_path
-
-
 # Gives an explorer its weights in time; notebooks take a dense grid.
 COARSE_HZ = np.geomspace(0.05, 2400, 500)
 
