@@ -10,7 +10,7 @@ from scipy import linalg
 
 from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, flat_floor
 from experiments.isolation.performance import DIRECTIONS, CaseRecord, expected_density, record_cases, tune
-from experiments.isolation.performance_pictures import _STYLES
+from experiments.isolation.performance_pictures import STYLES
 from experiments.isolation.power import (
     BAND_HZ,
     RESOLUTION_HZ,
@@ -45,7 +45,7 @@ def paint_power(
             for panel, row, width in ((axes[0, k], density[k, inside], 0.9), (axes[1, k], running[k], 1.2)):
                 points = thinned(f, row)
                 wide = 1.8 if name == "FeRLS" else 1.0  # FeLMS lies on it
-                panel.loglog(f[points], row[points], label=name, **{"lw": width * wide, **_STYLES[name]})
+                panel.loglog(f[points], row[points], label=name, **{"lw": width * wide, **STYLES[name]})
     for k, direction in enumerate(DIRECTIONS):
         axes[0, k].set(title=f"(a) {direction}", ylabel=f"PSD ({units[k]}/Hz)")
         axes[1, k].set(title=f"(b) {direction}", ylabel=f"power from 1 Hz ({units[k]})")
@@ -69,7 +69,7 @@ def paint_removed(study, published: tuple[float, float, float]):
         values = study[f"removed {name}"]
         style, label = ("output noise", "output-noise limit") if name == "limit" else (name, name)
         x = np.repeat(where + shift, len(values))
-        axes.plot(x, values.T.ravel(), "o", ms=4, alpha=0.7, color=_STYLES[style]["color"], label=label)
+        axes.plot(x, values.T.ravel(), "o", ms=4, alpha=0.7, color=STYLES[style]["color"], label=label)
     figures.mark_published(axes, where, published, "published, FeRLS", markerfacecolor="white")
     axes.set(xticks=where, xticklabels=DIRECTIONS, xlabel="direction", ylabel="power removed at 1-300 Hz (%)")
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))

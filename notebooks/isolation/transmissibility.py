@@ -20,7 +20,7 @@ from experiments.isolation.performance import (
     reduction_db,
     tune,
 )
-from experiments.isolation.performance_pictures import _STYLES
+from experiments.isolation.performance_pictures import STYLES
 from experiments.isolation.responses import COARSE_HZ, responses, thinned
 from experiments.isolation.simulation import TOGETHER
 from experiments.isolation.steady import steady_state
@@ -80,7 +80,7 @@ def paint_transmissibility(f: np.ndarray, cases: dict[str, np.ndarray]):
                     size = np.maximum(size, 10 ** ((_LOW_DB + shift - 10) / 20))
                     shown = thinned(f, size)
                     decibels = 20 * np.log10(size[shown])
-                    panel.semilogx(f[shown], decibels, label=name, lw=0.9, **_STYLES[name])
+                    panel.semilogx(f[shown], decibels, label=name, lw=0.9, **STYLES[name])
             if i == j:
                 _mark_reduction(panel, f, cases["feedback"][i, i])
             panel.set(title=f"{start} → {to}{units[i, j]}", ylim=(_LOW_DB + shift, 25 + shift))
@@ -128,7 +128,7 @@ def explore_transmissibility(integrator_cutoff_hz: float, shaping_hz: float, flo
     for name, given in (("feedback", None), ("FeRLS", weights)):
         z = exact_transmissibility(twin, f, weights=given)[0, 0]
         label = name if given is None else "with feedforward, optimum weights"
-        axes.semilogx(f, 20 * np.log10(np.abs(z)), label=label, **_STYLES[name])
+        axes.semilogx(f, 20 * np.log10(np.abs(z)), label=label, **STYLES[name])
     axes.set(xlabel="frequency (Hz)", ylabel="transmissibility z → z (dB)", ylim=(-80, 15), xlim=(0.5, 1000))
     axes.legend(loc="lower left")
     return figure

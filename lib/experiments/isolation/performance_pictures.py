@@ -2,7 +2,7 @@
 
 from workbook import figures
 
-_STYLES = {
+STYLES = {
     "passive": {"color": figures.PURPLE},
     "feedback": {"color": figures.BLUE},
     "FeLMS": {"color": figures.GREEN, "ls": "--", "zorder": 3},  # lies on FeRLS
