@@ -351,7 +351,12 @@ OWN_DOORS = re.compile(
 PARTS = {
     *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
     *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
-    *("solve_plain", "spectrum", "empty_record", "least_share"),  # by the regressor that holds the fitting triangle
+    *(
+        "solve_plain",
+        "spectrum",
+        "empty_record",
+        "least_share",
+    ),  # by the regressor that holds the fitting triangle
     *("Numbers.terms", "Numbers.files"),  # by the functions that write C
 }
 FOLDERS = ("signals", "lti", "identification", "estimation", "control")

@@ -102,7 +102,8 @@ class RecursiveLeastSquares(WeightedRegressor):
         if self.initial_covariance is None:
             _compile_triangle()
         else:
-            _compile_covariance("safe" if self.form in ("safe", "triangle") else "UD")
+            factored = isinstance(self.form, str) and self.form not in ("safe", "triangle")
+            _compile_covariance("UD" if factored else "safe")
 
     def _warn(self):
         if (self.held_ > 0.5).any():
