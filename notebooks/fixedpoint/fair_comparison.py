@@ -22,7 +22,6 @@ from experiments.fixedpoint.published import (
     WINDOW,
     published_controllers,
 )
-from experiments.fixedpoint.statements import fraction
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.kinematics import KinematicDesign
@@ -39,7 +38,7 @@ from stillwork.estimation.coordinate_filters import (
 from stillwork.estimation.gaussian import COVARIANCE, ESTIMATE, MEANS, PAST
 from stillwork.estimation.plant import Plant
 from workbook import figures
-from workbook.studies import Study
+from workbook.studies import Study, fraction
 
 
 def paint_low_pass(exponent: float, bandwidth: float, strength: float):
