@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
-from experiments.fixedpoint import statements as said
 from experiments.fixedpoint.axes import legend_above, log_axis
 from experiments.fixedpoint.choices import PRINTED_NOISE, SAMPLE_TIME, Values, trajectory
 from experiments.fixedpoint.differentiation import steady_errors
@@ -15,7 +14,7 @@ from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.noise_pictures import motion_at_rest
 from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
 from workbook import figures
-from workbook.studies import mean_interval, run_study
+from workbook.studies import fraction, mean_interval, run_study
 
 
 def quotient_trial(
@@ -206,6 +205,6 @@ def differentiation(
     motion = trajectory(trajectory_shape, trajectory_frequency, 1.0).position[:record_samples]
     rejected = encoder_rejected(motion, Noise("encoder", encoder_step), SAMPLE_TIME, records, seed)
     return found | {
-        "fixedpoint.section-2c.not-independent": said.fraction(beyond),
-        "fixedpoint.section-4.encoder-not-gaussian": said.fraction(rejected),
+        "fixedpoint.section-2c.not-independent": fraction(beyond),
+        "fixedpoint.section-4.encoder-not-gaussian": fraction(rejected),
     }
