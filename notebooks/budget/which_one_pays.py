@@ -56,7 +56,7 @@ def error(
     return float(np.sqrt(by_floor[place] + others @ scale))
 
 
-def purchases(
+def order_of_purchase(
     place: int, sensor: float, payload: float, assumed: Assumed = AS_FILED, advantage: float = ADVANTAGE
 ) -> list[str]:
     """Methods in the order in which each lowers the error most, as long as one lowers it by `advantage`."""
@@ -81,7 +81,7 @@ def purchase_map(payload: float, assumed: Assumed = AS_FILED, advantage: float =
     """Orders of purchase, (sensors, floors)."""
     found = np.empty((len(SENSORS), len(FLOORS)), object)
     for (row, sensor), (column, _) in product(enumerate(SENSORS), enumerate(FLOORS)):
-        found[row, column] = purchases(column, sensor, payload, assumed, advantage)
+        found[row, column] = order_of_purchase(column, sensor, payload, assumed, advantage)
     return found
 
 

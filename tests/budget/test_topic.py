@@ -8,7 +8,14 @@ from scipy import linalg
 
 from experiments.budget.machine import FLOORS, budget_of, machine, on_every_floor, parameters, stage
 from notebooks.budget import robust, the_machine, which_one_pays
-from notebooks.budget.which_one_pays import CHOICES, NOISES, SAMPLE_S, differentiator, purchases, tuning_trial
+from notebooks.budget.which_one_pays import (
+    CHOICES,
+    NOISES,
+    SAMPLE_S,
+    differentiator,
+    order_of_purchase,
+    tuning_trial,
+)
 from stillwork.control.uncertainty import Perturbation
 
 
@@ -33,7 +40,7 @@ def test_floors_at_once_are_those_of_one_budget_each():
 
 
 def test_purchases_end_where_none_saves_enough_and_are_greedy():
-    order = purchases(FLOORS.index("VC-A"), 1.4, 0.0)
+    order = order_of_purchase(FLOORS.index("VC-A"), 1.4, 0.0)
     errors = [
         which_one_pays.error(frozenset(order[:k]), FLOORS.index("VC-A"), 1.4, 0.0)
         for k in range(len(order) + 1)
