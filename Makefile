@@ -23,9 +23,9 @@ PINNED := lib/workbook/pinned.env
 UNDER_PINS = env $(shell grep -v '^\#' $(PINNED))
 
 # nbval is for the notebooks, anyio is not used; loading them takes a second of every process.
-# Files go to the workers whole, for their tests share what is dear to make, and in the order of tests/order.py.
+# Files go to the workers whole, for their tests share what is dear to make, those of most tests first.
 UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/browser \
-	-n logical --dist loadfile --no-loadscope-reorder
+	-n logical --dist loadfile
 # How many notebooks nbval executes again, others each day.
 RERUN ?= 3
 DAY := $(shell date +%Y%m%d)

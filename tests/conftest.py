@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-import order
 import typecheck
 
 # What is imported stays, half a million objects of it: the search for garbage leaves them out, while they are made and
@@ -32,10 +31,6 @@ def pytest_xdist_auto_num_workers(config):
 
         return cores() + 1
     return None  # as many as processors
-
-
-def pytest_collection_modifyitems(items):
-    items.sort(key=lambda item: order.rank(item.path))
 
 
 def pytest_collection_finish():

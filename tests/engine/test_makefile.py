@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from order import PLACES
 from workbook.pinned import FILE, pins
 
 ROOT = Path(__file__).parents[2]
@@ -251,10 +250,6 @@ def test_bench_runs_what_measures_speed_beside_peers_alone(checkout):
     assert make(checkout, OWN, "bench", "ARGS=--write").returncode == 0
     run = ("export", "fixedpoint", "isolation", "motion", "synthesis", "worstcase")
     assert calls(checkout) == [f"benchmarks/{name}.py --write" for name in run]
-
-
-def test_the_files_that_begin_first_are_there():
-    assert [file for file in PLACES if not file.is_file()] == []
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """Committed files that follow from others: README blocks, the index notebook, the manifest."""
 
 import json
-from collections import Counter
 from collections.abc import Callable
 from html import escape
 
@@ -10,12 +9,7 @@ from workbook.claims import Claim, ledger
 from workbook.notebooks import METADATA, notebook_text
 from workbook.publish import replace_file
 from workbook.report import (
-    column,
-    columns,
-    our_quantity,
-    published_quantity,
     readme_with_summary,
-    tally,
 )
 from workbook.site.metadata import about, papers, project
 from workbook.site.pages import NotebookPage, read_page
@@ -76,29 +70,18 @@ def _gallery(pages: list[NotebookPage]) -> str:
     return "\n".join(cells[:IN_A_ROW])
 
 
-def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
-    shown = columns(claims)
+def _index(pages: list[NotebookPage], _claims: list[Claim]) -> str:
+    """The notebooks by topic; what agrees with the papers stands in one list, the ledger."""
     parts = [
         "# The notebooks\n\nA topic for each paper, a notebook for each result. Run a notebook with "
-        "*Run > Run All Cells*, change its cell of parameters, or move the sliders of its explorer.",
-        "## What agrees with the papers\n\n"
-        + "\n".join(
-            [
-                "| topic | paper | " + " | ".join(shown) + " |",
-                "|---|---|" + "---:|" * len(shown),
-                *(_row(topic, paper, claims, shown) for topic, paper in papers().items()),
-            ]
-        ),
+        "*Run > Run All Cells*, change its cell of parameters, or move the sliders of its explorer. "
+        "`python -m workbook claims` lists every published number with ours and the verdict.",
     ]
     for topic, paper in papers().items():
-        mine = [page for page in pages if page.topic == topic]
-        if mine:
-            listing = "\n".join(
-                f"- [{page.title}]({page.name}.ipynb){_verdicts(page.claims)}" for page in mine
-            )
-            first = _headline(paper, claims)
-            said = f"{paper['claimed']}\n\n" if paper["claimed"] else ""
-            parts.append(f"## {paper['title']} (`{topic}`)\n\n{said}{first}{listing}")
+        if mine := [page for page in pages if page.topic == topic]:
+            listing = "\n".join(f"- [{page.title}]({page.name}.ipynb)" for page in mine)
+            claimed = f"{paper['claimed']}\n\n" if paper["claimed"] else ""
+            parts.append(f"## {paper['title']} (`{topic}`)\n\n{claimed}{listing}")
     parts.append(f"## Folders\n\n{about()['folders']}")
     cells = [
         # In lines, as Jupyter writes them.
@@ -108,56 +91,18 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
     return notebook_text({"cells": cells, "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5})
 
 
-def _headline(paper: dict, claims: list[Claim]) -> str:
-    """What the paper claims first, as a table that ends with a blank line; empty where the ledger has none of it."""
-    by_id = {claim.entry.id: claim for claim in claims}
-    rows = [
-        f"| {each['says']} | {published_quantity(claim)} | {our_quantity(claim)} | {claim.judgement} |"
-        for each in paper["headline"]
-        if (claim := by_id.get(each["entry"]))
-    ]
-    if not rows:
-        return ""
-    return (
-        "\n".join(["| the paper claims | published | ours | verdict |", "|---|---|---|---|", *rows]) + "\n\n"
-    )
-
-
-def _row(topic: str, paper: dict, claims: list[Claim], shown: list[str]) -> str:
-    counts = Counter(column(claim) for claim in claims if claim.entry.topic == topic)
-    numbers = " | ".join(str(counts[name]) for name in shown)
-    return f"| `{topic}` | {paper['paper']} | {numbers} |"
-
-
-def _verdicts(claims: tuple[Claim, ...]) -> str:
-    return f": {tally(claims)}" if claims else ""
-
-
 def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
-    """The manifest of https://codecheck.org.uk: every output, and what of which work it replicates."""
+    """The manifest of https://codecheck.org.uk: of each notebook the numbers that it holds against its paper."""
     lines = ["---", f"version: {CODECHECK}", "paper:"]
     lines += [f"  title: {_quoted(project()['description'])}", "  authors:"]
     lines += [f"    - name: {_quoted(author['name'])}" for author in project()["authors"]]
     lines.append("manifest:")
     sources = {topic: paper["paper"] for topic, paper in papers().items()}
     for page in pages:
-        for figure in page.figures:
-            if figure.csv:
-                about = [claim for claim in page.claims if page.figure_of(claim) == figure]
-                places = ", ".join(dict.fromkeys(claim.entry.place.partition(",")[0] for claim in about))
-                comment = f"{page.title}. {sources[page.topic]}" + (f"; {places}" if places else "")
-                lines += _output(f"{figure.path}.png", comment)
-                lines += _output(f"{figure.path}.csv", f"the numbers plotted in {figure.name}.png")
         if page.claims:
-            lines += _output(
-                f"figures/{page.name}/claims.json",
-                f"{page.title}: {len(page.claims)} entries of the ledger as found here{_verdicts(page.claims)}",
-            )
+            lines.append(f"  - file: figures/{page.name}/claims.json")
+            lines.append(f"    comment: {_quoted(f'{page.title}. {sources[page.topic]}')}")
     return "\n".join([*lines, ""])
-
-
-def _output(file: str, comment: str) -> list[str]:
-    return [f"  - file: {file}", f"    comment: {_quoted(comment)}"]
 
 
 def _quoted(text: str) -> str:
