@@ -56,6 +56,11 @@ def _style() -> dict:
     return {**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}
 
 
+def literal(text: str) -> str:
+    """A text of a file's in a figure: a $ in it begins no formula."""
+    return text.replace("$", r"\$")
+
+
 def new(rows: int = 1, columns: int = 1, height: float | None = None, **options):
     """New figure in the width of a page: ``figure, axes = new(2, 3)``.
 

@@ -199,7 +199,7 @@ def paint_pair(pair: Pair, spectra: Spectra):
     band = max(pair.band_hz[0], spectra.frequency[1]), pair.band_hz[1]
     rows = zip(("input", "output"), pair.names, pair.units, level, (figures.BLUE, figures.RED), strict=True)
     for axes, (side, name, unit, noise, colour) in zip(panels[:2], rows, strict=True):
-        style = {"lw": 0.8, "color": colour, "label": f"{side}: {name}"}
+        style = {"lw": 0.8, "color": colour, "label": f"{side}: {figures.literal(name)}"}
         axes.loglog(spectra.frequency[shown], getattr(spectra, side)[shown], **style)
         axes.loglog(band, [noise, noise], color=figures.BLACK, label="sensor noise taken, over the pass band")
         axes.set_ylabel(f"density (({_nice(unit)})²/Hz)")

@@ -215,6 +215,16 @@ def test_two_processes_write_the_same_bytes(tmp_path):
         assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
+@pytest.mark.parametrize("name", [r"$\frac{$", "$x$", r"\$a$ $\undefined$", "5 $"])
+def test_a_name_from_a_file_is_no_formula(name):
+    with figures.house_style():
+        figure, axes = figures.new()
+        axes.plot([0, 1], label=figures.literal(name))
+        [text] = axes.legend().get_texts()
+        figure.canvas.draw()  # a formula with a mistake raises
+    assert not matplotlib.cbook.is_math_text(text.get_text())
+
+
 def test_the_settings_of_matplotlib_come_back():
     before = dict(matplotlib.rcParams)
     with pytest.raises(ZeroDivisionError), figures.house_style():

@@ -680,7 +680,7 @@ def paint_budget(budget: ErrorBudget):
     below = budget.cumulative(backward=True)[:, 0]
     for number, (name, density) in enumerate(zip(budget.names, budget.density[:, 0], strict=True)):
         # By number, since a tone is drawn on the right alone.
-        style = {"color": f"C{number}", "linewidth": 0.9, "label": name}
+        style = {"color": f"C{number}", "linewidth": 0.9, "label": figures.literal(name)}
         if density[smooth].any():
             left.loglog(f[smooth], 1e9 * np.sqrt(density[smooth]), **style)
         right.semilogx(f, 1e9 * np.sqrt(below[number]), **style)

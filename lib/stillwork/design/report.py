@@ -238,7 +238,7 @@ def paint_response(record: Record, resolution: float):
     found = estimate_response(record.signals[:1], record.signals[1:], record.sample_rate, resolution)
     size, hertz = np.abs(found.response[:, 0, 1:]), found.frequencies_hz[1:]
     figure, upper, lower = _two_panels(hertz, size, found.coherence[:, 1:], record.names[1:])
-    upper.set_ylabel(f"over {record.names[0]}")
+    upper.set_ylabel(f"over {figures.literal(record.names[0])}")
     lower.set(ylabel="coherence", ylim=(0, 1.05))
     return figure
 
@@ -247,7 +247,7 @@ def _two_panels(hertz, above, below, names):
     """Rows over frequency on two panels, the upper ones in decades."""
     figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
     for name, high, low in zip(names, above, below, strict=True):
-        upper.loglog(hertz, high, linewidth=0.8, label=name)
+        upper.loglog(hertz, high, linewidth=0.8, label=figures.literal(name))
         lower.semilogx(hertz, low, linewidth=0.8)
     upper.legend()
     lower.set_xlabel("frequency (Hz)")
