@@ -63,6 +63,8 @@ HEADERS = {
     "chunk;timestamp (ticks)": REFUSED,
     "frequency_Hz": ("frequency", 1),
     "r (V)": ("", (1, "V")),
+    "f (mN)": ("", (1e-3, "N")),
+    "F (Hz)": ("frequency", 1),
     "phase_rad": ("phase", 1),
     # MATLAB, python-control, SciPy, ObsPy
     "freq_rad_s": ("frequency", 1 / TURN),

@@ -131,7 +131,10 @@ def heading(name: str) -> Heading:
     if odd and (means is None or (quantity in _STRICT and not set(_words(odd[-1])) <= set(_LABELS))):
         unknown = odd[-1]
     if quantity in _STRICT and means and means.si not in HOLDS[quantity][1]:
-        unknown = unit[0]
+        if len(words[0]) == 1:  # f (mN) is a force, and no frequency
+            quantity = ""
+        else:
+            unknown = unit[0]
     strange = _strange(label, words, quantity, means) if quantity in _STRICT and not unknown else ""
     return Heading(name, quantity, unit[0], None if unknown else means, unknown, strange)
 

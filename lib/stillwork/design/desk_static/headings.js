@@ -161,7 +161,10 @@ export function heading(name) {
   const same = (one, other) => ["factor", "si", "lowerSi", "decibels", "reference", "power"].every((key) => one[key] === other[key]);
   let unknown = stated.find(([, other]) => !same(other, stated.at(-1)[1]))?.[0] ?? "";
   if (odd.length && (!means || (strict(quantity) && !wordsOf(odd.at(-1)).every((each) => TABLE.labels.includes(each))))) unknown = odd.at(-1);
-  if (strict(quantity) && means && !fits(quantity, means)) unknown = unit[0];
+  if (strict(quantity) && means && !fits(quantity, means)) {
+    if (words[0].length === 1) quantity = "";
+    else unknown = unit[0];
+  }
   const strange = strict(quantity) && !unknown ? strangeOf(label, words, quantity, means) : "";
   return { quantity, unit: unit[0], means: unknown ? null : means, unknown, strange };
 }
