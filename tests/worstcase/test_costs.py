@@ -69,16 +69,14 @@ def counted(update, n):
     rows, outputs = numbers(rows), numbers(outputs)
     factored = [square, column[0], scalars, column[1], numbers(np.zeros((n, n))), column[2]]
     state = {
-        "least squares": [
-            numbers(1e4 * np.eye(n)), column[0], np.full(n, np.inf), np.full(n, np.inf), np.zeros(n)
-        ],
+        "least squares": [numbers(1e4 * np.eye(n)), column[0], np.full(n, np.inf), np.zeros(n)],
         "ridge": [square, column[0], column[1]],
         "exact": factored,
         "approximate": factored,
         "fast": [column[2], numbers(np.eye(n)), column[0], scalars, column[1]],
     }[update]
     run = {
-        "least squares": lambda r, y, b, o: steps.run_least_squares(r, y, weight, 1.0, 1.0, *state, *o[:2]),
+        "least squares": lambda r, y, b, o: steps.run_least_squares(r, y, weight, *state, *o[:2]),
         "ridge": lambda r, y, b, o: steps.run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
         "exact": lambda r, y, b, o: steps.run_min_max((), r, y, b, weight, 0, *state, *o),
         "approximate": lambda r, y, b, o: steps.run_min_max((), r, y, b, weight, 2, *state, *o),
