@@ -26,8 +26,10 @@ UNDER_PINS = env $(shell grep -v '^\#' $(PINNED))
 # Files go to the workers whole, for their tests share what is dear to make, those of most tests first.
 UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/browser \
 	-n logical --dist loadfile
-# How many notebooks nbval executes again, others each day.
+# How many notebooks nbval executes again: in the order of their names, from another one on each day.
 RERUN ?= 3
+AGAIN = $$(ls notebooks/*/*.ipynb | awk -v first=$$(($$(date +%s) / 86400 * $(RERUN))) -v count=$(RERUN) \
+	'{ all[NR - 1] = $$0 } END { for (i = 0; i < count && i < NR; i++) print all[(first + i) % NR] }')
 DAY := $(shell date +%Y%m%d)
 
 # A part of `make test`: $(1) its name, $(2) the command, run even if a part before it failed. How long each took and
@@ -63,10 +65,8 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 	$(call part,types,$(BIN)/python -m mypy)
 	$(call part,unit tests,$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT))
 	$(call part,build,$(BIN)/python -m stillwork figures)
-	@# The plugin lies in the package, so the package is imported before its types could be checked.
 	$(call part,notebooks,rm -rf build/nbval && $(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" \
-		$(BIN)/python -m pytest notebooks \
-		-p no:nbval -p workbook.nbval_check --jaxtyping-packages= --nbval --nbval-rerun $(RERUN) \
+		$(BIN)/python -m pytest $(AGAIN) --nbval --nbval-sanitize-with tests/nbval.cfg \
 		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
 	$(call part,what is committed,$(UNDER_PINS) $(BIN)/python -m pytest tests/committed \
 		-p no:nbval -p no:anyio -n logical --dist worksteal)
@@ -80,7 +80,7 @@ course: $(READY) ## Run the solutions of the course's exercises
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/notebooks/index.ipynb \
-		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 --ServerApp.jpserver_extensions=workbook.lab=True $(ARGS)
+		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 $(ARGS)
 
 site: $(READY) ## Write the static site to build/site/index.html
 	@$(BIN)/python -m stillwork site

@@ -105,7 +105,7 @@ def test_an_installed_checkout_has_it_on_its_path(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_nbval_executes_it(toy):
-    options = ["-p", "no:nbval", "-p", "workbook.nbval_check", "--nbval", "--nbval-current-env"]
+    options = ["--nbval", "--nbval-current-env"]
     told = run(toy, "-m", "pytest", "-c", "/dev/null", f"notebooks/{FIRST}.ipynb", *options)
     assert "passed" in told and "failed" not in told
 

@@ -14,7 +14,7 @@ from workbook import paths
 NAMED = re.compile(r"(?:experiments|contest|notebooks)[\w.]*:(\w+)|(?:stillwork|workbook)[\w.]*:(\w+)")
 WRITTEN = re.compile(r"`[\w.]*?(\w+)`")
 # pytest and Jupyter call these by their names.
-HOOKS = re.compile(r"__\w+__|pytest_\w+|_(load_)?jupyter_server_extension\w*")
+HOOKS = re.compile(r"__\w+__|pytest_\w+")
 
 
 def defined(statement):

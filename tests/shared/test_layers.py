@@ -165,7 +165,7 @@ def read(place, root=None):
 
 
 def private(name):
-    return name.startswith("_") and not name.startswith("__") and "jupyter_server_extension" not in name
+    return name.startswith("_") and not name.startswith("__")
 
 
 def reached(tree, names):
