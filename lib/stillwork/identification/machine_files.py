@@ -78,7 +78,7 @@ def load_machine(
 ) -> MachineFile:
     """Read a machine from a CSV, MAT, NPZ or universal file; the names of its columns decide which of the three forms it is.
 
-    - Frequency response: ``frequency`` (Hz, or with ``(rad/s)`` behind it) and either a complex array, also one of
+    - Frequency response: ``frequency`` (Hz, or in the unit that its name states: ``freq_rad_s``) and either a complex array, also one of
       outputs by inputs (`response` chooses, e.g. ``h[2,1]``), or ``real`` and ``imaginary``, or ``magnitude``
       (``(dB)`` behind it when it is) and ``phase`` (degrees, or ``(rad)``); ``coherence`` if there is one.
     - Hammer records: ``force`` and one response, each hits by samples (in CSV ``force 1``, ``force 2``, ...),

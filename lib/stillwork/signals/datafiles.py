@@ -14,7 +14,7 @@ import numpy as np
 
 from stillwork.base.checks import InputError, one_line, pluralise, short_repr
 from stillwork.base.extras import require_package
-from stillwork.base.validation import checked
+from stillwork.base.validation import by_value, checked
 from stillwork.signals.matfiles import MOST_BYTES, read_mat
 from stillwork.signals.units import meaning
 from stillwork.signals.universal import read_universal
@@ -131,6 +131,7 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
     return columns
 
 
+@by_value
 @dataclass(frozen=True)
 class _Text:
     """How the numbers of a text stand in it."""

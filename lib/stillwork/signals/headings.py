@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 from stillwork.base.checks import InputError
-from stillwork.base.validation import checked
+from stillwork.base.validation import by_value, checked
 from stillwork.signals.units import (
     DECIBELS,
     DENSITIES,
@@ -77,6 +77,7 @@ _OTHERS = (
 _LOGARITHMS = ("log", "logarithmic", "logmag")  # of a magnitude in decibels
 
 
+@by_value
 @dataclass(frozen=True)
 class Heading:
     """What the name of a column states."""
@@ -231,6 +232,7 @@ def _bare_word(word: str) -> str:
     return re.sub(r"(?<=[^\d])\d+$", "", word)
 
 
+@checked
 def known_units(quantity: str) -> str:
     """The units that a column of a quantity may have, as a text."""
     if quantity in ("magnitude", "real", "imaginary"):

@@ -113,8 +113,8 @@ def load_record(
 
     A CSV file has one column per channel, with or without a line of names, separated by comma, semicolon, tab or
     blanks; lines that start with # are skipped. In MAT (up to version 7) and NPZ files every numeric array of
-    the common length is a channel or a set of channels. A column or array named ``t`` or ``time`` (a unit in
-    brackets may follow) is the time, in s unless that is another; a scalar named ``fs`` or ``sample_rate`` is the
+    the common length is a channel or a set of channels. A column or array named ``t`` or ``time`` (or
+    ``time (ms)``, ``t_us``, ...) is the time, in s unless it states another unit; a scalar named ``fs`` or ``sample_rate`` is the
     rate in Hz. Universal files give their time responses, see `stillwork.signals.universal`.
 
     Parameters

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from stillwork.base.checks import InputError, nearest
-from stillwork.base.validation import checked
+from stillwork.base.validation import by_value, checked
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
 MOTION_UNITS = ("m/s^2", "m/s", "m")
@@ -100,6 +100,7 @@ DENSITIES = (
 )
 
 
+@by_value
 @dataclass(frozen=True)
 class Unit:
     """What a unit means."""
@@ -119,6 +120,7 @@ class Unit:
         return self.si in MOVES and self.lower_si in DRIVES
 
 
+@by_value
 @dataclass(frozen=True)
 class Reading:
     """What a reader took a column of a file for."""
@@ -175,6 +177,7 @@ def _bare(text: str) -> str:
     return text.strip("() ")
 
 
+@checked
 def spelled(text: str) -> str:
     """A unit in the spelling of `UNITS`, as far as it is another spelling of one."""
     plain = unicodedata.normalize("NFKC", text).strip()
