@@ -57,9 +57,10 @@ from stillwork.design.hardware import (
     single_rows,
 )
 from stillwork.design.html_page import page, picture, table
-from stillwork.identification.machine import TURNED, Machine, build_machine
+from stillwork.identification.machine import TURNED, Machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
+from stillwork.identification.readings import build_explained
 from stillwork.lti.modal import ModalModel
 from workbook import figures
 from workbook.progress import Progress
@@ -187,7 +188,8 @@ def design_file(
     scales = counts or 1.0, 1 / motor_constant if motor_constant else 1.0
     sensor_spec = sensor_noise(own_units[0], limit, noise, noise_share, noise_ratio)
     machines = [
-        build_machine(each, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor) for each in every
+        build_explained(path, each, fit_hz=fit_hz, mirrored_sensor=mirrored_sensor, options=load_options)
+        for path, each in zip(sources, every, strict=True)
     ]
     for sensor in machines[0].sensors:
         motion_of(sensor, 0.0, *scales, moves).require_within(limit)

@@ -1,6 +1,7 @@
 """The command ``desk``: one page on which you shape a loop by hand on a measurement, in any browser, offline."""
 
 import json
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from stillwork.design.html_page import require_new
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine
+from stillwork.identification.readings import believed
 from stillwork.lti.modal import ModalModel
 
 MOST_LINES = 2000  # of a measurement that a page holds
@@ -91,6 +93,7 @@ def read_machine(
         if taken.accelerance is None:
             raise
         return _measured_alone(taken, str(error), loop_hz, uncertainty)
+    print(believed(taken, machine), file=sys.stderr, flush=True)
     return entry(machine, uncertainty, loop_hz)
 
 

@@ -22,6 +22,7 @@ from stillwork.identification.machine_files import (
     load_machine,
     stated_units,
 )
+from stillwork.identification.readings import believed
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import (
     DENSITY_UNITS_TEXT,
@@ -136,6 +137,7 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
     file = load_machine(source, **options)
     band = arguments.get("fit_hz", (0.0, 0.0))
     machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
+    print(believed(file, machine), file=sys.stderr, flush=True)
     known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
     yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}{known}"
     yield from machine.notes

@@ -1,6 +1,7 @@
 """The command ``retest``: check a new response against what `design` promised, on one page."""
 
 import html
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from stillwork.design.noisy_peak import ABOUT, largest
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine, load_ratio
+from stillwork.identification.readings import believed
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 from workbook import figures
@@ -97,9 +99,9 @@ def retest_file(
         loops, stable, turns = {"measured": seen}, True, None  # it ran
         changes = _gain_change(before, seen, pid, made, Path(file).name)
     else:
-        machine = build_machine(
-            load_machine(file, **load_options), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False
-        )
+        taken = load_machine(file, **load_options)
+        machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
+        print(believed(taken, machine), file=sys.stderr, flush=True)
         if machine.mass_unit != made["mass_unit"]:
             raise InputError(
                 f"{Path(file).name} is of a machine in {machine.mass_unit}, the controller of one in {made['mass_unit']}; "

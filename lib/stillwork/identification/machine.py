@@ -134,7 +134,7 @@ def _fitted(
     file: MachineFile, measured: Identified, modes_hz: list[float], fit_hz: tuple[float, float]
 ) -> Machine:
     band = whole_band(measured, fit_hz)
-    fit = identify_modes(_thinned(measured, 12_000, band), band, modes_hz)
+    fit = identify_modes(thinned(measured, 12_000, band), band, modes_hz)
     notes = [*file.notes]
     if len(fit.model.frequencies) < 2:
         whole, only = band, float(fit.model.frequencies[-1]) / (2 * np.pi)
@@ -238,7 +238,7 @@ def _closer(
     low, high = max(band[0], AROUND[0] * only), min(band[1], AROUND[1] * only)
     try:
         part = whole_band(measured, (low, high))
-        return part, identify_modes(_thinned(measured, 12_000, part), part)
+        return part, identify_modes(thinned(measured, 12_000, part), part)
     except InputError:
         return None
 
@@ -288,7 +288,7 @@ def _mass(model: ModalModel) -> float:
     return 1 / mobility
 
 
-def _thinned(measured: Identified, most: int, band_hz: tuple[float, float]) -> Identified:
+def thinned(measured: Identified, most: int, band_hz: tuple[float, float]) -> Identified:
     """At most about `most` lines in the band, evenly chosen."""
     low, high = (2 * np.pi * end for end in band_hz)
     step = max(1, int(np.sum((measured.omega >= low) & (measured.omega <= high))) // most)

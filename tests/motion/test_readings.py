@@ -1,0 +1,82 @@
+"""Columns written in one unit and read in another never become a controller; those read as written do."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from stillwork import lti
+from stillwork.base.checks import InputError
+from stillwork.identification.machine import build_machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.identification.readings import believed, build_explained
+
+READINGS = [*product(("dB", "1"), ("deg", "rad"))]
+
+
+def drawn(seed):
+    """Lines and receptance of a random machine, 50 g to 300 kg, with noise."""
+    rng = np.random.default_rng(seed)
+    mass, first, ratio = np.exp(rng.uniform(np.log([0.05, 30, 1.5]), np.log([300, 600, 2.6])))
+    hertz = np.array([first, ratio * first])
+    shares = rng.uniform(0.4, 1.0, 2) * [1, rng.choice([-1, 1])]
+    shapes = np.sqrt(np.abs(np.append(1.0, shares)) / mass)
+    model = lti.ModalModel(
+        np.append(0.0, 2 * np.pi * hertz),
+        np.append(0.0, rng.uniform(0.005, 0.03, 2)),
+        shapes[:, None],
+        (shapes * np.sign(np.append(1.0, shares)))[None],
+        np.zeros((1, 1)),
+    )
+    lines = np.linspace(first / 15, 2 * hertz[-1], 600)
+    noise = rng.choice([0.0, 0.02, 0.2]) * (rng.standard_normal((2, 600)).T @ [1, 1j]) / np.sqrt(2)
+    return lines, model.frequency_response(2 * np.pi * lines)[0, 0] * (1 + noise), mass
+
+
+def write(path, lines, response, written, stated):
+    size = 20 * np.log10(np.abs(response)) if written[0] == "dB" else np.abs(response)
+    angle = np.angle(response, deg=written[1] == "deg")
+    unit = "dB re 1 m/N" if stated[0] == "dB" else "m/N"
+    names = f"frequency (Hz),magnitude ({unit}),phase ({stated[1]})"
+    np.savetxt(path, np.column_stack([lines, size, angle]), delimiter=",", header=names, comments="")
+    return path
+
+
+def explained(path):
+    return build_explained(path, load_machine(path), fit_hz=(0.0, 0.0), mirrored_sensor=False, options={})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_no_wrong_reading_passes_and_no_right_one_is_refused(tmp_path, seed):
+    lines, response, mass = drawn(seed)
+    rng = np.random.default_rng(seed)
+    written = READINGS[seed % 4]
+    right = explained(write(tmp_path / "right.csv", lines, response, written, written))
+    assert right.mass == pytest.approx(mass, rel=0.1)
+    wrong = [each for each in READINGS if each != written]
+    stated = wrong[rng.integers(len(wrong))]
+    with pytest.raises(InputError, match=r"explains|off by|no resonance"):
+        explained(write(tmp_path / "wrong.csv", lines, response, written, stated))
+
+
+def test_what_is_believed_is_one_line(tmp_path):
+    """8 kg with modes at 200 and 500 Hz, units written and not."""
+    shapes = np.sqrt(np.array([1.0, 0.8, 0.6]) / 8)
+    model = lti.ModalModel(
+        2 * np.pi * np.array([0.0, 200.0, 500.0]),
+        np.array([0.0, 0.01, 0.01]),
+        shapes[:, None],
+        shapes[None],
+        np.zeros((1, 1)),
+    )
+    lines = np.linspace(10.0, 1000.0, 800)
+    response = model.frequency_response(2 * np.pi * lines)[0, 0]
+    columns = [2 * np.pi * lines, 20 * np.log10(np.abs(response)), np.angle(response, deg=True)]
+    names = "frequency (rad/s),magnitude (dB re 1 m/N),phase"
+    np.savetxt(tmp_path / "a.csv", np.column_stack(columns), delimiter=",", header=names, comments="")
+    file = load_machine(tmp_path / "a.csv")
+    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    assert believed(file, machine) == (
+        "8 kg, modes at 200 and 500 Hz; frequency from rad/s, magnitude in dB re 1 m/N, phase in degrees (default, not written)"
+    )
