@@ -310,7 +310,7 @@ def design_file(
         f"taken: {best}, stopped by {reached.summary['stopped by']}",
         f"the promise holds for {'; '.join(map(' '.join, held))}",
         *(f"biquads for a drive: {value}" for _, value in facts if value == WITHOUT_BIQUADS),
-        f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
+        f"what would help most, on the model with the same settings, beyond which a new design may reach: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
         f"{folder}: {', '.join(sorted([*code, 'report.html']))}",
     ]
 
