@@ -149,7 +149,7 @@ def test_what_would_help_is_what_it_would_give(written):
     assert helps == [["no delay:", f"{gains[0]:.1f}"], ["twice the rate:", f"{gains[1]:.1f}"]]
     assert gains[0] > gains[1] > 1.2 * before.on_model.crossing_hz[0]
     page = (folder / "report.html").read_text()
-    assert said[-2].startswith("what would help most: ") and "at the worst places of the box (dB)" in page
+    assert said[-2].startswith("what would help most, ") and "at the worst places of the box (dB)" in page
 
 
 @pytest.mark.slow
