@@ -145,7 +145,9 @@ def _roots(root: Path, path: tuple[str, ...]) -> tuple[Path, ...]:
     standard = {Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
     places = dict.fromkeys([root / "lib", root, *(Path(each) for each in path if each)])
     kinds = {"site-packages", "dist-packages", "lib-dynload"}
-    return tuple(each for each in places if each.is_dir() and each not in standard and each.name not in kinds)
+    return tuple(
+        each for each in places if each.is_dir() and each not in standard and each.resolve().name not in kinds
+    )
 
 
 @cache
