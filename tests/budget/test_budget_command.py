@@ -18,7 +18,6 @@ from stillwork.design.budget import (
     machine_of,
     measured_at,
     new_budget,
-    paint_budget,
     sources_of,
 )
 from stillwork.lti.discretisation import tustin
@@ -302,15 +301,6 @@ def test_a_move_is_the_setpoint_that_a_file_holds_and_its_feedforward_takes_the_
     assert any("scan: half the error that its feedforward leaves" in line for line in lines)
 
 
-def test_a_source_has_one_colour_on_both_sides_where_a_tone_stands_before_it(files):
-    """A tone has no density: it is drawn on the right alone."""
-    network, sources = scan(files["wafer-stage"], move="20 mm", move_s=0.2, rest_s=0.1)
-    left, right = paint_budget(error_budget(network, sources[::-1], (0.5, 2000.0))).axes
-    colours = [{line.get_label(): line.get_color() for line in axes.lines} for axes in (left, right)]
-    assert 0 < len(colours[0]) < len(colours[1]) - 1
-    assert all(colours[1][name] == colour for name, colour in colours[0].items())
-
-
 def test_a_periodic_file_is_its_tone_and_noise_may_come_from_a_file_or_as_a_power(files, tmp_path):
     t = np.arange(4000) / 4000
     ripple = np.c_[t, 3.0 * np.sin(2 * np.pi * 24 * t)]
@@ -347,11 +337,6 @@ def test_a_stage_elsewhere_has_its_own_error(files, tmp_path):
     lines = budget_file(str(file), out=str(tmp_path / "out"))
     (said,) = [line for line in lines if line.startswith("over the stage's positions")]
     assert f"here {rms(lines):.3g} nm" in said and "there the closed loop is unstable" in said
-
-
-def test_only_what_has_a_path_is_asked_for(files, tmp_path):
-    lines = budget_file(str(files["microscope-stage"]), out=str(tmp_path / "out"))
-    assert "floor sensor: no source" not in "\n".join(lines) and "hardly matters" in "\n".join(lines)
 
 
 def test_the_bandwidth_that_an_unstable_loop_is_offered_is_stable(files, tmp_path):

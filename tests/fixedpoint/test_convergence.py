@@ -1,7 +1,7 @@
 """The linear loop and its limit cycles against simulation, closed forms and python-control."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -24,7 +24,7 @@ from stillwork.control.fixed_point_convergence import (
     stable_range,
     strongest_oscillation,
 )
-from stillwork.control.fixed_point_linear import LinearLoop, linear_filter, linear_loop
+from stillwork.control.fixed_point_linear import linear_filter, linear_loop
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import ContractionWarning, RobustTransformation, contraction_range
 from stillwork.estimation import LowPass, filter_signal
@@ -171,19 +171,6 @@ def test_a_right_model_has_a_weak_edge_too(exact, approximate):
         stable_range(linear_loop(plant, controller, SAMPLE_TIME)).limits for plant in (exact, approximate)
     )
     assert np.divide(right, wrong) == pytest.approx(np.full(2, response_gain(exact, approximate)), rel=0.02)
-
-
-def test_the_widest_stable_range_counts(monkeypatch, exact, approximate):
-    edges = [fixed_point_convergence.Crossing(gain, 1.0) for gain in (-5.0, -4.5, -2.0)]
-
-    @dataclass(frozen=True)
-    class Stub(LinearLoop):
-        def radius(self, local_gain):
-            return 1.5 if -4.5 < local_gain < -2.0 else 0.5
-
-    monkeypatch.setattr(fixed_point_convergence, "crossings", lambda loop: edges)
-    stub = Stub(np.eye(1), np.zeros((1, 1)), np.zeros((1, 1)), SAMPLE_TIME)
-    assert stable_range(stub).limits == (-2.0, 0.0)
 
 
 def test_no_stable_gain_and_no_cycle(exact, approximate):

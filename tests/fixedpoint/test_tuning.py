@@ -54,12 +54,6 @@ def test_the_search_finds_a_minimum(monkeypatch, exact, approximate, training):
     assert found.at_edge == () and found.diverged == 0
 
 
-def test_a_setting_at_the_end_of_its_range_is_named(monkeypatch, exact, approximate, training):
-    family = narrow(monkeypatch, lambda controller: 1 / controller.signal_filter.bandwidth)
-    [found] = tune(family, exact, approximate, training, NOISE, budget=64, runs=1, seed=1)
-    assert found.at_edge == ("bandwidth",)
-
-
 def test_divergence_is_counted(monkeypatch, exact, approximate, training):
     family = narrow(monkeypatch, lambda c: np.inf if c.kinematics.exponent > 30 else c.kinematics.exponent)
     [found] = tune(family, exact, approximate, training, NOISE, budget=64, runs=2, seed=1)
@@ -75,22 +69,6 @@ def test_divergence_is_counted(monkeypatch, exact, approximate, training):
             runs=1,
             seed=1,
         )
-
-
-def test_criteria_share_a_sequence_and_find_what_each_finds_alone(exact, approximate, training):
-    arguments = families()["low pass"], exact, approximate, training, NOISE
-    how = {"budget": 16, "runs": 1, "seed": 5}
-    both = tune(*arguments, criteria=("velocity", "position"), **how)
-    for found, criterion in zip(both, ("velocity", "position"), strict=True):
-        [alone] = tune(*arguments, criteria=(criterion,), **how)
-        assert (found.settings, found.evaluations) == (alone.settings, alone.evaluations)
-    assert both[0].settings != both[1].settings
-
-
-def test_the_low_pass_is_searched_where_euler_s_rule_is_stable(approximate):
-    family = families()["low pass"]
-    widest = family.controller(approximate, 2e-3, family.bounds[:, 1]).signal_filter
-    assert widest.bandwidth == pytest.approx(950.0)
 
 
 def test_statements_of_filters_that_were_tuned_alike():

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.fixedpoint import Noise, load_oscillator, published_controllers
+from experiments.fixedpoint import Noise
 from experiments.fixedpoint.noise import drop_samples
 from notebooks.fixedpoint.your_plant import (
     Numbers,
@@ -23,7 +23,6 @@ from notebooks.fixedpoint.your_plant import (
     warnings_of,
 )
 from stillwork.base.checks import InputError
-from stillwork.control import asin_trajectory, simulate
 from stillwork.control.trajectory import sine_trajectory
 from stillwork.design.inspect import outline
 from workbook import paths
@@ -47,18 +46,6 @@ def test_gain_of_the_cam_is_the_believed_mass_over_the_true_one(cam):
     q = np.interp(found.time, trajectory.time, trajectory.position)
     assert found.gain[:, 0] == pytest.approx(1.4 / (1 + 1.5 * q**2), rel=1e-6)
     assert found.allowed(np.array([-0.1])) == pytest.approx((-2 / found.gain.max(), 0.0), rel=1e-6)
-
-
-@pytest.mark.slow
-def test_the_published_oscillator_runs_as_in_the_other_notebooks():
-    models = load_models(str(paths.data("fixedpoint", "oscillator.toml")))
-    trajectory = asin_trajectory(duration=3.0)
-    ours = drive(models, controllers(models, Numbers()), [trajectory], [Noise()], 0)
-    exact, approximate = (one.plant for one in load_oscillator().values())
-    published = published_controllers(approximate)
-    assert len(ours) == 3
-    for name, [run] in ours.items():
-        assert np.array_equal(run.position, simulate(exact, published[name], trajectory).position)
 
 
 @pytest.mark.slow
@@ -234,37 +221,6 @@ def test_gains_of_two_joints_are_judged_together():
     sentences = warnings_of(found, strong)
     assert len(sentences) == 2 and "local gains -0.0945, -21 are outside" in sentences[0]
     assert len(paint_contraction(found, strong).axes[0].lines) == 8
-
-
-@pytest.mark.parametrize("name", ["moving window", "low pass", "Kalman filter"])
-def test_a_joint_in_mrad_with_all_its_numbers_moves_as_before(name, tmp_path):
-    text = ARM.read_text(encoding="utf-8")
-    head = (  # q1 in mrad: M's first row and column over a thousand, and the torque with them
-        (
-            "    out[0, 0] = m1 * c1**2 + m2 * (l1**2 + c2**2 + 2 * reach) + i1 + i2\n",
-            "    out[0, 0] = 1e-6 * (m1 * c1**2 + m2 * (l1**2 + c2**2 + 2 * reach) + i1 + i2)\n",
-        ),
-        ("    out[0, 1] = m2 * (c2**2 + reach) + i2", "    out[0, 1] = 1e-3 * (m2 * (c2**2 + reach) + i2)"),
-        (
-            'N m: Coriolis and centrifugal torques, weight, friction."""\n',
-            'N m."""\n    position = position * np.array([1e-3, 1.0])\n    velocity = velocity * np.array([1e-3, 1.0])\n',
-        ),
-        ("velocity[joint] / parameters[12])\n", "velocity[joint] / parameters[12])\n    out[0] *= 1e-3\n"),
-    )
-    text = text.replace("import math\n", "import math\n\nimport numpy as np\n")
-    file = tmp_path / "milli.py"
-    file.write_text(
-        text.replace(*head[0]).replace(*head[1]).replace(*head[2]).replace(*head[3]), encoding="utf-8"
-    )
-    errors = []
-    for models, k in ((load_models("arm.py"), 1.0), (load_models(str(file)), 1000.0)):
-        motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[0.5 * k, 0.5], duration=2.0)
-        numbers = replace(WIDE, scales=[k, 1.0])
-        noise = [Noise("gaussian", 1e-5 * k), Noise("gaussian", 1e-5)]
-        chosen = {name: controllers(models, numbers)[name]}
-        runs = drive(models, chosen, motion, noise, 3, force_limits=[30.0 / k, 12.0])[name]
-        errors.append(np.array([each.position_error for each in runs]) / [[k], [1.0]])
-    assert np.abs(errors[1] - errors[0]).max() < 1e-6 * np.abs(errors[0]).max()
 
 
 def test_a_recorded_motion_of_two_joints(tmp_path):

@@ -8,7 +8,6 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from contest import bench
-from contest.adaptive import DELAYS, FOLLOWING, FORGETTING
 from contest.learned import FAST, FEATURES, FILE, FORCES, HIDDEN, SLOW
 from contest.moving_horizon import HORIZON
 from contest.nominal import OwnObserver, nominal_of
@@ -262,23 +261,6 @@ def test_particles_are_filterpys_kalman_filters_weighed_by_what_they_predicted()
     assert_close(found[-1:], (weights @ np.array([peer.x[:4, 0] for peer in some]))[None], 1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("true", [-0.02, 0.02])
-def test_particles_gather_where_the_frequency_is(true):
-    """Resampled and walking, on a drive that is another by this much."""
-    given, _ = scan()
-    model, noise, _ = given
-    observer = OwnObserver(ENTRANTS["particles"], (0.02, 1e-5, 1.0))
-    observer.start(*given)
-    (moved, _), rng = written_otherwise(given), np.random.default_rng(4)
-    z = np.array([0, 0, 0, 0, true, 0, 0])
-    for force in rng.normal(size=600):
-        w = np.sqrt(noise.process[0, 0]) * rng.standard_normal()
-        z = moved(z, [force + w])
-        observer.step(np.array([force]), model.c @ z[:4] + np.sqrt(noise.sensor[0]) * rng.standard_normal(1))
-    assert observer.memory[2][:, 1] == pytest.approx(true, abs=1e-3)
-
-
 def drive_feedback(given, size):
     """Derivatives of the drive's flexible states by frequency, damping and gain, in their deviations, times `size`."""
     model, noise, _ = given
@@ -372,35 +354,6 @@ def test_the_moving_horizon_minimises_hubers_loss_with_its_arrival_cost():
 
 
 @pytest.mark.slow
-def test_clipped_filters_with_delays_are_their_slow_twin_and_find_the_delay():
-    clip, force = 3.0, 30.0
-    given, record = scan(uncertainty="delay", samples=1200)
-    model, noise, _ = given
-    found, observer = run("Huber with delays", (clip, force), given, record)
-    gain, least = observer.made.data[3], np.sqrt(np.diag(noise.sensor))
-    x, sizes = np.zeros((DELAYS, 4)), np.tile(least, (DELAYS, 1))
-    scores, past, wanted = np.zeros(DELAYS), [np.zeros(1)] * DELAYS, []
-    for u, y in zip(record.inputs, record.measurements, strict=True):
-        past = [u, *past[:-1]]
-        ends = []
-        for d in range(DELAYS):
-            x[d] = model.a @ x[d] + model.b @ past[d]
-            off = y - model.c @ x[d]
-            share = np.minimum(np.abs(off) / sizes[d], clip)
-            x[d] += gain @ (np.sign(off) * share * sizes[d])
-            scores[d] = FORGETTING * scores[d] + np.sum(np.log(sizes[d]) + share**2 / 2)
-            sizes[d] = np.maximum(sizes[d] * np.exp(FOLLOWING * (share - 0.8)), least)
-            end = x[d]
-            for later in reversed(past[:d]):
-                end = model.a @ end + model.b @ later
-            ends.append(end)
-        weights = np.exp(scores.min() - scores)
-        wanted.append(weights @ np.array(ends) / weights.sum())
-    assert_close(found, np.array(wanted), 1e-6)
-    assert weights.argmax() == 1
-
-
-@pytest.mark.slow
 def test_the_learned_filter_is_its_slow_twin():
     given, record = scan("plate", "lost 20 %")
     model = given[0]
@@ -433,23 +386,6 @@ def test_the_evolution_strategy_finds_the_minimum_of_a_quadratic():
     goal = np.linspace(-1, 1, 5)
     found = evolve(lambda x: np.sum((x - goal) ** 2), 5, 60, np.random.default_rng(0))
     assert np.abs(found - goal).max() < 0.05
-
-
-def test_a_constant_force_deceives_the_kalman_filter_and_not_the_disturbance_observer():
-    given, record = scan(samples=600)
-    model, noise, _ = given
-    force = 300 * np.sqrt(noise.process[0])
-    x, pushed = np.zeros(4), []
-    for u in record.inputs:
-        x = model.a @ x + model.b @ (u + force)
-        pushed.append(x)
-    states = np.array(pushed)
-    quiet = bench.ScanRecord(record.inputs, states @ model.c.T, states)
-    off = {
-        name: np.abs(run(name, settings, given, quiet)[0] - states)[-100:, 2].mean()
-        for name, settings in (("Kalman", ()), ("disturbance observer", (1.0,)))
-    }
-    assert off["disturbance observer"] < 0.1 * off["Kalman"]
 
 
 def test_the_gate_forgets_what_late_samples_taught():

@@ -9,8 +9,6 @@ from contest.record import (
     FILE,
     LAGS,
     LINEAR,
-    PARTS,
-    RELEASES,
     RUNNING,
     TASKS,
     errors_of,
@@ -23,14 +21,6 @@ from contest.record import (
     run_of,
 )
 from contest.runner import knobs_of
-
-
-def test_a_run_is_about_its_release_and_the_laser_moves_there():
-    for release in range(len(RELEASES)):
-        run = run_of("both sensors", release)
-        assert len(run.laser) == 600 and run.measured.shape == (600, 2)
-        assert abs(np.argmax(np.abs(np.diff(run.laser))) - PARTS["ringing"].start) < 5
-        assert run.judged.mean() > 0.85
 
 
 @pytest.mark.parametrize("task", TASKS)

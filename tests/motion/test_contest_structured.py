@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from contest.fixed_gain import stationary
-from contest.nominal import OwnObserver, nominal_of
+from contest.nominal import nominal_of
 from contest.plants import plant_of
-from contest.scores import ENTRANTS
-from contest.structured import STRUCTURED, WorstCase, least
+from contest.structured import WorstCase, least
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.modal import ModalModel
@@ -69,10 +68,3 @@ def test_the_search_goes_below_the_kalman_filter(peak):
     model, noise, sample_time = given_of("drive")
     worst = WorstCase(model, noise, sample_time, 0.03, 1000.0, peak=peak)
     assert worst.bound(least(worst).data[2]) < worst.bound(stationary(model, noise)[0])
-
-
-def test_both_are_entrants():
-    for name in STRUCTURED:
-        observer = OwnObserver(ENTRANTS[name])
-        observer.start(*given_of("drive"))
-        assert np.isfinite(observer.run(np.zeros((5, 1)), np.ones((5, 1)))).all()

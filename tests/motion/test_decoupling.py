@@ -25,10 +25,8 @@ from experiments.motion.decoupling_schemes import (
     common_band_passed,
     common_centre,
     crosswise_force,
-    geometry_trial,
     half_power_selectivity,
     low_frequency_slopes,
-    off_diagonal_peak,
     oscillates_stably,
     published_settings,
     sample_beam,
@@ -37,7 +35,6 @@ from experiments.motion.decoupling_schemes import (
     with_scheme,
 )
 from experiments.motion.machines import published_noise
-from notebooks.motion.decoupled_damping import kept_out_trial
 from stillwork.base.checks import InputError
 from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.control.feedback import damping_gain
@@ -290,59 +287,6 @@ def test_band_passed_stiffness_takes_damping_away(name, sections):
     assert added[0] < -0.005
     assert not oscillates_stably(system)
     assert oscillates_stably(with_scheme("stiffness", single, Settings(0.05, 1, q, factor)))
-
-
-@pytest.mark.slow
-def test_trial_measures_what_it_says():
-    """One machine of the study again, on a dense grid."""
-    names = ("each mode", "common band-pass", "over-actuation", "stiffness, fourth order")
-    found = geometry_trial(np.random.default_rng(4), (*names, "compensation"), SETTINGS)
-    machine = sample_beam(np.random.default_rng(4))
-    damped = machine.frequencies[2:4]
-    dense = damped[1] * np.linspace(0.8, 1.2, 3001)
-    entries = ([0, 1], [1, 0])
-    for name in (*names, "compensation"):
-        plant = machine.at(range(3 if name == "over-actuation" else 2), [0, 1])
-        bare = with_scheme("undamped", plant, SETTINGS)
-        system = (
-            with_compensation(plant, SETTINGS)
-            if name == "compensation"
-            else with_scheme(name, plant, SETTINGS)
-        )
-        low = np.abs(system.frequency_response([2 * np.pi])[..., 0])
-        assert found[f"{name}: low"] == pytest.approx(low, rel=1e-9)
-        peaks = [np.abs(one.frequency_response(dense))[entries].max() for one in (system, bare)]
-        assert found[f"{name}: peak"] == pytest.approx(peaks[0] / peaks[1], rel=2e-3)
-        if name == "compensation":
-            ratio = np.abs(system.frequency_response(damped) / bare.frequency_response(damped))
-            assert found["compensation: at modes"] == pytest.approx(ratio, rel=1e-9)
-        else:
-            assert found[f"{name}: stable"] == ("fourth" not in name)
-    assert found["each mode: added"] == pytest.approx([0.05, 0.05], abs=0.005)
-    off_diagonal = ~np.eye(2, dtype=bool)
-    assert found["each mode: limit"][off_diagonal] == pytest.approx(1, rel=1e-6)
-    assert found["each mode: slopes"][off_diagonal] == pytest.approx(-1, abs=1e-3)
-    onset, middle = found["each mode: onset_hz"][off_diagonal], np.sqrt(0.03 * 0.3)
-    expected = -1 / (1 + (middle / onset) ** 2)  # of |1/s + constant|
-    assert found["each mode: slopes above"][off_diagonal] == pytest.approx(expected, abs=0.05)
-    hundredths = 100 * found["compensation: slopes"]  # beyond them is rounding
-    assert np.array_equal(hundredths, np.rint(hundredths))
-    assert found["compensation: slopes"] == pytest.approx(np.diag([-2.0, -2.0]), abs=0.02)
-
-
-def test_mode_that_is_kept_out_has_a_tail_only():
-    found = kept_out_trial(np.random.default_rng(4), SETTINGS)["peaks"]
-    machine = sample_beam(np.random.default_rng(4))
-    plant, entries = machine.at(range(3), [0, 1]), ([0, 1], [1, 0])
-    gain = scheme_gain("over-actuation", plant, SETTINGS)
-    for row, kept in enumerate((2, 3)):
-        both = decouple(plant, (0, 1, kept))
-        bare, system = both.apply(plant).state_space(), decoupled_plant(plant, both, gain)
-        for column, w in enumerate(plant.frequencies[2:4]):
-            dense = w * np.linspace(0.8, 1.2, 3001)
-            peaks = [np.abs(one.frequency_response(dense))[entries].max() for one in (system, bare)]
-            assert off_diagonal_peak(system, w) == pytest.approx(peaks[0], rel=1e-3)
-            assert found[row, column] == pytest.approx(peaks[0] / peaks[1], rel=2e-3)
 
 
 @pytest.mark.parametrize(

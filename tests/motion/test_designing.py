@@ -3,7 +3,6 @@
 import ctypes
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +11,11 @@ from scipy import signal
 from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
-from stillwork.control.applications import Application
 from stillwork.control.digital import from_biquads, load_controller
 from stillwork.control.feedforward import Feedforward, Motion
-from stillwork.control.machine_designs import ADDED_DAMPING, INTENSITIES, SELECTIVITY
-from stillwork.control.machine_loops import applications, pid_family, reach
-from stillwork.control.machine_tuning import DesignSettings, varied
+from stillwork.control.machine_designs import INTENSITIES
+from stillwork.control.machine_loops import pid_family, reach
+from stillwork.control.machine_tuning import DesignSettings
 from stillwork.control.setpoint import MoveLimits
 from stillwork.design import design as designing
 from stillwork.design.design import WITHOUT_BIQUADS, design_file
@@ -150,44 +148,6 @@ def test_what_would_help_is_what_it_would_give(written):
     assert gains[0] > gains[1] > 1.2 * before.on_model.crossing_hz[0]
     page = (folder / "report.html").read_text()
     assert said[-2].startswith("what would help most, ") and "at the worst places of the box (dB)" in page
-
-
-@pytest.mark.slow
-def test_settings_are_varied_and_never_for_less(written):
-    """A use gets at least as far as with the settings that the search begins with, and one of them further."""
-    said = {line.partition(":")[0]: line for line in written[1]}
-    machine = Machine((PAIR,), 40.0, "pair")
-    gained = []
-    for name in ("PID", "MC"):
-        application = applications(ADDED_DAMPING, SELECTIVITY)[name]
-        how = {
-            "retained": 5,
-            "intensities": INTENSITIES,
-            "sample_time": 1 / RATE,
-            "delay": 1,
-            "uncertainty": BOX,
-        }
-        first = reach(machine, {name: application}, **how)[name].on_model
-        found = float(re.search(r"on the model \(Hz\) ([0-9.]+)", said[name])[1])
-        gained.append(found / first.crossing_hz[0])
-    assert min(gained) > 0.998 and max(gained) > 1.2
-
-
-@pytest.mark.parametrize(
-    ("name", "factor", "wanted"),
-    [
-        ("lead", 2.0, {"lead": 6.0}),
-        ("lead", 4.0, None),
-        ("retained", 1.5, {"retained": 8}),
-        ("drift", 10.0, None),
-        ("sensor", 10.0, {"intensities": replace(INTENSITIES, sensor=10 * INTENSITIES.sensor)}),
-        ("damping", 2.0, {"application": Application(damping=0.04, selectivity=2.0)}),
-        ("damping", 64.0, None),
-    ],
-)
-def test_one_setting_is_varied_at_a_time(name, factor, wanted):
-    settings = DesignSettings(Application(damping=0.02, selectivity=2.0), 5, INTENSITIES)
-    assert varied(settings, name, factor) == (wanted and replace(settings, **wanted))
 
 
 def test_notches_stand_where_tustin_puts_them():

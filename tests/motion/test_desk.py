@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import Uncertainty, make_box
 from stillwork.design.design import design_file
 from stillwork.design.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine
-from stillwork.design.desk_page import modules, offline_page, script, shipped_machines
+from stillwork.design.desk_page import modules, offline_page
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine
@@ -455,13 +454,6 @@ def test_a_delay_without_a_rate_is_obeyed(node, tmp_path):
     assert numbers["delay"]["delay_us"] == pytest.approx(2.5e6 / numbers["sampling"]["rate_hz"])
 
 
-def test_a_loop_below_0_db_has_no_bandwidth_in_words(node):
-    asked = [
-        ("export.js", "bandwidthText", bandwidth, 1) for bandwidth in (None, 12.34)
-    ]  # JSON's NaN is null
-    assert values(node(asked)) == ["none (no crossing)", "12.3 Hz"]
-
-
 TYPED = {
     "1.5": 1.5,
     "1,5": 1.5,
@@ -574,36 +566,6 @@ def test_a_name_brings_no_code_into_the_c(node, tmp_path, name):
     controller = load_controller(tmp_path / "controller.json")
     assert controller.model.sample_time == 1 / 5000 and controller.high == -controller.low == 3.0
     np.testing.assert_array_equal(controller.model.d, [[2.0]])
-
-
-@pytest.mark.slow
-def test_lines_are_thinned_between_resonances_alone():
-    found = read_machine(
-        paths.root() / "data" / "motion" / "impact_frf_25k6" / "impact_hammer_5_hits.npz",
-        response_unit="m/s^2",
-        force_unit="N",
-        fit_hz=(100.0, 2000.0),
-        loop_hz=(300.0, 2000.0),
-    )
-    hertz = np.array(found["measured"]["hz"])
-    assert 1500 < len(hertz) <= 2000 and np.all(np.diff(hertz) > 0)
-    assert hertz[0] == pytest.approx(300, abs=0.3) and hertz[-1] == pytest.approx(2000, abs=0.3)
-    for resonance in np.array(found["model"]["omega"][1:]) / TURN:
-        assert np.median(np.diff(hertz[np.abs(hertz - resonance) < 1])) < 0.3  # Hz; lines are 0.25 apart
-    [shipped] = [each for each in shipped_machines(paths.root()) if each["name"] == found["name"]]
-    for name in ("omega", "damping", "input", "output"):
-        np.testing.assert_allclose(shipped["model"][name], found["model"][name], rtol=1e-3)
-    np.testing.assert_allclose(shipped["measured"]["re"], found["measured"]["re"], rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_the_modules_make_one_script(tmp_path):
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed, which reads the desk's script: apt-get install nodejs")
-    file = Path(tmp_path / "desk.js")
-    file.write_text(script(), encoding="utf-8")
-    assert subprocess.run(["node", "--check", str(file)], capture_output=True).returncode == 0
-    assert not re.findall(r"^(?:import|export)\b", script(), re.MULTILINE)
 
 
 def on_springs(hertz, flexible):

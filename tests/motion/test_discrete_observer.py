@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, signal
 
-from experiments.motion.designs import stage_observer
 from experiments.motion.machines import published_noise, stage
 from notebooks.motion.discrete_observer import (
     equivalent_plant,
@@ -77,24 +76,6 @@ def test_the_typical_error_is_rounding_times_the_condition_of_the_poles(reduced)
         assert expected / 10 < found < 10 * expected
 
 
-def test_the_typical_error_of_one_machine_is_its_own_and_of_none_unknown(reduced):
-    gain = gain_by_placement(reduced, 0.035, SAMPLE_TIME, "robust")
-    alone = typical_placement_error(reduced, 0.035, SAMPLE_TIME, "robust", machines=1, spread=0.0)
-    assert alone == placement_error(reduced, gain, 0.035, SAMPLE_TIME)
-    assert np.isnan(typical_placement_error(reduced, 0.035, 1e-7, "Ackermann", machines=5))
-
-
-def test_fast_sampling_leads_to_the_continuous_gain(reduced):
-    continuous = damping_gain(reduced, 0.035, "pole placement")
-    size = np.abs(continuous).max()
-    far = [
-        np.abs(discrete_damping_gain(reduced, 0.035, sample_time) - continuous).max() / size
-        for sample_time in (1e-7, 1e-8)
-    ]
-    assert far[1] < 1e-2
-    assert far[1] == pytest.approx(far[0] / 10, rel=0.05)  # in proportion to the sample time
-
-
 def test_sampled_feedback_reads_the_damping_of_the_held_loop(reduced):
     gain = discrete_damping_gain(reduced, 0.035, SAMPLE_TIME)
     found = sampled_feedback(reduced, gain, SAMPLE_TIME)
@@ -163,16 +144,6 @@ def test_gain_is_where_the_printed_recursion_ends():
     predictor = a @ p @ c.T / (c @ p @ c.T + r)
     np.testing.assert_allclose(found.a @ found.gain, predictor, rtol=1e-5)
     np.testing.assert_allclose(found.covariance, p, rtol=1e-5)
-
-
-def test_fast_sampling_leads_to_the_continuous_observer(reduced):
-    continuous = stage_observer(5, noise_model=0.03)
-    far = []
-    for sample_time in (1e-6, 5e-7):
-        found = discrete_kalman_observer(reduced, published_noise(), sample_time, 0.03)
-        far.append(np.abs(found.a @ found.gain / sample_time / continuous.gain - 1).max())
-    assert far[1] < 0.03
-    assert far[1] == pytest.approx(far[0] / 2, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,16 @@ import pytest
 
 from stillwork.estimation import h2_riccati
 from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm
-from tests.motion.test_published_synthesis import SB10ED, matrices
+from tests.motion.test_published_synthesis import matrices
 
-# SLICOT library, example results of SB10ED.
+# SLICOT library, example data and results of SB10ED: A, B, C and D.
+SB10ED = (
+    """-0.7 0 0.3 0 -0.5 -0.1; -0.6 0.2 -0.4 -0.3 0 0; -0.5 0.7 -0.1 0 0 -0.8; -0.7 0 0 -0.5 -1 0;
+    0 0.3 0.6 -0.9 0.1 -0.4; 0.5 -0.8 0 0 0.2 -0.9""",
+    "-1 -2 -2 1 0; 1 0 1 -2 1; -3 -4 0 2 -2; 1 -2 1 0 -1; 0 1 -2 0 3; 1 0 3 -1 -2",
+    "1 -1 2 -2 0 -3; -3 0 1 -1 1 0; 0 2 0 -4 0 -2; 1 -3 0 0 3 1; 0 1 -2 1 0 -2",
+    "1 -1 -2 0 0; 0 1 0 1 0; 2 -1 -3 0 1; 0 1 0 1 -1; 0 0 1 2 1",
+)
 SB10ED_CONTROLLER = (
     """-0.0551 -2.1891 -0.6607 -0.2532 0.6674 -1.0044; -1.0379 2.3804 0.5031 0.3960 -0.6605 1.2673;
     -0.0876 -2.1320 -0.4701 -1.1461 1.2927 -1.5116; -0.1358 -2.1237 -0.9560 -0.7144 0.6673 -0.7957;

@@ -14,7 +14,6 @@ from notebooks.motion.generalised_h2 import (
     settled_covariance,
 )
 from stillwork.base.checks import InputError
-from workbook.studies import fraction, proportion_interval
 
 
 def problem(seed, samples=12, n=3, outputs=1):
@@ -135,12 +134,6 @@ def test_the_recursion_settles_at_the_algebraic_solution():
     found = settled_covariance(a, g, c, q, r, np.eye(3), 500)
     wanted = linalg.solve_discrete_are(a.T, c.T, g @ q @ g.T, r)
     np.testing.assert_allclose(found, wanted, rtol=1e-10)
-
-
-def test_a_share_counts_runs_and_not_their_parts():
-    value, interval = fraction([[True, True], [True, False], [True, True], [True, True]])
-    assert value == pytest.approx(7 / 8)
-    assert interval == proportion_interval(3, 4)
 
 
 def test_semidefinite_program_finds_the_same_gain():

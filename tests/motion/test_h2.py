@@ -7,7 +7,7 @@ from scipy import linalg
 from naive.motion import frequency_norm
 from notebooks.motion.optimal_observer import h2_by_inequalities
 from stillwork.base.checks import InputError
-from stillwork.estimation import H2Synthesis, h2_riccati
+from stillwork.estimation import h2_riccati
 from stillwork.estimation.h2 import regularised
 from stillwork.lti import GeneralisedPlant, StateModel
 
@@ -43,37 +43,6 @@ def test_a_plant_that_no_controller_stabilises_is_refused():
         h2_by_inequalities(plant, 1.0, 1.0)
     with pytest.raises(InputError, match=r"Riccati|residual|stable"):
         h2_riccati(plant, 1.0, 1.0)
-
-
-def square(seed, noises, costs):
-    """A random lightly damped machine with as many noises as measurements, costs as controls, and some more."""
-    rng = np.random.default_rng([9, seed])
-    modes, controls, measured = (int(rng.integers(1, high)) for high in (6, 3, 3))
-    w, z = measured + noises, controls + costs
-    omega, zeta = 10 ** rng.uniform(0, 4, modes), 10 ** rng.uniform(-3, -1.3, modes)
-    a = np.block(
-        [[np.zeros((modes, modes)), np.eye(modes)], [-np.diag(omega**2), -np.diag(2 * zeta * omega)]]
-    )
-    b = np.vstack([np.zeros((modes, w + controls)), rng.normal(size=(modes, w + controls))])
-    c = np.hstack([rng.normal(size=(z + measured, modes)), np.zeros((z + measured, modes))])
-    d = np.zeros((z + measured, w + controls))
-    d[:z, w:] = rng.normal(size=(z, controls)) * 10 ** rng.uniform(-4, 0)
-    d[z:, :w] = rng.normal(size=(measured, w)) * 10 ** rng.uniform(-4, 0)
-    return GeneralisedPlant(StateModel(a, b, c, d), w, z)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("noises", "costs"), [(0, 0), (0, 1)])
-def test_measurements_that_know_all_noise_and_controls_that_reach_all_costs_have_an_optimum(noises, costs):
-    solved = 0
-    for seed in range(40):
-        try:
-            found = h2_riccati(square(seed, noises, costs))
-        except InputError:
-            continue
-        solved += 1
-        assert found.norm <= max(1.00001 * found.claimed, 1e-6)
-    assert solved >= 39
 
 
 def test_a_gain_that_leaves_the_estimate_unstable_is_refused_where_its_equation_is_solved(monkeypatch):
@@ -208,11 +177,6 @@ def test_what_the_synthesis_does_not_take_is_named():
     static = StateModel(np.zeros((0, 0)), np.zeros((0, 5)), np.zeros((4, 0)), m.d)
     with pytest.raises(InputError, match=r"^plant\b.*states"):
         h2_riccati(GeneralisedPlant(static, 4, 2), effort=0.1, noise=0.1)
-
-
-def test_a_norm_below_zero_is_refused():
-    with pytest.raises(InputError, match=r"^claimed\b"):
-        H2Synthesis(toy().model, 1.0, 1.0, -1.0)
 
 
 def test_an_optimum_that_no_float_keeps_says_what_would_help():

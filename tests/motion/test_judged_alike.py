@@ -9,7 +9,7 @@ from notebooks.motion.decoupled_damping import stiffness_values
 from notebooks.motion.mimo_decoupling import Moved, Seen, moving_values
 from notebooks.motion.optimal_observer import NEAR, aspect_values
 from notebooks.motion.over_actuated_rig import positions_apart
-from notebooks.motion.robust_comparison import OutputErrors, output_values, proven_peak
+from notebooks.motion.robust_comparison import OutputErrors, output_values
 
 ONES = np.ones(4)
 
@@ -70,11 +70,3 @@ def test_output_errors_are_judged_on_each_plant():
     off.by_pseudo_inverse[0, 1] = 11.0
     exact = OutputErrors(ONES, ONES, 2 * ONES, 3 * ONES, np.ones((4, 2)), np.ones((4, 2)))
     assert parts(output_values(off, exact)) == {"output-error": 0.5, "pseudo-inverse": 0.75, "mc-errors": 2.0}
-
-
-@pytest.mark.slow
-def test_a_proven_peak_lies_above_other_samples_too():
-    """Other plants than those of the search, by their own norms."""
-    _, proven = proven_peak("AD, redesigned", 0.05, 1)
-    again, _ = proven_peak("AD, redesigned", 0.05, 2)
-    assert again <= proven

@@ -15,7 +15,6 @@ from notebooks.motion.twenty_nine_scans import (
     fit_to_force,
     ideal_force,
     location_loops,
-    location_noise,
     ranges,
     respond,
     sampled_ideal_force,
@@ -25,7 +24,6 @@ from stillwork.control.feedforward import (
     Feedforward,
     error_loop,
     fit_feedforward,
-    noise_error,
     tracking_error,
 )
 from stillwork.control.loops import closed_loop
@@ -101,22 +99,6 @@ def test_rms_settling_and_ranges_by_hand(setpoint):
     found = ranges(places, 0.5, 5)
     assert len(found) == 6
     assert np.all(found[:, 1] - found[:, 0] > 0.1499)
-
-
-def test_runs_together_are_the_runs_by_themselves(setpoint, force):
-    """Drawn in the order of the places, the same for all cases of one."""
-    pid = PidFamily(stage_mass())(30.0)
-    loops = location_loops(stage(), GRID, [0.07, 0.1], {"bare": ("PID", pid), "AD": ("AD", pid)})
-    noise, seeds = {"w": 0.01, "d": 1e-9}, [(1, 0), (1, 7)]
-    quiet = study_locations(loops, force, setpoint)
-    runs = [quiet.noisy(each) for each in location_noise(loops, setpoint, noise, seeds)]
-    for seed, run in zip(seeds, runs, strict=True):
-        rng, samples = np.random.default_rng(seed), 3000 + len(setpoint.time)
-        for k, cases in enumerate(loops.values()):
-            draw = int(rng.integers(2**63))
-            for name, loop in cases.items():
-                alone = noise_error(loop, setpoint.sample_time, samples, noise, np.random.default_rng(draw))
-                np.testing.assert_array_equal(run.errors[name][k], quiet.errors[name][k] + alone[0, 3000:])
 
 
 @pytest.mark.parametrize("mass", [1, 5, 7])

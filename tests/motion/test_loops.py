@@ -47,16 +47,6 @@ def test_controller_realisation(notches, lead):
     np.testing.assert_allclose(pid.state_space().frequency_response(OMEGA)[0, 0], expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize(("name", "hertz"), [("PID", 20.0), ("AD", 61.0), ("MC and AD", 77.0), ("MC", 30.0)])
-def test_the_highest_peak_of_all_loops_is_that_of_every_loop_by_itself(name, hertz):
-    loops, pid = stage_loops(DESIGNS[name], points=250, around=8), FAMILY(hertz)
-    functions = ("input_sensitivity", "output_sensitivity", "true_tracking")
-    found = highest_peaks(loops, pid, functions)
-    for function in functions:
-        each = [loop.peak(pid, function) for loop in loops]
-        assert found[function] == max(each, key=lambda peak: peak.magnitude)
-
-
 def test_an_unstable_loop_has_an_infinite_peak_and_no_loops_are_refused():
     loops = stage_loops(DESIGNS["PID"])
     assert not all(loop.is_stable(FAMILY(300.0)) for loop in loops)
@@ -83,13 +73,6 @@ def test_closed_forms_agree_with_the_state_space_loop(name):
     np.testing.assert_allclose(
         response.input_sensitivity, channel(loop, "r", "e_meas").frequency_response(OMEGA)[0, 0], rtol=1e-6
     )
-
-
-@pytest.mark.parametrize("name", ["PID", "MC and AD"])
-def test_a_loop_of_one_axis_knows_no_order_of_plant_and_controller(name):
-    loop = make_loop(stage().at([0], [4]), stage_compensator(5, DESIGNS[name]))
-    for each in ("input_sensitivity", "output_sensitivity"):
-        assert loop.peak(FAMILY(40.0), each) == loop.peak(FAMILY(40.0), f"{each}_2")
 
 
 def test_loop_without_observer_is_that_of_python_control():
@@ -210,7 +193,7 @@ def test_a_search_does_not_end_at_an_unstable_design_whose_peaks_are_low():
         omega=np.ones(3),
         at=lambda pid, omega=(1.0,) * 3: SimpleNamespace(input_sensitivity=np.full(len(omega), 1.5)),
         within=lambda pid, part: None,
-        poles=lambda pid: np.array([-1.0 if pid.gain < FAMILY(30.0).gain else 1.0 + 0j]),
+        poles=lambda pid: np.array([-1.0 + 0j if pid.gain < FAMILY(30.0).gain else 1.0 + 0j]),
         crossing_hz=lambda pid: 1.0,
     )
     for limit in (SIX_DB, 100.0):
@@ -236,15 +219,6 @@ def test_a_loop_that_is_not_a_number_is_no_feasible_one():
         is_feasible([Broken()], family(2.0), limits)
 
 
-def test_an_error_of_a_readers_own_loop_comes_through():
-    class Empty(CoupledCarts):
-        def poles(self, pids):
-            raise ValueError("out of oil")
-
-    with pytest.raises(ValueError, match=r"^out of oil$"):
-        is_feasible([Empty()], (PidFamily(5.0)(2.0),) * 2, [PeakConstraint("input_sensitivity")])
-
-
 @pytest.mark.parametrize("hertz", [20.0, 30.0])
 def test_soft_sensor_gives_the_other_mass(hertz):
     plant = stage()
@@ -258,18 +232,6 @@ def test_soft_sensor_gives_the_other_mass(hertz):
     hidden = plant.modes(slice(4, None)).at([0], [4, 1]).compliance()[:, 0]
     assert abs(estimate - p2) < 1.5 * np.abs(hidden).sum()
     assert abs(estimate - p2) < 0.2 * abs(p5 - p2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("first", ["input_sensitivity", "output_sensitivity"])
-def test_of_constraints_that_are_equal_but_for_rounding_the_first_is_active(first):
-    # Without an observer S_I = S_O, computed in two ways; seven machines, so that rounding errs on either side.
-    limits = [
-        PeakConstraint(name) for name in sorted(("input_sensitivity", "output_sensitivity"), key=first.__ne__)
-    ]
-    for position in range(7):
-        loop = make_loop(stage().at([0], [position]), points=300)
-        assert maximise_bandwidth([loop], FAMILY, limits, 5.0, 150.0, 30).function == first
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from notebooks.motion.low_order_feedforward import (
     direct_loop,
     filters,
     fit_low_order,
-    paint_low_order,
     perturbed_trial,
     pick_poles,
 )
@@ -116,8 +115,3 @@ def test_perturbed_trial_tunes_on_the_plant_that_it_meets(grown):
         expected = rms(feedforward.error(met, SETPOINT)[SETPOINT.scanning])
         assert found[key] == pytest.approx(expected, rel=1e-6)
     assert np.sum(tuned.error(met, SETPOINT) ** 2) < np.sum(grown[1].error(met, SETPOINT) ** 2)
-
-
-@pytest.mark.slow
-def test_explorer_shows_the_states_it_has():
-    assert paint_low_order("MC and AD", 5, 100.0).axes[0].get_title(loc="left").startswith("4 states")

@@ -144,19 +144,6 @@ def test_without_the_third_constraint_compensation_rings_on_a_plain_machine(tmp_
 
 
 @pytest.mark.slow
-def test_a_wider_search_finds_the_same_interval(tmp_path):
-    machine = machine_of(tmp_path, "lightly damped")
-    options = {"retained": 5, "intensities": INTENSITIES}
-    near, wide = (
-        reach(machine, {"PID": None}, search_hz=hertz, **options)["PID"]
-        for hertz in ((0.0, 0.0), (2.0, 600.0))
-    )
-    assert wide.recommended.design_hz == pytest.approx(near.recommended.design_hz, rel=1e-3)
-    assert wide.recommended.lowest_hz == 2.0
-    assert wide.summary["feasible"].startswith("2 to ")
-
-
-@pytest.mark.slow
 def test_the_lowest_of_two_intervals_is_taken():
     """A family that is good for nothing from 20 to 60 Hz: a detuned gain."""
     machine_plant = make_loop(modal_model([[10.0]], [[0.0]], [[1.0]], [[1.0]]))
@@ -228,15 +215,3 @@ def test_a_slow_machine_reaches_in_its_own_time_what_a_fast_one_does(tmp_path):
         best = reach(machine, {"PID": None}, retained=2, intensities=INTENSITIES)["PID"].recommended
         found.append(slower * best.design_hz)
     assert found[1] == pytest.approx(found[0], rel=2e-3)
-
-
-def test_a_use_without_an_observer_has_a_reason(tmp_path, monkeypatch):
-    machine = machine_of(tmp_path, "collocated")
-
-    def none(plants, application, *others):
-        raise InputError("the Riccati equation has no solution")
-
-    monkeypatch.setattr("stillwork.control.machine_loops.observed_loops", none)
-    found = reach(machine, applications(0.02, 2.0), retained=5, intensities=INTENSITIES)["MC"]
-    assert found.recommended is None and found.reason.startswith("no observer: the Riccati")
-    assert found.summary == {"on the model (Hz)": "none"}

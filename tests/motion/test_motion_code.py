@@ -182,19 +182,6 @@ def test_friction_is_fed_forward_in_the_direction_of_the_motion(tmp_path):
     assert peaks[1] < peaks[0] / 3
 
 
-def test_the_head_of_the_motion_calls_what_it_declares():
-    motion = Motion(Feedforward(acceleration=1.0), 0.0)
-    of_error = DigitalController(PID, ("e (m)",), ("f (N)",), motion=motion)
-    text = controller_code(of_error, "axis")["axis_motion.h"]
-    head, declared = text.split("*/", 1)
-    for name in ("enable", "plan", "go", "rest", "run"):
-        called, of = (
-            re.search(rf"axis_{name}\(((?:[^()]|\([^()]*\))*)\)", each)[1].count(",")
-            for each in (head, declared)
-        )
-        assert called == of
-
-
 def test_the_gains_are_the_series_of_the_inverse_plant():
     gains = inverse_gains(STAGE)
     s = 1j * np.array([3.0, 6.0])

@@ -14,7 +14,6 @@ from notebooks.motion.rig_identification import (
     random_phase_multisine,
     rig_experiment,
     run_multisine,
-    smoothed_deviation,
 )
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti import ModalModel, simulate
@@ -181,18 +180,3 @@ def test_compliance_of_a_mode_above_the_band_is_found():
     fit = fit_modal_matrix(omega, response, np.full(len(omega), 1e-9), 2, sample_time, 2)
     exact = plant.modes([4]).compliance()
     assert np.linalg.norm(fit.model.feedthrough - exact) < 0.015 * np.linalg.norm(exact)  # two terms: 5 %
-
-
-def test_sampled_modes_may_stand_in_any_order():
-    omega = np.array([50.0, 700.0])
-    w, z = np.array([900.0, 0.0, 600.0]), np.array([0.01, 0.0, 0.02])
-    together = sampled_modes(w, z, 1e-4, omega)
-    for k in range(3):
-        np.testing.assert_allclose(together[k], sampled_modes(w[k : k + 1], z[k : k + 1], 1e-4, omega)[0])
-
-
-@pytest.mark.slow
-def test_smoothing_keeps_a_constant(noisy):
-    estimate = joint_input_output(noisy)
-    flat = estimate._replace(deviation=np.full_like(estimate.deviation, 3e-9))
-    np.testing.assert_allclose(smoothed_deviation(flat), 3e-9)

@@ -91,8 +91,3 @@ def test_what_nobody_asked_for_has_a_default_that_is_printed():
     asked = search_designs(machine, rate=rate, delay=1.0, uncertainty={"frequency": 0.05, "gain": 0.05})
     assert asked.lines()[1:] == silent.lines()[1:] and "no rate" not in asked.lines()[0]
     assert stated_uncertainty("") == {"frequency": 0.05, "gain": 0.05}
-
-
-def test_the_sensor_of_a_file_of_ones_own_is_not_mirrored():
-    notebook = (paths.root() / "notebooks/motion/29-your-machine.ipynb").read_text("utf-8")
-    assert "mirrored_sensor: bool = False" in notebook

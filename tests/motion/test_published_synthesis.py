@@ -7,11 +7,11 @@ from scipy import linalg
 from stillwork.base.checks import InputError
 from stillwork.estimation import h2_riccati
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
-from stillwork.estimation.riccati import continuous_gain, discrete_gain
+from stillwork.estimation.riccati import continuous_gain
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm
 
-# SLICOT library, example data and results of SB10HD (continuous) and SB10ED (discrete): A, B, C and D.
+# SLICOT library, example data and results of SB10HD: A, B, C and D.
 SB10HD = (
     "-1 0 4 5 -3 -2; -2 4 -7 -2 0 3; -6 9 -5 0 2 -1; -8 4 7 -1 -3 0; 2 5 8 -9 1 -4; 3 -5 8 0 2 -6",
     "-3 -4 -2 1 0; 2 0 1 -5 2; -5 -7 0 7 -2; 4 -6 1 1 -2; -3 9 -8 0 5; 1 -2 3 -6 -2",
@@ -24,17 +24,6 @@ SB10HD_CONTROLLER = (
     -115.8900 226.1843 47.2549 -47.8435 -12.5004 34.7474; 59.0362 -101.8471 -20.1052 36.7834 -16.1063 -26.4309""",
     "3.7345 3.4758; -0.3020 0.6530; 3.4735 4.0499; 4.3198 7.2755; -3.9424 -10.5942; 2.1784 2.5048",
     "-2.3346 3.2556 0.7150 -0.9724 0.6962 0.4074; 7.6899 -8.4558 -2.9642 7.0365 -4.2844 0.1390",
-)
-SB10ED = (
-    """-0.7 0 0.3 0 -0.5 -0.1; -0.6 0.2 -0.4 -0.3 0 0; -0.5 0.7 -0.1 0 0 -0.8; -0.7 0 0 -0.5 -1 0;
-    0 0.3 0.6 -0.9 0.1 -0.4; 0.5 -0.8 0 0 0.2 -0.9""",
-    "-1 -2 -2 1 0; 1 0 1 -2 1; -3 -4 0 2 -2; 1 -2 1 0 -1; 0 1 -2 0 3; 1 0 3 -1 -2",
-    "1 -1 2 -2 0 -3; -3 0 1 -1 1 0; 0 2 0 -4 0 -2; 1 -3 0 0 3 1; 0 1 -2 1 0 -2",
-    "1 -1 -2 0 0; 0 1 0 1 0; 2 -1 -3 0 1; 0 1 0 1 -1; 0 0 1 2 1",
-)
-SB10ED_GAINS = (
-    "0.2500 -1.0200 -0.3371 -0.2733 0.2747 -0.4444; 0.0654 0.2095 0.0632 0.2089 -0.1895 0.1834",
-    "-0.2181 -0.2070; 0.1094 0.1159",
 )
 
 
@@ -88,27 +77,6 @@ def test_the_optimum_of_the_example_of_scherer_gahinet_and_chilali():
     assert found.norm == pytest.approx(expected, rel=1e-7)
 
 
-def test_discrete_gains_give_the_controller_of_slicot():
-    """SB10ED: u = F x + F_w w of what the measurement of the same sample tells about x and w."""
-    a, b1, b2, c1, c2, d11, d12, d21, d22 = plant(SB10ED, 3, 3).blocks
-    x = _covariance(a.T, c1.T, b2.T, d12.T)
-    y = _covariance(a, b1, c2, d21)
-    curvature = d12.T @ d12 + b2.T @ x @ b2
-    f = -np.linalg.solve(curvature, b2.T @ x @ a + d12.T @ c1)
-    f_w = -np.linalg.solve(curvature, b2.T @ x @ b1 + d12.T @ d11)
-    d_k = (f @ y @ c2.T + f_w @ d21.T) @ np.linalg.inv(d21 @ d21.T + c2 @ y @ c2.T)
-    turn = np.linalg.inv(np.eye(2) + d_k @ d22)
-    c_theirs, d_theirs = matrices(SB10ED_GAINS)
-    assert turn @ d_k == pytest.approx(d_theirs, abs=6e-5)  # printed to four decimals
-    assert turn @ (f - d_k @ c2) == pytest.approx(c_theirs, abs=6e-5)
-
-
-def _covariance(a, b, c, d):
-    """Predicted covariance with one noise in state and measurement: what they share is taken out of the state."""
-    shared = b @ d.T @ np.linalg.inv(d @ d.T)
-    return discrete_gain(a - shared @ c, b - shared @ d, c, 1.0, d @ d.T).covariance
-
-
 def test_infinity_norm_of_slicot():
     """AB13DD: three modes with damping of a millionth, peak 0.5000000001e6 at 1.414213562 rad/s."""
     a = linalg.block_diag([[0, 1], [-0.5, -2e-4]], [[0, 1], [-1, -2e-5]], [[0, 1], [-2, -2e-6]])
@@ -142,11 +110,6 @@ def test_no_filter_of_a_random_walk_keeps_a_level_below_one_for_long():
 def test_what_every_level_keeps_has_no_smallest_one(wanted):
     with pytest.raises(InputError, match=r"^wanted\b"):
         smallest_level(random_walk(5), wanted)
-
-
-def test_a_model_without_a_measurement_is_refused():
-    with pytest.raises(InputError, match=r"^c\b"):
-        random_walk(1)
 
 
 def test_control_of_a_double_integrator():

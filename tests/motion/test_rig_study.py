@@ -12,8 +12,6 @@ from experiments.motion.rig import (
     rig_model,
 )
 from experiments.motion.rig_designs import (
-    bandwidths,
-    model_errors,
     observer_model,
     published_settings,
     rig_controllers,
@@ -22,13 +20,11 @@ from experiments.motion.rig_designs import (
 from experiments.motion.rig_loops import sampled_controller
 from experiments.motion.rig_study import flexible_peaks, levelling, levelling_rms, output_variance
 from notebooks.motion.over_actuated_rig import levelling_error, placed_damping, sampled_damping
-from notebooks.motion.rig_over_geometries import rig_trial, sample_geometry
 from stillwork.base.checks import InputError
 from stillwork.control.loops import channel
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti import ModalModel, simulate
 from stillwork.lti.discretisation import zoh_modes
-from workbook.studies import run_study
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
@@ -39,11 +35,6 @@ SILENT = NoiseIntensities(1e-30, 1e-40)
 @pytest.fixture(scope="module")
 def loops():
     return rig_loops(GEOMETRY, SETTINGS, positions=POSITIONS[:1])
-
-
-@pytest.fixture(scope="module")
-def study():
-    return run_study(rig_trial, 1, 5, progress=False, settings=SETTINGS)
 
 
 def test_output_variance_solves_the_lyapunov_equation():
@@ -147,18 +138,3 @@ def test_placed_poles_have_the_wanted_damping_and_equal_modes_are_refused():
     )
     with pytest.raises(InputError, match=r"\bpoles\b.*\bmodel\b"):
         placed_damping(twins, 0.04, 1e-4)
-
-
-@pytest.mark.slow
-def test_errors_of_a_trial_are_those_of_its_designs(study):
-    """Everything again by hand: the draws, the first position, the original and the redesigned controllers."""
-    rng = np.random.default_rng(np.random.SeedSequence(5).spawn(1)[0])
-    geometry = sample_geometry(rng)
-    loops = rig_loops(geometry, SETTINGS, model_errors(rng), cases=("Original", "MC"))
-    trajectory = levelling(rng)
-    found = bandwidths(loops, "diagonal")
-    for name, design in (("original", "Original"), ("redesigned", "MC")):
-        expected = levelling_rms(loops["MC"][0], found[design].pids, trajectory, SETTINGS.noise)
-        np.testing.assert_allclose(study[name][0, 1, 1], expected, rtol=1e-9)
-    np.testing.assert_allclose(study["crossing"][0, 1, 1], found["MC"].crossing_hz.mean(axis=0))
-    np.testing.assert_array_equal(study["original"][:, :, 0], study["redesigned"][:, :, 0])

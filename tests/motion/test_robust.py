@@ -195,26 +195,6 @@ def test_without_uncertainty_every_filter_is_the_kalman_filter(kind):
     np.testing.assert_allclose(certain(model, rng, kind)(u, y), twin, rtol=1e-10, atol=1e-10)
 
 
-def test_many_runs_are_the_single_runs():
-    rng, model, _, _ = problem(8, samples=20)
-    u, y = rng.normal(size=(4, 2, 20)), rng.normal(size=(4, 2, 20))
-    gains = kalman_gains(model)
-    together = estimate(gains, u, y)
-    for run in range(4):
-        np.testing.assert_array_equal(together[run], estimate(gains, u[run], y[run]))
-
-
-def test_margin_at_the_limit_is_refused():
-    rng, model, _, _ = problem(1)
-    with pytest.raises(InputError, match="margin"):
-        regularised_gains(model, bound(rng, model), 0.0)
-
-
-def test_a_covariance_that_is_none_is_refused():
-    with pytest.raises(InputError, match="sensor"):
-        TimeVaryingModel(np.eye(2), np.eye(2), np.eye(2), np.ones((3, 1, 2)), np.eye(2), [[-1.0]], np.eye(2))
-
-
 def test_a_recursion_that_overflows_names_the_sample():
     one = np.eye(2)
     model = TimeVaryingModel(1e200 * one, one, one, np.ones((5, 1, 2)), one, [[1.0]], one)

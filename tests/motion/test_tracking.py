@@ -12,7 +12,6 @@ from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import published_setpoint, stage, stage_mass
 from naive.motion import integrate_setpoint, moving_windows
 from notebooks.motion.disturbance_rejection import band_power, cumulative_power
-from notebooks.motion.tracking import noisy_scan_trial
 from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
     Feedforward,
@@ -104,16 +103,6 @@ def test_ideal_feedforward_of_a_rigid_body_is_its_mass():
     fitted = fit_feedforward(loop, setpoint)
     assert np.allclose(fitted.gains, [0, 12.5, 0, 0], atol=1e-6)
     assert np.abs(tracking_error(loop, setpoint, fitted)).max() < 1e-11
-
-
-def test_errors_do_not_depend_on_the_sample_time():
-    """The simulation is exact: a shorter sample time gives the same error at the common samples."""
-    loop = error_loop(closed_loop(PLANT, stage_compensator(5, DESIGNS["AD"]), CONTROLLER))
-    gains = Feedforward(acceleration=12.5, snap=1.66e-6)
-    coarse, fine = (
-        tracking_error(loop, published_setpoint(sample_time), gains) for sample_time in (1e-4, 2.5e-5)
-    )
-    assert np.abs(coarse - fine[::4]).max() < 1e-12
 
 
 @pytest.mark.parametrize("plant", [PLANT, truncate(PLANT, 2, 2)], ids=["all modes", "compliance"])
@@ -245,16 +234,3 @@ def test_cumulative_power_is_that_of_a_long_record():
     assert np.sqrt(power.measured[-1]) == pytest.approx(rms(record[1]), rel=0.05)
     low, high = band_power(power, PLANT.frequencies[1])
     assert 0 < high and 0 < low < power.true[-1]
-
-
-def test_noisy_scans_share_their_noise():
-    loop = closed_loop(PLANT, None, CONTROLLER)
-    setpoint = published_setpoint(1e-4)
-    quiet = noisy_scan_trial(
-        np.random.default_rng(1),
-        {"a": loop, "b": loop},
-        setpoint,
-        Feedforward(acceleration=12.5),
-        {"w": 0.01},
-    )
-    assert quiet["a"] == quiet["b"] > 0

@@ -14,8 +14,8 @@ from notebooks.motion.your_machine import (
 from shared.universal_files import function, write_universal
 from stillwork.base.checks import InputError
 from stillwork.control.machine_loops import Intensities, applications, reach
-from stillwork.identification.machine import Machine, build_machine, whole_band
-from stillwork.identification.machine_files import MachineFile, load_machine
+from stillwork.identification.machine import build_machine, whole_band
+from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import fit_modes, identify_modes
 from workbook import paths
 
@@ -166,19 +166,6 @@ def test_an_unknown_unit_is_not_taken_for_none(tmp_path, bracket):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("end", "told"), [(616.0, True), (700.0, False)])
-def test_a_band_that_cuts_a_resonance_is_told(end, told):
-    """The second one stands at 616.4 Hz; it is fitted, unless somebody says which modes there are."""
-    file = load_machine(TEMPLATES / "frequency_response.csv")
-    machine = build_machine(file, modes_hz=[], fit_hz=(5.0, end), mirrored_sensor=False)
-    assert any("at about 616.4 Hz, beyond the band" in note for note in machine.notes) == told
-    assert len(machine.resonances_hz) == (1 if told else 2)
-    assert machine.mass == pytest.approx(12.0, rel=1e-3)
-    given = build_machine(file, modes_hz=[355.9, 616.4][: 2 - told], fit_hz=(5.0, end), mirrored_sensor=False)
-    assert any("resonance" in note and "cut" in note for note in given.notes) == told
-
-
-@pytest.mark.slow
 def test_templates_are_one_machine():
     """M and K by eigenvalues; the fits find the same frequencies, the same mass and the damping of 1 %."""
     wanted = np.sqrt(np.linalg.eigvals(np.linalg.solve(MASS, STIFFNESS)).real.clip(0))
@@ -188,11 +175,6 @@ def test_templates_are_one_machine():
         assert machine.resonances_hz == pytest.approx(wanted, rel=1e-5)
         assert machine.mass == pytest.approx(12.0, rel=1e-3)
         assert machine.sensors[0].damping[1:] == pytest.approx(0.01, rel=1e-3)
-
-
-def test_a_machine_without_sensors_is_refused():
-    with pytest.raises(InputError, match=r"^sensors\b"):
-        Machine((), 10.0, "nowhere")
 
 
 def test_matrices_with_damping_and_two_sensors_respond_as_the_equation_of_motion(tmp_path):
@@ -258,17 +240,6 @@ def test_found_bandwidths_hold_six_decibels_and_are_stable_on_the_full_model(fou
         omega = 2 * np.pi * np.concatenate([np.geomspace(1, 1000, 2000), np.linspace(340, 370, 6000)])
         peaks.append(np.abs(closed(1j * omega)).max())
     assert max(peaks) == pytest.approx(10 ** (6 / 20), rel=2e-3)
-
-
-@pytest.mark.slow
-def test_the_measurement_stands_for_the_plant_in_the_band_of_the_fit(found):
-    machine, reached = found
-    ends = tuple(machine.fit.omega[[0, -1]] / (2 * np.pi))
-    asked = reach(machine, {"PID": None}, retained=3, intensities=INTENSITIES, loop_hz=ends)["PID"]
-    for one, other in zip(asked.loops, reached["PID"].loops, strict=True):
-        assert np.array_equal(one.omega, other.omega)
-        assert np.array_equal(one.plant_response, other.plant_response)
-    assert asked.on_measurement.design_hz == reached["PID"].on_measurement.design_hz
 
 
 @pytest.mark.slow
@@ -427,12 +398,6 @@ def test_matrices_that_cannot_be_used_say_why(tmp_path, change, message):
         built(tmp_path / "a.npz")
 
 
-def test_matrices_without_input_are_refused(tmp_path):
-    np.savez(tmp_path / "a.npz", M=MASS, K=STIFFNESS)
-    with pytest.raises(InputError, match=r"\binput\b"):
-        load_machine(tmp_path / "a.npz")
-
-
 def test_bands_outside_the_measurement_and_flat_responses_are_refused(tmp_path):
     measured = load_machine(two_parts(tmp_path)[0]).accelerance
     assert whole_band(measured, (0.0, 0.0)) == pytest.approx((5.0, 999.0))
@@ -444,9 +409,3 @@ def test_bands_outside_the_measurement_and_flat_responses_are_refused(tmp_path):
         identify_modes(measured, (5.0, 100.0))
     with pytest.raises(InputError, match=r"^disturbance\b"):
         Intensities(0.0, 1e-9, 1e-4)
-
-
-def test_a_file_of_neither_form_is_no_machine():
-    nothing = MachineFile("matrices", "empty.npz")
-    with pytest.raises(InputError, match=r"^file\.model\b"):
-        build_machine(nothing, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
