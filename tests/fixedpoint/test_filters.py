@@ -212,8 +212,6 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda m: UnscentedKalman(m, process=np.array([1e-1, -1e-3])), r"^process\b"),
-        (lambda m: UnscentedKalman(m, noise=np.array([1e-2, 0.0])), r"^noise\b"),
         (
             lambda m: UnscentedKalman(m, noise=np.array([[1.0, 2.0], [2.0, 1.0]])),
             r"^noise\b",
@@ -222,16 +220,10 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
             lambda m: UnscentedKalman(m, process=np.array([[1.0, 0.5], [0.4, 1.0]])),
             r"^process\b",
         ),
-        (lambda m: UnscentedKalman(m, process=np.eye(3)), r"^process\b"),
-        (lambda m: ExtendedKalman(m, initial_deviation=(1.0, -1.0, 1.0)), "initial_deviation"),
         (lambda m: SavitzkyGolay(2, 2), "samples"),
         (lambda m: filter_signal(LowPass(), np.array([0.0, np.nan])), r"^measured\b"),
         (
             lambda m: filter_signal(UnscentedKalman(m), np.array([np.nan, 0.0])),
-            r"^measured\b",
-        ),
-        (
-            lambda m: filter_signal(UnscentedKalman(m), np.array([0.0, np.inf])),
             r"^measured\b",
         ),
         (lambda m: ExtendedKalman(m).step(ExtendedKalman(m).start(), np.nan), r"^measured\b"),
@@ -239,11 +231,7 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
             lambda m: ExtendedKalman(m).step(UnscentedKalman(m).start(), 0.0),
             r"^state\b",
         ),
-        (lambda m: ExtendedKalman(m).step(ExtendedKalman(m).start(), [0.0, 1.0]), r"^measured\b"),
-        (lambda m: UnscentedKalman(m).step(UnscentedKalman(m).start(), 0.0, sample_time=0.0), "sample_time"),
-        (lambda m: filter_signal(LowPass(), np.zeros(5), np.zeros(4)), r"^force\b"),
         (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), sample_time=2e-3), r"^sample_time\b"),
-        (lambda m: filter_signal(LowPass(), np.zeros(5), sample_time=0.0), "sample_time"),
         (lambda m: filter_signal(LowPass(), np.repeat([0.0, 1e308], 50)), r"sample 50\b"),
         (lambda m: filter_signal(LowPass(2000.0), np.ones(5)), r"^bandwidth\b"),
     ],

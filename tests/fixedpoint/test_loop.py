@@ -168,10 +168,7 @@ def test_an_infinite_force_is_reported(exact, approximate, short):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"integration": "implicit"}, r"^integration\b"),
         ({"noise": np.full(600, np.nan)}, r"^noise\b"),
-        ({"resolution": -1.0}, "resolution"),
-        ({"bound": 0.5}, "bound"),
     ],
 )
 def test_bad_input(change, message, exact, approximate, short):

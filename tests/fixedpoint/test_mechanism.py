@@ -358,9 +358,6 @@ def test_a_limit_that_the_force_just_reaches_changes_nothing(exact, approximate,
     ("change", "message"),
     [
         ({"noise": np.full((2, 600), np.nan)}, r"^noise\b"),
-        ({"lost": "guess"}, r"^lost\b"),
-        ({"force_limits": [1.0, 0.0]}, r"^force_limits\b"),
-        ({"bound": 0.0}, "bound"),
         ({"trajectories": [asin_trajectory(duration=0.6)]}, r"^trajectories\b"),
         (
             {"trajectories": [asin_trajectory(duration=0.6), asin_trajectory(duration=0.5)]},

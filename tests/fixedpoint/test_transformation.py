@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from naive import fixedpoint as naive
-from stillwork.base.checks import InputError
 from stillwork.control import Controller, FlowTransformation, KinematicDesign, simulate
 from stillwork.control.fixed_point import response_gain
 from stillwork.control.fixed_point_convergence import iterate
@@ -84,22 +83,3 @@ def test_a_gain_outside_the_range_warns_with_the_range(exact, approximate):
         warnings.simplefilter("error")
         good = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), approximate)
         simulate(exact, good, sine_trajectory(duration=0.05))
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: FlowTransformation(gain=0.0), r"^gain\b"),
-        (lambda: FlowTransformation(width=0.0), "width"),
-        (lambda: RobustTransformation(offset=-1.0), "offset"),
-        (lambda: RobustTransformation(slope=0.0), "slope"),
-        (lambda: RobustTransformation(factor=0.0), r"^factor\b"),
-        (lambda: contraction_range(0.0), "response_gain"),
-        (lambda: KinematicDesign(0.0), "exponent"),
-        (lambda: KinematicDesign(1.0, integrals=-1), "integrals"),
-        (lambda: KinematicDesign(1.0, order=0), "order"),
-    ],
-)
-def test_bad_input(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -151,8 +151,6 @@ def test_a_low_pass_takes_the_noise_out_of_the_acceleration(tmp_path):
         ({"record": str(MOTION), "unit": "mm", "channel": "positon"}, r"^channel\b.*'position"),
         ({"record": str(MOTION), "unit": "mm", "low_pass_hz": 30.0}, r"^low_pass_hz\b"),
         ({"record": "none.csv"}, r"none\.csv"),
-        ({"shape": "square"}, r"^shape\b"),
-        ({"shape": "trapezoid", "sharpness": 1.5}, r"^sharpness\b"),
     ],
 )
 def test_motions_that_cannot_be_used(options, message):

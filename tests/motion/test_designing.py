@@ -23,7 +23,7 @@ from stillwork.design.retest import retest_file
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine, stated_units
 from stillwork.lti.discretisation import tustin
-from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.lti.modal import modal_model
 from workbook import paths
 
 TEMPLATES = paths.data("motion", "your_machine")
@@ -48,7 +48,7 @@ def written(tmp_path_factory):
 @pytest.mark.slow
 def test_it_writes_all_of_it(written):
     """7 s of CPU, in the fixture that the tests below share: one whole design, as the command makes it."""
-    folder, said = written
+    folder = written[0]
     assert {file.name for file in folder.iterdir()} == {
         "controller.c", "controller.h", "controller_motion.c", "controller_motion.h", "controller.json", "report.html"
     }  # fmt: skip
@@ -62,16 +62,15 @@ def test_it_writes_all_of_it(written):
         and held["biquads"]["relative_error"] < 1e-9
     )
     page = (folder / "report.html").read_text()
-    assert "&lt;pair&gt;.npz" in page and "<pair>" not in page and page.count("data:image/png;base64,") == 2
-    assert not re.search(r"(src|href)=\"http|<script", page)
-    assert page.count(", computed to 1e-9") == 7
-    assert sum(line.count(", computed to 1e-9") for line in said) == 7
-    assert said[0].endswith("40 kg; first resonance at 225.1 Hz") and said[-4].startswith("taken: ")
+    assert (
+        "&lt;pair&gt;.npz" in page
+        and "<pair>" not in page
+        and not re.search(r"(src|href)=\"http|<script", page)
+    )
     assert held["provenance"]["uncertainty"] == {
         "frequency": [0.0, 0.05], "residue": [0.0, 0.0], "damping": [0.0, 0.0], "gain": 0.05, "mass": 0.0,
         "friction": 0.0, "delay": 0.0
     }  # fmt: skip
-    assert "resonances" in said[-3] and "± 5 %" in said[-3]
 
 
 def test_limits_of_the_setpoint_are_checked_in_sum_before_the_search(tmp_path):
@@ -81,8 +80,6 @@ def test_limits_of_the_setpoint_are_checked_in_sum_before_the_search(tmp_path):
         design_file(file, out, RATE, limit=40.0, limits=[0.2, 2.0, 100.0])
     # At 10 mm/s a jerk of 100 m/s^3 brings 1 m/s^2: no move asks for more.
     Motion(Feedforward(acceleration=40.0), limits=MoveLimits(0.01, 2.0, 100.0)).require_within(40.0)
-    with pytest.raises(InputError, match=r"^limits holds 2 numbers"):
-        design_file(file, out, RATE, limits=[0.02, 2.0])
 
 
 @pytest.mark.slow
@@ -197,27 +194,17 @@ def test_a_retest_says_whether_the_promise_holds(written, tmp_path, monkeypatch,
 
 
 @pytest.mark.slow
-def test_a_sensitivity_measured_in_the_loop_is_a_retest(written, tmp_path):
-    """S by SciPy's hold alone: its own peak comes back, which is r to e."""
-    controller = load_controller(written[0] / "controller.json")
-    hertz = np.unique(np.concatenate([np.geomspace(1.0, 4e3, 2000), np.linspace(200, 250, 500)]))
-    plant = held_response(PAIR, hertz)
-    k = controller.linear.frequency_response(2 * np.pi * hertz)[0, 0]
-    sensitivity = 1 / (1 + k * plant)
-    np.savez(tmp_path / "s.npz", **{"frequency (Hz)": hertz, "s": sensitivity})
-    said = retest_file(
-        str(written[0] / "controller.json"), str(tmp_path / "s.npz"), str(tmp_path / "page.html"), closed_loop=True
-    )  # fmt: skip
-    assert "the promise holds" in said[0]
-    sizes = dict(re.findall(r"(S_I|S_O) ([-.\d]+) dB", said[1]))
-    assert float(sizes["S_O"]) == pytest.approx(20 * np.log10(np.abs(sensitivity).max()), abs=0.006)
-    assert not any("outside the box" in line for line in said)
-    # The machine is no sensitivity, nor is what is left of 1; a file that ends below the crossing proves nothing.
-    low = hertz < 5
+def test_what_is_no_sensitivity_is_no_retest_in_the_loop(written, tmp_path):
+    """The machine, what is left of 1, and a file that ends below the crossing, which proves nothing."""
+    hertz, low = np.geomspace(1.0, 4e3, 2000), np.geomspace(1.0, 5.0, 300)
+    controller = load_controller(written[0] / "controller.json").linear
+    loop, below = (
+        controller.frequency_response(2 * np.pi * f)[0, 0] * held_response(PAIR, f) for f in (hertz, low)
+    )
     for name, axis, values in (
-        ("p", hertz, plant),
-        ("t", hertz, 1 - sensitivity),
-        ("low", hertz[low], sensitivity[low] / np.abs(sensitivity[low]).max()),
+        ("p", hertz, held_response(PAIR, hertz)),
+        ("t", hertz, loop / (1 + loop)),
+        ("low", low, 1 / (1 + below) * np.abs(1 + below).min()),
     ):
         np.savez(tmp_path / f"{name}.npz", **{"frequency (Hz)": axis, name: values})
         with pytest.raises(InputError, match=rf"^{name}\.npz\b"):
@@ -426,17 +413,31 @@ def test_a_machine_that_has_no_safe_loop_is_told_so_and_nothing_is_written(tmp_p
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"rate": 1e308}, r"^rate\b"),
+        ({"files": "missing.csv"}, r"missing\.csv"),
         ({"rate": 1e15}, r"^rate\b"),
         ({"rate": 1.0}, r"^rate\b"),
-        ({"rate": 1e-300}, r"^rate\b"),
-        ({"rate": RATE, "delay": 100_000}, r"^delay\b"),
+        ({"rate": 0.0}, r"^rate\b"),
+        ({"delay": 100_000}, r"^delay\b"),
+        ({"limit": -5.0}, r"^limit\b"),
+        ({"name": "1st"}, r"^name\b"),
+        ({"noise_ratio": -2.0}, r"^noise_ratio\b"),
+        ({"limits": [0.02, 2.0]}, r"^limits holds 2 numbers"),
+        ({"uncertainty": "gain=1"}, r"^uncertainty\b.*gain"),
+        ({"uncertainty": {"colour": 0.1}}, r"^uncertainty\b.*colour"),
+        ({"uncertainty": "delay=1"}, r"^uncertainty: delay is 1 s.*at most 20 samples"),
+        ({"force_unit": "A", "motor_constant": 2.0}, "motor_constant"),
+        ({"response_unit": "count", "counts": 100.0}, "counts"),
+        ({"response_unit": "V"}, "response_unit"),
+        ({"force_unit": "rad"}, "force_unit"),
+        ({"force_unit": "kN"}, "matrices"),
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_a_rate_or_a_delay_beyond_all_sense_is_refused_by_its_name(tmp_path, wrong, said):
+def test_what_makes_no_sense_is_refused_by_its_name_and_nothing_is_written(tmp_path, wrong, said):
+    given = {"files": str(TEMPLATES / "matrices.csv"), "folder": str(tmp_path / "out"), "rate": RATE}
     with pytest.raises(InputError, match=said):
-        design_file(str(TEMPLATES / "matrices.csv"), str(tmp_path / "out"), **wrong)
+        design_file(**given | wrong)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_with_something_in_it_is_refused_first(tmp_path):
@@ -473,21 +474,6 @@ def test_a_machine_that_turns_is_designed_in_the_drives_own_units(written, tmp_p
     assert held[0]["provenance"]["mass_unit"] == "kg m^2"
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"force_unit": "A", "motor_constant": 2.0}, "motor_constant"),
-        ({"response_unit": "count", "counts": 100.0}, "counts"),
-        ({"response_unit": "V"}, "response_unit"),
-        ({"force_unit": "rad"}, "force_unit"),
-        ({"force_unit": "kN"}, "matrices"),
-    ],
-)
-def test_units_that_no_machine_has_are_refused(tmp_path, change, message):
-    with pytest.raises(InputError, match=message):
-        design_file(str(TEMPLATES / "matrices.csv"), str(tmp_path / "out"), RATE, **change)
-
-
 def test_a_phase_and_a_frequency_in_rad_are_no_motion_of_the_machine():
     names = ["frequency (rad/s)", "magnitude (dB re 1 m/s^2/N)", "phase (rad)"]
     assert stated_units(names) == ("m/s^2", "N")
@@ -518,30 +504,3 @@ def test_the_header_of_a_response_says_in_what_a_machine_moves(tmp_path, header,
     machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
     assert (file.units, machine.units, machine.mass_unit) == (units, units, mass_unit)
     assert machine.mass == pytest.approx(2.0, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"name": "1st"}, r"^name\b"),
-        ({"precision": "half"}, r"^precision\b"),
-        ({"limit": -5.0}, r"^limit\b"),
-        ({"limit": float("nan")}, r"^limit\b"),
-        ({"delay": -1}, r"^delay\b"),
-        ({"uncertainty": "gain=1"}, r"^uncertainty\b.*gain"),
-        ({"uncertainty": "gain"}, r"^uncertainty\b.*gain"),
-        ({"uncertainty": {"colour": 0.1}}, r"^uncertainty\b.*colour"),
-        ({"uncertainty": "delay=1"}, r"^uncertainty: delay is 1 s.*at most 20 samples"),
-    ],
-)
-def test_settings_are_asked_before_anything_is_computed(tmp_path, change, message):
-    with pytest.raises(InputError, match=message):
-        design_file("missing.csv", str(tmp_path / "out"), RATE, **change)
-
-
-def test_the_file_of_a_machine_is_asked_for(tmp_path):
-    assert main(["design", "missing.csv", "--rate", "1e4", "--out", str(tmp_path / "out")]) == 2
-    assert (
-        main(["design", str(TEMPLATES / "matrices.csv"), "--rate", "0", "--out", str(tmp_path / "out")]) == 2
-    )
-    assert isinstance(load_machine(TEMPLATES / "matrices.csv").model, ModalModel)

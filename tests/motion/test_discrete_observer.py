@@ -102,8 +102,6 @@ def test_a_late_force_damps_as_the_loop_stepped_by_hand_decays(reduced):
 
 
 def test_bad_gains_and_machines_are_refused(reduced):
-    with pytest.raises(InputError, match=r"^gain\b.*\("):
-        sampled_feedback(reduced, np.zeros((1, 6)), SAMPLE_TIME)
     with pytest.raises(InputError, match=r"^gain\b.*rigid"):
         sampled_feedback(reduced, np.ones((1, 8)), SAMPLE_TIME)
     with pytest.raises(InputError, match=r"^gain\b.*mode\b"):
@@ -118,10 +116,6 @@ def test_bad_gains_and_machines_are_refused(reduced):
         )
     with pytest.raises(InputError, match=r"^sample_time\b.*1396 Hz"):
         discrete_damping_gain(reduced, 0.03, 4e-4)
-    with pytest.raises(InputError, match=r"^increase\b"):
-        discrete_damping_gain(reduced, 1.0, SAMPLE_TIME)
-    with pytest.raises(InputError, match=r"^model\b.*flexible"):
-        discrete_damping_gain(reduced.modes([0]), 0.03, SAMPLE_TIME)
     with pytest.raises(InputError, match=r"^model\b.*frequency"):
         discrete_damping_gain(
             replace(reduced, frequencies=reduced.frequencies[[0, 1, 1, 2]]), 0.03, SAMPLE_TIME
@@ -224,25 +218,12 @@ def test_delayed_models_answer_the_same_later(samples, seed):
 
 
 def test_bad_delays_forms_and_models_are_refused(reduced, observer):
-    for delay in (1.5, -1, 2.0):
-        with pytest.raises(InputError, match=r"^delay\b"):
-            observer.estimator(observer.flexible_outputs, "filter", delay)
     with pytest.raises(InputError, match=r"^delay\b"):
         observer.estimator(observer.flexible_outputs, "predictor", 0)
-    with pytest.raises(InputError, match="form"):
-        observer.estimator(observer.flexible_outputs, "smoother", 1)
-    with pytest.raises(InputError, match="rows"):
-        observer.estimator(np.zeros((1, 3)))
-    with pytest.raises(InputError, match=r"^model\b.*continuous"):
-        delayed(reduced.state_space(), 1)
-    with pytest.raises(InputError, match="gain"):
-        replace(observer, gain=np.zeros((3, 1)))
     with pytest.raises(InputError, match="unstable"):
         replace(observer, gain=np.zeros_like(observer.gain))
     with pytest.raises(InputError, match=r"^model\b.*velocities"):
         discrete_kalman_observer(replace(reduced, measures="velocity"), published_noise(), SAMPLE_TIME)
-    with pytest.raises(InputError, match=r"^selection\b"):
-        discrete_compensator(observer, Application(damping=0.03, selectivity=2.0, selection="pole placement"))
     with pytest.raises(InputError, match=r"^application\b"):
         discrete_compensator(observer, Application(stiffness=1.2))
     with pytest.raises(InputError, match="observable"):

@@ -133,7 +133,6 @@ def test_velocity_observer_leaves_the_rigid_position_out():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: damping_gain(MODEL, 0.1, "best"), "selection"),
         (lambda: damping_gain(MODEL.modes([0]), 0.1), r"^model\b.*flexible"),
         (
             lambda: damping_gain(replace(MODEL, input_shapes=MODEL.input_shapes * [[1], [0], [1], [1]]), 0.1),
@@ -141,12 +140,6 @@ def test_velocity_observer_leaves_the_rigid_position_out():
         ),
         (lambda: fed_back(MODEL, damping_gain(MODEL, 5.0)), r"^gain\b"),
         (lambda: place(chain([1.0, 2.0]).state_space(), np.zeros(4)), r"^model\b.*\b2 inputs"),
-        (
-            lambda: place(
-                StateModel(-np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))), [-1.0, -2.0]
-            ),
-            r"^model\b.*controllable",
-        ),
         (
             lambda: damping_gain(
                 ModalModel(
@@ -157,16 +150,7 @@ def test_velocity_observer_leaves_the_rigid_position_out():
             ),
             r"^model\b.*controllable",  # two modes of one frequency cannot be told apart by one actuator
         ),
-        (
-            lambda: stiffness_gain(
-                replace(MODEL, input_shapes=MODEL.input_shapes * [[1], [0], [1], [1]]), 1.5
-            ),
-            r"^input_shapes\b",
-        ),
-        (lambda: damping_gain(MODEL, 1.2, "pole placement"), r"^increase\b"),
         (lambda: place(MODEL.state_space(), 1j * np.arange(8.0)), r"^poles\b"),
-        (lambda: Application(damping=-0.1), "damping"),
-        (lambda: Application(selection="best"), "selection"),
         (
             lambda: compensator(
                 stage_observer(5), Application(damping=0.1, selection="pole placement", selectivity=2.0)

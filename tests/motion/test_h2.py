@@ -65,8 +65,6 @@ def test_feedthrough_and_wrong_shapes_are_named():
         h2_riccati(GeneralisedPlant(model, 1, 1), 1.0, 1.0)
     with pytest.raises(InputError, match=r"\b2 exogenous.*\b1 performance"):
         GeneralisedPlant(model, 2, 1)
-    with pytest.raises(InputError, match=r"^effort\b"):
-        regularised(toy(), 0.0, 1.0)
     with pytest.raises(InputError, match=r"^controller\b"):
         toy().close(StateModel(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))))
 
@@ -162,19 +160,9 @@ def test_a_loop_of_feedthroughs_without_a_solution_is_refused():
 
 
 def test_what_the_synthesis_does_not_take_is_named():
-    """Efforts and noises of a wrong number or sign, and a plant whose norm no controller makes finite."""
-    plant = toy()
     with pytest.raises(InputError, match=r"^effort\b"):
-        h2_riccati(plant, effort=[0.1, 0.2], noise=0.1)
-    with pytest.raises(InputError, match=r"^noise\b"):
-        h2_riccati(plant, effort=0.1, noise=[0.1, -0.1])
-    with pytest.raises(InputError, match=r"^effort\b.*more effort"):
-        h2_riccati(plant)
-    m = plant.model
-    fed = GeneralisedPlant(StateModel(m.a, m.b, m.c, np.eye(*m.d.shape)), plant.exogenous, plant.performance)
-    with pytest.raises(InputError, match="feedthrough"):
-        h2_riccati(fed, effort=0.1, noise=0.1)
-    static = StateModel(np.zeros((0, 0)), np.zeros((0, 5)), np.zeros((4, 0)), m.d)
+        h2_riccati(toy(), effort=[0.1, 0.2], noise=0.1)
+    static = StateModel(np.zeros((0, 0)), np.zeros((0, 5)), np.zeros((4, 0)), np.zeros((4, 5)))
     with pytest.raises(InputError, match=r"^plant\b.*states"):
         h2_riccati(GeneralisedPlant(static, 4, 2), effort=0.1, noise=0.1)
 

@@ -155,19 +155,6 @@ def test_a_design_says_what_noise_does_and_obeys_the_limit(machine, tmp_path):
     assert "noise at the output" in (tmp_path / "out" / "report.html").read_text()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"noise": -1.0}, r"^noise\b"),
-        ({"noise_share": 0.0}, r"^noise_share\b"),
-        ({"noise_ratio": -2.0}, r"^noise_ratio\b"),
-    ],
-)
-def test_a_noise_that_is_none_is_refused_before_anything_is_computed(machine, tmp_path, change, message):
-    with pytest.raises(InputError, match=message):
-        design_file(str(machine[0]), str(tmp_path / "out"), RATE, **change)
-
-
 def test_more_noise_than_is_allowed_is_not_written(machine):
     (loop,) = observed_loops(
         machine[1].sensors, None, *observer_settings(machine[1], None, 2, Intensities(1, 1, 1)), 1 / RATE, 1.0
