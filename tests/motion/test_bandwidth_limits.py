@@ -1,4 +1,4 @@
-"""No answer of the bandwidth search exceeds its own limit: random loops, judged by matrices that are written apart."""
+"""No answer of the bandwidth search exceeds its own limit, and peaks are those of matrices that are written apart."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,8 @@ from naive.sampled_loops import RandomLoop, judged_peak, sample_loop
 from stillwork import lti
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import PeakConstraint, make_loop, maximise_bandwidth
+from stillwork.control.loop_margins import loop_margins
+from stillwork.control.machine_loops import HELD
 from stillwork.control.pid import PidFamily
 
 TOLERANCE = 1e-5  # of the limit: what a zoom between two points leaves
@@ -31,6 +33,11 @@ def test_no_answer_exceeds_its_own_limit(lowest, seeds):
         own = loop.peak(found.controller, "input_sensitivity").magnitude
         assert own <= case.limit and own == pytest.approx(peak, rel=TOLERANCE), seed
         answers += 1
+        for pid in () if seed % 5 else (found.controller, *map(family, case.search_hz)):
+            slowest, peak = judged_peak(case, pid)
+            margins = loop_margins(loop, pid)
+            wanted = peak if slowest < 0 else np.inf
+            assert [margins[name] for name in HELD] == pytest.approx([wanted] * len(HELD), rel=1e-6), seed
     assert answers > len(seeds) / 3
 
 

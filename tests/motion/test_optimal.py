@@ -143,20 +143,6 @@ def test_the_bound_is_the_norm_of_the_shortest_error_that_the_zeros_allow(proble
     np.testing.assert_allclose(np.sqrt(solved @ gram @ solved), problem.bound, rtol=2e-4)
 
 
-@pytest.mark.slow
-def test_a_norm_survives_weak_regularisation(problem):
-    """Where the equation loses digits, what it says of the norm keeps them."""
-    generalised = problem.generalised()
-    found = h2_riccati(generalised, *regularisation(problem, 3e-5))
-    loop = generalised.close(found.controller)
-    near = [abs(pole) * (1 + np.linspace(-0.2, 0.2, 201)) for pole in loop.poles]
-    omega = np.unique(np.concatenate([np.geomspace(1e-2, 1e8, 8001), *near]))
-    power = np.sum(np.abs(loop.frequency_response(omega)) ** 2, axis=(0, 1))
-    np.testing.assert_allclose(
-        np.sqrt(np.trapezoid(power, omega) / np.pi), found.norm, rtol=5e-5
-    )  # of the grid
-
-
 def test_control_bandwidth_is_where_the_open_loop_and_the_sensitivity_cross():
     """By a root of the responses themselves; an unstable loop and one that never tracks have none."""
     plant = truncate(stage().at([0], [4]), 4, 0)

@@ -154,34 +154,6 @@ class PlantUnscented:
         return np.array([self.x[1], self.x[0], (self.x[0] - before) / sample_time])
 
 
-class PlantExtended:
-    """With the derivatives of (11) by hand."""
-
-    def __init__(self, parameters, Q, R, initial_deviation, sample_time):
-        self.parameters, self.Q, self.R, self.sample_time = parameters, Q, R, sample_time
-        position, velocity, disturbance = initial_deviation
-        self.P, self.x = np.diag([velocity**2, position**2, disturbance**2]), None
-
-    def __call__(self, measured, force, presumed):
-        m, k, a, b1, b2, d = self.parameters
-        sample_time = self.sample_time
-        if self.x is None:
-            self.x = np.array([presumed[1], measured - sample_time * presumed[1], 0.0])
-        v, q, w = self.x
-        by_v = (b1 * (a**2 - q**2) - b2 - 2 * d * abs(v)) / m
-        by_q = (-k - 2 * b1 * q * v) / m
-        F = np.array([[1 + sample_time * by_v, sample_time * by_q, sample_time], [0, 0, 0], [0, 0, 1]])
-        F[1] = sample_time * F[0] + [0, 1, 0]
-        velocity = v + sample_time * (oscillator(self.parameters, q, v, force) + w)
-        predicted = np.array([velocity, q + sample_time * velocity, w])
-        H = np.array([[0.0, 1.0, 0.0]])
-        self.x, self.P = kalman_step(
-            self.x, self.P, np.array([measured]), predicted, F, H, predicted[1:2], self.Q, self.R
-        )
-        acceleration = oscillator(self.parameters, self.x[1], self.x[0], force) + self.x[2]
-        return np.array([self.x[1], self.x[0], acceleration])
-
-
 def closed_loop(
     device,
     transformation,
