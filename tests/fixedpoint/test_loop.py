@@ -123,14 +123,6 @@ def test_a_long_euler_step_is_reported(short):
         simulate(plant, controller, short, integration="semi-implicit")
 
 
-def test_a_perfect_model_without_noise_tracks_exactly(exact, short):
-    """The fixed point is the desired acceleration; what is left is the order of the integration, O(dt)."""
-    controller = Controller(UnscentedKalman(exact), RobustTransformation(), KinematicDesign(36.0), exact)
-    run = simulate(exact, controller, short)
-    assert np.abs(run.position_error).max() < 2e-4
-    assert np.abs(run.force - np.roll(run.force, 1))[50:].max() < 5
-
-
 def test_divergence_is_reported_with_time_and_cause(exact, approximate, short):
     wild = Controller(SavitzkyGolay(40), RobustTransformation(), KinematicDesign(36.0), approximate)
     run = simulate(exact, wild, short, start=(0.0, 0.0))

@@ -272,22 +272,6 @@ def test_stable_gains_of_the_whole_loop_are_those_with_which_it_settles(arm):
     assert grows(1.05 * low) and grows(0.9 * high)
 
 
-def test_one_coordinate_as_a_mechanism_has_the_stable_range_of_the_plant():
-    numbers, guess = [2.0, 40.0, 0.0], [1.5, 0.0, 0.0]
-    plant, model = (Plant(cart_acceleration, cart_force, each) for each in (numbers, guess))
-    several, guessed = (Mechanism(cart_inertia, cart_bias, 2, each) for each in (numbers, guess))
-    one, two = (
-        stable_range(
-            linear_loop(
-                each, Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), m), 1e-3, *at
-            )
-        )
-        for each, m, at in ((plant, model, (0.0, 0.0)), (several, guessed, ([0.0, 0.0], [0.0, 0.0])))
-    )
-    assert two.limits == pytest.approx(one.limits, rel=1e-5)
-    assert two.strongest.frequency_hz == pytest.approx(one.strongest.frequency_hz, rel=1e-3)
-
-
 # -------------------------------------------------------------------------------- lost samples and limited forces
 
 

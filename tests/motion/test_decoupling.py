@@ -249,15 +249,6 @@ def test_band_passes_are_one_at_the_resonances():
     assert common_centre(PLANT, gain) == pytest.approx(np.sqrt(np.prod(resonances)))
 
 
-def test_exact_observer_changes_nothing():
-    """Remark 4.3.1."""
-    gain, both = scheme_gain("each mode", PLANT, SETTINGS), decouple(PLANT)
-    observed = decoupled_plant(PLANT, both, gain, kalman_observer(PLANT, published_noise()))
-    omega = 2 * np.pi * np.geomspace(1, 1e3, 20)
-    ideal = decoupled_plant(PLANT, both, gain).frequency_response(omega)
-    np.testing.assert_allclose(observed.frequency_response(omega), ideal, rtol=1e-6)
-
-
 def test_compensation_leaves_the_compliance_of_the_unknown_mode():
     plant = PLANT
     both = decouple(plant).apply(plant)

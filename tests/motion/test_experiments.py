@@ -127,28 +127,6 @@ def both_sensors(stage):
 
 
 @pytest.mark.slow
-def test_measured_loop_with_a_perfect_fit_is_the_model_loop():
-    stage, factor = as_stage(
-        fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0)), 12.5
-    )
-    assert stage.input_shapes[0, 0] * stage.output_shapes[0, 0] == pytest.approx(1 / 12.5, rel=1e-9)
-    loops = observed_loops(
-        both_sensors(stage), Application(compensate=True, damping=0.01), 3, published_noise(), 0.03
-    )
-    data = accelerance(TRUE, np.arange(100.0, 2000.0, 0.5))
-    controller = PidFamily(12.5)(40.0)
-    for loop, mirror in zip(loops, (False, True), strict=True):
-        measured = on_measurement(loop, data, factor, (300.0, 1900.0), mirror)
-        expected = loop.at(controller, measured.omega)
-        assert np.allclose(
-            measured.at(controller).input_sensitivity, expected.input_sensitivity, rtol=1e-3, atol=1e-3
-        )
-        assert encirclement_difference(measured, controller) == 0
-    twice = mirrored(mirrored(stage))
-    assert np.array_equal(twice.output_shapes, stage.output_shapes)
-
-
-@pytest.mark.slow
 def test_an_encirclement_is_counted():
     stage, factor = as_stage(
         fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0)), 12.5
@@ -167,9 +145,6 @@ def test_an_encirclement_is_counted():
             )
             == turns
         )
-
-
-HITS = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 2.0, 0.5, 0.0]])
 
 
 @pytest.mark.slow

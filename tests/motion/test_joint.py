@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from experiments.motion.designs import DESIGNS, stage_compensator
-from experiments.motion.machines import parameters, published_setpoint, stage
+from experiments.motion.machines import parameters, stage
 from naive import joint
 from notebooks.motion.joint_design import (
     ASKED,
@@ -40,7 +39,6 @@ from notebooks.motion.joint_design import (
     steps_of,
     stored_designs,
 )
-from stillwork.control.feedforward import error_loop, fit_feedforward, tracking_error
 from stillwork.control.loops import INPUTS, OUTPUTS, channel, closed_loop
 from stillwork.lti.discretisation import tustin, zoh
 from stillwork.lti.modal import ModalModel
@@ -113,19 +111,6 @@ def _at_half_steps() -> StateModel:
     model = stage().at([0], [4]).state_space()
     a, b, c, d, _ = signal.cont2discrete((model.a, model.b, model.c, model.d), SAMPLE_TIME / 2)
     return StateModel(a, b, c, d, SAMPLE_TIME / 2)
-
-
-@pytest.mark.slow
-def test_scan_error_is_that_of_the_exact_simulation_in_continuous_time():
-    """Hardly late and hardly held the loop is that of notebook 11: within what half a sample of lag may cost."""
-    setpoint = published_setpoint(SAMPLE_TIME)
-    plant = stage().at([0], [4])
-    loop = error_loop(
-        closed_loop(plant, stage_compensator(5, DESIGNS["MC and AD"]), PUBLISHED.controller.state_space())
-    )
-    wanted = tracking_error(loop, setpoint, fit_feedforward(loop, setpoint))[setpoint.scanning]
-    found = evaluate(PUBLISHED, [stage_response(stage(), 0.5)], 0.5)[0]
-    assert found.quiet == pytest.approx(np.sqrt(np.mean(wanted**2)), rel=0.1)
 
 
 def test_noise_is_that_of_the_lyapunov_equation():
