@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,7 @@ from experiments.isolation.convergence import (
 from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, flat_floor
 from experiments.isolation.mean_convergence import Sideways, mean_course
 from experiments.isolation.responses import responses
+from experiments.isolation.shared_runs import study_each
 from experiments.isolation.simulation import TOGETHER, sample_seeds, simulate, simulate_together
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin, load_twin
@@ -320,45 +322,67 @@ SHORT_RUNS, SHORT_S = 40, 60.0
 ROWS = slice(3, 9)  # w4 to w9
 
 
-@lru_cache(
-    maxsize=64
-)  # combinations that differ in the band, or in what the other algorithm alone takes, share it
-def repeat(
-    name: str,
+class Case(NamedTuple):
+    """An algorithm and what it takes."""
+
+    name: str
+    trace: str = "regressors"
+    step_size: float = STEP_SIZE
+    memory_s: float = MEMORY_S
+    initial_covariance: float = 1.0
+
+    @property
+    def own(self) -> "Case":
+        """What the other algorithm alone takes, left at its default."""
+        other = ("memory_s", "initial_covariance") if self.name == "FeLMS" else ("trace", "step_size")
+        return self._replace(**{name: self._field_defaults[name] for name in other})
+
+    @property
+    def settings(self) -> dict:
+        """Without the name."""
+        return {name: getattr(self, name) for name in self._fields[1:]}
+
+
+def repeat_all(
+    cases: Sequence[Case],
     *,
-    trace: str = "regressors",
-    step_size: float = STEP_SIZE,
-    memory_s: float = MEMORY_S,
-    initial_covariance: float = 1.0,
-    low_pass_hz: float = 80.0,
     seed: int,
+    low_pass_hz: float = 80.0,
     runs: int = RUNS,
     duration_s: float = DURATION_S,
     model: str = "fitted",
-) -> Study:
-    """Runs of one algorithm from zero weights, on the floors and noises that `seed` gives to the other one, too.
+) -> list[Study]:
+    """Runs of several algorithms from zero weights, a study each, all on the floors and noises of `seed`.
 
     Quantities are those of `convergence_trial`; times are those to the fixed point of the oracle, which is the final
     value of a run that is long enough.
     """
     twin, floor = load_twin(model), flat_floor(low_pass_hz)
     steady = steady_state(twin, floor)
-    settings = {"step_size": step_size, "trace": trace, "memory_s": memory_s}
-    both = con.algorithms(
-        steady, **settings, initial_covariance=initial_covariance, sample_time=twin.sample_time
-    )
-    return run_study(
-        convergence_trial,
-        runs,
-        seed,
-        together=TOGETHER,
-        progress=False,
-        twin=twin,
-        floor=floor,
-        both={name: both[name]},
-        duration_s=duration_s,
-        final=steady.weights[0],
-    )
+    own = [case.own for case in cases]
+    algorithms = {
+        case: con.algorithms(steady, **case.settings, sample_time=twin.sample_time)[case.name] for case in own
+    }
+    where = low_pass_hz, duration_s, model
+    settings = {"twin": twin, "floor": floor, "duration_s": duration_s, "final": steady.weights[0]}
+    studies = study_each(convergence_trial, algorithms, where, runs, seed, **settings)
+    found = dict(zip(algorithms, studies, strict=True))
+    return [found[case] for case in own]
+
+
+def repeat(
+    name: str,
+    *,
+    seed: int,
+    low_pass_hz: float = 80.0,
+    runs: int = RUNS,
+    duration_s: float = DURATION_S,
+    model: str = "fitted",
+    **settings,
+) -> Study:
+    """Runs of one algorithm with the settings of a `Case`, see `repeat_all`."""
+    where = {"low_pass_hz": low_pass_hz, "runs": runs, "duration_s": duration_s, "model": model}
+    return repeat_all([Case(name, **settings)], seed=seed, **where)[0]
 
 
 def pair(felms: Study, ferls: Study) -> Study:
@@ -367,9 +391,9 @@ def pair(felms: Study, ferls: Study) -> Study:
 
 
 def both(*, trace: str, step_size: float, memory_s: float, initial_covariance: float, **common) -> Study:
-    """Runs of both algorithms on the same floors and noises, see `repeat`."""
-    felms = repeat("FeLMS", trace=trace, step_size=step_size, **common)
-    return pair(felms, repeat("FeRLS", memory_s=memory_s, initial_covariance=initial_covariance, **common))
+    """Runs of both algorithms on the same floors and noises, see `repeat_all`."""
+    settings = trace, step_size, memory_s, initial_covariance
+    return pair(*repeat_all([Case(name, *settings) for name in ALGORITHMS], **common))
 
 
 def times_by_actuator(
@@ -541,11 +565,6 @@ STARTS = {"own": 1.0, "kept": EQUAL_MEMORY_S / MEMORY_S, "ten-times": 10.0}
 MEMORIES_S, STEPS = (5.0, 10.0, 20.0, 40.0), (0.5e-4, 1e-4, EQUAL_STEP, 4e-4)  # of the curves
 
 
-def short(name: str, seed: int, runs: int = SHORT_RUNS, **settings) -> Study:
-    """Runs of `SHORT_S`."""
-    return repeat(name, seed=seed, runs=runs, duration_s=SHORT_S, **settings)
-
-
 def trade_off(seed: int) -> dict[str, np.ndarray]:
     """Settling time over scatter of four curves, (2, points): over the memory for two starts, and over the step.
 
@@ -555,20 +574,23 @@ def trade_off(seed: int) -> dict[str, np.ndarray]:
     scatter = scatter_of(seed, 80.0, False)
     base = scatter["FeLMS", STEP_SIZE]
     curves = {
-        "FeLMS": [("FeLMS", {"step_size": step}, ("FeLMS", step)) for step in STEPS],
-        "FeRLS from its steady P": [("FeRLS", {"memory_s": m}, ("FeRLS", m)) for m in MEMORIES_S],
+        "FeLMS": [Case("FeLMS", step_size=step) for step in STEPS],
+        "FeRLS from its steady P": [Case("FeRLS", memory_s=m) for m in MEMORIES_S],
         "FeRLS from ten times its steady P": [
-            ("FeRLS", {"memory_s": m, "initial_covariance": 10.0}, ("FeRLS", m)) for m in MEMORIES_S
+            Case("FeRLS", memory_s=m, initial_covariance=10.0) for m in MEMORIES_S
         ],
         "FeRLS from the steady P of 10 s": [
-            ("FeRLS", {"memory_s": m, "initial_covariance": m / MEMORY_S}, ("FeRLS", m)) for m in MEMORIES_S
+            Case("FeRLS", memory_s=m, initial_covariance=m / MEMORY_S) for m in MEMORIES_S
         ],
     }
+    cases = [case for points in curves.values() for case in points]
+    studies = iter(repeat_all(cases, seed=seed, runs=TOGETHER, duration_s=SHORT_S))
     found = {}
     for title, points in curves.items():
         rows = []
-        for name, settings, key in points:
-            times = short(name, seed, TOGETHER, **settings)[f"{name} tau"][:, ROWS]
+        for case in points:
+            times = next(studies)[f"{case.name} tau"][:, ROWS]
+            key = case.name, case.step_size if case.name == "FeLMS" else case.memory_s
             ratio = np.log(scatter[key] / base).mean()
             rows.append((np.exp(ratio), np.exp(np.log(times).mean())))
         found[title] = np.array(rows).T
@@ -580,16 +602,18 @@ def equal_variance(
 ) -> dict[str, tuple[float, tuple[float, float]]]:
     """FeRLS against FeLMS where both scatter alike: speed-up, and share of runs that are faster."""
     tau = "tau" if settling_band == con.SHARE else "tau 37"
-    common = {"seed": seed, "low_pass_hz": floor_upper_end}
-    felms, found = short("FeLMS", **common), {}
-    compared = {
-        start: (felms, short("FeRLS", memory_s=EQUAL_MEMORY_S, initial_covariance=factor, **common))
+    common = {"seed": seed, "low_pass_hz": floor_upper_end, "runs": SHORT_RUNS, "duration_s": SHORT_S}
+    printed = Case("FeLMS")
+    cases = {
+        start: (printed, Case("FeRLS", memory_s=EQUAL_MEMORY_S, initial_covariance=factor))
         for start, factor in STARTS.items()
     }
-    compared["step"] = short("FeLMS", step_size=EQUAL_STEP, **common), short("FeRLS", **common)
-    for start, studies in compared.items():
-        found[f"isolation.equal-variance.speed-up-{start}"] = speed_up(pair(*studies), tau)
-        found[f"isolation.equal-variance.faster-each-{start}"] = faster_each(pair(*studies), tau)
+    cases["step"] = Case("FeLMS", step_size=EQUAL_STEP), Case("FeRLS")
+    studies = repeat_all([case for two in cases.values() for case in two], **common)
+    found = {}
+    for start, felms, ferls in zip(cases, studies[::2], studies[1::2], strict=True):
+        found[f"isolation.equal-variance.speed-up-{start}"] = speed_up(pair(felms, ferls), tau)
+        found[f"isolation.equal-variance.faster-each-{start}"] = faster_each(pair(felms, ferls), tau)
     return found
 
 

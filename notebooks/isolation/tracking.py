@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -10,6 +9,7 @@ from jaxtyping import Float64
 from experiments.isolation.convergence import ALGORITHMS, COLOURS, STYLES
 from experiments.isolation.floors import ShapedFloor, coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
+from experiments.isolation.shared_runs import study_each
 from experiments.isolation.simulation import TOGETHER, sample_seeds, simulate_together
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
@@ -17,7 +17,7 @@ from stillwork.base.checks import require_choice
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Steady
 from workbook import figures
-from workbook.studies import Study, fraction, run_study
+from workbook.studies import Study, fraction
 
 # === Tracking =====================================================================================================
 # Response of the weights to a change of the floor (section 5.1.2, Fig. 6).
@@ -136,7 +136,7 @@ def expected_response(twin: Twin, switch: Switch, name: str, step_size: float, m
 def tracking_trial(
     draws: Sequence[np.random.Generator], *, twin: Twin, switch: Switch, both: dict, duration_s: float
 ) -> list[dict[str, float]]:
-    """One switch for each generator, for `run_study` with `together`: the algorithms of `both` on the same floor.
+    """One switch for each generator, for `study_each`: the algorithms of `both` on the same floor.
 
     ``"FeLMS all"``, ``"FeRLS w4-w6"``, ...: settling time of each group, s, infinite where it has not settled;
     ``"FeLMS noise"``, ...
@@ -276,19 +276,12 @@ def switch_runs(
 
     `common` are the other arguments of `one_switch`.
     """
-    found = []
-    for back in (False, True):
-        step = step_size / (quiet_twin().actuators if trace == "literal" else 1)
-        felms = one_switch("FeLMS", back, step_size=step, **common)
-        ferls = one_switch("FeRLS", back, memory_s=memory_s, **common)
-        study = Study(felms.study.seed, {**felms.study.values, **ferls.study.values})
-        found.append(Switched(felms.switch, study))
-    return tuple(found)
+    step = step_size / (quiet_twin().actuators if trace == "literal" else 1)
+    into, back = (one_switch(back, step_size=step, memory_s=memory_s, **common) for back in (False, True))
+    return into, back
 
 
-@lru_cache(maxsize=32)  # of both traces FeRLS makes the same
 def one_switch(
-    name: str,
     back: bool,
     *,
     low_pass_hz: float = 80.0,
@@ -300,15 +293,16 @@ def one_switch(
     memory_s: float = MEMORY_S,
     duration_s: float = TRACKED_S,
 ) -> Switched:
-    """Runs of one algorithm from flat to coloured, or `back`."""
+    """Runs of both algorithms from flat to coloured, or `back`."""
     twin = quiet_twin(platform_noise)
     floors = [flat_floor(low_pass_hz), coloured_floor(low_pass_hz, gain=colour_gain)]
     switch = switch_between(twin, *(reversed(floors) if back else floors))
     both = settled(switch, step_size, float(np.exp(-twin.sample_time / memory_s)))
-    options = {"twin": twin, "switch": switch, "both": {name: both[name]}, "duration_s": duration_s}
-    return Switched(
-        switch, run_study(tracking_trial, runs, seed, together=TOGETHER, progress=False, **options)
-    )
+    cases = {("FeLMS", step_size): both["FeLMS"], ("FeRLS", memory_s): both["FeRLS"]}
+    where = back, low_pass_hz, colour_gain, platform_noise, duration_s
+    settings = {"twin": twin, "switch": switch, "duration_s": duration_s}
+    felms, ferls = study_each(tracking_trial, cases, where, runs, seed, **settings)
+    return Switched(switch, Study(seed, {**felms.values, **ferls.values}))
 
 
 def follow(

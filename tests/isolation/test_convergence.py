@@ -8,9 +8,10 @@ from experiments.isolation.floors import coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
-from notebooks.isolation.convergence import convergence_trial, follow_sideways, narrow_floor
+from notebooks.isolation.convergence import Case, convergence_trial, follow_sideways, narrow_floor, repeat_all
 from notebooks.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
 from stillwork.base.checks import InputError
+from workbook.studies import run_study
 
 FITTED = load_twin("fitted").varied(platform_noise=1e-6, mains_hz=[], floor_mains=[], platform_mains=[])
 FLOOR = flat_floor(80.0)
@@ -134,3 +135,28 @@ def test_a_run_that_still_leaves_the_band_at_its_end_has_not_settled():
     assert settling(left) == 21.0
     assert settling(np.where(time == 50, -0.4, left)) == 51.0  # an overshoot
     assert settling(np.where(time == 95, 0.4, left)) == np.inf
+
+
+@pytest.mark.slow
+def test_cases_run_together_and_in_part_again_are_those_of_each_alone():
+    cases = [
+        Case("FeLMS", step_size=2e-4),
+        Case("FeRLS", memory_s=20.0),
+        Case("FeRLS", step_size=9.0),
+        Case("FeRLS"),
+    ]
+    brief = {"seed": 11, "duration_s": 2.0}
+    first = repeat_all(cases[:2], runs=3, **brief)
+    found = repeat_all(cases, runs=10, **brief)
+    twin, floor = load_twin("fitted"), flat_floor(80.0)
+    steady = steady_state(twin, floor)
+    for case, study in zip(cases, found, strict=True):
+        adaptation = algorithms(steady, **case.settings, sample_time=twin.sample_time)[case.name]
+        settings = {"twin": twin, "floor": floor, "duration_s": 2.0, "final": steady.weights[0]}
+        alone = run_study(convergence_trial, 10, 11, together=8, both={case.name: adaptation}, **settings)
+        assert study.values.keys() == alone.values.keys() and study.runs == 10
+        for quantity, values in alone.values.items():
+            assert np.array_equal(study[quantity], values)
+            if case in cases[:2]:
+                assert np.array_equal(first[cases.index(case)][quantity], values[:3])
+    assert found[2].values.keys() == found[3].values.keys() and found[2]["FeRLS tau"] is found[3]["FeRLS tau"]
