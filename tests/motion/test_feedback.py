@@ -13,8 +13,6 @@ from experiments.motion.machines import chain, published_noise, stage
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.feedback import band_pass, damping_gain, fed_back, place, stiffness_gain
-from stillwork.control.loops import closed_loop
-from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import ModalModel, StateModel
 from stillwork.lti.reduction import truncate
@@ -99,16 +97,6 @@ def test_compensator_reads_what_the_definition_says():
     response = block.frequency_response(omega)
     assert np.allclose(response[0], damped, rtol=1e-7, atol=1e-9 * np.abs(damped).max())
     assert np.allclose(response[1], high_pass * flexible, rtol=1e-7, atol=1e-9 * np.abs(flexible).max())
-
-
-def test_active_stiffness_through_the_observer_moves_the_resonance():
-    plant = stage().at([0], [4]).modes([0, 1])
-    observer = kalman_observer(plant, published_noise())
-    block = compensator(observer, Application(stiffness=1.2))
-    loop = closed_loop(plant, block, PidFamily(12.5)(20.0).state_space())
-    poles = loop.poles[loop.poles.imag > 0.8 * plant.frequencies[1]]
-    # Separation: among the poles is the stiffened mode, beside that of the observer.
-    assert np.abs(np.abs(poles) / (1.2 * plant.frequencies[1]) - 1).min() < 0.02
 
 
 def test_velocity_observer_leaves_the_rigid_position_out():

@@ -7,7 +7,7 @@ from experiments.motion.designs import (
     stage_loops,
     stage_observer,
 )
-from experiments.motion.machines import published_noise, shapes_along, stage, stage_mass
+from experiments.motion.machines import chain_matrix, published_noise, shapes_along, stage, stage_mass
 from experiments.motion.position_dependence import at_place, observer_at, stage_grid
 from notebooks.motion.position_dependent_observers import (
     damping_along,
@@ -17,6 +17,7 @@ from notebooks.motion.position_dependent_observers import (
     pass_node,
     place_loops,
 )
+from notebooks.motion.twenty_nine_scans import structure
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.pid import PidFamily
 
@@ -104,3 +105,15 @@ def test_standing_on_a_node_loses_the_mode_and_passing_it_faster_loses_less(plan
         for v in (0.5, 5.0)
     )
     assert fast < slow < 1
+
+
+def test_the_eighth_place_is_the_mass_that_the_force_acts_on():
+    plant, grid = structure(8)
+    mass, stiffness = np.diag([2.5, *[10 / 7] * 7]), chain_matrix([1e8, *[9.6e7] * 6])
+    for omega in (300.0, 20000.0):  # where damping hardly matters
+        direct = np.linalg.inv(stiffness - omega**2 * mass)[:, 0]
+        found = [
+            at_place(plant, grid, place).frequency_response(np.array([omega]))[0, 0, 0] for place in grid
+        ]
+        np.testing.assert_allclose(np.real(found), direct, rtol=0, atol=5e-4 * np.abs(direct).max())
+    assert len(structure(7)[1]) == 7

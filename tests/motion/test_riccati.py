@@ -60,21 +60,6 @@ def test_predictor_and_filter_form():
     assert np.allclose(solved.filter_gain, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
 
 
-def test_discrete_gain_approaches_the_continuous_one_with_order_one():
-    reduced = truncate(stage().at([0], [4]), 4, 3)
-    states = reduced.state_space()
-    continuous = continuous_gain(states.a, states.b, states.c, 1e-4, 2e-18).gain[:, 0]
-    errors = []
-    for sample_time in (4e-6, 2e-6, 1e-6):
-        held = zoh_modes(reduced, sample_time)
-        discrete = discrete_gain(held.a, held.b, held.c, 1e-4 / sample_time, 2e-18 / sample_time).filter_gain[
-            :, 0
-        ]
-        errors.append(np.abs(discrete / sample_time - continuous).max() / np.abs(continuous).max())
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert np.allclose(orders, 1.0, atol=0.1)
-
-
 def test_random_walk_has_its_closed_form():
     found = continuous_gain([[0.0]], [[1.0]], [[1.0]], 4.0, 9.0)
     assert found.gain[0, 0] == pytest.approx(2 / 3, rel=1e-12)

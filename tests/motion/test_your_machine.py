@@ -256,27 +256,6 @@ BAD = {
         {},
         r"\bresponse\b.*frequency",
     ),
-    "falling frequency": (
-        lambda f: write_csv(f / "a.csv", frequency=HERTZ[::-1], real=HERTZ, imag=HERTZ),
-        {},
-        "frequency",
-    ),
-    "few lines": (
-        lambda f: write_csv(f / "a.csv", frequency=HERTZ[:9], real=HERTZ[:9], imag=HERTZ[:9]),
-        {},
-        r"\b9\b.*\b32\b",
-    ),
-    "gap": (
-        lambda f: write_csv(f / "a.csv", frequency=HERTZ, real=np.where(HERTZ > 90, np.nan, 1), imag=HERTZ),
-        {},
-        r"\bresponse\b.*NaN",
-    ),
-    "unit of a response": (
-        two_parts,
-        {"response_unit": "V"},
-        r"\bresponse_unit\b",
-    ),
-    "unit of a force": (two_parts, {"force_unit": "m"}, r"\bforce_unit\b"),
     "misspelt unit": (two_parts, {"response_unit": "m/s^3"}, r"\bunit\b.*'m/s\^3'"),
     "one hit short": (lambda f: hits(f, responses=1), {}, r"\bforce\b.*\b2\b"),
     "dead response": (
