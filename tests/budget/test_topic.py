@@ -7,7 +7,7 @@ import pytest
 from scipy import linalg
 
 from experiments.budget.machine import FLOORS, budget_of, machine, on_every_floor, parameters, stage
-from notebooks.budget import robust, the_machine, which_one_pays
+from notebooks.budget import the_machine, which_one_pays
 from notebooks.budget.which_one_pays import (
     CHOICES,
     NOISES,
@@ -16,7 +16,6 @@ from notebooks.budget.which_one_pays import (
     order_of_purchase,
     tuning_trial,
 )
-from stillwork.control.uncertainty import Perturbation
 
 
 def test_the_machine_has_the_printed_mass_and_the_first_estimates_suspension():
@@ -121,11 +120,3 @@ def test_six_axes_are_what_the_equations_of_motion_give(offset):
             wanted = x[6] - beside @ x[:6]
             found = network.paths([hertz])[0, axis, 0]
             assert abs(found - wanted) < 1e-6 * max(abs(wanted), 1e-9)
-
-
-def test_each_part_of_the_box_alone_moves_its_number_both_ways():
-    built = robust.elsewhere("PID", 2e4, Perturbation(*np.ones((3, 8)), delay=-2e-5))
-    assert built.delay == pytest.approx(0.6) and built.sample_time == 5e-5
-    box = robust.box(0.1, 2e4)
-    assert (float(box.damping), box.delay, box.gain) == (0.9, pytest.approx(2.5e-5), 0.1)
-    assert robust.box(0.1, 2e4, ("gain",)).delay == 0

@@ -4,27 +4,13 @@ import numpy as np
 import pytest
 
 from choices.defaults import require_accepted
-from experiments.fixedpoint import Noise, choices, load_oscillator
-from experiments.fixedpoint.metrics import noisy_run
-from experiments.fixedpoint.published import published_controllers
+from experiments.fixedpoint import choices
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("study", ["noise-free", "differentiation"])
 def test_without_leaving_anything_out_the_defaults_give_what_the_notebooks_gave(study):
     require_accepted("fixedpoint", study)
-
-
-def test_at_the_defaults_the_controllers_are_the_published_ones():
-    approximate = load_oscillator()["approximate"].plant
-    exact = load_oscillator()["exact"].plant
-    nominal = choices.trajectory("asin 0.98", 0.2, 1.0)
-    noise = Noise("logistic", 1e-4)
-    ours, published = choices.controllers("estimate", "(11)", 13), published_controllers(approximate)
-    assert list(ours) == list(published)
-    for name in published:
-        runs = [noisy_run(exact, who[name], nominal, noise, 1).position for who in (ours, published)]
-        assert np.array_equal(*runs)
 
 
 def test_the_amplitude_of_a_noise_by_its_three_meanings():

@@ -10,7 +10,6 @@ from notebooks.motion.two_inertia_drive import (
     closed_loop_response,
     drive_loop,
     drive_observer,
-    identify,
     seen_by_controller,
 )
 from stillwork.base.checks import InputError
@@ -81,26 +80,6 @@ def test_drive_observer_separates_rigid_and_flexible():
     loop = drive_loop(PLANT, PLANT, Application(compensate=True), 4.0)
     rigid = PLANT.motor_constant / (1j * omega * (2j * omega * PLANT.inertia + 2 * PLANT.friction))
     np.testing.assert_allclose(seen_by_controller(loop, omega), rigid, rtol=1e-8)
-
-
-@pytest.mark.slow
-def test_identified_drive_is_the_exact_one_without_noise():
-    loop = drive_loop(PLANT, PLANT, None, 4.0)
-    found = identify(
-        loop,
-        np.random.default_rng(1),
-        sample_time=2.5e-4,
-        samples=400_000,
-        segment=16000,
-        excitation=0.02,
-        sensor_noise=0.0,
-        imbalance=0.0,
-        turns_hz=15.0,
-    )
-    inside = (found.omega > 2 * np.pi * 5) & (found.omega < 2 * np.pi * 30)
-    exact = seen_by_controller(loop, found.omega[inside])
-    assert np.median(np.abs(found.response[inside] / exact - 1)) < 0.03
-    assert found.coherence[inside].mean() > 0.99
 
 
 @pytest.mark.slow

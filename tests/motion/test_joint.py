@@ -10,7 +10,6 @@ from scipy import linalg, signal
 from experiments.motion.machines import parameters, stage
 from naive import joint
 from notebooks.motion.joint_design import (
-    ASKED,
     DELAY,
     LEFT,
     PEAKS,
@@ -30,10 +29,8 @@ from notebooks.motion.joint_design import (
     learn_gains,
     moves,
     noise_floor,
-    robust_search,
     sample_plants,
     sampled_compensator,
-    search,
     six,
     stage_response,
     steps_of,
@@ -242,27 +239,3 @@ def test_first_crossing_is_that_of_the_open_loop():
     sensitivity = ((around.share - around.seen * late_response(late(stage()), omega)) * output)[4, 0]
     assert np.abs(1 / sensitivity - 1) == pytest.approx(1.0, rel=1e-9)
     assert np.all(found > grid()[1] / (2 * np.pi))
-
-
-@pytest.mark.slow
-def test_searches_keep_their_limits():
-    """From a start that keeps none of them: peaks, and the force under noise."""
-    served = [stage_response(stage())]
-    start = replace(PUBLISHED, bandwidth_hz=60.0)
-    free = search(start, "controller", served, steps=12)
-    assert free.excess < 1e-2 and free.error < evaluate(start, served)[0].error
-    quiet = search(free.design, "controller", served, force=0.004, steps=12)
-    assert evaluate(quiet.design, served)[0].force < 0.00404
-    fast = search(free.design, "controller", served, steps=6, aim="bandwidth")
-    assert crossing_hz(fast.design, stage()).min() > crossing_hz(free.design, stage()).min()
-
-
-@pytest.mark.slow
-def test_robust_search_keeps_its_limit_on_the_pool():
-    plants = [stage(), *sample_plants(0.05, 4, 7)]
-    slow = replace(STORED["joint, for 5%"].design, integrator=1.0)
-    found = robust_search(
-        slow, "controller", [stage_response(p) for p in plants], ASKED, counted=2, turns=3, steps=4
-    )
-    assert found.excess < 2e-2
-    assert judge(found.design, plants).feasible.all()

@@ -8,18 +8,14 @@ from scipy import integrate
 
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.uncertainty import perturbed, sample_errors
 from notebooks.motion.low_order_feedforward import (
     copy_poles,
     direct_loop,
     filters,
-    fit_low_order,
-    perturbed_trial,
     pick_poles,
 )
 from stillwork.control.feedforward import (
     BASIS,
-    error_loop,
     fit_feedforward,
     modified_feedforward,
     tracking_error,
@@ -27,7 +23,6 @@ from stillwork.control.feedforward import (
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint, from_snap
-from stillwork.signals.moving_average import rms
 
 PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(70.0).state_space()
@@ -100,18 +95,3 @@ def test_filters_have_their_poles_and_pass_with_gain_one(pole):
         assert np.abs(each.poles - pole).min() < 1e-9 * abs(pole)
     still = filters(pole)[0]
     assert abs(still.frequency_response(np.array([1e-6]))[0, 0, 0]) == pytest.approx(1, rel=1e-9)
-
-
-def test_perturbed_trial_tunes_on_the_plant_that_it_meets(grown):
-    settings = {"plant": PLANT, "compensator": BLOCK, "controller": CONTROLLER, "setpoint": SETPOINT}
-    original = fit_feedforward(error_loop(LOOP), SETPOINT)
-    found = perturbed_trial(
-        np.random.default_rng(1), **settings, copied=original, candidates={"two": grown[1]}, size=0.05
-    )
-    plant = perturbed(PLANT, sample_errors(np.random.default_rng(1), PLANT, 0.05))
-    met = direct_loop(closed_loop(plant, BLOCK, CONTROLLER))
-    tuned = fit_low_order(met, SETPOINT, grown[1].poles)
-    for key, feedforward in (("two, kept", grown[1]), ("two, tuned", tuned)):
-        expected = rms(feedforward.error(met, SETPOINT)[SETPOINT.scanning])
-        assert found[key] == pytest.approx(expected, rel=1e-6)
-    assert np.sum(tuned.error(met, SETPOINT) ** 2) < np.sum(grown[1].error(met, SETPOINT) ** 2)

@@ -99,15 +99,6 @@ def test_deviation_is_what_the_noise_predicts(noisy):
     assert np.mean((error / expected)[chosen] ** 2) == pytest.approx(1, abs=0.1)
 
 
-@pytest.mark.slow
-def test_direct_ratio_keeps_the_bias_of_the_loop_and_the_joint_one_does_not():
-    weak = replace(SETTINGS, noise=NoiseIntensities(4e-4, 1e-18))
-    records = records_of(weak, 5.0, 4, 0.2, 12, samples=8192, periods=2, settling=1)
-    found = rig_experiment(GEOMETRY, weak, 5.0).convergence(records, 5.5, (12,))
-    assert found["direct"][0] > 0.1
-    assert found["joint input-output"][0] < 0.03
-
-
 def _small_plant():
     return ModalModel(
         np.array([0.0, 0.0, 600.0, 640.0, 2500.0]),
