@@ -162,17 +162,6 @@ def test_a_decimal_comma_is_kept_while_it_is_typed(desk):
         desk.wait(lambda value=value: desk.value("0-gain") == value)
 
 
-def test_the_address_holds_the_design(desk):
-    desk.type("0-low_pass_hz", 321)
-    desk.add("notch")
-    desk.type("1-frequency_hz", 851)
-    address = desk.driver.current_url
-    assert "#d=" in address
-    desk.driver.get("about:blank")
-    desk.browser.open(address)
-    assert desk.value("0-low_pass_hz") == 321 and desk.value("1-frequency_hz") == 851
-
-
 def test_a_dropped_response_is_shaped_and_leaves_as_c(desk):
     """A mass of 8 kg with a resonance, dropped as CSV; the C of what is shaped compiles."""
     hertz = np.geomspace(2, 800, 300)

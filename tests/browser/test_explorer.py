@@ -101,38 +101,6 @@ def test_keys_move_the_line_and_leave_the_start_as_a_ghost(moving):
     assert moving.run(ENDS, ".ghost path") is None
 
 
-def test_a_unit_stands_by_its_control_and_its_axes(moving):
-    label = moving.driver.find_element(By.CSS_SELECTOR, "label[for=figure-x-1]").text
-    assert label == "level (mm)"
-    control(moving, 1).send_keys(Keys.HOME)
-    assert control(moving, 1).get_attribute("aria-valuetext") == "0 mm"
-    axes = [each.text for each in moving.driver.find_elements(By.CSS_SELECTOR, ".panel .axis")]
-    assert axes == ["height (mm)", "frequency (Hz)", "bend (1)", "time (s)"]
-    assert moving.run("return document.querySelector('.key').textContent.trim()") == "line x1"
-    ticks = moving.run(
-        "return [...document.querySelector('.panel > svg').querySelectorAll('text')].map((t) => t.textContent)"
-    )
-    assert ticks[:3] == ["1", "10", "100"]
-
-
-def test_two_move_together_and_a_third_alone(moving):
-    note = moving.driver.find_element(By.CSS_SELECTOR, ".note").text
-    assert note.startswith(
-        ("rise and kind move", "level and kind move", "kind and bend move", "rise and level move")
-    )
-    alone = next(
-        number
-        for number, name in ((0, "rise"), (1, "level"), (3, "bend"))
-        if name not in note.split(" move")[0]
-    )
-    partner = next(
-        number for number in (0, 1, 3) if number != alone and ("rise", "level", "", "bend")[number] in note
-    )
-    control(moving, partner).send_keys(Keys.END)
-    control(moving, alone).send_keys(Keys.END)
-    assert control(moving, partner).get_attribute("value") != control(moving, partner).get_attribute("max")
-
-
 def test_a_setting_without_a_picture_says_why(moving):
     moving.run(
         "const s = document.getElementById('figure-x-2'); s.value = 1; s.dispatchEvent(new Event('input'))"
@@ -148,17 +116,6 @@ def test_a_pointed_place_is_read_with_its_units(moving):
         "svg.dispatchEvent(new PointerEvent('pointermove', {clientX: box.left + x + w, clientY: box.top + y + 0.69 * h}))"
     )
     assert moving.driver.find_element(By.CSS_SELECTOR, ".read").text == "line x1: 100 Hz, 3.1 mm"
-
-
-def test_panels_stand_below_one_another_on_a_phone(moving):
-    tops = "return [...document.querySelectorAll('.panel')].map((each) => each.getBoundingClientRect().top)"
-    side_by_side = moving.run(tops)
-    assert side_by_side[0] == side_by_side[1]
-    moving.resize(390)
-    WebDriverWait(moving.driver, 10).until(lambda _: len(set(moving.run(tops))) == 2)
-    assert moving.run("return document.documentElement.scrollWidth") <= 390
-    control(moving, 0).send_keys(Keys.HOME)
-    assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.21]])
 
 
 def test_a_finger_drags_a_slider(moving):

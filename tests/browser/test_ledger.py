@@ -1,17 +1,12 @@
 """The ledger's page: filters, order, links, and all of it by keyboard."""
 
-import re
-
 import pytest
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from workbook import paths
-from workbook.choices.command import robustness_of
 from workbook.claims import ledger
 from workbook.report import column
-from workbook.site.specification import class_of
 
 CLAIMS = ledger()
 ROWS = "return [...document.querySelectorAll('#claims tbody tr')].filter((row) => !row.hidden).map((row) => row.id)"
@@ -51,17 +46,6 @@ def test_each_filter_shows_what_the_ledger_has(front, field, value_of):
         assert told(front) == f"{len(wanted)} of {len(CLAIMS)} numbers"
 
 
-def test_filters_combine_and_the_button_shows_all(front):
-    topic, verdict = CLAIMS[0].entry.topic, CLAIMS[0].verdict
-    choose(front, "topic", topic)
-    choose(front, "verdict", verdict)
-    assert front.run(ROWS) == [
-        row for row, claim in BY_ID.items() if (claim.entry.topic, claim.verdict) == (topic, verdict)
-    ]
-    front.driver.find_element(By.CSS_SELECTOR, "#filters button").click()
-    WebDriverWait(front.driver, 5).until(lambda _: front.run(ROWS) == list(BY_ID))
-
-
 @pytest.mark.parametrize(("order", "sign"), [("farthest", -1), ("nearest", 1)])
 def test_the_order_is_that_of_the_deviation(front, order, sign):
     choose(front, "order", order)
@@ -71,31 +55,6 @@ def test_the_order_is_that_of_the_deviation(front, order, sign):
     assert all(each is None for each in deviations[len(known) :])
     choose(front, "order", "")
     assert front.run(ROWS) == list(BY_ID)
-
-
-def test_a_count_on_the_front_page_leads_to_its_rows(front, site):
-    front.open((site / "index.html").as_uri())
-    front.driver.find_element(By.CSS_SELECTOR, ".work details summary").click()
-    link = front.driver.find_element(By.CSS_SELECTOR, ".work .counts a")
-    wanted = int(link.text.split()[0])
-    link.click()
-    assert "ledger.html?topic=" in front.driver.current_url
-    assert len(front.run(ROWS)) == wanted > 0
-
-
-def test_words_find_rows_that_hold_all_of_them(front):
-    field = front.driver.find_element(By.CSS_SELECTOR, "#filters [name=q]")
-    field.send_keys("Table TIME constant")
-    texts = front.run(
-        "return Object.fromEntries([...document.querySelectorAll('#claims tbody tr')].map((r) => [r.id, r.textContent]))"
-    )
-    wanted = [
-        row
-        for row, text in texts.items()
-        if all(word in text.lower() for word in ("table", "time", "constant"))
-    ]
-    assert wanted
-    assert sorted(front.run(ROWS)) == sorted(wanted)
 
 
 def test_a_view_is_kept_in_the_address(front):
@@ -115,17 +74,6 @@ def test_an_address_of_a_row_shows_it_whatever_the_filters_say(front, site):
     row = next(row for row, claim in BY_ID.items() if claim.verdict == "deviates")
     front.open((site / "ledger.html").as_uri() + f"?verdict=replicated#{row}")
     assert WebDriverWait(front.driver, 5).until(lambda _: row in front.run(ROWS))
-
-
-def test_rows_with_combinations_tell_their_class(front):
-    standings = {name: each for topic in paths.topics() for name, each in robustness_of(topic).items()}
-    for name in ("robust", "depends", "not reproduced"):
-        choose(front, "choices", name)
-        wanted = [row for row, claim in BY_ID.items() if class_of(standings.get(claim.entry.id)) == name]
-        assert front.run(ROWS) == wanted
-        word = "differs|agrees" if name == "not reproduced" else "agrees"
-        pattern = re.compile(rf"{name}: ({word}) under .* combinations")
-        assert all(pattern.search(front.driver.find_element(By.ID, row).text) for row in wanted)
 
 
 def test_the_table_is_there_without_the_script(front, site):
@@ -163,9 +111,3 @@ def test_the_keyboard_reaches_and_works_the_filters(front):
     assert all(visible for *_, visible in stops), [stop for stop in stops if not stop[2]]
     press(front, "d")  # a select takes the first letter of an option
     assert {BY_ID[row].verdict for row in front.run(ROWS)} == {"deviates"}
-
-
-def test_the_keyboard_opens_a_reason(front):
-    summary = front.driver.find_element(By.CSS_SELECTOR, "#claims summary")
-    summary.send_keys(Keys.ENTER)
-    assert front.run("return arguments[0].parentElement.open", summary)

@@ -33,22 +33,6 @@ def test_a_picture_enlarges_by_keyboard_and_closes_again(page):
     assert page.driver.switch_to.active_element == link
 
 
-def test_the_pictures_button_closes_it(page):
-    page.run("document.querySelector('a.zoom').click()")
-    page.driver.find_element(By.CSS_SELECTOR, "dialog[open] button").click()
-    assert WebDriverWait(page.driver, 10).until(lambda _: not dialogs(page))
-
-
-def test_one_button_opens_and_closes_all_code(page):
-    closed = "return [...document.querySelectorAll('details.code')].map((each) => each.open)"
-    assert not any(page.run(closed))
-    button = page.driver.find_element(By.ID, "all-code")
-    button.click()
-    assert all(page.run(closed))
-    button.click()
-    assert not any(page.run(closed))
-
-
 def test_every_row_leads_to_its_place_and_every_place_back(browser, site):
     browser.open((site / "ledger.html").as_uri())
     links = browser.run(

@@ -4,7 +4,6 @@ import pytest
 
 from choices.toy_work import LEDGER, SEEDS, A, B, axis, study
 from stillwork.base.checks import InputError
-from workbook.choices.axes import begins_with, load_axes
 
 
 def test_axes_and_studies_are_read_as_declared(workbook):
@@ -19,12 +18,6 @@ def test_axes_and_studies_are_read_as_declared(workbook):
     assert multiverse.touched["motion.order"] == {"a", "b", "seeds"}
 
 
-def test_a_topic_without_combinations_has_none(workbook, tmp_path):
-    workbook()
-    (tmp_path / "data/motion/choices.toml").unlink()
-    assert load_axes("motion") == ({}, [])
-
-
 def test_a_study_gets_only_the_axes_that_touch_its_entries(workbook):
     of_order = axis("c", [1, 2], 1, touches='["motion.order"]')
     _, (multiverse,) = workbook(A + of_order + study(entries='["motion.table-1"]'))
@@ -35,25 +28,6 @@ def test_a_study_gets_only_the_axes_that_touch_its_entries(workbook):
         "motion.table-1.product": {"a"},
         "motion.order": {"a", "c"},
     }
-
-
-def test_dashes_of_a_name_become_underscores_of_an_argument(workbook):
-    _, (multiverse,) = workbook(axis("strut-damping", [5.0, 65.0], 65.0) + study())
-    assert multiverse.options((1,)) == {"strut_damping": 65.0}
-    assert multiverse.combination((1,)) == {"strut-damping": 65.0}
-
-
-@pytest.mark.parametrize(
-    ("entry", "start", "begins"),
-    [
-        ("motion.fig-7.end", "motion.fig-7", True),
-        ("motion.fig-70.end", "motion.fig-7", False),
-        ("motion.fig-7", "motion.fig-7", True),
-        ("motion.fig-7", "motion.fig-7.end", False),
-    ],
-)
-def test_a_prefix_is_of_whole_parts(entry, start, begins):
-    assert begins_with(entry, start) == begins
 
 
 def test_a_study_whose_notebook_takes_another_option_has_its_own_default(workbook):

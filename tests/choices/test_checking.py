@@ -1,6 +1,5 @@
 """Committed values are computed again, all within a month, and what moved is named."""
 
-import datetime
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,19 +12,15 @@ from choices import toy_work
 from choices.toy_work import SEEDS, A, B, axis, study
 from committed import again
 from committed.again import compute_again
-from stillwork.base.checks import InputError
 from workbook.choices.axes import load_axes
 from workbook.choices.checking import (
     DAYS,
-    age,
     drawn,
     moved_before,
     moves,
     note,
-    parts_a_day,
     short_form_differs,
 )
-from workbook.choices.command import robustness_of
 from workbook.choices.results import read_results, results_text
 from workbook.choices.running import compute
 from workbook.claims import load_entries
@@ -63,15 +58,6 @@ def test_neighbours_in_the_order_of_the_runs_come_on_different_days(workbook):
     (day, *_) = (drawn(multiverse, [(k, 0) for k in range(300)], day) for day in range(3))
     steps = {b[0] - a[0] for a, b in pairwise(day)}
     assert len(steps) > 5  # not each thirtieth, which might be one option of an axis
-
-
-@pytest.mark.parametrize(("light", "count"), [(0.0, 1), (1e9, 18)])
-def test_a_light_study_is_computed_whole(outcomes, monkeypatch, light, count):
-    monkeypatch.setattr(again, "LIGHT", light)
-    found = outcomes(NOISY)
-    now, tried = compute_again(found, day=3)
-    assert len(tried) == count
-    assert moves(found, now, tried, load_entries("motion")) == []
 
 
 def test_what_moved_is_tried_again_on_other_days(outcomes, monkeypatch, tmp_path):
@@ -133,31 +119,6 @@ def test_ends_of_intervals_and_failures_are_values_too(outcomes, tmp_path):
     assert "ValueError" in moves(before, found, [(4, 0)], entries)[0]
 
 
-@pytest.mark.parametrize(("text", "parts"), [("1", 1), ("4", 4), ("99", DAYS)])
-def test_the_environment_says_how_much_is_drawn(monkeypatch, text, parts):
-    monkeypatch.setenv("STILLWORK_SAMPLE", text)
-    assert parts_a_day() == parts
-
-
-@pytest.mark.parametrize("text", ["", "0", "-1", "all"])
-def test_a_sample_is_a_number_of_parts(monkeypatch, text):
-    monkeypatch.setenv("STILLWORK_SAMPLE", text)
-    with pytest.raises(InputError, match="STILLWORK_SAMPLE"):
-        parts_a_day()
-
-
-def test_results_say_that_older_code_gave_them(outcomes, tmp_path):
-    found = outcomes()
-    assert age(found) == ""
-    before = keep(found, tmp_path)
-    assert "not sampled" in age(before)
-    note(found.multiverse, moved=[(3, 0)])
-    assert "moved" in age(before)
-    note(found.multiverse, moved=[])
-    assert age(before).endswith(f"sampled again on {datetime.date.today()}")
-    assert robustness_of("motion")["motion.order"].as_dict()["age"] == age(before)
-
-
 def run(root, *arguments):
     """A command on the toy at `root`."""
     command = [sys.executable, "-m", *arguments]
@@ -208,23 +169,6 @@ def test_only_studies_that_moved_are_computed(workbook, tmp_path):
     assert run(tmp_path, "stillwork", "choices", "motion", "--jobs", "1", "--changed").returncode == 0
     assert file.read_text() == whole
     assert [each.study for each in load_axes("motion")[1]] == ["toy", "more"]
-
-
-@pytest.mark.slow
-def test_what_moved_under_the_same_code_is_computed_not_remembered(workbook, tmp_path):
-    """With another library, say: the journal holds what came out before."""
-    workbook(study("other", '["motion.always"]'))
-    changed = ("stillwork", "choices", "motion", "--jobs", "1", "--changed")
-    assert run(tmp_path, *changed).returncode == 0
-    file, journal = (tmp_path / name for name in ("data/motion/choices.csv", "build/choices/motion.jsonl"))
-    whole = file.read_text()
-    file.write_text(whole.replace("0,1,1\n", "0,1,7\n"))
-    journal.write_text(journal.read_text().replace(": 1.0}", ": 7.0}"))
-    assert file.read_text() != whole and "7.0" in journal.read_text()
-    assert run(tmp_path, *TEST).returncode == 1
-    assert run(tmp_path, *changed).returncode == 0
-    assert file.read_text() == whole
-    assert run(tmp_path, *TEST).returncode == 0
 
 
 def test_a_short_form_is_compared_at_every_option(workbook):

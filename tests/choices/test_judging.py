@@ -9,7 +9,7 @@ from scipy import stats
 from choices.toy_work import FIRST, LEDGER, SEEDS, TOTAL, A, B, axis, study
 from stillwork.base.checks import InputError
 from workbook.choices.axes import load_axes, load_together
-from workbook.choices.judging import Robustness, agreement, group_of, judge
+from workbook.choices.judging import Robustness, agreement, judge
 from workbook.choices.results import collect
 from workbook.claims import Claim, Entry, load_entries
 from workbook.studies import proportion_interval
@@ -60,13 +60,6 @@ def test_an_ordering_is_decided_by_what_flips_it(outcomes):
     assert shares.total["a"] == pytest.approx(flips.var(axis=0).mean() / whole)
     assert shares.total["b"] == pytest.approx(flips.var(axis=1).mean() / whole)
     assert shares.total["a"] > shares.total["b"]
-
-
-def test_what_is_reported_is_shown_and_not_judged(outcomes):
-    found = judged(outcomes())["motion.shown"].as_dict()
-    assert (found["agree"], found["share"], found["class"]) == (None, None, None)
-    assert found["range"] == pytest.approx([0, 2 / 3])
-    assert found["joint"] is None
 
 
 def test_seeds_count_as_tries_and_not_as_combinations(outcomes):
@@ -157,13 +150,6 @@ def test_copies_of_a_setting_are_no_further_combinations(outcomes):
     assert standings["motion.table-1.sum"].tried == 6
 
 
-def test_seeds_that_do_not_touch_an_entry_are_copies_too(outcomes):
-    seeds = axis("seeds", [7, 8, 9], 8, "seed", touches='["motion.table-1.sum"]')
-    standings = judged(outcomes(A + B + seeds + study("noisy")))
-    assert (standings["motion.always"].tried, standings["motion.table-1.sum"].tried) == (6, 18)
-    assert standings["motion.table-1.product"].shares.total.keys() == {"a", "b"}
-
-
 def test_the_default_combination_has_the_verdict_of_the_ledger(outcomes):
     """A study whose short form gives 0 at the default, where the notebook found 3.2, published 3 +- 1."""
     found = outcomes()
@@ -225,17 +211,6 @@ def test_the_default_is_that_of_the_ledger_and_without_one_of_the_study(outcomes
     assert [of_ledger[name].by_default for name in names] == [True, True, False]
 
 
-def test_a_joint_combination_counts_its_numbers_by_their_distance(outcomes, monkeypatch):
-    monkeypatch.setattr("workbook.choices.judging.NEAR", (0.3, 1 / 3 + 1e-12, 1.0))
-    found = judged(outcomes())["motion.table-1.sum"].joint
-    assert found.near == {"30%": 0, "33%": 1, "100%": 2, "of": 2}  # 4 for 3 and 1 for 2
-
-
-def test_agreement_at_the_default_was_not_searched_for(outcomes):
-    found = judged(outcomes())["motion.always"].as_dict()["joint"]
-    assert (found["basis"], found["combination"], found["tried"]) == ("predicted", {"a": 0, "b": 0}, 6)
-
-
 @pytest.mark.slow
 def test_a_joint_combination_over_two_studies_is_one_combination(workbook):
     """Two studies that share the axis a: the best pair by brute force over all pairs that agree on a."""
@@ -261,11 +236,6 @@ def test_a_joint_combination_over_two_studies_is_one_combination(workbook):
         at = joint.combination
         one, other = GRID.index((at["a"], at["b"])), GRID.index((at["a"], at["c"]))
         assert distance[one, other] == pytest.approx(min(distance.values()))
-
-
-def test_a_group_is_the_first_two_parts():
-    assert group_of("motion.table-1.pid.gain") == "motion.table-1"
-    assert group_of("motion.order") == "motion.order"
 
 
 def test_failures_count_neither_way(outcomes):
@@ -307,12 +277,6 @@ def test_without_one_it_is_the_interval_over_the_seeds(outcomes):
 def test_an_interval_needs_seeds(outcomes):
     with pytest.raises(InputError, match=r"^motion\.table-1\.sum\b.*'seed'"):
         judged(outcomes(ledger=BY_INTERVAL))
-
-
-def test_nothing_found_agrees_with_nothing(outcomes):
-    standing = judged(outcomes(A + B + study("spread")))["motion.never"]
-    assert (standing.tried, standing.agree, standing.class_) == (6, 0, "not reproduced")
-    assert standing.as_dict()["range"] is None
 
 
 def test_a_threshold_is_held_against_each_seeds_fraction(outcomes):

@@ -1,7 +1,5 @@
 """What ``choices.csv`` keeps, and what it refuses to keep quiet about."""
 
-import csv
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -28,15 +26,6 @@ def test_what_is_written_is_read(outcomes, tmp_path, function):
         assert one.keys() == other.keys()
         for entry in one:
             np.testing.assert_array_equal(one[entry], other[entry])
-
-
-def test_a_block_is_plain_csv_with_names_once(outcomes):
-    text = results_text([outcomes(A + B + study("spread"))])
-    first, head, *rows = text.splitlines()
-    assert first.startswith("# study toy code ")
-    assert text.count("motion.order") == 1
-    assert head.split(",")[:6] == ["point", "seed", "a", "b", "motion.table-1.sum", "motion.table-1.sum low"]
-    assert next(csv.reader([rows[3]]))[:7] == ["3", "1", "1", "1", "1.333333", "0.3333333", "11"]
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))

@@ -41,14 +41,6 @@ def test_one_thread_or_three_give_the_same(workbook, tmp_path):
 
 
 @pytest.mark.slow
-def test_processes_give_the_same(workbook, tmp_path):
-    _, multiverses = workbook(NOISY)
-    here = run(multiverses, tmp_path / "here")
-    there = [run(multiverses, tmp_path / str(jobs), partial(processes, jobs)) for jobs in (1, 2)]
-    assert results_text(there[0]) == results_text(there[1]) == results_text(here)
-
-
-@pytest.mark.slow
 def test_a_cluster_gives_the_same(workbook, tmp_path):
     from distributed import Client, LocalCluster
 
@@ -137,21 +129,6 @@ def test_a_study_that_does_not_keep_to_its_form_stops_the_run(workbook, tmp_path
         run(multiverses, tmp_path)
 
 
-def test_only_a_study_with_a_short_form_takes_the_argument_for_it(workbook, tmp_path):
-    _, multiverses = workbook(study("at_zero"))
-    (found,) = run(multiverses, tmp_path)
-    assert not found.failures
-    _, multiverses = workbook(study("at_zero", more='lean = "a toy"'))
-    with pytest.raises(InputError, match=r"\bat_zero\b.*'lean'"):
-        run(multiverses, tmp_path)
-
-
-def test_a_module_that_is_not_there_is_named(workbook, tmp_path):
-    _, multiverses = workbook(A + study().replace("choices.toy_work", "choices.none"))
-    with pytest.raises(InputError, match=r"'choices\.none'"):
-        run(multiverses, tmp_path)
-
-
 @pytest.mark.slow
 def test_after_the_budget_nothing_begins_and_nothing_is_whole(workbook, tmp_path):
     _, multiverses = workbook(A + B + study("slow"))
@@ -161,18 +138,6 @@ def test_after_the_budget_nothing_begins_and_nothing_is_whole(workbook, tmp_path
     assert 1 <= len(Journal(tmp_path / "journal.jsonl").found) < 6
     (found,) = run(multiverses, tmp_path)
     assert not found.failures
-
-
-def test_an_interrupt_keeps_what_is_done(workbook, tmp_path):
-    _, multiverses = workbook(A + B + study())
-    journal = Journal(tmp_path / "journal.jsonl")
-    one = partial(ThreadPoolExecutor, 1)
-    assert (
-        run_combinations(multiverses, one, journal, at_once=1, stopped=lambda: len(journal.found) == 2) == []
-    )
-    assert len(Journal(journal.file).found) == 2
-    (found,) = run(multiverses, tmp_path)
-    assert np.isfinite(found.values["motion.order"]).all()
 
 
 @pytest.mark.slow

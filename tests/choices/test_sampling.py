@@ -36,10 +36,6 @@ def test_a_design_begins_with_the_default_and_repeats_nothing(sizes, points, dat
         assert len(found) == points
 
 
-def test_no_axis_leaves_one_point():
-    assert design(multiverse([])) == [()]
-
-
 def test_the_sample_is_the_same_on_every_machine():
     """Written down once: another numpy or scipy that draws otherwise would orphan committed results."""
     found = design(multiverse([3, 3, 3, 3], points=5))

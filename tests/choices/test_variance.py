@@ -1,7 +1,6 @@
 """Shares of variance against closed forms and against sums written out."""
 
 import itertools
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -19,22 +18,6 @@ def grid(*sizes):
 
 def toy(design):
     return np.array([[a + 2 * b + a * b] for a, b, *_ in design], float)
-
-
-def test_the_closed_form_of_the_toy_is_right():
-    """Counted with fractions, so that no rule for variances is believed."""
-    values = {(a, b): Fraction(a + 2 * b + a * b) for a, b in grid(3, 2)}
-
-    def variance(numbers):
-        numbers = list(numbers)
-        mean = sum(numbers) / len(numbers)
-        return sum((n - mean) ** 2 for n in numbers) / len(numbers)
-
-    whole = variance(values.values())
-    given_a = [sum(values[a, b] for b in range(2)) / 2 for a in range(3)]
-    held_b = [variance(values[a, b] for a in range(3)) for b in range(2)]
-    assert (whole, variance(given_a) / whole) == (Fraction(47, 12), Fraction(18, 47))
-    assert sum(held_b) / 2 / whole == Fraction(20, 47)
 
 
 def test_all_combinations_give_the_closed_form():
@@ -123,11 +106,3 @@ def test_the_order_of_the_axes_does_not_matter_in_a_sample(values, order, seed):
 )
 def test_where_nothing_varies_there_are_no_shares(values):
     assert variance_shares(values, grid(3, 2), {"a": 3, "b": 2}, False) is None
-
-
-def test_a_missing_value_makes_it_a_sample():
-    design = grid(3, 2, 4)
-    values = toy(design)
-    values[5] = np.nan
-    shares = variance_shares(values, design, {"a": 3, "b": 2, "c": 4}, False)
-    assert shares.total == pytest.approx(TOTAL | {"c": 0}, abs=1e-9)

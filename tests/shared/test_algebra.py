@@ -66,12 +66,6 @@ def test_projection_keeps_the_precision_of_the_matrix(precision, rng):
     assert found == summed
 
 
-def test_a_matrix_is_copied(rng):
-    source, target = rng.standard_normal((2, 3)), np.zeros((2, 3))
-    algebra.copy_matrix(source, target)
-    np.testing.assert_array_equal(target, source)
-
-
 def test_a_state_moves_on_with_its_input(rng):
     a, b, x = rng.standard_normal((3, 3)), rng.standard_normal(3), rng.standard_normal(3)
     state = x.copy()
@@ -122,11 +116,6 @@ def test_factorisations_solve(rng):
     np.testing.assert_array_equal(right, solution)
     assert not algebra.cholesky_root(p - 2 * np.linalg.norm(p) * np.eye(5), root, 5)
     assert not algebra.cholesky_root(np.ones((2, 2)), root, 2)  # semidefinite: it has a root, but no inverse
-
-
-def test_squared_size_of_a_complex_number(rng):
-    for real, imag in rng.standard_normal((9, 2)):
-        assert algebra.squared_size(complex(real, imag)) == real * real + imag * imag
 
 
 def test_inlining_into_a_caller_keeps_every_bit(rng):

@@ -7,7 +7,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from stillwork.base.checks import InputError
 from workbook import figures
-from workbook.explorer import Choice, Slider, StaticPicture, explore, label
+from workbook.explorer import Choice, Slider, StaticPicture, explore
 from workbook.redraw import Redraw, RememberingRenderer
 
 CONTROLS = {
@@ -81,15 +81,6 @@ def test_a_preset_leads_all_controls_to_a_named_design_with_one_picture():
     assert seen[before + 1 :] == [{name: control.start for name, control in CONTROLS.items()}]
 
 
-@pytest.mark.parametrize(
-    ("preset", "message"),
-    [({"gian": 1.0}, "'a'.*'gian'.*'gain'"), ({"gain": 11.0}, "^gain"), ({"floor": "flt"}, "^floor.*'flt'")],
-)
-def test_a_preset_stands_on_its_controls(preset, message):
-    with pytest.raises(InputError, match=message):
-        explore(draw, {"a": preset}, **CONTROLS)
-
-
 @pytest.mark.slow
 def test_the_lines_of_the_start_stand_behind_and_leave_the_axes_alone():
     seen = []
@@ -116,32 +107,6 @@ def test_the_lines_of_the_start_stand_behind_and_leave_the_axes_alone():
     assert [len(axis.lines) for axis in seen[-1].axes] == [2, 2]
 
 
-def test_each_control_shows_its_name_unit_start_and_basis():
-    box = explore(draw, **CONTROLS)
-    controls = parts(box)[0]
-    assert controls["gain"].description == "gain (V)"
-    assert [row.children[1].value for row in box.children[:4]] == [
-        "start: 2.0 (printed, Table 1)",
-        "start: 100.0 (default)",
-        "start: 3 (assumed)",
-        "start: flat (our result)",
-    ]
-    assert isinstance(controls["order"], ipywidgets.IntSlider)
-    assert isinstance(controls["rate"], ipywidgets.FloatLogSlider)
-    assert (controls["rate"].min, controls["rate"].max) == (0, 4)
-
-
-def test_a_whole_slider_stands_on_a_step_at_its_start():
-    assert Slider(2, 200, start=20).widget("averages").step == 3  # of 4 no number leads from 2 to 20
-    assert Slider(4, 60, start=20, step=2).widget("period").step == 2
-
-
-def test_a_fractional_setting_gets_a_fractional_slider():
-    assert isinstance(Slider(0, 1, start=0.5).widget("x"), ipywidgets.FloatSlider)
-    assert Slider(0, 1, start=0.5).widget("x").step == pytest.approx(0.02)
-    assert Slider(0, 1, start=0.5, step=0.1).widget("x").step == 0.1
-
-
 @pytest.mark.parametrize(
     ("slider", "kind"),
     [
@@ -165,11 +130,6 @@ def test_whole_numbers_reach_the_drawing_as_whole_numbers(slider, kind):
     assert all(type(count) is int for count in seen)
 
 
-def test_numbers_with_a_point_stay_so():
-    assert Slider(4.0, 40.0, start=24.0, step=1.0).read(25.0) == 25.0
-    assert not Slider(0, 2, start=1, step=0.05).whole
-
-
 def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
     controls, _, message, picture = parts(explore(draw, **CONTROLS))
     before = picture.value
@@ -181,19 +141,6 @@ def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Slider(0, 1, start=2), r"^start\b"),
-        (lambda: Slider(0, 1, start=0.5, log=True), r"^low\b"),
-        (lambda: Choice(("flat", "coloured"), "flt"), r"^start\b.*'flat'"),
-    ],
-)
-def test_a_start_must_be_on_the_control(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
-
-
-@pytest.mark.parametrize(
     "slider", [Slider(0.2, 4.0, 1.8), Slider(0.01, 1.0, 0.3, log=True), Slider(1e-5, 1e3, 0.03, log=True)]
 )
 def test_the_start_is_one_of_the_slider_s_steps(slider):
@@ -201,23 +148,6 @@ def test_the_start_is_one_of_the_slider_s_steps(slider):
     widget = slider.widget("x")
     way = np.log10(slider.start) - widget.min if slider.log else slider.start - widget.min
     assert way / widget.step == pytest.approx(round(way / widget.step), abs=1e-9)
-
-
-def test_a_unit_stands_once():
-    assert label("integrator_cutoff_hz", "Hz") == "integrator cutoff (Hz)"
-    assert label("noise_model", "N^2/s") == "noise model (N^2/s)"
-    assert label("sensor_nm", "nm/√Hz") == "sensor (nm/√Hz)"
-    assert label("memory_s", "samples") == "memory s (samples)"
-    assert label("taps") == "taps"
-
-
-@pytest.mark.parametrize(
-    ("basis", "place", "message"),
-    [("guess", "", "basis"), ("printed", "", "place"), ("assumed", "Table 1", "place")],
-)
-def test_only_what_is_printed_has_a_place_and_needs_it(basis, place, message):
-    with pytest.raises(InputError, match=rf"^{message}\b"):
-        Slider(0.0, 1.0, 0.5, basis=basis, place=place)
 
 
 def counted(draw):
@@ -262,13 +192,6 @@ def test_a_label_that_would_leave_the_picture_makes_a_new_layout():
     assert wide == Redraw(scaled)(top=99999)
 
 
-@pytest.mark.slow
-def test_another_number_of_panels_makes_a_new_layout():
-    redraw = Redraw(scaled)
-    redraw(top=10)
-    assert redraw(top=10, panels=2) == Redraw(scaled)(top=10, panels=2)
-
-
 def test_remembered_texts_are_what_matplotlib_draws():
     """Each text twice, among others that differ from it in one respect alone."""
     remembering = RememberingRenderer(300, 200, 100)
@@ -300,3 +223,22 @@ def test_remembered_texts_are_what_matplotlib_draws():
             drawn.append(np.array(renderer.buffer_rgba()))
         assert (drawn[0] != 255).any()
         np.testing.assert_array_equal(*drawn)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Slider(0, 1, start=2), "start"),
+        (lambda: Slider(0, 1, start=0.5, log=True), "low"),
+        (lambda: Choice(("flat", "coloured"), "flt"), "start"),
+        (lambda: Slider(0.0, 1.0, 0.5, basis="guess"), "basis"),
+        (lambda: Slider(0.0, 1.0, 0.5, basis="printed"), "place"),
+        (lambda: Slider(0.0, 1.0, 0.5, basis="assumed", place="Table 1"), "place"),
+        (lambda: explore(draw, {"a": {"gian": 1.0}}, **CONTROLS), "'a'.*'gian'"),
+        (lambda: explore(draw, {"a": {"gain": 11.0}}, **CONTROLS), "gain"),
+        (lambda: explore(draw, {"a": {"floor": "flt"}}, **CONTROLS), "floor"),
+    ],
+)
+def test_what_no_control_can_show_is_refused(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

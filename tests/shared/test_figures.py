@@ -223,22 +223,3 @@ def test_a_name_from_a_file_is_no_formula(name):
         [text] = axes.legend().get_texts()
         figure.canvas.draw()  # a formula with a mistake raises
     assert not matplotlib.cbook.is_math_text(text.get_text())
-
-
-def test_the_settings_of_matplotlib_come_back():
-    before = dict(matplotlib.rcParams)
-    with pytest.raises(ZeroDivisionError), figures.house_style():
-        _, axes = figures.new()
-        assert axes.plot([0, 1])[0].get_linewidth() == 1.3
-        _ = 1 / 0
-    assert dict(matplotlib.rcParams) == before
-
-
-def test_a_legend_below_names_one_panels_lines():
-    figure, axes = figures.new(1, 2)
-    axes[0].plot([0, 1], [0, 1], label="ours")
-    axes[1].plot([0, 1], [1, 0], label="elsewhere")
-    figures.legend_below(axes[0], 2)
-    (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["ours"]
-    assert axes[0].get_legend() is None

@@ -302,13 +302,6 @@ def test_a_frequency_response_is_read_in_the_units_of_its_names(tmp_path, name):
     assert np.abs(again.response / ACCELERANCE - 1).max() < 1e-8
 
 
-def test_a_default_is_reported(tmp_path):
-    file = load_machine(table(tmp_path / "a.csv", {"frequency": HZ, "mag": SIZE, "phase": ANGLE / DEGREE}))
-    assert [(each.quantity, each.unit, each.written) for each in file.readings] == [
-        ("frequency", "Hz", False), ("magnitude", "m/s^2/N", False), ("phase", "deg", False)
-    ]  # fmt: skip
-
-
 def test_several_responses_in_one_table_need_a_choice(tmp_path):
     columns = {"Frequency(Hz)": HZ}
     for number, factor in ((1, 1.0), (2, 3.0)):
@@ -359,13 +352,6 @@ def test_a_record_at_20_khz_is_one_whatever_its_time_is_called(tmp_path, name, s
     record = load_record(table(tmp_path / "a.csv", columns))
     assert record.sample_rate == pytest.approx(20e3) and record.unit == "m/s^2"
     assert record.names == ("sensor #1 (m/s^2)", "sensor #2 (m/s^2)")
-
-
-def test_a_time_in_what_is_no_time_is_refused(tmp_path):
-    for name in ("time (counts)", "time_ticks"):
-        file = table(tmp_path / "a.csv", {name: np.arange(400.0), "x (m)": np.sin(np.arange(400.0))})
-        with pytest.raises(InputError, match=r"no unit that is known.*ms"):
-            load_record(file)
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,7 @@
 
 import ast
 import importlib
-import json
 import re
-import subprocess
-import sys
 
 import pytest
 
@@ -154,57 +151,6 @@ def test_what_stands_beside_a_notebook_is_its_own(imported):
     assert foreign(imported) == []
 
 
-def read(place, root=None):
-    """Every module's syntax tree under the name by which what has `root` (or `place`) on its path imports it."""
-    trees = {}
-    for file in sorted(place.rglob("*.py")):
-        parts = file.relative_to(root or place).with_suffix("").parts
-        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-        trees[name] = ast.parse(file.read_text(encoding="utf-8"))
-    return trees
-
-
-def private(name):
-    return name.startswith("_") and not name.startswith("__")
-
-
-def reached(tree, names):
-    """Private names of the modules `names` that a file imports, or reaches through a module.
-
-    A test may replace what is private, for there is no other way to break it, and call what it replaces.
-    """
-    aliases, replaced = {}, set()
-    for node in ast.walk(tree):
-        match node:
-            case ast.ImportFrom(module=module, names=given, level=level):
-                for each in given:
-                    if private(each.name) and (level or module in names):
-                        yield f"{module}.{each.name}"
-                    aliases[each.asname or each.name] = f"{module}.{each.name}"
-            case ast.Import(names=given):
-                aliases |= {each.asname or each.name: each.name for each in given}
-            case ast.Call(func=ast.Attribute(attr="setattr"), args=[module, ast.Constant(value=name), _]):
-                replaced.add((ast.unparse(module), name))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and private(node.attr):
-            module = ast.unparse(node.value)
-            if aliases.get(module) in names and (module, node.attr) not in replaced:
-                yield f"{aliases[module]}.{node.attr}"
-
-
-@pytest.mark.slow
-def test_a_private_name_is_used_in_its_own_file_alone():
-    """In the library, in the benchmarks and in the tests."""
-    folders = [read(paths.root() / name) for name in ("lib", "benchmarks", "tests")]
-    folders += [read(paths.root() / name, paths.root()) for name in ("contest", "notebooks")]
-    names = {name for folder in folders for name in folder}
-    assert "calls" in names and "shared.test_layers" in names
-    found = [
-        (name, each) for folder in folders for name, tree in folder.items() for each in reached(tree, names)
-    ]
-    assert found == []
-
-
 def broken_imports(source: str) -> list[str]:
     """Names that a script wants from the library and that are not there."""
     wanted = [
@@ -231,33 +177,3 @@ def test_what_the_benchmarks_import_exists():
     assert broken_imports("from notebooks.isolation.your_floor import close_floor") == [
         "notebooks.isolation.your_floor.close_floor"
     ]
-
-
-def undefined(file, text):
-    """Names that the style of the checkout finds undefined in a file that is none."""
-    ruff = [sys.executable, *"-m ruff check --output-format concise --stdin-filename".split(), file, "-"]
-    said = subprocess.run(ruff, cwd=paths.root(), input=text, capture_output=True, text=True).stdout
-    assert "All checks passed" in said or "F821" in said, said
-    return re.findall(r"F821 Undefined name `(\w+)`", said)
-
-
-@pytest.mark.parametrize("file", ["lib/experiments/a.py", "notebooks/isolation/a.py", "benchmarks/a.py"])
-def test_a_name_that_is_defined_nowhere_is_found(file):
-    """An annotation of one axis is no name, a forgotten import is."""
-    source = (
-        '"""Of nothing."""\n\nimport numpy as np\nfrom jaxtyping import Float64\n\n\n'
-        'def scaled(values: Float64[np.ndarray, " samples"]):\n    """Of its largest."""\n    return values / {}\n'
-    )
-    assert undefined(file, source.format("np.abs(values).max()")) == []
-    assert undefined(file, source.format("largest(values)")) == ["largest"]
-
-
-def test_a_cell_s_name_that_no_cell_defines_is_found():
-    cell = {"cell_type": "code", "id": "one", "metadata": {}, "outputs": [], "execution_count": None}
-    book = {
-        "metadata": {},
-        "nbformat": 4,
-        "nbformat_minor": 5,
-        "cells": [cell | {"source": "print(forgotten)"}],
-    }
-    assert undefined("notebooks/isolation/99-none.ipynb", json.dumps(book)) == ["forgotten"]

@@ -92,12 +92,6 @@ def test_a_line_of_delays_responds_as_it_turns(samples):
     np.testing.assert_allclose(line.frequency_response(omega), expected, rtol=0, atol=1e-11)
 
 
-def test_a_grid_is_dense_where_a_pole_is_narrow():
-    grid = lti.resonance_grid([-0.05 + 500j, -0.05 - 500j], 1.0, 1000.0)
-    near = grid[np.abs(grid - 500) < 0.1]  # twice the half width of the resonance
-    assert len(near) > 8 and np.diff(near).max() < 0.05
-
-
 @pytest.mark.parametrize("size", [(2, 3), (4, 1), (1, 4), (2, 2)])
 @pytest.mark.parametrize("samples", [0, 1, 3, None])
 def test_between_the_points_of_a_grid_the_response_is_the_same(samples, size):
@@ -327,13 +321,6 @@ def test_a_rule_by_tustin_responds_at_a_frequency_as_it_did_at_the_prewarped_one
     np.testing.assert_allclose(digital, expected, rtol=1e-8)
     lag = tustin(unstable(float(poles[-1].real)), sample_time)
     np.testing.assert_allclose(lag.frequency_response(omega)[0, 0], 1 / (s[:, 0] - poles[-1]), rtol=1e-9)
-
-
-def test_sections_refuse_a_filter_that_has_no_discrete_twin():
-    with pytest.raises(InputError, match=r"^zeros\b"):
-        tustin_sections([-1.0, -2.0], [-3.0], 1.0, 0.1)
-    with pytest.raises(InputError, match=r"^tustin_sections\b"):
-        tustin_sections([], [20.0], 1.0, 0.1)
 
 
 def heat_capacities(rng, leak):

@@ -51,24 +51,6 @@ def test_each_trial_has_the_stream_that_the_docstring_promises():
     assert done["path"].shape == (RUNS, 2)
 
 
-def test_more_runs_continue_the_same_streams():
-    short = run_study(trials.draw, 5, SEED, progress=False)
-    np.testing.assert_array_equal(short["level"], study()["level"][:5])
-
-
-def test_trials_run_at_once():
-    import threading
-
-    barrier = threading.Barrier(4, timeout=10)
-
-    def meet(_rng):
-        barrier.wait()
-        return {"met": 1.0}
-
-    with ThreadPoolExecutor(4) as executor:
-        assert run_study(meet, 4, 1, executor=executor, progress=False)["met"].sum() == 4
-
-
 @pytest.mark.parametrize("executor", [None, "threads"])
 def test_an_error_in_a_trial_comes_through(executor):
     with ThreadPoolExecutor(2) as pool, pytest.raises(ValueError, match="convergence"):
@@ -78,20 +60,6 @@ def test_an_error_in_a_trial_comes_through(executor):
 def test_trials_must_return_the_same_quantities():
     with pytest.raises(InputError, match=r"^trial\b"):
         run_study(trials.uneven, 20, 1, progress=False)
-
-
-@pytest.mark.parametrize("runs", [0, -1, True])
-def test_runs_is_a_count(runs):
-    with pytest.raises(InputError, match=r"^runs\b"):
-        run_study(trials.draw, runs, 1, progress=False)
-
-
-def test_progress_shows_to_a_person_and_not_in_a_build(monkeypatch, capsys):
-    run_study(trials.draw, 3, 1)
-    assert "draw" in capsys.readouterr().err
-    monkeypatch.setenv("STILLWORK_OUTPUT", "/somewhere")
-    run_study(trials.draw, 3, 1)
-    assert capsys.readouterr().err == ""
 
 
 def coverage(hits):
@@ -119,18 +87,6 @@ def test_the_mean_interval_is_the_textbooks():
     sample = [1.0, 2.0, 4.0]
     expected = stats.ttest_1samp(sample, 0).confidence_interval(0.9)
     np.testing.assert_allclose(mean_interval(sample, 0.9), [expected.low, expected.high])
-
-
-@pytest.mark.slow
-@given(st.integers(1, 200), st.data())
-def test_wilsons_interval_solves_wilsons_equation(runs, data):
-    """Its ends are the p at which the observed fraction lies z standard errors off (Wilson 1927)."""
-    successes = data.draw(st.integers(0, runs))
-    fraction, z = successes / runs, stats.norm.ppf(0.975)
-    low, high = proportion_interval(successes, runs)
-    assert 0 <= low <= fraction <= high <= 1
-    for end in (low, high):
-        assert (fraction - end) ** 2 == pytest.approx(z**2 * end * (1 - end) / runs, abs=1e-9)
 
 
 @given(st.integers(1, 2000), st.sampled_from([0.5, 0.95, 0.99]), st.data())

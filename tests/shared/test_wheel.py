@@ -4,7 +4,6 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from email.parser import Parser
 from pathlib import Path
 
 import pytest
@@ -52,20 +51,6 @@ def test_it_holds_the_toolbox_and_no_more(wheel):
     assert {name for name in names if not name.startswith("stillwork-0.1.0.dist-info/")} == wanted
     assert "workbook/pinned.env" in wanted
     assert not [name for name in names if name.endswith(".ipynb") or "/etc/" in name]
-
-
-@pytest.mark.slow
-def test_its_metadata_name_the_command_and_the_extras(wheel):
-    (info,) = {name.partition("/")[0] for name in wheel.namelist() if ".dist-info/" in name}
-    metadata = Parser().parsestr(wheel.read(f"{info}/METADATA").decode())
-    extras = "all control data design regression site workbook".split()
-    assert metadata.get_all("Provides-Extra") == extras
-    needed = metadata.get_all("Requires-Dist")
-    core = [each.partition(">")[0] for each in needed if "extra" not in each]
-    assert [each.partition("<")[0] for each in core] == ["jaxtyping", "numba", "numpy", "scipy"]
-    assert "pandas>=2.2; extra == 'data'" in needed and "pandas>=2.2; extra == 'workbook'" in needed
-    assert "matplotlib>=3.10; extra == 'design'" in needed and "pandas>=2.2; extra == 'design'" in needed
-    assert "stillwork = stillwork.__main__:main" in wheel.read(f"{info}/entry_points.txt").decode()
 
 
 def _run(wheel, folder: Path, *arguments: str, **settings: str) -> subprocess.CompletedProcess:

@@ -15,7 +15,6 @@ from stillwork.base.checks import InputError
 from stillwork.design import inspect as inspecting
 from stillwork.design.inspect import inspect_file
 from workbook import paths
-from workbook.choices import command
 from workbook.claims import load_entries
 from workbook.notebooks import read_notebook
 from workbook.site.mathematics import markdown
@@ -164,12 +163,6 @@ def test_what_a_command_prints_steers_no_terminal(monkeypatch, capsys):
     assert capsys.readouterr().out == "one \\x1b[2J\ntwo\n"
 
 
-def test_a_record_too_short_for_a_floor_gets_no_command_for_it(tmp_path):
-    rows = "\n".join(f"{i / 100},{i % 7}" for i in range(1400))
-    (tmp_path / "a.csv").write_text(f"time,a\n{rows}\n")
-    assert list(commands(inspect_file(str(tmp_path / "a.csv")))) == ["fixedpoint/09-your-plant"]
-
-
 def test_an_input_output_record_in_volts_is_for_the_topic_that_takes_it():
     file = paths.data("worstcase", "your_record/template.csv")
     assert commands(inspect_file(str(file))) == {
@@ -209,21 +202,6 @@ def test_every_form_of_a_machine_is_recognised(name, said, settings):
     assert design < page < notebook and str(file) in lines[design] and "--rate HZ" in lines[design]
 
 
-def test_hits_side_by_side_are_no_input_output_record():
-    file = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
-    assert list(commands(inspect_file(str(file)))) == ["motion/29-your-machine"]
-
-
-def test_several_complex_responses_name_the_first(tmp_path):
-    hertz = np.arange(1.0, 100.0)
-    np.savez(tmp_path / "a.npz", frequency=hertz, h1=1 + 1j / hertz, h2=2 + 1j / hertz)
-    report = inspect_file(str(tmp_path / "a.npz"))
-    assert "99 complex" in report
-    assert "unit of the response" in report
-    found = commands(report)["motion/29-your-machine"]
-    assert found["response"] == "h1" and found["response_unit"] == "UNIT"
-
-
 @pytest.mark.parametrize(
     ("column", "unit"),
     [
@@ -243,13 +221,6 @@ def test_spectra_are_recognised_as_spectra(tmp_path, column, unit):
     }
     assert f"spectra over 99 frequencies up to 99 Hz: {column}" in report and "not a" not in report
     assert ("replace UNIT by one of these" in report) == (unit == "UNIT")
-
-
-def test_a_machine_that_cannot_be_used_says_why(tmp_path):
-    np.savez(tmp_path / "a.npz", M=np.eye(2), K=np.eye(2), input=[1.0, 0.0])
-    report = inspect_file(str(tmp_path / "a.npz"))
-    assert "a.npz has 0 rigid-body modes" in report
-    assert "stillwork figures" not in report
 
 
 def test_a_universal_file_is_read_with_its_units(tmp_path):
@@ -304,15 +275,6 @@ def test_a_machine_is_recognised_by_the_topic_that_reads_it(tmp_path):
     assert "stillwork figures" not in report
 
 
-def test_a_toml_file_that_is_no_machine_gets_one_answer():
-    report = inspect_file(str(paths.data("motion", "beam.toml")))
-    assert report.splitlines()[-1] == (
-        "matches the machine of no notebook; start from a copy of data/isolation/rigid_body.toml "
-        "or data/fixedpoint/oscillator.toml"
-    )
-    assert "not a machine" not in report
-
-
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -346,51 +308,6 @@ def test_an_empty_name_is_refused_with_its_argument(words, capsys):
     with pytest.raises(SystemExit):
         main(shlex.split(words))
     assert re.search(r"error: argument \S+: '' names nothing", capsys.readouterr().err)
-
-
-def test_a_budget_is_a_time_in_minutes(monkeypatch, capsys):
-    monkeypatch.setattr(command, "compute_choices", lambda budget_min, **_: [f"{budget_min:g} min"])
-    assert main(["choices", "--budget", "2.5"]) == 0
-    assert capsys.readouterr().out == "2.5 min\n"
-    for text in ("0", "-1", "nan", "soon"):
-        with pytest.raises(SystemExit):
-            main(["choices", "--budget", text])
-        assert "is not a time; give minutes, more than 0" in capsys.readouterr().err
-
-
-def test_a_word_too_many_is_not_taken_for_an_option(capsys):
-    with pytest.raises(SystemExit):
-        main(["init", "folder", "extra"])
-    assert capsys.readouterr().err.endswith("error: unknown 'extra'\n")
-
-
-def test_a_command_by_its_old_name_prints_the_new_one(capsys):
-    assert main(["readings", "motion", "--jobs", "1"]) == 2
-    assert capsys.readouterr().err.endswith("python -m stillwork choices motion --jobs 1\n")
-
-
-@pytest.mark.parametrize(
-    ("words", "hint"),
-    [
-        (
-            ["figures", "--out", "x"],
-            "unknown '--out'; it is an option of report, design, isolate, budget, retest, desk, export, contest",
-        ),
-        (["doctor", "--tunde"], "unknown '--tunde'"),  # near the contest's --tuned alone
-        (["contest", "--tunde"], "unknown '--tunde'; did you mean '--tuned'?"),
-        (["claims", "-p", "a=1"], "unknown '-p'; it is an option of figures"),
-    ],
-)
-def test_an_unknown_option_is_one_of_another_command_or_near_one_of_its_own(words, hint, capsys):
-    with pytest.raises(SystemExit):
-        main(words)
-    assert capsys.readouterr().err.rpartition("error: ")[2] == f"{hint}\n"
-
-
-@pytest.mark.slow
-def test_an_error_of_the_system_is_told_without_its_number(tmp_path, capsys):
-    assert main(["report", str(SLAB), "--out", str(tmp_path / "none/a.html")]) == 2
-    assert capsys.readouterr().err.startswith(f"stillwork: {tmp_path}/none/a.html: ")
 
 
 @pytest.mark.slow
@@ -443,22 +360,6 @@ def test_a_topic_is_created_once_and_is_a_name_of_python(toy, topic):
     with pytest.raises(InputError, match="topic"):
         new_result(topic, "09-a", create=True)
     assert toy.files("notebooks", "data", "tests") == before
-
-
-@pytest.mark.parametrize(
-    ("text", "field"),
-    [
-        ("titel = 'a'", "titel"),
-        ("title = 1", "title"),
-        ("found = [{ says = 'a' }]", "found"),
-        ("order = 'last'", "order"),
-        ("title = ", "not valid TOML"),
-    ],
-)
-def test_what_a_paper_cannot_say_is_named(toy, text, field):
-    toy.write("data/isolation/paper.toml", text)
-    with pytest.raises(InputError, match=field):
-        papers()
 
 
 def test_a_new_result_overwrites_nothing(toy):

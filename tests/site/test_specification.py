@@ -61,27 +61,3 @@ def test_below_each_value_stand_the_options_that_gave_it():
     # In order of value: -4, -2, -1, 1, 2, 4.
     assert list(on.values()) == [[2, 3], [1, 4], [0, 5], [3, 4, 5], [0, 1, 2]]
     assert drawn.options[1][2].keys() == {"agrees", "differs"}
-
-
-def test_seeds_show_as_ranges_and_what_gave_nothing_is_left_out():
-    values = VALUES + np.array([[-0.1, 0.1]])
-    values[0] = np.nan
-    drawn = curve(values)
-    assert drawn.seeds.count("M") == 5
-    assert sum(len(places(path)) for path in drawn.dots.values()) == 5
-
-
-def test_a_published_value_far_from_all_combinations_leaves_the_scale_to_them():
-    drawn = curve(published=1000.0)
-    assert drawn.published is None and drawn.band is None
-    assert [text for _, text in drawn.ticks] == ["-4", "4"]
-
-
-def test_what_is_not_judged_has_a_colour_of_its_own():
-    assert curve(kind="reported").dots.keys() == {"open"}
-
-
-def test_a_wide_range_is_drawn_by_its_logarithm():
-    drawn = curve(np.array([[10.0**k] for k in range(6)]), published=100.0)
-    heights = [y for _, y in sorted(place for path in drawn.dots.values() for place in places(path))]
-    assert np.allclose(np.diff(heights), -HEIGHT / 5, atol=0.11)

@@ -1,8 +1,6 @@
 """Explorers without a kernel: what of a notebook runs, what a figure becomes, and at which settings."""
 
-import base64
 import json
-import zlib
 
 import numpy as np
 import pytest
@@ -14,8 +12,8 @@ from workbook.notebooks import Notebook
 from workbook.site import states as states_of
 from workbook.site.explorers import Explorer, read_explorer, statements
 from workbook.site.shapes import panels
-from workbook.site.states import compute, kept_states, make_states, packed, states
-from workbook.site.stops import distance, ladder
+from workbook.site.states import compute, kept_states, make_states, states
+from workbook.site.stops import ladder
 from workbook.tasks import tasks
 
 
@@ -82,28 +80,6 @@ def test_a_line_stands_where_its_axes_put_it():
     )
 
 
-def test_names_ticks_marks_and_words_of_a_panel():
-    figure, axes = figures.new()
-    axes.plot([1], [2], "o", label="point", markerfacecolor="none", markersize=6)
-    axes.plot([0, 2, np.nan, 3, 4], [1, 1, 1, 3, 3], label="_hidden")
-    axes.fill_between([0, 4], [0, 0], [1, 1], label="band", color="#009E73")
-    axes.text(1, 2, "here")
-    axes.set_yticks([1, 3], ["low", "high"])
-    axes.set(xlim=(0, 4), ylim=(0, 4), xlabel="x (m)")
-    axes.legend([axes.lines[0]], ["point"], title="of the rig")
-    (panel,) = panels(figure)
-    assert panel["y"]["ticks"] == [[1.0, "low"], [3.0, "high"]]
-    assert panel["legend"] == ["of the rig", "point"]
-    width, height = panel["units"]
-    by_name = {item.get("label"): item for item in panel["items"] if "path" in item}
-    assert by_name["point"]["mark"] == ["o", 8.0, "#0072b2", None]
-    assert "stroke" not in by_name["point"]
-    assert len(by_name[None]["path"]) == 2  # a gap parts it
-    assert points(by_name["band"]["path"][0]).max(axis=0) == pytest.approx([width, height / 4], abs=0.51)
-    (word,) = [item for item in panel["items"] if "text" in item]
-    assert (word["text"], word["at"], word["shift"]) == ("here", [width // 4, height // 2], [0, 0])
-
-
 def test_what_is_left_out_of_a_dense_line_is_not_seen():
     figure, axes = figures.new()
     x = np.linspace(0, 1, 20_001)
@@ -150,13 +126,6 @@ def test_a_control_stops_at_what_its_slider_offers_and_at_its_start(control, val
     assert [type(each) for each in found.values] == [type(each) for each in values] or control.log
 
 
-def test_two_pictures_lie_as_far_apart_as_their_lines():
-    one, two = (panels(paint(x=x)) for x in (2.0, 5.0))
-    assert distance(one, one) == 0.0
-    assert distance(one, two) == pytest.approx(0.3 * 64 / 66, abs=0.001)  # of 66 numbers 2 are its ends
-    assert distance(one, {"message": "no picture"}) == 1.0
-
-
 CONTROLS = {
     "small": Slider(0.0, 0.1, 0.0),
     "large_m": Slider(0.0, 4.0, 2.0, "m"),
@@ -187,24 +156,6 @@ def test_the_two_that_change_the_picture_most_move_together():
         assert found["pictures"][place] == wanted
 
 
-def test_the_first_of_two_controls_has_the_most_stops():
-    controls = {"first": Slider(0.0, 1.0, 0.5, step=0.05), "second": Slider(0.0, 1.0, 0.5, step=0.01)}
-    found = states(Explorer(paint, controls), 80)
-    assert [len(each["stops"]) for each in found["controls"]] == [16, 5]
-
-
-@pytest.mark.slow
-def test_a_named_design_has_its_stops_and_its_picture():
-    design = {"small": 0.033, "large_m": 3.333, "middle": 1.0, "tiny": 0.01}
-    found = states(Explorer(paint, CONTROLS, {"ours": design}), 40)
-    [(name, stops)] = found["presets"]
-    assert name == "ours"
-    values = [float(each["stops"][stop]) for each, stop in zip(found["controls"], stops, strict=True)]
-    assert values == list(design.values())
-    place = found["states"][".".join(map(str, stops))]
-    assert found["pictures"][place] == panels(paint(**design))
-
-
 def test_a_setting_without_a_picture_says_why():
     def refuse(x):
         if x > 5:
@@ -214,12 +165,6 @@ def test_a_setting_without_a_picture_says_why():
     found = states(Explorer(refuse, {"x": Slider(0.0, 10.0, 1.0)}), 8)
     last = found["pictures"][found["states"][str(len(found["controls"][0]["stops"]) - 1)]]
     assert last == {"message": "no picture: x is too large; take less"}
-
-
-def test_what_is_packed_is_json_deflated_in_letters():
-    value = {"text": "µm/√Hz", "numbers": list(range(500))}
-    assert json.loads(zlib.decompress(base64.b64decode(packed(value)))) == value
-    assert packed(value) == packed(value)
 
 
 def random_lines(**settings):
@@ -251,30 +196,6 @@ def test_what_does_not_fit_has_fewer_pictures_or_says_so(explorer, monkeypatch):
     assert compute("a")["count"] < whole["count"]
     monkeypatch.setattr(states_of, "LARGEST", 2000)
     assert compute("a") == {"reason": "its pictures take more than 2 kB"}
-
-
-@pytest.mark.slow
-def test_what_takes_long_has_fewer_pictures(explorer, monkeypatch):
-    """A clock that runs a second a picture: 45 of them are too few for all stops, and enough for half."""
-    drawn = []
-
-    def draw(x):
-        drawn.append(x)
-        return paint(x=x)
-
-    explorer(draw)
-    monkeypatch.setattr(states_of.time, "process_time", lambda: len(drawn))
-    monkeypatch.setattr(states_of, "LONGEST_S", 45.0)
-    assert 20 < compute("a")["count"] <= 60
-    assert len(drawn) < 100
-
-
-def test_what_takes_long_or_fails_says_so(explorer, monkeypatch):
-    explorer(lambda x: [][1])
-    assert compute("a") == {"reason": "to compute its pictures failed: IndexError: list index out of range"}
-    explorer(paint)
-    monkeypatch.setattr(states_of, "LONGEST_S", 0.0)
-    assert compute("a") == {"reason": "its pictures take more than 0 s to compute"}
 
 
 EXPLORER = """\
