@@ -526,21 +526,6 @@ def test_a_floor_of_a_wrong_unit_or_that_ends_within_the_modes_is_refused(tmp_pa
         isolate_file(*files, RATE, variance=0.1 if message else 2.0)
 
 
-def test_inspect_proposes_the_command_for_an_isolator_and_for_its_response(tmp_path):
-    true = draw_isolator(np.random.default_rng(4), 2, RATE)
-    for change, message in (("", "an isolator of 2 actuators"), ("dely_s = 1\n[noise]", "'dely_s'")):
-        (tmp_path / "m.toml").write_text(true.toml().replace("[noise]", change or "[noise]"))
-        report = inspect_file(str(tmp_path / "m.toml"))
-        assert message in report and (f"isolate {tmp_path / 'm.toml'} FLOOR" in report) != bool(change)
-    f = np.linspace(2, 300, 600)
-    h = {f"h{i}{j} (m/s^2/N)": true.response(f)[:, i, j] for i in (0, 1) for j in (0, 1)}
-    for count in (4, 3):
-        np.savez(tmp_path / "h.npz", **{"frequency (Hz)": f, **dict(list(h.items())[:count])})
-        assert (f"isolate {tmp_path / 'h.npz'} FLOOR" in inspect_file(str(tmp_path / "h.npz"))) == (
-            count == 4
-        )
-
-
 @pytest.mark.slow
 def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
     guide = (paths.root() / "docs" / "isolate.md").read_text(encoding="utf-8")

@@ -120,24 +120,6 @@ def test_skyhook_damps_every_mode_about_as_an_ideal_one(twin):
     assert np.all(closed.damping > suspension_modes(twin, feedback=False).damping)
 
 
-def test_means_over_bands_keep_what_is_there_and_average_noise():
-    f = np.arange(1, 4001) * 0.25
-    rng = np.random.default_rng(0)
-    noise = rng.standard_normal((3, 3, len(f))) + 1j * rng.standard_normal((3, 3, len(f)))
-    flat = np.full((3, 3, len(f)), 2 + 1j)
-    peak = flat.copy()
-    peak[..., f == 100.0] = 50.0
-    bands, means = band_means(f, {"noise": noise, "flat": flat, "peak": peak}, [50.0, 100.0])
-    assert np.all(np.diff(bands) > 0) and bands[0] == 0.25
-    np.testing.assert_allclose(means["flat"], 2 + 1j)
-    [line] = np.flatnonzero(bands == 100.0)
-    assert means["peak"][0, 0, line] == 50.0
-    assert np.abs(np.delete(means["peak"], line, axis=2) - (2 + 1j)).max() < 1e-12
-    high = bands > 400  # a band of a twelfth of an octave holds over 90 lines there
-    assert np.std(means["noise"][..., high]) < 2 * np.sqrt(2 / 90)
-    np.testing.assert_allclose(means["noise"][..., 0], noise[..., 0])
-
-
 def test_a_band_holds_the_lines_of_a_twelfth_of_an_octave_and_a_line_near_the_mains_itself():
     f = np.arange(8, 400) / 4  # Hz; the mains at 50 keeps the five lines from 49.5 to 50.5
     response = np.random.default_rng(5).standard_normal((3, 3, f.size)).astype(complex)

@@ -12,11 +12,9 @@ from notebooks.isolation.your_floor import (
     open_floor,
     residuals,
 )
-from stillwork.base.checks import InputError
 from stillwork.control import isolation_design
 from stillwork.control.isolation_design import floor_spectra
 from stillwork.design.isolate import isolate_file
-from stillwork.signals.records import load_record
 from workbook import paths
 
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")
@@ -36,13 +34,6 @@ def few(monkeypatch):
 
 def opened(twin, file="", unit="", channels=(), gain=1.0, common=0.9, rate=0.0):
     return open_floor(str(file), unit, rate, list(channels), twin, gain=gain, common=common, duration_s=60.0)
-
-
-def test_shipped_record_is_what_its_source_says():
-    record = load_record(SLAB, "m/s^2")
-    assert record.sample_rate == pytest.approx(425.08, abs=0.02)
-    assert record.duration == pytest.approx(30.0, abs=0.01)
-    assert record.names == ("vertical (m/s^2)",)
 
 
 def test_the_rig_along_its_struts_is_the_rig(twin):
@@ -69,29 +60,6 @@ def test_spectra_are_scaled_and_share_a_part(twin, tmp_path, unit, scale):
     assert floor.density[inside, 1, 1].real == pytest.approx(wanted[inside], rel=0.02)
     assert floor.density[:, 0, 2].real == pytest.approx(0.25 * floor.density[:, 1, 1].real)
     assert floor.duration == 60.0 and not any("independent" in each for each in notes)
-
-
-def test_the_ground_stands_in_for_a_missing_file(twin):
-    floor, _ = opened(twin)
-    louder, _ = opened(twin, gain=10.0)
-    assert "measured ground" in floor.source and floor.density.shape[1:] == (3, 3)
-    assert louder.density == pytest.approx(100 * floor.density)
-
-
-@pytest.mark.parametrize(
-    ("rows", "options", "message"),
-    [
-        (1000, {}, r"^floor\.csv is too short"),
-        (16_000, {"unit": "mm/ss"}, r"^unit\b.*'mm/s'"),
-        (16_000, {"rate": 500.0}, r"^sample_rate\b"),
-        (16_000, {"channels": ("righ",)}, r"^channel\b.*'right'"),
-    ],
-)
-def test_records_that_cannot_be_used(twin, tmp_path, rows, options, message):
-    lines = [f"{k / 1000},{k % 7},{k % 5}" for k in range(rows)]
-    (tmp_path / "floor.csv").write_text("time,left,right\n" + "\n".join(lines))
-    with pytest.raises(InputError, match=message):
-        opened(twin, tmp_path / "floor.csv", **{"unit": "mm/s^2", **options})
 
 
 def test_a_floor_is_described_by_its_own_numbers():
