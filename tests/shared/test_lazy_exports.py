@@ -9,7 +9,7 @@ from stillwork.base.extras import missing
 PACKAGES = [
     *(f"stillwork.{name}" for name in ("signals", "lti", "identification", "estimation", "control")),
     "workbook",
-    *(f"experiments.{name}" for name in ("isolation", "motion", "worstcase", "fixedpoint")),
+    *(f"experiments.{name}" for name in ("isolation", "motion", "fixedpoint")),
 ]
 
 

@@ -11,14 +11,15 @@ import inspect
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import numba
 
 from stillwork.base.checks import InputError
 
 # No fast-math: reordered sums break the symmetry that recursive least squares rests on.
-ARITHMETIC = {"error_model": "numpy"}
-FLAGS = {"nogil": True, **ARITHMETIC}
+ERRORS: Literal["numpy"] = "numpy"  # a division by zero gives infinity
+FLAGS = {"nogil": True, "error_model": ERRORS}
 ROOT = Path(__file__).parents[3]  # of a checkout
 FOLDERS = ("lib", "notebooks", "contest")  # of it, that hold kernels
 
@@ -91,7 +92,7 @@ def callback(function: Callable, signature: str):
     """
     function = inspect.unwrap(function)
     try:
-        return numba.cfunc(signature, **ARITHMETIC)(function)
+        return numba.cfunc(signature, error_model=ERRORS)(function)
     except numba.core.errors.NumbaError as error:
         raise InputError(
             f"{function.__name__} cannot be compiled; use only numbers, loops, math and numpy in it, "

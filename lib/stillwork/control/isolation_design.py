@@ -319,6 +319,7 @@ def paths_through(isolator: Isolator, rate: Positive, correction: Callable | Non
     return paths
 
 
+@checked
 def motion_density(
     paths: _MovingPaths, weights: np.ndarray, floor: FloorSpectra, noises: tuple[float, float]
 ) -> Float64[np.ndarray, "axes frequencies"]:

@@ -288,6 +288,7 @@ def _mass(model: ModalModel) -> float:
     return 1 / mobility
 
 
+@checked(missing=True)
 def thinned(measured: Identified, most: int, band_hz: tuple[float, float]) -> Identified:
     """At most about `most` lines in the band, evenly chosen."""
     low, high = (2 * np.pi * end for end in band_hz)

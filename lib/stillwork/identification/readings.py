@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from scipy.ndimage import uniform_filter1d
 
 from stillwork.base.checks import InputError
+from stillwork.base.validation import checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import MISFIT, Machine, build_machine, thinned, whole_band
 from stillwork.identification.machine_files import PADDING, MachineFile, load_machine
@@ -25,6 +26,7 @@ OTHER = {"magnitude": ("dB", "1"), "phase": ("deg", "rad")}
 PER_SIZE = {"dB": 20 / np.log(10), "deg": 180 / np.pi, "rad": 1.0}
 
 
+@checked(missing=True)
 def believed(file: MachineFile, machine: Machine) -> str:
     """One line on what a file was taken for: mass, modes, and the unit of each column, written or by default."""
     hertz = machine.resonances_hz
@@ -49,8 +51,13 @@ def believed(file: MachineFile, machine: Machine) -> str:
     )
 
 
+@checked(missing=True)
 def require_explained(
-    path: str | Path, file: MachineFile, machine: Machine | None, fit_hz, options: Mapping
+    path: str | Path,
+    file: MachineFile,
+    machine: Machine | None,
+    fit_hz: tuple[float, float],
+    options: Mapping,
 ) -> None:
     """Refuse a measurement that its model does not explain, or that another reading of its columns explains better.
 
@@ -96,6 +103,7 @@ def require_explained(
         )
 
 
+@checked(missing=True)
 def build_explained(
     path: str | Path,
     file: MachineFile,
@@ -154,6 +162,7 @@ def _left(path, reading, fit_hz, options) -> float:
         return np.inf
 
 
+@checked(missing=True)
 def misfit(measured: Identified, fit: ModalFit) -> tuple[float, float]:
     """Root mean squares of what a fit leaves and of the noise, both relative to the response's size near each line.
 
