@@ -47,10 +47,10 @@ help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
 
 figures: $(READY) ## Build what is stale; ARGS="TOPIC/NOTEBOOK -p NAME=VALUE --jobs N --why"
-	@$(BIN)/python -m stillwork figures $(ARGS)
+	@$(BIN)/python -m workbook figures $(ARGS)
 
 choices: $(READY) ## Try every choice that the papers leave open; ARGS="TOPIC --jobs N --budget MINUTES"
-	@$(BIN)/python -m stillwork choices $(ARGS)
+	@$(BIN)/python -m workbook choices $(ARGS)
 
 .PHONY: readings
 readings: # by its old name, for this version
@@ -64,7 +64,7 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 	$(call part,style,$(BIN)/ruff check . && $(BIN)/ruff format --check .)
 	$(call part,types,$(BIN)/python -m mypy)
 	$(call part,unit tests,$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT))
-	$(call part,build,$(BIN)/python -m stillwork figures)
+	$(call part,build,$(BIN)/python -m workbook figures)
 	$(call part,notebooks,rm -rf build/nbval && $(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" \
 		$(BIN)/python -m pytest $(AGAIN) --nbval --nbval-sanitize-with tests/nbval.cfg \
 		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
@@ -83,7 +83,7 @@ lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 $(ARGS)
 
 site: $(READY) ## Write the static site to build/site/index.html
-	@$(BIN)/python -m stillwork site
+	@$(BIN)/python -m workbook site
 
 browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get install chromium chromium-driver)
 	$(BIN)/python -m pytest tests/browser $(ARGS)
@@ -98,13 +98,13 @@ dated: $(READY) ## Property tests on new examples, drawn from the day; DAY=20260
 		--hypothesis-seed=$(DAY) $(ARGS) || { echo "the same examples again: make dated DAY=$(DAY)"; exit 1; }
 
 accept: $(READY) ## Copy a build into notebooks/ and figures/, and into what follows from them
-	@$(BIN)/python -m stillwork accept
+	@$(BIN)/python -m workbook accept
 
 release: $(READY) ## Write wheel, site and archive to build/release
 	@$(BIN)/python benchmarks/release.py
 
 doctor: $(READY) ## Compare the environment with environment.txt
-	@$(BIN)/python -m stillwork doctor
+	@$(BIN)/python -m workbook doctor
 
 clean: ## Remove what can be made again (not .venv)
 	rm -rf build .pytest_cache .ruff_cache .hypothesis

@@ -12,8 +12,8 @@ from pathlib import Path
 import yaml
 
 import stillwork
-from stillwork.base.checks import InputError
 from workbook import paths, publish
+from workbook.checks import InputError
 from workbook.provenance import commit, modified
 from workbook.site.build import build_site
 from workbook.site.metadata import project

@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork inspect|report|design|isolate|budget|retest|desk|export|contest``, and the commands of ``python -m workbook``."""
+"""Command line: ``python -m stillwork inspect|report|design|isolate|budget|retest|desk|export|new|contest``, and those of others."""
 
 import os
 import sys
@@ -9,31 +9,27 @@ for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 from stillwork.base.checks import InputError  # noqa: E402
 from stillwork.base.command_line import Command, Option, flag, named, number, option, run, text  # noqa: E402
-from workbook.__main__ import COMMANDS as OF_THE_WORKBOOK  # noqa: E402
-from workbook.__main__ import RENAMED  # noqa: E402
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
-    return run("stillwork", OF_THE_WORKBOOK | COMMANDS, arguments, RENAMED)
+    return run("stillwork", COMMANDS, arguments)
 
 
-def new(topic: str, name: str, create: bool) -> list[str]:
-    """Write templates of machines (``new budget``) or of an isolator (``new isolate FILE``), or start a result."""
-    if topic == "budget" and not name:
+def new(kind: str, file: str) -> list[str]:
+    """Write templates of machines (``new budget``) or of an isolator (``new isolate FILE``)."""
+    if kind == "budget" and not file:
         from stillwork.design.budget import new_budget
 
         return new_budget()
-    if topic == "isolate" and name:
+    if kind == "isolate" and file:
         from stillwork.design.isolate import new_file
 
-        return new_file(name)
-    from workbook import commands, paths
-
-    paths.root()  # refuses what is no workbook
-    if not name:
-        raise InputError("name is missing; give a number and words, e.g. 09-payload")
-    return commands.new(topic, name, create)
+        return new_file(file)
+    raise InputError(
+        "new writes templates: new budget, or new isolate FILE; a result of a workbook is begun by "
+        "python -m workbook new TOPIC NAME"
+    )
 
 
 def _file(help: str) -> Option:
@@ -174,12 +170,11 @@ COMMANDS = {
         ),
     ),
     "new": Command(
-        "start a result of the workbook; `new budget` alone: templates of machines for budget; `new isolate FILE`: of an isolator",
+        "write templates: `new budget` of machines, `new isolate FILE` of an isolator",
         "stillwork.__main__:new",
         (
-            option("topic", metavar="TOPIC"),
-            option("name", nargs="?", default="", metavar="NAME", help="a number and words, e.g. 09-payload"),
-            flag("create", "make the topic, too, if it does not exist"),
+            option("kind", metavar="budget|isolate"),
+            option("file", nargs="?", default="", metavar="FILE", help="of the isolator"),
         ),
     ),
     "retest": Command(

@@ -1,12 +1,26 @@
 """What makes notebooks a workbook: page, ledger, figures, explorers, studies, and the runner."""
 
-from stillwork.base.lazy_exports import lazy_exports
+from importlib import import_module
 
-__all__, __getattr__, __dir__ = lazy_exports(
-    __name__,
-    {
-        "explorer": ("Choice", "Slider", "explore"),
-        "page": ("Page",),
-        "studies": ("Study", "mean_interval", "proportion_interval", "run_study", "spread_interval"),
-    },
-)
+_MODULES = {
+    "Choice": "explorer",
+    "Page": "page",
+    "Slider": "explorer",
+    "Study": "studies",
+    "explore": "explorer",
+    "mean_interval": "studies",
+    "proportion_interval": "studies",
+    "run_study": "studies",
+    "spread_interval": "studies",
+}  # of public names, imported when they are first used
+__all__ = sorted(_MODULES)
+
+
+def __getattr__(name: str):
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -14,7 +14,8 @@ from functools import lru_cache
 from html import escape
 from pathlib import Path
 
-from stillwork.base.checks import (
+from workbook import paths
+from workbook.checks import (
     InputError,
     nearest,
     require_array,
@@ -23,7 +24,6 @@ from stillwork.base.checks import (
     require_number,
     short_repr,
 )
-from workbook import paths
 
 KINDS = ("value", "exact", "ordering", "slope", "reported", "check")
 VERDICTS = ("replicated", "better", "deviates", "reported", "passes", "fails", "not built")

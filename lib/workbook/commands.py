@@ -2,8 +2,8 @@
 
 from json import dumps
 
-from stillwork.base.checks import InputError
 from workbook import paths
+from workbook.checks import InputError
 
 
 def figures(targets: list[str], settings: list[str], **how) -> int:

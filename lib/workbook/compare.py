@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError
 from workbook import paths
+from workbook.checks import InputError
 from workbook.claims import Claim, load_entries
 from workbook.figures import read_table
 from workbook.notebooks import cleaned, joined

@@ -20,8 +20,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from stillwork.base.checks import InputError
 from workbook import paths
+from workbook.checks import InputError
 from workbook.publish import digest, replace_file
 from workbook.source_digest import code_digest
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 
-from stillwork.base.checks import one_line
 from workbook import paths
+from workbook.checks import one_line
 from workbook.kernels import kernel_manager
 
 PREFIX, LOCK = "stillwork-", "lock"

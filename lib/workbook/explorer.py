@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from stillwork.base.checks import InputError, nearest, require_choice, require_number
+from workbook.checks import InputError, is_refusal, nearest, require_choice, require_number
 from workbook.paths import in_batch
 
 BASES = ("printed", "assumed", "our result", "default")
@@ -244,7 +244,10 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
             picture.value = picture_of(**settings)
             at_home = settings == start
             message.value = "at the start" if at_home else "moved; in grey the start"
-        except InputError as error:  # an impossible setting is an answer, not a crash
+        except ValueError as error:
+            if not is_refusal(error):
+                raise
+            # an impossible setting is an answer, not a crash
             message.value = f"no picture: {_escaped(str(error))}"
 
     def go_to(settings):

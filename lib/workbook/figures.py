@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 
 # Pictures know their colours as `figures.BLUE`.
 from workbook.palette import (  # noqa: F401

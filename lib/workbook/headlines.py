@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from stillwork.base.toml_files import read_toml
 from workbook import paths
+from workbook.checks import read_toml
 from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness
 from workbook.claims import AGREEMENT, Claim
 from workbook.report import interval_text, our_quantity, published_quantity

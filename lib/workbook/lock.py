@@ -5,8 +5,8 @@ import fcntl
 import signal
 from collections.abc import Callable, Iterator
 
-from stillwork.base.checks import InputError
 from workbook import paths
+from workbook.checks import InputError
 
 
 @contextlib.contextmanager

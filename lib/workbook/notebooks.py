@@ -9,8 +9,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork.base.checks import InputError, nearest
 from workbook import paths
+from workbook.checks import InputError, nearest
 from workbook.parameters import Parameter, read_parameters
 
 NEAREST = 3  # how many are suggested where none is near

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from stillwork.base.checks import InputError, require_choice, require_kind, short_repr
 from workbook import paths
+from workbook.checks import InputError, require_choice, require_kind, short_repr
 from workbook.claims import ClaimsTable, make_claim
 from workbook.figures import plotted, save, use_house_style
 

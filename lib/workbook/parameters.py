@@ -7,7 +7,7 @@ import warnings
 from dataclasses import dataclass
 from types import UnionType
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 
 TYPES = {"int": int, "float": float, "str": str, "bool": bool, "list": list, "tuple": tuple}
 FORM = "write 'name: type = literal  # comment', one parameter a line"

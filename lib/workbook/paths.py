@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-from stillwork.base.checks import InputError, nearest, require_number, short_repr
-from stillwork.base.toml_files import read_toml
+from workbook.checks import InputError, nearest, read_toml, require_number, short_repr
 
 OUTPUT_VARIABLE, ROOT_VARIABLE = "STILLWORK_OUTPUT", "STILLWORK_ROOT"
 

@@ -8,8 +8,8 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-from stillwork.base.checks import InputError, short_repr
 from workbook import paths
+from workbook.checks import InputError, short_repr
 
 FILE = Path(__file__).with_name("pinned.env")
 VARIABLES = Path(__file__).with_name("variables.toml")

@@ -16,8 +16,6 @@ class Progress:
         What runs, and what a step is.
     tenths : bool
         Whether to print a line at every tenth if there is no terminal for the bar.
-    to_stderr : bool
-        Whether lines go to stderr, apart from the output of a command.
     """
 
     def __init__(
@@ -27,10 +25,9 @@ class Progress:
         task: str = "figures",
         unit: str = "cell",
         tenths: bool = False,
-        to_stderr: bool = False,
     ):
         self._bar = None
-        self._tenths, self._to_stderr = tenths, to_stderr
+        self._tenths = tenths
         self._task, self._total, self._done, self._begin = task, total, 0, time.monotonic()
         if sys.stderr.isatty() and find_spec("tqdm"):  # of an extra
             from tqdm import tqdm
@@ -53,7 +50,7 @@ class Progress:
     def print_line(self, line: str) -> None:
         if self._bar is not None:
             self._bar.clear()
-        print(line, flush=True, file=sys.stderr if self._to_stderr else sys.stdout)
+        print(line, flush=True)
         if self._bar is not None:
             self._bar.refresh()
 

@@ -10,7 +10,7 @@ import uuid
 from pathlib import Path
 from typing import NoReturn
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 
 RECORD = "record.json"
 

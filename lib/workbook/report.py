@@ -6,8 +6,8 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterable
 
-from stillwork.base.checks import InputError, nearest
 from workbook import paths
+from workbook.checks import InputError, nearest
 from workbook.claims import AGREEMENT, BASES, Claim, ledger
 
 BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from workbook.checks import InputError, require_array, require_count, require_number
 from workbook.paths import in_batch
 
 

@@ -6,8 +6,8 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork.base.checks import InputError
 from workbook import paths
+from workbook.checks import InputError
 
 
 def measured_times(topic: str, table: str) -> dict[str, dict[str, float]]:

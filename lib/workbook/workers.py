@@ -7,7 +7,7 @@ import threading
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import wait
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.pinned import environment
 
 ANSWER_S = 5.0  # within which a scheduler responds

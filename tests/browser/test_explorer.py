@@ -5,8 +5,8 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
-from stillwork.base.checks import InputError
 from workbook import figures
+from workbook.checks import InputError
 from workbook.explorer import Choice, Slider
 from workbook.publish import replace_folder
 from workbook.site.build import static_files

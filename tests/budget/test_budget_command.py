@@ -252,7 +252,7 @@ def test_the_command_line_begins_templates_and_refuses_to_overwrite(tmp_path, mo
     assert main(["budget", "telescope-mirror.toml"]) == 0
     assert "what to buy next: 1." in capsys.readouterr().out
     with pytest.raises(InputError):
-        new("motion", "", False)
+        new("motion", "")
 
 
 def add(file, *lines):

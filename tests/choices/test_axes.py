@@ -3,7 +3,7 @@
 import pytest
 
 from choices.toy_work import LEDGER, SEEDS, A, B, axis, study
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 
 
 def test_axes_and_studies_are_read_as_declared(workbook):

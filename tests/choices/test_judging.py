@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from choices.toy_work import FIRST, LEDGER, SEEDS, TOTAL, A, B, axis, study
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.choices.axes import load_axes, load_together
 from workbook.choices.judging import Robustness, agreement, judge
 from workbook.choices.results import collect

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from choices.toy_work import A, B, axis
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.choices.notebook_study import run_notebook, study_digest
 from workbook.choices.running import Journal, run_combinations
 from workbook.dependencies import look_again

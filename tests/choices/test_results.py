@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from choices.toy_work import SEEDS, TOY, A, B, study
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.choices.results import read_results, results_text, rounded
 
 

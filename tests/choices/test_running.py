@@ -16,7 +16,7 @@ import pytest
 from choices import toy_work
 from choices.toy_work import SEEDS, A, B, study
 from stillwork.__main__ import main
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.choices.command import robustness_of
 from workbook.choices.results import results_text
 from workbook.choices.running import DIED, Journal, calls_of, run_combinations
@@ -161,7 +161,7 @@ def test_another_checkout_on_a_worker_is_refused(workbook, tmp_path, monkeypatch
 
 @contextmanager
 def command(root, *arguments):
-    """``python -m stillwork choices`` on the toy, ended at the end with all it started."""
+    """``python -m workbook choices`` on the toy, ended at the end with all it started."""
     process = subprocess.Popen(
         [sys.executable, "-m", "stillwork", "choices", "motion", *arguments],
         env=toy_work.environment(root),

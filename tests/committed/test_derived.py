@@ -12,4 +12,4 @@ def test_a_derived_file_is_current():
     made = derived_files()  # once, by the worker that takes this test
     assert "README.md" in made
     stale = [name for name, text in made.items() if (paths.root() / name).read_text(encoding="utf-8") != text]
-    assert stale == [], "run `python -m stillwork refresh`"
+    assert stale == [], "run `python -m workbook refresh`"

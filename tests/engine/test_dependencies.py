@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from stillwork.base.checks import InputError
 from workbook import dependencies
+from workbook.checks import InputError
 
 FILES = {
     "work/__init__.py": "_NAMES = {'lazy': ('Late', 'later'), 'unused': ('Never',)}\n\n\ndef __getattr__(name): ...\n",

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from engine.toy import cell, notebook
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.site.scaffold import begin
 
 ROOT = Path(__file__).parents[2]

@@ -83,9 +83,9 @@ def short(lines: list[str]) -> list[str]:
 
 def test_the_first_use_makes_the_environment_and_the_next_does_not(checkout):
     assert make(checkout, "figures", "ARGS=isolation -p seed=3").returncode == 0
-    assert short(calls(checkout)) == [*MADE, "-m stillwork figures isolation -p seed=3"]
+    assert short(calls(checkout)) == [*MADE, "-m workbook figures isolation -p seed=3"]
     assert make(checkout, "doctor").returncode == 0
-    assert short(calls(checkout)) == ["-m stillwork doctor"]
+    assert short(calls(checkout)) == ["-m workbook doctor"]
 
 
 def test_a_half_made_environment_is_made_again(checkout):
@@ -94,7 +94,7 @@ def test_a_half_made_environment_is_made_again(checkout):
     assert short(calls(checkout)) == MADE[:2]
     (checkout / "broken").unlink()
     assert make(checkout, "figures").returncode == 0
-    assert short(calls(checkout)) == [*MADE, "-m stillwork figures"]
+    assert short(calls(checkout)) == [*MADE, "-m workbook figures"]
 
 
 def test_another_pin_makes_the_environment_again(checkout):
@@ -103,7 +103,7 @@ def test_another_pin_makes_the_environment_again(checkout):
     later = (checkout / ".venv" / "complete").stat().st_mtime + 10
     os.utime(checkout / "pyproject.toml", (later, later))
     assert make(checkout, "figures").returncode == 0
-    assert short(calls(checkout)) == ["-m stillwork figures"]  # nothing that is installed comes from there
+    assert short(calls(checkout)) == ["-m workbook figures"]  # nothing that is installed comes from there
     os.utime(checkout / "environment.txt", (later, later))
     assert make(checkout, "figures").returncode == 0
     assert short(calls(checkout))[:3] == MADE
@@ -141,7 +141,7 @@ def test_another_python_is_refused(checkout):
 def test_an_environment_of_ones_own_is_left_alone(checkout):
     assert make(checkout, OWN, "figures").returncode == 0
     assert make(checkout, f"ENVIRONMENT={checkout}/own one", "figures").returncode == 0
-    assert calls(checkout) == ["-m stillwork figures"] * 2
+    assert calls(checkout) == ["-m workbook figures"] * 2
     assert not (checkout / ".venv").exists()
 
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from engine.toy import cell, notebook
-from stillwork.base.checks import InputError
 from workbook import pinned
+from workbook.checks import InputError
 from workbook.notebooks import assign, read_notebook, select, with_pictures
 from workbook.parameters import Parameter
 from workbook.tasks import Task

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.publish import (
     RECORD,
     Edited,

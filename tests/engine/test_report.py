@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.report import (
     column,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.claims import Claim, ClaimsTable, Entry, Tolerance, ledger, load_entries, make_claim
 
 values = st.floats(-1e6, 1e6).filter(lambda v: abs(v) > 1e-6)

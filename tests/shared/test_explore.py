@@ -5,8 +5,8 @@ from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from stillwork.base.checks import InputError
 from workbook import figures
+from workbook.checks import InputError
 from workbook.explorer import Choice, Slider, StaticPicture, explore
 from workbook.redraw import Redraw, RememberingRenderer
 

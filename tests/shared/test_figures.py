@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from stillwork.base.checks import InputError
 from workbook import figures
+from workbook.checks import InputError
 
 
 def numbers(figure, series):

@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from stillwork.base.checks import InputError
 from workbook import figures, paths
+from workbook.checks import InputError
 from workbook.headlines import summary_of
 from workbook.page import Page
 

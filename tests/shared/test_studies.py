@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from shared import trials
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.studies import mean_interval, proportion_interval, run_study, spread_interval
 
 RUNS, SEED = 23, 5

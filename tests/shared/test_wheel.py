@@ -105,7 +105,7 @@ def test_a_package_is_missed_by_who_has_a_checkout_alone(wheel, tmp_path):
 def test_what_is_missing_is_asked_of_the_extra_that_brings_it():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     imported = {"griffelib": "griffe"}
-    for extra in ("data", "control", "design", "site"):
+    for extra in ("data", "control", "design"):
         brought = {each.partition(">")[0] for each in extras[extra] if not each.startswith("stillwork")}
         assert {imported.get(each, each) for each in brought} == {
             name for name, of in BY_PACKAGE.items() if of == extra

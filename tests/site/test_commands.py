@@ -5,16 +5,18 @@ import os
 import re
 import shlex
 import subprocess
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
 
 from shared.universal_files import function, write_universal
 from stillwork.__main__ import main
-from stillwork.base.checks import InputError
+from stillwork.base import command_line
 from stillwork.design import inspect as inspecting
 from stillwork.design.inspect import inspect_file
 from workbook import paths
+from workbook.checks import InputError
 from workbook.claims import load_entries
 from workbook.notebooks import read_notebook
 from workbook.site.mathematics import markdown
@@ -308,6 +310,14 @@ def test_an_empty_name_is_refused_with_its_argument(words, capsys):
     with pytest.raises(SystemExit):
         main(shlex.split(words))
     assert re.search(r"error: argument \S+: '' names nothing", capsys.readouterr().err)
+
+
+def test_commands_of_others_are_those_of_the_entry_points_or_of_what_stands_beside(monkeypatch):
+    named = [EntryPoint("mine", "workbook.lock", "stillwork.commands")]
+    monkeypatch.setattr(command_line, "entry_points", lambda group: named)
+    assert [each.__name__ for each in command_line.others()] == ["workbook.lock"]
+    named.clear()
+    assert [each.__name__ for each in command_line.others()] == ["workbook.__main__"]
 
 
 @pytest.mark.slow

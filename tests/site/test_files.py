@@ -13,8 +13,8 @@ from html.parser import HTMLParser
 import pytest
 from PIL import Image
 
-from stillwork.base.checks import InputError
 from workbook import paths
+from workbook.checks import InputError
 from workbook.choices.command import robustness_of
 from workbook.claims import ledger
 from workbook.headlines import headlines, said_first

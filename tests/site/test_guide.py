@@ -61,7 +61,7 @@ def test_every_command_is_one_that_these_tests_know():
     assert others == [
         "make doctor",
         "source .venv/bin/activate",
-        "python -m stillwork new isolation 09-payload",
+        "python -m workbook new isolation 09-payload",
     ]
     targets = re.findall(r"^([a-z]+):", (paths.root() / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     assert {

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.base.checks import InputError
 from workbook import notebook_source
+from workbook.checks import InputError
 from workbook.site import reference
 from workbook.site.mathematics import markdown, mathml
 from workbook.site.pages import with_outputs

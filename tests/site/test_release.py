@@ -9,7 +9,7 @@ import zipfile
 import pytest
 
 from benchmarks import release
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from stillwork.base.checks import InputError
 from workbook import figures
+from workbook.checks import InputError
 from workbook.explorer import Choice, Slider
 from workbook.notebooks import Notebook
 from workbook.site import states as states_of

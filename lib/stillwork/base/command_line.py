@@ -1,41 +1,43 @@
-"""The command line of the toolbox and of the workbook: commands, their options, and what becomes of an error."""
+"""The command line of the toolbox: commands, their options, and what becomes of an error."""
 
 import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
-from types import MappingProxyType
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from types import ModuleType
 from typing import Any, NamedTuple
 
-from stillwork.base.checks import InputError, nearest, one_line
+from stillwork.base.checks import nearest, one_line
 from stillwork.base.extras import MissingPackage, missing
 
-# A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
-# had; nothing here holds an address against it.
-sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]
+# Modules of other packages whose commands are offered, too: each has ``COMMANDS`` (help by name), ``main(arguments)``
+# and ``model_file(path)``, which says what uses a TOML file as a machine.
+OTHERS = "stillwork.commands"  # their group of entry points
+BESIDE = "workbook.__main__"  # of an environment that was installed before its distribution named it there
 
 
-def run(
-    program: str,
-    commands: dict[str, "Command"],
-    arguments: list[str] | None = None,
-    renamed: Mapping[str, str] = MappingProxyType({}),
-) -> int:
-    """Run one of a program's commands; returns the exit code (2 for wrong input, 130 when interrupted).
+def others() -> list[ModuleType]:
+    """What else has commands in this environment."""
+    found = {point.value for point in entry_points(group=OTHERS)}
+    if not found and find_spec(BESIDE.partition(".")[0]):
+        found = {BESIDE}
+    return [import_module(name) for name in sorted(found)]
 
-    Of a command by a name in `renamed` the new one is printed.
-    """
+
+def run(program: str, commands: dict[str, "Command"], arguments: list[str] | None = None) -> int:
+    """Run a command, of a program's or of `others`; returns the exit code (2 for wrong input, 130 when interrupted)."""
     words = sys.argv[1:] if arguments is None else arguments
-    if words and words[0] in renamed:
-        now = " ".join((renamed[words[0]], *words[1:]))
-        print(
-            f"{program}: {words[0]} is called {renamed[words[0]]} now: python -m {program} {now}",
-            file=sys.stderr,
-        )
-        return 2
-    parser = _parser(program, commands)
+    more: list[ModuleType] = []
+    if not (words and words[0] in commands):
+        more = others()
+        for other in more:
+            if words and words[0] in other.COMMANDS:
+                return other.main(words)
+    parser = _parser(program, commands, more)
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
         parser.error(f"unknown {unknown[0]!r}{_meant(unknown[0], options.command, commands)}")
@@ -44,7 +46,9 @@ def run(
     except BrokenPipeError:  # the reader, e.g. `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except (InputError, OSError, ImportError) as error:
+    except (ValueError, OSError, ImportError) as error:
+        if isinstance(error, ValueError) and not _is_refusal(error):
+            raise
         told = missing(error) if isinstance(error, ModuleNotFoundError) else error
         if isinstance(told, ImportError) and not isinstance(told, MissingPackage):
             raise
@@ -52,7 +56,7 @@ def run(
             told = f"{os.fsdecode(told.filename)}: {told.strerror}"
         text = options.command.by_options(str(told))
         # A message of several lines has escaped what stands in them; the name of a file in another has not.
-        lines = map(one_line, text.split("\n") if isinstance(told, InputError) else [text])
+        lines = map(one_line, text.split("\n") if isinstance(told, ValueError) else [text])
         print(f"{program}: " + "\n".join(lines), file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -63,14 +67,17 @@ def run(
 
 def _run(command: "Command", **chosen) -> int:
     """Call the function of a command with its options and print what it returns, unless that is the exit code."""
-    for target in command.before:
-        _function(target)()
     told = _function(command.target)(**chosen)
     if isinstance(told, int):
         return told
     lines = told.split("\n") if isinstance(told, str) else told
     print("\n".join(one_line(command.by_options(line)) for line in lines))
     return 0
+
+
+def _is_refusal(error: ValueError) -> bool:
+    """Whether the message is for the reader: an `InputError`, here or of that name in a package that is called."""
+    return any(each.__name__ == "InputError" for each in type(error).__mro__)
 
 
 def _function(target: str) -> Callable:
@@ -87,10 +94,14 @@ def _meant(word: str, command: "Command", commands: dict[str, "Command"]) -> str
     return f"; it is an option of {', '.join(others)}" if others else nearest(name, command.words, "--", 0.6)
 
 
-def _parser(program: str, commands: dict[str, "Command"]) -> argparse.ArgumentParser:
+def _parser(program: str, commands: dict[str, "Command"], more: list[ModuleType]) -> argparse.ArgumentParser:
+    also = [
+        f"{', '.join(each.COMMANDS)} (python -m {each.__name__.removesuffix('.__main__')} --help)"
+        for each in more
+    ]
     parser = argparse.ArgumentParser(
         prog=f"python -m {program}",
-        description="Commands of the library and the workbook; `make help` lists those that first set up the environment.",
+        epilog=f"also: {'; '.join(also)}" if also else None,
         allow_abbrev=False,
     )
     group = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -131,7 +142,6 @@ class Command(NamedTuple):
     help: str
     target: str  # ``module:function``, imported when it is called
     options: tuple[Option, ...] = ()
-    before: tuple[str, ...] = ()  # functions to call first, which may refuse
 
     def by_options(self, text: str) -> str:
         """A text with the arguments of the function named as the options are: fit_hz is --fit-hz."""

@@ -11,11 +11,6 @@ BY_PACKAGE = {
     "clarabel": "control",
     "sklearn": "regression",
     "matplotlib": "design",
-    "griffe": "site",
-    "jinja2": "site",
-    "latex2mathml": "site",
-    "nbconvert": "site",
-    "pygments": "site",
 }
 
 OF_A_CHECKOUT = ("experiments", "contest", "notebooks")

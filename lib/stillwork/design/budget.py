@@ -31,6 +31,7 @@ from stillwork.control.error_budget import (
 )
 from stillwork.control.floor_machine import COMMANDS, DISTURBANCES, MEASUREMENTS, FloorMachine, force_law
 from stillwork.control.pid import Pid, PidFamily
+from stillwork.design import pictures
 from stillwork.design.html_page import page, picture, table
 from stillwork.design.retest import model_of
 from stillwork.lti.modal import ModalModel
@@ -39,7 +40,6 @@ from stillwork.signals.densities import agreed_density, density_unit, frequency_
 from stillwork.signals.records import Record, is_time, load_record, to_acceleration
 from stillwork.signals.spectra import estimate_spectrum
 from stillwork.signals.units import unit_factor
-from workbook import figures
 
 PLACES = {**DISTURBANCES, **MEASUREMENTS, **COMMANDS}
 # Names that a file may hold; any other is refused, since a misspelt one would count as not given.
@@ -672,20 +672,20 @@ def _unknown(
     return rows
 
 
-@figures.house_style()
+@pictures.house_style()
 def paint_budget(budget: ErrorBudget):
     """Density and backward cumulative spectrum of the error, by source."""
-    figure, (left, right) = figures.new(1, 2, height=3.2)
+    figure, (left, right) = pictures.new(1, 2, height=3.2)
     f, smooth = budget.frequencies_hz, ~budget.is_tone
     below = budget.cumulative(backward=True)[:, 0]
     for number, (name, density) in enumerate(zip(budget.names, budget.density[:, 0], strict=True)):
         # By number, since a tone is drawn on the right alone.
-        style = {"color": f"C{number}", "linewidth": 0.9, "label": figures.literal(name)}
+        style = {"color": f"C{number}", "linewidth": 0.9, "label": pictures.literal(name)}
         if density[smooth].any():
             left.loglog(f[smooth], 1e9 * np.sqrt(density[smooth]), **style)
         right.semilogx(f, 1e9 * np.sqrt(below[number]), **style)
     whole = budget.cumulative(backward=True)[:, 0].sum(axis=0)
-    right.semilogx(f, 1e9 * np.sqrt(whole), color=figures.BLACK, linewidth=1.3, label="all")
+    right.semilogx(f, 1e9 * np.sqrt(whole), color=pictures.BLACK, linewidth=1.3, label="all")
     left.set(
         xlabel="frequency (Hz)", ylabel="error (nm/√Hz)", ylim=(1e-6 * max(left.get_ylim()[1], 1e-12), None)
     )

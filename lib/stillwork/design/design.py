@@ -46,6 +46,7 @@ from stillwork.control.machine_tuning import DesignSettings
 from stillwork.control.phased_loops import phased_loops, phased_places
 from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box
+from stillwork.design import pictures
 from stillwork.design.export import require_free, write_folder
 from stillwork.design.hardware import (
     ALLOWED_DB,
@@ -57,13 +58,12 @@ from stillwork.design.hardware import (
     single_rows,
 )
 from stillwork.design.html_page import page, picture, table
+from stillwork.design.progress import count_steps
 from stillwork.identification.machine import TURNED, Machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.identification.readings import build_explained
 from stillwork.lti.modal import ModalModel
-from workbook import figures
-from workbook.progress import Progress
 
 MOST_LATE = 20  # samples either way, of a delay's uncertainty
 USES = 5  # that are searched
@@ -198,25 +198,23 @@ def design_file(
         raise InputError(
             f"{against[0].source} moves opposite to {source.name} under the same force; correct the sign of one of them"
         )
-    with Progress(
-        EACH * USES + CHANGES, task="design", unit="search", tenths=True, to_stderr=True
-    ) as progress:
-        made = search_designs(
-            machines[0],
-            machines[1:],
-            rate=rate,
-            delay=delay,
-            uncertainty=shares,
-            loop_hz=loop_hz,
-            noise=sensor_spec.bound(*scales),
-            on_step=lambda _: progress.step(),
-        )
-        if not made.ranking:
-            raise NoSafeLoop(source.name, rate, made)
-        machine, delay, found, spread = made.machine, made.delay, made.found, made.spreads[0]
-        best = made.ranking[0]
-        reached = found[best]
-        helps = improvements(machine, made.settings[best], made.how, reached, lambda _: progress.step())
+    step = count_steps(EACH * USES + CHANGES, "design")
+    made = search_designs(
+        machines[0],
+        machines[1:],
+        rate=rate,
+        delay=delay,
+        uncertainty=shares,
+        loop_hz=loop_hz,
+        noise=sensor_spec.bound(*scales),
+        on_step=step,
+    )
+    if not made.ranking:
+        raise NoSafeLoop(source.name, rate, made)
+    machine, delay, found, spread = made.machine, made.delay, made.found, made.spreads[0]
+    best = made.ranking[0]
+    reached = found[best]
+    helps = improvements(machine, made.settings[best], made.how, reached, step)
     pid, loops = reached.recommended.controller, reached.model_loops
     about = {
         "gains": asdict(pid),
@@ -577,10 +575,10 @@ def uses_table(made: Designed) -> str:
     return words + table(["use", *columns, "why not"], rows)
 
 
-@figures.house_style()
+@pictures.house_style()
 def paint_machine(machine: Machine):
     """Accelerance of the model at every sensor, and of the measurement at the first."""
-    figure, axis = figures.new(1, 1, height=3.0)
+    figure, axis = pictures.new(1, 1, height=3.0)
     resonances = machine.resonances_hz
     hertz = np.unique(
         np.concatenate([np.geomspace(resonances[0] / 10, 2 * resonances[-1], 3000), resonances])
@@ -589,7 +587,7 @@ def paint_machine(machine: Machine):
         seen = machine.measured.omega / (2 * np.pi)
         shown = (seen >= hertz[0]) & (seen <= hertz[-1])
         size = 20 * np.log10(np.abs(machine.measured.response[shown]))
-        axis.semilogx(seen[shown], size, linewidth=0.6, color=figures.GREY, label="measured, sensor 1")
+        axis.semilogx(seen[shown], size, linewidth=0.6, color=pictures.GREY, label="measured, sensor 1")
     for number, sensor in enumerate(machine.sensors, 1):
         omega = 2 * np.pi * hertz
         size = 20 * np.log10(np.abs(omega**2 * sensor.frequency_response(omega)[0, 0]))
@@ -599,36 +597,36 @@ def paint_machine(machine: Machine):
     return figure
 
 
-@figures.house_style()
+@pictures.house_style()
 def paint_stabilisation(fit: ModalFit):
     """Poles over the model order: those that stay from order to order, and those taken for modes, are marked."""
     diagram = fit.diagram
-    figure, axis = figures.new(1, 1, height=3.2)
+    figure, axis = pictures.new(1, 1, height=3.2)
     for chosen, colour, label in (
-        (~diagram.stable, figures.GREY, "pole that moves with the order"),
-        (diagram.stable, figures.BLUE, "pole that stays"),
+        (~diagram.stable, pictures.GREY, "pole that moves with the order"),
+        (diagram.stable, pictures.BLUE, "pole that stays"),
     ):
         hertz = diagram.frequency[chosen] / (2 * np.pi)
         axis.semilogx(hertz, diagram.order[chosen], ".", markersize=3, color=colour, label=label)
     for number, hertz in enumerate(fit.model.frequencies[fit.model.rigid_modes :] / (2 * np.pi)):
         label = "_mode" if number else "taken as a mode"
-        axis.axvline(hertz, color=figures.RED, linewidth=0.8, zorder=1, label=label)
+        axis.axvline(hertz, color=pictures.RED, linewidth=0.8, zorder=1, label=label)
     axis.set(xlabel="frequency (Hz)", ylabel="order of the polynomial fraction")
-    figures.legend_below(axis, 3)
+    pictures.legend_below(axis, 3)
     return figure
 
 
-@figures.house_style()
+@pictures.house_style()
 def paint_loops(reached: AchievableBandwidth, controllers: list[DigitalController]):
     """Both sensitivities of every sensor with the written coefficients, and their limit."""
-    figure, axes = figures.new(1, 2, height=2.8, sharey=True)
-    colours = (figures.RED, figures.BLUE, figures.GREEN, figures.ORANGE)
+    figure, axes = pictures.new(1, 2, height=2.8, sharey=True)
+    colours = (pictures.RED, pictures.BLUE, pictures.GREEN, pictures.ORANGE)
     for number, loop in enumerate(reached.loops):
         pair = loop, controllers[number % len(controllers)]
         hertz = loop.omega / (2 * np.pi)
         for axis, name, response in zip(axes, HELD, own_functions(*pair), strict=True):
             axis.semilogx(hertz, 20 * np.log10(np.abs(response)), linewidth=0.8, color=colours[number % 4])
-            axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+            axis.axhline(20 * np.log10(SIX_DB), color=pictures.BLACK, linestyle=":", linewidth=1.0)
             axis.set(title=SHOWN[name], xlabel="frequency (Hz)", ylim=(-50, 15))
     axes[0].set_ylabel("magnitude (dB)")
     return figure

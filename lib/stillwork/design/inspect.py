@@ -3,18 +3,20 @@
 import ast
 import json
 import os
+import shlex
 from collections.abc import Collection, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 from stillwork.base.checks import InputError, one_line, pluralise, short_repr
+from stillwork.base.command_line import others
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import DENSITY_UNITS_TEXT, frequency_axis, hertz_in, spectra_of
 from stillwork.signals.records import is_time, load_unscaled, stated_unit, unknown_unit
 from stillwork.signals.units import MOTION_UNITS, UNITS_TEXT, unit_factor
-from workbook.own_files import command, figures_command, in_checkout, model_file
 
 # What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
 # arguments, tables of parameters.
@@ -63,7 +65,7 @@ def _data(path: Path) -> Iterator[str]:
 def _toml(path: Path) -> Iterator[str]:
     table = read_toml(path)
     if not {"isolator", "response"} & table.keys():
-        yield from model_file(path)
+        yield from _model(path, table)
         return
     if "isolator" not in table:
         yield f"{path.name}: the measured response {one_line(str(table['response']))} of an isolator"
@@ -78,6 +80,42 @@ def _toml(path: Path) -> Iterator[str]:
         modes = ", ".join(f"{hertz:.4g}" for hertz in isolator.frequencies_hz)
         yield f"{path.name}: an isolator of {pluralise(isolator.axes, 'actuator')}, modes at {modes} Hz"
     yield _isolate(str(path.resolve()), "FLOOR")
+
+
+def _model(path: Path, table: dict) -> Iterator[str]:
+    """What a TOML file holds, and what else is installed says of it as a machine."""
+    yield f"{path.name}: {pluralise(len(table), 'entry')}"
+    for name, value in table.items():
+        shown = f"table of {', '.join(value)}" if isinstance(value, dict) else repr(value)
+        yield f"  {name}: {shown}"
+    if not in_checkout():
+        yield "run this in the cloned repository to check whether it is a machine of the workbook"
+        return
+    for other in others():
+        for each in other.model_file(path):
+            yield each if isinstance(each, str) else figures_command(*each)
+
+
+def figures_command(notebook: str, settings: dict) -> str:
+    """The line for a shell that runs a notebook with these settings."""
+    words = [word for key, value in settings.items() for word in ("-p", f"{key}={value}")]
+    return command(f"for {notebook}", ["figures", notebook, *words])
+
+
+def command(purpose: str, words: list[str]) -> str:
+    """A line for a shell, with every name as one word of it."""
+    for word in words:
+        if not word.isprintable():  # a terminal acts on a control code that is pasted, quoted or not
+            held = word.partition("=")[2] or word
+            return f"no command {purpose if purpose.startswith('for ') else 'for ' + purpose}: {held} holds characters that cannot be typed; rename it and run this again"
+    return f"{purpose}: {shlex.join(['python', '-m', 'stillwork', *words])}"
+
+
+def in_checkout() -> bool:
+    """Whether the experiments and the notebooks are at hand, which a wheel does not hold."""
+    found = find_spec("experiments")
+    places = [] if found is None else found.submodule_search_locations or []
+    return any((Path(place).parents[1] / "notebooks").is_dir() for place in places)
 
 
 def _isolate(machine: str, floor: str, unit: str = "", channels: Collection[str] = ()) -> str:

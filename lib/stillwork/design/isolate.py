@@ -29,6 +29,7 @@ from stillwork.control.isolation_design import (
     predict,
 )
 from stillwork.control.isolation_filters import FrequencyNotch
+from stillwork.design import pictures
 from stillwork.design.export import require_free, write_folder
 from stillwork.design.html_page import page, picture, table
 from stillwork.estimation.adaptive import FeRls
@@ -46,7 +47,6 @@ from stillwork.signals.floor_checks import (
 )
 from stillwork.signals.records import PASS_SHARE, load_record, to_acceleration
 from stillwork.signals.spectra import estimate_spectrum
-from workbook import figures
 
 QUIET = 1e-5  # m/s^2/sqrt(Hz): noise of a sensor for which none is given
 MAINS_WIDTH = 0.1  # of a notch, bandwidth over frequency
@@ -524,12 +524,12 @@ def remains_rows(found: IsolationPrediction, floor: FloorSpectra) -> list[list[s
     return rows
 
 
-@figures.house_style()
+@pictures.house_style()
 def paint_transmissibility(design: IsolationDesign, found: IsolationPrediction):
     """Transmissibility of every axis: without control, expected, and the band over the box."""
     axes_count = len(found.without)
     columns = min(axes_count, 3)
-    figure, panels = figures.new(-(-axes_count // columns), columns, squeeze=False, sharex=True, sharey=True)
+    figure, panels = pictures.new(-(-axes_count // columns), columns, squeeze=False, sharex=True, sharey=True)
     f = design.paths.seen.frequencies_hz
     shown = (f > 0.3) & (f < 2 * design.loop.shaping.lowpass_hz)
 
@@ -538,11 +538,13 @@ def paint_transmissibility(design: IsolationDesign, found: IsolationPrediction):
 
     for k, axis in enumerate(panels.flat[:axes_count]):
         low, expected, high = found.transmissibility[:, k]
-        axis.fill_between(f[shown], decibels(low), decibels(high), color=figures.SKY, alpha=0.5, label="band")
-        axis.semilogx(
-            f[shown], decibels(found.without_transmissibility[k]), color=figures.GREY, label="without"
+        axis.fill_between(
+            f[shown], decibels(low), decibels(high), color=pictures.SKY, alpha=0.5, label="band"
         )
-        axis.semilogx(f[shown], decibels(expected), color=figures.BLUE, label="expected")
+        axis.semilogx(
+            f[shown], decibels(found.without_transmissibility[k]), color=pictures.GREY, label="without"
+        )
+        axis.semilogx(f[shown], decibels(expected), color=pictures.BLUE, label="expected")
         axis.set(title=f"axis {k + 1}", xlabel="frequency (Hz)")
     panels[0, 0].set_ylabel("transmissibility (dB)")
     panels[0, 0].legend()

@@ -12,9 +12,11 @@ from scipy import integrate
 from stillwork.base.checks import InputError, one_line, pluralise
 from stillwork.base.extras import require_package
 from stillwork.control.machine_designs import DELAY, EACH, search_designs, stated_uncertainty
+from stillwork.design import pictures
 from stillwork.design.design import USES, paint_machine, paint_stabilisation, uses_table
 from stillwork.design.html_page import page, picture, require_new, table
 from stillwork.design.inspect import inspect_file
+from stillwork.design.progress import count_steps
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import (
     complex_responses,
@@ -34,8 +36,6 @@ from stillwork.signals.densities import (
 from stillwork.signals.records import Record, channel_unit, is_time, load_unscaled, sampling_rate, stated_unit
 from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
 from stillwork.signals.units import UNITS_TEXT, unit_factor
-from workbook import figures
-from workbook.progress import Progress
 
 SEGMENTS = 16  # of a record, at least, in its spectra
 MOST_CHANNELS = 8  # of a record or of spectra on one page
@@ -148,8 +148,7 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
         key: arguments[key] for key in ("rate", "delay", "uncertainty", "loop_hz") if key in arguments
     }
     try:
-        with Progress(EACH * USES, task="report", unit="search", tenths=True, to_stderr=True) as progress:
-            made = search_designs(machine, **asked, on_step=lambda _: progress.step())
+        made = search_designs(machine, **asked, on_step=count_steps(EACH * USES, "report"))
     except InputError as error:
         yield f"no loop was searched: {error}"
     else:
@@ -223,7 +222,7 @@ def _densities_of(hertz, density, names, unit: str) -> str:
     return picture(paint_densities(hertz, density, names, unit), "power spectral densities")
 
 
-@figures.house_style()
+@pictures.house_style()
 def paint_densities(hertz, density, names, unit: str):
     """Power spectral densities over frequency, and the rms that gathers from the lowest one on."""
     power = integrate.cumulative_trapezoid(density, hertz, initial=0.0)
@@ -234,22 +233,22 @@ def paint_densities(hertz, density, names, unit: str):
     return figure
 
 
-@figures.house_style()
+@pictures.house_style()
 def paint_response(record: Record, resolution: float):
     """Size of the response of every other channel to the first, and its coherence."""
     found = estimate_response(record.signals[:1], record.signals[1:], record.sample_rate, resolution)
     size, hertz = np.abs(found.response[:, 0, 1:]), found.frequencies_hz[1:]
     figure, upper, lower = _two_panels(hertz, size, found.coherence[:, 1:], record.names[1:])
-    upper.set_ylabel(f"over {figures.literal(record.names[0])}")
+    upper.set_ylabel(f"over {pictures.literal(record.names[0])}")
     lower.set(ylabel="coherence", ylim=(0, 1.05))
     return figure
 
 
 def _two_panels(hertz, above, below, names):
     """Rows over frequency on two panels, the upper ones in decades."""
-    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
+    figure, (upper, lower) = pictures.new(2, 1, height=4.6, sharex=True)
     for name, high, low in zip(names, above, below, strict=True):
-        upper.loglog(hertz, high, linewidth=0.8, label=figures.literal(name))
+        upper.loglog(hertz, high, linewidth=0.8, label=pictures.literal(name))
         lower.semilogx(hertz, low, linewidth=0.8)
     upper.legend()
     lower.set_xlabel("frequency (Hz)")

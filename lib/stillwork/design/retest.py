@@ -17,6 +17,7 @@ from stillwork.control.digital import DigitalController, in_units, load_controll
 from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference, on_measurement
 from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import NORMAL
+from stillwork.design import pictures
 from stillwork.design.hardware import ALLOWED_DB, own_functions
 from stillwork.design.html_page import page, picture, require_new, table
 from stillwork.design.inspect import inspect_file
@@ -27,7 +28,6 @@ from stillwork.identification.machine_files import load_machine, load_ratio
 from stillwork.identification.readings import believed
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
-from workbook import figures
 
 AROUND = 1.5  # the crossing: lines from which the gain of a machine in its loop is read
 INSIDE = "in the box"
@@ -315,17 +315,17 @@ def _peaks(loop: Loop, controller: DigitalController) -> dict[str, Peak]:
     return found
 
 
-@figures.house_style()
+@pictures.house_style()
 def paint_retest(before: Loop, loops: Mapping[str, Loop], controller: DigitalController):
     """Both sensitivities of the design on its model, and on the new response."""
-    figure, axes = figures.new(1, 2, height=2.8, sharey=True)
+    figure, axes = pictures.new(1, 2, height=2.8, sharey=True)
     shown = {"designed": before, **loops}
-    colours = (figures.GREY, figures.BLUE, figures.RED)
+    colours = (pictures.GREY, pictures.BLUE, pictures.RED)
     for (where, loop), colour in zip(shown.items(), colours, strict=False):
         for axis, name, response in zip(axes, HELD, own_functions(loop, controller), strict=True):
             hertz = loop.omega / (2 * np.pi)
             axis.semilogx(hertz, 20 * np.log10(np.abs(response)), linewidth=0.8, color=colour, label=where)
-            axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+            axis.axhline(20 * np.log10(SIX_DB), color=pictures.BLACK, linestyle=":", linewidth=1.0)
             axis.set(title=SHOWN[name], xlabel="frequency (Hz)", ylim=(-50, 15))
     axes[0].set_ylabel("magnitude (dB)")
     axes[0].legend()

@@ -7,9 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
-from stillwork.base.checks import InputError, nearest, require_choice, require_count
-from stillwork.base.toml_files import read_toml
 from workbook import paths
+from workbook.checks import InputError, nearest, read_toml, require_choice, require_count
 from workbook.claims import load_entries
 
 AXIS_KINDS = ("text", "number", "definition", "procedure", "seed")

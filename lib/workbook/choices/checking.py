@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_count
 from workbook import paths
+from workbook.checks import InputError, require_count
 from workbook.choices.axes import Multiverse
 from workbook.choices.judging import agreement
 from workbook.choices.notebook_study import study_digest

@@ -1,4 +1,4 @@
-"""``python -m stillwork choices``: run what is missing, keep the results, report the robustness of every entry."""
+"""``python -m workbook choices``: run what is missing, keep the results, report the robustness of every entry."""
 
 import contextlib
 import math
@@ -7,8 +7,8 @@ import time
 from collections import Counter
 from dataclasses import replace
 
-from stillwork.base.checks import InputError, require_choice
 from workbook import paths
+from workbook.checks import InputError, require_choice
 from workbook.choices.axes import Axis, Multiverse, load_axes, load_together
 from workbook.choices.checking import (
     age,

@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.choices.axes import Axis, Option
 from workbook.choices.results import Outcomes
 from workbook.choices.variance import SEED, Shares, variance_shares

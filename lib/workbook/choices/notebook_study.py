@@ -6,8 +6,8 @@ import json
 from collections.abc import Mapping
 from functools import cache
 
-from stillwork.base.checks import InputError, nearest
 from workbook import paths
+from workbook.checks import InputError, nearest
 from workbook.dependencies import dependencies
 from workbook.parameters import read_parameters
 from workbook.publish import digest

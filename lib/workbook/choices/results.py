@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stillwork.base.checks import InputError
 from workbook import paths
+from workbook.checks import InputError
 from workbook.choices.axes import Multiverse
 
 Value = float | tuple[float, tuple[float, float]]  # a number, or a number and its interval

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 from workbook.choices.axes import POINTS, Multiverse, Option
 from workbook.choices.notebook_study import run_notebook, study_digest
 from workbook.choices.results import Outcomes, Value, collect, rounded

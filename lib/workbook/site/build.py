@@ -11,8 +11,8 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
-from stillwork.base.checks import InputError
 from workbook import paths, publish
+from workbook.checks import InputError
 from workbook.choices.command import robustness_of
 from workbook.choices.judging import Robustness
 from workbook.claims import KINDS, VERDICTS, Claim, ledger

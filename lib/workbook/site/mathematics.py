@@ -8,7 +8,7 @@ from xml.etree.ElementTree import tostring
 from latex2mathml.converter import convert_to_element
 from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 
-from stillwork.base.checks import InputError
+from workbook.checks import InputError
 
 # What a link, a script or a style sheet could hang on to: formulas have none.
 _FOREIGN = {"href", "class", "style"}

@@ -3,9 +3,8 @@
 import tomllib
 from urllib.parse import quote
 
-from stillwork.base.checks import InputError, nearest
-from stillwork.base.toml_files import read_toml
 from workbook import paths
+from workbook.checks import InputError, nearest, read_toml
 
 FOLDERS = (
     "`notebooks/` holds the results and what each computes, `data/` the published numbers, `figures/` the accepted "

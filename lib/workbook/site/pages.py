@@ -13,8 +13,8 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from stillwork.base.checks import InputError
 from workbook import notebook_source, paths
+from workbook.checks import InputError
 from workbook.claims import VERDICTS, Claim
 from workbook.notebooks import Notebook
 from workbook.tasks import Task

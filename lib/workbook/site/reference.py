@@ -10,13 +10,12 @@ from pathlib import Path
 
 import griffe
 
-import stillwork
 from workbook import paths
 from workbook.site.mathematics import mathml
 
 # Each imports those before it.
 TOOLBOX = ("base", "signals", "lti", "identification", "estimation", "control")
-LIBRARY = Path(stillwork.__file__).parents[1]
+LIBRARY = Path(__file__).parents[2]
 # Modules of the workbook.
 FOR_NOTEBOOKS = ("__init__", "claims", "explorer", "figures", "page", "paths", "studies")
 
@@ -104,6 +103,8 @@ def face_names(tree: ast.Module) -> dict[str, str]:
                 return {
                     name: module for module, names in ast.literal_eval(by_module).items() for name in names
                 }
+            case ast.Assign(targets=[ast.Name(id="_MODULES")], value=ast.Dict() as by_name):
+                return ast.literal_eval(by_name)
     return {}
 
 

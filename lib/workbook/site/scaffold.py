@@ -7,8 +7,8 @@ from importlib import metadata
 from keyword import iskeyword
 from pathlib import Path
 
-from stillwork.base.checks import InputError, nearest
 from workbook import paths
+from workbook.checks import InputError, nearest
 from workbook.notebooks import notebook_file, notebook_text
 from workbook.publish import replace_file
 

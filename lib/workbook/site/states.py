@@ -11,8 +11,8 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
-from stillwork.base.checks import InputError
 from workbook import paths
+from workbook.checks import is_refusal
 from workbook.explorer import Choice, Slider, basis_text, label
 from workbook.figures import house_style
 from workbook.notebooks import read_notebook
@@ -36,7 +36,9 @@ def picture(draw: Callable, settings: dict) -> list | dict:
     """The panels of a drawing function's figure, or its own word on why there is none."""
     try:
         return panels(draw(**settings))
-    except InputError as error:
+    except ValueError as error:
+        if not is_refusal(error):
+            raise
         return {"message": f"no picture: {error}"}
 
 
