@@ -60,7 +60,10 @@ REFUSED = {
     "twice": (table([*ROWS[:9], *ROWS[8:]]), "does not rise from line to line; sort"),
     "unsorted": (table(ROWS[::-1]), "does not rise from line to line; sort"),
     "units": (table(ROWS, PARTS.replace("imag (m", "imag (mm")), "in m and in mm; give one unit"),
-    "unknown": (table(ROWS, PARTS.replace("(m/N", "(furlong/N")), "furlong/N.* not known; convert"),
+    "unknown": (
+        table(ROWS, PARTS.replace("(m/N", "(furlong/N")),
+        "furlong/N.* no unit that is known.*; convert",
+    ),
     "utf-16": (table(ROWS).encode("utf-16"), "not text in UTF-8; save it"),
 }
 

@@ -89,6 +89,25 @@ HEADERS = {
     "Magnitude Acc/Force (g/N)": ("magnitude", G),
     "Acc/Force (g/N)": ("", (G, "m/s^2")),
     "Level (dBm)": REFUSED,
+    "Gain [dB20]": REFUSED,
+    "Gain (dB10)": REFUSED,
+    "acc milli-g": ("acceleration", (G / 1000, "m/s^2")),
+    "acc_micro_g": ("acceleration", (G / 1e6, "m/s^2")),
+    "N/um": ("", DEFAULT),
+    "Stiffness N / um": ("", DEFAULT),
+    "Magnitude N/um": REFUSED,
+    "Apparent mass magnitude": ("", DEFAULT),
+    "Magnitude [\u03bcm/N]": ("magnitude", 1e-6),
+    "Magnitude [dB ref 1 um/V]": ("magnitude", ("dB", 1e-6)),
+    # French, Dutch
+    "Fr\u00e9quence [kHz]": ("frequency", 1000),
+    "Pulsation": ("frequency", 1 / TURN),
+    "\u03c9": ("frequency", 1 / TURN),
+    "Temps (ms)": ("time", 1e-3),
+    "Tijd [\u00b5s]": ("time", 1e-6),
+    "freq in radians per second": ("frequency", 1 / TURN),
+    "Magnitude (micrometers per volt)": ("magnitude", 1e-6),
+    "Velocity (mm/s RMS)": REFUSED,
     # Excel in German
     "Zeit in ms": ("time", 1e-3),
     "Zeit [s]": ("time", 1),
@@ -134,7 +153,7 @@ def found_in(name):
     if found.unknown or found.strange:
         return REFUSED
     quantity, unit = found.quantity, found.meaning
-    if quantity == "frequency" and (unit or name in ("omega", "w", "Kreisfrequenz")):
+    if quantity == "frequency" and (unit or name in ("omega", "w", "Kreisfrequenz", "Pulsation", "\u03c9")):
         unit = column_unit(name, "frequency")[0]
         return quantity, unit.factor / TURN if unit.si == "rad/s" else unit.factor
     if unit is None:

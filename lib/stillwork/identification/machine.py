@@ -177,7 +177,7 @@ def _model_notes(file: MachineFile, fit: ModalFit) -> Iterator[str]:
             if abs(degrees) >= LEAST_PHASE
         )
         yield (
-            f"the modes have phases of their own, {turned}: dampers that the mode shapes do not decouple; the model is "
+            f"the modes have phases of their own, {turned or f'each below {LEAST_PHASE:g} degree'}: dampers that the mode shapes do not decouple; the model is "
             "without, loops are judged with them"
         )
     if fit.delay:

@@ -134,7 +134,9 @@ def _compare(path, file, units, fit_hz, options) -> None:
         moves = PER_SIZE.get(each[0], numbers) * PER_SIZE[each[1]]
         left[each] = _left(path, each, fit_hz, options) * np.sqrt(moves)
     best = min(left, key=lambda each: left[each])
-    if CLEARLY * left[best] < left[taken]:
+    # What moves the written numbers divides out: another reading must explain the response, not only do so less badly.
+    plain = left[best] / np.sqrt(PER_SIZE.get(best[0], numbers) * PER_SIZE[best[1]])
+    if CLEARLY * left[best] < left[taken] and plain < MISFIT:
         words = " and ".join(
             f"{name} in {_word(new)} (not {_word(old)})"
             for name, old, new in zip(OTHER, taken, best, strict=True)

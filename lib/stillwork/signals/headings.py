@@ -34,9 +34,9 @@ _SEPARATORS = r"[\s_,;:/-]+"
 
 # What the words of a name stand for, the units that a column of it may have, and the one that it has without any.
 HOLDS = {
-    "frequency": ("frequency frequencies freq freqs frequenz frequenzen f omega w kreisfrequenz", ("Hz", "rad/s"), "Hz"),
-    "time": ("time times t zeit timestamp", ("s",), "s"),
-    "rate": ("fs rate samplerate", ("Hz",), "Hz"),
+    "frequency": ("frequency frequencies freq freqs frequenz frequenzen fréquence frequentie f omega ω w kreisfrequenz pulsation", ("Hz", "rad/s"), "Hz"),
+    "time": ("time times t zeit temps tijd timestamp", ("s",), "s"),
+    "rate": ("fs rate samplerate abtastrate", ("Hz",), "Hz"),
     "magnitude": ("magnitude mag amplitude ampl gain betrag modulus", (*MOVES, "1", "V", "A", "N", "N m"), ""),
     "phase": ("phase angle winkel", ("rad",), "deg"),
     "real": ("real re realteil", (*MOVES, "1"), ""),
@@ -61,7 +61,7 @@ _OF_A_RESPONSE = (
     "voltage",
     "current",
 )  # a magnitude or a phase of these
-_RADIANS = ("omega", "w", "kreisfrequenz", "angular")  # a frequency called so is in rad/s
+_RADIANS = ("omega", "ω", "w", "kreisfrequenz", "pulsation", "angular")  # a frequency called so is in rad/s
 _LABELS = (
     "angle axis vector array data value values part response resp function frf h g p s l c k x y z xy of in at on from to "
     "ch chan channel trace input output in out measured measurement meas avg average mean median sample sampling est estimate stamp base "
@@ -72,7 +72,7 @@ _LABELS = (
 # A column that one of these words names is another one than its quantity's.
 _OTHERS = (
     "log lg ln logarithmic logmag normalized normalised squared inverse reciprocal index bin bins error std stdev sigma "
-    "variance deviation uncertainty resolution step delay lag margin"
+    "variance deviation uncertainty resolution step delay lag margin stiffness impedance apparent"
 ).split()
 _LOGARITHMS = ("log", "logarithmic", "logmag")  # of a magnitude in decibels
 
@@ -177,6 +177,13 @@ def _at_the_end(text: str) -> tuple[str, tuple[str, Unit] | None]:
             continue
         for each in (part, spelled(part.replace("_", "/"))):
             if unit := meaning(each):
+                above = (
+                    meaning(text[:start].rstrip(" /").rpartition(" ")[2])
+                    if "/" in text[:start][-2:]
+                    else None
+                )
+                if above and above.si in DRIVES and unit.si in MOVES:  # N/um is a stiffness
+                    return text, None
                 return text[:start].rstrip(" ,;:/-_"), (each, unit)
     return text, None
 

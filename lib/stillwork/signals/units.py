@@ -60,10 +60,10 @@ WORDS = (
     (r"[\u03bc\u00b5]", "u"),
     (r"[\u00b7\u22c5]", "*"),
     (r"\u2212", "-"),
-    (r"\bmilli(?=[a-z])", "m"),
-    (r"\bmicro(?=[a-z])", "u"),
-    (r"\bnano(?=[a-z])", "n"),
-    (r"\bkilo(?=[a-z])", "k"),
+    (r"\bmilli[-_ ]?(?=[a-z])", "m"),
+    (r"\bmicro[-_ ]?(?=[a-z])", "u"),
+    (r"\bnano[-_ ]?(?=[a-z])", "n"),
+    (r"\bkilo[-_ ]?(?=[a-z])", "k"),
     (r"(?:\b|_)per(?:\b|_)", "/"),
     (r"\b([pnumk]?)(?:seconds?|secs?|sekunden?|sek)(?=[\d^]|\b)", "$1s"),
     (r"\b(?:minutes?|mins)\b", "min"),
@@ -90,7 +90,7 @@ SYMBOLS = (
 )
 ROOT = r"(?:\u221a|sqrt|rt)\s*\(?\s*hz\s*\)?|hz\s*\^?\s*\(\s*1\s*/\s*2\s*\)|hz\s*\^\s*(?:0?\.5|1/2)"  # of Hz
 DECIBELS = (
-    r"(?:db|decibels?)(?![a-z])\s*(?:\(\s*)?(?:(?:re|ref|rel)\b[.:]?\s*)?"
+    r"(?:db|decibels?)(?![a-z\d])\s*(?:\(\s*)?(?:(?:re|ref|rel)\b[.:]?\s*)?"
     r"(\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\d.]*/))?\s*(.*?)\s*"
 )
 DENSITIES = (

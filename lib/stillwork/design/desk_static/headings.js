@@ -87,6 +87,8 @@ function atTheEnd(name) {
     if (!start && part.length === 1) continue;
     for (const each of [part, spelled(part.replaceAll("_", "/"))]) {
       const unit = meaning(each);
+      const before = text.slice(0, start).match(/([^ ]*) ?\/ ?$/), above = before && meaning(before[1]);
+      if (unit && above && DRIVES.includes(above.si) && unit.si in MOVES) return [text, null]; // N/um is a stiffness
       if (unit) return [ends(`.${text.slice(0, start)}`).slice(1), [each, unit]];
     }
   }
