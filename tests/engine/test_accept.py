@@ -11,7 +11,6 @@ import pytest
 from engine import toy as toys
 from engine.toy import cell
 from workbook.notebooks import cleaned
-from workbook.tasks import DURATIONS
 
 pytestmark = pytest.mark.slow
 
@@ -108,27 +107,6 @@ def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(accepted):
     )
     assert toy.run("accept").stdout.endswith("0 files changed\n")
     assert toy.stamps("notebooks", "data", "figures", "README.md") == before
-
-
-def test_a_parameter_that_is_renamed_is_renamed_in_the_provenance(accepted):
-    toy = accepted
-    toy.replace("notebooks/isolation/01-first.ipynb", "level", "gain_level")
-    assert toy.run("figures").returncode == 0
-    assert toy.run("accept").returncode == 0
-    kept = json.loads((toy.root / "figures/isolation/01-first/provenance.json").read_text())
-    assert "gain_level" in kept["parameters"] and "level" not in kept["parameters"]
-
-
-def test_how_long_a_notebook_took_is_noted_and_makes_nothing_stale(accepted):
-    """On a machine of another pace it is no news."""
-    file = accepted.root / DURATIONS
-    noted = json.loads(file.read_text())
-    assert list(noted) == ["isolation/01-first"] and noted["isolation/01-first"] > 0
-    accepted.write(DURATIONS, json.dumps({"isolation/01-first": 1000.0}))
-    before = accepted.stamps("notebooks", "data", "figures", "README.md")
-    assert accepted.run("figures", "--why").stdout == "isolation/01-first: up to date\n"
-    assert accepted.run("accept").returncode == 0
-    assert accepted.stamps("notebooks", "data", "figures", "README.md") == before
 
 
 def test_what_no_build_wrote_is_named_and_stays_as_it_is(accepted):

@@ -104,13 +104,6 @@ def test_an_installed_checkout_has_it_on_its_path(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_nbval_executes_it(toy):
-    options = ["--nbval", "--nbval-current-env"]
-    told = run(toy, "-m", "pytest", "-c", "/dev/null", f"notebooks/{FIRST}.ipynb", *options)
-    assert "passed" in told and "failed" not in told
-
-
-@pytest.mark.slow
 def test_workers_import_it(toy):
     toy.write("workers.py", WORKERS)
     assert run(toy, "workers.py") == "[4.0, 4.0, 4.0, 4.0]\n"

@@ -13,8 +13,6 @@ import pytest
 from engine import toy as toys
 from engine.test_failures import WAIT
 from engine.toy import until
-from stillwork.__main__ import main
-from workbook import workers
 
 pytestmark = pytest.mark.slow
 
@@ -108,11 +106,3 @@ def test_a_worker_with_another_checkout_is_refused(toy, scheduler):
     )
     assert done.returncode == 1
     assert "lib/experiments/isolation/model.py changed" in done.stdout
-
-
-def test_a_scheduler_that_does_not_answer(toy, monkeypatch, capsys):
-    toy.add("isolation/01-first")
-    monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
-    monkeypatch.setattr(workers, "ANSWER_S", 0.2)
-    assert main(["figures", "--scheduler", "tcp://127.0.0.1:1"]) == 2
-    assert "scheduler 'tcp://127.0.0.1:1' does not respond" in capsys.readouterr().err

@@ -9,7 +9,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from workbook import paths
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.compare import (
     difference,
@@ -19,11 +18,9 @@ from workbook.compare import (
     same_size,
     same_text,
     same_value,
-    summary,
     table_difference,
 )
 from workbook.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
-from workbook.tasks import BUILT
 
 HEADER = "panel,series,x,y,z\n"
 
@@ -254,9 +251,3 @@ def test_the_ends_of_an_interval_may_move_by_the_drift_of_the_larger():
     assert same_value(claim(5.0, (0.001, 10.0)), claim(5.0, (0.009, 10.0)))
     assert not same_value(claim(5.0, (0.001, 10.0)), claim(5.0, (0.02, 10.0)))
     assert not same_value(claim(5.0), claim(5.0, (4.0, 6.0)))
-
-
-def test_a_build_says_where_its_pictures_are(monkeypatch):
-    assert summary([])[-1].endswith("pictures and tables: build/figures/")
-    monkeypatch.setenv(BUILT, str(paths.root() / "build" / "other" / "x"))
-    assert summary([])[-1].endswith("pictures and tables: build/other/x/")

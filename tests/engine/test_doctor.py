@@ -30,14 +30,6 @@ def test_reads_the_pins_that_hold_here(pinned):
     assert pins() == {"numpy": metadata.version("numpy"), "new": "2.0", "odd-name": "1.0.post1"}
 
 
-def test_all_as_pinned(pinned, capsys):
-    pinned(NUMPY)
-    assert doctor() == 0
-    printed = capsys.readouterr().out
-    for word in ("Python", "BLAS", "OMP_NUM_THREADS", "1 of 1 packages"):
-        assert word in printed
-
-
 def test_names_what_drifted_and_what_is_missing(pinned, capsys):
     pinned("numpy==0.1", f"scipy=={metadata.version('scipy')}", "no-such-package==3.2")
     expected = [

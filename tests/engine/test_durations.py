@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from workbook import paths
 from workbook.build import longest_first
-from workbook.notebooks import Notebook, select
-from workbook.tasks import DURATIONS, Task, durations, updated_durations
+from workbook.notebooks import Notebook
+from workbook.tasks import DURATIONS, Task, updated_durations
 
 NAMES = ["isolation/01", "isolation/02", "motion/01", "motion/02"]
 
@@ -62,8 +62,3 @@ def test_only_what_moves_much_is_written_anew():
     assert updated_durations(before, found | {"isolation/02": None, "motion/02": None}) == kept
     slower = {"isolation/01": 20.0, "isolation/02": 1.0, "motion/01": 101.2, "motion/02": None}
     assert updated_durations(before, slower) == kept | {"motion/01": 100.0}
-
-
-@pytest.mark.slow
-def test_the_committed_ones_are_of_the_notebooks_that_are_there():
-    assert set(durations()) <= {each.name for each in select()}

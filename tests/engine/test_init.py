@@ -158,10 +158,3 @@ def test_a_workbook_begins_in_a_folder_of_its_own(tmp_path):
         with pytest.raises(InputError, match=r"^folder\b"):
             begin(str(folder))
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
-
-
-def test_the_line_that_enters_it_is_a_shell_s(tmp_path):
-    home = tmp_path / "my paper's"
-    enter = begin(str(home))[-1].partition("as it is: ")[2].removesuffix(" && make figures")
-    done = subprocess.run([*"sh -c".split(), f"{enter} && pwd"], capture_output=True, text=True, check=True)
-    assert Path(done.stdout.strip()) == home.resolve()

@@ -8,7 +8,6 @@ import shutil
 import stat
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -109,14 +108,6 @@ def test_another_pin_makes_the_environment_again(checkout):
     assert short(calls(checkout))[:3] == MADE
 
 
-def test_jupyter_reaches_data_and_figures_beside_the_notebooks(checkout):
-    """Its files begin at the checkout, and it opens on the index below."""
-    make(checkout, "lab")
-    (started,) = [line for line in calls(checkout) if "jupyter lab" in line]
-    assert "--ServerApp.root_dir=. " in started
-    assert "--LabApp.default_url=/lab/tree/notebooks/index.ipynb" in started
-
-
 def test_binder_gets_a_python_that_the_pins_serve_and_a_script_that_runs():
     runtime = (ROOT / ".binder" / "runtime.txt").read_text().strip()
     assert runtime in {f"python-3.{minor}" for minor in range(11, 15)}
@@ -184,15 +175,6 @@ def test_what_is_documented_runs_as_it_is_typed(checkout, line):
     assert (checkout / ".venv" / "complete").exists() == (asked is None and not re.search("help|clean", line))
 
 
-def test_help_lists_every_target(checkout):
-    shown = make(checkout, "help").stdout
-    targets = next(
-        line for line in (ROOT / "Makefile").read_text().splitlines() if line.startswith(".PHONY:")
-    )
-    assert {line.split()[1] for line in shown.splitlines()} == set(targets.split()[1:])
-    assert calls(checkout) == []
-
-
 def test_the_tests_run_notebooks_under_the_settings_of_a_build(checkout):
     (checkout / "own one/bin/python").write_text(STUB + "env >> settings\n")
     assert make(checkout, OWN, "test").returncode == 0
@@ -230,28 +212,6 @@ def test_a_test_run_ends_with_all_its_parts_whatever_became_of_them(checkout, fa
     done = make(checkout, OWN, "test")
     assert bool(done.returncode) == bool(parts)
     assert table(done.stdout) == {name: "FAILED" if name in parts else "passed" for name in PARTS}
-
-
-def test_examples_of_a_day_come_again(checkout):
-    """The day that they are drawn from is this one or the one asked for, and a failure ends with what repeats it."""
-    program = checkout / "own one/bin/python"
-    before = time.strftime("%Y%m%d")
-    assert make(checkout, OWN, "dated").returncode == 0
-    (drawn,) = calls(checkout)
-    day = re.search(r"--hypothesis-profile=search --hypothesis-seed=(\d{8})$", drawn.strip())[1]
-    assert before <= day <= time.strftime("%Y%m%d")
-    program.write_text(STUB + "exit 1\n")
-    failed = make(checkout, OWN, "dated", "DAY=20260102", "ARGS=-k simulate")
-    assert failed.returncode != 0 and "make dated DAY=20260102" in failed.stdout.splitlines()[-1]
-    assert calls(checkout)[0].endswith("--hypothesis-seed=20260102 -k simulate")
-
-
-def test_bench_runs_what_measures_speed_beside_peers_alone(checkout):
-    """The other files of the folder want a wheel, a seed or hours, and say themselves how they are called."""
-    shutil.copytree(ROOT / "benchmarks", checkout / "benchmarks")
-    assert make(checkout, OWN, "bench", "ARGS=--write").returncode == 0
-    run = ("export", "fixedpoint", "isolation", "motion", "synthesis", "worstcase")
-    assert calls(checkout) == [f"benchmarks/{name}.py --write" for name in run]
 
 
 def test_a_day_executes_as_many_notebooks_as_asked_and_all_in_turn(checkout):

@@ -54,16 +54,6 @@ fast: bool = False  # or slow"""
     assert type(found["rate"][1]) is float
 
 
-def test_the_parameters_cell_is_no_code_cell(workbook):
-    read = workbook("seed: int = 1  # of the noise")
-    assert read.cells == {"begin": "x = 1", "end": "y = 2"}
-    assert read.topic == "motion"
-
-
-def test_a_notebook_may_have_no_parameters(workbook):
-    assert workbook("seed = 1", tags=()).parameters == {}
-
-
 @pytest.mark.parametrize(
     ("source", "message"),
     [
@@ -193,11 +183,6 @@ def test_assign_keeps_what_differs_and_drops_who_has_none(workbook):
         assign(select(), {"forgetting": "3"})
 
 
-def test_one_differs_from_true_and_from_a_float(workbook):
-    workbook("level: float | int | bool = 1  # mixed")
-    assert [changed for _, changed in assign(select(), {"level": "true"})] == [{"level": True}]
-
-
 def test_a_variant_has_a_folder_whatever_its_values(workbook, tmp_path):
     read = workbook('channel: str = "left"  # of the record')
     names = ["a/b", "../../x", "\n", "加速度" * 60, "x" * 1000, ".", ""]
@@ -206,19 +191,6 @@ def test_a_variant_has_a_folder_whatever_its_values(workbook, tmp_path):
         folder.mkdir(parents=True)
         assert folder.parent == tmp_path / "build" / "variants" / "motion" / "01-x"
     assert len(set(folders)) == len(names)
-
-
-def test_of_many_parameters_the_nearest_are_named(workbook):
-    many = workbook("\n".join(f"level_{k}: int = {k}  # of the noise" for k in range(20)))
-    with pytest.raises(InputError, match=r"'x'.*\b20\b.* level_\d+, level_\d+, level_\d+$"):
-        assign([many], {"x": "1"})
-
-
-def test_a_number_that_a_topic_lacks_gets_the_nearest_of_the_topic(workbook):
-    for name in ("03-a", "09-longer-words", "12-b", "13-c"):
-        workbook("seed: int = 1  # of the noise", f"motion/{name}")
-    with pytest.raises(InputError, match=r"'motion/99'.*'motion/09-longer-words'.*'motion/\S+'"):
-        select("motion/99")
 
 
 def test_a_setting_of_the_processor_is_a_name_and_a_value(monkeypatch):

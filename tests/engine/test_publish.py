@@ -16,10 +16,8 @@ from workbook.publish import (
     Edited,
     read_record,
     replace_all,
-    replace_file,
     replace_folder,
     replace_record,
-    seconds_taken,
     tidy,
 )
 
@@ -44,24 +42,6 @@ def test_replaces_all_that_was_there(tmp_path):
     replace_folder(target, NEW)
     assert content(target) == NEW
     assert os.listdir(target.parent) == ["notebook"]
-
-
-def test_an_error_while_writing_leaves_the_old(tmp_path, monkeypatch):
-    target = tmp_path / "notebook"
-    replace_folder(target, OLD)
-    write = Path.write_bytes
-
-    def full(self, data):
-        if data == b"b":
-            raise OSError(28, "No space left on device")
-        return write(self, data)
-
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OSError, match="No space"):
-        replace_folder(target, NEW)
-    with pytest.raises(OSError, match="No space"):
-        replace_file(tmp_path / "notebook" / "a.csv", b"b")
-    assert content(tmp_path) == {"notebook/a.csv": b"old"}
 
 
 class Killed(BaseException):
@@ -128,26 +108,6 @@ def test_a_record_is_whole_old_or_new_wherever_it_is_cut(tmp_path, monkeypatch):
         replace_record(target, OLD, {"cell a": "1"})
     assert seen == {"1", "2"}
     assert read_record(target) == ({"cell a": "2"}, [])
-
-
-def test_how_long_results_took_is_known_where_it_was_noted(tmp_path):
-    target = tmp_path / "notebook"
-    assert seconds_taken(target) is None
-    replace_record(target, NEW, {})
-    assert seconds_taken(target) is None
-    replace_record(target, NEW, {}, 12.5)
-    assert seconds_taken(target) == 12.5
-    (target / RECORD).write_text((target / RECORD).read_text().replace("12.5", "13.5"))
-    assert seconds_taken(target) is None
-
-
-def test_a_folder_that_stands_in_the_place_of_results_gives_way(tmp_path):
-    target = tmp_path / "notebook"
-    target.mkdir()
-    (target / "mine.txt").write_text("x")
-    replace_record(target, NEW, {})
-    assert read_record(target) == ({}, [])
-    assert set(content(target.resolve())) == {*NEW, RECORD}
 
 
 def link_to_nowhere(file: Path) -> None:
