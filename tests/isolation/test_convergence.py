@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.isolation.convergence import Course, algorithms, converge, settling_times
+from experiments.isolation.convergence import algorithms, converge, settling_times
 from experiments.isolation.floors import coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.steady import steady_state
@@ -43,13 +43,6 @@ def test_settling_time_counts_the_last_excursion():
     assert settling_times(time, traces, np.ones(3)).tolist() == [6.0, 10.0, 1.0]
 
 
-def test_final_values_are_those_of_the_last_tenth():
-    time = np.arange(1.0, 101.0)
-    ramp = np.where(time > 90, 5.0 + (-1.0) ** time, 0.0)
-    course = Course(time, ramp[:, None], np.where(time > 90, 2.0, 9.0))
-    assert (course.final[0], course.deviation[0], course.final_error) == (5.0, 1.0, 2.0)
-
-
 def course_of(adaptation, duration, seed):
     return converge(FITTED, FLOOR, {"": adaptation}, duration, [seed])[0][""]
 
@@ -64,15 +57,6 @@ def test_expected_course_is_the_mean_of_simulations(name, duration):
     # The course of FeLMS is for weights that follow slowly; its step is normalised with a noisy trace.
     assert np.abs(mean - expected).max() < (0.08 if name == "FeLMS" else 0.06)
     assert np.sqrt(np.mean((mean - expected) ** 2)) < 0.025
-
-
-def test_algorithms_start_from_multiples_of_the_steady_diagonal():
-    both = algorithms(STEADY, **{**SETTINGS, "initial_covariance": 10.0})
-    assert both["FeRLS"].initial_covariance == pytest.approx(10 * np.diag(STEADY.covariance), rel=1e-4)
-    assert both["FeRLS"].forgetting == pytest.approx(np.exp(-2e-4 / 10))
-    for name, bad in (("memory_s", 0.0), ("initial_covariance", -1.0)):
-        with pytest.raises(InputError, match=name):
-            algorithms(STEADY, **{**SETTINGS, name: bad})
 
 
 def test_a_short_run_is_judged_by_where_the_weights_settle():

@@ -113,9 +113,3 @@ def _count_inverse(rng, actuators, size, rows):
         direction = counting.product(gain, [[x] for x in matrix[0]])
         counting.product(direction, [error])
     return counting.Counted.count
-
-
-def test_published_size_is_54_parameters():
-    counts = multiplications(6, 9)
-    assert counts["full inverse"] > 54**3
-    assert counts["recursion"] < 300

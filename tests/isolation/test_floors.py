@@ -60,11 +60,6 @@ def test_sensors_are_shaken_independently_and_reproducibly():
     assert not np.array_equal(motion, flat_floor().acceleration(200_000, seed=2))
 
 
-def test_levels_may_differ_between_sensors():
-    density = flat_floor(level=[1e-3, 2e-3], channels=2).density(np.array([20.0]))
-    assert density[1] / density[0] == pytest.approx(4)
-
-
 def test_synthesis_has_exactly_the_expected_density_line_by_line():
     f = np.array([2.0, 40.0, 200.0])
     s = np.array([1e-6, 4e-6, 1e-8])

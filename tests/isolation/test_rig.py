@@ -125,8 +125,3 @@ def test_plate_motion_undoes_its_sensors():
 def test_bodies_that_cannot_be_are_refused(change, message):
     with pytest.raises(InputError, match=message):
         replace(RIG, **change)
-
-
-def test_a_line_needs_a_direction():
-    with pytest.raises(InputError, match=r"^directions\b.*\brow 1\b"):
-        Lines([[0, 0, 0.0], [1, 0, 0.0]], [[0, 0, 1.0], [0, 0, 0.0]])

@@ -139,15 +139,6 @@ def test_every_exercise_has_a_solution_a_notebook_and_a_hint(track):
         assert fold.rstrip().endswith("</details>")
 
 
-def test_the_course_leads_to_notebooks_that_are_there():
-    linked = {
-        name
-        for text in TEXTS.values()
-        for name in re.findall(r"\]\(\.\./\.\./notebooks/([^)]+)\.ipynb\)", text)
-    }
-    assert linked and linked <= set(NOTEBOOKS)
-
-
 def test_commands_and_parameters_that_the_text_names_exist():
     for text in TEXTS.values():
         for line in re.findall(r'make figures ARGS="([^"]+)"', text):

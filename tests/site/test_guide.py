@@ -52,24 +52,6 @@ def checkout(tmp_path, monkeypatch):
     return found
 
 
-def test_every_command_is_one_that_these_tests_know():
-    others = [
-        line
-        for line in LINES
-        if line not in BUILDS + INSPECTIONS + CODE + RETESTS + REPORTS and not line.startswith("cp ")
-    ]
-    assert others == [
-        "make doctor",
-        "source .venv/bin/activate",
-        "python -m workbook new isolation 09-payload",
-    ]
-    targets = re.findall(r"^([a-z]+):", (paths.root() / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-    assert {
-        line.split()[1] for line in LINES + re.findall(r"`(make [a-z]+)`", GUIDE) if line.startswith("make")
-    } <= set(targets)
-    assert all((BUILDS, INSPECTIONS, CODE, RETESTS, REPORTS))
-
-
 @pytest.mark.slow
 def test_the_report_is_written(checkout, tmp_path, capsys):
     words = shlex.split(REPORTS[0])[3:]
@@ -167,9 +149,3 @@ def test_every_template_in_the_table_exists_and_loads():
             load_unscaled(file)
         else:
             assert main(["inspect", str(file)]) == 0
-
-
-def test_every_notebook_in_the_table_exists():
-    table = GUIDE.partition("Everything below")[0]
-    names = re.findall(r"`([a-z]+/\d\d-[a-z-]+)`", table)
-    assert len(names) == 4 and all((paths.root() / f"notebooks/{name}.ipynb").is_file() for name in names)

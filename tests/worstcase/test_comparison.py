@@ -20,7 +20,6 @@ from notebooks.worstcase.comparison import (
     sample_record,
     turning_points,
 )
-from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import smallest_level
 from stillwork.estimation.linear_fits import (
     cross_validated_penalty,
@@ -236,17 +235,3 @@ def test_huber_is_scikit_learn_s_at_its_scale():
     found = huber_estimate(matrix, target, np.ones(400))
     # their scales differ: his is estimated with the parameters, ours is the median's
     assert np.linalg.norm(found - peer) < 0.1 * np.linalg.norm(least - [2.0, -1.0])
-
-
-@pytest.mark.parametrize("length", [1, 7])
-@pytest.mark.parametrize(
-    "fit",
-    [
-        lambda matrix, target: huber_estimate(matrix, target, np.ones(len(matrix))),
-        lambda matrix, target: instrumental_variables(matrix, target, matrix),
-        lambda matrix, target: evidence_penalty(matrix, target, 20.0),
-    ],
-)
-def test_a_target_of_another_length_is_named(fit, length):
-    with pytest.raises(InputError, match=r"^target\b"):
-        fit(np.random.default_rng(0).standard_normal((20, 2)), np.ones(length))

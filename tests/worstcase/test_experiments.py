@@ -1,5 +1,3 @@
-import warnings
-
 import numpy as np
 import pytest
 from scipy import optimize, signal
@@ -9,12 +7,8 @@ from experiments.worstcase.pairs import open_pair
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, fir_trial, path
 from experiments.worstcase.theory import convergence_trial, counter_example
 from naive import worstcase as naive
-from notebooks.worstcase import contraction as contraction_pictures
-from notebooks.worstcase import fir_identification as identification_pictures
-from notebooks.worstcase import geometry as geometry_pictures
 from notebooks.worstcase import real_record
 from notebooks.worstcase import real_record as measured_pictures
-from notebooks.worstcase import time_updates as update_pictures
 from notebooks.worstcase import tracking as tracking_pictures
 from notebooks.worstcase.contraction import scalar_trial
 from notebooks.worstcase.fir_identification import criterion_trial, gain_trial, least_squares_limit
@@ -93,15 +87,6 @@ def test_least_squares_tends_to_its_limit(period, noise):
     settings = {**FIG_1, "period": period, "samples": 100_000, "input_noise": noise, "output_noise": 0.1}
     found = fir_trial(np.random.default_rng(0), **settings)["least"][:, -1]
     assert found == pytest.approx(least_squares_limit((1.0, 0.5), period, noise), abs=3e-3)
-
-
-def test_paths_start_alike_and_keep_their_length():
-    for kind in ("constant", "jump", "drift"):
-        values = path(kind, FIG_2_PARAMETERS, 200)
-        assert values[:, 0] == pytest.approx(FIG_2_PARAMETERS)
-        assert np.linalg.norm(values, axis=0) == pytest.approx(np.full(200, np.linalg.norm(FIG_2_PARAMETERS)))
-    assert path("jump", (1.0, 2.0), 10)[:, 5] == pytest.approx([-1, -2])
-    assert path("drift", (1.0, 0.0), 4)[:, 1] == pytest.approx([0, 1], abs=1e-12)
 
 
 def test_tracking_trial_draws_rows_within_the_bound_and_reports_error_norms():
@@ -185,23 +170,6 @@ def test_measured_pair_is_the_shipped_record():
     swept = real_record.bound_sweep(pair, 8, 64, np.array([1e-9, 1.0]), 5)
     medians = [np.median(found[name][0]) for name in ("least squares", "min-max, typical bound")]
     assert swept == pytest.approx(np.array(medians), rel=1e-7)
-
-
-@pytest.mark.slow
-def test_extreme_settings_of_the_explorers_draw_without_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for share in (0.0, 1.3):
-            geometry_pictures.explore_geometry(share, 0.0)
-        for bound, excess in ((0.05, 0.001), (0.6, 1.0)):
-            contraction_pictures.explore_counter_example(bound, excess)
-        with pytest.raises(InputError, match=r"\bbound\b"):
-            contraction_pictures.explore_counter_example(0.95, 1.0)
-        update_pictures.explore_accuracy(3.0, 0.01)
-        update_pictures.explore_accuracy(0.02, 1.0)
-        identification_pictures.explore_fig_1(4, 1.0, 0.01, -1.0)
-        tracking_pictures.explore_tracking(5.0, 1.0, 50.0, "drift")
-        measured_pictures.explore_sweep(48, 64)
 
 
 def test_a_blow_predicts_another_blow():

@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import minimize
 
 from experiments.worstcase.pairs import MeasuredPair, open_pair, residual
-from notebooks.worstcase.real_record import load_pair
 from notebooks.worstcase.your_record import (
     delay_of,
     fit_pair,
@@ -15,9 +14,7 @@ from notebooks.worstcase.your_record import (
     spikes_in,
     warnings_of,
     weighted_corner,
-    window_lengths,
 )
-from stillwork.base.checks import InputError
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
@@ -25,7 +22,6 @@ from stillwork.identification.regressors import fir_regressors, noise_bound
 from workbook import paths
 
 TEMPLATE = paths.data("worstcase", "your_record/template.csv")
-SHIPPED = paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz")
 LAGS = np.arange(24)
 RESPONSE = 0.8 * np.exp(-LAGS / 6) * np.cos(2 * np.pi * 0.09 * LAGS)
 
@@ -97,13 +93,6 @@ def test_the_corner_says_the_same_as_all_rows(template):
     assert solve_silently(matrix, target, noise_bound(1.0, 8, 0.99)).estimate == pytest.approx(last, abs=1e-7)
 
 
-def test_the_shipped_record_opens_as_in_the_notebook_before():
-    pair, _ = open_pair(SHIPPED, band_hz=(100.0, 1500.0), quiet_hz=(300.0, 600.0))
-    before, _ = load_pair((100.0, 1500.0), (300.0, 600.0))
-    assert np.array_equal(pair.input, before.input) and np.array_equal(pair.output, before.output)
-    assert pair.noise[0] == pytest.approx(before.noise, rel=1e-12)
-
-
 def test_units_scale_what_they_should(template, tmp_path):
     pair, _, fitted = template
     silent = tmp_path / "silent.csv"
@@ -127,39 +116,6 @@ def test_the_zero_model_leaves_everything_and_the_threshold_is_where_it_begins(t
     assert np.all(fitted.judging[etas < 0.9 * fitted.threshold] < 1.0)
     assert fitted.chosen == fitted.factors[fitted.choosing.argmin()]
     assert residual(np.ones((3, 1)), np.ones(3), np.zeros(1)) == 1.0
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"band_hz": (100.0, 1500.0)}, r"^band_hz\b.*\b0 \w+ 500 Hz"),
-        ({"quiet_hz": (400.0, 400.1)}, r"^quiet_hz\b.*\b0 spectral"),
-        ({"channels": ("drive (V)", "")}, "input_channel and output_channel"),
-        ({"channels": ("drive", "plate (m/s^2)")}, r"^channel\b.*'drive \(V\)'"),
-        ({"units": ("furlong", "m/s^2")}, r"^unit\b"),
-        (
-            {"units": ("m/s^2", "g")},
-            r"^input_unit\b",
-        ),
-        ({"noise": (-1.0, 0.0)}, r"^noise\b"),
-        ({"sample_rate": 500.0}, r"^sample_rate\b"),
-    ],
-)
-def test_records_that_cannot_be_used(options, message):
-    with pytest.raises(InputError, match=message):
-        open_pair(TEMPLATE, **{"units": ("V", "m/s^2"), **options})
-
-
-def test_too_many_channels_and_too_short_records(tmp_path, template):
-    rng = np.random.default_rng(0)
-    np.savez(tmp_path / "a.npz", fs=1000.0, u=rng.standard_normal(400), y=rng.standard_normal((2, 400)))
-    with pytest.raises(InputError, match=r"^a\.npz\b.*\(u, y 1, y 2\)"):
-        open_pair(tmp_path / "a.npz")
-    short, _ = open_pair(tmp_path / "a.npz", channels=("u", "y 1"))
-    with pytest.raises(InputError, match=r"^memory\b"):
-        fit_pair(short, 8, 640)
-    with pytest.raises(InputError, match=r"\b32 taps"):
-        window_lengths(32, 400)
 
 
 def test_what_makes_a_table_misleading_is_named(template):
