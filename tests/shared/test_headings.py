@@ -432,3 +432,21 @@ def test_an_unknown_unit_is_refused_with_those_that_are_known():
     ):
         with pytest.raises(InputError, match=known):
             column_unit(name, quantity)
+
+
+@pytest.mark.parametrize(
+    "columns, told",
+    [
+        ({"time": np.arange(20000) / 1000}, ["'time' states no unit; taken as s"]),
+        ({"time (s)": np.arange(20000) / 1000}, []),
+        ({"fs": np.array(1000.0)}, ["'fs' states no unit; taken as Hz"]),
+        ({"fs_kHz": np.array(1.0)}, []),
+    ],
+)
+def test_a_record_tells_the_unit_that_its_time_was_taken_in(tmp_path, columns, told):
+    file = tmp_path / "floor.npz"
+    np.savez(file, **columns, **{"floor (mm/s)": np.random.default_rng(1).standard_normal(20000)})
+    record = load_record(file)
+    assert record.sample_rate == pytest.approx(1000)
+    assert list(record.notes) == told
+    assert [line for line in inspect_file(str(file)).splitlines() if "states no unit" in line] == told

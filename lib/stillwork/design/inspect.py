@@ -155,6 +155,7 @@ def _record(path: Path) -> Iterator[str]:
     odd = {name: said for name in record.names if (said := unknown_unit(name))}
     known = [(name, unit) for name, unit in zip(record.names, units, strict=True) if name not in odd]
     yield f"a record of {pluralise(len(record.names), 'channel')}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
+    yield from record.notes
     if odd:
         yield f"unknown units: {', '.join(odd.values())}; convert {', '.join(odd)} to one of these: {UNITS_TEXT}"
     if any(not unit for _, unit in known):

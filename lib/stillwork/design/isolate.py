@@ -418,7 +418,7 @@ def read_floor(
             spectra, frequencies_hz=spectra.frequencies_hz[kept], widths_hz=spectra.widths_hz[kept],
             density=spectra.density[kept],
         )  # fmt: skip
-        seen = list(sensor_faults(record.signals, record.sample_rate))
+        seen = [*record.notes, *sensor_faults(record.signals, record.sample_rate)]
         whole = estimate_spectrum(record.signals, record.sample_rate, LINE_HZ)
         slow, known = slow_ratio(whole.frequencies_hz, whole.density), float(spectra.frequencies_hz[0])
         spectra = _down_to(SLOWEST_HZ, spectra)

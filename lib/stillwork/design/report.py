@@ -186,6 +186,7 @@ def _record(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]:
     signals = record.signals * np.array(factors)[:, None]
     signals -= signals.mean(axis=1, keepdims=True)
     yield f"a record: {record.sample_rate:.6g} Hz, {record.duration:.4g} s, {pluralise(len(units), 'channel')}"
+    yield from record.notes
     rows = []
     for name, unit, row in zip(record.names, units, signals, strict=True):
         kurtosis = np.mean(row**4) / row.var() ** 2

@@ -55,6 +55,8 @@ class Record:
         One per channel.
     source : str
         File name.
+    notes : tuple of str
+        What its file does not state and was assumed.
 
     Raises
     ------
@@ -73,6 +75,7 @@ class Record:
     unit: str
     names: tuple[str, ...]
     source: str
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self):
         check_fields(self)
@@ -176,6 +179,7 @@ def load_unscaled(
     path = Path(path)
     columns = read_columns(path)
     rate = sampling_rate(path.name, columns, sample_rate)
+    notes = () if sample_rate is not None else _assumed(columns)
     columns = {name: column for name, column in columns.items() if not is_time(name) and column.size > 1}
     if channels is not None:
         columns = {
@@ -199,7 +203,19 @@ def load_unscaled(
                 f"{path.name}, channel {name} stands at {column[0]:.4g} throughout; leave it out with "
                 "channels=[...] or correct the sensor"
             )
-    return Record(np.array(list(columns.values())), rate, "1", tuple(columns), path.name)
+    return Record(np.array(list(columns.values())), rate, "1", tuple(columns), path.name, notes)
+
+
+def _assumed(columns: dict[str, np.ndarray]) -> tuple[str, ...]:
+    """The units that its time or rate was taken in, where the name states none."""
+    taken = [
+        column_unit(name, heading(name).quantity)[1]
+        for name, column in columns.items()
+        if heading(name).quantity == ("time" if column.size > 1 else "rate")
+    ]
+    return tuple(
+        f"{each.column!r} states no unit; taken as {each.unit}" for each in taken if not each.written
+    )
 
 
 @checked
