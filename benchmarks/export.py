@@ -10,13 +10,14 @@ sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 import numpy as np  # noqa: E402
 
 from benchmarks.timing import compiled, in_turn  # noqa: E402
-from stillwork.control import DigitalController, adaptation_code, controller_code  # noqa: E402
+from stillwork.control import DigitalController  # noqa: E402
 from stillwork.control.applications import Application  # noqa: E402
 from stillwork.control.digital import anti_windup, observed_controller  # noqa: E402
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer  # noqa: E402
 from stillwork.control.pid import PidFamily  # noqa: E402
 from stillwork.estimation import FeRls, NoiseIntensities, adapt  # noqa: E402
 from stillwork.lti import ModalModel, simulate, tustin  # noqa: E402
+from stillwork.machine import adaptation_code, controller_code  # noqa: E402
 
 SAMPLES, SAMPLE_TIME = 50_000, 1e-4
 # The same linear controller with all its zeros, as a loop over matrices: what one writes by hand.

@@ -26,7 +26,7 @@ import numpy as np  # noqa: E402
 from scipy import linalg  # noqa: E402
 
 from stillwork.base.checks import InputError  # noqa: E402
-from stillwork.design.design import design_file  # noqa: E402
+from stillwork.machine.design import design_file  # noqa: E402
 
 LIMIT_DB = 6.01
 COUPLED = 1000  # the first number of machines with coupled dampers

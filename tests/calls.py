@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
-from stillwork import control, estimation, identification, lti, signals
+from stillwork import control, estimation, identification, lti, machine, signals
 from stillwork.estimation import robust
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
@@ -20,6 +20,7 @@ PACKAGES = {
     "identification": identification,
     "estimation": estimation,
     "control": control,
+    "machine": machine,
 }
 # No calls: made by the functions beside them, warnings and errors.
 RESULTS = {
@@ -69,7 +70,7 @@ def catalogue() -> dict:
     """Name to (callable, good arguments by name)."""
     rng = np.random.default_rng(5)
     noise = rng.standard_normal
-    signals, lti, i, e, c = map(_whole, PACKAGES.values())
+    signals, lti, i, e, c, m = map(_whole, PACKAGES.values())
     model = lti.ModalModel(
         np.array([0.0, 300.0, 900.0]), np.array([0.0, 0.01, 0.02]), np.array([[0.3], [0.4], [0.2]]),
         np.array([[0.3, -0.4, 0.2]]), np.zeros((1, 1)),
@@ -311,9 +312,9 @@ def catalogue() -> dict:
         "Application": (c.Application, fields(c.Application(True, 0.1, selectivity=2.0, high_pass_hz=1.0))),
         "DigitalController": (c.DigitalController, fields(digital)),
         "DigitalController.run": (digital.run, {"inputs": signal[None], "first": np.ones(1)}),
-        "adaptation_code": (c.adaptation_code, {"settings": e.FeRls(1.0), "actuators": 1, "regressors": 2, "name": "feed", "precision": "single"}),
+        "adaptation_code": (m.adaptation_code, {"settings": e.FeRls(1.0), "actuators": 1, "regressors": 2, "name": "feed", "precision": "single"}),
         "as_libraries": (c.as_libraries, {"controller": digital}),
-        "controller_code": (c.controller_code, {"controller": digital, "name": "loop", "precision": "single"}),
+        "controller_code": (m.controller_code, {"controller": digital, "name": "loop", "precision": "single"}),
         "load_controller": (c.load_controller, {"file": "missing.json"}),
         "Controller": (c.Controller, fields(controller)),
         "Mechanism": (c.Mechanism, fields(arm)),
@@ -373,7 +374,7 @@ def catalogue() -> dict:
         "linear_filter, window": (c.linear_filter, {"signal_filter": e.MovingWindow(), "sample_time": 1e-3}),
         "linear_filter, extended": (c.linear_filter, {"signal_filter": e.ExtendedKalman(plant), "sample_time": 1e-3}),
         "linear_loop": (c.linear_loop, {"plant": plant, "controller": controller, "sample_time": 1e-3, "position": 0.1, "velocity": 0.1}),
-        "loop_margins": (c.loop_margins, {"loop": search, "pid": pid(20.0)}),
+        "loop_margins": (m.loop_margins, {"loop": search, "pid": pid(20.0)}),
         "phased_loop": (c.phased_loop, {"loop": lone, "phased": phased, "place": place}),
         "phased_loops": (c.phased_loops, {"loops": (lone,), "phased": phased, "mirrors": (False,), "places": (place,)}),
         "make_loop": (c.make_loop, {"plant": model, "low_hz": 1.0, "high_hz": 1000.0, "points": 30, "around": 2}),

@@ -19,11 +19,11 @@ def main(arguments: list[str] | None = None) -> int:
 def new(kind: str, file: str) -> list[str]:
     """Write templates of machines (``new budget``) or of an isolator (``new isolate FILE``)."""
     if kind == "budget" and not file:
-        from stillwork.design.budget import new_budget
+        from stillwork.machine.budget import new_budget
 
         return new_budget()
     if kind == "isolate" and file:
-        from stillwork.design.isolate import new_file
+        from stillwork.machine.isolate import new_file
 
         return new_file(file)
     raise InputError(
@@ -68,12 +68,12 @@ _OF_A_LOOP = (
 COMMANDS = {
     "inspect": Command(
         "list what a file of yours holds and which commands and notebooks can use it",
-        "stillwork.design.inspect:inspect_file",
+        "stillwork.machine.inspect:inspect_file",
         (_file("your record, frequency response, machine or trajectory"),),
     ),
     "report": Command(
         "write a one-page report on your measurement; you are prompted for missing information",
-        "stillwork.design.report:report_asking",
+        "stillwork.machine.report:report_asking",
         (
             _file("measured machine, record, or power spectral densities"),
             option("--out", default="", metavar="PAGE", help="default: FILE.html in this folder"),
@@ -85,7 +85,7 @@ COMMANDS = {
     ),
     "design": Command(
         "design a controller for your machine: C code and a report page",
-        "stillwork.design.design:design_file",
+        "stillwork.machine.design:design_file",
         (
             option(
                 "files",
@@ -131,7 +131,7 @@ COMMANDS = {
     ),
     "isolate": Command(
         "design a self-tuned feedforward for your isolator and floor: C code, certificate and report page",
-        "stillwork.design.isolate:isolate_file",
+        "stillwork.machine.isolate:isolate_file",
         (
             option(
                 "machine",
@@ -159,7 +159,7 @@ COMMANDS = {
     ),
     "budget": Command(
         "compute how still a machine can be, what limits it and what to buy next, on one page",
-        "stillwork.design.budget:budget_file",
+        "stillwork.machine.budget:budget_file",
         (
             option("machine", type=named, metavar="MACHINE.toml", help="templates: stillwork new budget"),
             option("--floor", default="", metavar="FILE", help="record or spectral densities of your floor"),
@@ -179,7 +179,7 @@ COMMANDS = {
     ),
     "retest": Command(
         "check whether what a design promised holds on a new response; write a report page",
-        "stillwork.design.retest:retest_file",
+        "stillwork.machine.retest:retest_file",
         (
             option("controller", type=named, metavar="CONTROLLER.json", help="written by design"),
             _file("new measurement of the machine, in the same units"),
@@ -194,7 +194,7 @@ COMMANDS = {
     ),
     "desk": Command(
         "write a page on which you shape a loop by hand on a measurement, in any browser",
-        "stillwork.design.desk:desk_file",
+        "stillwork.machine.desk:desk_file",
         (
             option("file", nargs="?", default="", metavar="FILE", help="as for design; default: an example"),
             option("--out", default="", metavar="PAGE", help="default: FILE.html in this folder"),
@@ -205,7 +205,7 @@ COMMANDS = {
     ),
     "export": Command(
         "write a controller, or FeRls or FeLms, as C99 from a file",
-        "stillwork.design.export:export_file",
+        "stillwork.machine.export:export_file",
         (_file("controller.json, or TOML"), *_C_FOLDER),
     ),
     "contest": Command(

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
+from stillwork.machine.inspect import TABLES, outline, plant_form
 
 from experiments.fixedpoint.axes import COLOURS, LINES, NOMINAL, fill_range
 from experiments.fixedpoint.metrics import judge
@@ -36,7 +37,6 @@ from stillwork.control.transformation import (
     RobustTransformation,
     Transformation,
 )
-from stillwork.design.inspect import TABLES, outline, plant_form
 from stillwork.estimation.filtering import UNIT_MASS
 from stillwork.estimation.plant import Plant, force_slope
 from stillwork.signals.records import load_record

@@ -14,9 +14,9 @@ from stillwork.control.machine_loops import (
     observer_settings,
     observing_compensator,
 )
-from stillwork.design import design as designing
 from stillwork.identification.machine import Machine
 from stillwork.lti.peaks import resonance_grid
+from stillwork.machine import design as designing
 from workbook import figures
 
 

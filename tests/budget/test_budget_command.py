@@ -5,14 +5,7 @@ import re
 
 import numpy as np
 import pytest
-
-from stillwork.__main__ import main, new
-from stillwork.base.checks import InputError
-from stillwork.base.toml_files import read_toml
-from stillwork.control.digital import DigitalController
-from stillwork.control.error_budget import error_budget, tone_response
-from stillwork.control.pid import PidFamily
-from stillwork.design.budget import (
+from stillwork.machine.budget import (
     MACHINES,
     budget_file,
     machine_of,
@@ -20,6 +13,13 @@ from stillwork.design.budget import (
     new_budget,
     sources_of,
 )
+
+from stillwork.__main__ import main, new
+from stillwork.base.checks import InputError
+from stillwork.base.toml_files import read_toml
+from stillwork.control.digital import DigitalController
+from stillwork.control.error_budget import error_budget, tone_response
+from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import tustin
 
 

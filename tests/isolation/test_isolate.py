@@ -10,6 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import signal
+from stillwork.machine.inspect import inspect_file
+from stillwork.machine.isolate import isolate_file, new_file
 
 from naive.isolators import (
     FINE,
@@ -23,16 +25,14 @@ from naive.isolators import (
 )
 from shared.compiled import call, compiled, pointer
 from stillwork.base.checks import InputError
-from stillwork.control import isolation_design
-from stillwork.control.c_code import FADE, isolation_code
-from stillwork.control.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
-from stillwork.control.isolation_design import CUTOFFS_HZ, DRAWS, HIGHPASSES, LONGEST_S, RATIOS
 from stillwork.control.isolation_filters import NoiseShaping, weak_highpass
-from stillwork.design.inspect import inspect_file
-from stillwork.design.isolate import isolate_file, new_file
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Responses, mean_adaptation, scatter
-from stillwork.identification.path_fit import fit_path
+from stillwork.machine import isolation_design
+from stillwork.machine.c_code import FADE, isolation_code
+from stillwork.machine.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
+from stillwork.machine.isolation_design import CUTOFFS_HZ, DRAWS, HIGHPASSES, LONGEST_S, RATIOS
+from stillwork.machine.path_fit import fit_path
 from workbook import paths
 
 RATE = 1000.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from stillwork.machine.isolate import isolate_file
 
 from experiments.isolation.twin import load_twin
 from notebooks.isolation.your_floor import (
@@ -12,9 +13,8 @@ from notebooks.isolation.your_floor import (
     open_floor,
     residuals,
 )
-from stillwork.control import isolation_design
-from stillwork.control.isolation_design import floor_spectra
-from stillwork.design.isolate import isolate_file
+from stillwork.machine import isolation_design
+from stillwork.machine.isolation_design import floor_spectra
 from workbook import paths
 
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")

@@ -7,23 +7,23 @@ import re
 import numpy as np
 import pytest
 from scipy import signal
+from stillwork.machine.retest import retest_file
 
 from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.digital import from_biquads, load_controller
 from stillwork.control.feedforward import Feedforward, Motion
-from stillwork.control.machine_designs import INTENSITIES
 from stillwork.control.machine_loops import pid_family, reach
-from stillwork.control.machine_tuning import DesignSettings
 from stillwork.control.setpoint import MoveLimits
-from stillwork.design import design as designing
-from stillwork.design.design import WITHOUT_BIQUADS, design_file
-from stillwork.design.retest import retest_file
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine, stated_units
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import modal_model
+from stillwork.machine import design as designing
+from stillwork.machine.design import WITHOUT_BIQUADS, design_file
+from stillwork.machine.machine_designs import INTENSITIES
+from stillwork.machine.machine_tuning import DesignSettings
 from workbook import paths
 
 TEMPLATES = paths.data("motion", "your_machine")

@@ -8,6 +8,8 @@ import subprocess
 import numpy as np
 import pytest
 from scipy import signal
+from stillwork.machine.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine
+from stillwork.machine.desk_page import modules, offline_page
 
 from stillwork import control, lti
 from stillwork.__main__ import main
@@ -18,15 +20,13 @@ from stillwork.control.digital import error_driven, load_controller, runnable
 from stillwork.control.machine_loops import HELD, OF_ERROR, observing_compensator, on_measurement
 from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import Uncertainty, make_box
-from stillwork.design.design import design_file
-from stillwork.design.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine
-from stillwork.design.desk_page import modules, offline_page
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.lti.discretisation import prewarped
 from stillwork.lti.state_space import constant
+from stillwork.machine.design import design_file
 from workbook import paths
 
 DESIGNS = 200

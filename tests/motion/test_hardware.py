@@ -4,31 +4,31 @@ import re
 
 import numpy as np
 import pytest
+from stillwork.machine.hardware import QUANTISED, noise_rows, sensor_noise, single_rows
 
 from motion.true_machines import TrueMachine
 from shared.compiled import run_controller
 from stillwork.base.checks import InputError
-from stillwork.control import single_precision
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import make_loop
-from stillwork.control.c_code import controller_code
 from stillwork.control.digital import error_driven, load_controller, runnable, tied_to_error
 from stillwork.control.loop_noise import NOISE, NoiseBound, crossing_noise, noise_gain, written_noise
 from stillwork.control.machine_loops import Intensities, observed_loops, observer_settings, reach
 from stillwork.control.pid import PidFamily
-from stillwork.control.single_precision import (
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.identification.machine import build_machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.lti.modal import modal_model
+from stillwork.machine import single_precision
+from stillwork.machine.c_code import controller_code
+from stillwork.machine.design import checked_biquads, design_file
+from stillwork.machine.single_precision import (
     LOST_LITTLE,
     balanced_form,
     by_modes,
     in_single_precision,
     rounding_error,
 )
-from stillwork.design.design import checked_biquads, design_file
-from stillwork.design.hardware import QUANTISED, noise_rows, sensor_noise, single_rows
-from stillwork.estimation.observer import NoiseIntensities
-from stillwork.identification.machine import build_machine
-from stillwork.identification.machine_files import load_machine
-from stillwork.lti.modal import modal_model
 
 RATE = 2e3
 INERTIA, FRICTION = 3e-3, 2.0  # kg m^2, 1/s

@@ -10,9 +10,9 @@ from naive.precise_margins import judged_margins, sample_case
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import make_loop
 from stillwork.control.digital import runnable
-from stillwork.control.loop_margins import MARGINS, computed_numbers, loop_margins
 from stillwork.control.machine_loops import HELD, observed_loops
 from stillwork.control.pid import PidFamily
+from stillwork.machine.loop_margins import MARGINS, computed_numbers, loop_margins
 
 
 @pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 40), marks=pytest.mark.slow)])

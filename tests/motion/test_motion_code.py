@@ -13,7 +13,6 @@ from scipy import signal
 from shared.compiled import STRICT, call, compiled
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
-from stillwork.control.c_code import adaptation_code, controller_code
 from stillwork.control.digital import (
     HELD,
     INVALID,
@@ -32,6 +31,7 @@ from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
+from stillwork.machine.c_code import adaptation_code, controller_code
 
 pytestmark = pytest.mark.slow  # a compiler runs in each
 SAMPLE_TIME = 1e-4

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from stillwork.machine.retest import retest_file
 
 from motion.true_machines import CompiledLoop, TrueMachine, machine_of_matrices
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import make_loop
-from stillwork.control.machine_designs import stated_uncertainty
 from stillwork.control.phased_loops import phased_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
@@ -21,13 +21,13 @@ from stillwork.control.uncertainty import (
     uncertainty_of,
     worst_place,
 )
-from stillwork.design.design import design_file
-from stillwork.design.retest import retest_file
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.machine.design import design_file
+from stillwork.machine.machine_designs import stated_uncertainty
 
 RATE = 4e3
 ALLOWED_DB = 6.01

@@ -9,7 +9,7 @@ from stillwork import lti
 from stillwork.base.checks import InputError
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
-from stillwork.identification.readings import believed, build_explained
+from stillwork.machine.readings import believed, build_explained
 
 READINGS = [*product(("dB", "1"), ("deg", "rad"))]
 

@@ -9,9 +9,7 @@ import pytest
 from motion.true_machines import CompiledLoop, TrueMachine
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop
-from stillwork.control.c_code import controller_code
 from stillwork.control.digital import error_driven, runnable
-from stillwork.control.machine_designs import INTENSITIES
 from stillwork.control.machine_loops import (
     SAFE,
     applications,
@@ -20,7 +18,6 @@ from stillwork.control.machine_loops import (
     pid_family,
     reach,
 )
-from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
     EXCESS,
@@ -38,6 +35,9 @@ from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import modal_model
+from stillwork.machine.c_code import controller_code
+from stillwork.machine.machine_designs import INTENSITIES
+from stillwork.machine.machine_tuning import DesignSettings, tuned
 
 STIFFNESS = np.array([[3e7, -3e7, 0], [-3e7, 5e7, -2e7], [0, -2e7, 2e7]])
 CHAIN = modal_model(np.diag([20.0, 10, 10]), STIFFNESS, [[1.0], [0], [0]], [[0.0, 0, 1]], damping_ratio=0.005)

@@ -8,7 +8,6 @@ import pytest
 from shared.compiled import compiled, pointer, run_controller
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
-from stillwork.control.c_code import adaptation_code, controller_code
 from stillwork.control.digital import (
     HELD,
     INVALID,
@@ -27,6 +26,7 @@ from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
+from stillwork.machine.c_code import adaptation_code, controller_code
 
 SAMPLES = 100_000
 SAMPLE_TIME = 1e-4

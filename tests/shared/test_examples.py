@@ -12,7 +12,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-FOLDERS = ("signals", "lti", "identification", "estimation", "control")
+FOLDERS = ("signals", "lti", "identification", "estimation", "control", "machine")
 TOOLBOX = {name: import_module(f"stillwork.{name}") for name in FOLDERS}
 PUBLIC = [f"{folder}.{name}" for folder, package in TOOLBOX.items() for name in package.__all__]
 

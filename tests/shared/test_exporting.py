@@ -4,14 +4,14 @@ import json
 
 import numpy as np
 import pytest
+from stillwork.machine.export import write_folder
 
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
-from stillwork.control.c_code import adaptation_code, controller_code
 from stillwork.control.digital import DigitalController
-from stillwork.design.export import write_folder
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.lti.state_space import StateModel
+from stillwork.machine.c_code import adaptation_code, controller_code
 
 LAG = DigitalController(
     StateModel(np.array([[0.9]]), np.array([[0.1]]), np.array([[1.0]]), np.zeros((1, 1)), 1e-3), ("e (m)",), ("f (N)",)

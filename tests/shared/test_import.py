@@ -3,7 +3,7 @@ import sys
 
 import pytest
 
-TOOLBOX = ("base", "signals", "lti", "identification", "estimation", "control")
+TOOLBOX = ("base", "signals", "lti", "identification", "estimation", "control", "machine")
 HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "cvxpy", "numpy", "papermill")
 
 

@@ -7,7 +7,10 @@ import pytest
 from stillwork.base.extras import missing
 
 PACKAGES = [
-    *(f"stillwork.{name}" for name in ("signals", "lti", "identification", "estimation", "control")),
+    *(
+        f"stillwork.{name}"
+        for name in ("signals", "lti", "identification", "estimation", "control", "machine")
+    ),
     "workbook",
     *(f"experiments.{name}" for name in ("isolation", "motion", "fixedpoint")),
 ]

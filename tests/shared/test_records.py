@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
+from stillwork.machine.inspect import inspect_file
 
 from stillwork.base.checks import InputError
-from stillwork.design.inspect import inspect_file
 from stillwork.identification.machine_files import stated_units
 from stillwork.signals import datafiles
 from stillwork.signals.densities import read_densities, stated_density

@@ -359,7 +359,8 @@ PARTS = {
     ),  # by the regressor that holds the fitting triangle
     *("Numbers.terms", "Numbers.files"),  # by the functions that write C
 }
-FOLDERS = ("signals", "lti", "identification", "estimation", "control")
+FOLDERS = ("signals", "lti", "identification", "estimation", "control", "machine")
+COMMANDS = "budget design desk desk_page export hardware html_page inspect isolate noisy_peak pictures progress report retest".split()
 
 
 def public_callables():
@@ -367,6 +368,8 @@ def public_callables():
     for folder in FOLDERS:
         package = import_module(f"stillwork.{folder}")
         for each in pkgutil.iter_modules(package.__path__):
+            if folder == "machine" and each.name in COMMANDS:
+                continue
             module = import_module(f"{package.__name__}.{each.name}")
             for name, thing in list(vars(module).items()):
                 if name.startswith("_") or getattr(thing, "__module__", "") != module.__name__:

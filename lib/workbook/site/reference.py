@@ -14,7 +14,7 @@ from workbook import paths
 from workbook.site.mathematics import mathml
 
 # Each imports those before it.
-TOOLBOX = ("base", "signals", "lti", "identification", "estimation", "control")
+TOOLBOX = ("base", "signals", "lti", "identification", "estimation", "control", "machine")
 LIBRARY = Path(__file__).parents[2]
 # Modules of the workbook.
 FOR_NOTEBOOKS = ("__init__", "claims", "explorer", "figures", "page", "paths", "studies")

@@ -13,9 +13,22 @@ import stillwork
 from stillwork.base.checks import InputError, pluralise, require_array, require_number
 from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table, read_toml
-from stillwork.control.c_code import isolation_code, require_names
-from stillwork.control.isolation import FloorSpectra, Isolator
-from stillwork.control.isolation_design import (
+from stillwork.control.isolation_filters import FrequencyNotch
+from stillwork.estimation.adaptive import FeRls
+from stillwork.identification.machine_files import complex_responses, load_machine
+from stillwork.machine import pictures
+from stillwork.machine.c_code import isolation_code, require_names
+from stillwork.machine.export import require_free, write_folder
+from stillwork.machine.floor_checks import (
+    HEARD_HZ,
+    SLOW_HZ,
+    require_floor_level,
+    sensor_faults,
+    slow_ratio,
+)
+from stillwork.machine.html_page import page, picture, table
+from stillwork.machine.isolation import FloorSpectra, Isolator
+from stillwork.machine.isolation_design import (
     DRAWS,
     HIGHEST_PHASE,
     HIGHEST_SENSITIVITY_DB,
@@ -28,23 +41,10 @@ from stillwork.control.isolation_design import (
     floor_spectra,
     predict,
 )
-from stillwork.control.isolation_filters import FrequencyNotch
-from stillwork.design import pictures
-from stillwork.design.export import require_free, write_folder
-from stillwork.design.html_page import page, picture, table
-from stillwork.estimation.adaptive import FeRls
-from stillwork.identification.machine_files import complex_responses, load_machine
-from stillwork.identification.path_fit import PathFit, fit_path
+from stillwork.machine.path_fit import PathFit, fit_path
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import density_unit, read_densities, stated_density
-from stillwork.signals.floor_checks import (
-    HEARD_HZ,
-    SLOW_HZ,
-    require_floor_level,
-    sensor_faults,
-    slow_ratio,
-)
 from stillwork.signals.records import PASS_SHARE, load_record, to_acceleration
 from stillwork.signals.spectra import estimate_spectrum
 

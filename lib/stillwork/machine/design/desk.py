@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from stillwork.base.checks import InputError, require_number
-from stillwork.control.machine_designs import UNCERTAINTY, stated_uncertainty
 from stillwork.control.uncertainty import NAMES, uncertainty_of
-from stillwork.design.desk_page import offline_page
-from stillwork.design.html_page import require_new
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine
-from stillwork.identification.readings import believed
 from stillwork.lti.modal import ModalModel
+from stillwork.machine.desk_page import offline_page
+from stillwork.machine.html_page import require_new
+from stillwork.machine.machine_designs import UNCERTAINTY, stated_uncertainty
+from stillwork.machine.readings import believed
 
 MOST_LINES = 2000  # of a measurement that a page holds
 NEAR = 12.0  # half widths either side of a resonance, within which every line is kept

@@ -22,10 +22,10 @@ from stillwork.base.checks import (
 from stillwork.base.validation import checked
 from stillwork.control.digital import DigitalController, without_dead_states
 from stillwork.control.feedforward import Motion
-from stillwork.control.isolation import POWERS, FeedforwardLoop
 from stillwork.control.setpoint import HALVINGS
-from stillwork.control.single_precision import in_single_precision, kept_states
 from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.machine.isolation import POWERS, FeedforwardLoop
+from stillwork.machine.single_precision import in_single_precision, kept_states
 
 TEMPLATES = Path(__file__).parent / "c99"
 PRECISIONS: dict[str, Any] = {"double": np.float64, "single": np.float32}
@@ -66,7 +66,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     Examples
     --------
     >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
-    >>> files = control.controller_code(control.DigitalController(pid, ("e (m)",), ("f (N)",)), "pid")
+    >>> files = machine.controller_code(control.DigitalController(pid, ("e (m)",), ("f (N)",)), "pid")
     >>> sorted(files), "pid_step(" in files["pid.c"]
     (['pid.c', 'pid.h'], True)
     """
@@ -181,7 +181,7 @@ def adaptation_code(
 
     Examples
     --------
-    >>> sorted(control.adaptation_code(estimation.FeRls(1e3), 6, 9, "feed"))
+    >>> sorted(machine.adaptation_code(estimation.FeRls(1e3), 6, 9, "feed"))
     ['feed.c', 'feed.h']
     """
     write = Numbers(name, precision)

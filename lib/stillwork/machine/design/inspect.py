@@ -70,7 +70,7 @@ def _toml(path: Path) -> Iterator[str]:
     if "isolator" not in table:
         yield f"{path.name}: the measured response {one_line(str(table['response']))} of an isolator"
     else:
-        from stillwork.design.isolate import read_isolator
+        from stillwork.machine.isolate import read_isolator
 
         try:
             isolator, *_ = read_isolator(str(path), 1000.0)  # of the rate nothing here depends on

@@ -68,7 +68,7 @@ def loop_margins(loop: Loop, pid: Pid, written: StateModel | None = None) -> dic
     --------
     >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
     >>> loop, pid = control.make_loop(mass, sample_time=1e-4, delay=1), control.PidFamily(10.0)(50.0)
-    >>> found = control.loop_margins(loop, pid)
+    >>> found = machine.loop_margins(loop, pid)
     >>> {name: round(found[name], 3) for name in ("crossing_hz", "gain_margin", "phase_margin", "modulus_margin")}
     {'crossing_hz': 52.49, 'gain_margin': 2.84, 'phase_margin': 34.334, 'modulus_margin': 0.497}
     """

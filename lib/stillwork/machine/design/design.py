@@ -13,7 +13,6 @@ import stillwork
 from stillwork.base.checks import InputError, one_line, pluralise, require_number
 from stillwork.base.extras import require_package
 from stillwork.control.bandwidth import SIX_DB, Loop
-from stillwork.control.c_code import controller_code, require_names
 from stillwork.control.digital import (
     DigitalController,
     equivalent_biquads,
@@ -24,16 +23,7 @@ from stillwork.control.digital import (
     tied_to_error,
 )
 from stillwork.control.feedforward import motion_of
-from stillwork.control.loop_margins import computed_numbers
 from stillwork.control.loop_noise import SHARE
-from stillwork.control.machine_designs import (
-    DELAY,
-    EACH,
-    Designed,
-    reach_one,
-    search_designs,
-    stated_uncertainty,
-)
 from stillwork.control.machine_loops import (
     HELD,
     OF_ERROR,
@@ -42,13 +32,17 @@ from stillwork.control.machine_loops import (
     encirclement_difference,
     search_range,
 )
-from stillwork.control.machine_tuning import DesignSettings
 from stillwork.control.phased_loops import phased_loops, phased_places
 from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES, Uncertainty, make_box
-from stillwork.design import pictures
-from stillwork.design.export import require_free, write_folder
-from stillwork.design.hardware import (
+from stillwork.identification.machine import TURNED, Machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.identification.modal_fit import ModalFit
+from stillwork.lti.modal import ModalModel
+from stillwork.machine import pictures
+from stillwork.machine.c_code import controller_code, require_names
+from stillwork.machine.export import require_free, write_folder
+from stillwork.machine.hardware import (
     ALLOWED_DB,
     noise_rows,
     own_functions,
@@ -57,13 +51,19 @@ from stillwork.design.hardware import (
     sensor_noise,
     single_rows,
 )
-from stillwork.design.html_page import page, picture, table
-from stillwork.design.progress import count_steps
-from stillwork.identification.machine import TURNED, Machine
-from stillwork.identification.machine_files import load_machine
-from stillwork.identification.modal_fit import ModalFit
-from stillwork.identification.readings import build_explained
-from stillwork.lti.modal import ModalModel
+from stillwork.machine.html_page import page, picture, table
+from stillwork.machine.loop_margins import computed_numbers
+from stillwork.machine.machine_designs import (
+    DELAY,
+    EACH,
+    Designed,
+    reach_one,
+    search_designs,
+    stated_uncertainty,
+)
+from stillwork.machine.machine_tuning import DesignSettings
+from stillwork.machine.progress import count_steps
+from stillwork.machine.readings import build_explained
 
 MOST_LATE = 20  # samples either way, of a delay's uncertainty
 USES = 5  # that are searched

@@ -11,12 +11,6 @@ from scipy import integrate
 
 from stillwork.base.checks import InputError, one_line, pluralise
 from stillwork.base.extras import require_package
-from stillwork.control.machine_designs import DELAY, EACH, search_designs, stated_uncertainty
-from stillwork.design import pictures
-from stillwork.design.design import USES, paint_machine, paint_stabilisation, uses_table
-from stillwork.design.html_page import page, picture, require_new, table
-from stillwork.design.inspect import inspect_file
-from stillwork.design.progress import count_steps
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import (
     complex_responses,
@@ -24,7 +18,13 @@ from stillwork.identification.machine_files import (
     load_machine,
     stated_units,
 )
-from stillwork.identification.readings import believed
+from stillwork.machine import pictures
+from stillwork.machine.design import USES, paint_machine, paint_stabilisation, uses_table
+from stillwork.machine.html_page import page, picture, require_new, table
+from stillwork.machine.inspect import inspect_file
+from stillwork.machine.machine_designs import DELAY, EACH, search_designs, stated_uncertainty
+from stillwork.machine.progress import count_steps
+from stillwork.machine.readings import believed
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import (
     DENSITY_UNITS_TEXT,

@@ -6,10 +6,10 @@ from tempfile import TemporaryDirectory
 
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.toml_files import Table, read_toml
-from stillwork.control.c_code import adaptation_code, controller_code
 from stillwork.control.digital import load_controller
-from stillwork.design.html_page import require_writable
 from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.machine.c_code import adaptation_code, controller_code
+from stillwork.machine.html_page import require_writable
 
 ADAPTATIONS = {"FeRls": FeRls, "FeLms": FeLms}
 

@@ -17,17 +17,17 @@ from stillwork.control.digital import DigitalController, in_units, load_controll
 from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference, on_measurement
 from stillwork.control.pid import Notch, Pid
 from stillwork.control.uncertainty import NORMAL
-from stillwork.design import pictures
-from stillwork.design.hardware import ALLOWED_DB, own_functions
-from stillwork.design.html_page import page, picture, require_new, table
-from stillwork.design.inspect import inspect_file
-from stillwork.design.noisy_peak import ABOUT, largest
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine, load_ratio
-from stillwork.identification.readings import believed
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
+from stillwork.machine import pictures
+from stillwork.machine.hardware import ALLOWED_DB, own_functions
+from stillwork.machine.html_page import page, picture, require_new, table
+from stillwork.machine.inspect import inspect_file
+from stillwork.machine.noisy_peak import ABOUT, largest
+from stillwork.machine.readings import believed
 
 AROUND = 1.5  # the crossing: lines from which the gain of a machine in its loop is read
 INSIDE = "in the box"

@@ -12,15 +12,6 @@ from scipy import signal
 from stillwork.base.bounds import Natural, Positive, within
 from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.base.validation import by_value, check_fields, checked
-from stillwork.control.isolation import (
-    Certificate,
-    FeedforwardLoop,
-    FloorSpectra,
-    Isolator,
-    encirclements,
-    path_angle,
-    red_number,
-)
 from stillwork.control.isolation_filters import FrequencyNotch, NoiseShaping
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import (
@@ -31,6 +22,15 @@ from stillwork.estimation.mean_adaptation import (
     mean_adaptation,
     scatter,
     sum_kronecker,
+)
+from stillwork.machine.isolation import (
+    Certificate,
+    FeedforwardLoop,
+    FloorSpectra,
+    Isolator,
+    encirclements,
+    path_angle,
+    red_number,
 )
 from stillwork.signals.levels import expected_peak, next_rms
 

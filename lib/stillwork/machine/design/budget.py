@@ -31,10 +31,10 @@ from stillwork.control.error_budget import (
 )
 from stillwork.control.floor_machine import COMMANDS, DISTURBANCES, MEASUREMENTS, FloorMachine, force_law
 from stillwork.control.pid import Pid, PidFamily
-from stillwork.design import pictures
-from stillwork.design.html_page import page, picture, table
-from stillwork.design.retest import model_of
 from stillwork.lti.modal import ModalModel
+from stillwork.machine import pictures
+from stillwork.machine.html_page import page, picture, table
+from stillwork.machine.retest import model_of
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.densities import agreed_density, density_unit, frequency_axis, hertz_in, read_densities
 from stillwork.signals.records import Record, is_time, load_record, to_acceleration

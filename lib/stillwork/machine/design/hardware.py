@@ -12,7 +12,7 @@ from stillwork.control.bandwidth import Loop
 from stillwork.control.digital import DigitalController
 from stillwork.control.loop_noise import RATIO, SHARE, NoiseBound, crossing_noise, written_noise
 from stillwork.control.pid import Pid
-from stillwork.control.single_precision import in_single_precision
+from stillwork.machine.single_precision import in_single_precision
 
 ALLOWED_DB = 6.01  # of a loop that is written; the search keeps 6 dB
 QUANTISED = 1 / np.sqrt(12)  # rms of the rounding to whole counts

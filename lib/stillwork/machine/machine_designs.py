@@ -19,9 +19,9 @@ from stillwork.control.machine_loops import (
     reach,
     search_range,
 )
-from stillwork.control.machine_tuning import DesignSettings, tuned, varied
 from stillwork.control.uncertainty import ABSOLUTE, NAMES, Uncertainty, require_shares, uncertainty_of
 from stillwork.identification.machine import Machine, remove_delay
+from stillwork.machine.machine_tuning import DesignSettings, tuned, varied
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
 INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)

@@ -85,7 +85,7 @@ def require_explained(
     >>> free = {"M": np.diag([8.0, 2.0]), "K": [[1e6, -1e6], [-1e6, 1e6]], "input": [1.0, 0.0]}
     >>> np.savez("stage.npz", **free)
     >>> file = identification.load_machine("stage.npz")
-    >>> identification.require_explained("stage.npz", file, None, (0, 0), {})  # matrices have no other reading
+    >>> machine.require_explained("stage.npz", file, None, (0, 0), {})  # matrices have no other reading
     """
     if file.accelerance is None:
         return
