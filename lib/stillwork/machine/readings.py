@@ -1,7 +1,7 @@
 """What a machine's file was taken for, and whether another reading of its columns explains the response better."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
 
@@ -56,7 +56,7 @@ def require_explained(
     path: str | Path,
     file: MachineFile,
     machine: Machine | None,
-    fit_hz: Sequence[float],
+    fit_hz: tuple[float, float],
     options: Mapping,
 ) -> None:
     """Refuse a measurement that its model does not explain, or that another reading of its columns explains better.
@@ -108,7 +108,7 @@ def build_explained(
     path: str | Path,
     file: MachineFile,
     *,
-    fit_hz: Sequence[float],
+    fit_hz: tuple[float, float],
     mirrored_sensor: bool,
     options: Mapping,
 ) -> Machine:
