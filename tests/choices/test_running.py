@@ -163,7 +163,7 @@ def test_another_checkout_on_a_worker_is_refused(workbook, tmp_path, monkeypatch
 def command(root, *arguments):
     """``python -m workbook choices`` on the toy, ended at the end with all it started."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "stillwork", "choices", "motion", *arguments],
+        [sys.executable, "-m", "workbook", "choices", "motion", *arguments],
         env=toy_work.environment(root),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -201,7 +201,7 @@ def table(printed: str) -> dict[str, str]:
         ("*ruff*check\\ .", ["style"]),
         ("*mypy*", ["types"]),
         ("*pytest\\ tests\\ *", ["unit tests"]),
-        ("*stillwork*figures*", ["build"]),
+        ("*workbook*figures*", ["build"]),
         ("*", PARTS),
     ],
 )

@@ -117,7 +117,7 @@ class Toy:
         }
 
     def command(self, *arguments: str) -> list[str]:
-        return [sys.executable, "-m", "stillwork", *arguments]
+        return [sys.executable, "-m", "workbook", *arguments]
 
     def git(self, *arguments: str) -> str:
         identity = ["-c", "user.name=toy", "-c", "user.email=toy@example.org"]
