@@ -85,7 +85,7 @@ def test_a_page_that_cannot_be_drawn_is_told_before_anything_is_computed(wheel, 
 
 @pytest.mark.slow
 # Those of the site need packages that a wheel alone lacks, too.
-@pytest.mark.parametrize("command", "contest claims doctor figures accept refresh site".split())
+@pytest.mark.parametrize("command", "contest claims site".split())
 def test_other_commands_say_what_they_miss(wheel, tmp_path, command):
     done = _run(wheel, tmp_path, command)
     told = "set STILLWORK_ROOT to one, or begin one"
