@@ -177,17 +177,17 @@ def catalogue() -> dict:
         state.a, np.ones((2, 3)), np.ones((3, 2)), np.array([[0, 0, 0.0], [0, 0, 1.0], [0, 1.0, 0]])
     )
     regular = lti.GeneralisedPlant(posed, 2, 2)
-    isolator = c.Isolator(
+    isolator = m.Isolator(
         np.array([[10.0]]), np.array([[20.0]]), np.array([[4e4]]), np.eye(1), 900.0, 1e-3, 1e-5, 1e-5
     )
     lines_hz = np.linspace(0.5, 125.0, 250)
-    ground = c.binned(lines_hz, np.full((250, 1, 1), 1e-6), 60.0, "record.csv")
-    feedforward = c.FeedforwardLoop(1000.0, 200.0, 1.0, 100.0, c.NoiseShaping(4.0, 60.0, 3), isolator)
+    ground = m.binned(lines_hz, np.full((250, 1, 1), 1e-6), 60.0, "record.csv")
+    feedforward = m.FeedforwardLoop(1000.0, 200.0, 1.0, 100.0, c.NoiseShaping(4.0, 60.0, 3), isolator)
 
     def isolator_paths(f):
         return isolator.paths(f, 1e-3)
 
-    isolated = c.try_loop(feedforward, isolator, isolator_paths, ground, "FeRls", 0.1)
+    isolated = m.try_loop(feedforward, isolator, isolator_paths, ground, "FeRls", 0.1)
     two = {"u": rows[:1, :20], "y": rows[1:2, :20]}
     impulse = {"force": noise((2, 128)), "response": noise((2, 128)), "rate": 100.0}
     return {
@@ -408,17 +408,17 @@ def catalogue() -> dict:
         "SlotineLi": (c.SlotineLi, fields(adaptive)),
         "regressor": (c.regressor, {"mechanism": arm, "position": np.zeros(2), "velocity": np.ones(2), "reference": np.ones(2), "acceleration": np.ones(2)}),
         "simulate_adaptive": (c.simulate_adaptive, {"plant": arm, "law": adaptive, "trajectories": [trajectory] * 2, "noise": 1e-6 * np.array([noise(100), noise(100)]), "start": np.zeros((2, 2)), "bound": 10.0, "disturbance": np.ones((2, 100)), "change": (0.05, np.array([3.0]))}),
-        "isolation_code": (c.isolation_code, {"loop": feedforward, "settings": isolated.settings, "weights": isolated.steady.weights, "limit": 50.0, "pause_s": 0.1, "name": "iso", "precision": "single"}),
-        "FeedforwardLoop": (c.FeedforwardLoop, fields(feedforward)),
+        "isolation_code": (m.isolation_code, {"loop": feedforward, "settings": isolated.settings, "weights": isolated.steady.weights, "limit": 50.0, "pause_s": 0.1, "name": "iso", "precision": "single"}),
+        "FeedforwardLoop": (m.FeedforwardLoop, fields(feedforward)),
         "FeedforwardLoop.responses": (feedforward.responses, dict(zip(("primary", "secondary", "frequencies_hz"), (*isolator_paths(lines_hz)[::2], lines_hz), strict=True))),
-        "Isolator": (c.Isolator, fields(isolator)),
-        "FloorSpectra": (c.FloorSpectra, fields(ground)),
-        "binned": (c.binned, {"f": lines_hz, "density": np.full((250, 1, 1), 1e-6 + 0j), "duration": 60.0, "source": "record.csv", "bursts": (1.0, 1.0)}),
-        "floor_spectra": (c.floor_spectra, {"acceleration": noise((1, 600)), "sample_rate": 100.0, "source": "record.csv", "resolution_hz": 1.0, "slow_hz": 0.2}),
-        "choose_beta": (c.choose_beta, {"loop": feedforward, "floor": ground}),
-        "try_loop": (c.try_loop, {"loop": feedforward, "isolator": isolator, "paths_of": isolator_paths, "floor": ground, "algorithm": "FeLms", "variance": 0.1, "step": 1e-4}),
-        "design_isolation": (lambda **named: c.design_isolation(**named)[0], {"isolator": isolator, "floor": ground, "rate": 1000.0, "band_hz": (4.0, 60.0), "notches": (), "algorithm": "FeRls", "variance": 0.1, "spread": 0.01, "seed": 1}),
-        "predict": (c.predict, {"design": isolated, "around": [isolated], "isolator": isolator, "floor": ground, "seed": 1}),
+        "Isolator": (m.Isolator, fields(isolator)),
+        "FloorSpectra": (m.FloorSpectra, fields(ground)),
+        "binned": (m.binned, {"f": lines_hz, "density": np.full((250, 1, 1), 1e-6 + 0j), "duration": 60.0, "source": "record.csv", "bursts": (1.0, 1.0)}),
+        "floor_spectra": (m.floor_spectra, {"acceleration": noise((1, 600)), "sample_rate": 100.0, "source": "record.csv", "resolution_hz": 1.0, "slow_hz": 0.2}),
+        "choose_beta": (m.choose_beta, {"loop": feedforward, "floor": ground}),
+        "try_loop": (m.try_loop, {"loop": feedforward, "isolator": isolator, "paths_of": isolator_paths, "floor": ground, "algorithm": "FeLms", "variance": 0.1, "step": 1e-4}),
+        "design_isolation": (lambda **named: m.design_isolation(**named)[0], {"isolator": isolator, "floor": ground, "rate": 1000.0, "band_hz": (4.0, 60.0), "notches": (), "algorithm": "FeRls", "variance": 0.1, "spread": 0.01, "seed": 1}),
+        "predict": (m.predict, {"design": isolated, "around": [isolated], "isolator": isolator, "floor": ground, "seed": 1}),
         "weak_highpass": (c.weak_highpass, {"order": 3, "cutoff": 3.0, "times": 2, "sample_time": 1e-3}),
         "noise_shaping": (c.noise_shaping, {"shaping": feedforward.shaping, "path": feedforward.path, "sample_time": 1e-3}),
         "inverse_secondary_shaping": (c.inverse_secondary_shaping, {"shaping": feedforward.shaping, "path": feedforward.path, "sample_time": 1e-3, "estimate": feedforward.path}),
