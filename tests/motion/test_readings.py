@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from stillwork import lti
 from stillwork.base.checks import InputError
@@ -80,3 +81,22 @@ def test_what_is_believed_is_one_line(tmp_path):
     assert believed(file, machine) == (
         "8 kg, modes at 200 and 500 Hz; frequency from rad/s, magnitude in dB re 1 m/N, phase in degrees (default, not written)"
     )
+
+
+def test_records_that_still_ring_at_their_ends_are_refused(tmp_path):
+    """8 kg with lightly damped modes, hit for half a second: SciPy's sampled response to a half sine of 2 ms."""
+    rate, samples = 5000, 2500
+    force = np.zeros(samples)
+    force[50:60] = 100 * np.sin(np.pi * np.arange(10) / 10)
+    rows = force / 8
+    for hertz, share in ((40.0, 0.9), (95.0, 0.7)):
+        omega = 2 * np.pi * hertz
+        path = signal.cont2discrete(
+            ([share / 8, 0, 0], [1, 2 * 0.001 * omega, omega**2]), 1 / rate, method="bilinear"
+        )
+        rows = rows + signal.lfilter(np.ravel(path[0]), np.ravel(path[1]), force)
+    assert np.abs(rows[-250:]).max() > 0.2 * np.abs(rows).max()
+    hits = {"force (N)": np.stack([force, force]), "acceleration (m/s^2)": np.stack([rows, 1.001 * rows])}
+    np.savez(tmp_path / "ringing.npz", fs=float(rate), **hits)
+    with pytest.raises(InputError, match="off by"):
+        explained(tmp_path / "ringing.npz")

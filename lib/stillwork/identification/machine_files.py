@@ -25,6 +25,7 @@ FORMS = (
 PADDING = 4  # lengths of a record that has died out: zeros appended to it give a finer grid
 LONGEST_HIT = 0.2  # part of a record during which the force may exceed a tenth of its peak
 COHERENCE_ROUNDING = 1e-3  # by which a coherence may exceed 1
+CUT_OFF = "the cut widens its resonances"  # of records that still ring at their ends
 DIED_OUT = 0.02  # of the peak, what the last tenth of a record may still hold
 _SILENT = ("frequency", "time", "rate", "phase", "coherence")  # their units are none of a machine's
 
@@ -416,8 +417,8 @@ def _from_hammer(
         )
     else:
         notes.append(
-            f"the response still holds {100 * tail.max():.0f} % of its peak at the end of a record: the cut "
-            "widens its resonances; record longer"
+            f"the response still holds {100 * tail.max():.0f} % of its peak at the end of a record: "
+            f"{CUT_OFF}; record longer"
         )
     readings = [Reading("force", "", name, False) for name in forces]
     readings += [Reading("response", "", name, False) for name in responses]
