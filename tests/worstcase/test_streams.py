@@ -150,6 +150,13 @@ def test_a_million_rests_are_survived(rest):
     assert np.append(stream.coef_, stream.intercept_) == pytest.approx(expected, abs=1e-5)
 
 
+def test_single_precision_keeps_its_digits():
+    X, y = record(4)
+    narrow = (X + 100).astype(np.float32), y.astype(np.float32)
+    wide = RecursiveLeastSquares().fit(*(each.astype(float) for each in narrow))
+    assert np.array_equal(RecursiveLeastSquares().fit(*narrow).coef_, wide.coef_)
+
+
 def test_the_covariance_is_that_of_the_normal_equations():
     X, y = record(5)
     root = np.sqrt(0.97 ** np.arange(len(X) - 1, -1, -1))
