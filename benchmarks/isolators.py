@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 from scipy import signal
-from stillwork.machine.isolate import isolate_file
 
 from stillwork.base.checks import InputError
 from stillwork.control.isolation_filters import NoiseShaping
 from stillwork.estimation.mean_adaptation import scatter
 from stillwork.machine.c_code import isolation_code
+from stillwork.machine.isolate import isolate_file
 from stillwork.machine.isolation import FeedforwardLoop, Isolator
 from stillwork.machine.isolation_design import binned, choose_beta, try_loop
 from workbook import paths

@@ -4,12 +4,12 @@ from dataclasses import replace
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from stillwork.machine.budget import MachineFile, new_budget, open_machine
 
 from experiments.budget.waterfall import paint_waterfall
 from stillwork.control.budget_sources import criterion_floor
 from stillwork.control.error_budget import UnstableLoop, error_budget
 from stillwork.control.pid import Pid, PidFamily
+from stillwork.machine.budget import MachineFile, new_budget, open_machine
 from workbook import figures
 
 

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from stillwork.machine.inspect import TABLES, outline, plant_form
 
 from experiments.fixedpoint.axes import COLOURS, LINES, NOMINAL, fill_range
 from experiments.fixedpoint.metrics import judge
@@ -39,6 +38,7 @@ from stillwork.control.transformation import (
 )
 from stillwork.estimation.filtering import UNIT_MASS
 from stillwork.estimation.plant import Plant, force_slope
+from stillwork.machine.inspect import TABLES, outline, plant_form
 from stillwork.signals.records import load_record
 from workbook import figures, paths
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
-from stillwork.machine.isolate import SLOWEST_HZ, answer, at_sensors, facts_of, read_floor
 
 from experiments.isolation.recorded_floors import ground_spectrum
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_number
 from stillwork.estimation.mean_adaptation import mean_adaptation
+from stillwork.machine.isolate import SLOWEST_HZ, answer, at_sensors, facts_of, read_floor
 from stillwork.machine.isolation import FloorSpectra, Isolator
 from stillwork.machine.isolation_design import (
     IsolationDesign,

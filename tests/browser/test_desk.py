@@ -12,11 +12,11 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
-from stillwork.machine.desk_page import offline_page, shipped_machines
 
 from browser.test_pages import CONTRAST, MISFITS
 from motion.true_machines import CompiledLoop, TrueMachine
 from stillwork.__main__ import main
+from stillwork.machine.desk_page import offline_page, shipped_machines
 from workbook import paths
 
 PATIENCE = 120  # s, of a busy machine

@@ -5,14 +5,6 @@ import re
 
 import numpy as np
 import pytest
-from stillwork.machine.budget import (
-    MACHINES,
-    budget_file,
-    machine_of,
-    measured_at,
-    new_budget,
-    sources_of,
-)
 
 from stillwork.__main__ import main, new
 from stillwork.base.checks import InputError
@@ -21,6 +13,14 @@ from stillwork.control.digital import DigitalController
 from stillwork.control.error_budget import error_budget, tone_response
 from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import tustin
+from stillwork.machine.budget import (
+    MACHINES,
+    budget_file,
+    machine_of,
+    measured_at,
+    new_budget,
+    sources_of,
+)
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stillwork.machine.inspect import outline
 
 from experiments.fixedpoint import Noise
 from experiments.fixedpoint.noise import drop_samples
@@ -25,6 +24,7 @@ from notebooks.fixedpoint.your_plant import (
 )
 from stillwork.base.checks import InputError
 from stillwork.control.trajectory import sine_trajectory
+from stillwork.machine.inspect import outline
 from workbook import paths
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")

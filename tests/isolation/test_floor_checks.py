@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from stillwork.machine.isolate import SLOWEST_HZ, read_floor
 
 from naive.isolators import coloured
+from stillwork.machine.isolate import SLOWEST_HZ, read_floor
 from stillwork.machine.isolation_design import floor_spectra
 
 RATE = 200.0

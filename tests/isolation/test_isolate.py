@@ -10,8 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import signal
-from stillwork.machine.inspect import inspect_file
-from stillwork.machine.isolate import isolate_file, new_file
 
 from naive.isolators import (
     FINE,
@@ -30,6 +28,8 @@ from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Responses, mean_adaptation, scatter
 from stillwork.machine import isolation_design
 from stillwork.machine.c_code import FADE, isolation_code
+from stillwork.machine.inspect import inspect_file
+from stillwork.machine.isolate import isolate_file, new_file
 from stillwork.machine.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
 from stillwork.machine.isolation_design import CUTOFFS_HZ, DRAWS, HIGHPASSES, LONGEST_S, RATIOS
 from stillwork.machine.path_fit import fit_path

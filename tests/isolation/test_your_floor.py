@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from stillwork.machine.isolate import isolate_file
 
 from experiments.isolation.twin import load_twin
 from notebooks.isolation.your_floor import (
@@ -14,6 +13,7 @@ from notebooks.isolation.your_floor import (
     residuals,
 )
 from stillwork.machine import isolation_design
+from stillwork.machine.isolate import isolate_file
 from stillwork.machine.isolation_design import floor_spectra
 from workbook import paths
 

@@ -7,7 +7,6 @@ import re
 import numpy as np
 import pytest
 from scipy import signal
-from stillwork.machine.retest import retest_file
 
 from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
@@ -24,6 +23,7 @@ from stillwork.machine import design as designing
 from stillwork.machine.design import WITHOUT_BIQUADS, design_file
 from stillwork.machine.machine_designs import INTENSITIES
 from stillwork.machine.machine_tuning import DesignSettings
+from stillwork.machine.retest import retest_file
 from workbook import paths
 
 TEMPLATES = paths.data("motion", "your_machine")

@@ -8,8 +8,6 @@ import subprocess
 import numpy as np
 import pytest
 from scipy import signal
-from stillwork.machine.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine
-from stillwork.machine.desk_page import modules, offline_page
 
 from stillwork import control, lti
 from stillwork.__main__ import main
@@ -27,6 +25,8 @@ from stillwork.identification.machine_files import load_machine
 from stillwork.lti.discretisation import prewarped
 from stillwork.lti.state_space import constant
 from stillwork.machine.design import design_file
+from stillwork.machine.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine
+from stillwork.machine.desk_page import modules, offline_page
 from workbook import paths
 
 DESIGNS = 200

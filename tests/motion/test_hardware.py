@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-from stillwork.machine.hardware import QUANTISED, noise_rows, sensor_noise, single_rows
 
 from motion.true_machines import TrueMachine
 from shared.compiled import run_controller
@@ -22,6 +21,7 @@ from stillwork.lti.modal import modal_model
 from stillwork.machine import single_precision
 from stillwork.machine.c_code import controller_code
 from stillwork.machine.design import checked_biquads, design_file
+from stillwork.machine.hardware import QUANTISED, noise_rows, sensor_noise, single_rows
 from stillwork.machine.single_precision import (
     LOST_LITTLE,
     balanced_form,

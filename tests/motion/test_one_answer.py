@@ -5,13 +5,13 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
-from stillwork.machine.report import report_file
 
 import workbook
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.machine.design import design_file
 from stillwork.machine.machine_designs import default_rate, stated_uncertainty
+from stillwork.machine.report import report_file
 from workbook import paths
 
 RATE, DELAY, UNCERTAINTY = 8e3, 0.5, "frequency=0.03,gain=0.1"

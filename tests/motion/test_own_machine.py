@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stillwork.machine.retest import retest_file
 
 from motion.true_machines import CompiledLoop, TrueMachine, machine_of_matrices
 from stillwork.__main__ import main
@@ -28,6 +27,7 @@ from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.machine.design import design_file
 from stillwork.machine.machine_designs import stated_uncertainty
+from stillwork.machine.retest import retest_file
 
 RATE = 4e3
 ALLOWED_DB = 6.01

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from stillwork.machine.export import write_folder
 
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
@@ -12,6 +11,7 @@ from stillwork.control.digital import DigitalController
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.lti.state_space import StateModel
 from stillwork.machine.c_code import adaptation_code, controller_code
+from stillwork.machine.export import write_folder
 
 LAG = DigitalController(
     StateModel(np.array([[0.9]]), np.array([[0.1]]), np.array([[1.0]]), np.zeros((1, 1)), 1e-3), ("e (m)",), ("f (N)",)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stillwork.machine.desk_page import modules
-from stillwork.machine.inspect import inspect_file
 
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 from stillwork.identification.machine_files import load_machine, load_ratio
+from stillwork.machine.desk_page import modules
+from stillwork.machine.inspect import inspect_file
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import read_densities
 from stillwork.signals.headings import column_unit, heading

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
-from stillwork.machine.inspect import inspect_file
 
 from stillwork.base.checks import InputError
 from stillwork.identification.machine_files import stated_units
+from stillwork.machine.inspect import inspect_file
 from stillwork.signals import datafiles
 from stillwork.signals.densities import read_densities, stated_density
 from stillwork.signals.records import (

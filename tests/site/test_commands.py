@@ -9,12 +9,12 @@ from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
-from stillwork.machine.inspect import inspect_file
 
 from shared.universal_files import function, write_universal
 from stillwork.__main__ import main
 from stillwork.base import command_line
 from stillwork.machine import inspect as inspecting
+from stillwork.machine.inspect import inspect_file
 from workbook import paths
 from workbook.checks import InputError
 from workbook.claims import load_entries

@@ -5,9 +5,9 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from stillwork.machine.report import Missing, report_file
 
 from stillwork.__main__ import main
+from stillwork.machine.report import Missing, report_file
 from workbook import paths
 
 HERTZ = np.arange(5.0, 500.0)
