@@ -391,6 +391,19 @@ def test_two_norms_of_filters_with_a_double_pole():
     )  # (z^2 - 1.45 z + .475) / (z - .5)^2
 
 
+def test_a_small_norm_that_rounding_hides_is_refused_and_not_called_zero():
+    """A triple pole at -4.76 in skew states: 2.289e-4 by 60 digits, of |B| |C| = 898; its Markov parameters round to zero."""
+    a = [
+        [-468820.7279425955, -110413.18633064113, -305261.3763691271],
+        [967367.4063535277, 227824.75954709327, 629884.4932922936],
+        [370103.4560419603, 87164.9111665838, 240981.67649675874],
+    ]
+    b = [[-0.30122678345494547], [-0.7816544496190657], [0.7310964259882605]]
+    model = lti.StateModel(a, b, [[-661.7444113786888, -153.57066152535123, -436.8429663561934]], [[0.0]])
+    with pytest.raises(InputError, match="uncertainty"):
+        lti.h2_norm(model)
+
+
 @pytest.mark.parametrize("distance", [1e-9, 1e-12, 0.0, -1e-3])
 def test_a_double_pole_that_rounding_may_move_to_instability_has_no_two_norm(distance):
     """It moves by the root of the rounding, 1e-8."""

@@ -15,6 +15,9 @@ from stillwork.lti.state_space import StateModel, unit_of
 NOTHING = 1e-15
 TOLERANCE = 1e-10  # of the H-infinity norm, relative
 GRID = 200  # frequencies at which a model that no pole lifts above its feedthrough is looked at first
+HIDDEN = (
+    1e-10  # of (|B| |C|)^2: a rounding above it may hide a power, and what seems to pass nothing is refused
+)
 MAX_UNCERTAINTY = 1e-6  # of the power that a Lyapunov equation gives, relative
 APART = 1e-3  # by which the power may differ, relative, where the dual equation gives it
 MOST_SPREAD = 1e-4  # of the H-infinity norm: by how much it may move with the rounding of A
@@ -265,7 +268,13 @@ def _squared(model: StateModel) -> tuple[tuple[float, float], float, float, bool
     power = float(np.trace(c @ gramian @ c.T))
     # What cancels on the way is known to its rounding alone.
     rounding = 4 * len(a) * np.finfo(float).eps * float(np.trace(np.abs(c) @ np.abs(gramian) @ np.abs(c).T))
-    if abs(power) <= rounding and _passes_nothing(a, b, c):
+    # Both equations give the power, by other roundings; what the solver left of one is a power, too, in more digits.
+    wide, x, drive = (each.astype(np.longdouble) for each in (a, gramian, b))
+    moving = wide @ x @ wide.T - x if discrete else wide @ x + x @ wide.T
+    left = float(np.sum(dual * (moving + drive @ drive.T)))
+    apart = abs(power - float(np.trace(b.T @ dual @ b))), abs(left)
+    hidden = HIDDEN * float(np.linalg.norm(b) * np.linalg.norm(c)) ** 2
+    if max(abs(power), *apart) <= rounding <= hidden and _passes_nothing(a, b, c):
         return units, 0.0, 0.0, True
     # The equation is solved for an A that is a rounding away from ours, E: to first order the power moves by
     # 2 tr(Y E X), in discrete time by 2 tr(Y E X A').
@@ -273,16 +282,12 @@ def _squared(model: StateModel) -> tuple[tuple[float, float], float, float, bool
         moved = float(np.sum(np.abs(a).T * (np.abs(gramian) @ np.abs(a.T) @ np.abs(dual))))
     else:
         moved = np.linalg.norm(a, 2) * np.linalg.norm(gramian @ dual)
-    uncertainty = max(2 * np.finfo(float).eps * moved, rounding)
+    uncertainty = max(2 * np.finfo(float).eps * moved, rounding, min(apart))
     # To first order no longer, where that moves a pole as far as it lies from the edge of stability. A multiple pole has
     # no such order: there a Lyapunov matrix decides.
     poles, left, right = linalg.eig(a, left=True)
     moved = np.finfo(float).eps * np.sum(np.abs(left) * (np.abs(a) @ np.abs(right)), axis=0)
     far = np.abs(np.sum(left.conj() * right, axis=0)) * (1 - np.abs(poles) if discrete else -poles.real)
-    # Both equations give the power, by other roundings; what the solver left of one is a power, too, in more digits.
-    wide, x, drive = (each.astype(np.longdouble) for each in (a, gramian, b))
-    moving = wide @ x @ wide.T - x if discrete else wide @ x + x @ wide.T
-    apart = abs(power - np.trace(b.T @ dual @ b)), abs(np.sum(dual * (moving + drive @ drive.T)))
     unsure = np.any(moved > far) and not _stays_stable(a, discrete)
     if unsure or max(apart) > APART * power:
         uncertainty = max(uncertainty, abs(power))
