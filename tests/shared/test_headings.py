@@ -410,6 +410,18 @@ def sparse(path, size):
     return path
 
 
+def test_two_frequencies_agree_or_are_refused(tmp_path):
+    hertz, path = np.linspace(1.0, 200.0, 100), tmp_path / "two.csv"
+    for factor in (2 * np.pi, 1.0):
+        rows = np.column_stack([factor * hertz, hertz, np.cos(hertz), np.sin(hertz)])
+        np.savetxt(path, rows, delimiter=",", header="omega,Frequency (Hz),real,imaginary", comments="")
+        if factor > 1:
+            assert load_machine(path).accelerance.omega == pytest.approx(2 * np.pi * hertz, rel=1e-12)
+        else:
+            with pytest.raises(InputError, match="not the same frequencies"):
+                load_machine(path)
+
+
 def test_the_size_is_looked_at_before_reading(tmp_path):
     for file in (sparse(tmp_path / "a.csv", 3 * 2**30), sparse(tmp_path / "b.csv", 2**29)):
         with pytest.raises(InputError, match=r"bytes|characters"):

@@ -136,11 +136,17 @@ def _meaning(unit: str) -> tuple[float, int, int]:
 
 @checked
 def frequency_axis(columns: dict[str, np.ndarray]) -> str:
-    """Name of the column of frequencies; empty where there is none."""
-    for name, column in columns.items():
-        if heading(name).quantity == "frequency" and column.size > 1 and column.dtype.kind != "c":
-            return name
-    return ""
+    """Name of the column of frequencies; empty where there is none. Two that disagree are refused."""
+    names = [
+        name
+        for name, column in columns.items()
+        if heading(name).quantity == "frequency" and column.size > 1 and column.dtype.kind != "c"
+    ]
+    for other in names[1:]:
+        one, two = (hertz_in(name) * np.ravel(columns[name]) for name in (names[0], other))
+        if one.shape != two.shape or not np.allclose(one, two, rtol=1e-3, equal_nan=True):
+            raise InputError(f"{names[0]} and {other} are not the same frequencies; leave one of them out")
+    return names[0] if names else ""
 
 
 @checked

@@ -94,13 +94,22 @@ export function machineOfTable(text, name, units = {}) {
   }
   const bad = names.find((each) => heading(each).unknown || heading(each).strange);
   if (bad !== undefined) columnUnit(bad, heading(bad).quantity || "real");
-  const scale = columnUnit(axis, "frequency"), { values, silent } = responseOf(columns, names);
-  const hz = columns[axis].map((value) => (value * scale.factor) / (scale.si === "rad/s" ? 2 * Math.PI : 1));
+  const hertz = (each) => {
+    const unit = columnUnit(each, "frequency"), factor = unit.factor / (unit.si === "rad/s" ? 2 * Math.PI : 1);
+    return columns[each].map((value) => value * factor);
+  };
+  const hz = hertz(axis);
+  for (const other of names.filter((each, k) => quantities[k] === "frequency" && each !== axis)) {
+    if (hertz(other).some((value, k) => Math.abs(value - hz[k]) > 1e-3 * hz[k])) {
+      throw new Error(`${axis} and ${other} are not the same frequencies; leave one of them out`);
+    }
+  }
+  const { values, silent } = responseOf(columns, names);
   for (let k = 1; k < hz.length; k++) {
     if (!(hz[k] > hz[k - 1])) throw new Error("the frequency does not rise from line to line; sort the rows");
   }
   const stated = statedUnits(names), notes = [];
-  if (!scale.written) silent.unshift("frequency in Hz");
+  if (!columnUnit(axis, "frequency").written) silent.unshift("frequency in Hz");
   if (silent.length) notes.push(`the file does not say it; taken for: ${silent.join(", ")}`);
   const response = units.response || stated.response || "m/s^2";
   const [factor, responseUnit] = unitFactor(response) ?? [];
