@@ -11,6 +11,7 @@ import numpy as np
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table, read_toml
+from stillwork.base.validation import by_value
 from stillwork.control.budget_sources import (
     criterion_floor,
     measured,
@@ -195,6 +196,7 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
     ]
 
 
+@by_value
 @dataclass(frozen=True)
 class MachineFile:
     """A machine's TOML: its machine, sources and band, with the files of floor and design that replace parts of it."""
