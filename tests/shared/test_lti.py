@@ -399,7 +399,8 @@ def test_a_small_norm_that_rounding_hides_is_refused_and_not_called_zero():
         [370103.4560419603, 87164.9111665838, 240981.67649675874],
     ]
     b = [[-0.30122678345494547], [-0.7816544496190657], [0.7310964259882605]]
-    model = lti.StateModel(a, b, [[-661.7444113786888, -153.57066152535123, -436.8429663561934]], [[0.0]])
+    c = [[-661.7444113786888, -153.57066152535123, -436.8429663561934]]
+    model = lti.StateModel(*(np.array(each) for each in (a, b, c, [[0.0]])))
     with pytest.raises(InputError, match="uncertainty"):
         lti.h2_norm(model)
 
