@@ -554,3 +554,19 @@ def test_a_bound_that_explains_everything_away_warns():
 def test_bad_input_is_named(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+@pytest.mark.parametrize("how", ["drift", "alike", "sizes"])
+def test_lms_warns_of_what_it_has_not_learned(how):
+    rng = np.random.default_rng(8)
+    x = rng.standard_normal((2000, 2))
+    if how == "drift":
+        x[:, 0] = 1e5 + np.arange(2000.0)
+    elif how == "alike":
+        x[:, 1] = x[:, 0] + 1e-7 * x[:, 1]
+    else:
+        x[:, 1] *= 1e-2
+    y = x @ [2.0, 3.0]
+    with pytest.warns(UnlikeScalesWarning):
+        estimate = LeastMeanSquares().fit(x, y)
+    assert abs(estimate.coef_[1] / 3 - 1) > 0.01  # it is right to warn

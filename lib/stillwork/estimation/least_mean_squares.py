@@ -1,5 +1,6 @@
 """Least mean squares with scikit-learn's interface: the least time a row, and no matrix."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -9,8 +10,10 @@ from sklearn.utils.validation import check_is_fitted
 
 from stillwork.base.checks import require_number
 from stillwork.base.kernels import kernel
-from stillwork.estimation.regression import ONE, UNLIKE, UnweightedRegressor
+from stillwork.estimation.regression import ONE, UnlikeScalesWarning, UnweightedRegressor
 
+UNLIKE = 3.0  # ratio of sizes, from which a short record is said to be too short for the smallest feature
+ALIKE = 0.05  # power of the weakest combination over the mean, below which features are said to be alike
 SHARE = 1e-5  # regularisation over the largest |x|^2, where it follows from the data
 LEAST_GAIN = 0.01  # of the mean: it follows a drift in a hundred samples
 MEAN, SPREAD, SQUARES, _, BESIDE = range(5)  # rows below the coefficients, and how many
@@ -50,8 +53,8 @@ class LeastMeanSquares(UnweightedRegressor):
     Warns
     -----
     UnlikeScalesWarning
-        From `fit`, when features differ so much in size, or had such jumps, that the samples were too few to learn that
-        of the smallest.
+        From `fit`, when features differ so much in size, or had such jumps or drifts, or are so nearly alike, that the
+        samples were too few to learn each coefficient.
 
     Notes
     -----
@@ -83,8 +86,16 @@ class LeastMeanSquares(UnweightedRegressor):
     def _warn(self):
         ratio, share = self._scales()
         share *= float(self.step_size)  # so much of the smallest feature is learned in a sample
-        if ratio > UNLIKE and self._state[-1, 1] * share < 1:
+        samples = float(self._state[-1, 1])
+        if ratio > UNLIKE and samples * share < 1:
             self._warn_unlike(ratio, f"is not learned in fewer than {1 / share:.2g} samples")
+        elif self._alike < ALIKE and samples * self._alike * float(self.step_size) < self.n_features_in_:
+            warnings.warn(
+                "features are alike but for little, which this many samples do not tell apart: together they have the "
+                "right coefficient, each by itself may not; leave one out, or use RecursiveLeastSquares",
+                UnlikeScalesWarning,
+                stacklevel=4,
+            )
 
     @property
     def scale_ratio_(self):
@@ -108,6 +119,7 @@ class LeastMeanSquares(UnweightedRegressor):
             regularisation = float(require_number("regularisation", self.regularisation, above=0.0))
         features, count = X.shape[1], outputs.shape[1]
         if anew:
+            self._alike = _least_share(X)
             self._state = np.zeros((count + BESIDE, features + 1))
             self._state[:count, :features] = self._initial(self.initial_coef, features, count)
         state, table = self._state.copy(), np.hstack([X, outputs])
@@ -115,6 +127,13 @@ class LeastMeanSquares(UnweightedRegressor):
         _learn(state, table, weights, step, regularisation, relative, self._has_intercept)
         self._state, coef = state, state[:count, :features].copy()
         return coef, state[:count, features] - coef @ state[count + MEAN, :features]
+
+
+def _least_share(X: np.ndarray) -> float:
+    """Of the features that move, in units of their deviations: the power of the weakest combination over the mean."""
+    moves = X - X.mean(axis=0)
+    moves = moves[:, sizes > 0] / sizes[sizes > 0] if (sizes := moves.std(axis=0)).any() else np.ones((1, 1))
+    return float(max(np.linalg.eigvalsh(moves.T @ moves / len(moves))[0], 0.0))
 
 
 @kernel

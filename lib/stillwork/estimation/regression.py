@@ -24,9 +24,6 @@ NUMBERS = {"dtype": np.float64, "ensure_all_finite": "allow-nan"}  # what scikit
 ONE = np.ones(1)  # the weight of a sample that needs none
 
 
-UNLIKE = 100.0  # largest over smallest root mean square of features, from which one may be learned by itself
-
-
 class UnlikeScalesWarning(UserWarning):
     """Features differ so much in size that the small ones are not learned: use units in which they are similar."""
 
