@@ -29,7 +29,14 @@ RESULTS = {
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # Calls whose good arguments stand for a file or a machine that is not there.
-REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
+REFUSED = {
+    "load_record",
+    "load_machine",
+    "build_machine",
+    "from_control",
+    "load_controller",
+    "require_explained",
+}
 
 
 def _acceleration(position, velocity, force, parameters):
@@ -237,6 +244,7 @@ def catalogue() -> dict:
         "identify_modes": (i.identify_modes, {"measured": measured, "band_hz": (10.0, 200.0), "guesses_hz": [48.0, 143.0]}),
         "fit_modes": (i.fit_modes, {"measured": measured, "guesses_hz": [48.0, 143.0], "band_hz": (10.0, 200.0)}),
         "impact_response": (i.impact_response, impulse),
+        "require_explained": (m.require_explained, {"path": "missing.csv", "file": None, "machine": None, "fit_hz": (10.0, 200.0), "options": {}}),
         "load_machine": (i.load_machine, {"file": "missing.csv", "response_unit": "m/s^2", "force_unit": "N", "sample_rate": 100.0, "response": "", "damping_ratio": 0.005}),
         "coloured_noise_bound": (i.coloured_noise_bound, {"noise": signals.estimate_spectrum(signal, 10.0, 1.0), "taps": 3, "forgetting": 0.9, "coverage": 0.9, "draws": 5, "seed": 1}),
         "noise_bound": (i.noise_bound, {"deviation": 1.0, "unknowns": 3, "forgetting": 0.9}),
@@ -418,7 +426,7 @@ def catalogue() -> dict:
         "choose_beta": (m.choose_beta, {"loop": feedforward, "floor": ground}),
         "try_loop": (m.try_loop, {"loop": feedforward, "isolator": isolator, "paths_of": isolator_paths, "floor": ground, "algorithm": "FeLms", "variance": 0.1, "step": 1e-4}),
         "design_isolation": (lambda **named: m.design_isolation(**named)[0], {"isolator": isolator, "floor": ground, "rate": 1000.0, "band_hz": (4.0, 60.0), "notches": (), "algorithm": "FeRls", "variance": 0.1, "spread": 0.01, "seed": 1}),
-        "predict": (m.predict, {"design": isolated, "around": [isolated], "isolator": isolator, "floor": ground, "seed": 1}),
+        "predict": (m.predict, {"design": isolated, "around": [isolated], "floor": ground, "seed": 1}),
         "weak_highpass": (c.weak_highpass, {"order": 3, "cutoff": 3.0, "times": 2, "sample_time": 1e-3}),
         "noise_shaping": (c.noise_shaping, {"shaping": feedforward.shaping, "path": feedforward.path, "sample_time": 1e-3}),
         "inverse_secondary_shaping": (c.inverse_secondary_shaping, {"shaping": feedforward.shaping, "path": feedforward.path, "sample_time": 1e-3, "estimate": feedforward.path}),

@@ -94,6 +94,7 @@ COMMANDS = {
     "doctor": "compare this environment with environment.txt",
 }
 TARGETS = {
+    "accept": "workbook.commands:accept",
     "choices": "workbook.choices.command:compute_choices",
     "site": "workbook.site.build:build_site",
     "init": "workbook.site.scaffold:begin",

@@ -41,7 +41,7 @@ def toy(built, tmp_path):
 def test_a_second_build_touches_nothing_and_loads_little(toy):
     before = toy.stamps()
     script = (
-        "import sys\nfrom stillwork.__main__ import main\nassert main(['figures']) == 0\n"
+        "import sys\nfrom workbook.__main__ import main\nassert main(['figures']) == 0\n"
         "print([name for name in ('papermill', 'nbformat', 'matplotlib', 'pandas', 'numba') if name in sys.modules])"
     )
     done = toy.run(script=script)
@@ -62,7 +62,7 @@ def change_library(toy):
 
 
 def change_shared_module(toy):
-    toy.replace("lib/stillwork/base/checks.py", "import difflib", "import cmath\nimport difflib")
+    toy.replace("lib/workbook/checks.py", "import difflib", "import cmath\nimport difflib")
 
 
 def change_data(toy):
@@ -103,7 +103,7 @@ def forget_state(toy):
         (change_parameter, {FIRST}, "parameter seed: 1 -> 2"),
         (change_cell, {FIRST}, "cell claim changed"),
         (change_library, {FIRST, SECOND}, "lib/experiments/isolation/model.py changed"),
-        (change_shared_module, ALL, "lib/stillwork/base/checks.py changed"),
+        (change_shared_module, ALL, "lib/workbook/checks.py changed"),
         (change_data, {OTHER}, "data/motion/rig.toml changed"),
         (change_ledger, {OTHER}, "ledger motion.gain changed"),
         (change_pin, ALL, "environment: numpy 2.4.5 -> 2.4.6"),
@@ -294,7 +294,7 @@ def test_a_file_named_by_a_parameter_is_an_input(toy):
         (["--jobs", "0"], "argument --jobs: '0' is no whole number; give 1 or more"),
         (["--jobs", "²"], "argument --jobs: '²' is no whole number; give 1 or more"),
         (["--scheduler", ""], "argument --scheduler: '' names nothing"),
-        (["--job", "1"], "did you mean '--jobs'?"),
+        (["--job", "1"], "unrecognized arguments: --job"),
     ],
 )
 def test_wrong_input_is_refused_before_a_kernel_starts(toy, arguments, message):

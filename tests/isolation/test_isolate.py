@@ -488,7 +488,7 @@ def test_a_floor_that_may_spoil_the_adaptation_is_reported_before_a_design(tmp_p
         rows[0, 10_000:11_000] = rows[0, 10_000]
     if kind == "slow":
         rows += 1e-3 * np.sin(2 * np.pi * 0.75 * np.arange(20_000) / RATE)
-    columns = {"fs": RATE, "x (m/s^2)": rows[0], "y (m/s^2)": rows[1], "drive (V)": rows[0]}
+    columns = {"fs (Hz)": RATE, "x (m/s^2)": rows[0], "y (m/s^2)": rows[1], "drive (V)": rows[0]}
     if kind == "spectra":
         columns = {"frequency (Hz)": GRID, "x (m/s^2/sqrt(Hz))": np.where(GRID < 1, 1e-3, 1e-4)}
     np.savez(tmp_path / "floor.npz", **columns)

@@ -93,6 +93,6 @@ def contiguous(*arrays) -> tuple[np.ndarray, ...]:
     return tuple(np.ascontiguousarray(array) for array in arrays)
 
 
-def rms(signals: np.ndarray) -> np.ndarray:
+def rms(signals: np.ndarray) -> np.ndarray | float:
     """Root mean square along the last axis."""
     return np.sqrt(np.mean(signals**2, axis=-1))
