@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import optimize
 
-from experiments.fixedpoint import Noise, difference_quotient, load_oscillator, published_controllers
+from experiments.fixedpoint import Noise, load_oscillator, published_controllers
 from experiments.fixedpoint.published import LITERAL, WINDOW
+from notebooks.fixedpoint.differentiation_noise import difference_quotient
 from stillwork.control import FlowTransformation, KinematicDesign, asin_trajectory, simulate
 from stillwork.control.fixed_point import response_gain
 from stillwork.control.fixed_point_convergence import (
