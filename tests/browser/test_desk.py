@@ -85,6 +85,7 @@ def desk(browser, tmp_path):
     browser.driver.get("about:blank")
     browser.requests(), browser.messages()
     browser.open(page.as_uri())
+    browser.require_quiet()
     folder = tmp_path / "downloads"
     folder.mkdir()
     browser.driver.execute_cdp_cmd(

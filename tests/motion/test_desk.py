@@ -26,7 +26,7 @@ from stillwork.lti.discretisation import prewarped
 from stillwork.lti.state_space import constant
 from stillwork.machine.design import design_file
 from stillwork.machine.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine
-from stillwork.machine.desk_page import modules, offline_page
+from stillwork.machine.desk_page import modules, offline_page, script
 from workbook import paths
 
 DESIGNS = 200
@@ -500,6 +500,16 @@ def test_a_name_cannot_end_the_script():
     machine = entry(Machine((EXAMPLE,), 10.0, "</script><b>"), {})
     text = offline_page([machine])
     assert "</script><b>" not in text and text.count("</script>") == 2
+
+
+def test_the_modules_run_as_one_script(tmp_path):
+    """Those that need no document: each finds what it imports."""
+    before = script().split('deskModules["ui.js"]')[0]
+    assert before.count("deskModules[") > 10
+    wanted = "for (const each of Object.values(deskModules)) for (const [name, value] of Object.entries(each)) if (value === undefined) throw name;"
+    (tmp_path / "script.js").write_text(before + wanted)
+    done = subprocess.run(["node", str(tmp_path / "script.js")], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow

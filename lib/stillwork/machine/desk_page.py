@@ -87,5 +87,7 @@ def _scoped(name: str, text: str) -> str:
     text = re.sub(
         r'^import (\{[^}]*\}) from "\./([\w.]+)";', r'const \1 = deskModules["\2"];', text, flags=re.MULTILINE
     )
-    text = re.sub(r"^export ", "", text, flags=re.MULTILINE)
+    text, found = re.subn(r"^export ", "", text, flags=re.MULTILINE)
+    if found != len(exported):
+        raise ValueError(f"{name}: write each export as `export const NAME` or `export function NAME`")
     return f'deskModules["{name}"] = (() => {{\n{text}\nreturn {{ {", ".join(exported)} }};\n}})();\n'

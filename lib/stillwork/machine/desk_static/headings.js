@@ -9,7 +9,9 @@ const DENSITIES = TABLE.densities.map(([pattern, power]) => [new RegExp(`^(?:${p
 const REFERENCE = new RegExp(TABLE.reference, "gi"), ARGUMENT = new RegExp(`^(?:${TABLE.argument})$`), SCALED = new RegExp(TABLE.scaled);
 const UNITS = new Map(Object.entries(TABLE.units)), FOLDED = new Map(Object.entries(TABLE.folded)), HOLDS = new Map(Object.entries(TABLE.holds));
 const OF_WORD = new Map([...HOLDS].flatMap(([quantity, [words]]) => words.split(" ").map((word) => [word, quantity])));
-export const { positions: POSITIONS, drives: DRIVES, moves: MOVES } = TABLE;
+export const POSITIONS = TABLE.positions;
+export const DRIVES = TABLE.drives;
+export const MOVES = TABLE.moves;
 
 const ends = (text) => text.replace(/^[ ,;:/\-_]+|[ ,;:/\-_]+$/g, "");
 const bare = (text) => text.replace(/^[() ]+|[() ]+$/g, "");
