@@ -267,12 +267,12 @@ def maximise_rig_bandwidth(
 
     All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
     """
-    positions = Positions([replace(loop, measure=measure) for loop in loops])
+    loops = [replace(loop, measure=measure) for loop in loops]
     family = cache(family)
 
     def raised(along: Callable[[float], tuple[Pid, ...]], start: float) -> Bandwidth:
         found = maximise_bandwidth(
-            [positions],
+            [Positions(loops)],
             along,
             LIMITS,
             start,
@@ -292,26 +292,18 @@ def maximise_rig_bandwidth(
         together = raised(lambda hz: family(hz, hz), low_hz).design_hz
         rotation = raised(lambda hz, z=together: family(z, hz), together).design_hz
         last = raised(lambda hz, turned=rotation: family(hz, turned), together)
-        positions = positions.denser(last.controller)
-        found = np.array([each.max(axis=1) for each in positions.each_at(last.controller)])
+        pids = last.controller
+        loops = [loop.denser(np.array(loop.sizes(pids))) for loop in loops]
+        found = np.array([np.array(loop.sizes(pids)).max(axis=1) for loop in loops])
         if found.max() <= SIX_DB * (1 + PEAK_TOLERANCE):
             break
     else:
         raise InputError(
             "the peaks between the points of a grid do not settle; give loops with more frequencies"
         )
-    return RigBandwidth(
-        (last.design_hz, rotation),
-        np.array([loop.crossing_hz(last.controller) for loop in positions.loops]),
-        last.controller,
-        found,
-        np.array(
-            [
-                _radius(poles, positions.loops[0].sample_time)
-                for poles in positions.each_poles(last.controller)
-            ]
-        ),
-    )
+    radii = np.array([loop.radius(pids) for loop in loops])
+    crossings = np.array([loop.crossing_hz(pids) for loop in loops])
+    return RigBandwidth((last.design_hz, rotation), crossings, pids, found, radii)
 
 
 def _radius(poles: np.ndarray, sample_time: float) -> float:
@@ -320,62 +312,27 @@ def _radius(poles: np.ndarray, sample_time: float) -> float:
 
 
 class Positions:
-    """All positions as one loop of the search above, which asks it for the same thing again and again.
+    """All positions as one loop of the search: one call of a kernel in place of one for each, no crossing on the way."""
 
-    A stage begins where the one before ended, and the first of a round goes through the same designs on grids that
-    have gained points: the others are known. No grid moves a pole. Crossings are those of the final design alone.
-    """
-
-    def __init__(self, loops: Sequence[RigLoop], before: "Positions | None" = None):
-        self.loops, self.omega = loops, np.concatenate([loop.omega for loop in loops])
-        self._all = self._of(loops, slice(None))
-        self.each_poles = before.each_poles if before else cache(self._each_poles)
-        self._known: dict[tuple[Pid, ...], Sizes] = {}
-        self._before = before._known if before else {}
-        if before:
-            pairs = zip(loops, before.loops, strict=True)
-            self._old = np.concatenate([np.isin(loop.omega, old.omega) for loop, old in pairs])
-            self._more = self._of(loops, ~self._old)
-
-    @staticmethod
-    def _of(loops: Sequence[RigLoop], part) -> RigLoop:
-        """One loop with a part of the frequencies of all: what answers needs neither plant nor observer."""
+    def __init__(self, loops: Sequence[RigLoop]):
         omega, parts = (
-            np.concatenate([getattr(loop, name) for loop in loops])[part] for name in ("omega", "parts")
+            np.concatenate([getattr(loop, name) for loop in loops]) for name in ("omega", "parts")
         )
-        return replace(loops[0], omega=omega, parts=parts)
+        self.loops, self.omega = loops, omega
+        self._all = replace(loops[0], omega=omega, parts=parts)  # sizes need neither plant nor observer
 
     def at(self, pids: tuple[Pid, ...], omega: np.ndarray | None = None) -> Sizes:
         assert omega is None, "positions have no grid in common"
-        if pids not in self._known:
-            self._known[pids] = self._grown(pids) if pids in self._before else self._all.sizes(pids)
-        return self._known[pids]
-
-    def _grown(self, pids: tuple[Pid, ...]) -> Sizes:
-        sizes = np.empty((len(FUNCTIONS), len(self.omega)))
-        sizes[:, self._old], sizes[:, ~self._old] = self._before[pids], self._more.sizes(pids)
-        return Sizes(*sizes)
+        return self._all.sizes(pids)
 
     def within(self, pids: tuple[Pid, ...], part: slice) -> Sizes:
         return self._all.within(pids, part)
 
-    def each_at(self, pids: tuple[Pid, ...]) -> list[np.ndarray]:
-        """Sizes of every position on its own grid, each of shape (functions, frequencies)."""
-        ends = np.cumsum([len(loop.omega) for loop in self.loops])
-        return np.split(np.array(self.at(pids)), ends[:-1], axis=1)
-
-    def _each_poles(self, pids: tuple[Pid, ...]) -> list[np.ndarray]:
-        return [loop.poles(pids) for loop in self.loops]
-
     def poles(self, pids: tuple[Pid, ...]) -> np.ndarray:
-        return np.concatenate(self.each_poles(pids))
+        return np.concatenate([loop.poles(pids) for loop in self.loops])
 
     def crossing_hz(self, pids: tuple[Pid, ...]) -> np.ndarray:
         return np.zeros(len(pids))
-
-    def denser(self, pids: tuple[Pid, ...]) -> "Positions":
-        pairs = zip(self.loops, self.each_at(pids), strict=True)
-        return Positions([loop.denser(sizes) for loop, sizes in pairs], self)
 
 
 @kernel
