@@ -14,12 +14,11 @@ from stillwork.machine.isolate import SLOWEST_HZ, answer, at_sensors, facts_of, 
 from stillwork.machine.isolation import FloorSpectra, Isolator
 from stillwork.machine.isolation_design import (
     IsolationDesign,
-    IsolationPrediction,
     binned,
     design_isolation,
     motion_density,
-    predict,
 )
+from stillwork.machine.isolation_prediction import IsolationPrediction, predict
 from stillwork.signals.criteria import criterion_met, criterion_velocity, one_third_octave_velocity
 from workbook import figures
 

@@ -358,6 +358,12 @@ PARTS = {
         "least_share",
     ),  # by the regressor that holds the fitting triangle
     *("Numbers.terms", "Numbers.files"),  # by the functions that write C
+    *(
+        "MovingPaths.commands",
+        "MovingPaths.noises",
+        "MovingPaths.transmissibility",
+    ),  # by `try_loop` and `predict`
+    *("moving_paths", "density_through", "jitter_density"),
 }
 FOLDERS = ("signals", "lti", "identification", "estimation", "control", "machine")
 COMMANDS = "budget design desk desk_page export hardware html_page inspect isolate noisy_peak pictures progress report retest".split()

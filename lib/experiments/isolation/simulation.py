@@ -112,22 +112,13 @@ def simulate_together(
     total = sum(samples for samples, _ in segments)
     if total < 1:
         raise InputError(f"duration_s is {duration_s}; give at least one sample")
-    shape = (twin.actuators, twin.regressors)
-    start = require_array("weights", np.zeros(shape) if weights is None else weights)
-    require_array("weights", start, shape=(len(seeds), *shape) if start.ndim == 3 else shape)
+    start = _start(twin, weights, len(seeds))
     for signal in signals:
         require_choice("signals", signal, SIGNALS)
-    first = total
-    if signals_from_s is not None:
-        first = round(require_number("signals_from_s", signals_from_s, at_least=0.0) * rate)
-        if first >= total:
-            raise InputError(
-                f"signals_from_s is {signals_from_s:g} but the run lasts {total / rate:g} s; give less"
-            )
-
+    first = _first_kept(signals_from_s, total, rate)
     runs = 1 if len(seeds) == 1 else TOGETHER
+    each = np.broadcast_to(start, (len(seeds), *start.shape[-2:]))
     found = []
-    each = np.broadcast_to(start, (len(seeds), *shape))
     for at in range(0, len(seeds), runs):
         batch, sides = seeds[at : at + runs], []
         places = np.minimum(np.arange(at, at + runs), len(seeds) - 1)
@@ -143,14 +134,31 @@ def simulate_together(
             if not to_the_break:
                 raise
             until, broke_s = error.sample, error.sample * twin.sample_time
+        pairs = list(zip(adaptations, sides, strict=True))
         found += [
-            {
-                name: side[-1].run(rate, side[-2], run, until, broke_s)
-                for name, side in zip(adaptations, sides, strict=True)
-            }
+            {name: kept.run(rate, closed, run, until, broke_s) for name, (*_, closed, kept) in pairs}
             for run in range(len(batch))
         ]
     return found
+
+
+def _start(twin: Twin, weights: ArrayLike | None, count: int) -> np.ndarray:
+    """The weights W at the start, of all runs or one for each of `count` seeds."""
+    shape = (twin.actuators, twin.regressors)
+    start = require_array("weights", np.zeros(shape) if weights is None else weights)
+    return require_array("weights", start, shape=(count, *shape) if start.ndim == 3 else shape)
+
+
+def _first_kept(signals_from_s: float | None, total: int, rate: float) -> int:
+    """The sample from which on signals are kept; `total` if none are."""
+    if signals_from_s is None:
+        return total
+    first = round(require_number("signals_from_s", signals_from_s, at_least=0.0) * rate)
+    if first >= total:
+        raise InputError(
+            f"signals_from_s is {signals_from_s:g} but the run lasts {total / rate:g} s; give less"
+        )
+    return first
 
 
 def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, start: np.ndarray) -> None:

@@ -35,12 +35,11 @@ from stillwork.machine.isolation_design import (
     RED_LIMIT,
     SLOWEST,
     IsolationDesign,
-    IsolationPrediction,
     binned,
     design_isolation,
     floor_spectra,
-    predict,
 )
+from stillwork.machine.isolation_prediction import IsolationPrediction, predict
 from stillwork.machine.path_fit import PathFit, fit_path
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
@@ -143,28 +142,46 @@ def isolate_file(
     )
     found = predict(design, around, spectra, correction)
     require_force(found, limit)
-    loop = design.loop
-    pause = PAUSES / (2 * np.pi * loop.shaping.highpass_hz)
-    files = isolation_code(loop, design.settings, design.steady.weights, limit, pause, name, precision)
+    pause = PAUSES / (2 * np.pi * design.loop.shaping.highpass_hz)
+    weights = design.steady.weights
+    files = isolation_code(design.loop, design.settings, weights, limit, pause, name, precision)
+    about = {
+        "made_by": f"stillwork {stillwork.__version__} isolate",
+        "machine": Path(machine).name,
+        "floor": spectra.source,
+        "rate_hz": rate,
+    } | _record_of(design, found)
+    files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
+    write_folder(folder, files)  # before the page: what was computed is not lost with a picture
     facts = [
         *facts_of(design, found, spectra),
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["assumed", each] for each in (*notes, *floor_notes)),
         *(["check the floor", each] for each in seen),
     ]
-    checks = certificate_rows(design, around)
-    remains = remains_rows(found, spectra)
-    about = {
-        "made_by": f"stillwork {stillwork.__version__} isolate",
-        "machine": Path(machine).name,
-        "floor": spectra.source,
-        "rate_hz": rate,
+    given = {"source": html.escape(Path(machine).name), "spread": f"{100 * spread:g}", "name": name}
+    text = _report(
+        design, around, found, spectra, facts, files=html.escape(", ".join(sorted(files))), **given
+    )
+    (Path(folder) / "report.html").write_text(text, encoding="utf-8")
+    return [
+        f"{Path(machine).name} on {spectra.source}",
+        *(": ".join(row) for row in facts),
+        *answer(design, around, found, spectra),
+        f"{folder}: {', '.join(sorted([*files, 'report.html']))}",
+    ]
+
+
+def _record_of(design: IsolationDesign, found: IsolationPrediction) -> dict:
+    """The numbers of a design and its prediction, as the written JSON has them."""
+    loop = design.loop
+    return {
         "skyhook_gain": loop.gain,
         "cutoff_hz": loop.cutoff_hz,
         "beta": loop.beta,
         "highpasses": loop.highpasses,
         "band_hz": [loop.shaping.highpass_hz, loop.shaping.lowpass_hz],
-        "algorithm": algorithm,
+        "algorithm": type(design.settings).__name__,
         "step": design.step,
         "weights": design.steady.weights.tolist(),
         "judged_hz": list(found.band_hz),
@@ -174,33 +191,24 @@ def isolate_file(
         "command_rms_highest": found.force[1].tolist(),
         "command_peak": found.force[2].tolist(),
     }
-    files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
-    write_folder(folder, files)  # before the page: what was computed is not lost with a picture
-    text = page(
+
+
+def _report(design, around, found, spectra: FloorSpectra, facts: list[list[str]], **given: str) -> str:
+    """The page of a design; `given` are its other words."""
+    columns = ["axis", "without control", "skyhook alone", "expected", "lowest", "highest", "class"]
+    return page(
         "isolate.html",
-        source=html.escape(Path(machine).name),
         kind=": a feedforward",
         floor=html.escape(spectra.source),
         facts=table([], facts),
-        remains=table(
-            ["axis", "without control", "skyhook alone", "expected", "lowest", "highest", "class"], remains
-        ),
+        remains=table(columns, remains_rows(found, spectra)),
         low=f"{found.band_hz[0]:g}",
         time=f"{spectra.duration:.3g}",
         high=f"{found.band_hz[1]:.4g}",
-        spread=f"{100 * spread:g}",
         transmissibility=picture(paint_transmissibility(design, found), "transmissibility of every axis"),
-        certificate=table(["", "found", "worst in the box", "limit"], checks),
-        files=html.escape(", ".join(sorted(files))),
-        name=name,
+        certificate=table(["", "found", "worst in the box", "limit"], certificate_rows(design, around)),
+        **given,
     )
-    (Path(folder) / "report.html").write_text(text, encoding="utf-8")
-    return [
-        f"{Path(machine).name} on {spectra.source}",
-        *(": ".join(row) for row in facts),
-        *answer(design, around, found, spectra),
-        f"{folder}: {', '.join(sorted([*files, 'report.html']))}",
-    ]
 
 
 def facts_of(design: IsolationDesign, found: IsolationPrediction, spectra: FloorSpectra) -> list[list[str]]:

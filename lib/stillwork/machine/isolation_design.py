@@ -1,6 +1,6 @@
-"""Design of an isolator's self-tuned feedforward, its certificate before it is switched on, and its prediction."""
+"""Design of an isolator's self-tuned feedforward, and its certificate before it is switched on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated
@@ -32,7 +32,6 @@ from stillwork.machine.isolation import (
     path_angle,
     red_number,
 )
-from stillwork.signals.levels import expected_peak, next_rms
 
 HIGHEST_SENSITIVITY_DB = 6.0  # of the skyhook loop
 HIGHEST_PHASE = 90.0  # degrees
@@ -57,13 +56,7 @@ SEGMENTS = 4  # of a record, half overlapping, that the finest lines average ove
 COARSE = 4  # of the coarse lines, which give way to fine ones
 BURST_S = 0.5  # of a stretch of a record whose power counts
 DRAWS = 24  # of isolators in the box, for the band of a prediction
-WIDE = 3.0  # standard deviations over the draws that the band takes in
-HIGHEST = (
-    0.99  # probability that another stretch as long as the record stays below what is called the highest
-)
-SLOWEST_HZ, LINES = 0.01, 4000  # of the responses through which a record runs: 0.27 % apart
 FADE_S = 0.5  # at both ends of the record
-FINER = 4  # samples between those of a record at which its peaks are sought
 # How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
 SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
 
@@ -169,7 +162,7 @@ class IsolationDesign:
 
     loop: FeedforwardLoop
     isolator: Isolator
-    paths: "_MovingPaths"
+    paths: "MovingPaths"
     steady: Steady
     step: float  # 1 - lambda of FeRLS, mu of FeLMS
     scatter: Scatter | None  # of the weights about those of `steady`; none with a given step
@@ -196,7 +189,7 @@ def try_loop(
     """A loop with the fastest adaptation that keeps the `variance` and tolerates the floor's slow motion, or with `step`."""
     require_choice("algorithm", algorithm, ALGORITHMS)
     f, widths = floor.frequencies_hz, floor.widths_hz
-    moving = _moving(loop, paths_of, f)
+    moving = moving_paths(loop, paths_of, f)
     responses = moving.seen
     noises = isolator.floor_noise, isolator.platform_noise
     steady = mean_adaptation(responses, widths, floor.density, *noises, 0.0)
@@ -252,13 +245,13 @@ def _added_motion(
     plain = psi @ seen @ np.conj(psi.transpose(0, 2, 1)) * widths
     driven = np.conj(paths.secondary.transpose(0, 2, 1)) @ paths.secondary
     slow = np.sum(sum_kronecker(driven[inside], plain[inside]) * moves.covariance)
-    force = _jitter_density(moves, plain.sum(axis=0).real, rate)
+    force = jitter_density(moves, plain.sum(axis=0).real, rate)
     f = paths.frequencies_hz
     fast = np.sum(driven.real * force * widths / f[:, None, None] ** 2, where=inside[:, None, None])
     return float(floor.bursts[0] * slow), float(JITTER * floor.bursts[1] * fast)
 
 
-def _jitter_density(moves: Scatter, power: np.ndarray, rate: float) -> Float64[np.ndarray, "axes axes"]:
+def jitter_density(moves: Scatter, power: np.ndarray, rate: float) -> Float64[np.ndarray, "axes axes"]:
     """Density of the force by weights that move within the band, times f^2 and per step squared."""
     n = len(power)
     axes = len(moves.drive) // n
@@ -268,7 +261,7 @@ def _jitter_density(moves: Scatter, power: np.ndarray, rate: float) -> Float64[n
 
 @by_value
 @dataclass(frozen=True)
-class _MovingPaths:
+class MovingPaths:
     """What the platform truly does, beside what its sampled sensors show."""
 
     seen: Responses
@@ -299,10 +292,10 @@ class _MovingPaths:
         return self.skyhook[:, None, None] * seen
 
 
-def _moving(loop: FeedforwardLoop, paths_of: Paths, f: np.ndarray) -> _MovingPaths:
+def moving_paths(loop: FeedforwardLoop, paths_of: Paths, f: np.ndarray) -> MovingPaths:
     primary, held, sampled = paths_of(f)
     responses = loop.responses(primary, sampled, f)
-    return _MovingPaths(responses, primary, held, signal.freqz_sos(loop.skyhook, f, fs=loop.rate)[1])
+    return MovingPaths(responses, primary, held, signal.freqz_sos(loop.skyhook, f, fs=loop.rate)[1])
 
 
 @checked
@@ -321,13 +314,13 @@ def paths_through(isolator: Isolator, rate: Positive, correction: Callable | Non
 
 @checked
 def motion_density(
-    paths: _MovingPaths, weights: np.ndarray, floor: FloorSpectra, noises: tuple[float, float]
+    paths: MovingPaths, weights: np.ndarray, floor: FloorSpectra, noises: tuple[float, float]
 ) -> Float64[np.ndarray, "axes frequencies"]:
     """Density of the platform's true acceleration with frozen weights, (m/s^2)^2/Hz."""
-    return _density(floor, noises, paths.transmissibility(weights), *paths.noises(weights))
+    return density_through(floor, noises, paths.transmissibility(weights), *paths.noises(weights))
 
 
-def _density(floor: FloorSpectra, noises: tuple[float, float], whole, *sensor_paths) -> np.ndarray:
+def density_through(floor: FloorSpectra, noises: tuple[float, float], whole, *sensor_paths) -> np.ndarray:
     """Spectrum due to the floor through `whole` and to the noise of both kinds of sensors through `sensor_paths`."""
     own = np.einsum("fas,fst,fat->af", whole, floor.density, np.conj(whole), optimize=True).real
     return own + sum(
@@ -465,60 +458,23 @@ def design_isolation(
     require_choice("algorithm", algorithm, ALGORITHMS)
     estimate = isolator if estimate is None else estimate
     own = paths_through(isolator, rate, correction)
-    mass = 1 / float(np.mean(np.diag(np.linalg.inv(estimate.mass))))
-    omega = float(np.exp(np.mean(np.log(estimate.modes[0]))))
-    first = FeedforwardLoop(
-        rate, 0.4 * mass * omega, 2.0, 1.0, NoiseShaping(1.0, rate / 8, 3, notches), estimate
-    )
-    low, high = band_hz if any(band_hz) else _choose_band(first, own, estimate.frequencies_hz)
-    top = float(floor.frequencies_hz[-1])
-    if not any(band_hz) and top > isolator.frequencies_hz[-1]:
-        high = min(high, top)
-    if high > top:
-        raise InputError(
-            f"{floor.source} is known up to {top:.4g} Hz, the band ends at {high:.4g} Hz, and what lies between could not be "
-            "certified; measure the floor further, or end the band there"
-        )
-    shaping = replace(first.shaping, highpass_hz=float(low), lowpass_hz=float(high))
-    tried = []
-    cutoffs = [each for each in CUTOFFS_HZ if each <= low / 2]
-    for ratio, cutoff, highpasses in product(RATIOS, cutoffs, HIGHPASSES):
-        loop = replace(
-            first, gain=2 * ratio * mass * omega, cutoff_hz=cutoff, highpasses=highpasses, shaping=shaping
-        )
-        loop = replace(loop, beta=choose_beta(loop, floor))
-        tried.append(try_loop(loop, isolator, own, floor, algorithm, variance))
+    first = _first_loop(isolator, estimate, own, floor, rate, band_hz, notches)
+    tried = [try_loop(loop, isolator, own, floor, algorithm, variance) for loop in _candidates(first, floor)]
     if not tried:
         raise InputError(
-            f"band_hz begins at {low:.3g} Hz, below twice every cut-off tried; begin at 1 Hz or above"
+            f"band_hz begins at {first.shaping.highpass_hz:.3g} Hz, below twice every cut-off tried; begin at 1 Hz or above"
         )
     # What speaks against the loop without a skyhook no smaller gain cures.
     mildest = min(tried, key=lambda each: (each.loop.gain, len(each.certificate.problems)))
     against = "not to be switched on: " + "; ".join(mildest.certificate.problems)
-    safe = [each for each in tried if not each.certificate.problems]
-    if not safe:
-        raise InputError(against)
-    quick = [each for each in safe if each.time_constant <= LONGEST_S]
-    if not quick:
-        least = min(each.time_constant for each in safe)
-        raise InputError(
-            f"not to be switched on: with this floor's slow motion the adaptation needs a time constant of {least:.3g} s or "
-            f"more with every high-pass of the floor sensors; above {LONGEST_S:g} s it is too slow: start the band at a higher "
-            "frequency, so that higher cut-offs fit below it, or allow a larger variance"
-        )
     rng = np.random.default_rng(seed)
     box = [_perturbed(isolator, spread, rng) for _ in range(DRAWS)]
     failed = []
-    least = ALIKE * min(each.motion for each in quick)
-    for design in sorted(quick, key=lambda each: (max(each.motion, least), each.time_constant)):
-        step = design.step
+    for design in _in_order(tried, against):
         around = []
         for each in box:
-            around.append(
-                try_loop(
-                    design.loop, each, paths_through(each, rate, correction), floor, algorithm, variance, step
-                )
-            )
+            paths = paths_through(each, rate, correction)
+            around.append(try_loop(design.loop, each, paths, floor, algorithm, variance, design.step))
             if problems := around[-1].certificate.problems:
                 failed.append((design.loop.gain, problems))
                 break
@@ -530,181 +486,52 @@ def design_isolation(
     raise InputError(f"not to be switched on: somewhere within {100 * spread:g} % of this isolator {reasons}")
 
 
-@by_value
-@dataclass(frozen=True)
-class IsolationPrediction:
-    """Motion that remains on a floor: lowest, expected and highest over the box, the weights' scatter and the record."""
-
-    band_hz: tuple[float, float]
-    remains: Float64[np.ndarray, "3 axes"]  # rms acceleration in the band, m/s^2
-    without: Float64[np.ndarray, " axes"]  # the same without any control
-    feedback: Float64[np.ndarray, " axes"]  # and with the skyhook alone
-    # of each command over all of the floor's frequencies, scatter of the weights included, largest over the box, N: the
-    # expected rms, its highest over a time as long as the floor's record, and the peak on that record
-    force: Float64[np.ndarray, "3 axes"]
-    # root of the sum over the floor sensors of |T|^2
-    transmissibility: Float64[np.ndarray, "3 axes frequencies"]
-    without_transmissibility: Float64[np.ndarray, "axes frequencies"]
-    density: Float64[np.ndarray, "axes frequencies"]  # of the remaining acceleration, expected, (m/s^2)^2/Hz
+def _mean_mode(estimate: Isolator) -> tuple[float, float]:
+    """Mass (kg) and frequency (rad/s) of which the skyhook's gains are multiples."""
+    mass = 1 / float(np.mean(np.diag(np.linalg.inv(estimate.mass))))
+    return mass, float(np.exp(np.mean(np.log(estimate.modes[0]))))
 
 
-@checked
-def predict(
-    design: IsolationDesign,
-    around: list[IsolationDesign],
-    floor: FloorSpectra,
-    correction: Callable | None = None,
-    seed: Natural = 0,
-) -> IsolationPrediction:
-    """Motion and transmissibility of a design and of the loops around it, each with weights drawn from their scatter.
-
-    Where `floor` has its record, that runs through every loop with frozen weights: its peaks are those of the commands,
-    and its scatter is that of the floor's spectra, too. Without it the spectra count as known, and the peaks are Rice's.
-    """
-    if design.scatter is None:
+def _first_loop(
+    isolator: Isolator, estimate: Isolator, own: Paths, floor: FloorSpectra, rate: float, band_hz, notches
+) -> FeedforwardLoop:
+    """A loop in its band, as given or chosen, from which those that are tried are made."""
+    mass, omega = _mean_mode(estimate)
+    shaping = NoiseShaping(1.0, rate / 8, 3, notches)
+    first = FeedforwardLoop(rate, 0.4 * mass * omega, 2.0, 1.0, shaping, estimate)
+    low, high = band_hz if any(band_hz) else _choose_band(first, own, estimate.frequencies_hz)
+    top = float(floor.frequencies_hz[-1])
+    if not any(band_hz) and top > isolator.frequencies_hz[-1]:
+        high = min(high, top)
+    if high > top:
         raise InputError(
-            "design has a given step, whose scatter is unknown; give a design whose step was searched"
+            f"{floor.source} is known up to {top:.4g} Hz, the band ends at {high:.4g} Hz, and what lies between could not be "
+            "certified; measure the floor further, or end the band there"
         )
-    if not around:
-        raise InputError("around is empty; give the loops on isolators of the box")
-    f, widths = floor.frequencies_hz, floor.widths_hz
-    band = LOWEST_HZ, design.loop.shaping.lowpass_hz
-    # A band of frequency that an end of the judged one cuts counts in part.
-    cut = np.minimum(f + widths / 2, band[1]) - np.maximum(f - widths / 2, band[0])
-    counted = np.clip(cut, 0.0, widths)
-    noises = design.isolator.floor_noise, design.isolator.platform_noise
-    rng = np.random.default_rng(seed)
+    return replace(first, shaping=replace(shaping, highpass_hz=float(low), lowpass_hz=float(high)))
 
-    def rms(density):
-        return np.sqrt(density @ counted)
 
-    def gain(whole):
-        return np.sqrt(np.sum(np.abs(whole) ** 2, axis=2)).T
+def _candidates(first: FeedforwardLoop, floor: FloorSpectra) -> Iterator[FeedforwardLoop]:
+    """All gains, cut-offs and high-passes that are tried, each with its beta."""
+    mass, omega = _mean_mode(first.estimate)
+    cutoffs = [each for each in CUTOFFS_HZ if each <= first.shaping.highpass_hz / 2]
+    for ratio, cutoff, highpasses in product(RATIOS, cutoffs, HIGHPASSES):
+        loop = replace(first, gain=2 * ratio * mass * omega, cutoff_hz=cutoff, highpasses=highpasses)
+        yield replace(loop, beta=choose_beta(loop, floor))
 
-    covariance = design.step * floor.bursts[0] * design.scatter.covariance
-    seen = floor.density + noises[0] ** 2 * np.eye(design.isolator.sensors)
-    psi = design.paths.seen.regressors
-    plain = np.einsum("fis,fst,fjt->fij", psi, seen, np.conj(psi), optimize=True)
-    power = np.einsum("f,fij->ij", widths, plain).real
-    axes, n = design.steady.weights.shape
-    force = design.step**2 * floor.bursts[1] * _jitter_density(design.scatter, power, design.loop.rate)
 
-    def jitter(paths):
-        return (
-            np.einsum("fab,bc,fac->af", paths.seen.secondary, force, np.conj(paths.seen.secondary)).real
-            / f**2
+def _in_order(tried: list[IsolationDesign], against: str) -> list[IsolationDesign]:
+    """The designs that may be switched on and adapt in time, the least remaining motion first."""
+    safe = [each for each in tried if not each.certificate.problems]
+    if not safe:
+        raise InputError(against)
+    quick = [each for each in safe if each.time_constant <= LONGEST_S]
+    if not quick:
+        least = min(each.time_constant for each in safe)
+        raise InputError(
+            f"not to be switched on: with this floor's slow motion the adaptation needs a time constant of {least:.3g} s or "
+            f"more with every high-pass of the floor sensors; above {LONGEST_S:g} s it is too slow: start the band at a higher "
+            "frequency, so that higher cut-offs fit below it, or allow a larger variance"
         )
-
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0))
-    sizes, gains, drawn = [], [], [design.steady.weights]
-    for each in around:
-        weights = each.steady.weights
-        if isinstance(design.settings, FeLms):  # its slow directions stay long where they started
-            weights = weights + rng.uniform() * (design.steady.weights - weights)
-        weights = weights + (root @ rng.standard_normal(weights.size)).reshape(weights.shape)
-        drawn.append(weights)
-        strength = JITTER ** rng.uniform(0, 1.5)
-        sizes.append(rms(motion_density(each.paths, weights, floor, noises) + strength * jitter(each.paths)))
-        gains.append(gain(each.paths.transmissibility(weights)))
-    secondary = design.paths.seen.secondary
-    wandering = np.einsum(
-        "fab,fac,bicj,fij->af", secondary, np.conj(secondary), covariance.reshape(axes, n, axes, n), plain,
-        optimize=True,
-    ).real  # fmt: skip
-    fixed = motion_density(design.paths, design.steady.weights, floor, noises)
-    density = fixed + wandering + jitter(design.paths)
-    scattered = np.einsum("aiaj,ij->a", covariance.reshape(axes, n, axes, n), power)
-    forces = [
-        _forces(each, weights, scattered, floor, noises, correction)
-        for each, weights in zip((design, *around), drawn, strict=True)
-    ]
-    if floor.record is None:
-        varies = _varying(density, counted, floor, density @ counted)
-    else:
-        moved = _followed(
-            design, lambda paths: paths.transmissibility(design.steady.weights), floor, correction, band
-        )
-        varies = np.log(next_rms(moved, HIGHEST))
-    bare = replace(design.paths, skyhook=0 * design.paths.skyhook)
-    silent = np.zeros_like(design.steady.weights)
-    return IsolationPrediction(
-        band_hz=band,
-        remains=_banded(np.array(sizes), rms(density), varies),
-        without=rms(motion_density(bare, silent, floor, noises)),
-        feedback=rms(motion_density(design.paths, silent, floor, noises)),
-        force=np.max(forces, axis=0),
-        transmissibility=_banded(
-            np.array(gains), gain(design.paths.transmissibility(design.steady.weights)), np.zeros(1)
-        ),
-        without_transmissibility=gain(bare.transmissibility(silent)),
-        density=density,
-    )
-
-
-def _varying(density, widths, floor: FloorSpectra, power) -> np.ndarray:
-    """How far the logarithm of an rms over the duration strays from known spectra: `WIDE` standard deviations.
-
-    Of a Gaussian motion over T seconds the power varies by 1 / sqrt(T B), with B the bandwidth of its lines.
-    """
-    return WIDE / 2 * np.sqrt(density**2 @ widths * floor.bursts[0] / floor.duration) / power
-
-
-def _rice(density: np.ndarray, rms: np.ndarray, floor: FloorSpectra) -> np.ndarray:
-    f, widths = floor.frequencies_hz, floor.widths_hz
-    rate = np.sqrt(density @ (widths * f**2) / np.maximum(density @ widths, np.finfo(float).tiny))
-    return expected_peak(rms, rate, floor.duration)
-
-
-def _forces(
-    design: IsolationDesign,
-    weights: np.ndarray,
-    scattered: np.ndarray,
-    floor: FloorSpectra,
-    noises,
-    correction,
-) -> list[np.ndarray]:
-    """Rms of each command, its highest and its peak with weights about those of the design."""
-    through = design.paths.commands(design.steady.weights)
-    whole = _density(floor, noises, *through)
-    expected = np.sqrt(whole @ floor.widths_hz + scattered)
-    if floor.record is None:
-        varies = _varying(whole, floor.widths_hz, floor, expected**2)
-        return [expected, expected * np.exp(varies), _rice(whole, expected, floor)]
-    command = _followed(design, lambda paths: paths.commands(weights)[0], floor, correction)
-    noise = whole - _density(floor, (0.0, 0.0), *through)
-    peak = np.abs(command).max(axis=1) + _rice(noise, np.sqrt(noise @ floor.widths_hz), floor)
-    return [expected, expected * next_rms(command, HIGHEST), peak]
-
-
-def _followed(
-    design: IsolationDesign,
-    respond: Callable[[_MovingPaths], np.ndarray],
-    floor: FloorSpectra,
-    correction: Callable | None,
-    band_hz: tuple[float, float] = (0.0, np.inf),
-) -> np.ndarray:
-    """What the floor's record becomes over time through a response of the loop, in a band."""
-    record = np.asarray(floor.record)
-    # Close enough for a straight line between the responses of a mode with 1 % of damping.
-    grid = np.geomspace(SLOWEST_HZ, min(floor.frequencies_hz[-1], 0.49 * design.loop.rate), LINES)
-    response = respond(
-        _moving(design.loop, paths_through(design.isolator, design.loop.rate, correction), grid)
-    )
-    lines, f = np.fft.rfft(record, axis=1), np.fft.rfftfreq(record.shape[1], 1 / floor.record_hz)
-    moved = np.zeros((response.shape[1], len(f)), complex)
-    for axis, sensor in np.ndindex(response.shape[1:]):
-        # Slower or faster motion than the grid's is left out.
-        moved[axis] += np.interp(f, grid, response[:, axis, sensor], left=0.0, right=0.0) * lines[sensor]
-    moved *= (f >= band_hz[0]) & (f <= band_hz[1])
-    return FINER * np.fft.irfft(moved, FINER * record.shape[1], axis=1)
-
-
-def _banded(draws: np.ndarray, expected: np.ndarray, varies: np.ndarray) -> np.ndarray:
-    """Lowest, expected and highest: from the draws, `WIDE` standard deviations of their logarithms either way."""
-    logs = np.log(draws)
-    mean, width = logs.mean(axis=0), WIDE * logs.std(axis=0)
-    low = np.minimum(logs.min(axis=0), mean - width)
-    high = np.maximum(logs.max(axis=0), mean + width)
-    shift = varies if expected.ndim == 1 else varies[:, None]
-    return np.array([np.exp(low - shift), expected, np.exp(high + shift)])
+    least = ALIKE * min(each.motion for each in quick)
+    return sorted(quick, key=lambda each: (max(each.motion, least), each.time_constant))
