@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from workbook import paths
-from workbook.claims import Claim, claims_text, ledger, load_entries
+from workbook.claims import DISAGREEMENT, Claim, claims_text, ledger, load_entries
 from workbook.compare import Comparison, compare, found_claims, same_outputs
 from workbook.lock import exclusive_lock, interrupts, unwound
 from workbook.notebooks import cleaned, notebook_text, select, with_pictures
@@ -75,8 +75,8 @@ def _print_summary(claims: list[Claim], built: list[Task]) -> None:
     for claim in claims:
         if claim.ours is None:
             print(f"claimed by no notebook: {claim.entry.id}")
-        elif claim.verdict in ("deviates", "fails") and not claim.entry.reason:
-            print(f"{claim.verdict} without a reason: {claim.entry.id}")
+        elif claim.here in DISAGREEMENT and not claim.entry.reason:
+            print(f"{claim.here} without a reason: {claim.entry.id}")
     for folder in sorted((paths.root() / "figures").glob("[!.]*/[!.]*/")):
         if folder not in {task.committed for task in built}:
             print(f"belongs to no notebook, remove it: {folder.relative_to(paths.root())}")

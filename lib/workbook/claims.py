@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from workbook import paths
 from workbook.checks import (
@@ -26,8 +27,17 @@ from workbook.checks import (
 )
 
 KINDS = ("value", "exact", "ordering", "slope", "reported", "check")
-VERDICTS = ("replicated", "better", "deviates", "reported", "passes", "fails", "not built")
-AGREEMENT = ("replicated", "better", "passes")
+REPLICATED, MOSTLY, RARELY, NOT_REPLICATED = VERDICT_WORDS = (
+    "replicated",
+    "mostly replicated",
+    "rarely replicated",
+    "not replicated",
+)
+LEAST = (0.95, 0.5, 0.05)  # share of the combinations that agree, from which on each of the first three holds
+VERDICTS = (*VERDICT_WORDS, "not judged", "passes", "fails", "not built")
+HERE = ("inside", "better", "outside", "passes", "fails", "not judged", "not built")
+AGREEMENT = ("inside", "better", "passes")
+DISAGREEMENT = ("outside", "fails")
 BASES = ("predicted", "fitted", "calibrated")
 
 
@@ -90,7 +100,7 @@ class Entry:
     basis : str
         ``predicted``; ``fitted`` or ``calibrated`` when the published value itself went into the model.
     reason : str
-        Why it deviates or cannot be judged.
+        Why ours differs or cannot be judged.
     threshold : float or None
         For an ordering, and a check that is a fraction of runs: the least fraction that must obey it. The lower
         end of the fraction's interval over runs is compared with it. Without one, all runs must obey it.
@@ -205,31 +215,76 @@ class Entry:
 
 @dataclass(frozen=True)
 class Claim:
-    """An entry with the value found by a notebook (None: not built yet)."""
+    """An entry with the value found by a notebook (None: not built yet).
+
+    `over` is how it fares over the open choices, as `workbook.choices.command.judged_ledger` gives it; without it nothing
+    is open.
+    """
 
     entry: Entry
     ours: float | None = None
     interval: tuple[float, float] | None = None
     notebook: str = ""
+    over: Any = field(default=None, compare=False, repr=False)
 
     @property
     def verdict(self) -> str:
-        """What comes of holding ours against the entry.
+        """The one word on an entry, from the share of the combinations of open choices that agree.
 
-        ``replicated`` or ``deviates``; ``better`` where ours lies beyond the tolerance on the side that the entry
-        calls better; ``passes`` or ``fails`` for a check; ``reported``; ``not built``.
+        ``replicated`` from 95 %, or where nothing is open and ours agrees; ``mostly replicated`` from 50 %; ``rarely
+        replicated`` from 5 %; else ``not replicated``; ``not judged``, see `unjudged`. An own check ``passes`` or
+        ``fails``. ``not built`` where a notebook has not found it yet.
+        """
+        here = self.here
+        if here in ("not built", "passes", "fails"):
+            return here
+        if self.entry.kind == "reported":
+            return "not judged"
+        share = None if self.over is None else self.over.share
+        if share is None:
+            share = float(here in AGREEMENT)
+        word = next(
+            (w for w, least in zip(VERDICT_WORDS, LEAST, strict=False) if share >= least), NOT_REPLICATED
+        )
+        return "not judged" if word != NOT_REPLICATED and self.is_too_wide else word
+
+    @property
+    def unjudged(self) -> str:
+        """Why it is not judged; empty where it is."""
+        if self.verdict != "not judged":
+            return ""
+        if self.entry.kind == "reported":
+            return self.entry.reason
+        return f"What agrees with it is wider than the printed value, {self.entry.published:.4g}."
+
+    @property
+    def is_too_wide(self) -> bool:
+        """Whether a two-sided rule takes in more than the printed value's own size, so that it cannot replicate it."""
+        entry, rule = self.entry, self.entry.tolerance
+        if not entry.published or rule is None or entry.better or entry.kind == "check":
+            return False
+        if rule.interval is None:
+            return 2 * rule.width(entry.published) > abs(entry.published)
+        return self.interval is not None and self.interval[1] - self.interval[0] > abs(entry.published)
+
+    @property
+    def here(self) -> str:
+        """What comes of ours at our settings alone: ``inside`` or ``outside`` the entry's tolerance.
+
+        ``better`` where ours lies outside on the side that the entry calls better; ``passes`` or ``fails`` for a check;
+        ``not judged``; ``not built``.
         """
         entry = self.entry
         if self.ours is None:
             return "not built"
         if entry.kind == "reported":
-            return "reported"
+            return "not judged"
         if self._agrees():
-            return "passes" if entry.kind == "check" else "replicated"
+            return "passes" if entry.kind == "check" else "inside"
         if entry.kind == "check":
             return "fails"
         larger = self.ours > entry.published
-        return "better" if entry.better == ("larger" if larger else "smaller") else "deviates"
+        return "better" if entry.better == ("larger" if larger else "smaller") else "outside"
 
     def _agrees(self) -> bool:
         entry = self.entry
@@ -247,10 +302,11 @@ class Claim:
 
     @property
     def judgement(self) -> str:
-        """The verdict, and in brackets what keeps it from being evidence: its basis, or that the work did no such thing."""
-        entry = self.entry
-        notes = [entry.basis] * (entry.basis != "predicted") + ["counterfactual"] * entry.counterfactual
-        return f"{self.verdict} ({', '.join(notes)})" if notes else self.verdict
+        """The verdict, and in brackets ours at our settings, what it rests on, and that the work did no such thing."""
+        entry, verdict = self.entry, self.verdict
+        notes = [self.here] * (verdict in VERDICT_WORDS)
+        notes += [entry.basis] * (verdict in VERDICT_WORDS) + ["counterfactual"] * entry.counterfactual
+        return f"{verdict} ({', '.join(notes)})" if notes else verdict
 
     @property
     def deviation(self) -> float | None:
@@ -264,7 +320,7 @@ class Claim:
         entry = self.entry
         if entry.drift.absolute and abs(self.ours) <= entry.drift.absolute:
             return f"< {entry.drift.absolute:g}"
-        if entry.is_residual and not entry.published and self.verdict in AGREEMENT:
+        if entry.is_residual and not entry.published and self.here in AGREEMENT:
             if bound := entry.tolerance.absolute:  # 0 where a count is judged
                 return f"< {bound:g}"
         if self.ours and entry.drift.absolute:  # no digit that another processor may turn
@@ -295,6 +351,7 @@ class Claim:
             "ours": self.ours,
             "interval": list(self.interval) if self.interval else None,
             "verdict": self.verdict,
+            "here": self.here,
             "tolerance": entry.tolerance.source if entry.tolerance else "",
             "reason": entry.reason,
             "notebook": self.notebook,
@@ -362,7 +419,7 @@ def _entry(name: str, fields: dict) -> Entry:
 
 @dataclass
 class ClaimsTable:
-    """What one notebook found, judged; prints as a text table."""
+    """What one run found, inside its tolerance or outside; prints as a text table."""
 
     claims: list[Claim] = field(default_factory=list)
 
@@ -383,20 +440,20 @@ class ClaimsTable:
         file.write_text(claims_text(found), encoding="utf-8")
 
     def _rows(self) -> list[tuple[str, ...]]:
-        rows = [("claim", "place", "published", "ours", "interval", "unit", "verdict")]
+        rows = [("claim", "place", "published", "ours", "interval", "unit", "here")]
         for claim in self.claims:
             entry = claim.entry
             spread = "" if not claim.interval else "{:.3g} .. {:.3g}".format(*claim.interval)
             published = "" if entry.published is None else f"{entry.published:.4g}"
             row = (entry.id, entry.place, published, claim.shown(3), spread)
-            rows.append((*row, entry.unit, claim.judgement))
+            rows.append((*row, entry.unit, claim.here))
         return rows
 
     def _reasons(self) -> list[str]:
         return [
             f"{c.entry.id}: {c.entry.reason}"
             for c in self.claims
-            if c.entry.reason and c.verdict not in AGREEMENT
+            if c.entry.reason and c.here not in AGREEMENT
         ]
 
     def __repr__(self) -> str:

@@ -24,11 +24,11 @@ def figures(targets: list[str], settings: list[str], **how) -> int:
 def claims(topic: str | None, entry: str | None, json: bool, built: bool) -> str:
     """The ledger, or one entry of it, as text."""
     from workbook import report, tasks
-    from workbook.claims import ledger
+    from workbook.choices.command import judged_ledger
 
     if topic is not None:
         paths.require_topic(topic)
-    found = ledger(tasks.built() if built else None, topic)
+    found = judged_ledger(topic, tasks.built() if built else None, notes=json or bool(entry))
     if entry:
         found = [report.find(found, entry)]
     if json:
@@ -40,13 +40,8 @@ def claims(topic: str | None, entry: str | None, json: bool, built: bool) -> str
 
 def _with_choices(claims: list) -> list[dict]:
     """The claims as plain values, each with how it stands over its combinations (None where it has none)."""
-    from workbook.choices.command import robustness_of
-
-    topics = dict.fromkeys(claim.entry.topic for claim in claims)
-    standings = {name: standing for topic in topics for name, standing in robustness_of(topic).items()}
     return [
-        claim.as_dict()
-        | {"choices": standings[claim.entry.id].as_dict() if claim.entry.id in standings else None}
+        claim.as_dict() | {"choices": claim.over.as_dict() if claim.over is not None else None}
         for claim in claims
     ]
 

@@ -335,9 +335,9 @@ def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ..
             Claim(entries[name], each["ours"], tuple(each["interval"]) if "interval" in each else None)
             for each in (now[name], before[name])
         )
-        if new.verdict != old.verdict:
-            verdicts.append(f"{name}: {old.verdict} -> {new.verdict}")
-        if new.verdict != old.verdict or not same_value(new, old):
+        if new.here != old.here:
+            verdicts.append(f"{name}: {old.here} -> {new.here}")
+        if new.here != old.here or not same_value(new, old):
             claims.append(name)
             moved.append(f"{name}: {old.ours:.6g} -> {new.ours:.6g}")
     return tuple(claims), tuple(moved), tuple(verdicts)

@@ -1,19 +1,17 @@
 """The head of a notebook's page: a few claims, what was published and what we find, from the ledger alone."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
 from workbook import paths
 from workbook.checks import read_toml
-from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness
-from workbook.claims import AGREEMENT, Claim
+from workbook.choices.judging import Robustness
+from workbook.claims import DISAGREEMENT, MOSTLY, NOT_REPLICATED, RARELY, REPLICATED, Claim
 from workbook.report import interval_text, our_quantity, published_quantity
 
 MOST = 5  # claims at the head of a page
-MARKS = {"agrees": "●", "depends": "◐", "differs": "◆", "open": "○"}
-OVER_CHOICES = {ROBUST: "agrees", DEPENDS: "depends", NOT_REPRODUCED: "differs"}
-DISAGREEMENT = ("deviates", "fails")
+MARKS = {REPLICATED: "●", "passes": "●", MOSTLY: "◐", RARELY: "◐", NOT_REPLICATED: "◆", "fails": "◆"}
 
 
 def over_combinations(standing: Robustness) -> str:
@@ -40,30 +38,13 @@ class Headline:
     Attributes
     ----------
     claim : Claim
-    robustness : Robustness or None
-        Over the open choices; None where none touch it.
     """
 
     claim: Claim
-    robustness: Robustness | None = None
-
-    @property
-    def status(self) -> str:
-        """What stands at its head: the class over the open choices; the verdict where none were tried."""
-        return (self.robustness and self.robustness.class_) or self.claim.verdict
-
-    @property
-    def kind(self) -> str:
-        """``agrees``, ``depends`` on open choices, ``differs``, or ``open`` where it is not judged or not computed yet."""
-        if self.status in OVER_CHOICES:
-            return OVER_CHOICES[self.status]
-        if self.status in ("reported", "not built"):
-            return "open"
-        return "agrees" if self.status in AGREEMENT else "differs"
 
     @property
     def mark(self) -> str:
-        return MARKS[self.kind]
+        return MARKS.get(self.claim.verdict, "○")
 
     @property
     def found(self) -> str:
@@ -76,30 +57,30 @@ class Headline:
             return f"{words} Not computed yet."
         interval = f" ({text})" if (text := interval_text(claim)) else ""
         if not entry.is_fraction:
-            instead = " instead" if published and claim.verdict in DISAGREEMENT else ""
+            instead = " instead" if published and claim.here in DISAGREEMENT else ""
             return f"{words} We find {ours}{instead}{interval}."
         holds = f"it {ours} holds" if ours in ("always", "never") else f"it holds {ours}"
-        holds = f"Not found: {holds}" if claim.verdict in DISAGREEMENT else holds.capitalize()
+        holds = f"Not found: {holds}" if claim.here in DISAGREEMENT else holds.capitalize()
         return f"{words} {holds}{interval}."
 
     @property
-    def open_choices(self) -> str:
-        """Under how many combinations of open choices it agrees; empty where none were tried or it is not judged."""
-        one = self.robustness
-        if one is None or one.class_ is None:
-            return ""
-        word = one.class_.capitalize()
-        return f"{word}: {over_combinations(one)} of open choices."
+    def judged(self) -> str:
+        """The verdict, under how many combinations of open choices it agrees, and what decides that."""
+        claim, over = self.claim, self.claim.over
+        word = claim.verdict.capitalize()
+        if over is None or over.share is None or claim.verdict == "not judged":
+            return f"{word}."
+        decides = f"; {' and '.join(over.decided_by)} decides" if over.decided_by else ""
+        return f"{word}: {over_combinations(over)} of open choices{decides}."
 
     @property
     def text(self) -> str:
         entry = self.claim.entry
-        return " ".join(filter(None, [f"{entry.quantity} ({entry.place}):", self.found, self.open_choices]))
+        return " ".join(filter(None, [f"{entry.quantity} ({entry.place}):", self.found, self.judged]))
 
 
 def headlines(
     claims: list[Claim],
-    robustness: Mapping[str, Robustness],
     said: Sequence[str] = (),
     first_figure: str = "",
 ) -> list[Headline]:
@@ -110,7 +91,6 @@ def headlines(
     ----------
     claims : list of Claim
         Of the notebook, in the ledger's order.
-    robustness : mapping of str to Robustness
     said : sequence of str
         The paper's own headline entries, see `said_first`.
     first_figure : str
@@ -124,7 +104,7 @@ def headlines(
         return name not in said, claim.entry.kind == "reported", name.split(".")[1] != first_figure
 
     chosen = marked or sorted(replications, key=rank)
-    return [Headline(claim, robustness.get(claim.entry.id)) for claim in chosen[:MOST]]
+    return [Headline(claim) for claim in chosen[:MOST]]
 
 
 def said_first(topic: str) -> list[str]:
@@ -148,7 +128,7 @@ class Summary:
     def _repr_html_(self) -> str:
         rows = "".join(
             f"<li>{line.mark} <strong>{escape(line.claim.entry.quantity)}</strong> ({escape(line.claim.entry.place)}). "
-            f"{escape(line.found)} {escape(line.open_choices)}</li>"
+            f"{escape(line.found)} {escape(line.judged)}</li>"
             for line in self.lines
         )
         return f"<ul style='list-style: none; padding-left: 0'>{rows}</ul>"
@@ -157,8 +137,8 @@ class Summary:
 def summary_of(notebook: str) -> Summary:
     """The headlines of a notebook (``topic/name``) by its committed results; of one without entries it is empty."""
     from workbook import notebook_source
-    from workbook.choices.command import judged
-    from workbook.claims import ledger, load_entries
+    from workbook.choices.command import judged_ledger
+    from workbook.claims import load_entries
     from workbook.notebooks import read_notebook
 
     topic = notebook.partition("/")[0]
@@ -167,11 +147,10 @@ def summary_of(notebook: str) -> Summary:
     # One that no build has judged yet belongs to the page whose code names it.
     mine = [
         claim
-        for claim in ledger(topic=topic)
+        for claim in judged_ledger(topic)
         if (claim.notebook == notebook if claim.notebook else claim.entry.id in ids)
     ]
-    found = judged(topic) if mine else {}
     first = next(
         iter(notebook_source.figures_saved(source, [claim.entry.id.split(".")[1] for claim in mine])), ""
     )
-    return Summary(tuple(headlines(mine, found, said_first(topic), first)))
+    return Summary(tuple(headlines(mine, said_first(topic), first)))

@@ -105,7 +105,7 @@ class Page:
             display(saved)
 
     def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:
-        """Hold `ours` against the ledger's entry `claim` (with the topic in front); returns the verdict.
+        """Hold `ours` against the ledger's entry `claim` (with the topic in front); returns where it lies at these settings.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class Page:
         made = make_claim(claim, ours, interval, self.notebook)
         self.claims.add(made)
         self.claims.write(paths.output(self.notebook) / "claims.json")
-        return made.verdict
+        return made.here
 
 
 def _shell():

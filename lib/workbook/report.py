@@ -8,18 +8,18 @@ from collections.abc import Iterable
 
 from workbook import paths
 from workbook.checks import InputError, nearest
-from workbook.claims import AGREEMENT, BASES, Claim, ledger
+from workbook.claims import AGREEMENT, DISAGREEMENT, NOT_REPLICATED, VERDICT_WORDS, Claim
 
 BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
+FITTED = "fitted or calibrated"
+BASIS = {"predicted": "predicted", "fitted": FITTED, "calibrated": FITTED}
 # What a claim is counted as: first the work's numbers, then what is none of them.
 REPLICATIONS = (
-    *(f"{verdict}, {basis}" for verdict in ("replicated", "better") for basis in BASES),
-    "deviates",
-    "reported",
+    *(f"{word}, {basis}" for basis in ("predicted", FITTED) for word in VERDICT_WORDS[:-1]),
+    NOT_REPLICATED,
+    "not judged",
 )
 APART = ("no number published", "checks passed", "checks failed", "counterfactual", "not built")
-# Columns that are shown even when they are empty: what could be mistaken for evidence stands beside it.
-ALWAYS = ("replicated, predicted", "replicated, fitted", "replicated, calibrated", "deviates", "reported")
 GAP = "  "
 NARROWEST = 8  # characters to which a column may shrink
 
@@ -49,7 +49,7 @@ def interval_text(claim: Claim) -> str:
     else:
         text = f"{ends[0]:.3g} to {ends[1]:.3g}"
     aim, rule = entry.published if entry.expected is None else entry.expected, entry.tolerance
-    if claim.verdict not in ("deviates", "fails") or rule is None or not ends[0] <= (aim or 0.0) <= ends[1]:
+    if claim.here not in DISAGREEMENT or rule is None or not ends[0] <= (aim or 0.0) <= ends[1]:
         return text
     room = f"{rule.absolute:.3g}" if rule.relative is None else f"{100 * rule.relative:.3g} %"
     return f"{text}; {claim.ours:.3g} is judged, to within {room}"
@@ -130,7 +130,7 @@ def ledger_text(claims: list[Claim], width: int) -> str:
     reasons = [
         paragraph(f"{claim.entry.id}: {claim.entry.reason}", width)
         for claim in claims
-        if claim.entry.reason and claim.verdict not in AGREEMENT
+        if claim.entry.reason and claim.here not in AGREEMENT
     ]
     total = paragraph(tally(claims) or "no entries", width)
     return "\n".join([*table(rows, width), *(["", *reasons] if reasons else []), "", total])
@@ -203,7 +203,7 @@ def _shown(value, between: str = ", ") -> str:
 def column(claim: Claim) -> str:
     """Under what a claim is counted.
 
-    Agreement is split by what it rests on, so that only what was predicted stands at the head. Checks of our own,
+    What is replicated is split by what it rests on, so that only what was predicted stands at the head. Checks of our own,
     what the work gives no number for and counterfactuals are no replications and have names of their own.
     """
     entry, verdict = claim.entry, claim.verdict
@@ -215,13 +215,7 @@ def column(claim: Claim) -> str:
         return "checks passed" if verdict == "passes" else "checks failed"
     if entry.published is None:
         return "no number published"
-    return f"{verdict}, {entry.basis}" if verdict in AGREEMENT else verdict
-
-
-def columns(claims: list[Claim]) -> list[str]:
-    """Columns of a count: the common ones, and those others that occur."""
-    seen = {column(claim) for claim in claims} | set(ALWAYS)
-    return [name for name in (*REPLICATIONS, *APART) if name in seen]
+    return f"{verdict}, {BASIS[entry.basis]}" if verdict in VERDICT_WORDS[:-1] else verdict
 
 
 def tally(claims: Iterable[Claim]) -> str:
@@ -230,25 +224,25 @@ def tally(claims: Iterable[Claim]) -> str:
     return "; ".join(f"{counts[name]} {name}" for name in (*REPLICATIONS, *APART) if counts[name])
 
 
-def summary() -> str:
-    """Markdown table of the counts, a row per topic; `numbers` are those that the work publishes."""
-    claims = ledger()
-    shown = columns(claims)
-    lines = [
-        "| topic | numbers | " + " | ".join(shown) + " |",
-        "|---|" + "---:|" * (len(shown) + 1),
-    ]
+def summary(claims: list[Claim]) -> str:
+    """Two Markdown tables of counts, a row per topic: the numbers that the work publishes, then what is none of them."""
+    parts = [_counts(claims, "numbers", REPLICATIONS), _counts(claims, "others", APART)]
+    return "\n\n".join(filter(None, parts))
+
+
+def _counts(claims: list[Claim], head: str, names: tuple[str, ...]) -> str:
+    counts = Counter((claim.entry.topic, column(claim)) for claim in claims)
+    shown = [name for name in names if any(counts[topic, name] for topic in paths.topics())]
+    lines = [f"| topic | {head} | " + " | ".join(shown) + " |", "|---|" + "---:|" * (len(shown) + 1)]
     for topic in paths.topics():
-        mine = [claim for claim in claims if claim.entry.topic == topic]
-        counts = Counter(map(column, mine))
-        if mine:
-            numbers = " | ".join(str(counts[name]) for name in shown)
-            lines.append(f"| `{topic}` | {sum(c.entry.is_replication for c in mine)} | {numbers} |")
-    return "\n".join(lines)
+        numbers = [counts[topic, name] for name in shown]
+        if any(numbers):
+            lines.append(f"| `{topic}` | {' | '.join(map(str, (sum(numbers), *numbers)))} |")
+    return "\n".join(lines) if shown else ""
 
 
-def readme_with_summary(text: str) -> str:
+def readme_with_summary(text: str, claims: list[Claim]) -> str:
     """`text` with the block between the ledger's marks made anew; unchanged where it has no marks."""
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{summary()}\n{END}{after}" if begin and end else text
+    return f"{before}{BEGIN}\n{summary(claims)}\n{END}{after}" if begin and end else text

@@ -20,7 +20,7 @@ def difference(task: Task) -> list[str]:
         return [*lines, "  the published settings have no accepted results yet to hold it against"]
     moved = _moved(task)
     if moved:
-        rows = [("claim", "published", "at its settings", "here", "verdict"), *moved]
+        rows = [("claim", "published", "at its settings", "here", "tolerance"), *moved]
         lines += [f"  {line}" for line in table(rows, screen() - 2)]
     else:
         lines.append("  no claim moved")
@@ -32,17 +32,17 @@ def difference(task: Task) -> list[str]:
 
 
 def _moved(task: Task) -> list[tuple[str, ...]]:
-    """Of each claim whose value or verdict is another: what is published, accepted and found."""
+    """Of each claim whose value is another, or inside where it was outside: what is published, accepted and found."""
     accepted = {claim.entry.id: claim for claim in ledger(topic=task.notebook.topic)}
     file = task.target / "claims.json"
     found = recorded_claims(file) if file.is_file() else {}
     rows = []
     for name, (ours, interval) in found.items():
         before, now = accepted[name], make_claim(name, ours, interval)
-        if (before.ours, before.verdict) != (now.ours, now.verdict):
+        if (before.ours, before.here) != (now.ours, now.here):
             published = "" if now.entry.published is None else f"{now.entry.published:.4g}"
-            verdict = now.verdict if now.verdict == before.verdict else f"{before.verdict} -> {now.verdict}"
-            rows.append((name, published, _shown(before), _shown(now), verdict))
+            stands = now.here if now.here == before.here else f"{before.here} -> {now.here}"
+            rows.append((name, published, _shown(before), _shown(now), stands))
     return rows
 
 

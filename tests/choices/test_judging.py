@@ -9,9 +9,9 @@ from scipy import stats
 from choices.toy_work import FIRST, LEDGER, SEEDS, TOTAL, A, B, axis, study
 from workbook.checks import InputError
 from workbook.choices.axes import load_axes, load_together
-from workbook.choices.judging import Robustness, agreement, judge
+from workbook.choices.judging import agreement, judge
 from workbook.choices.results import collect
-from workbook.claims import Claim, Entry, load_entries
+from workbook.claims import Claim, load_entries
 from workbook.studies import proportion_interval
 
 GRID = list(itertools.product(range(3), range(2)))
@@ -22,7 +22,7 @@ def judged(*outcomes):
     return judge(list(outcomes), load_entries("motion"), axes)
 
 
-def test_shares_classes_and_deciding_axes_are_those_of_the_toy(outcomes):
+def test_shares_and_deciding_axes_are_those_of_the_toy(outcomes):
     """Published are 3 +- 1 for y = a + 2 b + a b, 2 for a b, and a <= b; counted here over all six combinations."""
     standings = judged(outcomes())
     agree = {
@@ -32,12 +32,7 @@ def test_shares_classes_and_deciding_axes_are_those_of_the_toy(outcomes):
         "motion.never": [False] * 6,
         "motion.always": [True] * 6,
     }
-    classes = {name: standings[name].class_ for name in agree}
     assert {name: standings[name].agree for name in agree} == {name: sum(a) for name, a in agree.items()}
-    assert classes == dict.fromkeys(agree, "depends") | {
-        "motion.never": "not reproduced",
-        "motion.always": "robust",
-    }
     shares = standings["motion.table-1.sum"].shares
     assert (shares.first, shares.total) == (pytest.approx(FIRST), pytest.approx(TOTAL))
     assert standings["motion.table-1.sum"].decided_by == ["b", "a"]
@@ -177,40 +172,6 @@ def test_the_default_combination_has_the_verdict_of_the_ledger(outcomes):
     assert (both.moved, both.ours["motion.table-1.sum"], len(both.agreeing)) == ((), 3.2, 2)
 
 
-@pytest.mark.parametrize(
-    ("agreeing", "by_default", "class_"),
-    [
-        ({0}, True, "depends"),
-        ({7}, False, "not reproduced"),
-        ({7}, None, "not reproduced"),
-        (set(range(1, 40)), False, "depends"),
-        (set(range(39)), True, "robust"),
-    ],
-)
-def test_an_entry_depends_where_the_default_is_among_the_few_others(agreeing, by_default, class_):
-    """Else its class would contradict the verdict beside it, which is that at the default."""
-    agrees = np.array([[k in agreeing] for k in range(40)])
-    entry, settings = (
-        Entry("motion.order", "1", "order", "1", "ordering", 1.0),
-        tuple((k,) for k in range(40)),
-    )
-    one = Robustness(
-        entry, (), settings, agrees * 1.0, agrees, np.zeros((40, 1), bool), by_default=by_default
-    )
-    assert one.class_ == class_
-
-
-def test_the_default_is_that_of_the_ledger_and_without_one_of_the_study(outcomes):
-    found = outcomes()
-    entries, (axes, _) = load_entries("motion"), load_axes("motion")
-    names = ("motion.table-1.sum", "motion.never", "motion.always")
-    of_study = judge([found], entries, axes)
-    assert [of_study[name].by_default for name in names] == [False, False, True]
-    claims = {name: Claim(entries[name], value) for name, value in zip(names, (3.2, 100, 5), strict=True)}
-    of_ledger = judge([found], entries, axes, claims)
-    assert [of_ledger[name].by_default for name in names] == [True, True, False]
-
-
 @pytest.mark.slow
 def test_a_joint_combination_over_two_studies_is_one_combination(workbook):
     """Two studies that share the axis a: the best pair by brute force over all pairs that agree on a."""
@@ -240,7 +201,7 @@ def test_a_joint_combination_over_two_studies_is_one_combination(workbook):
 
 def test_failures_count_neither_way(outcomes):
     standing = judged(outcomes(A + B + study("raising")))["motion.always"]
-    assert (standing.tried, standing.agree, standing.class_) == (4, 4, "robust")
+    assert (standing.tried, standing.agree) == (4, 4)
     assert standing.as_dict()["failed"] == 2
     assert standing.interval == proportion_interval(4, 4)
 

@@ -204,7 +204,7 @@ def test_a_killed_run_goes_on_where_it_stopped(workbook, tmp_path):
     assert f"of {18 - done}" in text
     assert journal.read_text().count("\n") in (18, 19)  # 19: a line was torn
     assert (torn / "data/motion/choices.csv").read_text(encoding="utf-8") == results_text(whole)
-    assert "motion: 1 robust, 3 depends, 1 not reproduced" in text
+    assert "the site shows every entry over its combinations" in text
 
 
 @pytest.mark.slow
@@ -220,17 +220,13 @@ def test_the_command_runs_while_a_build_does_and_the_ledger_tells_of_combination
     claims = {each["id"]: each for each in json.loads(capsys.readouterr().out)}
     order = [a <= b for a in range(3) for b in range(2)] * 3
     combinations = claims["motion.order"]["choices"]
-    assert (combinations["tried"], combinations["agree"], combinations["class"]) == (
-        18,
-        sum(order),
-        "depends",
-    )
+    assert (combinations["tried"], combinations["agree"]) == (18, sum(order))
     assert combinations["decided_by"][0]["axis"] == "a"
     assert combinations["joint"]["tried"] == 6
     monkeypatch.setenv("COLUMNS", "60")
     assert main(["claims", "--entry", "motion.order"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "  class: depends" in lines
+    assert "verdict: not built" in lines
     assert max(map(len, lines)) <= 60
 
 

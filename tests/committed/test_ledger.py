@@ -24,7 +24,7 @@ def test_there_is_a_ledger():
 def lacking(claim: Claim) -> str:
     if claim.verdict == "not built":
         return "run `make accept`" if claim.notebook else "no notebook claims it"
-    return "" if claim.verdict in AGREEMENT or claim.entry.reason else "give the reason"
+    return "" if claim.here in AGREEMENT or claim.entry.reason else "give the reason"
 
 
 def test_every_entry_is_accepted_and_explained():
@@ -92,9 +92,9 @@ def test_corrected_filters_are_counterfactuals():
 
 
 def found_otherwise(now: Claim, committed: Claim) -> str:
-    if (now.verdict, now.notebook) != (committed.verdict, committed.notebook):
-        return f"was {committed.verdict} by {committed.notebook}, now {now.verdict} by {now.notebook}"
-    if now.verdict != "not built" and not same_value(now, committed):
+    if (now.here, now.notebook) != (committed.here, committed.notebook):
+        return f"was {committed.here} by {committed.notebook}, now {now.here} by {now.notebook}"
+    if now.here != "not built" and not same_value(now, committed):
         return f"was {committed.ours}, now {now.ours}"
     return ""
 

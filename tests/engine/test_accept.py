@@ -80,7 +80,7 @@ def test_accepts_a_build(toy):
     assert shown["text/plain"] == ["fig-1.png, fig-1.csv"]
     png = (toy.root / "figures/isolation/01-first/fig-1.png").read_bytes()
     assert base64.b64decode(shown["image/png"]) == png
-    assert "replicated" in "".join(cells["claims"]["outputs"][0]["data"]["text/plain"])
+    assert "inside" in "".join(cells["claims"]["outputs"][0]["data"]["text/plain"])
     assert cells["parameters"]["metadata"] == {"tags": ["parameters"]}
     for forbidden in ("papermill", "text/html", str(toy.root), "injected"):
         assert forbidden not in text
@@ -152,7 +152,7 @@ def test_what_moved_is_said_by_the_build_and_taken_over(accepted):
     toy.replace("notebooks/isolation/01-first.ipynb", "size=3)", "size=3) + gain(level)")
     said = toy.run("figures").stdout.splitlines()
     assert "moved: isolation/01-first: figure fig-1, cell claim, cell claims, claim isolation.gain" in said
-    assert "verdict moved: isolation.gain: replicated -> deviates" in said
+    assert "verdict moved: isolation.gain: inside -> outside" in said
     assert said[-1].startswith("0 of 1 pictures agree") and "1 verdicts moved" in said[-1]
     done = toy.run("accept")
     assert done.returncode == 0
@@ -258,7 +258,7 @@ def test_says_what_moved_and_what_lacks_a_reason(toy):
     toy.run("figures")
     said = toy.run("accept").stdout.splitlines()
     assert "moved: isolation.gain: 1.9 -> 2" in said
-    assert "deviates without a reason: isolation.gain" in said
+    assert "outside without a reason: isolation.gain" in said
 
 
 def test_cleaning_keeps_text_only():

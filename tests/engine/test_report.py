@@ -1,11 +1,13 @@
 """The ledger as text: what a terminal shows, and what is counted where."""
 
+from collections import Counter
+
 import pytest
 
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.report import (
     column,
-    columns,
+    ledger_text,
     our_quantity,
     summary,
     tally,
@@ -36,19 +38,18 @@ def test_nearly_all_runs_are_not_shown_as_all(ours, text, cases):
 # One claim for each way to be counted: what it is counted as, its value, its entry.
 COUNTED = [
     ("replicated, predicted", 2.0, {}),
-    ("replicated, fitted", 2.0, {"basis": "fitted"}),
-    ("replicated, calibrated", 2.0, {"basis": "calibrated"}),
-    ("better, predicted", 3.0, {"better": "larger"}),
-    ("deviates", 3.0, {}),
-    ("deviates", 3.0, {"basis": "calibrated"}),
-    ("reported", 3.0, {"kind": "reported", "reason": "rig not described"}),
+    ("replicated, fitted or calibrated", 2.0, {"basis": "fitted"}),
+    ("replicated, fitted or calibrated", 2.0, {"basis": "calibrated"}),
+    ("replicated, predicted", 3.0, {"better": "larger"}),
+    ("not replicated", 3.0, {}),
+    ("not replicated", 3.0, {"basis": "calibrated"}),
+    ("not judged", 3.0, {"kind": "reported", "reason": "rig not described"}),
     ("no number published", 3.0, {"kind": "reported", "reason": "words alone", "published": None}),
     ("checks passed", 0.0, {"kind": "check", "published": None}),
     ("checks failed", 3.0, {"kind": "check"}),
     ("counterfactual", 2.0, {"counterfactual": True}),
     ("not built", None, {}),
 ]
-NAMES = list(dict.fromkeys(name for name, *_ in COUNTED))
 
 
 def each_way() -> list[Claim]:
@@ -58,15 +59,26 @@ def each_way() -> list[Claim]:
 def test_every_claim_is_counted_under_one_name():
     claims = each_way()
     assert [column(each) for each in claims] == [name for name, *_ in COUNTED]
-    assert columns(claims) == NAMES
-    assert columns(claims[:1]) == [*NAMES[:3], "deviates", "reported"]
-    assert tally(claims[3:6]) == "1 better, predicted; 2 deviates"
+    assert tally(claims[3:6]) == "1 replicated, predicted; 2 not replicated"
     assert tally([]) == ""
 
 
-def test_the_summary_counts_only_the_work_s_numbers_as_such(monkeypatch):
-    monkeypatch.setattr("workbook.report.ledger", each_way)
-    head, _, row = summary().splitlines()
-    counts = dict(zip(head.split("|")[2:-1], row.split("|")[2:-1], strict=True))
-    found = {name.strip(): int(count) for name, count in counts.items()}
-    assert found == {"numbers": 8, **dict.fromkeys(NAMES, 1), "deviates": 2}
+def test_the_summary_counts_only_the_work_s_numbers_as_such():
+    numbers, others = (part.splitlines() for part in summary(each_way()).split("\n\n"))
+    found = []
+    for head, _, row in (numbers, others):
+        counts = dict(zip(head.split("|")[2:-1], row.split("|")[2:-1], strict=True))
+        found.append({name.strip(): int(count) for name, count in counts.items()})
+    of = Counter(name for name, *_ in COUNTED)
+    assert found[0] == {"numbers": 7, **{name: of[name] for name in list(of)[:4]}}
+    assert found[1] == {"others": 5, **{name: of[name] for name in list(of)[4:]}}
+
+
+def test_a_verdict_is_shown_with_what_keeps_it_from_being_evidence():
+    judged = [claim(), claim(basis="fitted"), claim(ours=3.0, basis="calibrated", counterfactual=True)]
+    assert [each.judgement for each in judged] == [
+        "replicated (inside, predicted)",
+        "replicated (inside, fitted)",
+        "not replicated (outside, calibrated, counterfactual)",
+    ]
+    assert "replicated (inside, fitted)" in ledger_text(judged, 200)

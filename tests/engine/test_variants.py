@@ -24,7 +24,7 @@ def test_a_variant_says_where_it_is_and_how_it_differs(toy):
     shutil.copytree(toy.root / f"build/figures/{name}", toy.root / f"figures/{name}")
     told = toy.run("figures", name, "-p", "level=2").stdout  # built already: it is told again
     (row,) = [line.split() for line in told.splitlines() if line.startswith("  motion.gain ")]
-    assert row == ["motion.gain", "2", "2", "4", "replicated", "->", "deviates"]
+    assert row == ["motion.gain", "2", "2", "4", "inside", "->", "outside"]
     assert "no figure moved" in told
 
     told = toy.run("figures", name, "-p", "seed=7").stdout

@@ -1,5 +1,6 @@
 import json
 import math
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import assume, given
@@ -24,20 +25,20 @@ def test_relative_tolerance(published, ours, relative):
     claim = Claim(entry(published=published, tolerance=Tolerance("x", relative=relative)), ours)
     distance = abs(ours - published)
     assume(abs(distance - relative * abs(published)) > 1e-9 * abs(published))  # the edge itself rounds
-    assert (claim.verdict == "replicated") == (distance < relative * abs(published))
+    assert (claim.here == "inside") == (distance < relative * abs(published))
 
 
 @given(values, values, levels)
 def test_absolute_tolerance(published, ours, absolute):
     claim = Claim(entry(published=published, tolerance=Tolerance("x", absolute=absolute)), ours)
-    assert claim.verdict == ("replicated" if abs(ours - published) <= absolute else "deviates")
+    assert claim.here == ("inside" if abs(ours - published) <= absolute else "outside")
 
 
 @given(values, values, values, values)
 def test_interval_tolerance_looks_at_the_interval_only(published, ours, one, other):
     low, high = sorted((one, other))
     claim = Claim(entry(published=published, tolerance=Tolerance("x", interval=0.95)), ours, (low, high))
-    assert claim.verdict == ("replicated" if low <= published <= high else "deviates")
+    assert claim.here == ("inside" if low <= published <= high else "outside")
 
 
 @pytest.mark.parametrize(
@@ -46,20 +47,20 @@ def test_interval_tolerance_looks_at_the_interval_only(published, ours, one, oth
 )
 def test_a_rule_of_an_interval_needs_one(asking):
     with pytest.raises(InputError, match=r"interval=\(low, high\)"):
-        Claim(asking, 1.0).verdict  # noqa: B018
+        Claim(asking, 1.0).here  # noqa: B018
 
 
 @given(levels)
 def test_an_ordering_must_hold_in_every_run(fraction):
     claim = Claim(entry("ordering", published=1.0), fraction)
-    assert claim.verdict == ("replicated" if fraction == 1 else "deviates")
+    assert claim.here == ("inside" if fraction == 1 else "outside")
 
 
 @given(levels, levels, levels, st.floats(0.01, 1))
 def test_a_threshold_is_held_against_the_lower_end_of_the_interval(fraction, one, other, threshold):
     low, high = sorted((one, other))
     claim = Claim(entry("ordering", published=1.0, threshold=threshold), fraction, (low, high))
-    assert claim.verdict == ("replicated" if low >= threshold else "deviates")
+    assert claim.here == ("inside" if low >= threshold else "outside")
 
 
 @given(st.floats(-5, 5), st.sampled_from(["larger", "smaller"]))
@@ -67,7 +68,7 @@ def test_better_is_beyond_the_tolerance_on_one_side(off, better):
     assume(abs(abs(off) - 1) > 1e-9)
     claim = Claim(entry(tolerance=Tolerance("x", absolute=1.0), better=better), 2.0 + off)
     on_better_side = off > 0 if better == "larger" else off < 0
-    assert claim.verdict == ("replicated" if abs(off) <= 1 else "better" if on_better_side else "deviates")
+    assert claim.here == ("inside" if abs(off) <= 1 else "better" if on_better_side else "outside")
 
 
 @pytest.mark.parametrize(
@@ -91,7 +92,7 @@ def test_a_check_of_our_own_passes_or_fails(fields, ours, verdict):
 
 def test_what_the_work_does_not_state_is_no_replication():
     shown = entry("reported", published=None, reason="the work gives no number")
-    assert Claim(shown, 3.0).verdict == "reported"
+    assert Claim(shown, 3.0).verdict == "not judged"
     assert Claim(shown, 3.0).deviation is None
     assert shown.is_own
     assert not entry("reported", reason="rig not described").is_own
@@ -102,6 +103,51 @@ def test_what_the_work_does_not_state_is_no_replication():
 @pytest.mark.parametrize("kind", ["value", "exact", "ordering", "slope"])
 def test_nothing_found_is_not_built(kind):
     assert Claim(entry(kind)).verdict == "not built"
+
+
+@given(st.integers(1, 60), st.data(), st.booleans())
+def test_the_verdict_is_that_of_the_share_of_combinations(tried, data, inside):
+    """By whole numbers: hundredths of the combinations."""
+    agree = data.draw(st.integers(0, tried))
+    if 100 * agree >= 95 * tried:
+        word = "replicated"
+    elif 2 * agree >= tried:
+        word = "mostly replicated"
+    elif 100 * agree >= 5 * tried:
+        word = "rarely replicated"
+    else:
+        word = "not replicated"
+    over = SimpleNamespace(share=agree / tried)
+    ours = 2.0 if inside else 3.0
+    assert Claim(entry(published=2.0), ours, over=over).verdict == word
+    assert Claim(entry(published=2.0), ours).verdict == ("replicated" if inside else "not replicated")
+    assert Claim(entry("check", published=2.0), ours, over=over).verdict == ("passes" if inside else "fails")
+    shown = Claim(entry("reported", reason="rig not described"), ours, over=SimpleNamespace(share=None))
+    assert (shown.verdict, shown.unjudged) == ("not judged", "rig not described")
+
+
+@pytest.mark.parametrize(
+    ("rule", "interval", "ours", "verdict"),
+    [
+        ({"absolute": 1.1}, None, 2.5, "not judged"),
+        ({"absolute": 1.1}, None, 3.5, "not replicated"),
+        ({"absolute": 0.9}, None, 2.5, "replicated"),
+        ({"relative": 0.6}, None, 2.5, "not judged"),
+        ({"interval": 0.95}, (0.9, 3.0), 2.0, "not judged"),
+        ({"interval": 0.95}, (1.1, 3.0), 2.0, "replicated"),
+    ],
+)
+def test_what_is_wider_than_the_printed_value_cannot_replicate_it(rule, interval, ours, verdict):
+    claim = Claim(entry(published=2.0, tolerance=Tolerance("x", **rule)), ours, interval)
+    assert claim.verdict == verdict
+    assert ("wider" in claim.unjudged) == (verdict == "not judged")
+    one_sided = entry(published=2.0, tolerance=Tolerance("x", **rule), better="larger")
+    assert Claim(one_sided, ours, interval).verdict != "not judged"
+
+
+def test_better_is_a_remark_to_replicated():
+    claim = Claim(entry(published=2.0, better="larger"), 3.0)
+    assert (claim.verdict, claim.judgement) == ("replicated", "replicated (better, predicted)")
 
 
 def test_deviation_is_relative_and_has_no_meaning_at_zero():
@@ -266,7 +312,7 @@ def test_the_ledger_joins_entries_with_what_was_found(workbook):
     assert (pid.verdict, pid.notebook, pid.interval) == ("replicated", "motion/01-x", (37, 38))
     assert order.verdict == "not built"
     shown = {"published": 37.0, "ours": 37.5, "interval": [37, 38], "tolerance": "digits", "own": False}
-    shown |= {"verdict": "replicated", "notebook": "motion/01-x"}
+    shown |= {"verdict": "replicated", "here": "inside", "notebook": "motion/01-x"}
     assert pid.as_dict() == pid.as_dict() | shown
 
 
@@ -303,8 +349,8 @@ def test_the_table_prints_verdicts_and_reasons_and_keeps_the_last_value(workbook
     table.add(make_claim("motion.table-1.pid", 37.123456789, (36.0, 38.0)))
     table.add(make_claim("motion.order", 0.9))
     printed = repr(table)
-    assert printed.splitlines()[0].split() == "claim place published ours interval unit verdict".split()
-    assert "motion.table-1.pid  Table 1  37         37.1  36 .. 38  Hz    replicated" in printed
+    assert printed.splitlines()[0].split() == "claim place published ours interval unit here".split()
+    assert "motion.table-1.pid  Table 1  37         37.1  36 .. 38  Hz    inside" in printed
     assert printed.endswith("motion.order: one run differs")
     table.write(tmp_path / "deep" / "claims.json")
     assert json.loads((tmp_path / "deep" / "claims.json").read_text()) == {

@@ -50,14 +50,14 @@ def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_p
     monkeypatch.setenv("STILLWORK_OUTPUT", str(tmp_path / "given"))
     page = Page("motion/01-x")
     page.save("fig-1", drawing())
-    assert page.check("motion.gain", 2.01) == "replicated"
-    assert page.check("motion.gain", 2.5, interval=(2.4, 2.6)) == "deviates"
+    assert page.check("motion.gain", 2.01) == "inside"
+    assert page.check("motion.gain", 2.5, interval=(2.4, 2.6)) == "outside"
     folder = tmp_path / "given" / "motion" / "01-x"
     assert sorted(file.name for file in folder.iterdir()) == ["claims.json", "fig-1.csv", "fig-1.png"]
     assert json.loads((folder / "claims.json").read_text()) == {
         "motion.gain": {"ours": 2.5, "interval": [2.4, 2.6]}
     }
-    assert "deviates" in repr(page.claims)
+    assert "outside" in repr(page.claims)
     assert not (workbook / "build").exists()
 
 

@@ -15,8 +15,8 @@ from PIL import Image
 
 from workbook import paths
 from workbook.checks import InputError
-from workbook.choices.command import robustness_of
-from workbook.claims import ledger
+from workbook.choices.command import judged_ledger
+from workbook.claims import DISAGREEMENT, ledger
 from workbook.headlines import headlines, said_first
 from workbook.notebooks import select
 from workbook.publish import replace_folder
@@ -148,13 +148,12 @@ def test_what_a_work_says_first_is_judged_by_an_entry_of_its_own_ledger():
 
 
 def test_advice_rests_on_verdicts_that_stand():
-    """With another verdict, or another class over the combinations, the sentence is to be written anew."""
-    verdicts = {claim.entry.id: claim.verdict for claim in ledger()}
-    for topic, paper in papers().items():
-        classes = {name: each.class_ for name, each in robustness_of(topic).items() if each.class_}
+    """With another verdict the sentence is to be written anew."""
+    verdicts = {claim.entry.id: claim.verdict for claim in judged_ledger()}
+    for paper in papers().values():
         assert paper["builder"][-1:] in (".", "")
         for entry, stated in paper["rests"].items():
-            assert stated == ", ".join([verdicts[entry], *([classes[entry]] if entry in classes else [])])
+            assert stated == verdicts[entry]
 
 
 def test_a_table_has_its_nearest_joint_combination_and_what_comes_near_there(files):
@@ -202,25 +201,17 @@ def test_no_sentence_of_the_ledger_contradicts_its_mark():
     """The headlines of all pages: what differs is worded as a negation, what agrees is not, and so is the remark."""
     found = []
     for topic in paths.topics():
-        standings, pages = robustness_of(topic), {}
-        for claim in ledger(topic=topic):
+        pages = {}
+        for claim in judged_ledger(topic):
             pages.setdefault(claim.notebook, []).append(claim)
         for claims in pages.values():
-            found += [
-                line
-                for line in headlines(claims, standings, said_first(topic))
-                if line.claim.ours is not None
-            ]
+            found += [line for line in headlines(claims, said_first(topic)) if line.claim.ours is not None]
     assert len({line.claim.notebook for line in found}) > 50
     for line in found:
         negated = " instead" in line.found or "Not found: " in line.found
-        assert negated == (
-            line.claim.verdict in ("deviates", "fails") and line.claim.entry.published is not None
-        )
-        if line.kind in ("agrees", "differs"):
-            assert negated == (line.kind == "differs") or line.claim.entry.published is None
-        assert ("differs under all" in line.open_choices) <= (line.kind == "differs")
-        assert ("agrees under all" in line.open_choices) <= (line.kind == "agrees")
+        assert negated == (line.claim.here in DISAGREEMENT and line.claim.entry.published is not None)
+        assert ("differs under all" in line.judged) <= (line.mark == "◆")
+        assert ("agrees under all" in line.judged) <= (line.mark == "●")
 
 
 QUESTIONS = {
@@ -268,7 +259,7 @@ def test_foreign_text_is_escaped(toy):
             assert page.of("b") == [], name
             assert not [each for _, each in page.found if any(key.startswith("on") for key in each)], name
     assert "&lt;script&gt;alert" in files["ledger.html"].decode()
-    assert "deviates" in files["ledger.html"].decode()
+    assert "not replicated" in files["ledger.html"].decode()
 
 
 def test_a_formula_that_cannot_be_shown_names_the_notebook(toy):

@@ -9,7 +9,7 @@ import pytest
 from workbook.choices.axes import Axis, Multiverse
 from workbook.choices.judging import Robustness
 from workbook.choices.results import Outcomes
-from workbook.claims import Entry, Tolerance
+from workbook.claims import Claim, Entry, Tolerance
 from workbook.site.specification import HEIGHT, TOP, curve_of
 
 # Value = size of `scale`, or minus it: published is 2, and 1.5 to 2.5 agree.
@@ -28,7 +28,7 @@ def curve(values=VALUES, published=2.0, kind="value"):
     standing = Robustness(entry, (SCALE, SIGN), settings, values, agrees, np.zeros(values.shape, bool))
     seeds = tuple(range(1, values.shape[1] + 1))
     study = Multiverse("motion", "toy", "a:b", ("motion.size",), (SCALE, SIGN, OTHER), seeds)
-    return curve_of(Outcomes(study, DESIGN, {"motion.size": values}), standing)
+    return curve_of(Outcomes(study, DESIGN, {"motion.size": values}), Claim(entry, over=standing))
 
 
 def places(path):

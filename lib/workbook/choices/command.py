@@ -6,6 +6,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 from workbook import paths
 from workbook.checks import InputError, require_choice
@@ -23,10 +24,10 @@ from workbook.choices.checking import (
     short_form_differs,
     today,
 )
-from workbook.choices.judging import DEPENDS, NOT_REPRODUCED, ROBUST, Robustness, judge
+from workbook.choices.judging import Robustness, judge
 from workbook.choices.results import Outcomes, read_results, results_text
 from workbook.choices.running import Journal, calls_of, compute, design, run_combinations
-from workbook.claims import ledger, load_entries
+from workbook.claims import Claim, ledger, load_entries
 from workbook.lock import held, interrupts
 from workbook.publish import replace_file
 from workbook.report import screen, table
@@ -136,7 +137,7 @@ def _compute_topic(topic: str, executor, at_once: int, end: float, stopped, chan
     for each in others:
         forget(each)
     done = read_results(multiverses)  # what is judged is what was written
-    standings = _judged(topic, done, axes)
+    standings = _judged(topic, done, axes, ledger(topic=topic))
     print(standings_text(topic, done, standings, screen()))
     print("the site shows every entry over its combinations")
     return True
@@ -177,21 +178,20 @@ def _unmoved(topic: str, multiverses: list[Multiverse], run, journal: Journal) -
 
 
 def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Robustness], width: int) -> str:
-    """Table of all entries of a topic over their combinations, what failed, and the counts by class."""
-    rows = [("claim", "tried", "agree", "interval", "class", "decided by", "best joint combination")]
+    """Table of all entries of a topic over their combinations, and what failed."""
+    rows = [("claim", "tried", "agree", "interval", "decided by", "best joint combination")]
     for name, standing in standings.items():
         judged = standing.share is not None
         spread = "{:.2f} .. {:.2f}".format(*standing.interval) if judged else ""
         joint = standing.joint
         best = f"{len(joint.agreeing)} of {len(joint.ours)} in {joint.tried} tried" if joint else ""
-        agree = f"{100 * standing.share:.3g} %" if judged else ""
+        agree = f"{100 * standing.share:.3g} %" if judged else "not judged"
         rows.append(
             (
                 name,
                 str(standing.tried),
                 agree,
                 spread,
-                standing.class_ or "not judged",
                 ", ".join(standing.decided_by),
                 best,
             )
@@ -208,25 +208,33 @@ def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Rob
     for study in studies:
         for reason, count in Counter(study.failures.values()).most_common():
             lines.append(f"{study.multiverse.study}: {count} combinations failed: {reason}")
-    counts = Counter(standing.class_ for standing in standings.values())
-    classes = ", ".join(
-        f"{counts[name]} {name}" for name in (ROBUST, DEPENDS, NOT_REPRODUCED) if counts[name]
-    )
-    return "\n".join([*lines, "", f"{topic}: {classes or 'nothing judged'}"])
+    return "\n".join(lines)
 
 
-def judged(topic: str) -> dict[str, Robustness]:
-    """Robustness of the entries of a topic by its committed results, by id; without notes on the code's age."""
-    axes, multiverses = load_axes(topic)
-    return _judged(topic, read_results(multiverses), axes)
+def judged_ledger(topic: str | None = None, figures: Path | None = None, notes: bool = False) -> list[Claim]:
+    """The ledger with what every verdict needs: of each entry how it fares over its combinations, as committed.
+
+    Parameters
+    ----------
+    topic : str, optional
+        Only this topic.
+    figures : Path, optional
+        Folder of built figures; by default the workbook's own.
+    notes : bool
+        Note what older code has computed, too, which takes longer.
+    """
+    claims = ledger(figures, topic)
+    topics = dict.fromkeys(claim.entry.topic for claim in claims)
+    over = {name: one for each in topics for name, one in robustness_of(each, claims, notes).items()}
+    return [replace(claim, over=over.get(claim.entry.id)) for claim in claims]
 
 
-def _judged(topic: str, studies: list[Outcomes], axes: dict[str, Axis]) -> dict[str, Robustness]:
-    claims = {claim.entry.id: claim for claim in ledger(topic=topic)}
-    return judge(studies, load_entries(topic), axes, claims, load_together(topic))
+def _judged(topic: str, studies: list[Outcomes], axes: dict[str, Axis], claims) -> dict[str, Robustness]:
+    by_id = {claim.entry.id: claim for claim in claims}
+    return judge(studies, load_entries(topic), axes, by_id, load_together(topic))
 
 
-def robustness_of(topic: str) -> dict[str, Robustness]:
+def robustness_of(topic: str, claims: list[Claim] | None = None, notes: bool = True) -> dict[str, Robustness]:
     """How the entries of a topic stand by its committed results, by id; without those whose axes changed since."""
     axes, multiverses = load_axes(topic)
     studies = read_results(multiverses)
@@ -234,6 +242,8 @@ def robustness_of(topic: str) -> dict[str, Robustness]:
     run = paths.data(topic, "choices.csv").exists()
     if run and (changed := [multiverse.study for multiverse in multiverses if multiverse.study not in known]):
         print(f"{topic}: the axes of {', '.join(changed)} changed: run `make choices`", file=sys.stderr)
-    standings = _judged(topic, studies, axes)
+    standings = _judged(topic, studies, axes, claims or ledger(topic=topic))
+    if not notes:
+        return standings
     ages = {entry: age(each) for each in studies for entry in each.multiverse.entries}
     return {name: replace(standing, age=ages[name]) for name, standing in standings.items()}

@@ -17,11 +17,8 @@ from workbook.checks import InputError
 from workbook.choices.axes import Axis, Option
 from workbook.choices.results import Outcomes
 from workbook.choices.variance import SEED, Shares, variance_shares
-from workbook.claims import AGREEMENT, Claim, Entry
+from workbook.claims import AGREEMENT, LEAST, Claim, Entry
 
-ROBUST, DEPENDS, NOT_REPRODUCED = "robust", "depends", "not reproduced"
-# Share of combinations from which on an entry is robust; up to the rest of 1 it is not reproduced.
-CERTAIN = 0.95
 DECIDES = 0.1  # least share of variance, joint effects included, of an axis that is named
 NAMED = 2  # axes at most
 # Of a published value: relative distances within which a table's numbers are counted.
@@ -102,7 +99,6 @@ class Robustness:
     age: str = ""
     differs: str = ""
     lean: str = ""  # of a study by a short form what that leaves out
-    by_default: bool | None = None  # whether it agrees at the default setting; None where that is not known
 
     @property
     def options(self) -> tuple[Axis, ...]:
@@ -141,18 +137,9 @@ class Robustness:
         return proportion_interval(self.share * independent, independent)
 
     @property
-    def class_(self) -> str | None:
-        """``robust``, ``depends`` or ``not reproduced``; it depends, too, where the default is among the few others."""
-        if self.share is None:
-            return None
-        if self.share >= CERTAIN and self.by_default is not False:
-            return ROBUST
-        return NOT_REPRODUCED if self.share <= 1 - CERTAIN and not self.by_default else DEPENDS
-
-    @property
     def decided_by(self) -> list[str]:
-        """Of an entry that depends, the one or two axes that move it most, joint effects included."""
-        if self.class_ != DEPENDS or self.shares is None:
+        """Of an entry that is mostly or rarely replicated, the one or two axes that move it most, joint effects included."""
+        if self.share is None or self.shares is None or not LEAST[-1] <= self.share < LEAST[0]:
             return []
         ranked = sorted(self.shares.total, key=lambda name: (-self.shares.total[name], name))
         return [name for name in ranked[:NAMED] if self.shares.total[name] >= DECIDES]
@@ -168,7 +155,6 @@ class Robustness:
             "agree": self.agree,
             "share": self.share,
             "interval": list(self.interval) if self.interval else None,
-            "class": self.class_,
             "range": [float(there.min()), float(there.max())] if there.size else None,
             "decided_by": [
                 {"axis": name, "first_order": self.shares.first[name], "total": self.shares.total[name]}
@@ -264,7 +250,7 @@ def agreement(study: Outcomes, entry: Entry) -> np.ndarray:
         ours, interval = float(values[at]), (float(low[at]), float(high[at]))
         if math.isnan(interval[0]):
             interval = _over_seeds(entry, values[at[0]]) if by_interval else (ours, ours)
-        agrees[at] = Claim(entry, ours, interval).verdict in AGREEMENT
+        agrees[at] = Claim(entry, ours, interval).here in AGREEMENT
     return agrees
 
 
@@ -295,7 +281,7 @@ class _Part:
 
     def _take_over(self, claim: Claim, judged: bool) -> None:
         at = self.study.multiverse.default_point
-        agrees = judged and claim.verdict in AGREEMENT
+        agrees = judged and claim.here in AGREEMENT
         self.default = (claim.ours, agrees)
         if at not in self.study.design or self.failed[point := self.study.design.index(at), 0]:
             return
@@ -303,16 +289,6 @@ class _Part:
             self.differs = f"{self.values[point, 0]:.4g} in its study, {claim.ours:.4g} in the ledger"
         self.own = (point, 0)
         self.values[self.own], self.agrees[self.own] = claim.ours, agrees
-
-    @property
-    def by_default(self) -> bool | None:
-        """Whether it agrees at the default combination; None where that is neither in the ledger nor computed."""
-        at = self.study.multiverse.default_point
-        if self.default is not None:
-            return self.default[1]
-        if at not in self.study.design or self.failed[point := self.study.design.index(at), 0]:
-            return None
-        return bool(self.agrees[point, 0])
 
     def at(self, point: int) -> tuple[float, bool]:
         """Mean over the seeds, and whether most of them agree; at the default what the ledger has."""
@@ -370,7 +346,6 @@ def _robustness(part: _Part, axes: dict[str, Axis]) -> Robustness:
         _undeclared(part),
         differs=part.differs,
         lean=multiverse.lean,
-        by_default=part.by_default,
     )
 
 

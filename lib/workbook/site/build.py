@@ -13,9 +13,8 @@ from markupsafe import Markup
 
 from workbook import paths, publish
 from workbook.checks import InputError
-from workbook.choices.command import robustness_of
-from workbook.choices.judging import Robustness
-from workbook.claims import KINDS, VERDICTS, Claim, ledger
+from workbook.choices.command import judged_ledger
+from workbook.claims import KINDS, VERDICTS, Claim
 from workbook.headlines import headlines, over_combinations, said_first
 from workbook.notebooks import notebook_file
 from workbook.provenance import commit, modified
@@ -33,7 +32,7 @@ from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, papers, project
 from workbook.site.pages import NotebookPage, read_page
-from workbook.site.specification import class_of, curves, remark, sentence, status
+from workbook.site.specification import curves, sentence, status
 from workbook.site.states import kept_states, make_states
 from workbook.tasks import tasks
 from workbook.timings import benchmarks
@@ -78,14 +77,13 @@ def _own_pages() -> dict[str, dict]:
 
 def site_files() -> dict[str, bytes]:
     """The site's files by path, with the explorers' states that are kept."""
-    claims = ledger()
+    claims = judged_ledger(notes=True)
     wanted = tasks()
     pages = [read_page(task, claims) for task in wanted]
     states = kept_states(wanted)
     modules = reference.read_modules()
     guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
-    standings = {entry: each for topic in paths.topics() for entry, each in robustness_of(topic).items()}
-    topics = [_topic(name, paper, claims, pages, standings) for name, paper in papers().items()]
+    topics = [_topic(name, paper, claims, pages) for name, paper in papers().items()]
     own = _own_pages()
     render = _renderer(
         own_pages=own,
@@ -97,12 +95,11 @@ def site_files() -> dict[str, bytes]:
         },
         places=reference.index(modules),
         timed=bool(timed := benchmarks()),
-        standings=standings,
         verdicts=[verdict for verdict in VERDICTS if any(claim.verdict == verdict for claim in claims)],
         counts=Counter(map(column, claims)),
     )
 
-    curved = {curve.standing.entry.id for topic in topics for curve in topic["curves"]}
+    curved = {curve.claim.entry.id for topic in topics for curve in topic["curves"]}
     files = static_files()
     by_name = {page.name: page for page in pages}
     moving = [
@@ -126,7 +123,6 @@ def site_files() -> dict[str, bytes]:
         by_name=by_name,
         curved=curved,
         kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
-        classes=sorted({class_of(standings.get(claim.entry.id)) for claim in claims}),
     )
     for topic in topics:
         if topic["curves"]:
@@ -145,7 +141,7 @@ def site_files() -> dict[str, bytes]:
             "../../",
             page=page,
             heads=headlines(
-                list(page.claims), standings, said_first(page.topic), next((f.name for f in page.figures), "")
+                list(page.claims), said_first(page.topic), next((f.name for f in page.figures), "")
             ),
             curved=curved,
             neighbours=_neighbours(page, pages),
@@ -203,12 +199,10 @@ def _neighbours(page: NotebookPage, pages: list[NotebookPage]) -> list[tuple[str
     return before + [("next", each) for each in mine[at + 1 : at + 2]]
 
 
-def _topic(
-    name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage], standings: dict[str, Robustness]
-) -> dict:
+def _topic(name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage]) -> dict:
     """What a template shows of a topic."""
     mine = [claim for claim in claims if claim.entry.topic == name]
-    drawn = curves(name, standings)
+    drawn = curves(name, mine)
     joints = {curve.standing.joint.group: curve.standing.joint for curve in drawn if curve.standing.joint}
     return {
         "name": name,
@@ -217,7 +211,6 @@ def _topic(
         "picture": picture.draw(mine),
         "curves": drawn,
         "joints": [joint for joint in joints.values() if len(joint.ours) > 1],
-        "classes": Counter(curve.standing.class_ for curve in drawn if curve.standing.class_),
         "headline": _said(paper["headline"], mine),
         "found": _said(paper["found"], mine),
         "rests": [entry for entry in paper["rests"] if any(claim.entry.id == entry for claim in mine)],
@@ -264,10 +257,8 @@ def _templates() -> jinja2.Environment:
     environment.filters["column"] = column
     environment.filters["tally"] = tally
     environment.filters["status"] = status
-    environment.filters["remark"] = remark
     environment.filters["over_combinations"] = over_combinations
     environment.filters["sentence"] = sentence
-    environment.filters["class_of"] = class_of
     return environment
 
 

@@ -5,12 +5,11 @@ from collections.abc import Callable
 from html import escape
 
 from workbook import paths
-from workbook.claims import Claim, ledger
+from workbook.choices.command import judged_ledger
+from workbook.claims import Claim
 from workbook.notebooks import METADATA, notebook_text
 from workbook.publish import replace_file
-from workbook.report import (
-    readme_with_summary,
-)
+from workbook.report import readme_with_summary
 from workbook.site.metadata import about, papers, project
 from workbook.site.pages import NotebookPage, read_page
 from workbook.tasks import tasks
@@ -30,7 +29,7 @@ def refresh() -> list[str]:
 
 def derived_files() -> dict[str, str]:
     """What the derived files must hold, by path."""
-    claims = ledger()
+    claims = judged_ledger()
     pages = [read_page(task, claims) for task in tasks()]
     makers: dict[str, Callable[[list[NotebookPage], list[Claim]], str]] = {
         "README.md": _readme,
@@ -47,8 +46,8 @@ def _present(name: str) -> str | None:
     return file.read_text(encoding="utf-8") if file.is_file() else None
 
 
-def _readme(pages: list[NotebookPage], _claims: list[Claim]) -> str:
-    text = readme_with_summary(_present("README.md"))
+def _readme(pages: list[NotebookPage], claims: list[Claim]) -> str:
+    text = readme_with_summary(_present("README.md"), claims)
     before, begin, rest = text.partition(GALLERY_BEGIN)
     _, end, after = rest.partition(GALLERY_END)
     return f"{before}{begin}\n{_gallery(pages)}\n{end}{after}" if begin and end else text

@@ -15,12 +15,12 @@ from markupsafe import Markup
 
 from workbook import notebook_source, paths
 from workbook.checks import InputError
-from workbook.claims import VERDICTS, Claim
+from workbook.claims import HERE, VERDICTS, Claim
 from workbook.notebooks import Notebook
 from workbook.tasks import Task
 
-# What a cell that ends with `page.check` prints; its page shows the verdict with the claim.
-VERDICTS_ALONE = tuple(map(repr, VERDICTS))
+# What a cell that ends with `page.check` prints; its page shows it with the claim.
+PRINTED = tuple(map(repr, HERE))
 # Small pictures are for lists of figures: a gallery of them in full size would weigh twenty megabytes.
 SMALL = 480  # pixels: two for each of a column's
 FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
@@ -235,11 +235,7 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
                 text, png = _shown(output)
                 if png and not FILE_NAMES.match(text):
                     figures.append(Figure(name, f"{cell['id']}-static", heading, png, None))
-                elif (
-                    (left := FILE_NAMES.sub("", text).strip("\n"))
-                    and left not in VERDICTS_ALONE
-                    and not table
-                ):
+                elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in PRINTED and not table:
                     outputs.append(left)
             judgements = tuple(by_id[each] for each in ids)
             cells.append(

@@ -9,8 +9,8 @@ import numpy as np
 from workbook.choices.axes import load_axes
 from workbook.choices.judging import Robustness
 from workbook.choices.results import Outcomes, read_results
-from workbook.claims import AGREEMENT, Claim
-from workbook.headlines import DISAGREEMENT, over_combinations
+from workbook.claims import DISAGREEMENT, VERDICTS, Claim
+from workbook.headlines import over_combinations
 from workbook.report import our_quantity, published_quantity
 
 WIDTH, TOP = 460, 10  # of the values and dots; a page stretches the width to what it has
@@ -25,7 +25,7 @@ class Curve:
 
     Attributes
     ----------
-    standing : Robustness
+    claim : Claim
     dots : dict of str to str
         Path of each kind of combinations: those under which the entry agrees, differs, or is not judged.
     seeds : str
@@ -43,7 +43,7 @@ class Curve:
     height : float
     """
 
-    standing: Robustness
+    claim: Claim
     dots: dict[str, str]
     seeds: str
     ticks: tuple[tuple[float, str], ...]
@@ -55,25 +55,31 @@ class Curve:
     width: int = WIDTH
 
     @property
+    def standing(self) -> Robustness:
+        """Over the open choices."""
+        return self.claim.over
+
+    @property
     def words(self) -> int:
         """Width of the longest word beside the dots."""
         beside = [text for _, text in self.ticks] + [text for _, text, _ in self.options]
         return 10 + LETTER * max(map(len, beside))
 
 
-def curves(topic: str, standings: dict[str, Robustness]) -> list[Curve]:
-    """Of the entries of a topic that have a value under some combination: what depends first, then what is not reproduced and what is robust."""
+def curves(topic: str, claims: list[Claim]) -> list[Curve]:
+    """Of the claims of a topic that have a value under some combination: what is replicated most first."""
+    judged = {claim.entry.id: claim for claim in claims if claim.over is not None}
     found = [
-        curve_of(study, standings[entry])
+        curve_of(study, judged[entry])
         for study in read_results(load_axes(topic)[1])
         for entry, values in study.values.items()
         if np.isfinite(values).any()
     ]
-    order = ("depends", "not reproduced", "robust", None)
-    return sorted(found, key=lambda curve: order.index(curve.standing.class_))
+    return sorted(found, key=lambda curve: VERDICTS.index(curve.claim.verdict))
 
 
-def curve_of(study: Outcomes, standing: Robustness) -> Curve:
+def curve_of(study: Outcomes, claim: Claim) -> Curve:
+    standing = claim.over
     points = np.flatnonzero(np.isfinite(standing.values).any(axis=1))
     middle = np.nanmean(standing.values[points], axis=1)
     order = np.argsort(middle, kind="stable")
@@ -98,7 +104,7 @@ def curve_of(study: Outcomes, standing: Robustness) -> Curve:
         y += ROW / 2
     dots = _paths(x, scale(middle), kinds, np.ones(len(points), bool))
     ranged = ranges if standing.values.shape[1] > 1 else ""
-    return Curve(standing, dots, ranged, ticks, published, band, tuple(axes), tuple(options), y)
+    return Curve(claim, dots, ranged, ticks, published, band, tuple(axes), tuple(options), y)
 
 
 def _scale(standing: Robustness, values: np.ndarray):
@@ -139,19 +145,16 @@ def _paths(x: np.ndarray, y: float | np.ndarray, kinds: np.ndarray, shown: np.nd
     return found
 
 
-def status(claim: Claim, standing: Robustness | None) -> str:
-    """Under how many combinations the claim itself agrees; where none were judged, what comes out here."""
-    if standing is not None and standing.share is not None:
-        return over_combinations(standing)
-    if claim.verdict in AGREEMENT:
-        return "agrees here"
-    if claim.ours is None:
-        return claim.verdict
-    ours = our_quantity(claim)
-    return f"not here: {ours}" if claim.verdict in DISAGREEMENT else f"here {ours}"
+def status(claim: Claim) -> str:
+    """Ours at our settings, inside its tolerance or outside; under how many combinations it agrees, and what decides."""
+    words = [f"{claim.here} at our settings"] if claim.here in ("inside", "outside", "better") else []
+    if (over := claim.over) is not None and over.share is not None:
+        words.append(over_combinations(over))
+        words += [f"{' and '.join(over.decided_by)} decides"] if over.decided_by else []
+    return "; ".join(words)
 
 
-def sentence(said: Mapping[str, str], claim: Claim, standing: Robustness | None) -> str:
+def sentence(said: Mapping[str, str], claim: Claim) -> str:
     """What came out, as a sentence: what the paper says, or its negation where that is not found.
 
     Parameters
@@ -160,15 +163,13 @@ def sentence(said: Mapping[str, str], claim: Claim, standing: Robustness | None)
         ``says``, what the paper says; ``otherwise``, the sentence where it is not found, in which ``{ours}`` and
         ``{published}`` stand for the values. Without it the negation is general.
     claim : Claim
-        The entry that judges it.
-    standing : Robustness or None
-        Over the open choices. What most combinations give decides which of the two it is; where the default gives the
-        other, the sentence says that it is about most combinations, and has no value of the default's in it.
+        The entry that judges it. What most combinations give decides which of the two it is; where our settings give
+        the other, the sentence says that it is about most combinations, and has no value of ours in it.
     """
-    if claim.ours is None and (standing is None or standing.share is None):
+    if claim.ours is None and (claim.over is None or claim.over.share is None):
         return f"Not computed yet: {_begun_small(said['says'])}."
-    holds = _holds(claim, standing)
-    as_by_default = holds == _holds(claim, None)
+    holds = _holds(claim)
+    as_by_default = holds == (claim.here not in DISAGREEMENT)
     if holds:
         words = said["says"]
     elif "otherwise" in said and (as_by_default or "{ours}" not in said["otherwise"]):
@@ -181,35 +182,13 @@ def sentence(said: Mapping[str, str], claim: Claim, standing: Robustness | None)
     return f"{words[:1].upper()}{words[1:]}."
 
 
-def remark(claim: Claim, standing: Robustness | None) -> str:
-    """Under how many combinations the verdict is that of the `sentence` beside it, whichever of the two that is.
-
-    Parameters
-    ----------
-    claim : Claim
-        The entry that judges the sentence.
-    standing : Robustness or None
-        Over the open choices; without one the verdict alone stands there.
-    """
-    if standing is None or standing.agree is None or standing.share is None:
-        return claim.verdict
-    same = standing.agree if _holds(claim, standing) else standing.tried - standing.agree
-    number = f"all {standing.tried}" if same == standing.tried else f"{same} of {standing.tried}"
-    return f"the same verdict under {number} combinations of open choices"
-
-
-def _holds(claim: Claim, standing: Robustness | None) -> bool:
-    """Whether most combinations agree; without them, whether the claim does not differ here."""
-    if standing is not None and standing.share is not None:
-        return standing.share >= 0.5
-    return claim.verdict not in DISAGREEMENT
+def _holds(claim: Claim) -> bool:
+    """Whether most combinations agree; without them, whether the claim does not differ at our settings."""
+    if claim.over is not None and claim.over.share is not None:
+        return claim.over.share >= 0.5
+    return claim.here not in DISAGREEMENT
 
 
 def _begun_small(words: str) -> str:
     """Within a sentence; an abbreviation keeps its letters."""
     return words if words[1:2].isupper() else words[:1].lower() + words[1:]
-
-
-def class_of(standing: Robustness | None) -> str:
-    """``robust``, ``depends`` or ``not reproduced`` over the combinations; else ``not tried``."""
-    return (standing and standing.class_) or "not tried"

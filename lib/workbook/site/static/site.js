@@ -68,7 +68,7 @@ const form = document.querySelector("form#filters"); // a function in the refere
 if (form) {
   const body = document.querySelector("#claims tbody");
   const rows = Array.from(body.rows);
-  const fields = ["topic", "counted", "verdict", "kind", "choices"];
+  const fields = ["topic", "counted", "verdict", "kind"];
   const texts = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
 
   const distance = (row) => (row.dataset.deviation === "" ? null : Number(row.dataset.deviation));
