@@ -15,20 +15,18 @@ MARKS = {REPLICATED: "●", "passes": "●", MOSTLY: "◐", RARELY: "◐", NOT_R
 
 
 def over_combinations(standing: Robustness) -> str:
-    """Under how many combinations a judged entry agrees; where it does under none, that it differs under all.
+    """Under how many combinations of open choices a judged entry agrees, and what decides it.
 
     Parameters
     ----------
     standing : Robustness
     """
+    tried = standing.tried
     if standing.agree == 0:
-        return f"differs under all {standing.tried} combinations"
-    number = (
-        f"all {standing.tried}"
-        if standing.agree == standing.tried
-        else f"{standing.agree} of {standing.tried}"
-    )
-    return f"agrees under {number} combinations"
+        return f"differs under all {tried} combinations"
+    number = f"all {tried}" if standing.agree == tried else f"{standing.agree} of {tried}"
+    decided = f", decided by {' and '.join(standing.decided_by)}" if standing.decided_by else ""
+    return f"agrees under {number} combinations{decided}"
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,7 @@ class Headline:
         word = claim.verdict.capitalize()
         if over is None or over.share is None or claim.verdict == "not judged":
             return f"{word}."
-        decides = f"; {' and '.join(over.decided_by)} decides" if over.decided_by else ""
-        return f"{word}: {over_combinations(over)} of open choices{decides}."
+        return f"{word}: {over_combinations(over)}."
 
     @property
     def text(self) -> str:

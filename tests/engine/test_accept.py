@@ -86,7 +86,7 @@ def test_accepts_a_build(toy):
         assert forbidden not in text
 
     readme = (toy.root / "README.md").read_text()
-    assert "| `isolation` | 1 | 1 | 0 | 0 | 0 | 0 |" in readme
+    assert "| `isolation` | 1 | 1 |" in readme
     assert readme.endswith("<!-- ledger:end -->\n\nThe end.\n")
 
     assert toy.run("figures").stdout.startswith("nothing to do: 2 ")

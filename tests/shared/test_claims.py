@@ -127,6 +127,30 @@ def test_the_verdict_is_that_of_the_share_of_combinations(tried, data, inside):
 
 
 @pytest.mark.parametrize(
+    ("agree", "tried", "word"),
+    [
+        (20, 20, "replicated"),
+        (19, 20, "replicated"),
+        (18, 19, "mostly replicated"),
+        (1, 2, "mostly replicated"),
+        (10, 21, "rarely replicated"),
+        (1, 20, "rarely replicated"),
+        (1, 21, "not replicated"),
+        (0, 20, "not replicated"),
+    ],
+)
+def test_the_edges_of_the_verdict_belong_to_the_better_word(agree, tried, word):
+    over = SimpleNamespace(share=agree / tried)
+    assert [Claim(entry(published=2.0), ours, over=over).verdict for ours in (2.0, 3.0)] == [word, word]
+
+
+def test_a_wide_rule_is_not_judged_over_combinations_but_where_it_excludes_the_value_under_nearly_all():
+    wide = entry(published=2.0, tolerance=Tolerance("x", absolute=1.1))
+    found = [Claim(wide, 2.5, over=SimpleNamespace(share=share)).verdict for share in (1.0, 0.05, 0.04)]
+    assert found == ["not judged", "not judged", "not replicated"]
+
+
+@pytest.mark.parametrize(
     ("rule", "interval", "ours", "verdict"),
     [
         ({"absolute": 1.1}, None, 2.5, "not judged"),

@@ -15,7 +15,7 @@ from workbook import paths, publish
 from workbook.checks import InputError
 from workbook.choices.command import judged_ledger
 from workbook.claims import KINDS, VERDICTS, Claim
-from workbook.headlines import headlines, over_combinations, said_first
+from workbook.headlines import headlines, said_first
 from workbook.notebooks import notebook_file
 from workbook.provenance import commit, modified
 from workbook.report import (
@@ -257,7 +257,6 @@ def _templates() -> jinja2.Environment:
     environment.filters["column"] = column
     environment.filters["tally"] = tally
     environment.filters["status"] = status
-    environment.filters["over_combinations"] = over_combinations
     environment.filters["sentence"] = sentence
     return environment
 

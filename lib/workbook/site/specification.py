@@ -9,7 +9,7 @@ import numpy as np
 from workbook.choices.axes import load_axes
 from workbook.choices.judging import Robustness
 from workbook.choices.results import Outcomes, read_results
-from workbook.claims import DISAGREEMENT, VERDICTS, Claim
+from workbook.claims import DISAGREEMENT, LEAST, NOT_REPLICATED, RARELY, VERDICTS, Claim
 from workbook.headlines import over_combinations
 from workbook.report import our_quantity, published_quantity
 
@@ -150,7 +150,6 @@ def status(claim: Claim) -> str:
     words = [f"{claim.here} at our settings"] if claim.here in ("inside", "outside", "better") else []
     if (over := claim.over) is not None and over.share is not None:
         words.append(over_combinations(over))
-        words += [f"{' and '.join(over.decided_by)} decides"] if over.decided_by else []
     return "; ".join(words)
 
 
@@ -183,10 +182,10 @@ def sentence(said: Mapping[str, str], claim: Claim) -> str:
 
 
 def _holds(claim: Claim) -> bool:
-    """Whether most combinations agree; without them, whether the claim does not differ at our settings."""
-    if claim.over is not None and claim.over.share is not None:
-        return claim.over.share >= 0.5
-    return claim.here not in DISAGREEMENT
+    """Whether the verdict is that of a number found under most combinations; of what is not built, whether they agree."""
+    if claim.verdict == "not built":
+        return claim.over.share >= LEAST[1]
+    return claim.verdict not in (RARELY, NOT_REPLICATED, "fails")
 
 
 def _begun_small(words: str) -> str:
