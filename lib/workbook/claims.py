@@ -422,6 +422,7 @@ class ClaimsTable:
     """What one run found, inside its tolerance or outside; prints as a text table."""
 
     claims: list[Claim] = field(default_factory=list)
+    note: str = ""  # what a run with other settings says first
 
     def add(self, claim: Claim) -> None:
         """Add a claim; a second value for the same id replaces the first."""
@@ -462,7 +463,7 @@ class ClaimsTable:
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
         lines.insert(1, "-" * len(lines[0]))
         reasons = self._reasons()
-        return "\n".join(lines + (["", *reasons] if reasons else []))
+        return "\n".join([*self.note.splitlines(), *lines, *(["", *reasons] if reasons else [])])
 
     def _repr_html_(self) -> str | None:
         if paths.in_batch():  # a committed notebook holds text
@@ -471,7 +472,8 @@ class ClaimsTable:
         lines = ["".join(f"<th>{word}</th>" for word in head)]
         lines += ["".join(f"<td>{escape(word)}</td>" for word in row) for row in body]
         table = "".join(f"<tr>{line}</tr>" for line in lines)
-        return f"<table>{table}</table>" + "".join(f"<p>{escape(why)}</p>" for why in self._reasons())
+        note = "".join(f"<p>{escape(line)}</p>" for line in self.note.splitlines())
+        return f"{note}<table>{table}</table>" + "".join(f"<p>{escape(why)}</p>" for why in self._reasons())
 
 
 def claims_text(found: dict[str, dict]) -> str:

@@ -1,7 +1,7 @@
 """The head of a notebook's page: a few claims, what was published and what we find, from the ledger alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 from workbook import paths
@@ -115,12 +115,13 @@ def said_first(topic: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Summary:
-    """The headlines as Jupyter shows them."""
+    """The headlines as Jupyter shows them, behind what a run with other settings says first."""
 
     lines: tuple[Headline, ...]
+    note: str = ""
 
     def __repr__(self) -> str:
-        return "\n".join(f"{line.mark} {line.text}" for line in self.lines)
+        return "\n".join([*self.note.splitlines(), *(f"{line.mark} {line.text}" for line in self.lines)])
 
     def _repr_html_(self) -> str:
         rows = "".join(
@@ -128,11 +129,12 @@ class Summary:
             f"{escape(line.found)} {escape(line.judged)}</li>"
             for line in self.lines
         )
-        return f"<ul style='list-style: none; padding-left: 0'>{rows}</ul>"
+        note = "".join(f"<p>{escape(line)}</p>" for line in self.note.splitlines())
+        return f"{note}<ul style='list-style: none; padding-left: 0'>{rows}</ul>"
 
 
-def summary_of(notebook: str) -> Summary:
-    """The headlines of a notebook (``topic/name``) by its committed results; of one without entries it is empty."""
+def claims_of(notebook: str) -> list[Claim]:
+    """The claims of a notebook (``topic/name``) by its committed results, and those that its code names and no build has judged."""
     from workbook import notebook_source
     from workbook.choices.command import judged_ledger
     from workbook.claims import load_entries
@@ -141,13 +143,41 @@ def summary_of(notebook: str) -> Summary:
     topic = notebook.partition("/")[0]
     source = "\n".join(read_notebook(notebook).cells.values())
     ids = notebook_source.claims_checked(source, list(load_entries(topic)))
-    # One that no build has judged yet belongs to the page whose code names it.
-    mine = [
+    return [
         claim
         for claim in judged_ledger(topic)
         if (claim.notebook == notebook if claim.notebook else claim.entry.id in ids)
     ]
+
+
+def summary_of(
+    notebook: str, accepted: list[Claim] | None = None, found: Sequence[Claim] = (), note: str = ""
+) -> Summary:
+    """The headlines of a notebook (``topic/name``), by a run where it has found them; of one without entries it is empty.
+
+    Parameters
+    ----------
+    notebook : str
+    accepted : list of Claim, optional
+        As `claims_of` gives them, which is the default.
+    found : sequence of Claim
+        What the run has found so far.
+    note : str
+        What a run with other settings says first (`workbook.conclusions.banner`); with it, accepted values are not shown.
+    """
+    from workbook import notebook_source
+    from workbook.notebooks import read_notebook
+
+    mine = claims_of(notebook) if accepted is None else accepted
+    source = "\n".join(read_notebook(notebook).cells.values())
     first = next(
         iter(notebook_source.figures_saved(source, [claim.entry.id.split(".")[1] for claim in mine])), ""
     )
-    return Summary(tuple(headlines(mine, said_first(topic), first)))
+    now = {claim.entry.id: (claim.ours, claim.interval) for claim in found}
+    lines = []
+    for line in headlines(mine, said_first(notebook.partition("/")[0]), first):
+        claim = line.claim
+        before = (None, None) if note else (claim.ours, claim.interval)
+        ours, interval = now.get(claim.entry.id, before)
+        lines.append(Headline(replace(claim, ours=ours, interval=interval)))
+    return Summary(tuple(lines), note)

@@ -16,6 +16,7 @@ from workbook.parameters import Parameter, read_parameters
 NEAREST = 3  # how many are suggested where none is near
 LISTED = 12  # parameters that are all named in a line
 PICTURES = 3  # that a committed notebook shows
+TEXT = ("text/plain", "text/markdown")  # what is kept of an output; Markdown is a sentence of `Page.conclude`
 SAVED = re.compile(r"([\w.-]+)\.png, \1\.csv")  # the text of a saved figure
 
 # A notebook's own, in the form that is committed: no version of whatever ran it.
@@ -233,10 +234,10 @@ def joined(outputs: list[dict]) -> list[dict]:
 def _text_only(output: dict) -> dict | None:
     if output["output_type"] == "stream":
         return output
-    text = output.get("data", {}).get("text/plain")  # an error has no data
-    if text is None:
+    data = output.get("data", {})  # an error has none
+    if "text/plain" not in data:
         return None
-    return {**output, "data": {"text/plain": text}, "metadata": {}}
+    return {**output, "data": {kind: data[kind] for kind in TEXT if kind in data}, "metadata": {}}
 
 
 def _text(cell: dict) -> str:

@@ -4,12 +4,13 @@ import contextlib
 import json
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from workbook import paths
 from workbook.checks import InputError, require_choice, require_kind, short_repr
-from workbook.claims import ClaimsTable, make_claim
+from workbook.claims import Claim, ClaimsTable, make_claim
 from workbook.figures import plotted, save, use_house_style
 
 # Letters, digits, - and _, with dots inside: a name that is a file's on every system, and no path.
@@ -29,11 +30,16 @@ class Page:
         Topic and name of the notebook, without suffix.
     claims : ClaimsTable
         What the notebook has claimed so far; show it at the end.
+    conclusions : list of str
+        The sentences of this run, see `conclude`.
     """
 
     notebook: str
     claims: ClaimsTable = field(default_factory=ClaimsTable, init=False, repr=False)
+    conclusions: list[str] = field(default_factory=list, init=False, repr=False)
     _rounding: dict[str, dict[str, str]] = field(default_factory=dict, init=False, repr=False)
+    _accepted: list[Claim] = field(default_factory=list, init=False, repr=False)
+    _handle: Any = field(default=None, init=False, repr=False)
 
     def __post_init__(self):
         topic, _, name = require_kind("notebook", self.notebook, str).partition("/")
@@ -43,17 +49,35 @@ class Page:
             )
         use_house_style()
         if not paths.in_batch() and _in_jupyter():
-            self.show_summary()
+            self._show_summary()
 
-    def show_summary(self) -> None:
-        """Show what was published and what we find, for up to five claims, by the accepted results; Jupyter does it first."""
+    def _show_summary(self) -> None:
+        """Show, or show anew, up to five claims by this run; until it has found them and its settings are the accepted ones,
+        by the accepted results.
+
+        A build shows it where its settings are others, above its first claim.
+        """
+        shell = _shell()
+        if shell is None:
+            return
         from IPython.display import display
 
-        from workbook.headlines import summary_of
+        from workbook.conclusions import banner, other_settings
+        from workbook.headlines import claims_of, summary_of
 
+        settings = other_settings(self.notebook, shell.user_ns.get("In", ()))
+        if self._handle is None and paths.in_batch() and not settings:
+            return
         with contextlib.suppress(InputError, OSError):  # of what is not written yet there is nothing to show
-            if (summary := summary_of(self.notebook)).lines:
-                display(summary)
+            accepted = self._accepted = self._accepted or claims_of(self.notebook)
+            self.claims.note = banner(
+                settings, self.claims.claims, {each.entry.id: each for each in accepted}
+            )
+            summary = summary_of(self.notebook, accepted, self.claims.claims, self.claims.note)
+            if self._handle is not None:
+                self._handle.update(summary)
+            elif summary.lines:
+                self._handle = display(summary, display_id=True)
 
     def save(self, name: str, figure, rounding: Mapping[str, str] | None = None) -> None:
         """Write ``<name>.png`` and the plotted numbers ``<name>.csv``, and show the picture in the notebook.
@@ -119,7 +143,42 @@ class Page:
         made = make_claim(claim, ours, interval, self.notebook)
         self.claims.add(made)
         self.claims.write(paths.output(self.notebook) / "claims.json")
+        self._show_summary()
         return made.here
+
+    def conclude(
+        self, text: str, otherwise: str | None = None, /, when: bool | str | Sequence[str] = True, **values
+    ) -> None:
+        """Show a sentence with the numbers of this run in it, so that it never outlives them.
+
+        ``page.conclude("FeRLS is {ratio:.1f} times as fast.", "FeRLS is not faster: {ratio:.1f}.", when=ratio > 1, ratio=ratio)``
+
+        Parameters
+        ----------
+        text : str
+            Markdown with places for the values, as `str.format` has them.
+        otherwise : str, optional
+            The sentence where `when` does not hold; by default `text` behind "Not found in this run:".
+        when : bool, str or sequence of str
+            What the sentence rests on: a truth of this run, or ids of judged entries that this run has to find.
+        **values
+            The numbers; words that follow from them come from `workbook.conclusions.sense`.
+
+        Raises
+        ------
+        InputError
+            When a place has no value, a value no place, or an entry was not checked in this run.
+        """
+        from workbook.conclusions import Sentence, found_here, sentence
+
+        named = isinstance(when, str) or (isinstance(when, Sequence) and len(when) > 0)
+        holds = found_here(when, self.claims.claims) if named else bool(when)
+        said = sentence(text, otherwise, holds, values)
+        self.conclusions.append(said)
+        if _shell() is not None:
+            from IPython.display import display
+
+            display(Sentence(said))
 
 
 def _shell():

@@ -1,6 +1,7 @@
 """What the terminal tells of a variant: its place, the claims that moved, and a picture of both."""
 
 import io
+import json
 import shutil
 
 import pytest
@@ -10,7 +11,19 @@ from PIL import Image
 @pytest.fixture
 def toy(toy):
     toy.add_page("motion/01-page")
+    conclude = (
+        "page.conclude('The gain is {gain:.1f}, as printed.', 'The gain is {gain:.1f}, not as printed.', "
+        "when='motion.gain', gain=gain(level))"
+    )
+    toy.replace("notebooks/motion/01-page.ipynb", '"page.claims"', json.dumps(f"{conclude}\npage.claims"))
     return toy
+
+
+def texts(file):
+    """What an executed notebook shows, cell after cell."""
+    cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+    outputs = [output["data"] for cell in cells for output in cell.get("outputs", []) if "data" in output]
+    return ["".join(data.get("text/markdown", data["text/plain"])) for data in outputs]
 
 
 @pytest.mark.slow
@@ -26,6 +39,18 @@ def test_a_variant_says_where_it_is_and_how_it_differs(toy):
     (row,) = [line.split() for line in told.splitlines() if line.startswith("  motion.gain ")]
     assert row == ["motion.gain", "2", "2", "4", "inside", "->", "outside"]
     assert "no figure moved" in told
+
+    assert toy.run("figures", name, "-p", "level=3").returncode == 0
+    shown = texts(toy.root / "build/variants/motion/01-page/level=3.0/01-page.ipynb")
+    note = (
+        "Other settings than the accepted: level 3.0 for 1.0; 1 of 1 numbers left their tolerance, 0 entered.\n"
+        "left: motion.gain (gain): 6"
+    )
+    assert note in shown[1] and "We find 6 instead" in shown[1]  # above the first claim
+    assert "The gain is 6.0, not as printed." in shown
+    assert shown[-1].startswith(note)
+    accepted = texts(toy.root / f"build/figures/{name}/01-page.ipynb")
+    assert "The gain is 2.0, as printed." in accepted and "Other settings" not in "".join(accepted)
 
     told = toy.run("figures", name, "-p", "seed=7").stdout
     assert "no claim moved" in told

@@ -30,6 +30,9 @@ class _Recorder:
         self.found[claim] = ours if interval is None else (ours, tuple(map(float, interval)))
         return ""
 
+    def conclude(self, text, otherwise=None, /, when=True, **values):
+        """Nothing: a study asks for values alone."""
+
 
 def code_cells(notebook: str) -> list[tuple[str, bool]]:
     """Source of a notebook's code cells without its explorer, and whether a cell declares the parameters."""

@@ -233,7 +233,9 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             table = source.strip() == "page.claims"
             for output in cell.get("outputs", []):
                 text, png = _shown(output)
-                if png and not FILE_NAMES.match(text):
+                if said := "".join(output.get("data", {}).get("text/markdown", "")):
+                    outputs.append(Markup(_prose(name, said)))
+                elif png and not FILE_NAMES.match(text):
                     figures.append(Figure(name, f"{cell['id']}-static", heading, png, None))
                 elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in PRINTED and not table:
                     outputs.append(left)
