@@ -361,6 +361,7 @@ FILES = {
     "polar.csv": "# comment\nfrequency (Hz);magnitude (dB re 1 mm/s/N);phase (deg)\n{}",
     "names.csv": "freq_rad_s,Gain dB re 1 g/N,CH1 Phase in Grad\n{}",
     "omega.csv": "omega\tmagnitude (rad/(N m))\tphase (rad)\n{}",
+    "notes.csv": "Model,SDS\nPoints,60\n\nFrequency,CH1 Amplitude,CH1 Phase\nHz,g/lbf,Deg.\n{}",
 }
 
 
@@ -374,6 +375,7 @@ def test_a_table_is_read_as_the_library_reads_it(node, tmp_path):
         "polar.csv": (";", [hertz, 20 * np.log10(size), np.degrees(angle)]),
         "names.csv": (",", [TURN * hertz, 20 * np.log10(size), np.degrees(angle)]),
         "omega.csv": ("\t", [TURN * hertz, size, angle]),
+        "notes.csv": (",", [hertz, size, np.degrees(angle)]),
     }
     calls = []
     for name, (mark, table) in columns.items():

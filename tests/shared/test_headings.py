@@ -23,6 +23,7 @@ from stillwork.signals.records import load_record
 from stillwork.signals.spectra import band_power
 
 TURN, DEGREE, G = 2 * math.pi, math.pi / 180, 9.80665
+LBF = 4.4482216152605  # N, exactly: a pound of 0.45359237 kg
 REFUSED = None
 # What one step of the column is: in Hz, s, rad, per one; of a magnitude ("dB", factor of the motion over the force) or the
 # factor alone; of a channel the factor to SI and the SI unit. A second entry: refused.
@@ -93,8 +94,8 @@ HEADERS = {
     "Gain (dB10)": REFUSED,
     "acc milli-g": ("acceleration", (G / 1000, "m/s^2")),
     "acc_micro_g": ("acceleration", (G / 1e6, "m/s^2")),
-    "N/um": ("", DEFAULT),
-    "Stiffness N / um": ("", DEFAULT),
+    "N/um": REFUSED,
+    "Stiffness N / um": REFUSED,
     "Magnitude N/um": REFUSED,
     "Apparent mass magnitude": ("", DEFAULT),
     "Magnitude [\u03bcm/N]": ("magnitude", 1e-6),
@@ -143,7 +144,87 @@ HEADERS = {
     "force_n": ("force", (1, "N")),
     "torque_nm": REFUSED,
     "torque (Nm)": ("force", (1, "N m")),
-    "force_lbf": REFUSED,
+    "force_lbf": ("force", (LBF, "N")),
+    # Abbreviations, plurals and dots
+    "Acceleration (g's)": ("acceleration", (G, "m/s^2")),
+    "Accel [gs]": ("acceleration", (G, "m/s^2")),
+    "acc in g's": ("acceleration", (G, "m/s^2")),
+    "Field (Gs)": REFUSED,
+    "Acceleration (g pk)": REFUSED,
+    "Time (Sec.)": ("time", 1),
+    "Time, ms.": ("time", 1e-3),
+    "Phase (Deg.)": ("phase", DEGREE),
+    "Gain (dB.)": ("magnitude", ("dB", 1)),
+    "Frequency (cycles/s)": ("frequency", 1),
+    "Freq. [cycles/sec]": ("frequency", 1),
+    "Frequency (CPS)": ("frequency", 1),
+    "Frequency (c/s)": REFUSED,
+    "Stimulus(Hz)": ("frequency", 1),
+    "x-axis (second)": ("time", 1),
+    "X (ms)": ("time", 1e-3),
+    "Group Delay (s)": ("", (1, "s")),
+    # Inches, pounds, pressures, angles
+    "Accel (in/s^2)": ("acceleration", (0.0254, "m/s^2")),
+    "Accel [in/sec²]": ("acceleration", (0.0254, "m/s^2")),
+    "Accel (ft/s^2)": ("acceleration", (0.3048, "m/s^2")),
+    "accel_in_s2": ("acceleration", (0.0254, "m/s^2")),
+    "Velocity (in/s)": ("velocity", (0.0254, "m/s")),
+    "Velocity (ips)": ("velocity", (0.0254, "m/s")),
+    "Vel. (in./s)": ("velocity", (0.0254, "m/s")),
+    "Displacement (in)": ("position", (0.0254, "m")),
+    "Displacement (mils)": ("position", (25.4e-6, "m")),
+    "Disp. (\u00b5in)": ("position", (25.4e-9, "m")),
+    "pos_in": REFUSED,  # inches, or an input
+    "time_in_s": ("time", 1),
+    "pos_in_m": ("position", (1, "m")),
+    "force_in_N": ("force", (1, "N")),
+    "v_in": ("", DEFAULT),
+    "Force [lbs]": ("force", (LBF, "N")),
+    "Hammer (lbf)": ("force", (LBF, "N")),
+    "Force (kgf)": ("force", (G, "N")),
+    "Force (dyn)": REFUSED,
+    "Torque (in-lbf)": ("force", (0.0254 * LBF, "N m")),
+    "Torque (ft-lb)": ("force", (0.3048 * LBF, "N m")),
+    "Torque (oz-in)": ("force", (0.0254 * LBF / 16, "N m")),
+    "Magnitude (g/lbf)": ("magnitude", G / LBF),
+    "Magnitude (in/s^2/lbf)": ("magnitude", 0.0254 / LBF),
+    "Amplitude (dB ref 1 g/lbf)": ("magnitude", ("dB", G / LBF)),
+    "Mobility (in/s/lbf)": ("", (0.0254 / LBF, "m/s")),
+    "Pressure (psi)": ("", (LBF / 0.0254**2, "Pa")),
+    "Pressure [mbar]": ("", (100, "Pa")),
+    "Temperature (degF)": REFUSED,
+    "temp_degC": REFUSED,
+    "speed_rpm": REFUSED,
+    "theta (arcsec)": ("", DEGREE / 3600),
+    "Acceleration (milligal)": ("acceleration", (1e-5, "m/s^2")),
+    "EncPos (cnt)": ("", (1, "count")),
+    # Signs, arguments, factors
+    "-Phase (deg)": REFUSED,
+    "\u2212Phase [\u00b0]": REFUSED,
+    "Phase (-deg)": REFUSED,
+    "Negative phase [deg]": REFUSED,
+    "-Im{H} (m/N)": REFUSED,
+    "-Gain (dB)": REFUSED,
+    "-Z acceleration (g)": ("acceleration", (G, "m/s^2")),
+    "Attenuation Magnitude (dB)": ("", ("dB", 1)),
+    "|H(f)| [dB re 1 m/N]": ("magnitude", ("dB", 1)),
+    "|G| [dB]": ("magnitude", ("dB", 1)),
+    "\u2220H (deg)": ("phase", DEGREE),
+    "arg(H) [deg]": ("phase", DEGREE),
+    "Abs(x)[um/N]": ("magnitude", 1e-6),
+    "Phi(x)[rad]": ("phase", 1),
+    "20log10|H|": ("", DEFAULT),
+    "Magnitude^2": REFUSED,
+    "CH2 Amplitude(dBV)": REFUSED,
+    "damping N s/m": REFUSED,
+    "x N/um": REFUSED,
+    "Channel 1 (N/um)": REFUSED,
+    # Rates
+    "sample_frequency": ("rate", DEFAULT),
+    "SamplingFrequency": ("rate", DEFAULT),
+    "Sampling Frequency [kHz]": ("rate", 1000),
+    "sampling rate [kSa/s]": ("rate", 1000),
+    "Sampling Interval (s)": ("", (1, "s")),
 }  # fmt: skip
 
 
@@ -381,12 +462,29 @@ def test_a_record_at_20_khz_is_one_whatever_its_time_is_called(tmp_path, name, s
         "Zeit in s;Weg in mm\n0;0\n0,5;1,5\n1;2\n",
         "Zeit;Weg\n(s);(mm)\n0;0\n0,5;1,5\n1;2\n",
         "# a note\nZeit in s,Weg in mm\n0,0\n# another\n0.5,1.5\n1,2\n",
+        'Zeit (s),Weg (mm)\n"0","0"\n"0,5","1,5"\n"1","2"\n',
+        "Zeit/s Weg/mm\n0 0\n0,5 1,5\n1 2\n",
+        # Notes above the names, and units below them
+        "Model,MSO44\nRecord Length,3\nSample Interval,0.5\n\ntime (s),way (mm)\n0,0\n0.5,1.5\n1,2\n",
+        "x-axis,1\nsecond,mm\n0,0\n0.5,1.5\n1,2\n",
+        "File:\ta.svd\nIndex:\t1\nTime\tWay\n[ s ]\t[ mm ]\n0\t0\n0.5\t1.5\n1\t2\n",
+        "! VENDOR, X, 1\n! Date: 1.2.2024\n! time (s), way (mm)\n0,0\n0.5,1.5\n1,2\n",
+        "Trace 1;Trace 1\nTime (s);Way (mm)\n0;0\n0,5;1,5\n1;2\n",
     ],
 )
 def test_the_decimal_mark_is_that_of_all_rows(tmp_path, text):
     (tmp_path / "a.csv").write_text(text)
-    time, way = read_arrays(tmp_path / "a.csv").values()
+    found = read_arrays(tmp_path / "a.csv")
+    time, way = found.values()
     assert (time.tolist(), way.tolist()) == ([0, 0.5, 1], [0, 1.5, 2])
+    assert [heading(name).meaning.si for name in found] == ["s", "m"]
+
+
+@pytest.mark.parametrize("above", ["", "a note\n", "made,by,hand\nLength,3\n"])
+def test_a_fault_in_the_first_row_makes_no_names_of_it(tmp_path, above):
+    (tmp_path / "a.csv").write_text(above + "time,x\n0,oops\n1,2\n2,3\n")
+    with pytest.raises(InputError, match="column x: 'oops' in row 1"):
+        read_arrays(tmp_path / "a.csv")
 
 
 def test_a_sign_of_a_number_within_a_row_is_no_comment(tmp_path):
@@ -453,6 +551,7 @@ def test_an_unknown_unit_is_refused_with_those_that_are_known():
         ({"time (s)": np.arange(20000) / 1000}, []),
         ({"fs": np.array(1000.0)}, ["'fs' states no unit; taken as Hz"]),
         ({"fs_kHz": np.array(1.0)}, []),
+        ({"sample_frequency": np.array(1000.0)}, ["'sample_frequency' states no unit; taken as Hz"]),
     ],
 )
 def test_a_record_tells_the_unit_that_its_time_was_taken_in(tmp_path, columns, told):

@@ -466,7 +466,7 @@ def test_a_unit_is_asked_for_where_the_header_has_none_and_channels_of_one_quant
         load_record(file)
 
 
-@pytest.mark.parametrize("bracket", ["(ft/s^2)", "[G]", "(north)"])
+@pytest.mark.parametrize("bracket", ["(furlong/s^2)", "[G]", "(north)"])
 def test_a_unit_in_brackets_that_is_not_known_is_refused_although_one_is_given(tmp_path, bracket):
     np.savez(tmp_path / "a.npz", **{"fs": RATE, f"x {bracket}": SIGNALS[0]})
     with pytest.raises(InputError, match=rf"x .*{re.escape(bracket[1:-1])}.*no unit"):
@@ -476,7 +476,7 @@ def test_a_unit_in_brackets_that_is_not_known_is_refused_although_one_is_given(t
     assert found.unit == "m/s^2" and found.signals == pytest.approx(1e-3 * SIGNALS[[0, 0]])
 
 
-@pytest.mark.parametrize("bracket", ["(ft/s^2)", "[dB]", "(m/s^2)"])
+@pytest.mark.parametrize("bracket", ["(furlong/s^2)", "[dB]", "(m/s^2)"])
 def test_a_spectrum_in_what_is_no_density_is_refused_although_one_is_given(tmp_path, bracket):
     np.savez(tmp_path / "a.npz", **{"frequency": np.array([1.0, 2.0]), f"x {bracket}": np.ones(2)})
     with pytest.raises(InputError, match="no density"):

@@ -14,7 +14,7 @@ from stillwork.identification.frequency_response import Identified, impact_respo
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import frequency_axis
-from stillwork.signals.headings import HOLDS, column_unit, heading, in_hertz, known_units
+from stillwork.signals.headings import HOLDS, column_unit, heading, in_hertz
 from stillwork.signals.records import is_time, sampling_rate
 from stillwork.signals.units import DRIVES, MOVES, Reading, Unit, unit_factor
 
@@ -267,16 +267,15 @@ def _require_known(names: Iterable[str]) -> None:
     """Refuse a name that holds a unit which is not known, or none of its quantity."""
     for name in names:
         found = heading(name)
-        odd = found.unknown or found.strange
-        if found.meaning and found.quantity in ("acceleration", "velocity", "position") and not odd:
-            odd = (
-                "" if found.meaning.si in HOLDS[found.quantity][1] else found.unit
-            )  # counts of an accelerometer
-        if odd:
+        if (
+            found.meaning
+            and found.quantity in ("acceleration", "velocity", "position")
+            and found.meaning.si not in HOLDS[found.quantity][1]
+        ):
+            found = replace(found, unknown=found.unit)  # counts of an accelerometer
+        if refusal := found.refusal(found.quantity or "real"):
             raise InputError(
-                f"{name}: {odd!r} is no unit that is known{f' of a {found.quantity}' * bool(found.quantity)}; convert it to one "
-                f"of these and name it so: {known_units(found.quantity or 'real')}; or leave it out of the name, and give "
-                "response_unit and force_unit where they differ from m/s^2 and N"
+                f"{name}: {refusal}; give response_unit and force_unit where they differ from m/s^2 and N"
             )
 
 

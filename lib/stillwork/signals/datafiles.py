@@ -21,6 +21,21 @@ from stillwork.signals.universal import read_universal
 
 MOST_TEXT = 2**30  # bytes of a file
 LONGEST_LINE = 2**17  # characters; the csv module takes no longer field
+MOST_ABOVE = 1000  # lines of notes and names above the rows of a text
+MISSING = (
+    "",
+    "#N/A",
+    "#NA",
+    "N/A",
+    "n/a",
+    "NA",
+    "NaN",
+    "nan",
+    "-nan",
+    "null",
+    "NULL",
+    "None",
+)  # fields without a number
 MOST_MEMBERS = 10_000  # of an archive
 MOMENT = re.compile(  # a date, a time of day
     r"\s*(\d{1,4}[-/]\d{1,2}[-/]\d{1,4}|\d{1,2}\.\d{1,2}\.\d{4}|\d{1,2}:\d{2}).*"
@@ -146,49 +161,73 @@ def _look_through(path: Path) -> _Text:
     """Look through a text once: its separator, the decimal mark of all its rows, its names, and the lines to skip."""
     skipped: list[int] = []
     lines = _lines(path, skipped)
-    number, first = next(lines, (0, ""))
-    separator = ""
-    if found := re.fullmatch(r'"?sep=(.)"?', first):  # of Excel
-        separator = found[1]
-        skipped.append(number)
-        number, first = next(lines, (0, ""))
-    if not first:
+    head = list(itertools.islice(lines, MOST_ABOVE))
+    given = ""
+    if head and (found := re.fullmatch(r'"?sep=(.)"?', head[0][1])):  # of Excel
+        given = found[1]
+        skipped.append(head.pop(0)[0])
+    if not head:
         raise InputError(f"{path.name} is empty; give a line of names and rows of numbers")
-    below, second = next(lines, (0, ""))
-    body = second or first
-    separator = separator or next((mark for mark in ("\t", ";", ",") if mark in body), r"\s+")
-    names = _fields(first, separator, _width(body, separator))
-    named = not all(_is_number(each.replace(",", ".")) for each in names if each)
-    rows = [] if named else [first]
-    if named:
-        skipped.append(number)
-        units = [each.strip("()[] ") for each in _fields(second, separator, len(names))]
-        if units and all(not each or (meaning(each) and not _is_number(each)) for each in units):
-            pairs = itertools.zip_longest(names, units[: len(names)], fillvalue="")
-            names = [f"{name} ({unit})" if unit else name for name, unit in pairs]
-            skipped.append(below)
-            below, second = next(lines, (0, ""))
-    rows += [second] if second else []
-    if not rows:
-        raise InputError(f"{path.name} holds a line of names and no rows; give rows of numbers below it")
+    separator, below = _first_row([line for _, line in head], given)
+    names, below = _names([line for _, line in head], separator, below)
+    skipped += [number for number, _ in head[:below]]
+    rows = (line for _, line in itertools.chain(head[below:], lines))
     points = commas = False
     widest, at = 0, 0
-    for row, line in enumerate(itertools.chain(rows, (line for _, line in lines)), 1):
-        points, commas = points or "." in line, commas or "," in line
+    for row, line in enumerate(rows, 1):
+        quoted = separator == "," and '"' in line and any("," in each for each in _fields(line, separator, 0))
+        points, commas = points or "." in line, commas or quoted or (separator != "," and "," in line)
         if (width := _width(line, separator)) > widest:
             widest, at = width, row
-    if named and widest > len(names):
+    if not widest:
+        raise InputError(f"{path.name} holds a line of names and no rows; give rows of numbers below it")
+    if names and widest > len(names):
         raise InputError(
             f"{path.name} is not a table: row {at} holds {pluralise(widest, 'value')} for {pluralise(len(names), 'name')}; give every "
             "column a name, or none, and every row as many values"
         )
-    if not named:
-        names = [""] * widest
-    names = [name or f"column {number}" for number, name in enumerate(names, 1)]
+    names = [name or f"column {number}" for number, name in enumerate(names or [""] * widest, 1)]
     if again := next((name for name in names if names.count(name) > 1), ""):
         raise InputError(f"{path.name} names two columns {again!r}; give each a name of its own")
-    decimal = "," if commas and not points and separator not in (",", r"\s+") else "."
-    return _Text(separator, decimal, names, skipped)
+    return _Text(separator, "," if commas and not points else ".", names, skipped)
+
+
+def _first_row(lines: list[str], given: str) -> tuple[str, int]:
+    """The separator, and the first line that holds numbers alone, as the next one does; or the second line."""
+    marks = [given] if given else ["\t", ";", ",", r"\s+"]
+    for number, line in enumerate(lines):
+        for mark in marks:
+            if (mark in line or mark == marks[-1]) and all(
+                _is_row(each, mark) for each in lines[number : number + 2]
+            ):
+                return mark, number
+    body = lines[min(1, len(lines) - 1)]
+    return next((mark for mark in marks[:-1] if mark in body), marks[-1]), 1
+
+
+def _is_row(line: str, separator: str) -> bool:
+    fields = _fields(line, separator, 0)
+    return any(map(_is_number, fields)) and all(_is_number(each) or each in MISSING for each in fields)
+
+
+def _names(lines: list[str], separator: str, first: int) -> tuple[list[str], int]:
+    """The names above the first row of numbers, with units that stand in a row below them, and where the rows begin.
+
+    Lines above the names are an instrument's notes. A line with a number among others is a row that holds a fault.
+    """
+    if first == 0:
+        return [], 0
+    width = len(_fields(lines[first], separator, 0)) if first < len(lines) else 0
+    above = [_fields(line, separator, width) for line in lines[:first]]
+    units = [each.strip("()[] ") for each in above[-1]]
+    known = [each for each in units if meaning(each) and not _is_number(each)]
+    if first > 1 and 2 * len(known) >= max(len([*filter(None, units)]), 1) and len(above[-2]) >= len(units):
+        pairs = itertools.zip_longest(above[-2], units, fillvalue="")
+        return [f"{name} ({unit})" if unit else name for name, unit in pairs], first
+    at = first - 1
+    while at and len(above[at - 1]) == len(above[at]) and any(map(_is_number, above[at])):
+        at -= 1
+    return above[at], at + 1
 
 
 def _lines(path: Path, skipped: list[int]) -> Iterator[tuple[int, str]]:
@@ -234,11 +273,12 @@ def _width(line: str, separator: str) -> int:
 
 
 def _is_number(text: str) -> bool:
+    """Whether a text is a number, with a decimal comma too, or a complex one."""
     try:
-        float(text)
+        complex(re.sub(r"[()]|\s+(?=[+-])|(?<=[+-])\s+", "", text).replace(",", ".").replace("i", "j"))
     except ValueError:
         return False
-    return True
+    return text not in MISSING
 
 
 def _npz(path: Path) -> dict[str, np.ndarray]:

@@ -14,6 +14,7 @@ from stillwork.signals.units import (
     DENSITIES,
     DRIVES,
     FOLDED,
+    FOREIGN,
     MOVES,
     POSITIONS,
     ROOT,
@@ -26,9 +27,30 @@ from stillwork.signals.units import (
     spelled,
 )
 
-_REFERENCE = r"\b(db)\s*[(\[{]\s*((?:re|ref|rel)\b)"  # dB (re 1 m/N) is (dB re 1 m/N)
+# Other writings of names: dB (re 1 m/N) is (dB re 1 m/N), |H| and abs(H) are a magnitude, arg(H) is a phase.
+_SPELLINGS = (
+    (r"\b(db)\s*[(\[{]\s*((?:re|ref|rel)\b)", "($1 $2"),
+    (r"\u2212", "-"),
+    (r"\|([^|]*)\|", " magnitude ($1) "),
+    (r"\babs(?=\s*\()", "magnitude"),
+    (r"\u2220\s*([a-z]+\d*)", "phase ($1) "),
+    (r"\b(?:arg|phi)(?=\s*\()", "phase"),
+    (r"(sample|sampling)(?=freq)", "$1 "),
+    (r"\b((?:acc|vel)[a-z]*(?:_?[xyz\d]+)?)_in_(s2?)$", "$1 in/$2"),  # inches; x_in_s is in seconds
+)
+_NEGATED = (
+    "-",
+    "minus",
+    "negative",
+    "neg",
+    "negated",
+    "inverted",
+    "flipped",
+)  # before a quantity: of the other sign
+_MOTIONS = ("acceleration", "velocity", "position")
+_AXES = ("x", "axis", "value", "abscissa", "stimulus")
 _LETTER = r"[^\W\d_]"
-_ARGUMENT = r"[hgpstcl]\d*|f|jw"  # of a response, as in Re(H)
+_ARGUMENT = r"(?:[hgpstcl]\d*|f|jw)(?:\((?:f|s|z|w|jw)\))?"  # of a response, as in Re(H)
 _SCALED = r"[*^\u00d7]|\d[eE]|\d{4}"  # a name that holds a factor
 _SEPARATORS = r"[\s_,;:/-]+"
 
@@ -72,7 +94,7 @@ _LABELS = (
 # A column that one of these words names is another one than its quantity's.
 _OTHERS = (
     "log lg ln logarithmic logmag normalized normalised squared inverse reciprocal index bin bins error std stdev sigma "
-    "variance deviation uncertainty resolution step delay lag margin stiffness impedance apparent"
+    "variance deviation uncertainty resolution step delay lag margin stiffness impedance apparent attenuation loss"
 ).split()
 _LOGARITHMS = ("log", "logarithmic", "logmag")  # of a magnitude in decibels
 
@@ -87,7 +109,17 @@ class Heading:
     unit: str  # as written; empty: none
     meaning: Unit | None  # of the unit
     unknown: str = ""  # what stands where a unit does, but is none that is known, or none of this quantity
-    strange: str = ""  # a word beside a quantity that may be a unit, and is none that is known
+    strange: str = (
+        ""  # a word beside a quantity that may be a unit, and is none that is known, or one of the sign
+    )
+
+    def refusal(self, quantity: str) -> str:
+        """Why its numbers cannot be read as this quantity, and what to do; empty: they can."""
+        if self.strange in _NEGATED:
+            return f"{self.strange!r} turns its sign; turn that of its numbers, and name it without"
+        if not (odd := self.unknown or self.strange):
+            return ""
+        return f"{odd!r} is no unit that is known; convert it to one of these and name it so: {known_units(quantity)}; or leave it out of the name"
 
 
 @cache
@@ -96,12 +128,11 @@ def heading(name: str) -> Heading:
 
     A unit stands in brackets, or at the end behind ``_``, a blank, a comma, a slash or "in".
     """
-    text = re.sub(ROOT, "rtHz", unicodedata.normalize("NFKC", name).strip(), flags=re.IGNORECASE)
-    text = re.sub(_REFERENCE, r"(\1 \2", text, flags=re.IGNORECASE)
-    text = re.sub(r"^(?:[^\W\d]\w*\.)+(?=[^\W\d])", "", text)  # a member of a structure
+    text = _plain(name)
     rest, groups = _brackets(text)
     label, tail = _at_the_end(rest.strip(" ,;:/-_"))
     words = _words(label)
+    inches = words[-1:] == ["in"] and not groups and not tail  # or a preposition, or an input
     if words[-1:] == ["in"]:
         words.pop()
     quantity = _quantity(words)
@@ -109,35 +140,78 @@ def heading(name: str) -> Heading:
         words, tail = [*words, tail[0].lower()], None
     if tail and not words and not groups:
         return Heading(name, _alone(*tail), *tail)
-    if quantity in _RESPONSES:
-        groups = [each for each in groups if not re.fullmatch(_ARGUMENT, each.lower())]
-    if quantity and "1" not in HOLDS[quantity][1]:  # a number is that of a hit or of a channel
-        groups = [each for each in groups if each != "1"]
-    stated = [(each, unit) for each in groups if (unit := meaning(each))]
+    groups = _of_units(groups, quantity)
     odd = [each for each in groups if re.search(_LETTER, each) and not meaning(each)]
-    if tail and stated and tail[1].decibels and tail[1].si == "1" and not stated[-1][1].decibels:
-        unit = (f"dB re 1 {stated[-1][0]}", replace(stated[-1][1], decibels=True))
-    else:
-        stated += [tail] if tail else []
-        unit = stated[-1] if stated else ("", None)
+    stated, unit = _stated(groups, tail)
     means = unit[1]
-    others = {re.sub(r"\d+$", "", each) for part in (label, *odd) for each in _words(part)} & set(_OTHERS)
-    if quantity == "magnitude" and means and means.decibels:
-        others -= set(_LOGARITHMS)
-    if others - ({"squared"} if quantity == "coherence" else set()):
-        quantity = ""
-    if quantity == "force" and means and means.ratio:
-        quantity = ""
+    quantity = _unless_another(quantity or _abscissa(words, means), label, odd, means)
     unknown = next((each for each, other in stated if not _same(other, stated[-1][1])), "")
     if odd and (means is None or (quantity in _STRICT and not set(_words(odd[-1])) <= set(_LABELS))):
         unknown = odd[-1]
+    if means is None and not unknown:
+        unknown = "in" if inches and quantity in _MOTIONS else _foreign(label)
     if quantity in _STRICT and means and means.si not in HOLDS[quantity][1]:
         if len(words[0]) == 1:  # f (mN) is a force, and no frequency
             quantity = ""
         else:
             unknown = unit[0]
-    strange = _strange(label, words, quantity, means) if quantity in _STRICT and not unknown else ""
+    strange = _strange(text, label, words, quantity, means) if quantity in _STRICT and not unknown else ""
     return Heading(name, quantity, unit[0], None if unknown else means, unknown, strange)
+
+
+def _plain(name: str) -> str:
+    """A name in the letters in which it is read, without the structure of which it is a member."""
+    text = re.sub(ROOT, "rtHz", unicodedata.normalize("NFKC", name).strip(), flags=re.IGNORECASE)
+    for pattern, other in _SPELLINGS:
+        text = re.sub(pattern, re.sub(r"\$(\d)", r"\\\1", other), text, flags=re.IGNORECASE)
+    return re.sub(r"^(?:[^\W\d]\w*\.)+(?=[^\W\d])", "", text)
+
+
+def _of_units(groups: list[str], quantity: str) -> list[str]:
+    """Those of the brackets that may hold a unit: no argument of a response, no number of a hit or of a channel."""
+    if quantity in _RESPONSES:
+        groups = [each for each in groups if not re.fullmatch(_ARGUMENT, each.lower())]
+    if quantity and "1" not in HOLDS[quantity][1]:
+        groups = [each for each in groups if each != "1"]
+    return groups
+
+
+def _stated(
+    groups: list[str], tail: tuple[str, Unit] | None
+) -> tuple[list[tuple[str, Unit]], tuple[str, Unit | None]]:
+    """All units in the brackets and at the end of a name, and the one that counts."""
+    stated = [(each, unit) for each in groups if (unit := meaning(each))]
+    if tail and stated and tail[1].decibels and tail[1].si == "1" and not stated[-1][1].decibels:
+        return stated, (f"dB re 1 {stated[-1][0]}", replace(stated[-1][1], decibels=True))
+    stated += [tail] if tail else []
+    return stated, stated[-1] if stated else ("", None)
+
+
+def _abscissa(words: list[str], means: Unit | None) -> str:
+    """What an x-axis in seconds or in Hz is."""
+    if means is None or not words or not set(words) <= set(_AXES):
+        return ""
+    return {"s": "time", "Hz": "frequency"}.get(means.si, "")
+
+
+def _unless_another(quantity: str, label: str, odd: list[str], means: Unit | None) -> str:
+    """The quantity, or nothing where a word of the name makes another one of it."""
+    others = {re.sub(r"^\d+|\d+$", "", each) for part in (label, *odd) for each in _words(part)} & set(
+        _OTHERS
+    )
+    if quantity == "magnitude" and means and means.decibels:
+        others -= set(_LOGARITHMS)
+    if others - ({"squared"} if quantity == "coherence" else set()):
+        return ""
+    return "" if quantity == "force" and means and means.ratio else quantity
+
+
+def _foreign(label: str) -> str:
+    """A unit at the end of a name that no channel has: one of those listed, or a ratio that is none, such as N/um."""
+    if found := re.search(rf"(?:^|[\s_,;:/-])({FOREIGN})$", label, flags=re.IGNORECASE):
+        return found[1]
+    found = re.search(r"(?:^|[\s_,;:])([^\s_,;:/]+) ?/ ?([^\s_,;:/]+)$", label)
+    return found[0].strip() if found and spelled(found[1]) in UNITS and meaning(found[2]) else ""
 
 
 def _words(text: str) -> list[str]:
@@ -175,14 +249,13 @@ def _at_the_end(text: str) -> tuple[str, tuple[str, Unit] | None]:
         part = text[start:]
         if not start and len(part) == 1:
             continue
-        for each in (part, spelled(part.replace("_", "/"))):
+        if part.lower() == "in":  # inches stand in brackets
+            break
+        flat = part if part.lower().startswith("in_") else part.replace("_", "/")
+        for each in (part, spelled(flat)):
             if unit := meaning(each):
-                above = (
-                    meaning(text[:start].rstrip(" /").rpartition(" ")[2])
-                    if "/" in text[:start][-2:]
-                    else None
-                )
-                if above and above.si in DRIVES and unit.si in MOVES:  # N/um is a stiffness
+                before = re.search(r"([^ ]*) ?/ ?$", text[:start])
+                if before and spelled(before[1]) in UNITS:  # N/um is a stiffness, N s/m a damper
                     return text, None
                 return text[:start].rstrip(" ,;:/-_"), (each, unit)
     return text, None
@@ -203,12 +276,13 @@ def _quantity(words: list[str]) -> str:
         after = words[number + 1 : number + 2]
         if plain not in _OF_WORD or (len(plain) == 1 and number):
             continue
-        if plain == "rate" and number and words[number - 1] not in ("sample", "sampling"):
+        sampled = number and words[number - 1] in ("sample", "sampling")
+        if plain == "rate" and number and not sampled:
             continue
         if _OF_WORD[plain] in ("frequency", "time") and after in (["response"], ["resp"], ["responses"]):
             continue
         if found not in _RESPONSES or _OF_WORD[plain] not in _OF_A_RESPONSE:
-            found = _OF_WORD[plain]
+            found = "rate" if sampled and _OF_WORD[plain] == "frequency" else _OF_WORD[plain]
     return found
 
 
@@ -220,11 +294,17 @@ def _alone(text: str, unit: Unit) -> str:
     return held.get(unit.si, "")
 
 
-def _strange(label: str, words: list[str], quantity: str, means: Unit | None) -> str:
-    """A word of a name that may be a unit, but is not the one that the name states."""
+def _strange(text: str, label: str, words: list[str], quantity: str, means: Unit | None) -> str:
+    """What of a name turns its sign or scales its numbers, or may be a unit, but is not the one that the name states."""
+    if re.match(rf"-\s*{_LETTER}", text):
+        return "-"
+    if turned := next((word for word in words if word in _NEGATED), ""):
+        return turned
     if re.search(_SCALED, label):
         return label
-    last = max(k for k, word in enumerate(words) if _OF_WORD.get(_bare_word(word)) == quantity)
+    last = max(
+        (k for k, word in enumerate(words) if _OF_WORD.get(_bare_word(word)) == quantity), default=len(words)
+    )
     for number, word in enumerate(words):
         plain = _bare_word(word)
         if plain in _LABELS or plain in _OF_WORD or plain.isdigit():
@@ -255,11 +335,8 @@ def column_unit(name: str, quantity: str, read_as: str = "") -> tuple[Unit, Read
     A unit that is not known, or is none of the quantity, raises `InputError` with those that are.
     """
     stated = heading(name)
-    if (odd := stated.unknown or stated.strange) and not read_as:
-        raise InputError(
-            f"{name!r}: {odd!r} is no unit that is known; name it with one of {known_units(quantity)}, "
-            "or without any"
-        )
+    if (refusal := stated.refusal(quantity)) and not read_as:
+        raise InputError(f"{name!r}: {refusal}")
     by_name = quantity == "frequency" and any(
         each in _RADIANS for each in re.findall(r"[^\W\d_]+", name.lower())
     )
@@ -271,7 +348,9 @@ def column_unit(name: str, quantity: str, read_as: str = "") -> tuple[Unit, Read
         or unit.power
         or (unit.decibels and quantity != "magnitude")
     ):
-        raise InputError(f"{name!r}: {text!r} is no unit of a {quantity}; use one of {known_units(quantity)}")
+        raise InputError(
+            f"{name!r}: {text!r} is no unit of {'an' if quantity[0] in 'aeiou' else 'a'} {quantity}; use one of {known_units(quantity)}"
+        )
     return unit, Reading(quantity, text, name, bool(read_as or stated.unit) or by_name)
 
 
@@ -289,7 +368,11 @@ def page_table() -> dict[str, Any]:
         "root": ROOT,
         "decibels": DECIBELS,
         "densities": DENSITIES,
-        "reference": _REFERENCE,
+        "spellings": _SPELLINGS,
+        "negated": _NEGATED,
+        "motions": _MOTIONS,
+        "axes": _AXES,
+        "foreign": FOREIGN,
         "argument": _ARGUMENT,
         "scaled": _SCALED,
         "separators": _SEPARATORS,

@@ -32,6 +32,12 @@ POSITIONS, DRIVES = ("m", "rad", "count"), ("N", "N m", "A", "V")
 MOVES = {f"{each}{over}": (each, k) for each in POSITIONS for k, over in enumerate(("/s^2", "/s", ""))}
 _PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "k": 1e3}
 _DEGREE = math.pi / 180
+_LENGTHS = {"in": 0.0254, "ft": 0.3048, "mil": 25.4e-6, "uin": 25.4e-9}  # in m
+_FORCES = {
+    "lbf": 0.45359237 * STANDARD_GRAVITY,
+    "ozf": 0.028349523125 * STANDARD_GRAVITY,
+    "kgf": STANDARD_GRAVITY,
+}  # in N
 # What a unit means: factor to SI, and the SI unit.
 UNITS = {
     **{f"{p}{q}": (factor, q) for q in QUANTITIES for p, factor in _PREFIXES.items()},
@@ -39,7 +45,13 @@ UNITS = {
     **{f"c{q}": (0.01, q) for q in MOTION_UNITS},
     **{f"{p}deg{over}": (f * _DEGREE, f"rad{over}") for over in ("", "/s", "/s^2") for p, f in (("", 1), ("m", 1e-3))},
     "Grad": (_DEGREE, "rad"),  # of a file in German; grad may mean a 400th of a turn
-    "Gal": (0.01, "m/s^2"),
+    **{f"{p}Gal": (0.01 * factor, "m/s^2") for p, factor in (("", 1), ("m", 1e-3), ("u", 1e-6))},
+    **{f"arc{part}": (_DEGREE / share, "rad") for part, share in (("min", 60), ("sec", 3600))},
+    **{f"{each}{over}": (f, f"m{over}") for each, f in _LENGTHS.items() for over in ("", "/s", "/s^2")},
+    **{each: (f, "N") for each, f in _FORCES.items()},
+    **{f"{each} {long}": (f * _LENGTHS[long], "N m") for each, f in _FORCES.items() if each != "kgf" for long in ("in", "ft")},
+    "psi": (_FORCES["lbf"] / 0.0254**2, "Pa"),
+    **{each: (f, "Pa") for each, f in (("bar", 1e5), ("mbar", 100.0), ("hPa", 100.0))},
     "1": (1.0, "1"),
     "%": (0.01, "1"),
     **{f"{p}s": (factor, "s") for p, factor in _PREFIXES.items() if p != "k"},
@@ -47,7 +59,12 @@ UNITS = {
     "h": (3600.0, "s"),
     **{f"{p}Hz": (factor, "Hz") for p, factor in _PREFIXES.items()},
 }  # fmt: skip
-UNITS_TEXT = f"{', '.join(QUANTITIES)} or 1, with m, u, n, p or k in front, or cm/s^2, cm/s, cm, deg, Gal, g, mg, ug, ng"
+UNITS_TEXT = (
+    f"{', '.join(QUANTITIES)} or 1, with m, u, n, p or k in front, or cm/s^2, cm/s, cm, deg, arcsec, Gal, g, mg, ug, ng, "
+    "in/s^2, in/s, in, ft, mil, lbf, kgf, lbf in, psi, bar"
+)
+# What stands in names and is no unit of a channel: never taken for a part of the name.
+FOREIGN = "rpm|cpm|deg[ _]?[cfk]|dbm|dbv|dbu|kg|ohms?"
 # Capital letters or small ones throughout a name: what is then one unit, and what may be two.
 _AMBIGUOUS = ("mhz", "mpa", "mn", "grad")
 FOLDED = {
@@ -65,6 +82,14 @@ WORDS = (
     (r"\bnano[-_ ]?(?=[a-z])", "n"),
     (r"\bkilo[-_ ]?(?=[a-z])", "k"),
     (r"(?:\b|_)per(?:\b|_)", "/"),
+    (r"(?<=[a-z])\.(?=$|[\s/^)])", ""),
+    (r"\b(?:cycles?|cyc)\s*/\s*s(?:ec(?:onds?)?)?$|\bcps\b", "Hz"),
+    (r"\b(k?)(?:samples|sa)\s*/\s*s(?:ec(?:onds?)?)?$", "$1Hz"),
+    (r"\bips\b", "in/s"),
+    (r"\b(u?)(?:inch(?:es)?)\b", "$1in"),
+    (r"\b(?:feet|foot)\b", "ft"),
+    (r"\b(?:mils|thou)\b", "mil"),
+    (r"\b(lb|oz)(?:s|f|sf)?\b", "$1f"),
     (r"\b([pnumk]?)(?:seconds?|secs?|sekunden?|sek)(?=[\d^]|\b)", "$1s"),
     (r"\b(?:minutes?|mins)\b", "min"),
     (r"\b(?:hours?|hrs?)\b", "h"),
@@ -75,7 +100,7 @@ WORDS = (
     (r"\b([pnumkc]?)met(?:er|re)s?\b", "$1m"),
     (r"\b([pnumk]?)(?:radians?|rads)\b", "$1rad"),
     (r"\b(m?)(?:degrees?|degs)\b|\u00b0", "$1deg"),
-    (r"\b(?:counts|cts|lsbs?)\b", "count"),
+    (r"\b(?:counts|cts|cnts?|lsbs?)\b", "count"),
     (r"^(?:per ?cent|pct|prozent)$", "%"),
     (r"^(?:-|abs|absolute|lin|linear|ratio|unitless|dimensionless)$", "1"),
     (r"\s*/\s*", "/"),
@@ -83,14 +108,16 @@ WORDS = (
 SYMBOLS = (
     (r"\s*(?:\*\*|\^)\s*", "^"),
     (r"\bs2\b", "s^2"),
+    (r"^(?:[gG][\u2019']s|gs)$", "g"),
     (r"/s/s$", "/s^2"),
     (r"^([munpkc]?(?:m|rad|deg|count))[ *.]?s\^?-2$", "$1/s^2"),
     (r"^([munpkc]?(?:m|rad|deg|count))[ *.]?s\^?-1$", "$1/s"),
     (r"^([munpk]?)N[-* .]?m$", "$1N m"),
+    (r"^(lbf|ozf)[-* .](in|ft)$|^(in|ft)[-* .](lbf|ozf)$", "$1$4 $2$3"),
 )
 ROOT = r"(?:\u221a|sqrt|rt)\s*\(?\s*hz\s*\)?|hz\s*\^?\s*\(\s*1\s*/\s*2\s*\)|hz\s*\^\s*(?:0?\.5|1/2)"  # of Hz
 DECIBELS = (
-    r"(?:db|decibels?)(?![a-z\d])\s*(?:\(\s*)?(?:(?:re|ref|rel)\b[.:]?\s*)?"
+    r"(?:db|decibels?)(?![a-z\d])\.?\s*(?:\(\s*)?(?:(?:re|ref|rel)\b[.:]?\s*)?"
     r"(\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\d.]*/))?\s*(.*?)\s*"
 )
 DENSITIES = (
@@ -183,7 +210,7 @@ def spelled(text: str) -> str:
     plain = unicodedata.normalize("NFKC", text).strip()
     for patterns, flags in ((WORDS, re.IGNORECASE), (SYMBOLS, 0)):
         for pattern, other in patterns:
-            plain = re.sub(pattern, other.replace("$1", r"\1"), plain, flags=flags)
+            plain = re.sub(pattern, re.sub(r"\$(\d)", r"\\\1", other), plain, flags=flags)
     return plain
 
 

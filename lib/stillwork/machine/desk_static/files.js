@@ -26,31 +26,64 @@ export function statedUnits(names) {
   return found;
 }
 
-// Columns of a table of numbers by name; lines that begin with # are skipped.
+const numeric = (each) => !EMPTY.includes(each) && Number.isFinite(Number(each.replace(",", ".")));
+
+// Fields of a line but empty ones at its end; a mark in quotation marks is none.
+function fieldsOf(line, mark) {
+  const parts = mark ? [""] : line.trim().split(/\s+/);
+  let quoted = false;
+  for (const letter of mark ? line : "") {
+    if (letter === '"') quoted = !quoted;
+    if (letter === mark && !quoted) parts.push("");
+    else parts[parts.length - 1] += letter;
+  }
+  const all = parts.map((each) => each.trim().replace(/^"(.*)"$/, "$1").trim());
+  return all.slice(0, all.findLastIndex(Boolean) + 1);
+}
+
+// The mark between the fields, and the first line that holds numbers alone, as the next one does; or the second line.
+function firstRow(lines, given) {
+  const marks = given ? [given] : ["\t", ";", ",", ""];
+  const isRow = (line, mark) => {
+    const fields = fieldsOf(line, mark);
+    return fields.some(numeric) && fields.every((each) => numeric(each) || EMPTY.includes(each));
+  };
+  for (let k = 0; k < Math.min(lines.length, 1000); k++) {
+    for (const mark of marks) if (lines[k].includes(mark) && lines.slice(k, k + 2).every((line) => isRow(line, mark))) return [mark, k];
+  }
+  return [given ?? marks.find((each) => each && lines[1].includes(each)) ?? "", 1];
+}
+
+// The names above the first row of numbers, with units that stand in a row below them, and where the rows begin.
+function namesAbove(lines, mark, first) {
+  const width = fieldsOf(lines[first], mark).length;
+  const above = lines.slice(0, first).map((line) => {
+    const bracketed = mark ? [] : line.match(/[^\s([{]+(?:\s*[([{][^)\]}]*[)\]}]+)?/g);
+    return bracketed?.length === width ? bracketed : fieldsOf(line, mark);
+  });
+  const units = above[first - 1].map((each) => each.replace(/^[()[\] ]+|[()[\] ]+$/g, "")), upper = above[first - 2];
+  const known = units.filter((each) => meaning(each) && !numeric(each)).length;
+  if (upper && 2 * known >= Math.max(units.filter(Boolean).length, 1) && upper.length >= units.length) {
+    return [upper.map((name, k) => (units[k] ? `${name} (${units[k]})` : name)), first];
+  }
+  let at = first - 1;
+  while (at && above[at - 1].length === above[at].length && above[at].some(numeric)) at--;
+  return [above[at], at + 1];
+}
+
+// Columns of a table of numbers by name; lines that begin with # are skipped, and notes above the names.
 export function parseTable(text) {
   const lines = text.replace(/^\uFEFF/, "").split(/\r?\n/).map((line) => line.replace(/^ +| +$/g, "")).filter((line) => line.trim() && (!line.startsWith("#") || line.startsWith("#N/A")));
-  let mark = lines[0]?.match(/^"?sep=(.)"?$/)?.[1];
-  if (mark) lines.shift();
+  const given = lines[0]?.match(/^"?sep=(.)"?$/)?.[1];
+  if (given) lines.shift();
   if (lines.length < 2) throw new Error("it holds no table: give a line of names and rows of numbers");
-  mark ??= ["\t", ";", ","].find((each) => lines[1].includes(each));
-  const fields = (line) => {
-    const all = (mark ? line.split(mark) : line.trim().split(/\s+/)).map((each) => each.trim().replace(/^"(.*)"$/, "$1").trim());
-    return all.slice(0, all.findLastIndex(Boolean) + 1);
-  };
-  const bracketed = mark ? [] : lines[0].match(/[^\s([{]+(?:\s*[([{][^)\]}]*[)\]}]+)?/g);
-  let names = bracketed?.length === fields(lines[1]).length ? bracketed : fields(lines[0]), rows = lines.slice(1);
-  const number = (each) => each !== "" && Number.isFinite(Number(each.replace(",", ".")));
-  if (names.every(number)) throw new Error("its first line is no line of names; name the columns, e.g. frequency (Hz),real,imaginary");
-  const units = fields(rows[0]).map((each) => each.replace(/^[()[\] ]+|[()[\] ]+$/g, ""));
-  if (units.length && units.every((each) => !each || (meaning(each) && !number(each)))) {
-    names = names.map((name, k) => (units[k] ? `${name} (${units[k]})` : name));
-    rows = rows.slice(1);
-  }
+  const [mark, first] = firstRow(lines, given);
+  if (!first) throw new Error("its first line is no line of names; name the columns, e.g. frequency (Hz),real,imaginary");
+  const [names, below] = namesAbove(lines, mark, first), rows = lines.slice(below).map((line) => fieldsOf(line, mark));
   const again = names.find((name, k) => names.indexOf(name) < k);
   if (again !== undefined) throw new Error(`it names two columns ${again}; give each a name of its own`);
-  const comma = mark && mark !== "," && rows.some((row) => row.includes(",")) && !rows.some((row) => row.includes("."));
-  const numbers = rows.map((row, k) => {
-    const all = fields(row);
+  const comma = rows.some((row) => row.some((each) => each.includes(","))) && !rows.some((row) => row.some((each) => each.includes(".")));
+  const numbers = rows.map((all, k) => {
     if (all.length > names.length) throw new Error(`row ${k + 1} holds ${all.length} values for ${names.length} columns`);
     return names.map((name, j) => {
       const each = all[j] ?? "", value = EMPTY.includes(each) ? NaN : Number(comma ? each.replace(",", ".") : each);

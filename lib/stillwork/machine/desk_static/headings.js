@@ -6,7 +6,8 @@ const compiled = (pairs, flags) => pairs.map(([pattern, other]) => [new RegExp(p
 const WORDS = compiled(TABLE.words, "gi"), SYMBOLS = compiled(TABLE.symbols, "g");
 const ROOT = new RegExp(TABLE.root, "gi"), DECIBELS = new RegExp(`^(?:${TABLE.decibels})$`, "i");
 const DENSITIES = TABLE.densities.map(([pattern, power]) => [new RegExp(`^(?:${pattern})$`), power]);
-const REFERENCE = new RegExp(TABLE.reference, "gi"), ARGUMENT = new RegExp(`^(?:${TABLE.argument})$`), SCALED = new RegExp(TABLE.scaled);
+const SPELLINGS = compiled(TABLE.spellings, "giu"), FOREIGN = new RegExp(`(?:^|[\\s_,;:/-])(${TABLE.foreign})$`, "i");
+const ARGUMENT = new RegExp(`^(?:${TABLE.argument})$`), SCALED = new RegExp(TABLE.scaled);
 const UNITS = new Map(Object.entries(TABLE.units)), FOLDED = new Map(Object.entries(TABLE.folded)), HOLDS = new Map(Object.entries(TABLE.holds));
 const OF_WORD = new Map([...HOLDS].flatMap(([quantity, [words]]) => words.split(" ").map((word) => [word, quantity])));
 export const POSITIONS = TABLE.positions;
@@ -87,10 +88,12 @@ function atTheEnd(name) {
   for (const start of camel ? [...starts, camel.index] : starts) {
     const part = text.slice(start);
     if (!start && part.length === 1) continue;
-    for (const each of [part, spelled(part.replaceAll("_", "/"))]) {
+    if (part.toLowerCase() === "in") break; // inches stand in brackets
+    const flat = part.toLowerCase().startsWith("in_") ? part : part.replaceAll("_", "/");
+    for (const each of [part, spelled(flat)]) {
       const unit = meaning(each);
-      const before = text.slice(0, start).match(/([^ ]*) ?\/ ?$/), above = before && meaning(before[1]);
-      if (unit && above && DRIVES.includes(above.si) && unit.si in MOVES) return [text, null]; // N/um is a stiffness
+      const before = text.slice(0, start).match(/([^ ]*) ?\/ ?$/);
+      if (unit && before && UNITS.has(spelled(before[1]))) return [text, null]; // N/um is a stiffness, N s/m a damper
       if (unit) return [ends(`.${text.slice(0, start)}`).slice(1), [each, unit]];
     }
   }
@@ -102,9 +105,10 @@ function quantityOf(words) {
   words.forEach((word, k) => {
     const plain = word.length > 2 ? bareWord(word) : word, quantity = OF_WORD.get(plain);
     if (!quantity || (plain.length === 1 && k)) return;
-    if (plain === "rate" && k && !["sample", "sampling"].includes(words[k - 1])) return;
+    const sampled = k && ["sample", "sampling"].includes(words[k - 1]);
+    if (plain === "rate" && k && !sampled) return;
     if (["frequency", "time"].includes(quantity) && ["response", "resp", "responses"].includes(words[k + 1])) return;
-    if (!TABLE.responses.includes(found) || !TABLE.of_a_response.includes(quantity)) found = quantity;
+    if (!TABLE.responses.includes(found) || !TABLE.of_a_response.includes(quantity)) found = sampled && quantity === "frequency" ? "rate" : quantity;
   });
   return found;
 }
@@ -121,9 +125,13 @@ function alone([text, unit]) {
   return { Hz: "frequency", rad: "phase", s: text.length > 1 ? "time" : "" }[unit.si] ?? "";
 }
 
-function strangeOf(label, words, quantity, means) {
+function strangeOf(text, label, words, quantity, means) {
+  if (/^-\s*\p{L}/u.test(text)) return "-";
+  const turned = words.find((word) => TABLE.negated.includes(word));
+  if (turned) return turned;
   if (SCALED.test(label)) return label;
-  const last = words.findLastIndex((word) => OF_WORD.get(bareWord(word)) === quantity);
+  let last = words.findLastIndex((word) => OF_WORD.get(bareWord(word)) === quantity);
+  if (last < 0) last = words.length;
   return (
     words.find((word, k) => {
       const plain = bareWord(word);
@@ -133,13 +141,55 @@ function strangeOf(label, words, quantity, means) {
   );
 }
 
+function plainOf(name) {
+  let text = name.normalize("NFKC").trim().replace(ROOT, "rtHz");
+  for (const [pattern, other] of SPELLINGS) text = text.replace(pattern, other);
+  return text.replace(/^(?:[\p{L}_][\p{L}\p{N}_]*\.)+(?=[\p{L}_])/u, "");
+}
+
+// Those of the brackets that may hold a unit.
+function ofUnits(groups, quantity) {
+  if (TABLE.responses.includes(quantity)) groups = groups.filter((each) => !ARGUMENT.test(each.toLowerCase()));
+  if (quantity && !HOLDS.get(quantity)[1].includes("1")) groups = groups.filter((each) => each !== "1");
+  return groups;
+}
+
+// All units in the brackets and at the end of a name, and the one that counts.
+function statedOf(groups, tail) {
+  const stated = groups.map((each) => [each, meaning(each)]).filter(([, unit]) => unit), last = stated.at(-1);
+  if (tail && last && tail[1].decibels && tail[1].si === "1" && !last[1].decibels) {
+    return [stated, [`dB re 1 ${last[0]}`, { ...last[1], decibels: true }]];
+  }
+  if (tail) stated.push(tail);
+  return [stated, stated.at(-1) ?? ["", null]];
+}
+
+function abscissa(words, means) {
+  if (!means || !words.length || !words.every((each) => TABLE.axes.includes(each))) return "";
+  return { s: "time", Hz: "frequency" }[means.si] ?? "";
+}
+
+function unlessAnother(quantity, label, odd, means) {
+  let others = [label, ...odd].flatMap(wordsOf).map((each) => each.replace(/^\d+|\d+$/g, "")).filter((each) => TABLE.others.includes(each));
+  if (quantity === "magnitude" && means?.decibels) others = others.filter((each) => !TABLE.logarithms.includes(each));
+  if (others.some((each) => quantity !== "coherence" || each !== "squared")) return "";
+  return quantity === "force" && means && means.si in MOVES && DRIVES.includes(means.lowerSi) ? "" : quantity;
+}
+
+function foreign(label) {
+  const found = label.match(FOREIGN), ratio = label.match(/(?:^|[\s_,;:])([^\s_,;:/]+) ?\/ ?([^\s_,;:/]+)$/);
+  if (found) return found[1];
+  return ratio && UNITS.has(spelled(ratio[1])) && meaning(ratio[2]) ? ratio[0].trim() : "";
+}
+
+const same = (one, other) => ["factor", "si", "lowerSi", "decibels", "reference", "power"].every((key) => one[key] === other[key]);
+
 // What the name of a column states: {quantity, unit, means, unknown, strange}.
 export function heading(name) {
-  let text = name.normalize("NFKC").trim().replace(ROOT, "rtHz").replace(REFERENCE, "($1 $2");
-  text = text.replace(/^(?:[\p{L}_][\p{L}\p{N}_]*\.)+(?=[\p{L}_])/u, "");
+  const text = plainOf(name), strict = (each) => TABLE.strict.includes(each);
   let [rest, groups] = brackets(text);
   let [label, tail] = atTheEnd(ends(rest));
-  const words = wordsOf(label);
+  const words = wordsOf(label), inches = words.at(-1) === "in" && !groups.length && !tail;
   if (words.at(-1) === "in") words.pop();
   let quantity = quantityOf(words);
   if (tail && (words.length || tail[0].length === 1) && !isStated(tail, quantity)) {
@@ -147,35 +197,24 @@ export function heading(name) {
     tail = null;
   }
   if (tail && !words.length && !groups.length) return { quantity: alone(tail), unit: tail[0], means: tail[1], unknown: "", strange: "" };
-  if (TABLE.responses.includes(quantity)) groups = groups.filter((each) => !ARGUMENT.test(each.toLowerCase()));
-  if (quantity && !HOLDS.get(quantity)[1].includes("1")) groups = groups.filter((each) => each !== "1");
-  const stated = groups.map((each) => [each, meaning(each)]).filter(([, unit]) => unit);
-  const odd = groups.filter((each) => letters(each) && !meaning(each));
-  let unit = stated.at(-1);
-  if (tail && unit && tail[1].decibels && tail[1].si === "1" && !unit[1].decibels) unit = [`dB re 1 ${unit[0]}`, { ...unit[1], decibels: true }];
-  else {
-    if (tail) stated.push(tail);
-    unit = stated.at(-1) ?? ["", null];
-  }
-  const means = unit[1], strict = (each) => TABLE.strict.includes(each);
-  let others = [label, ...odd].flatMap(wordsOf).map((each) => each.replace(/\d+$/, "")).filter((each) => TABLE.others.includes(each));
-  if (quantity === "magnitude" && means?.decibels) others = others.filter((each) => !TABLE.logarithms.includes(each));
-  if (others.some((each) => quantity !== "coherence" || each !== "squared")) quantity = "";
-  if (quantity === "force" && means && means.si in MOVES && DRIVES.includes(means.lowerSi)) quantity = "";
-  const same = (one, other) => ["factor", "si", "lowerSi", "decibels", "reference", "power"].every((key) => one[key] === other[key]);
+  groups = ofUnits(groups, quantity);
+  const odd = groups.filter((each) => letters(each) && !meaning(each)), [stated, unit] = statedOf(groups, tail), means = unit[1];
+  quantity = unlessAnother(quantity || abscissa(words, means), label, odd, means);
   let unknown = stated.find(([, other]) => !same(other, stated.at(-1)[1]))?.[0] ?? "";
   if (odd.length && (!means || (strict(quantity) && !wordsOf(odd.at(-1)).every((each) => TABLE.labels.includes(each))))) unknown = odd.at(-1);
+  if (!means && !unknown) unknown = inches && TABLE.motions.includes(quantity) ? "in" : foreign(label);
   if (strict(quantity) && means && !fits(quantity, means)) {
     if (words[0].length === 1) quantity = "";
     else unknown = unit[0];
   }
-  const strange = strict(quantity) && !unknown ? strangeOf(label, words, quantity, means) : "";
+  const strange = strict(quantity) && !unknown ? strangeOf(text, label, words, quantity, means) : "";
   return { quantity, unit: unit[0], means: unknown ? null : means, unknown, strange };
 }
 
 // What the numbers of a column of a quantity mean: by its name, or by the documented default; {factor, ..., text, written}.
 export function columnUnit(name, quantity) {
   const stated = heading(name), odd = stated.unknown || stated.strange;
+  if (TABLE.negated.includes(odd)) throw new Error(`${name}: ${odd} turns its sign; turn that of its numbers, and name it without`);
   if (odd) throw new Error(`${name}: ${odd} is no unit that is known; name it with one of ${TABLE.known[quantity]}, or without any`);
   const byName = quantity === "frequency" && (name.toLowerCase().match(/\p{L}+/gu) ?? []).some((each) => TABLE.radians.includes(each));
   const text = stated.unit || (byName ? "rad/s" : HOLDS.get(quantity)[2]) || "1", unit = meaning(text);
