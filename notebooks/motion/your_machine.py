@@ -16,7 +16,7 @@ from stillwork.control.machine_loops import (
 )
 from stillwork.identification.machine import Machine
 from stillwork.lti.peaks import resonance_grid
-from stillwork.machine import design as designing
+from stillwork.machine import design_page as designing
 from workbook import figures
 
 

@@ -13,16 +13,15 @@ from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.digital import from_biquads, load_controller
 from stillwork.control.feedforward import Feedforward, Motion
-from stillwork.control.machine_loops import pid_family, reach
+from stillwork.control.machine_loops import DesignSettings, SearchSettings, pid_family, reach
 from stillwork.control.setpoint import MoveLimits
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine, stated_units
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import modal_model
-from stillwork.machine import design as designing
+from stillwork.machine import promise
 from stillwork.machine.design import WITHOUT_BIQUADS, design_file
-from stillwork.machine.machine_designs import INTENSITIES
-from stillwork.machine.machine_tuning import DesignSettings
+from stillwork.machine.machine_designs import INTENSITIES, Designed, improvements
 from stillwork.machine.retest import retest_file
 from workbook import paths
 
@@ -135,11 +134,11 @@ def test_the_written_controller_keeps_six_decibels_by_python_control(written, fa
 def test_what_would_help_is_what_it_would_give(written):
     """Under PID alone: the machine searched afresh without its delay, and at twice the rate."""
     folder, said = written
-    machine, own = Machine((PAIR,), 40.0, "pair"), {"retained": 5, "intensities": INTENSITIES}
-    how = {"sample_time": 1 / RATE, "delay": 1.0, "uncertainty": BOX}
-    changes = ({}, {"delay": 0.0}, {"sample_time": 0.5 / RATE})
-    before, prompt, fast = (reach(machine, {"": None}, **own, **how | each)[""] for each in changes)
-    helps = designing.improvements(machine, DesignSettings(None, 5, INTENSITIES), how, before)
+    machine, use = Machine((PAIR,), 40.0, "pair"), DesignSettings(None, 5, INTENSITIES)
+    changes = (1 / RATE, 1.0), (1 / RATE, 0.0), (0.5 / RATE, 1.0)
+    before, prompt, fast = (reach(machine, use, SearchSettings(*each, BOX)) for each in changes)
+    made = Designed(machine, (), RATE, 1.0, (), BOX, (), {"PID": use}, {"PID": before}, ())
+    helps = improvements(made)
     gains = [each.on_model.crossing_hz[0] for each in (prompt, fast)]
     assert helps == [["no delay:", f"{gains[0]:.1f}"], ["twice the rate:", f"{gains[1]:.1f}"]]
     assert gains[0] > gains[1] > 1.2 * before.on_model.crossing_hz[0]
@@ -376,7 +375,7 @@ def test_a_late_measurement_is_designed_for_and_each_sensor_gets_its_controller(
     arguments = ["--rate", "10000", "--out", str(out), "--mirrored-sensor", "--precision", "single"]
     arguments += ["--name", "axis", "--delay", "0", "--uncertainty", "none"]
     monkeypatch.setattr(
-        designing, "equivalent_biquads", lambda controller: None
+        promise, "equivalent_biquads", lambda controller: None
     )  # as where none are close enough
     assert main(["design", str(tmp_path / "late.npz"), *arguments]) == 0
     said = capsys.readouterr().out

@@ -1,6 +1,7 @@
 """What a written controller makes of its sensor's noise and of single precision: predicted, and simulated sample by sample."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,14 @@ from stillwork.control.applications import Application
 from stillwork.control.bandwidth import make_loop
 from stillwork.control.digital import error_driven, load_controller, runnable, tied_to_error
 from stillwork.control.loop_noise import NOISE, NoiseBound, crossing_noise, noise_gain, written_noise
-from stillwork.control.machine_loops import Intensities, observed_loops, observer_settings, reach
+from stillwork.control.machine_loops import (
+    DesignSettings,
+    Intensities,
+    SearchSettings,
+    observed_loops,
+    observer_settings,
+    reach,
+)
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.machine import build_machine
@@ -20,8 +28,9 @@ from stillwork.identification.machine_files import load_machine
 from stillwork.lti.modal import modal_model
 from stillwork.machine import single_precision
 from stillwork.machine.c_code import controller_code
-from stillwork.machine.design import checked_biquads, design_file
+from stillwork.machine.design import design_file
 from stillwork.machine.hardware import QUANTISED, noise_rows, sensor_noise, single_rows
+from stillwork.machine.promise import checked_biquads
 from stillwork.machine.single_precision import (
     LOST_LITTLE,
     balanced_form,
@@ -114,21 +123,19 @@ def test_the_ratio_of_noise_is_that_of_every_rate():
 @pytest.mark.parametrize("uncertainty", [{}, {"frequency": 0.05}])
 def test_a_bound_of_the_noise_stops_a_search(machine, uncertainty):
     """What is allowed is what is reached, and the peaks hold there; a bound that nothing meets is a reason."""
-    settings = {"retained": 2, "intensities": Intensities(8e-4, 1e-8, 2e-4)}
-    settings |= {"sample_time": 1 / RATE, "delay": 1.0, "uncertainty": uncertainty}
-    free = reach(machine[1], {"": None}, **settings)[""]
+    use = DesignSettings(None, 2, Intensities(8e-4, 1e-8, 2e-4))
+    search = SearchSettings(1 / RATE, 1.0, uncertainty)
+    free = reach(machine[1], use, search)
     loop, most = free.model_loops[0], free.recommended
     allowed = noise_gain(loop, most.controller) / 3
-    held = reach(machine[1], {"": None}, **settings, noise=NoiseBound(gain=allowed))[""]
+    held = reach(machine[1], use, replace(search, noise=NoiseBound(gain=allowed)))
     found = held.recommended
     assert held.stopped_by_noise and found.function == NOISE and "noise" in held.summary["stopped by"]
     assert noise_gain(loop, found.controller) == pytest.approx(allowed, rel=1e-3)
     assert found.design_hz < most.design_hz and max(size for size, _ in held.peaks_db().values()) < 6
     ratio = noise_gain(loop, most.controller) / crossing_noise(loop, most.controller)
-    assert not reach(machine[1], {"": None}, **settings, noise=NoiseBound(ratio=1.01 * ratio))[
-        ""
-    ].stopped_by_noise
-    none = reach(machine[1], {"": None}, **settings, noise=NoiseBound(ratio=0.1))[""]
+    assert not reach(machine[1], use, replace(search, noise=NoiseBound(ratio=1.01 * ratio))).stopped_by_noise
+    none = reach(machine[1], use, replace(search, noise=NoiseBound(ratio=0.1)))
     assert none.recommended is None and none.stopped_by_noise and "times what is allowed" in none.reason
 
 

@@ -5,7 +5,16 @@ import pytest
 
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop, maximise_bandwidth
-from stillwork.control.machine_loops import OF_ERROR, SAFE, Intensities, applications, on_measurement, reach
+from stillwork.control.machine_loops import (
+    OF_ERROR,
+    SAFE,
+    DesignSettings,
+    Intensities,
+    SearchSettings,
+    applications,
+    on_measurement,
+    reach,
+)
 from stillwork.control.pid import PidFamily
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import build_machine
@@ -92,9 +101,10 @@ def loop_peaks(plant, block, controller, omega):
 def test_no_recommended_loop_exceeds_six_decibels(tmp_path, name):
     machine = machine_of(tmp_path, name)
     options = MACHINES[name][1]
-    found = reach(machine, applications(0.02, 2.0), retained=5, intensities=INTENSITIES, **options)
-    assert set(found) == {"PID", "MC", "AD", "MC and AD"}
-    for each in found.values():
+    uses = applications(0.02, 2.0)
+    assert set(uses) == {"PID", "MC", "AD", "MC and AD"}
+    for use in uses.values():
+        each = reach(machine, DesignSettings(use, 5, INTENSITIES), SearchSettings(**options))
         best = each.recommended
         assert best is not None and not each.reason
         sample_time, pid = options.get("sample_time", 0.0), best.controller
@@ -125,10 +135,8 @@ def test_no_recommended_loop_exceeds_six_decibels(tmp_path, name):
 @pytest.mark.slow
 def test_without_the_third_constraint_compensation_rings_on_a_plain_machine(tmp_path):
     machine = machine_of(tmp_path, "collocated")
-    chosen = {"MC": applications(0.02, 2.0)["MC"]}
-    options = {"retained": 5, "intensities": INTENSITIES}
-    alone = reach(machine, chosen, constraints=OF_ERROR, **options)["MC"]
-    safe = reach(machine, chosen, constraints=SAFE, **options)["MC"]
+    use = DesignSettings(applications(0.02, 2.0)["MC"], 5, INTENSITIES)
+    alone, safe = (reach(machine, use, SearchSettings(constraints=limits)) for limits in (OF_ERROR, SAFE))
     high, low = (
         20 * np.log10(each.model_loops[0].peak(each.recommended.controller, "true_tracking").magnitude)
         for each in (alone, safe)
@@ -212,6 +220,6 @@ def test_a_slow_machine_reaches_in_its_own_time_what_a_fast_one_does(tmp_path):
             file, M=np.diag([30.0, 10.0]), K=stiffness / slower**2, input=[1.0, 0.0], output=[[0.0, 1.0]]
         )
         machine = build_machine(load_machine(file), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
-        best = reach(machine, {"PID": None}, retained=2, intensities=INTENSITIES)["PID"].recommended
+        best = reach(machine, DesignSettings(None, 2, INTENSITIES)).recommended
         found.append(slower * best.design_hz)
     assert found[1] == pytest.approx(found[0], rel=2e-3)

@@ -12,6 +12,8 @@ from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop
 from stillwork.control.digital import error_driven, runnable
 from stillwork.control.machine_loops import (
     SAFE,
+    DesignSettings,
+    SearchSettings,
     applications,
     observed_loops,
     observer_settings,
@@ -37,7 +39,7 @@ from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import modal_model
 from stillwork.machine.c_code import controller_code
 from stillwork.machine.machine_designs import INTENSITIES
-from stillwork.machine.machine_tuning import DesignSettings, tuned
+from stillwork.machine.machine_tuning import tuned
 
 STIFFNESS = np.array([[3e7, -3e7, 0], [-3e7, 5e7, -2e7], [0, -2e7, 2e7]])
 CHAIN = modal_model(np.diag([20.0, 10, 10]), STIFFNESS, [[1.0], [0], [0]], [[0.0, 0, 1]], damping_ratio=0.005)
@@ -184,8 +186,7 @@ def test_boxes_that_do_not_fit_are_refused():
 def test_tuned_settings_hold_the_limits_at_a_higher_bandwidth_on_the_whole_box():
     """Of a PID without observer its lead alone can be tuned; on a grid of places, at the corners and inside."""
     machine, settings = Machine((CHAIN,), 40.0, "chain"), DesignSettings(None, 5, INTENSITIES)
-    how = {"uncertainty": {"frequency": 0.05}, "sample_time": 1e-4, "delay": 1}
-    found = tuned(machine, settings, 20.0, **how)
+    found = tuned(machine, settings, 20.0, SearchSettings(1e-4, 1.0, {"frequency": 0.05}))
     assert found != settings
     loop, pid = make_loop(CHAIN, sample_time=1e-4, delay=1), pid_family(machine, found.lead, 1, 1e-4)(20.6)
     for each in itertools.product([0.95, 0.98, 1.0, 1.05], repeat=2):
@@ -237,9 +238,8 @@ def test_six_decibels_hold_on_the_true_machine_in_the_whole_box(tmp_path, delay)
     np.savez(tmp_path / "machine.npz", **arrays, input=shape, output=[shape * [1, -1]])
     file = load_machine(tmp_path / "machine.npz")
     machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
-    use = {"MC and AD": applications(0.02, 2.0)["MC and AD"]}
-    how = {"sample_time": 1 / rate, "delay": delay, "uncertainty": box}
-    found = reach(machine, use, retained=5, intensities=INTENSITIES, **how)["MC and AD"]
+    use = DesignSettings(applications(0.02, 2.0)["MC and AD"], 5, INTENSITIES)
+    found = reach(machine, use, SearchSettings(1 / rate, delay, box))
     whole = runnable(found.recommended.controller, found.loops[0].compensator, np.inf, {})
     for file, text in controller_code(error_driven(whole), "controller").items():
         (tmp_path / file).write_text(text)

@@ -13,7 +13,7 @@ from notebooks.motion.your_machine import (
 )
 from shared.universal_files import function, write_universal
 from stillwork.base.checks import InputError
-from stillwork.control.machine_loops import Intensities, applications, reach
+from stillwork.control.machine_loops import DesignSettings, Intensities, SearchSettings, applications, reach
 from stillwork.identification.machine import build_machine, whole_band
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import fit_modes, identify_modes
@@ -196,7 +196,8 @@ def test_the_shipped_record_gives_the_machine_of_the_structure_module():
 @pytest.fixture(scope="module")
 def found():
     machine = built(TEMPLATES / "frequency_response.csv", 2)
-    return machine, reach(machine, applications(0.02, 2.0), retained=3, intensities=INTENSITIES)
+    uses = applications(0.02, 2.0)
+    return machine, {name: reach(machine, DesignSettings(use, 3, INTENSITIES)) for name, use in uses.items()}
 
 
 @pytest.mark.slow
@@ -218,15 +219,16 @@ def test_bandwidths_do_not_depend_on_the_unit_of_force(tmp_path):
         write_csv(tmp_path / f"{unit}.csv", frequency=HERTZ, **columns)
     machines = [built(tmp_path / f"{unit}.csv", 2) for unit in ("N", "kN")]
     assert machines[1].mass == pytest.approx(1e3 * machines[0].mass, rel=1e-9)
-    chosen = {"MC": applications(0.02, 2.0)["MC"]}
-    one, other = (reach(m, chosen, retained=3, intensities=INTENSITIES)["MC"] for m in machines)
+    use = DesignSettings(applications(0.02, 2.0)["MC"], 3, INTENSITIES)
+    one, other = (reach(machine, use) for machine in machines)
     assert other.on_model.crossing_hz == pytest.approx(one.on_model.crossing_hz, rel=1e-3)
 
 
 @pytest.mark.slow
 def test_a_use_without_a_feasible_bandwidth_is_a_result(found):
     machine, _ = found
-    asked = reach(machine, {"PID": None}, retained=3, intensities=INTENSITIES, search_hz=(300.0, 400.0))
+    use, search = DesignSettings(None, 3, INTENSITIES), SearchSettings(search_hz=(300.0, 400.0))
+    asked = {"PID": reach(machine, use, search)}
     assert asked["PID"].recommended is None and re.search(r"\b300 \w+ 400 Hz", asked["PID"].reason)
     assert asked["PID"].summary == {"on the model (Hz)": "none", "on the measurement (Hz)": "none"}
     with pytest.raises(InputError, match="feasible"):

@@ -14,7 +14,7 @@ from stillwork.control.feedforward import Feedforward
 from stillwork.control.fixed_point import ending, require_noise
 from stillwork.control.fixed_point_convergence import LimitCycle, Oscillation
 from stillwork.control.fixed_point_linear import LinearFilter, semi_implicit_motion
-from stillwork.control.machine_loops import Intensities
+from stillwork.control.machine_loops import DesignSettings, Intensities
 from stillwork.control.setpoint import Setpoint
 from stillwork.estimation import FeLms, FeRls, adapt
 from stillwork.estimation.covariance_forms import factor_of
@@ -29,7 +29,7 @@ from stillwork.lti import ModalModel, StateModel, interconnect, resonance_grid
 from stillwork.lti.delays import delayed
 from stillwork.lti.peaks import refine_peak
 from stillwork.lti.state_space import constant
-from stillwork.machine.machine_tuning import DesignSettings, varied
+from stillwork.machine.machine_tuning import varied
 from stillwork.signals.criteria import criterion_met, criterion_velocity, one_third_octave_velocity
 from stillwork.signals.spectra import (
     ResponseEstimate,

@@ -1,10 +1,9 @@
 """Loops of a machine with an observer, on its model and on its measurement, and the safe bandwidth of each use."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from stillwork.control.phased_loops import phased_corners, phased_loops, phased_
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.uncertainty import (
     EXCESS,
-    Perturbation,
+    Uncertainty,
     corners,
     harmful_places,
     make_box,
@@ -302,44 +301,46 @@ class AchievableBandwidth:
         return row
 
 
-@checked(infinite=True)
-def reach(
-    machine: Machine,
-    chosen: Mapping[str, Application | None],
-    *,
-    retained: int,
-    intensities: Intensities,
-    loop_hz: tuple[float, float] = (0.0, 0.0),
-    search_hz: tuple[float, float] = (0.0, 0.0),
-    constraints: Sequence[PeakConstraint] = OF_ERROR,
-    sample_time: float = 0.0,
-    delay: float = 0.0,
-    uncertainty: Mapping[str, float] = MappingProxyType({}),
-    notches: bool = False,
-    lead: float = 3.0,
-    others: Sequence[tuple[Machine, float]] = (),
-    noise: NoiseBound = UNBOUNDED,
-) -> dict[str, AchievableBandwidth]:
-    """Largest bandwidth of every use below which, and at which, all constraints hold at every sensor.
+@by_value
+@dataclass(frozen=True)
+class DesignSettings:
+    """Settings of one use of an observer.
 
-    Of several feasible intervals the lowest is taken, see `maximise_bandwidth`.
-
-    Parameters
+    Attributes
     ----------
-    machine : Machine
-    chosen : mapping of str to Application
-        See `applications`.
+    application : Application, optional
+        None: no observer.
     retained : int
         Largest number of modes in the observer, the rigid body included; the others enter as compliance.
     intensities : Intensities
         Design intensities of the observer.
-    loop_hz : tuple of float
-        Band in which the measurement represents the plant; (0, 0) for that of the fit.
-    search_hz : tuple of float
-        Range of the design parameter; (0, 0) for 1/40 of the first resonance to all of it, from twice a suspension
-        and to a tenth of the rate.
-    constraints : sequence of PeakConstraint
-        By default those of a controller that runs on the error: both sensitivities, each at most 6 dB.
+    notches : bool
+        Give the controller a notch at each of these resonances that the rate reaches.
+    lead : float
+        See `PidFamily`.
+    """
+
+    application: Application | None
+    retained: int
+    intensities: Intensities
+    notches: bool = False
+    lead: float = 3.0
+
+    def __post_init__(self):
+        check_fields(self)
+
+    def family(self, machine: Machine, sample_time: float) -> PidFamily:
+        """The PID rules of a machine with these settings."""
+        return pid_family(machine, self.lead, self.retained if self.notches else 1, sample_time)
+
+
+@by_value
+@dataclass(frozen=True)
+class SearchSettings:
+    """What a search for a bandwidth holds fixed.
+
+    Attributes
+    ----------
     sample_time : float
         Sample time, s; 0: continuous time.
     delay : float
@@ -347,118 +348,207 @@ def reach(
     uncertainty : mapping of str to float
         Uncertainty of the model, by the fields of `Uncertainty`, plus the intervals of a fit:
         the constraints hold all over that box. Empty: on the model alone.
-    notches : bool
-        Give the controller a notch at each resonance that the observer holds and the rate reaches.
-    lead : float
-        See `PidFamily`.
     others : sequence of (Machine, float)
         The same machine at other positions, and the delay there in samples: the same controller and observer keep the
         constraints there, too, and in the box around it. One sensor each.
     noise : NoiseBound
         For a sampled loop: allowed sensor noise in the output, on the models.
+    loop_hz : tuple of float
+        Band in which the measurement represents the plant; (0, 0) for that of the fit.
+    search_hz : tuple of float
+        Range of the design parameter; (0, 0) for 1/40 of the first resonance to all of it, from twice a suspension
+        and to a tenth of the rate.
+    constraints : sequence of PeakConstraint
+        By default those of a controller that runs on the error: both sensitivities, each at most 6 dB.
+    """
+
+    sample_time: float = 0.0
+    delay: float = 0.0
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
+    others: Sequence[tuple[Machine, float]] = ()
+    noise: NoiseBound = UNBOUNDED
+    loop_hz: tuple[float, float] = (0.0, 0.0)
+    search_hz: tuple[float, float] = (0.0, 0.0)
+    constraints: Sequence[PeakConstraint] = OF_ERROR
+
+    def __post_init__(self):
+        check_fields(self)
+
+    def limits(self, application: Application | None) -> Sequence[PeakConstraint]:
+        """The constraints; without an observer, where all functions of a loop are the same, the tightest."""
+        if application is not None:
+            return self.constraints
+        return [min(self.constraints, key=lambda each: each.limit)]
+
+    def loops_of(self, machine: Machine, use: DesignSettings) -> tuple[tuple[Loop, ...], tuple[Loop, ...]]:
+        """Loops of one use on the model: one a sensor, and the same observer's at the other positions."""
+        observer = observer_settings(machine, use.application, use.retained, use.intensities)
+        loops = tuple(
+            observed_loops(machine.sensors, use.application, *observer, self.sample_time, self.delay)
+        )
+        return loops, loops_elsewhere(loops[0], self.others)
+
+
+@checked(infinite=True)
+def reach(
+    machine: Machine, use: DesignSettings, search: SearchSettings = SearchSettings()
+) -> AchievableBandwidth:
+    """Largest bandwidth of one use of the observer below which, and at which, all constraints hold at every sensor.
+
+    Of several feasible intervals the lowest is taken, see `maximise_bandwidth`.
+
+    Parameters
+    ----------
+    machine : Machine
+    use : DesignSettings
+    search : SearchSettings
 
     Raises
     ------
     InputError
         For invalid settings. A use without any feasible bandwidth is a result, see `AchievableBandwidth.reason`.
     """
-    responses = [(machine, delay), *others]
-    bands = [_measured_band(each, loop_hz) for each, _ in responses]
-    low, high = search_hz if any(search_hz) else search_range(machine, sample_time)
-    spreads = [uncertainty_of(each, uncertainty) for each, _ in responses]
-    boxed = not all(spread.is_empty for spread in spreads)
-    family = pid_family(machine, lead, retained if notches else 1, sample_time)
-    found = {}
-    for name, application in chosen.items():
-        settings = observer_settings(machine, application, retained, intensities)
-        limits = constraints if application else as_one(constraints)
-        try:
-            modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
-        except InputError as error:
-            found[name] = AchievableBandwidth(None, None, None, (), (), reason=f"no observer: {error}")
-            continue
-        elsewhere = loops_elsewhere(modelled[0], others)
-        groups = [modelled, *((loop,) for loop in elsewhere)]
-        loops, on_data, turns = modelled, None, None
-        around = [
-            perturbed_loops(group, corners(spread)) for group, spread in zip(groups, spreads, strict=True)
-        ]
-        perturbed = (*elsewhere, *(loop for each in around for loop in each))
-        boxes = [
-            [] if spread.is_empty else [make_box(loop, spread) for loop in group]
-            for group, spread in zip(groups, spreads, strict=True)
-        ]
-        search = partial(
-            _search, family=family, limits=limits, refine=True, sizes=(len(modelled), len(elsewhere))
+    try:
+        modelled, elsewhere = search.loops_of(machine, use)
+    except InputError as error:
+        return AchievableBandwidth(None, None, None, (), (), reason=f"no observer: {error}")
+    task = _Task.of(machine, use, search, modelled, elsewhere)
+    perturbed = (*elsewhere, *task.corners)
+    on_model, reason = task.search((*modelled, *perturbed))
+    loops, on_data, other = task.on_measurement()
+    reason = reason or other
+    on_model, perturbed, other = task.in_the_box(on_model, on_data, perturbed)
+    reason = reason or other
+    turns = None
+    if on_model is not None:
+        crossings = [loop.crossing_hz(on_model.controller) for loop in modelled]
+        on_model = replace(on_model, crossing_hz=np.array(crossings))
+    if on_data is not None:
+        lower = _lower(on_model, on_data)
+        turns = sum(abs(encirclement_difference(loop, lower.controller)) for loop in loops)
+    return AchievableBandwidth(on_model, on_data, turns, loops, modelled, perturbed, reason, elsewhere)
+
+
+class _Task(NamedTuple):
+    """One use of an observer on every response of a machine, each with its loops, its box and its measured band."""
+
+    responses: tuple[tuple[Machine, float], ...]
+    groups: tuple[tuple[Loop, ...], ...]
+    spreads: tuple[Uncertainty, ...]
+    bands: tuple[tuple[float, float], ...]
+    family: PidFamily
+    limits: Sequence[PeakConstraint]
+    noise: NoiseBound
+    low: float
+    high: float
+
+    @classmethod
+    def of(
+        cls, machine: Machine, use: DesignSettings, search: SearchSettings, modelled, elsewhere
+    ) -> "_Task":
+        responses = ((machine, search.delay), *search.others)
+        ends = search.search_hz if any(search.search_hz) else search_range(machine, search.sample_time)
+        return cls(
+            responses,
+            (modelled, *((loop,) for loop in elsewhere)),
+            tuple(uncertainty_of(each, search.uncertainty) for each, _ in responses),
+            tuple(_measured_band(each, search.loop_hz) for each, _ in responses),
+            use.family(machine, search.sample_time),
+            search.limits(use.application),
+            search.noise,
+            *ends,
         )
-        on_model, reason = search((*loops, *perturbed), low=low, high=high)
-        beside: list[Loop] = []
+
+    @property
+    def corners(self) -> tuple[Loop, ...]:
+        pairs = zip(self.groups, self.spreads, strict=True)
+        return tuple(loop for group, spread in pairs for loop in perturbed_loops(group, corners(spread)))
+
+    def search(self, loops, low=0.0, high=0.0, refine=True) -> tuple[Bandwidth | None, str]:
+        """The bandwidth of some loops, or why there is none; not refined where they are measured."""
+        sizes = (len(self.groups[0]), len(self.groups) - 1) if refine else None
+        ends = {"low": low or self.low, "high": high or self.high}
+        return _search(loops, family=self.family, limits=self.limits, refine=refine, sizes=sizes, **ends)
+
+    def quiet(self, found: Bandwidth) -> tuple[Bandwidth | None, str]:
+        """Lowered to where the noise at the output is allowed."""
+        nominal = [loop for group in self.groups for loop in group]
+        return self.noise.lowered(nominal, self.family, found)
+
+    def on_measurement(self) -> tuple[tuple[Loop, ...], Bandwidth | None, str]:
+        """Measured loops and the bandwidth on them; without a measurement those of the model and none."""
+        loops, beside = self._measured()
+        if not loops:
+            return self.groups[0], None, ""
+        found, reason = self.search(loops, refine=False)
+        # A few more places of phased modes at a time, where they do harm.
+        for _ in range(PHASED_ROUNDS):
+            if found is None or not (harmful := _exceeded(beside, found.controller, self.limits)):
+                break
+            loops = (*loops, *harmful)
+            found, reason = self.search(loops, refine=False)
+        if found is not None:
+            found, other = self.quiet(found)
+            reason = reason or other
+        return loops, found, reason
+
+    def _measured(self) -> tuple[tuple[Loop, ...], list[Loop]]:
+        """Loops on the measurements and on models whose modes have phases, and those of the latter at further places."""
         seen = [
             on_measurement(loop, each.measured, 1.0, band, mirror)
-            for group, (each, _), band in zip(groups, responses, bands, strict=True)
+            for group, (each, _), band in zip(self.groups, self.responses, self.bands, strict=True)
             for loop, mirror in zip(group, each.mirrored, strict=True)
             if each.measured is not None
         ]
-        for group, (each, _), spread in zip(groups, responses, spreads, strict=True):
+        beside: list[Loop] = []
+        for group, (each, _), spread in zip(self.groups, self.responses, self.spreads, strict=True):
             if each.fit is not None and each.fit.phased is not None:
                 phased = partial(phased_loops, group, each.fit.phased, each.mirrored)
                 seen += phased(phased_corners(spread))
                 beside += phased(phased_places(spread, np.random.default_rng(PHASED_SEED)))
-        if seen:
-            loops = tuple(seen)
-            on_data, other = search(loops, low=low, high=high, refine=False, sizes=None)
-            # A few more places of phased modes at a time, where they do harm.
-            for _ in range(PHASED_ROUNDS):
-                if on_data is None or not (harmful := _exceeded(beside, on_data.controller, limits)):
-                    break
-                loops = (*loops, *harmful)
-                on_data, other = search(loops, low=low, high=high, refine=False, sizes=None)
-            reason = reason or other
-        quiet = partial(noise.lowered, (*modelled, *elsewhere), family)
-        if on_data is not None:
-            on_data, other = quiet(on_data)
-            reason = reason or other
-        for count in range(ROUNDS if boxed else 1):
-            if on_model is not None:
-                on_model, other = quiet(on_model)
+        return tuple(seen), beside
+
+    def in_the_box(
+        self, found: Bandwidth | None, on_data: Bandwidth | None, perturbed: tuple[Loop, ...]
+    ) -> tuple[Bandwidth | None, tuple[Loop, ...], str]:
+        """The bandwidth lowered until no place of a box does harm, with the loops there; or why there is none."""
+        boxed, modelled = not all(spread.is_empty for spread in self.spreads), self.groups[0]
+        boxes = [
+            [] if spread.is_empty else [make_box(loop, spread) for loop in group]
+            for group, spread in zip(self.groups, self.spreads, strict=True)
+        ]
+        reason = ""
+        for _ in range(ROUNDS):
+            if found is not None:
+                found, other = self.quiet(found)
                 reason = reason or other
-            if on_model is None or not boxed:
-                break
-            pid = _lower(on_model, on_data).controller
-            harm: list[list[Perturbation]] = []
-            for starts in (1, THOROUGH):
-                if not any(harm):
-                    harm = [
-                        harmful_places(group, pid, limits, box, starts)
-                        for group, box in zip(groups, boxes, strict=True)
-                    ]
-            if not any(harm):
-                break
-            new = tuple(
-                loop
-                for group, places in zip(groups, harm, strict=True)
-                for loop in perturbed_loops(group, places)
-            )
-            ends = on_model.lowest_hz, _lower(on_model, on_data).design_hz
+            if found is None or not boxed:
+                return found, perturbed, reason
+            lower = _lower(found, on_data)
+            new = self._harmful(lower.controller, boxes)
+            if not new:
+                return found, perturbed, reason
+            ends = found.lowest_hz, lower.design_hz
             before, perturbed = len(modelled) + len(perturbed), (*perturbed, *new)
-            on_model, _ = search(new, low=ends[0], high=ends[1])
-            if on_model is not None:  # the loops before hold up to there
-                on_model = replace(on_model, loop=before + on_model.loop)
+            found, _ = self.search(new, *ends)
+            if found is not None:  # the loops before hold up to there
+                found = replace(found, loop=before + found.loop)
             else:
-                on_model, other = search((*modelled, *perturbed), low=low, high=high)
+                found, other = self.search((*modelled, *perturbed))
                 reason = reason or other
-            if count == ROUNDS - 1 and on_model is not None:
-                on_model, reason = None, "new places in the box do harm again and again"
-        if on_model is not None:
-            crossings = [loop.crossing_hz(on_model.controller) for loop in modelled]
-            on_model = replace(on_model, crossing_hz=np.array(crossings))
-        if on_data is not None:
-            lower = _lower(on_model, on_data)
-            turns = sum(abs(encirclement_difference(loop, lower.controller)) for loop in loops)
-        found[name] = AchievableBandwidth(
-            on_model, on_data, turns, loops, modelled, perturbed, reason, elsewhere
-        )
-    return found
+        return None, perturbed, "new places in the box do harm again and again" if found else reason
+
+    def _harmful(self, controller: Pid, boxes) -> tuple[Loop, ...]:
+        """Loops at the worst places of the boxes that exceed a constraint; looked for thoroughly where none is seen."""
+        for starts in (1, THOROUGH):
+            places = [
+                harmful_places(group, controller, self.limits, box, starts)
+                for group, box in zip(self.groups, boxes, strict=True)
+            ]
+            if any(places):
+                break
+        pairs = zip(self.groups, places, strict=True)
+        return tuple(loop for group, found in pairs for loop in perturbed_loops(group, found))
 
 
 def _exceeded(loops: Sequence[Loop], controller: Pid, limits: Sequence[PeakConstraint]) -> list[Loop]:
@@ -469,12 +559,6 @@ def _exceeded(loops: Sequence[Loop], controller: Pid, limits: Sequence[PeakConst
     ]
     worst = np.argsort(sizes)[::-1][:MOST_ADDED]
     return [loops[k] for k in worst if sizes[k] > EXCESS]
-
-
-@checked
-def as_one(constraints: Sequence[PeakConstraint]) -> list[PeakConstraint]:
-    """The tightest constraint: without an observer all functions of a loop are the same."""
-    return [min(constraints, key=lambda each: each.limit)]
 
 
 def _measured_band(machine: Machine, loop_hz: tuple[float, float]) -> tuple[float, float]:

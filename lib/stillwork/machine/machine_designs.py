@@ -1,8 +1,7 @@
 """One search for the controller of a machine: `design`, `report` and the notebook print what it finds."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
-from inspect import signature
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,9 @@ from stillwork.base.validation import checked
 from stillwork.control.loop_noise import USUAL, NoiseBound
 from stillwork.control.machine_loops import (
     AchievableBandwidth,
+    DesignSettings,
     Intensities,
+    SearchSettings,
     applications,
     in_hertz,
     reach,
@@ -21,7 +22,8 @@ from stillwork.control.machine_loops import (
 )
 from stillwork.control.uncertainty import ABSOLUTE, NAMES, Uncertainty, require_shares, uncertainty_of
 from stillwork.identification.machine import Machine, remove_delay
-from stillwork.machine.machine_tuning import DesignSettings, tuned, varied
+from stillwork.lti.modal import ModalModel
+from stillwork.machine.machine_tuning import tuned, varied
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
 INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
@@ -37,6 +39,9 @@ ABOUT_SUSPENSION = (
     0.5,
 )  # of a suspension: where bandwidths are sought from, if none is safe well above it
 LEAD_ABOUT_SUSPENSION = 16 / 3  # there: a crossing above the resonance needs more phase than a free body's
+USES = 5  # that are searched
+CHANGES = 4  # of the machine or its processor, of which each is tried for what it would help
+WORTH = 0.01  # relative gain in bandwidth below which a change of the machine is not listed
 EACH = 2  # searches a use: with the first settings, and with those that are tuned
 
 
@@ -54,18 +59,15 @@ class Designed(NamedTuple):
     found: dict[str, AchievableBandwidth]  # by use
     notes: tuple[str, ...]  # what the search is for, in words
     noise: NoiseBound = USUAL
+    loop_hz: tuple[float, float] = (0.0, 0.0)
+    search_hz: tuple[float, float] = (0.0, 0.0)
 
     @property
-    def how(self) -> dict:
-        """The arguments of `reach` that do not change with the use."""
+    def search(self) -> SearchSettings:
+        """What the search of every use holds fixed."""
         others = tuple(zip(self.others, self.delays, strict=True))
-        return {
-            "uncertainty": self.uncertainty,
-            "sample_time": 1 / self.rate,
-            "delay": self.delay,
-            "others": others,
-            "noise": self.noise,
-        }
+        ends = {"loop_hz": self.loop_hz, "search_hz": self.search_hz}
+        return SearchSettings(1 / self.rate, self.delay, self.uncertainty, others, self.noise, **ends)
 
     @property
     def ranking(self) -> list[str]:
@@ -205,13 +207,24 @@ def search_designs(
         "S_I and S_O, which is also r to e since the controller runs on the error, at most 6 dB",
         *noise.words(machine.units),
     )
-    made = Designed(prompt[0], prompt[1:], rate, late[0], late[1:], shares, spreads, {}, {}, notes, noise)
+    made = Designed(
+        prompt[0],
+        prompt[1:],
+        rate,
+        late[0],
+        late[1:],
+        shares,
+        spreads,
+        {},
+        {},
+        notes,
+        noise,
+        loop_hz,
+        search_hz,
+    )
     for use, application in ({"PID": None, NOTCHED: None} | applications(added_damping, selectivity)).items():
         first = DesignSettings(application, retained, intensities, use == NOTCHED)
-        beside = {"loop_hz": loop_hz, "search_hz": search_hz}
-        made.settings[use], made.found[use] = _furthest(
-            made, first, beside, lambda use=use: on_step and on_step(use)
-        )
+        made.settings[use], made.found[use] = _furthest(made, first, lambda use=use: on_step and on_step(use))
     return made
 
 
@@ -223,20 +236,8 @@ def _prompt(machine: Machine, delay: float, rate: float) -> tuple[Machine, float
     return remove_delay(machine, machine.fit.delay), delay + max(machine.fit.delay, 0.0) * rate
 
 
-@checked(missing=True)
-def reach_one(machine: Machine, settings: DesignSettings, how: Mapping) -> AchievableBandwidth:
-    """`reach` for one use; `how` are its other arguments."""
-    own = {
-        field.name: getattr(settings, field.name) for field in fields(settings) if field.name != "application"
-    }
-    known = signature(reach).parameters.keys() - own.keys() - {"machine", "applications"}
-    if unknown := sorted(map(str, set(how) - known)):
-        raise InputError(f"how holds {', '.join(unknown)}; give some of {', '.join(sorted(known))}")
-    return reach(machine, {"": settings.application}, **own, **how)[""]
-
-
 def _furthest(
-    made: Designed, settings: DesignSettings, beside: dict, on_step
+    made: Designed, settings: DesignSettings, on_step
 ) -> tuple[DesignSettings, AchievableBandwidth]:
     """The settings, tuned where that leads further, and how far they get.
 
@@ -244,37 +245,38 @@ def _furthest(
     """
     lowest, high = search_range(made.machine, 1 / made.rate)
     suspension = float(made.machine.sensors[0].frequencies[0]) / (2 * np.pi)
-    first = _tuned_from(made, settings, beside, lowest, on_step)
-    if first[1].recommended is not None or not suspension or any(beside["search_hz"]):
+    first = _tuned_from(made.machine, settings, made.search, lowest, on_step)
+    if first[1].recommended is not None or not suspension or any(made.search_hz):
         return first
     for share in ABOUT_SUSPENSION:
         low = share * suspension
         if low < high:
             wide = replace(settings, lead=LEAD_ABOUT_SUSPENSION)
-            other = _tuned_from(made, wide, beside | {"search_hz": (low, high)}, low)
+            about = replace(made.search, search_hz=(low, high))
+            other = _tuned_from(made.machine, wide, about, low)
             if other[1].recommended is not None:
                 return other
     return first
 
 
 def _tuned_from(
-    made: Designed, settings: DesignSettings, beside: dict, lowest: float, on_step=lambda: None
+    machine: Machine, settings: DesignSettings, search: SearchSettings, lowest: float, on_step=lambda: None
 ) -> tuple[DesignSettings, AchievableBandwidth]:
     """Likewise from a lowest bandwidth on."""
     on_step()
-    found = reach_one(made.machine, settings, made.how | beside)
+    found = reach(machine, settings, search)
     deaf, other = settings, found
     for _ in range(DEAFER):
         deafer = varied(deaf, "sensor", 10.0)  # an observer for a noisier sensor
         if deafer is None or not other.stopped_by_noise:
             break
-        deaf, other = deafer, reach_one(made.machine, deafer, made.how | beside)
+        deaf, other = deafer, reach(machine, deafer, search)
         if crossing(other) > crossing(found):
             settings, found = deaf, other
     on_step()
     design_hz = found.recommended.design_hz if found.recommended else lowest
-    trial = tuned(made.machine, settings, design_hz, **made.how)
-    further = found if trial == settings else reach_one(made.machine, trial, made.how | beside)
+    trial = tuned(machine, settings, design_hz, search)
+    further = found if trial == settings else reach(machine, trial, search)
     if further.recommended is None or crossing(further) <= crossing(found):
         return settings, found
     return trial, further
@@ -284,3 +286,43 @@ def _tuned_from(
 def crossing(reached: AchievableBandwidth) -> float:
     """The lowest first crossing of the recommended design, Hz; 0 if there is none."""
     return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0
+
+
+def improvements(made: Designed, on_step: Callable[[str], None] = lambda _: None) -> list[list[str]]:
+    """Changes of the machine that raise the bandwidth of the model with the same settings, the best first."""
+    search, settings, reached = made.search, made.settings[made.ranking[0]], made.found[made.ranking[0]]
+    trials: dict[str, tuple[Callable[[ModalModel], ModalModel], dict]] = {
+        "twice the damping of its modes:": (_damped, {}),
+        "the sensor where the force acts:": (_beside, {}),
+        "twice the rate:": (lambda model: model, {"sample_time": search.sample_time / 2}),
+        "no delay:": (lambda model: model, {"delay": 0.0}),
+    }
+    if not search.delay:
+        del trials["no delay:"]
+    before = reached.on_model.crossing_hz.min() if reached.on_model else 0.0
+    gains = []
+    for words, (change, settled) in trials.items():
+        on_step(words)
+        changed, *others = (
+            replace(each, measured=None, fit=None, sensors=tuple(map(change, each.sensors)))
+            for each in (made.machine, *made.others)
+        )
+        late = [settled.get("delay", delay) for delay in made.delays]
+        trial = replace(search, **settled, others=tuple(zip(others, late, strict=True)), loop_hz=(0.0, 0.0))
+        low, high = search_range(changed, trial.sample_time)
+        if reached.on_model:  # only what exceeds it is listed
+            low = min(reached.on_model.design_hz, 0.99 * high)
+        found = reach(changed, settings, replace(trial, search_hz=(low, high))).on_model
+        if found is not None and found.crossing_hz.min() > (1 + WORTH) * before:
+            gains.append([float(found.crossing_hz.min()), words])
+    return [[words, f"{hertz:.1f}"] for hertz, words in sorted(gains, key=lambda each: -each[0])]
+
+
+def _damped(model: ModalModel) -> ModalModel:
+    factor = np.append(1.0, np.full(len(model.damping) - 1, 2.0))
+    return replace(model, damping=np.minimum(factor * model.damping, np.maximum(model.damping, 0.5)))
+
+
+def _beside(model: ModalModel) -> ModalModel:
+    shapes = np.abs(model.output_shapes) * np.sign(model.input_shapes.T)
+    return replace(model, output_shapes=shapes, feedthrough=np.abs(model.feedthrough))

@@ -1,26 +1,14 @@
 """Settings of a controller and its observer with the highest bandwidth, by one coordinate search."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-from stillwork.base.bounds import NonNegative, Positive
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError, require_choice
-from stillwork.base.validation import by_value, check_fields, checked
-from stillwork.control.applications import Application
-from stillwork.control.bandwidth import Loop, PeakConstraint, is_feasible, make_loop
-from stillwork.control.loop_noise import UNBOUNDED, NoiseBound
-from stillwork.control.machine_loops import (
-    OF_ERROR,
-    Intensities,
-    as_one,
-    loops_elsewhere,
-    observed_loops,
-    observer_settings,
-    pid_family,
-    search_range,
-)
-from stillwork.control.uncertainty import harmful_places, make_box, uncertainty_of
+from stillwork.base.validation import checked
+from stillwork.control.bandwidth import is_feasible, make_loop
+from stillwork.control.machine_loops import DesignSettings, SearchSettings, search_range
+from stillwork.control.uncertainty import Box, harmful_places, make_box, uncertainty_of
 from stillwork.identification.machine import Machine
 
 # One step of each setting; tried up, then down, again and again while the bandwidth grows.
@@ -30,78 +18,49 @@ MAX_SETTING = {"damping": 0.5, "selectivity": 16.0}
 PUSH = 1.03  # of the bandwidth, at a time
 
 
-@by_value
-@dataclass(frozen=True)
-class DesignSettings:
-    """Settings of one use of an observer."""
-
-    application: Application | None  # None: no observer
-    retained: int  # modes in the observer, the rigid body included
-    intensities: Intensities
-    notches: bool = False
-    lead: float = 3.0
-
-    def __post_init__(self):
-        check_fields(self)
-
-
 @checked(infinite=True)
 def tuned(
-    machine: Machine,
-    settings: DesignSettings,
-    design_hz: Positive,
-    *,
-    uncertainty: Mapping[str, float],
-    sample_time: Positive,
-    delay: NonNegative,
-    constraints: Sequence[PeakConstraint] = OF_ERROR,
-    others: Sequence[tuple[Machine, float]] = (),
-    noise: NoiseBound = UNBOUNDED,
+    machine: Machine, settings: DesignSettings, design_hz: Positive, search: SearchSettings
 ) -> DesignSettings:
     """Settings that meet the constraints and the noise bound on all models at a bandwidth above `design_hz`."""
-
-    def loops_of(each: DesignSettings) -> list[Loop]:
-        chosen = observer_settings(machine, each.application, each.retained, each.intensities)
-        loops = observed_loops(machine.sensors, each.application, *chosen, sample_time, delay)
-        return [*loops, *loops_elsewhere(loops[0], others)]
-
-    def increase_bandwidth(each: DesignSettings) -> float:
-        """The bandwidth up to which these settings hold, from the best so far on; that itself if they hold no more."""
-        try:
-            loops = loops_of(each)
-        except InputError:  # no observer can be made with these
-            return design_hz
-        family = pid_family(machine, each.lead, each.retained if each.notches else 1, sample_time)
-        reached, answers = (
-            design_hz,
-            [loop.compensator.frequency_response(box.omega) for loop, box in zip(loops, boxes, strict=False)],
-        )
-        while (
-            PUSH * reached < highest
-            and is_feasible(loops, pid := family(PUSH * reached), limits)
-            and max(noise.excess(loop, pid) for loop in loops) <= 1
-            and not harmful_places(loops, pid, limits, boxes, 1, answers, first=True)
-        ):
-            reached *= PUSH
-        return reached
-
-    limits = constraints if settings.application else as_one(constraints)
     # One grid for all settings: what the box holds there is the same for each.
     boxes = [
-        make_box(make_loop(sensor, sample_time=sample_time, delay=late), spread, fine=False)
-        for each, late in [(machine, delay), *others]
-        if not (spread := uncertainty_of(each, uncertainty)).is_empty
+        make_box(make_loop(sensor, sample_time=search.sample_time, delay=late), spread, fine=False)
+        for each, late in [(machine, search.delay), *search.others]
+        if not (spread := uncertainty_of(each, search.uncertainty)).is_empty
         for sensor in each.sensors
     ]
-    _, highest = search_range(machine, sample_time)
     for name, size in STEPS.items():
         for factor in (size, 1 / size):
             while (trial := varied(settings, name, factor)) is not None:
-                reached = increase_bandwidth(trial)
+                reached = _increased(machine, trial, design_hz, search, boxes)
                 if reached == design_hz:
                     break
                 settings, design_hz = trial, reached
     return settings
+
+
+def _increased(
+    machine: Machine, use: DesignSettings, design_hz: float, search: SearchSettings, boxes: list[Box]
+) -> float:
+    """The bandwidth up to which these settings hold, from the best so far on; that itself if they hold no more."""
+    try:
+        modelled, elsewhere = search.loops_of(machine, use)
+    except InputError:  # no observer can be made with these
+        return design_hz
+    loops, limits = [*modelled, *elsewhere], search.limits(use.application)
+    family, (_, highest) = use.family(machine, search.sample_time), search_range(machine, search.sample_time)
+    answers = [
+        loop.compensator.frequency_response(box.omega) for loop, box in zip(loops, boxes, strict=False)
+    ]
+    while (
+        PUSH * design_hz < highest
+        and is_feasible(loops, pid := family(PUSH * design_hz), limits)
+        and max(search.noise.excess(loop, pid) for loop in loops) <= 1
+        and not harmful_places(loops, pid, limits, boxes, 1, answers, first=True)
+    ):
+        design_hz *= PUSH
+    return design_hz
 
 
 @checked

@@ -19,10 +19,10 @@ from stillwork.identification.machine_files import (
     stated_units,
 )
 from stillwork.machine import pictures
-from stillwork.machine.design import USES, paint_machine, paint_stabilisation, uses_table
+from stillwork.machine.design_page import paint_machine, paint_stabilisation, uses_table
 from stillwork.machine.html_page import page, picture, require_new, table
 from stillwork.machine.inspect import inspect_file
-from stillwork.machine.machine_designs import DELAY, EACH, search_designs, stated_uncertainty
+from stillwork.machine.machine_designs import DELAY, EACH, USES, search_designs, stated_uncertainty
 from stillwork.machine.progress import count_steps
 from stillwork.machine.readings import believed
 from stillwork.signals.datafiles import read_arrays

@@ -78,82 +78,115 @@ def retest_file(
     """
     require_package("matplotlib")
     target = require_new(out or f"{Path(file).name}.retest.html")
-    written = load_controller(controller)
-    about = Table(dict(written.about), Path(controller).name)
-    made = about.table("provenance")
-    written = _in_the_units_of_the_file(of_reference(written), made)
-    observer = about.table("compensator")
-    parts = (require_array(f"compensator: {name}", observer[name]) for name in "abcd")
-    designed = model_of(about.table("model"))
+    designed = _load_design(controller)
+    if closed_loop:
+        found = _measured_in_the_loop(designed, file, loop_hz, load_options)
+    else:
+        found = _measured_machine(designed, file, fit_hz, loop_hz, load_options)
+    peaks = {where: _peaks(loop, designed.controller) for where, loop in found.loops.items()}
+    lines = [
+        f"{Path(file).name} with {Path(controller).name}: {_verdict(found, peaks)}",
+        "; ".join(
+            f"{where}: {', '.join(f'{SHOWN[name]} {peak}' for name, peak in each.items())}"
+            for where, each in peaks.items()
+        ),
+        *([] if found.stable else ["the loop is unstable on the model of this response"]),
+        *([f"extra turns around -1 on the measurement: {found.turns}"] if found.turns is not None else []),
+        *(" ".join(row) for row in found.changes if row[-1] != INSIDE),
+    ]
+    target.write_text(_page(designed, found, file, lines), encoding="utf-8")
+    return [*lines, f"written: {target}"]
+
+
+class _Designed(NamedTuple):
+    """What the file of a controller holds of its design."""
+
+    controller: DigitalController  # of r and y, in the units in which the machine was measured
+    made: Table  # its provenance
+    loop: Loop  # on the model
+    pid: Pid
+
+
+class _Found(NamedTuple):
+    """The loop of a written controller around a new response."""
+
+    loops: dict[str, Loop]  # on the model, on the measurement
+    stable: bool
+    turns: int | None  # around -1, that the measured loop makes more than that of the model
+    changes: list[list[str]]  # of the machine
+
+
+def _load_design(file: str) -> _Designed:
+    written = load_controller(file)
+    about = Table(dict(written.about), Path(file).name)
+    made, observer = about.table("provenance"), about.table("compensator")
     sample_time = written.model.sample_time
-    before = make_loop(
-        designed,
-        _observer(*parts, sample_time),
+    loop = make_loop(
+        model_of(about.table("model")),
+        _observer(*(require_array(f"compensator: {name}", observer[name]) for name in "abcd"), sample_time),
         sample_time=sample_time,
         delay=made["delay_samples_of_the_loop"],
     )
     gains = about["gains"]
     pid = Pid(**gains | {"notches": tuple(Notch(**gain) for gain in gains["notches"])})
-    if closed_loop:
-        seen = _from_sensitivity(before, written, file, loop_hz, load_options)
-        loops, stable, turns = {"measured": seen}, True, None  # it ran
-        changes = _gain_change(before, seen, pid, made, Path(file).name)
-    else:
-        taken = load_machine(file, **load_options)
-        machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
-        print(believed(taken, machine), file=sys.stderr, flush=True)
-        if machine.mass_unit != made["mass_unit"]:
-            raise InputError(
-                f"{Path(file).name} is of a machine in {machine.mass_unit}, the controller of one in {made['mass_unit']}; "
-                "give the response in the units of the design"
-            )
-        late = max(machine.fit.delay, 0.0) if machine.fit else 0.0
-        modelled = make_loop(
-            machine.sensors[0],
-            before.compensator,
-            sample_time=sample_time,
-            delay=made["delay_samples_asked"] + late / sample_time,
+    return _Designed(_in_the_units_of_the_file(of_reference(written), made), made, loop, pid)
+
+
+def _measured_in_the_loop(designed: _Designed, file: str, loop_hz, load_options: Mapping) -> _Found:
+    seen = _from_sensitivity(designed.loop, designed.controller, file, loop_hz, load_options)
+    changes = _gain_change(designed.loop, seen, designed.pid, designed.made, Path(file).name)
+    return _Found({"measured": seen}, True, None, changes)  # it ran
+
+
+def _measured_machine(designed: _Designed, file: str, fit_hz, loop_hz, load_options: Mapping) -> _Found:
+    made, sample_time = designed.made, designed.loop.sample_time
+    taken = load_machine(file, **load_options)
+    machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
+    print(believed(taken, machine), file=sys.stderr, flush=True)
+    if machine.mass_unit != made["mass_unit"]:
+        raise InputError(
+            f"{Path(file).name} is of a machine in {machine.mass_unit}, the controller of one in {made['mass_unit']}; "
+            "give the response in the units of the design"
         )
-        loops, stable, turns = {"model": modelled}, modelled.is_stable(pid), None
-        if machine.measured is not None:
-            machine = remove_delay(machine, machine.fit.delay)
-            ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
-            band = whole_band(machine.measured, loop_hz if any(loop_hz) else tuple(map(float, ends)))
-            loops["measured"] = on_measurement(modelled, machine.measured, 1.0, band)
-            turns = encirclement_difference(loops["measured"], pid)
-        changes = _changes(designed, machine, made, late)
-    peaks = {where: _peaks(loop, written) for where, loop in loops.items()}
-    lowest, highest = np.max([peak.limits for each in peaks.values() for peak in each.values()], axis=0)
-    if not stable or turns or lowest > ALLOWED_DB:
-        verdict = "the promise does not hold; design again from this response"
-    elif highest <= ALLOWED_DB:
-        verdict = "the promise holds"
-    else:
-        verdict = "not decided: at this noise the promise may hold or not; average longer near the peaks, or measure more lines"
-    peaks_text = "; ".join(
-        f"{where}: {', '.join(f'{SHOWN[name]} {peak}' for name, peak in each.items())}"
-        for where, each in peaks.items()
+    late = max(machine.fit.delay, 0.0) if machine.fit else 0.0
+    modelled = make_loop(
+        machine.sensors[0],
+        designed.loop.compensator,
+        sample_time=sample_time,
+        delay=made["delay_samples_asked"] + late / sample_time,
     )
-    lines = [
-        f"{Path(file).name} with {Path(controller).name}: {verdict}",
-        peaks_text,
-        *([] if stable else ["the loop is unstable on the model of this response"]),
-        *([f"extra turns around -1 on the measurement: {turns}"] if turns is not None else []),
-        *(" ".join(row) for row in changes if row[-1] != INSIDE),
-    ]
+    loops, turns = {"model": modelled}, None
+    if machine.measured is not None:
+        machine = remove_delay(machine, machine.fit.delay)
+        ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
+        band = whole_band(machine.measured, loop_hz if any(loop_hz) else tuple(map(float, ends)))
+        loops["measured"] = on_measurement(modelled, machine.measured, 1.0, band)
+        turns = encirclement_difference(loops["measured"], designed.pid)
+    changes = _changes(designed.loop.plant, machine, made, late)
+    return _Found(loops, modelled.is_stable(designed.pid), turns, changes)
+
+
+def _verdict(found: _Found, peaks: dict[str, dict[str, "Peak"]]) -> str:
+    lowest, highest = np.max([peak.limits for each in peaks.values() for peak in each.values()], axis=0)
+    if not found.stable or found.turns or lowest > ALLOWED_DB:
+        return "the promise does not hold; design again from this response"
+    if highest <= ALLOWED_DB:
+        return "the promise holds"
+    return "not decided: at this noise the promise may hold or not; average longer near the peaks, or measure more lines"
+
+
+def _page(designed: _Designed, found: _Found, file: str, lines: list[str]) -> str:
     head = ["", "at the design", "now", "change", ""]
     body = [f"<p>{html.escape(line)}</p>" for line in lines]
-    body += [f"<h2>What has changed</h2>\n{table(head, changes)}"] if changes else []
-    shown = picture(paint_retest(before, loops, written), "sensitivities, at the design and now")
-    body += [f"<h2>The loop</h2>\n{shown}"]
-    text = page(
+    body += [f"<h2>What has changed</h2>\n{table(head, found.changes)}"] if found.changes else []
+    drawn = paint_retest(designed.loop, found.loops, designed.controller)
+    body += [f"<h2>The loop</h2>\n{picture(drawn, 'sensitivities, at the design and now')}"]
+    return page(
         "report.html",
         source=html.escape(Path(file).name),
         body="\n".join(body),
         held=html.escape(inspect_file(file)),
     )
-    target.write_text(text, encoding="utf-8")
-    return [*lines, f"written: {target}"]
 
 
 def _in_the_units_of_the_file(controller: DigitalController, made: Table) -> DigitalController:

@@ -1,0 +1,156 @@
+"""The page of the command ``design``: the machine, the uses of an observer, the box, and the controller's loops."""
+
+import html
+
+import numpy as np
+
+from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.digital import DigitalController
+from stillwork.control.machine_loops import HELD, SHOWN, AchievableBandwidth
+from stillwork.control.uncertainty import Uncertainty
+from stillwork.identification.machine import Machine
+from stillwork.identification.modal_fit import ModalFit
+from stillwork.machine import pictures
+from stillwork.machine.hardware import own_functions
+from stillwork.machine.html_page import page, picture, table
+from stillwork.machine.machine_designs import Designed
+
+SHOWN_FROM = 0.01  # %, of what the box holds
+
+
+def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) -> list[list[str]]:
+    """Widths of the box and the largest peaks in it, as rows; the box around another response differs by its fit alone."""
+    rows = []
+    hertz = machine.sensors[0].frequencies / (2 * np.pi)
+    words = {"frequency": "resonances", "residue": "parts of the modes", "damping": "damping ratios"}
+    for name, title in words.items():
+        shares = 100 * np.asarray(getattr(spread, name))[1:]
+        if np.any(shares >= SHOWN_FROM):
+            same = np.ptp(shares) < 0.05 * shares.max()
+            each = [f"± {share:.2g} % at {at:.4g} Hz" for share, at in zip(shares, hertz[1:], strict=True)]
+            rows.append([title, f"± {shares.max():.3g} %" if same else ", ".join(each)])
+    for name, title in (("gain", "gain, motor constant"), ("mass", "mass")):
+        if (share := 100 * getattr(spread, name)) >= SHOWN_FROM:
+            rows.append([title, f"± {share:.2g} %"])
+    if spread.delay > 1e-9:
+        rows.append(["delay", f"± {1e6 * spread.delay:.2g} us"])
+    if spread.friction > SHOWN_FROM / 100 * (drag := machine.sensors[0].drag):
+        rows.append(
+            [
+                "viscous friction over mass",
+                f"{max(drag - spread.friction, 0):.3g} to {drag + spread.friction:.3g} 1/s",
+            ]
+        )
+    if margins:
+        sizes = ", ".join(f"{SHOWN[name]} {20 * np.log10(size):.2f} dB" for name, size in margins.items())
+        rows.append(
+            ["largest in the box", f"{sizes}; modulus margin {1 / margins['output_sensitivity']:.3f}"]
+        )
+    return rows
+
+
+def report(
+    made: Designed,
+    controllers: list[DigitalController],
+    peaks: dict[str, dict[str, float]],
+    computed: list[tuple[str, str]],
+    helps: list[list[str]],
+    box: list[list[str]],
+    about: list,
+    files: list[str],
+) -> str:
+    """One page: the machine, the bandwidth of each use of an observer, the choice, its peaks, and how to run it."""
+    machine, best = made.machine, made.ranking[0]
+    reached = made.found[best]
+    where = list(next(iter(peaks.values())))
+    sizes = [[SHOWN[name], *(f"{peak[column]:.2f}" for column in where)] for name, peak in peaks.items()]
+    facts = [
+        ["mass" if machine.units[0] == "m" else "inertia", f"{machine.mass:.4g} {machine.mass_unit}"],
+        ["resonances", ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz) + " Hz"],
+        *map(list, about),
+        *(["note", note] for note in machine.notes),
+    ]
+    return page(
+        "design.html",
+        source=html.escape(machine.source),
+        kind=": a controller",
+        taken=html.escape(best),
+        stopped=html.escape(reached.summary["stopped by"]),
+        facts=table([], facts),
+        box=table([], box or [["everything", "exactly as in the model: no uncertainty was stated"]]),
+        uses=uses_table(made),
+        peaks=table(["peak", *where], sizes),
+        computed=table([], list(map(list, computed))),
+        helps=table(["change", "bandwidth (Hz)"], helps or [["none of those tried", ""]]),
+        machine=picture(paint_machine(machine), "accelerance of the model and of the measurement"),
+        loops=picture(paint_loops(reached, controllers), "sensitivities of the sampled loop"),
+        files=html.escape(", ".join(files)),
+    )
+
+
+def uses_table(made: Designed) -> str:
+    """Bandwidth of each use of an observer, or why it has none, and their order."""
+    columns = list(dict.fromkeys(key for each in made.found.values() for key in each.summary))
+    rows = [
+        [use, *(each.summary.get(key, "") for key in columns), each.reason]
+        for use, each in made.found.items()
+    ]
+    words = "".join(f"<p>{html.escape(line)}</p>\n" for line in (*made.notes, made.ranking_line))
+    return words + table(["use", *columns, "why not"], rows)
+
+
+@pictures.house_style()
+def paint_machine(machine: Machine):
+    """Accelerance of the model at every sensor, and of the measurement at the first."""
+    figure, axis = pictures.new(1, 1, height=3.0)
+    resonances = machine.resonances_hz
+    hertz = np.unique(
+        np.concatenate([np.geomspace(resonances[0] / 10, 2 * resonances[-1], 3000), resonances])
+    )
+    if machine.measured is not None:
+        seen = machine.measured.omega / (2 * np.pi)
+        shown = (seen >= hertz[0]) & (seen <= hertz[-1])
+        size = 20 * np.log10(np.abs(machine.measured.response[shown]))
+        axis.semilogx(seen[shown], size, linewidth=0.6, color=pictures.GREY, label="measured, sensor 1")
+    for number, sensor in enumerate(machine.sensors, 1):
+        omega = 2 * np.pi * hertz
+        size = 20 * np.log10(np.abs(omega**2 * sensor.frequency_response(omega)[0, 0]))
+        axis.semilogx(hertz, size, linewidth=1.0, label=f"model, sensor {number}")
+    axis.set(xlabel="frequency (Hz)", ylabel=f"acceleration over force (dB re 1/({machine.mass_unit}))")
+    axis.legend()
+    return figure
+
+
+@pictures.house_style()
+def paint_stabilisation(fit: ModalFit):
+    """Poles over the model order: those that stay from order to order, and those taken for modes, are marked."""
+    diagram = fit.diagram
+    figure, axis = pictures.new(1, 1, height=3.2)
+    for chosen, colour, label in (
+        (~diagram.stable, pictures.GREY, "pole that moves with the order"),
+        (diagram.stable, pictures.BLUE, "pole that stays"),
+    ):
+        hertz = diagram.frequency[chosen] / (2 * np.pi)
+        axis.semilogx(hertz, diagram.order[chosen], ".", markersize=3, color=colour, label=label)
+    for number, hertz in enumerate(fit.model.frequencies[fit.model.rigid_modes :] / (2 * np.pi)):
+        label = "_mode" if number else "taken as a mode"
+        axis.axvline(hertz, color=pictures.RED, linewidth=0.8, zorder=1, label=label)
+    axis.set(xlabel="frequency (Hz)", ylabel="order of the polynomial fraction")
+    pictures.legend_below(axis, 3)
+    return figure
+
+
+@pictures.house_style()
+def paint_loops(reached: AchievableBandwidth, controllers: list[DigitalController]):
+    """Both sensitivities of every sensor with the written coefficients, and their limit."""
+    figure, axes = pictures.new(1, 2, height=2.8, sharey=True)
+    colours = (pictures.RED, pictures.BLUE, pictures.GREEN, pictures.ORANGE)
+    for number, loop in enumerate(reached.loops):
+        pair = loop, controllers[number % len(controllers)]
+        hertz = loop.omega / (2 * np.pi)
+        for axis, name, response in zip(axes, HELD, own_functions(*pair), strict=True):
+            axis.semilogx(hertz, 20 * np.log10(np.abs(response)), linewidth=0.8, color=colours[number % 4])
+            axis.axhline(20 * np.log10(SIX_DB), color=pictures.BLACK, linestyle=":", linewidth=1.0)
+            axis.set(title=SHOWN[name], xlabel="frequency (Hz)", ylim=(-50, 15))
+    axes[0].set_ylabel("magnitude (dB)")
+    return figure
