@@ -11,6 +11,7 @@ from stillwork.base.checks import InputError
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.machine.readings import believed, build_explained
+from stillwork.machine.report import report_file
 
 READINGS = [*product(("dB", "1"), ("deg", "rad"))]
 
@@ -100,3 +101,7 @@ def test_records_that_still_ring_at_their_ends_are_refused(tmp_path):
     np.savez(tmp_path / "ringing.npz", fs=float(rate), **hits)
     with pytest.raises(InputError, match="off by"):
         explained(tmp_path / "ringing.npz")
+    lines = report_file(
+        str(tmp_path / "ringing.npz"), str(tmp_path / "a.html"), response_unit="m/s^2", force_unit="N"
+    )
+    assert any("no loop was searched" in line and "nothing can be promised" in line for line in lines)

@@ -145,7 +145,7 @@ def test_units_that_contradict_the_file_or_each_other_are_refused(tmp_path):
         )
 
 
-@pytest.mark.parametrize("bracket", ["(g/lbf)", "(dB re 1e-6 g/lbf)", "[furlong]"])
+@pytest.mark.parametrize("bracket", ["(g/dyn)", "(dB re 1e-6 g/dyn)", "[furlong]"])
 def test_an_unknown_unit_is_not_taken_for_none(tmp_path, bracket):
     columns = {f"real {bracket}": ACCELERANCE.real, f"imag {bracket}": ACCELERANCE.imag}
     file = write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns)

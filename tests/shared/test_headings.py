@@ -16,6 +16,7 @@ from stillwork.base.toml_files import read_toml
 from stillwork.identification.machine_files import load_machine, load_ratio
 from stillwork.machine.desk_page import modules
 from stillwork.machine.inspect import inspect_file
+from stillwork.machine.report import report_file
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import read_densities
 from stillwork.signals.headings import column_unit, heading
@@ -518,6 +519,16 @@ def test_two_frequencies_agree_or_are_refused(tmp_path):
         else:
             with pytest.raises(InputError, match="not the same frequencies"):
                 load_machine(path)
+
+
+def test_of_two_columns_of_frequencies_none_is_a_density(tmp_path):
+    file = table(
+        tmp_path / "a.csv", {"omega": TURN * HZ, "Frequency (Hz)": HZ, "x (m/s^2/sqrt(Hz))": 0.5 + 0 * HZ}
+    )
+    hertz, density = read_densities(file, "", [], 8)
+    np.testing.assert_allclose(hertz, HZ)
+    np.testing.assert_allclose(density, 0.25 + 0 * HZ[None])
+    assert any("100 frequencies" in line for line in report_file(str(file), str(tmp_path / "a.html")))
 
 
 def test_the_size_is_looked_at_before_reading(tmp_path):

@@ -384,10 +384,10 @@ def test_a_new_result_overwrites_nothing(toy):
 def test_a_floor_of_mixed_units_is_proposed_whole_and_an_unknown_unit_is_not(tmp_path):
     rows = np.random.default_rng(4).standard_normal((4, 10_000)) * 1e-3
     table = np.column_stack([np.arange(10_000) / 500, rows.T * [1, 1, 1e3, 0.1]])
-    head = "time (s),tilt (arcsec),x (m/s^2),y (mm/s^2),z (g)"
+    head = "time (s),tilt (gon),x (m/s^2),y (mm/s^2),z (g)"
     np.savetxt(tmp_path / "mixed.csv", table, delimiter=",", header=head, comments="")
     report = inspect_file(str(tmp_path / "mixed.csv"))
-    assert "unknown units: arcsec; convert tilt (arcsec)" in report and "UNIT" not in report
+    assert "unknown units: gon; convert tilt (gon)" in report and "UNIT" not in report
     settings = commands(report)["isolation/08-your-floor"]
     assert "floor_unit" not in settings and settings["floor_channels"] == ["x (m/s^2)", "y (mm/s^2)", "z (g)"]
     [line] = [each for each in report.splitlines() if each.startswith("a feedforward")]

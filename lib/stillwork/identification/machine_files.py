@@ -25,7 +25,6 @@ FORMS = (
 PADDING = 4  # lengths of a record that has died out: zeros appended to it give a finer grid
 LONGEST_HIT = 0.2  # part of a record during which the force may exceed a tenth of its peak
 COHERENCE_ROUNDING = 1e-3  # by which a coherence may exceed 1
-CUT_OFF = "the cut widens its resonances"  # of records that still ring at their ends
 DIED_OUT = 0.02  # of the peak, what the last tenth of a record may still hold
 _SILENT = ("frequency", "time", "rate", "phase", "coherence")  # their units are none of a machine's
 
@@ -46,6 +45,7 @@ class MachineFile:
         "N",
     )  # of the position and of what drives it: ("rad", "N m"), ("count", "A"), ...
     readings: tuple[Reading, ...] = ()  # what each column that was used was taken for; none of matrices
+    cut_off: bool = False  # hammer records that still ring at their ends, which widens their resonances
 
     def __post_init__(self):
         check_fields(self)
@@ -148,9 +148,10 @@ def load_machine(
         force_unit = force_unit or drive
         factor, force = unit_factor(response_unit)[0], unit_factor(force_unit)[0]
         if kind == "hammer records":
-            found, notes, taken = _from_hammer(arrays, sample_rate, file.name)
+            found, notes, taken, cut_off = _from_hammer(arrays, sample_rate, file.name)
         else:
             found, notes, taken = _from_response(arrays, response, read_as or {})
+            cut_off = False
     except InputError as error:
         raise InputError(f"{file.name}: {error}") from None
     if silent:
@@ -169,6 +170,7 @@ def load_machine(
         notes=notes,
         units=(position, drive),
         readings=readings,
+        cut_off=cut_off,
     )
 
 
@@ -378,7 +380,7 @@ def _called(same: dict[str, np.ndarray], quantity: str, response: str) -> list[s
 
 def _from_hammer(
     arrays: dict[str, np.ndarray], sample_rate: float | None, source: str
-) -> tuple[Identified, tuple[str, ...], list[Reading]]:
+) -> tuple[Identified, tuple[str, ...], list[Reading], bool]:
     rate = sampling_rate(source, arrays, sample_rate)
     forces = [name for name in arrays if heading(name).quantity == "force" and arrays[name].size > 1]
     if not forces:
@@ -410,18 +412,19 @@ def _from_hammer(
     )
     tail = np.abs(response[:, -response.shape[1] // 10 :]).max(axis=1) / np.abs(response).max(axis=1)
     notes = [f"{len(force)} hits" if len(force) > 1 else "1 hit: the coherence needs at least two"]
-    if tail.max() <= DIED_OUT:
+    cut_off = bool(tail.max() > DIED_OUT)
+    if not cut_off:
         force, response = (
             np.pad(rows, ((0, 0), (0, (PADDING - 1) * rows.shape[1]))) for rows in (force, response)
         )
     else:
         notes.append(
             f"the response still holds {100 * tail.max():.0f} % of its peak at the end of a record: "
-            f"{CUT_OFF}; record longer"
+            "the cut widens its resonances; record longer"
         )
     readings = [Reading("force", "", name, False) for name in forces]
     readings += [Reading("response", "", name, False) for name in responses]
-    return impact_response(force, response, rate), tuple(notes), readings
+    return impact_response(force, response, rate), tuple(notes), readings, cut_off
 
 
 def _hits(arrays: dict[str, np.ndarray], names: list[str]) -> Float64[np.ndarray, "hits samples"]:

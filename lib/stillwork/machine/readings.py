@@ -13,7 +13,7 @@ from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import MISFIT, Machine, build_machine, thinned, whole_band
-from stillwork.identification.machine_files import CUT_OFF, PADDING, MachineFile, load_machine
+from stillwork.identification.machine_files import PADDING, MachineFile, load_machine
 from stillwork.identification.modal_fit import SMOOTH, ModalFit, identify_modes
 from stillwork.signals.datafiles import read_arrays
 
@@ -95,10 +95,8 @@ def require_explained(
     if machine is None or machine.fit is None or machine.measured is None:
         return
     off, noise = misfit(machine.measured, machine.fit)
-    cut = any(
-        CUT_OFF in each for each in file.notes
-    )  # what that spreads to other lines scatters there as noise does
-    if off > MISFIT and (cut or off > OVER_NOISE * noise):
+    # What a cut spreads to other lines scatters there as noise does.
+    if off > MISFIT and (file.cut_off or off > OVER_NOISE * noise):
         raise InputError(
             f"{file.source}: the model is off by {100 * off:.2g} % of the response (root mean square) at a noise of "
             f"{100 * noise:.2g} %, so that nothing can be promised; the file was read as {believed(file, machine)}: correct "

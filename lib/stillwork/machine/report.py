@@ -24,8 +24,8 @@ from stillwork.machine.html_page import page, picture, require_new, table
 from stillwork.machine.inspect import inspect_file
 from stillwork.machine.machine_designs import DELAY, EACH, USES, search_designs, stated_uncertainty
 from stillwork.machine.progress import count_steps
-from stillwork.machine.readings import believed
-from stillwork.signals.datafiles import read_arrays
+from stillwork.machine.readings import believed, require_explained
+from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import (
     DENSITY_UNITS_TEXT,
     frequency_axis,
@@ -33,6 +33,7 @@ from stillwork.signals.densities import (
     spectra_of,
     stated_density,
 )
+from stillwork.signals.headings import heading
 from stillwork.signals.records import Record, channel_unit, is_time, load_unscaled, sampling_rate, stated_unit
 from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
 from stillwork.signals.units import UNITS_TEXT, unit_factor
@@ -148,6 +149,7 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
         key: arguments[key] for key in ("rate", "delay", "uncertainty", "loop_hz") if key in arguments
     }
     try:
+        require_explained(source, file, machine, band, options)
         made = search_designs(machine, **asked, on_step=count_steps(EACH * USES, "report"))
     except InputError as error:
         yield f"no loop was searched: {error}"
@@ -202,7 +204,9 @@ def _record(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]:
 
 
 def _densities(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]:
-    names = [name for name in arrays if name != frequency_axis(arrays)]
+    columns = read_columns(source)
+    lines = columns[frequency_axis(columns)].size
+    names = [n for n, each in columns.items() if each.size == lines and heading(n).quantity != "frequency"]
     unit = arguments.get("unit", "")
     if not (unit or all(map(stated_density, names))):
         raise Missing(

@@ -40,7 +40,11 @@ def stated_density(name: str) -> str:
 def spectra_of(columns: dict[str, np.ndarray]) -> dict[str, str]:
     """Names of the densities beside a frequency, each with the unit in its name; empty if there are none."""
     axis = frequency_axis(columns)
-    others = {name: column for name, column in columns.items() if name != axis and column.size > 1}
+    others = {
+        name: column
+        for name, column in columns.items()
+        if column.size > 1 and (heading(name).quantity != "frequency" or column.dtype.kind == "c")
+    }
     if not axis or any(
         column.dtype.kind == "c" or (heading(name).quantity in _PARTS and not stated_density(name))
         for name, column in others.items()
@@ -63,8 +67,12 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
             f"{path.name} has no column named frequency (in Hz), which densities need; name it, or give the unit of a "
             "record"
         )
-    f = columns.pop(axis)
-    named = {name: column for name, column in columns.items() if column.size == f.size}
+    f = columns[axis]
+    named = {
+        name: column
+        for name, column in columns.items()
+        if column.size == f.size and heading(name).quantity != "frequency"
+    }
     for name in channels:
         require_choice(f"spectrum of {path.name}", name, named)
     named = {name: named[name] for name in channels} if channels else named
