@@ -16,8 +16,7 @@ from stillwork.estimation.linear_fits import (
     total_least_squares,
 )
 from stillwork.estimation.min_max import solve_silently
-from stillwork.estimation.recursive import run_silently
-from stillwork.estimation.recursive_settings import MinMax
+from stillwork.estimation.recursive import track
 from stillwork.identification.regressors import exponential_weights, fir_regressors
 from workbook import figures
 from workbook.studies import fraction, mean_interval, run_study
@@ -218,7 +217,8 @@ def estimates(record: FlawedRecord, forgetting: float) -> dict[str, np.ndarray]:
     size = record.truth @ record.truth
     variance = (noise @ noise + square * size) / memory
     products, correlation, identity = matrix.T @ matrix, matrix.T @ target, np.eye(taps)
-    recursion = run_silently(MinMax(bound, forgetting, "approximate"), record.matrix.T, record.target)
+    settings = {"bound": bound, "iterations": 1, "silent": True}
+    recursion = track(record.matrix.T, record.target, forgetting, **settings)
     penalties = {
         "evidence": evidence_penalty(matrix, target, memory),
         "gcv": cross_validated_penalty(matrix, target, memory),

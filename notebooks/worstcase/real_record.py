@@ -12,8 +12,7 @@ from experiments.worstcase.pairs import MeasuredPair, Spectra, open_pair, residu
 from stillwork.base.checks import require_number
 from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.estimation.min_max import qr_r, solve_sweep
-from stillwork.estimation.recursive import run_silently
-from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
+from stillwork.estimation.recursive import track
 from stillwork.identification.regressors import fir_regressors
 from workbook import figures, paths
 
@@ -83,13 +82,13 @@ def tracking_residuals(pair: MeasuredPair, taps: int, memories: list[int]) -> di
     found = {name: [] for name in ("RLS", "ridge", "min-max, typical bound")}
     for memory in memories:
         forgetting = 1 - 1 / require_number("memories", memory, above=1.0)
-        estimators = {
-            "RLS": LeastSquares(forgetting, 1 / pair.noise**2),
-            "ridge": Ridge(memory * pair.noise**2, forgetting),
-            "min-max, typical bound": MinMax(pair.typical_bound(taps, forgetting), forgetting),
+        settings = {
+            "RLS": {"initial_covariance": 1 / pair.noise**2},
+            "ridge": {"penalty": memory * pair.noise**2},
+            "min-max, typical bound": {"bound": pair.typical_bound(taps, forgetting)},
         }
-        for name, estimator in estimators.items():
-            errors = run_silently(estimator, regressors, pair.output).errors[start:]
+        for name, each in settings.items():
+            errors = track(regressors, pair.output, forgetting, **each, silent=True).errors[start:]
             found[name].append(np.sqrt(np.mean(errors**2)) / scale)
     return {name: np.array(values) for name, values in found.items()}
 

@@ -1,18 +1,23 @@
 """Time updates: exact, approximate, fast, and what they cost: what this notebook alone needs."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
-from stillwork.base.algebra import add_scaled, copy_vector, inner_product, minus_row, set_product
-from stillwork.base.kernels import kernel
-from stillwork.base.validation import by_value
+from stillwork.base.algebra import (
+    add_scaled,
+    copy_vector,
+    factorise,
+    inner_product,
+    minus_row,
+    plus_left,
+    set_product,
+    solve_backward,
+    solve_forward,
+)
+from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.min_max import solve_silently
-from stillwork.estimation.recursive import run_silently
-from stillwork.estimation.recursive_kernels import ALPHA, COUNT, ENERGY
-from stillwork.estimation.recursive_settings import MinMax
-from stillwork.estimation.secular import secular_root
+from stillwork.estimation.recursive import Track
+from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha, secular_root
 from stillwork.identification.regressors import exponential_bound, exponential_weights
 from workbook import figures
 from workbook.studies import Study, run_study
@@ -57,16 +62,14 @@ def recursion_trial(
             batch[:, t], alphas[t] = found.estimate, found.alpha
     sizes = np.linalg.norm(batch, axis=0)
     scale = sizes.max() or 1.0  # where the bound leaves no estimate but zero
-    settings = {"exact": MinMax(bound, forgetting), "fast": FastMinMax(bound, forgetting)}
-    settings |= {f"approximate_{k}": MinMax(bound, forgetting, "approximate", k) for k in (1, 2, 3)}
     found = {"alpha": np.where(np.isfinite(alphas), alphas, np.nan), "size": sizes}
-    for name, estimator in settings.items():
-        track = run_silently(estimator, regressors, outputs)
-        found[name] = np.linalg.norm(track.estimates - batch, axis=0) / scale
-        found[f"size_{name}"] = np.linalg.norm(track.estimates, axis=0)
-        if estimator.update == "approximate":
-            ours = np.where(np.isfinite(track.alphas), track.alphas, np.nan)
-            found[f"alpha_{estimator.iterations}"] = np.abs(ours / found["alpha"] - 1)
+    for name, (update, iterations) in UPDATES.items():
+        ours = run_printed(update, iterations, regressors, outputs, bound, forgetting)
+        found[name] = np.linalg.norm(ours.estimates - batch, axis=0) / scale
+        found[f"size_{name}"] = np.linalg.norm(ours.estimates, axis=0)
+        if update == "approximate":
+            finite = np.where(np.isfinite(ours.alphas), ours.alphas, np.nan)
+            found[f"alpha_{iterations}"] = np.abs(finite / found["alpha"] - 1)
     for name in ("as_printed", "corrected", "image_as_printed", "image_corrected"):
         found[name] = np.full(samples, np.nan)
     for t in range(unknowns, samples - 1):
@@ -89,6 +92,182 @@ def _one_update(found, t, weighted, estimate, alpha, bound, forgetting):
         found[name][t + 1] = np.linalg.norm(h - defined) / np.linalg.norm(h)
         direct = bound * np.linalg.norm(later @ defined - target) / np.linalg.norm(defined)
         found[f"image_{name}"][t + 1] = abs(image / direct - 1)
+
+
+# === The recursions as printed ====================================================================================
+# State of the kernels: `information` R <- lam R + a a' (its lower triangle), `correlation` s <- lam s + a y, `energy`
+# z <- lam z + y^2, the regularisation alpha, the number of rows seen, the estimate x.
+
+UPDATES = {"exact": ("exact", 0), "fast": ("fast", 0)} | {
+    f"approximate_{k}": ("approximate", k) for k in (1, 2, 3)
+}
+ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
+
+
+def start_printed(update: str, unknowns: int) -> tuple[np.ndarray, ...]:
+    """State before the first sample: of ``fast`` with eigenvalues and eigenvectors in place of R."""
+    square, vectors = np.zeros((unknowns, unknowns)), np.zeros((4, unknowns))
+    state = (vectors[0], np.array([np.inf, 0.0, 0.0]), vectors[1])
+    if update == "fast":
+        return vectors[2], np.eye(unknowns), *state
+    return square, *state, square.copy(), vectors[2]
+
+
+def advance_printed(
+    update: str, iterations: int, state, rows, outputs, bound: float, forgetting: float
+) -> Track:
+    """Take in more rows (samples, unknowns): ``exact`` (Theorem 2), ``approximate`` (20) or ``fast`` (Section 7)."""
+    samples = len(rows)
+    out = np.zeros(rows.shape), np.zeros(samples), np.zeros(samples), np.zeros(samples, np.int64)
+    given = rows, outputs, np.full(samples, bound), forgetting
+    if update == "fast":
+        run_fast(*given, *state, *out)
+    else:
+        run_sums(*given, iterations, *state, *out)
+    return Track(out[0].T, *out[1:], np.zeros(rows.shape[1], bool))
+
+
+def run_printed(update: str, iterations: int, regressors, outputs, bound: float, forgetting: float) -> Track:
+    """A recursion over a record (unknowns, samples)."""
+    state = start_printed(update, len(regressors))
+    return advance_printed(
+        update, iterations, state, np.ascontiguousarray(regressors.T), outputs, bound, forgetting
+    )
+
+
+@inlined_kernel
+def _accumulate_row(row, output, forgetting, information, correlation):
+    # returns |s|^2 and the trace of R
+    trace = 0.0
+    for i in range(len(row)):
+        for j in range(i + 1):
+            information[i, j] = forgetting * information[i, j] + row[i] * row[j]
+        correlation[i] = forgetting * correlation[i] + row[i] * output
+        trace += information[i, i]
+    return inner_product(correlation, correlation), trace
+
+
+@inlined_kernel
+def _squared_norms(information, correlation, energy, solution):
+    # |x|^2 and |A x - b|^2 = z - 2 x's + x'R x, clamped at zero as in (20)
+    norm = 0.0
+    residual = energy
+    for i in range(len(solution)):
+        half = 0.5 * information[i, i] * solution[i] - correlation[i]
+        residual += 2.0 * plus_left(half, information, i, solution) * solution[i]
+        norm += solution[i] * solution[i]
+    return norm, max(residual, 0.0)
+
+
+@inlined_kernel
+def _exact_solution(
+    information, correlation, energy, bound, start, least, x, factor, inverse_pivots, half, work, turned
+):
+    # Theorem 1 without an SVD: one factorisation per trial alpha, which stays at or above `least`
+    alpha = max(start, least)
+    low = 0.0
+    high = np.inf
+    evaluations = 0
+    while True:
+        factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+        solve_backward(factor, inverse_pivots, half, x)
+        norm, residual = _squared_norms(information, correlation, energy, x)
+        evaluations += 1
+        if residual == 0.0 or evaluations == 100:
+            return alpha, evaluations
+        solve_forward(factor, x, half)
+        solve_backward(factor, inverse_pivots, half, turned)
+        first = 0.0
+        second = 0.0
+        for i in range(len(x)):
+            first += x[i] * turned[i]
+            second += turned[i] * turned[i]
+        image = bound * np.sqrt(residual / norm)
+        low, high = narrow_bracket(alpha, image, low, high)
+        step, near = next_alpha(alpha, image, norm, residual, first, second, low, high)
+        if near and step > least:
+            # two terms of the series of x in alpha make up for the last step
+            change = step - alpha
+            solve_forward(factor, turned, half)
+            solve_backward(factor, inverse_pivots, half, work)
+            for i in range(len(x)):
+                x[i] -= change * (turned[i] - change * work[i])
+            return step, evaluations
+        step = max(step, least)
+        if step == alpha:
+            return alpha, evaluations
+        alpha = step
+
+
+@kernel
+def run_sums(
+    rows, outputs, bounds, forgetting, iterations, information, correlation, scalars, estimate,
+    factor, inverse_pivots, estimates, errors, alphas, evaluations,
+):  # fmt: skip
+    """Min-max estimates of all data so far at every step, from R, s and z.
+
+    With 0 `iterations` the exact ones of Theorem 2. Else algorithm (20): so many steps of the fixed-point map from
+    lam alpha in place of its root; `factor` then holds P^-1 of the last step, from which h follows by a rank-one
+    update, as in RLS.
+    """
+    n = len(estimate)
+    x = np.zeros(n)
+    copy_vector(estimate, x)
+    half = np.zeros(n)
+    work = np.zeros(n)
+    gain = np.zeros(n)
+    row = np.zeros(n)
+    alpha = scalars[ALPHA]
+    energy = scalars[ENERGY]
+    seen = scalars[COUNT]
+    for t in range(len(outputs)):
+        output = outputs[t]
+        error = output
+        for i in range(n):
+            row[i] = rows[t, i]
+            error -= row[i] * x[i]
+        errors[t] = error
+        size, trace = _accumulate_row(row, output, forgetting, information, correlation)
+        energy = forgetting * energy + output * output
+        seen += 1.0
+        least = ROUNDING * trace
+        bound = bounds[t]
+        count = 0
+        if seen <= n or bound * bound * energy >= size:  # Theorem 1: eta >= |A'b| / |b|
+            alpha = np.inf
+            for i in range(n):
+                x[i] = 0.0
+        elif iterations == 0 or alpha == np.inf:
+            # alpha_t itself is nearer to alpha_(t+1) than lam alpha_t, from which (15) starts; out of the zero
+            # solution, and at the first step, there is neither
+            start = alpha if alpha < np.inf else trace / n
+            alpha, count = _exact_solution(
+                information, correlation, energy, bound, start, least, x,
+                factor, inverse_pivots, half, work, gain,
+            )  # fmt: skip
+            if iterations > 0:
+                factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+        else:
+            solve_forward(factor, row, half)
+            weight = forgetting
+            for i in range(n):
+                weight += half[i] * half[i] * inverse_pivots[i]
+            share = error / weight
+            solve_backward(factor, inverse_pivots, half, gain)
+            add_scaled(share, gain, x)  # h = x + P a e / (lam + a'P a)
+            for _ in range(iterations):
+                norm, residual = _squared_norms(information, correlation, energy, x)
+                alpha = max(bound * np.sqrt(residual / norm), least)
+                factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+                solve_backward(factor, inverse_pivots, half, x)
+            count = iterations
+        alphas[t] = alpha
+        evaluations[t] = count
+        copy_vector(x, estimates[t])
+    copy_vector(x, estimate)
+    scalars[ALPHA] = alpha
+    scalars[ENERGY] = energy
+    scalars[COUNT] = seen
 
 
 EPSILON = 2.220446049250313e-16
@@ -299,19 +478,6 @@ def run_fast(
         alphas[t] = alpha
         evaluations[t] = count
         copy_vector(estimate, estimates[t])
-
-
-@by_value
-@dataclass(frozen=True)
-class FastMinMax(MinMax):
-    """`MinMax` whose exact root comes from rank-one updates of the eigenvectors of R, Section 7."""
-
-    def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
-        """Eigenvalues and eigenvectors of R, s, and what the update of alpha keeps."""
-        return np.zeros(unknowns), np.eye(unknowns), *super().start(unknowns)[1:4]
-
-    def fill(self, state, bounds, rows, outputs, *track) -> None:
-        run_fast(rows, outputs, bounds, self.forgetting, *state, *track)
 
 
 # === Costs ========================================================================================================

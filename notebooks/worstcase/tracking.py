@@ -5,8 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
-from stillwork.estimation.recursive import run_silently
-from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
+from stillwork.estimation.recursive import track
 from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
 from workbook import figures
 from workbook.studies import Study, fraction, mean_interval, run_study, spread_interval
@@ -47,19 +46,18 @@ def forgetting_trial(
     ``min_max``, ``least``: with `forgetting`; ``min_max_kept``, ``least_kept``: all rows count alike.
     """
     rows, outputs = tracking_record(rng, truth, row_error, noise)
-    estimators = {
-        "min_max": MinMax(exponential_bound(row_error, forgetting), forgetting),
-        "min_max_kept": GrowingMinMax(row_error),
-        "least": LeastSquares(forgetting, 1e4),
-        "least_kept": LeastSquares(1 - 1e-12, 1e4),
+    growing = row_error * np.sqrt(np.arange(1.0, len(outputs) + 1))
+    settings = {
+        "min_max": {"forgetting": forgetting, "bound": exponential_bound(row_error, forgetting)},
+        "min_max_kept": {"bound": growing},
+        "least": {"forgetting": forgetting, "initial_covariance": 1e4},
+        "least_kept": {"initial_covariance": 1e4},
     }
     late = slice(truth.shape[1] // 2, None)
-    tracks = {
-        name: run_silently(estimator, rows, outputs).estimates for name, estimator in estimators.items()
-    }
+    tracks = {name: track(rows, outputs, **each, silent=True).estimates for name, each in settings.items()}
     return {
-        name: float(np.sqrt(np.mean(np.sum((track - truth)[:, late] ** 2, axis=0))))
-        for name, track in tracks.items()
+        name: float(np.sqrt(np.mean(np.sum((found - truth)[:, late] ** 2, axis=0))))
+        for name, found in tracks.items()
     }
 
 
@@ -87,11 +85,12 @@ def tracking_trial(
     """
     unknowns = len(truth)
     regressors, outputs = tracking_record(rng, truth, row_error, noise, amplitude, delay_line, error_law)
-    min_max = run_silently(MinMax(bound, forgetting, update), regressors, outputs)
+    record = regressors, outputs, forgetting
+    min_max = track(*record, bound=bound, iterations=int(update == "approximate"), silent=True)
     tracks = {
         "min_max": min_max.estimates,
-        "rls": run_silently(LeastSquares(forgetting, 1e4), regressors, outputs).estimates,
-        "ridge": run_silently(Ridge(penalty, forgetting), regressors, outputs).estimates,
+        "rls": track(*record, initial_covariance=1e4, silent=True).estimates,
+        "ridge": track(*record, penalty=penalty).estimates,
         "zero": np.zeros_like(truth),
     }
     found = {name: np.linalg.norm(truth - values, axis=0) for name, values in tracks.items()}

@@ -11,8 +11,7 @@ from experiments.worstcase.pairs import Pair, Spectra, residual
 from stillwork.base.checks import InputError, pluralise, require_array, require_count
 from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.estimation.min_max import qr_r, solve_silently, solve_sweep
-from stillwork.estimation.recursive import run_silently
-from stillwork.estimation.recursive_settings import LeastSquares, MinMax
+from stillwork.estimation.recursive import track
 from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
 from workbook import figures
 
@@ -68,11 +67,10 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
         "min-max, typical bound": typical,
         "min-max, guaranteed bound": exponential_bound(3 * np.sqrt(taps), forgetting),
     }
-    estimators = {"RLS": LeastSquares(forgetting, 1.0)}
-    estimators |= {name: MinMax(bound, forgetting) for name, bound in bounds.items()}
+    settings = {"RLS": {"initial_covariance": 1.0}} | {name: {"bound": each} for name, each in bounds.items()}
     estimates = {
-        name: run_silently(estimator, regressors[:, fit], output[fit]).estimates[:, -1]
-        for name, estimator in estimators.items()
+        name: track(regressors[:, fit], output[fit], forgetting, **each, silent=True).estimates[:, -1]
+        for name, each in settings.items()
     }
     last = slice(fit.stop - memory, fit.stop)
     estimates["total least squares"] = total_least_squares(regressors[:, last].T, output[last])

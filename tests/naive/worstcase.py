@@ -90,24 +90,6 @@ def recursive_least_squares(rows, outputs, forgetting, initial_covariance):
     return estimates
 
 
-def limited_least_squares(rows, outputs, forgetting, initial_covariance, growth_limit):
-    """RLS in information form; after a sample, largest variance first, what P = R^-1 lacks to keep its limit is added to R."""
-    samples, n = rows.shape
-    estimates, limit = np.zeros((samples, n)), growth_limit * initial_covariance
-    R, x = np.eye(n) / initial_covariance, np.zeros(n)
-    for t in range(samples):
-        R = forgetting * R + np.outer(rows[t], rows[t])
-        x = x + np.linalg.solve(R, rows[t]) * (outputs[t] - rows[t] @ x)
-        left = set(range(n))
-        while left:
-            variances = np.diag(np.linalg.inv(R))
-            i = max(left, key=lambda axis: variances[axis])
-            left.remove(i)
-            R[i, i] += max(1 / limit - 1 / variances[i], 0.0)
-        estimates[t] = x
-    return estimates
-
-
 def ridge(rows, outputs, forgetting, penalty):
     """Ridge regression as an augmented least-squares problem, solved anew at every step."""
     samples, n = rows.shape

@@ -188,18 +188,14 @@ LENGTHS = {
     "FeRLS of the disturbance": lambda k: adapted(estimation.FeRls(1e3, 0.99), noise(), k * noise(1)[:1]) / k,
     "FeLMS": lambda k: adapted(estimation.FeLms(0.1, 1e-5 * k**2), k * noise(), k * noise(1)[:1]),
     "least squares": lambda k: (
-        estimation.run(
-            estimation.LeastSquares(0.98, initial_covariance=10.0 / k**2), k * noise(), k * noise(1)[0]
-        ).estimates
+        estimation.track(k * noise(), k * noise(1)[0], 0.98, initial_covariance=10.0 / k**2).estimates
     ),
     "min-max": lambda k: estimation.min_max_solve(k * noise(shape=(9, 2)), k * noise(1, 9), 0.7 * k).estimate,
     "min-max of the target": lambda k: (
         estimation.min_max_solve(noise(shape=(9, 2)), k * noise(1, 9), 0.7).estimate / k
     ),
     "recursive min-max": lambda k: (
-        estimation.run(
-            estimation.MinMax(bound=2.0 * k, forgetting=0.98), k * noise(), k * noise(1)[0]
-        ).estimates
+        estimation.track(k * noise(), k * noise(1)[0], 0.98, bound=2.0 * k).estimates
     ),
     "bandwidth": lambda k: designed(length=k),
     "bandwidth of a force": lambda k: designed(force=k),
@@ -310,16 +306,11 @@ ORDERS = {
     )[:, b],
     "FeLMS": lambda o, b: adapted(estimation.FeLms(0.1), noise(shape=(3, 500))[o], noise(1, (1, 500)))[:, b],
     "min-max": lambda o, b: estimation.min_max_solve(noise(shape=(9, 3))[:, o], noise(1, 9), 0.3).estimate[b],
-    "least squares": lambda o, b: estimation.run(
-        estimation.LeastSquares(0.98, initial_covariance=10.0), noise(shape=(3, 300))[o], noise(1, 300)
+    "least squares": lambda o, b: estimation.track(
+        noise(shape=(3, 300))[o], noise(1, 300), 0.98, initial_covariance=10.0
     ).estimates[b],
-    "least squares at their limits": lambda o, b: estimation.run(
-        estimation.LeastSquares(0.98, initial_covariance=1.0, growth_limit=1.0),
-        quieter((3, 300))[o],
-        noise(1, 300),
-    ).estimates[b],
-    "recursive min-max": lambda o, b: estimation.run(
-        estimation.MinMax(bound=2.0, forgetting=0.98), noise(shape=(3, 300))[o], noise(1, 300)
+    "recursive min-max": lambda o, b: estimation.track(
+        noise(shape=(3, 300))[o], noise(1, 300), 0.98, bound=2.0
     ).estimates[b],
 }
 

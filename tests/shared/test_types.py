@@ -6,7 +6,7 @@ from jaxtyping import Float64, TypeCheckError, jaxtyped
 
 import typecheck
 from stillwork.base.validation import checked
-from stillwork.estimation.recursive_kernels import known_length
+from stillwork.estimation.triangle_kernels import least_share
 
 
 @jaxtyped(typechecker=typecheck.check)
@@ -23,7 +23,7 @@ def test_arguments_results_and_sizes_are_checked():
 
 def test_the_toolbox_is_checked():
     with pytest.raises(TypeCheckError):
-        known_length("3", 1)
+        least_share("3")
 
 
 def test_a_function_is_trusted_after_its_first_calls_and_checked_again_in_the_next_test():

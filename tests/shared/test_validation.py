@@ -347,14 +347,15 @@ def test_what_may_be_anything_is_taken_as_it_is():
 OWN_DOORS = re.compile(
     r"from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares|floor_level)|(Adaptation|Recursive)Stepper\.update|(\w+Regressor|LeastMeanSquares)\.((partial_)?fit|predict|score)"
 )
-# What hands the parts of a recursion to its kernels, a sample at a time: `run` and the steppers have asked before.
+# What hands the parts of a recursion to its kernels, a sample at a time: `track` and the steppers have asked before.
 PARTS = {
-    *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
-    *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
+    "FeLms.trace_copies",
     *(
         "solve_plain",
         "spectrum",
         "empty_record",
+        "start_record",
+        "upper_root",
         "least_share",
     ),  # by the regressor that holds the fitting triangle
     *("Numbers.terms", "Numbers.files"),  # by the functions that write C

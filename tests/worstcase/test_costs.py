@@ -50,10 +50,38 @@ class Numpy:
         count += a.shape[0] * a.shape[1] * b.shape[1]
         return numbers(np.dot(a.astype(float), b.astype(float)))
 
-from notebooks.worstcase import time_updates
-from stillwork.estimation import secular, recursive_kernels as steps
-for module in (time_updates, secular, steps):
+from notebooks.worstcase import time_updates as steps
+from stillwork.base.algebra import factorise, minus_row, solve_backward
+from stillwork.estimation import secular
+from stillwork.estimation.covariance_forms import update_covariance
+for module in (steps, secular):
     module.np = Numpy()
+
+def least_squares(rows, outputs, weight, covariance, estimate):
+    gain = numbers(np.zeros(len(estimate)))
+    covariance = Typed(covariance)
+    for row, output in zip(rows, outputs):
+        error = minus_row(output, row[None], 0, estimate)
+        share = error * update_covariance(covariance, row, weight, gain)[1]
+        for i in range(len(estimate)):
+            estimate[i] += gain[i] * share
+
+def ridge(rows, outputs, penalty, weight, information, correlation, estimate):
+    square, (pivots, half, work) = numbers(np.zeros(information.shape)), numbers(np.zeros((3, len(estimate))))
+    for row, output in zip(rows, outputs):
+        minus_row(output, row[None], 0, estimate)
+        steps._accumulate_row(row, output, weight, information, correlation)
+        factorise(information, penalty, correlation, square, pivots, half, work)
+        solve_backward(square, pivots, half, estimate)
+
+class Typed:
+    # an array of numbers that count; its type makes them
+    dtype = type("dtype", (), {"type": Number})
+    def __init__(self, array): self.array = array
+    def __getitem__(self, key): return self.array[key]
+    def __setitem__(self, key, value): self.array[key] = value
+    shape = property(lambda self: self.array.shape)
+    def __len__(self): return len(self.array)
 
 def counted(update, n):
     # Products and evaluations of a step.
@@ -69,18 +97,18 @@ def counted(update, n):
     rows, outputs = numbers(rows), numbers(outputs)
     factored = [square, column[0], scalars, column[1], numbers(np.zeros((n, n))), column[2]]
     state = {
-        "least squares": [numbers(1e4 * np.eye(n)), column[0], np.full(n, np.inf), np.zeros(n)],
+        "least squares": [numbers(1e4 * np.eye(n)), column[0]],
         "ridge": [square, column[0], column[1]],
         "exact": factored,
         "approximate": factored,
         "fast": [column[2], numbers(np.eye(n)), column[0], scalars, column[1]],
     }[update]
     run = {
-        "least squares": lambda r, y, b, o: steps.run_least_squares(r, y, weight, *state, *o[:2]),
-        "ridge": lambda r, y, b, o: steps.run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
-        "exact": lambda r, y, b, o: steps.run_min_max((), r, y, b, weight, 0, *state, *o),
-        "approximate": lambda r, y, b, o: steps.run_min_max((), r, y, b, weight, 2, *state, *o),
-        "fast": lambda r, y, b, o: time_updates.run_fast(r, y, b, weight, *state, *o),
+        "least squares": lambda r, y, b, o: least_squares(r, y, weight, *state),
+        "ridge": lambda r, y, b, o: ridge(r, y, Number(1.0), weight, *state),
+        "exact": lambda r, y, b, o: steps.run_sums(r, y, b, weight, 0, *state, *o),
+        "approximate": lambda r, y, b, o: steps.run_sums(r, y, b, weight, 2, *state, *o),
+        "fast": lambda r, y, b, o: steps.run_fast(r, y, b, weight, *state, *o),
     }[update]
     half = samples // 2
     run(rows[:half], outputs[:half], bounds[:half], [a[:half] for a in out])

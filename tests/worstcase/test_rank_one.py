@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from notebooks.worstcase.time_updates import FastMinMax, update_eigenpairs
-from stillwork.estimation import MinMax, run
+from notebooks.worstcase.time_updates import run_printed, update_eigenpairs
 
 
 def check(values, vectors, row, forgetting=0.9, tolerance=1e-13):
@@ -62,6 +61,6 @@ def test_the_fast_recursion_is_the_exact_one(size):
     rows = size * rng.normal(size=(4, 120))
     rows[:, 60:70] = 0.0
     outputs = rows.sum(axis=0) + 0.3 * size * rng.normal(size=120)
-    fast, exact = (run(kind(0.5 * size, 0.9), rows, outputs) for kind in (FastMinMax, MinMax))
+    fast, exact = (run_printed(update, 0, rows, outputs, 0.5 * size, 0.9) for update in ("fast", "exact"))
     assert fast.estimates == pytest.approx(exact.estimates, abs=1e-6)
     assert np.array_equal(np.isinf(fast.alphas), np.isinf(exact.alphas))

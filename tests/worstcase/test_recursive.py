@@ -7,18 +7,12 @@ from hypothesis import strategies as st
 
 from naive import worstcase as naive
 from stillwork.base.checks import InputError
-from stillwork.estimation import (
-    LeastSquares,
-    MinMax,
-    min_max_solve,
-    run,
-)
+from stillwork.estimation import min_max_solve, track
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive import GrowthLimitWarning, worst_case_residuals
-from stillwork.estimation.recursive_kernels import FEW, LONG, known_length
-from stillwork.estimation.recursive_settings import UPDATES, GrowingMinMax, Ridge
 
 FORGETTING = 0.9
+ITERATIONS = [0, 1]  # exact, and algorithm (20)
 
 
 def record(seed=0, unknowns=4, samples=60, noise=0.3, size=1.0):
@@ -35,29 +29,27 @@ def through_zero():
     return rows, outputs
 
 
-@pytest.mark.parametrize("update", ["exact"])
 @pytest.mark.parametrize("bound", [0.05, 0.8, 1.5])
 @pytest.mark.parametrize("unknowns", [1, 2, 5])
-def test_exact_recursion_is_the_batch_solution_at_every_step(update, bound, unknowns):
+def test_exact_recursion_is_the_batch_solution_at_every_step(bound, unknowns):
     rows, outputs = record(unknowns=unknowns)
     estimates, alphas = naive.batch_estimates(rows, outputs, FORGETTING, np.full(60, bound))
-    track = run(MinMax(bound, FORGETTING, update), rows.T, outputs)
-    assert np.array_equal(np.isinf(track.alphas), np.isinf(alphas))
+    found = track(rows.T, outputs, FORGETTING, bound=bound)
+    assert np.array_equal(np.isinf(found.alphas), np.isinf(alphas))
     finite = np.isfinite(alphas)
-    assert track.alphas[finite] == pytest.approx(alphas[finite], rel=1e-9)
-    assert track.estimates.T == pytest.approx(estimates, rel=1e-9, abs=1e-11)
+    assert found.alphas[finite] == pytest.approx(alphas[finite], rel=1e-9)
+    assert found.estimates.T == pytest.approx(estimates, rel=1e-9, abs=1e-11)
 
 
-@pytest.mark.parametrize("update", ["exact"])
-def test_exact_recursion_leaves_and_reenters_through_the_zero_solution(update):
+def test_exact_recursion_leaves_and_reenters_through_the_zero_solution():
     rows, outputs = through_zero()
     estimates, alphas = naive.batch_estimates(rows, outputs, FORGETTING, np.full(90, 1.6))
     zero = np.isinf(alphas[5:])
     assert 5 < zero.sum() < 70
     assert not zero[-1]  # the record really comes back
-    track = run(MinMax(1.6, FORGETTING, update), rows.T, outputs)
-    assert np.array_equal(np.isinf(track.alphas), np.isinf(alphas))
-    assert track.estimates.T == pytest.approx(estimates, rel=1e-8, abs=1e-11)
+    found = track(rows.T, outputs, FORGETTING, bound=1.6)
+    assert np.array_equal(np.isinf(found.alphas), np.isinf(alphas))
+    assert found.estimates.T == pytest.approx(estimates, rel=1e-8, abs=1e-11)
 
 
 @pytest.mark.parametrize("iterations", [1, 2, 3])
@@ -65,51 +57,33 @@ def test_exact_recursion_leaves_and_reenters_through_the_zero_solution(update):
 def test_approximate_update_is_algorithm_20(iterations, bound):
     rows, outputs = through_zero()
     estimates, alphas = naive.iterative_algorithm(rows, outputs, FORGETTING, bound, iterations)
-    track = run(MinMax(bound, FORGETTING, "approximate", iterations), rows.T, outputs)
-    assert np.array_equal(np.isinf(track.alphas), np.isinf(alphas))
+    found = track(rows.T, outputs, FORGETTING, bound=bound, iterations=iterations)
+    assert np.array_equal(np.isinf(found.alphas), np.isinf(alphas))
     finite = np.isfinite(alphas)
-    assert track.alphas[finite] == pytest.approx(alphas[finite], rel=1e-8)
-    assert track.estimates.T == pytest.approx(estimates, rel=1e-7, abs=1e-10)
+    assert found.alphas[finite] == pytest.approx(alphas[finite], rel=1e-8)
+    assert found.estimates.T == pytest.approx(estimates, rel=1e-7, abs=1e-10)
 
 
-@pytest.mark.parametrize("update", ["exact", "approximate"])
-def test_a_kernel_for_one_number_of_unknowns_gives_the_bits_of_the_one_for_all(update):
-    rows, outputs = record(9, unknowns=3, samples=LONG)
-    outputs[300:330] = 0.0  # through the zero solution
-    estimator = MinMax(1.6, FORGETTING, update)
-    assert known_length(3, LONG) == (0.0, 0.0, 0.0)
-    assert known_length(3, LONG - 1) == known_length(FEW + 1, LONG) == ()
-    whole = run(estimator, rows.T, outputs)
-    state = estimator.start(3)
-    parts = [
-        estimator.advance(state, k, rows[k : k + 250], outputs[k : k + 250]) for k in range(0, LONG, 250)
-    ]
-    assert np.isinf(whole.alphas[3:]).any()
-    for name in ("estimates", "errors", "alphas", "evaluations"):
-        again = np.concatenate([getattr(part, name) for part in parts], axis=-1)
-        assert np.array_equal(getattr(whole, name), again)
-
-
-@pytest.mark.parametrize("update", UPDATES)
-def test_growing_window_has_unit_weights_and_a_growing_bound(update):
+@pytest.mark.parametrize("iterations", [0, 5])
+def test_growing_window_has_unit_weights_and_a_growing_bound(iterations):
     rows, outputs = record(8, unknowns=2)
-    track = run(GrowingMinMax(0.15, update, *((5,) if update == "approximate" else ())), rows.T, outputs)
     bounds = 0.15 * np.sqrt(np.arange(1, 61))
+    found = track(rows.T, outputs, bound=bounds, iterations=iterations)
     estimates, _ = naive.batch_estimates(rows, outputs, 1.0, bounds)
-    accuracy = 1e-3 if update == "approximate" else 1e-9
-    assert track.estimates.T == pytest.approx(estimates, rel=accuracy, abs=accuracy)
+    accuracy = 1e-3 if iterations else 1e-9
+    assert found.estimates.T == pytest.approx(estimates, rel=accuracy, abs=accuracy)
 
 
 def test_least_squares_and_ridge_agree_with_augmented_problems():
     rows, outputs = record(9)
-    track = run(LeastSquares(FORGETTING, 100.0), rows.T, outputs)
+    found = track(rows.T, outputs, FORGETTING, initial_covariance=100.0)
     expected = naive.recursive_least_squares(rows, outputs, FORGETTING, 100.0)
-    assert track.estimates.T == pytest.approx(expected, rel=1e-8, abs=1e-10)
-    track = run(Ridge(0.7, FORGETTING), rows.T, outputs)
-    assert track.estimates.T == pytest.approx(
+    assert found.estimates.T == pytest.approx(expected, rel=1e-8, abs=1e-10)
+    found = track(rows.T, outputs, FORGETTING, penalty=0.7)
+    assert found.estimates.T == pytest.approx(
         naive.ridge(rows, outputs, FORGETTING, 0.7), rel=1e-9, abs=1e-11
     )
-    assert (track.alphas == 0.7).all()
+    assert (found.alphas == 0.7).all()
 
 
 @settings(max_examples=25)
@@ -117,9 +91,9 @@ def test_least_squares_and_ridge_agree_with_augmented_problems():
 def test_tracks_do_not_depend_on_units(seed, unit_a, unit_y):
     rows, outputs = record(seed)
     p, q = 10.0**unit_a, 10.0**unit_y
-    for update in UPDATES:
-        first = run(MinMax(0.6, FORGETTING, update), rows.T, outputs)
-        second = run(MinMax(0.6 * p, FORGETTING, update), p * rows.T, q * outputs)
+    for iterations in ITERATIONS:
+        first = track(rows.T, outputs, FORGETTING, bound=0.6, iterations=iterations)
+        second = track(p * rows.T, q * outputs, FORGETTING, bound=0.6 * p, iterations=iterations)
         assert second.estimates * (p / q) == pytest.approx(first.estimates, rel=1e-6, abs=1e-9)
 
 
@@ -128,44 +102,33 @@ def test_tracks_do_not_depend_on_units(seed, unit_a, unit_y):
 def test_tracks_rotate_with_the_parameters(seed):
     rows, outputs = record(seed)
     W = np.linalg.qr(np.random.default_rng(seed).normal(size=(4, 4)))[0]
-    for update in UPDATES:
-        first = run(MinMax(0.6, FORGETTING, update), rows.T, outputs)
-        second = run(MinMax(0.6, FORGETTING, update), (rows @ W).T, outputs)
+    for iterations in ITERATIONS:
+        first = track(rows.T, outputs, FORGETTING, bound=0.6, iterations=iterations)
+        second = track((rows @ W).T, outputs, FORGETTING, bound=0.6, iterations=iterations)
         assert W @ second.estimates == pytest.approx(first.estimates, rel=1e-6, abs=1e-8)
 
 
-@pytest.mark.parametrize("update", UPDATES)
-def test_noise_free_and_rank_deficient_records_stay_finite(update):
+@pytest.mark.parametrize("iterations", ITERATIONS)
+def test_noise_free_and_rank_deficient_records_stay_finite(iterations):
     rows, outputs = record(13, noise=0.0)
-    track = run(MinMax(0.01, FORGETTING, update), rows.T, outputs)
-    assert np.isfinite(track.estimates).all()
-    assert track.estimates[:, -1] == pytest.approx(np.linalg.lstsq(rows, outputs, rcond=None)[0], rel=1e-5)
+    found = track(rows.T, outputs, FORGETTING, bound=0.01, iterations=iterations)
+    assert np.isfinite(found.estimates).all()
+    assert found.estimates[:, -1] == pytest.approx(np.linalg.lstsq(rows, outputs, rcond=None)[0], rel=1e-5)
     doubled = np.vstack([rows.T, rows.T])
     noisy = outputs + 0.1 * np.random.default_rng(0).normal(size=60)
-    track = run(MinMax(0.5, FORGETTING, update), doubled, noisy)
+    found = track(doubled, noisy, FORGETTING, bound=0.5, iterations=iterations)
     A, b = naive.weighted(doubled.T, noisy, FORGETTING)
-    accuracy = 2e-2 if update == "approximate" else 1e-7
-    assert track.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=accuracy)
+    accuracy = 2e-2 if iterations else 1e-7
+    assert found.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=accuracy)
 
 
-@pytest.mark.parametrize("update", ["exact"])
-def test_long_records_lose_no_digits(update):
+def test_long_records_lose_no_digits():
     rng = np.random.default_rng(14)
     rows = rng.normal(size=(100_000, 3))
     outputs = rows @ rng.normal(size=3) + 0.1 * rng.normal(size=100_000)
-    track = run(MinMax(0.5, 0.95, update), rows.T, outputs)
+    found = track(rows.T, outputs, 0.95, bound=0.5)
     A, b = naive.weighted(rows[-2000:], outputs[-2000:], 0.95)
-    assert track.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=1e-11)
-
-
-@settings(max_examples=25)
-@given(st.integers(0, 2**32 - 1), st.floats(1.0, 30.0))
-def test_limited_least_squares_are_those_of_the_information_form(seed, growth_limit):
-    rows, outputs = record(seed)
-    rows[10:35, 1:] = 0  # one direction stays excited, the others reach the limit
-    track = run(LeastSquares(FORGETTING, 2.0, growth_limit), rows.T, outputs)
-    expected = naive.limited_least_squares(rows, outputs, FORGETTING, 2.0, growth_limit)
-    assert track.estimates.T == pytest.approx(expected, rel=1e-8, abs=1e-10)
+    assert found.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=1e-11)
 
 
 @settings(max_examples=25)
@@ -174,12 +137,12 @@ def test_least_squares_without_a_start_are_those_of_all_rows(seed):
     rows, outputs = record(seed)
     rows[:12, 2] = 0  # a regressor that comes later: until then the others alone count
     rows[:, 1] *= np.linspace(0.05, 1.0, 60)  # and one that grows
-    track = run(LeastSquares(FORGETTING), rows.T, outputs)
+    found = track(rows.T, outputs, FORGETTING)
     for t, used in ((8, [0, 1, 3]), (11, [0, 1, 3]), (20, [0, 1, 2, 3]), (59, [0, 1, 2, 3])):
         A, b = naive.weighted(rows[: t + 1], outputs[: t + 1], FORGETTING)
         expected = np.zeros(4)
         expected[used] = np.linalg.lstsq(A[:, used], b)[0]
-        assert track.estimates[:, t] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+        assert found.estimates[:, t] == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 @settings(max_examples=25)
@@ -189,11 +152,11 @@ def test_no_unit_of_a_regressor_or_an_output_matters_to_least_squares(seed, powe
     if quiet:
         rows[20:, 0] = 0
     units, unit = 10.0 ** np.array(powers), 10.0**power
-    track, other = (
-        run(LeastSquares(0.8), a.T, b) for a, b in ((rows, outputs), (rows * units, outputs * unit))
+    found, other = (
+        track(a.T, b, 0.8, silent=True) for a, b in ((rows, outputs), (rows * units, outputs * unit))
     )
-    assert other.errors / unit == pytest.approx(track.errors, rel=1e-6, abs=1e-8)
-    assert np.array_equal(track.held, other.held)
+    assert other.errors / unit == pytest.approx(found.errors, rel=1e-6, abs=1e-8)
+    assert np.array_equal(found.held, other.held)
 
 
 @pytest.mark.parametrize("jump", [1e3, 1e8, 1e14])
@@ -201,43 +164,36 @@ def test_a_start_from_a_sample_that_was_nearly_nothing_costs_no_digits(jump):
     rows, _ = record(21)
     rows[:3] /= jump
     outputs = rows @ [1.0, -2.0, 3.0, 0.5]
-    track = run(LeastSquares(0.95), rows.T, outputs)
-    assert track.estimates[:, -1] == pytest.approx([1.0, -2.0, 3.0, 0.5], rel=1e-4)
+    found = track(rows.T, outputs, 0.95)
+    assert found.estimates[:, -1] == pytest.approx([1.0, -2.0, 3.0, 0.5], rel=1e-4)
 
 
 def test_a_limit_that_acts_at_the_end_is_reported():
     rows, outputs = record(22, samples=300)
     rows[100:, 1] = 0
     with pytest.warns(GrowthLimitWarning, match="growth_limit"):
-        track = run(LeastSquares(0.8), rows.T, outputs)
-    assert track.held.tolist() == [False, True, False, False]
+        found = track(rows.T, outputs, 0.8)
+    assert found.held.tolist() == [False, True, False, False]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert not run(LeastSquares(0.8), rows[:100].T, outputs[:100]).held.any()
+        assert not track(rows[:100].T, outputs[:100], 0.8).held.any()
 
 
 @pytest.mark.parametrize(
-    "estimator",
-    [
-        LeastSquares(0.95),
-        Ridge(1e-3, 0.95),
-        GrowingMinMax(0.01),
-        *(MinMax(bound, 0.95, update) for update in UPDATES for bound in (0.0, 0.01)),
-    ],
-    ids=lambda e: f"{type(e).__name__}-{getattr(e, 'update', '')}-{getattr(e, 'bound', '')}",
+    "how",
+    [{}, {"penalty": 1e-3}, *({"bound": each, "iterations": k} for k in ITERATIONS for each in (0.0, 0.01))],
+    ids=str,
 )
-def test_endless_silent_samples_stay_finite_and_tracking_resumes(estimator):
+def test_endless_silent_samples_stay_finite_and_tracking_resumes(how):
     """0.95 to that power is zero: what it forgets is below all numbers after 15,000 samples."""
     rng = np.random.default_rng(18)
     before, after = rng.normal(size=3), rng.normal(size=3)
-    if isinstance(estimator, GrowingMinMax):
-        after = before  # it forgets nothing
     rows = np.zeros((100_800, 3))
     rows[:400], rows[-400:] = rng.normal(size=(2, 400, 3))
     outputs = np.append(rows[:400] @ before, rows[400:] @ after)
-    track = run(estimator, rows.T, outputs)
-    assert np.isfinite(track.estimates).all() and np.isfinite(track.errors).all()
-    assert track.estimates[:, -1] == pytest.approx(after, rel=1e-4, abs=1e-4)
+    found = track(rows.T, outputs, 0.95, **how)
+    assert np.isfinite(found.estimates).all() and np.isfinite(found.errors).all()
+    assert found.estimates[:, -1] == pytest.approx(after, rel=1e-4, abs=1e-4)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
@@ -246,26 +202,16 @@ def test_least_squares_resume_with_the_digits_they_had(scale):
     rows, parameters = scale * rng.normal(size=(20_400, 5)), rng.normal(size=5)
     rows[200:20_000] = 0
     outputs = rows @ parameters + scale * 0.1 * rng.normal(size=20_400)
-    track = run(LeastSquares(0.95), rows.T, outputs)
+    found = track(rows.T, outputs, 0.95)
     A, b = naive.weighted(rows[-400:], outputs[-400:], 0.95)
     expected = np.linalg.lstsq(A, b, rcond=None)[0]
-    assert track.estimates[:, -1] == pytest.approx(expected, rel=1e-5)
-
-
-def test_the_sample_at_which_an_estimate_leaves_the_finite_numbers_is_named():
-    rows = np.ones((20_000, 1))
-    rows[100:19_000] = 0
-    endless = LeastSquares(0.95, 1e4, np.inf)
-    leaves = 100 + (np.log(np.finfo(float).max) - np.log(1 - 0.95)) / -np.log(0.95)
-    with pytest.raises(InputError, match=r"sample (\d+)") as caught:
-        run(endless, rows.T, rows[:, 0])
-    assert int(str(caught.value).split("sample ")[1].split(";")[0]) == pytest.approx(leaves, abs=3)
+    assert found.estimates[:, -1] == pytest.approx(expected, rel=1e-5)
 
 
 def test_worst_case_residuals_are_the_criterion():
     rows, outputs = record(15)
-    track = run(MinMax(0.6, FORGETTING), rows.T, outputs)
-    worst = worst_case_residuals(rows.T, outputs, track.estimates, np.full(60, 0.6), FORGETTING)
+    found = track(rows.T, outputs, FORGETTING, bound=0.6)
+    worst = worst_case_residuals(rows.T, outputs, found.estimates, np.full(60, 0.6), FORGETTING)
     for t in (10, 59):
         A, b = naive.weighted(rows[: t + 1], outputs[: t + 1], FORGETTING)
         assert worst[t] == pytest.approx(min_max_solve(A, b, 0.6).worst_case_residual, rel=1e-11)
@@ -274,34 +220,34 @@ def test_worst_case_residuals_are_the_criterion():
 def test_a_bound_that_explains_everything_away_warns():
     rows, outputs = record(16)
     with pytest.warns(ZeroEstimateWarning, match="zero"):
-        track = run(MinMax(50.0, FORGETTING), rows.T, outputs)
-    assert not track.estimates.any()
+        found = track(rows.T, outputs, FORGETTING, bound=50.0)
+    assert not found.estimates.any()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        run(MinMax(0.5, FORGETTING), rows.T, outputs)
+        track(rows.T, outputs, FORGETTING, bound=0.5)
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: MinMax(1.0, 0.9, "aproximate"), r"^update\b.*'approximate'"),
-        (lambda: MinMax(1.0, 0.9, "approximate", 0), r"^iterations\b"),
-        (lambda: MinMax(1.0, 0.9, "exact", 2), r"^iterations\b"),
-        (lambda: LeastSquares(0.9, 0.0), r"^initial_covariance\b"),
-        (lambda: LeastSquares(0.9, 1.0, 0.5), r"^growth_limit\b"),
-        (lambda: run(MinMax(1.0, 0.9), np.ones((2, 9)), np.full(9, np.nan)), r"^outputs\b"),
+        (lambda: track(np.ones((2, 9)), np.ones(9), bound=1.0, iterations=-1), r"^iterations\b"),
+        (lambda: track(np.ones((2, 9)), np.ones(9), bound=1.0, penalty=1.0), r"^penalty\b.*bound"),
+        (lambda: track(np.ones((2, 9)), np.ones(9), bound=-np.ones(9)), r"^bound\b"),
+        (lambda: track(np.ones((2, 9)), np.ones(9), initial_covariance=0.0), r"^initial_covariance\b"),
+        (lambda: track(np.ones((2, 9)), np.ones(9), growth_limit=0.5), r"^growth_limit\b"),
+        (lambda: track(np.ones((2, 9)), np.full(9, np.nan)), r"^outputs\b"),
         (
-            lambda: run(MinMax(1.0, 0.9), np.full((2, 9), 1e99), np.ones(9)),
+            lambda: track(np.full((2, 9), 1e99), np.ones(9)),
             r"^regressors\b",
         ),
-        (lambda: run(MinMax(1.0, 0.9), np.ones((2, 9)), np.full(9, 1e-99)), r"^outputs\b"),
+        (lambda: track(np.ones((2, 9)), np.full(9, 1e-99)), r"^outputs\b"),
         (
             lambda: worst_case_residuals(np.ones((2, 9)), np.ones(9), np.ones((2, 9)), np.full(9, -1.0), 0.9),
             r"^bounds\b",
         ),
-        (lambda: run(MinMax(1.0, 0.9), np.ones((3, 3)), np.ones(3)), r"^regressors\b.*\b3 samples"),
-        (lambda: run(MinMax(1.0, 0.9), np.ones((3, 9)), np.ones(8)), r"^outputs\b"),
-        (lambda: run(MinMax(1.0, 0.9), np.ones((0, 9)), np.ones(9)), r"^regressors\b.*rows"),
+        (lambda: track(np.ones((3, 3)), np.ones(3)), r"^regressors\b.*\b3 samples"),
+        (lambda: track(np.ones((3, 9)), np.ones(8)), r"^outputs\b"),
+        (lambda: track(np.ones((0, 9)), np.ones(9)), r"^regressors\b.*rows"),
     ],
 )
 def test_bad_input_is_named(make, message):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from naive.nist import datasets, digits
-from stillwork.estimation import LeastMeanSquares, LeastSquares, MinMaxRegressor, RecursiveLeastSquares, run
+from stillwork.estimation import LeastMeanSquares, MinMaxRegressor, RecursiveLeastSquares, track
 
 
 def scaled_qr(A, b):
@@ -57,8 +57,9 @@ def test_features_with_an_offset_keep_their_slope(offset, size, slope, samples, 
     assert found.coef_ == pytest.approx([slope], rel=1e-10)
     rounding = 1e-15 * offset / size * offset * slope  # of the slope, times the offset
     assert found.intercept_ == pytest.approx(7.0, abs=100 * rounding)
-    track = run(LeastSquares(min(forgetting, 1 - 1e-9)), np.vstack([X.T, np.ones(samples)]), y)
-    assert track.estimates[0, -1] == pytest.approx(slope, rel=1e-8)
+    assert track(np.vstack([X.T, np.ones(samples)]), y, forgetting).estimates[0, -1] == pytest.approx(
+        slope, rel=1e-8
+    )
     assert LeastMeanSquares().fit(X, y).coef_ == pytest.approx([slope], rel=1e-4)
     assert MinMaxRegressor(0.0, forgetting=forgetting).fit(X, y).coef_ == pytest.approx([slope], rel=1e-8)
 
@@ -180,7 +181,7 @@ frozen.flags.writeable = False
 makers = {
     "RLS": lambda: estimation.RecursiveLeastSquares(forgetting=0.99),
     "RLS, P": lambda: estimation.RecursiveLeastSquares(forgetting=0.99, initial_covariance=1.0),
-    "RLS, UD": lambda: estimation.RecursiveLeastSquares(forgetting=0.99, initial_covariance=1.0, form="UD"),
+    "RLS, window": lambda: estimation.RecursiveLeastSquares(window=50),
     "LMS": estimation.LeastMeanSquares,
     "min-max": lambda: estimation.MinMaxRegressor(0.3, forgetting=0.99),
     "min-max, known": lambda: estimation.MinMaxRegressor([0.3, 0.0, 0.1], "sample"),

@@ -16,8 +16,7 @@ from notebooks.worstcase.your_record import (
     weighted_corner,
 )
 from stillwork.estimation.min_max import solve_silently
-from stillwork.estimation.recursive import run_silently
-from stillwork.estimation.recursive_settings import MinMax
+from stillwork.estimation.recursive import track
 from stillwork.identification.regressors import fir_regressors, noise_bound
 from workbook import paths
 
@@ -89,7 +88,7 @@ def test_the_corner_says_the_same_as_all_rows(template):
     assert matrix.shape == (9, 8)
     rows = regressors.T * 0.99 ** (np.arange(900)[::-1] / 2)[:, None]
     assert matrix.T @ matrix == pytest.approx(rows.T @ rows, rel=1e-9)
-    last = run_silently(MinMax(noise_bound(1.0, 8, 0.99), 0.99), regressors, output).estimates[:, -1]
+    last = track(regressors, output, 0.99, bound=noise_bound(1.0, 8, 0.99)).estimates[:, -1]
     assert solve_silently(matrix, target, noise_bound(1.0, 8, 0.99)).estimate == pytest.approx(last, abs=1e-7)
 
 

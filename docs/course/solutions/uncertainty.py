@@ -11,7 +11,7 @@ import numpy as np
 from scipy import optimize
 
 from experiments.worstcase.theory import counter_example
-from stillwork.estimation import LeastSquares, MinMax, min_max_solve, run
+from stillwork.estimation import min_max_solve, track
 from stillwork.estimation.secular import secular_function
 from stillwork.identification import coloured_noise_bound, fir_regressors
 from stillwork.identification.regressors import exponential_bound, noise_bound
@@ -184,8 +184,8 @@ def exercise_11(forgetting: float = 0.95, noise: float = 0.1) -> str:
     rng = np.random.default_rng(11)
     rows = fir_regressors(rng.standard_normal(600), 2)
     outputs = np.array([1.0, -0.5]) @ rows + noise * rng.standard_normal(600)
-    small = run(MinMax(1e-9, forgetting), rows, outputs).estimates[:, -1]
-    least = run(LeastSquares(forgetting), rows, outputs).estimates[:, -1]
+    small = track(rows, outputs, forgetting, bound=1e-9).estimates[:, -1]
+    least = track(rows, outputs, forgetting).estimates[:, -1]
     assert np.allclose(small, least, atol=1e-6)
 
     weights = forgetting ** (np.arange(600)[::-1] / 2)
@@ -193,8 +193,8 @@ def exercise_11(forgetting: float = 0.95, noise: float = 0.1) -> str:
     threshold = np.linalg.norm(matrix.T @ target) / np.linalg.norm(target)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        beyond = run(MinMax(1.001 * threshold, forgetting), rows, outputs).estimates[:, -1]
-        before = run(MinMax(0.999 * threshold, forgetting), rows, outputs).estimates[:, -1]
+        beyond = track(rows, outputs, forgetting, bound=1.001 * threshold).estimates[:, -1]
+        before = track(rows, outputs, forgetting, bound=0.999 * threshold).estimates[:, -1]
     assert np.all(beyond == 0) and np.linalg.norm(before) > 0
     return f"{threshold:.2f}"
 

@@ -8,8 +8,7 @@ import numpy as np
 from scipy import signal, special
 
 from stillwork.base.checks import InputError
-from stillwork.estimation.recursive import run_silently, worst_case_residuals
-from stillwork.estimation.recursive_settings import GrowingMinMax
+from stillwork.estimation.recursive import track, worst_case_residuals
 from stillwork.identification.regressors import fir_regressors
 
 FIG_2_PARAMETERS = (-0.0134, -0.0316, 0.0265, -0.0114, 0.0132)
@@ -27,7 +26,7 @@ def fir_trial(
 ) -> dict[str, np.ndarray]:
     """One realisation of Fig. 1: square wave into an FIR filter, input and output measured with bounded noise.
 
-    The `law` of both noises is ``uniform`` or ``cut Gaussian``, `update` that of `GrowingMinMax`.
+    The `law` of both noises is ``uniform`` or ``cut Gaussian``, `update` ``exact`` or ``approximate``, algorithm (20).
 
     ``min_max``, ``total``, ``least`` (unknowns x samples): estimates from all rows up to t, NaN before
     there are more rows than unknowns. ``min_max_worst``, ``total_worst``, ``least_worst``: worst-case
@@ -37,9 +36,9 @@ def fir_trial(
     noises = {"input_noise": input_noise, "output_noise": output_noise, "law": law}
     regressors, outputs, errors = fir_record(rng, parameters, period, samples, **noises)
     taps = len(regressors)
-    estimator = GrowingMinMax(np.sqrt(taps) * input_noise, update)
-    bounds = estimator.bounds(0, samples)
-    found = {"min_max": run_silently(estimator, regressors, outputs).estimates}
+    bounds = np.sqrt(taps) * input_noise * np.sqrt(np.arange(1.0, samples + 1))
+    settings = {"bound": bounds, "iterations": int(update == "approximate"), "silent": True}
+    found = {"min_max": track(regressors, outputs, **settings).estimates}
     found["least"], found["total"], correction = _growing_windows(regressors, outputs)
     found |= {
         f"{name}_worst": worst_case_residuals(regressors, outputs, values, bounds, 1.0)

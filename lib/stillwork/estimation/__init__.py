@@ -15,8 +15,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "observer": ("NoiseIntensities", "kalman_observer"),
         "online": ("AdaptationStepper", "adapt", "identify"),
         "plant": ("Plant",),
-        "recursive": ("run",),
+        "recursive": ("track",),
         "recursive_least_squares": ("RecursiveLeastSquares",),
-        "recursive_settings": ("LeastSquares", "MinMax"),
     },
 )

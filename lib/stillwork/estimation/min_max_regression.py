@@ -8,15 +8,15 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from stillwork.base.checks import InputError, pluralise, require_array, require_choice, require_number
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_plain
-from stillwork.estimation.regression import WeightedRegressor
+from stillwork.estimation.regression import TriangleRegressor
 from stillwork.estimation.secular import ROUNDING, min_max_root
-from stillwork.estimation.triangle_kernels import advance_min_max
+from stillwork.estimation.triangle_kernels import MASS, MEAN, NO_BOUNDS, POWER
 
 
 def _column_sizes(matrix) -> np.ndarray:
@@ -48,24 +48,8 @@ def _solve_around_known(matrix, target, known, estimate: Callable) -> np.ndarray
     return coef
 
 
-class _Bounds:
-    """Bounds of columns as a kernel takes them: those known exactly first, the others over the largest."""
-
-    def __init__(self, bound, values):
-        self.bound, self.values, self.columns = bound, values, len(values)
-        self.largest = float(np.max(values, initial=0.0))
-        free = np.flatnonzero(values)
-        self.known = len(values) - len(free)
-        self.order = np.concatenate([np.flatnonzero(values == 0), free])
-        self.shares = values[free] / (self.largest or 1.0)
-        if np.min(self.shares, initial=1.0) < 1e-12:
-            raise InputError(
-                "bound holds numbers that differ by more than 1e12; give 0 for a column known so well"
-            )
-
-
 @dataclass(eq=False, repr=False)
-class MinMaxRegressor(WeightedRegressor):
+class MinMaxRegressor(TriangleRegressor):
     """Least squares for features with a bounded error: minimises the largest residual.
 
     Over all perturbations dX with |dX diag(bound)^-1| <= 1 of the features seen so far it minimises the largest
@@ -81,10 +65,12 @@ class MinMaxRegressor(WeightedRegressor):
         ``sample``: of that of each sample, so that of all it grows as (sum of the weights)^(1/2).
     forgetting : float
         lambda in (0, 1]; 1 weights all samples equally.
+    window : int, optional
+        How many of the last samples count, lost ones among them; all without it.
     initial_coef : array_like, shape (features,) or (outputs, features), optional
         Estimate before the first sample.
-    initial_covariance : float
-        Of the initial estimate, which counts as so many samples more; ``inf`` for no initial estimate.
+    initial_covariance : float or array_like, optional
+        Of the initial estimate, as in `RecursiveLeastSquares`; without it there is none.
     fit_intercept : bool
         Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
@@ -101,9 +87,9 @@ class MinMaxRegressor(WeightedRegressor):
 
     Notes
     -----
-    What is kept of the samples is a triangle that has their residuals, so that the estimate is exact at every time and
-    loses no digits; it is that of `min_max_solve`. With an intercept the offset of a feature does not matter. The kernel of a
-    row is compiled when the estimator is made. There is nothing to wind up: an estimate without excitation fades to
+    What is kept of the samples is the triangle of `RecursiveLeastSquares`, which has their residuals, so that the estimate is
+    exact at every time and loses no digits; it is that of `min_max_solve`. With an intercept the offset of a feature does not
+    matter. The kernel of a row is compiled when the estimator is made. There is nothing to wind up: an estimate without excitation fades to
     zero where its bound does not fade as well.
 
     Warns
@@ -127,14 +113,14 @@ class MinMaxRegressor(WeightedRegressor):
     bound: Any
     bound_on: Any = "record"
     forgetting: Any = 1.0
+    window: Any = None
     initial_coef: Any = None
-    initial_covariance: Any = np.inf
+    initial_covariance: Any = None
     fit_intercept: Any = True
 
-    _bounds: ClassVar[Any] = None  # those of the last call
-
     def __post_init__(self):
-        _compile()
+        super().__post_init__()
+        _compile_root()
 
     def _warn(self):
         if self._zero:
@@ -145,92 +131,59 @@ class MinMaxRegressor(WeightedRegressor):
                 stacklevel=4,
             )
 
-    def _start(self, columns, outputs) -> np.ndarray:
-        size = columns + outputs
-        corner = np.zeros((size, size))
-        if not (isinstance(self.initial_covariance, float) and self.initial_covariance == np.inf):
-            root = np.full(
-                columns, 1 / np.sqrt(require_number("initial_covariance", self.initial_covariance, above=0.0))
-            )
-            first = np.zeros((outputs, columns))
-            features = columns - self._has_intercept
-            root[features:] = 0.0  # nothing is known of an intercept
-            first[:, :features] = self._initial(self.initial_coef, features, outputs)
-            corner[:columns, :columns] = np.diag(root)
-            corner[:columns, columns:] = root[:, None] * first.T
-        elif self.initial_coef is not None:
-            raise InputError(
-                "initial_covariance is inf, so that initial_coef does not count; give a finite one"
-            )
-        return corner
-
     def _update(self, X, outputs, weights, anew):
-        rows, outputs = self._weighted(X, outputs, weights)
-        columns, bounds = rows.shape[1], self._bounds
-        if anew:
-            # the triangle of [X, y], the sum of the weights, and the regularisation of each output
-            self._state = self._start(columns, outputs.shape[1]), 0.0, np.zeros(outputs.shape[1])
-        corner, mass, alphas = self._state
-        same = not anew and bounds is not None and bounds.bound is self.bound
-        if not (same and isinstance(self.bound, float | int)):
-            bounds = self._bounds = _Bounds(self.bound, self._per_column("bound", columns))
-        forgetting = self.forgetting
-        if not (isinstance(forgetting, float) and 0.0 < forgetting <= 1.0):
-            forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
-        if len(rows) == 1 and bounds.largest > 0:
-            # a row of a stream takes one kernel, which begins where the one before it ended
-            mass, coef = forgetting * mass + float(weights[0]), np.empty((outputs.shape[1], columns))
-            row, bound = np.concatenate([rows[0], outputs[0]]), bounds.largest * self._growth(mass)
-            corner, alphas = corner.copy(), alphas.copy()
-            root = math.sqrt(forgetting)
-            how = row, root, bounds.order, bounds.known, bounds.shares, bound, coef, alphas
-            solved = advance_min_max(corner, *how)
-            self._zero = math.isinf(max(alphas.tolist()))
-        else:
-            fading = forgetting ** np.arange(len(weights) - 1, -1, -1)
-            mass, solved = forgetting ** len(weights) * mass + float(weights @ fading), False
-            table = np.sqrt(fading)[:, None] * np.hstack([rows, outputs])
-            corner = np.concatenate([forgetting ** (len(weights) / 2) * corner, table])
-            corner = np.linalg.qr(corner, mode="r")
-        if not solved:
-            coef = self._solve(corner, columns, mass)
-        self._state = corner, mass, alphas
-        return self._parted(coef)
+        if self.initial_coef is not None and self.initial_covariance is None:
+            raise InputError("initial_covariance is None, so that initial_coef does not count; give a number")
+        bounds = self._feature_bounds(X.shape[1])
+        per_sample = require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample"
+        uncertain = 0.0 < bounds.min()
+        coef, intercepts, decided = self._advance(
+            X, outputs, weights, anew, 0.0, bounds if uncertain else NO_BOUNDS, per_sample
+        )
+        if uncertain and decided:
+            self._zero = math.isinf(max(self._state.alphas.tolist()))
+            return coef, intercepts
+        mass = self._state.record[X.shape[1] + MASS, 0]
+        return self._solve(bounds * math.sqrt(mass) if per_sample else bounds)
 
-    def _per_column(self, name, columns) -> np.ndarray:
-        # a setting that is one number or one for each feature; an intercept's is zero
-        features = columns - self._has_intercept
-        values = require_array(name, getattr(self, name))
+    def _feature_bounds(self, features) -> np.ndarray:
+        if type(self.bound) is float and self.bound >= 0.0 and self.bound < np.inf:
+            return np.full(features, self.bound)
+        values = require_array("bound", self.bound)
         if values.shape not in ((), (features,)):
             raise InputError(
-                f"{name} has shape {values.shape}; give a number, or one for each of {pluralise(features, 'feature')}"
+                f"bound has shape {values.shape}; give a number, or one for each of {pluralise(features, 'feature')}"
             )
         if np.any(values < 0):
-            raise InputError(f"{name} holds a negative number; give zero or above")
-        return np.append(np.resize(values, features), np.zeros(columns - features))
+            raise InputError("bound holds a negative number; give zero or above")
+        positive = values[values > 0] if values.ndim else values
+        if positive.size and positive.max() > 1e12 * positive.min():
+            raise InputError(
+                "bound holds numbers that differ by more than 1e12; give 0 for a column known so well"
+            )
+        return np.resize(values, features).astype(float)
 
-    def _growth(self, mass) -> float:
-        # of the bound over that of one sample, or of all
-        if require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample":
-            return math.sqrt(mass)
-        return 1.0
-
-    def _solve(self, corner, columns, mass):
-        largest, shares = self._bounds.largest * self._growth(mass), self._bounds.shares
+    def _solve(self, bounds):
+        # by singular values, and with features that are known exactly
+        state, features = self._state.record, len(bounds)
+        known, largest = bounds == 0, float(bounds.max())
+        shares = np.where(known, 1.0, bounds / (largest or 1.0))[~known]
         self._zero = False  # whether the bound explains all of the data away
-        known, targets = self._bounds.values == 0, corner.T[columns:]
 
         def estimate(matrix, target):
             estimate, zero = solve_plain(matrix / shares, target, largest)
             self._zero |= zero
             return estimate / shares
 
-        return np.array([_solve_around_known(corner[:, :columns], each, known, estimate) for each in targets])
+        matrix = np.vstack([state[:features, :features], np.zeros(features)])
+        rests = np.sqrt(state[features + POWER, features:])
+        targets = np.vstack([state[:features, features:], rests]).T
+        coef = np.array([_solve_around_known(matrix, each, known, estimate) for each in targets])
+        means = state[features + MEAN]
+        return coef, means[features:] - coef @ means[:features]
 
 
 @cache
-def _compile() -> None:
-    # the kernel of a row, and the one that decides where it cannot
-    one = np.ones(1)
-    advance_min_max(np.eye(2), np.ones(2), 1.0, np.zeros(1, int), 0, one, 0.1, np.ones((1, 1)), np.zeros(1))
-    min_max_root(one, one, 1.0, 0.1, 0.1)
+def _compile_root() -> None:
+    # what decides where the kernel of a row cannot
+    min_max_root(np.ones(1), np.ones(1), 1.0, 0.1, 0.1)

@@ -6,7 +6,8 @@ A call that is refused changes nothing.
 
 import math
 import warnings
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
@@ -16,9 +17,12 @@ from stillwork.base.checks import (
     InputError,
     pluralise,
     require_array,
+    require_count,
     require_kind,
+    require_number,
 )
 from stillwork.estimation.recursive import LARGEST, require_finite_squares, require_squares
+from stillwork.estimation.triangle_kernels import NO_BOUNDS, empty_record, learn_rows, start_record
 
 NUMBERS = {"dtype": np.float64, "ensure_all_finite": "allow-nan"}  # what scikit-learn's checks are to return
 ONE = np.ones(1)  # the weight of a sample that needs none
@@ -156,19 +160,6 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             raise InputError("X and y lead to an overflow; give them in other units")
         self.coef_, self.intercept_ = (coef[0], float(offset[0])) if single else (coef, offset)
 
-    def _weighted(self, X, outputs, weights) -> tuple[np.ndarray, np.ndarray]:
-        # rows with a one for the intercept, and outputs, times the root of their weights
-        root = np.sqrt(weights)[:, None]
-        rows = np.ones((len(X), X.shape[1] + self._has_intercept))
-        rows[:, : X.shape[1]] = X
-        return root * rows, root * outputs
-
-    def _parted(self, found) -> tuple[np.ndarray, np.ndarray]:
-        # coefficients, which a reader may change, and intercepts
-        if self._has_intercept:
-            return found[:, :-1].copy(), found[:, -1].copy()
-        return found.copy(), np.zeros(len(found))
-
     def _samples(self, X, y, sample_weight, anew):
         # X, y, and a weight for each sample
         if not anew and sample_weight is None and self._is_next(X, y):
@@ -221,12 +212,11 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         start = np.zeros((outputs, columns))
         if coef is not None:
             given = np.atleast_2d(require_array("initial_coef", coef))
-            wanted = (outputs, columns - bool(self.fit_intercept))
-            if given.shape != wanted:
+            if given.shape != start.shape:
                 raise InputError(
-                    f"initial_coef has shape {np.shape(coef)}; give {wanted}, or {wanted[1:]} for one output"
+                    f"initial_coef has shape {np.shape(coef)}; give {start.shape}, or {start.shape[1:]} for one output"
                 )
-            start[:, : wanted[1]] = given
+            start[:] = given
         return start
 
 
@@ -289,6 +279,86 @@ class WeightedRegressor(RecursiveRegressor):
         array([3.])
         """
         return self._learn(X, y, sample_weight, anew=not hasattr(self, "coef_"), whole=False)
+
+
+class Kept(NamedTuple):
+    """What a triangle keeps of a stream."""
+
+    record: np.ndarray  # see `triangle_kernels`
+    recent: (
+        np.ndarray
+    )  # (window, 1 + features + outputs): weight and row of the last samples; empty without a window
+    count: np.ndarray  # of samples, (1,)
+    alphas: np.ndarray  # of a min-max estimate, an output each
+    first: np.ndarray  # the initial estimate where it has no covariance: what is kept are deviations from it
+
+
+class TriangleRegressor(WeightedRegressor):
+    # A subclass has `forgetting`, `window`, `initial_coef`, `initial_covariance`.
+    forgetting: Any
+    window: Any
+    initial_coef: Any
+    initial_covariance: Any
+    _state: Kept
+
+    def __post_init__(self):
+        compile_rows()
+
+    def _start(self, features, outputs) -> Kept:
+        first = self._initial(self.initial_coef, features, outputs)
+        window = 0 if self.window is None else require_count("window", self.window, at_least=1)
+        record = start_record(first, self.initial_covariance)
+        known = record.any()
+        if window and known:
+            raise InputError("initial_covariance never leaves a window; give one of the two")
+        recent = np.zeros((window, 1 + features + outputs))
+        kept = np.zeros_like(first) if known else first
+        return Kept(record, recent, np.zeros(1, np.int64), np.zeros(outputs), kept)
+
+    def _advance(
+        self, X, outputs, weights, anew, share, bounds, per_sample=False
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
+        # coefficients, intercepts, and whether an estimate with bounds is decided
+        forgetting = self.forgetting
+        if not (type(forgetting) is float and 0.0 < forgetting <= 1.0):
+            forgetting = float(require_number("forgetting", forgetting, above=0.0, at_most=1.0))
+        if anew:
+            self._state = self._start(X.shape[1], outputs.shape[1])
+        record, recent, count, alphas, first = self._state
+        record, alphas, count = record.copy(), alphas.copy(), count.copy()
+        recent = recent.copy() if len(recent) else recent
+        # the kernel is compiled for arrays as numpy makes them: not for those of a reader that are read-only or strided
+        X = np.array(X, order="C")
+        outputs = np.array(outputs, order="C") if self.initial_coef is None else outputs - X @ first.T
+        weights = weights if weights is ONE else np.array(weights, float)
+        found = np.zeros((outputs.shape[1], X.shape[1] + 1))
+        decided = learn_rows(
+            record, recent, count, X, outputs, weights, forgetting, share, self._has_intercept, bounds, per_sample,
+            alphas, found,
+        )  # fmt: skip
+        self._state = Kept(record, recent, count, alphas, first)
+        return first + found[:, :-1], found[:, -1].copy(), decided
+
+
+@cache
+def compile_rows() -> None:
+    """Compile the kernel of a row, so that no sample of a stream waits for it."""
+    row, count, empty = np.zeros((1, 1)), np.zeros(1, np.int64), np.empty((0, 3))
+    learn_rows(
+        empty_record(1, 1),
+        empty,
+        count,
+        row,
+        row,
+        ONE,
+        1.0,
+        1.0,
+        True,
+        NO_BOUNDS,
+        False,
+        ONE.copy(),
+        np.zeros((1, 2)),
+    )
 
 
 class UnweightedRegressor(RecursiveRegressor):

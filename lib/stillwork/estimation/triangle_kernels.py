@@ -1,25 +1,32 @@
-"""The triangle of a record, to which each row adds by rotations: least squares of a stream, and the min-max estimate.
+"""The one kernel of linear least squares in streams: a triangle to which each row adds by rotations.
 
-The record of least squares is one array, ``state``. Its first rows are the triangle of [X, y] without what all rows have
-in common where there is an intercept: R of weighted deviations, and beside it Q'y. The five rows below are, for each
-column, its weighted mean, the sum of its squares, the largest |R_jj| so far, the share of the last time constant in which
-row j was held, and (first element) the sum of the weights.
+The record is one array, ``state``. Its first rows are the triangle of [X, y] without what all rows have in common where
+there is an intercept: R of weighted deviations, and beside it Q'y. The five rows below are, for each column, its weighted
+mean; the sum of the squares of a feature, or what no feature explains of those of an output; the largest |R_jj| so far;
+the share of the last time constant in which row j was held; and (first element) the sum of the weights.
+
+From it come least squares, ridge regression, and the min-max estimate: all sums of squares are those of the rows.
 """
 
 import math
 
 import numpy as np
 
-from stillwork.base.algebra import cholesky_solve
-from stillwork.base.checks import require_number
+from stillwork.base.algebra import factorise, solve_backward, solve_forward
+from stillwork.base.checks import require_array, require_number
 from stillwork.base.kernels import kernel
+from stillwork.estimation.gaussian import require_covariance
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
-# Below these shares of the data the rank decides, which singular values show and a triangle does not.
-LEAST_EXCESS, LEAST_PENALTY = 1e-9, 1e-20
-EVALUATIONS = 60
 MEAN, POWER, PEAK, HELD, MASS, BESIDE = range(6)  # places below the triangle, and how many
 SINGULAR = 1e-13  # |R_jj| over the size of feature j, below which the features before it explain all of it
+LEAST_EXCESS = (
+    1e-9  # of the output outside the features' space, below which singular values decide of min-max
+)
+WEAKEST = 1e-10  # pivot over the trace, below which the normal equations lose digits that a correction does not give back
+LEAVES = 1e-2  # what a downdate leaves of a square; below it the window is taken in anew
+EVALUATIONS = 60
+NO_BOUNDS = np.empty(0)  # of least squares
 
 
 def empty_record(features: int, outputs: int) -> np.ndarray:
@@ -27,24 +34,43 @@ def empty_record(features: int, outputs: int) -> np.ndarray:
     return np.zeros((features + BESIDE, features + outputs))
 
 
+def start_record(first: np.ndarray, covariance) -> np.ndarray:
+    """A record whose estimate is the `first`, a row for each output, of this covariance: a number, its diagonal or all of it.
+
+    None is known of an intercept, or of anything where `covariance` is None or infinite.
+    """
+    outputs, features = first.shape
+    state = empty_record(features, outputs)
+    if covariance is None or (isinstance(covariance, float) and covariance == np.inf):
+        return state
+    given = require_array("initial_covariance", covariance)
+    whole = require_covariance(
+        "initial_covariance", np.full(features, given) if given.ndim == 0 else given, features
+    )
+    state[:features, :features] = np.linalg.cholesky(np.linalg.inv(whole)).T
+    state[:features, features:] = state[:features, :features] @ first.T
+    state[features + POWER, :features] = (state[:features, :features] ** 2).sum(axis=0)
+    state[features + PEAK, :features] = np.diag(state[:features, :features])
+    return state
+
+
 def least_share(growth_limit: float) -> float:
     """Of |R_jj| over its peak, for variances that may grow by this limit."""
     if growth_limit != np.inf:
         require_number("growth_limit", growth_limit, at_least=1.0)
-    return max(
-        1 / math.sqrt(growth_limit), 1e-100
-    )  # so much less that it counts for nothing, and no number vanishes
+    # so much less that it counts for nothing, and no number vanishes
+    return max(1 / math.sqrt(growth_limit), 1e-100)
 
 
 @kernel
-def add_row(triangle, row, root):
-    """The triangle of `root` times the rows that it stands for and one row more, in place; `row` is used up."""
-    if root != 1.0:
-        triangle *= root
+def add_row(triangle, row):
+    """The triangle with one row more, in place; of `row` is left what the triangle's columns do not explain."""
     for k in range(len(triangle)):
         if row[k] == 0.0:
             continue
-        length = np.hypot(triangle[k, k], row[k])
+        length = math.sqrt(triangle[k, k] * triangle[k, k] + row[k] * row[k])
+        if length == 0.0:
+            continue
         along, across = triangle[k, k] / length, row[k] / length
         triangle[k, k] = length
         for j in range(k + 1, len(row)):
@@ -54,14 +80,32 @@ def add_row(triangle, row, root):
 
 
 @kernel
+def _remove_row(triangle, row):
+    # The triangle without one row, by hyperbolic rotations in their stable order; false where digits would be lost.
+    for k in range(len(triangle)):
+        if row[k] == 0.0:
+            continue
+        whole = triangle[k, k]
+        left = (whole - row[k]) * (whole + row[k])
+        if not left > LEAVES * whole * whole:
+            return False
+        triangle[k, k] = math.sqrt(left)
+        along, across = triangle[k, k] / whole, row[k] / whole
+        for j in range(k + 1, len(row)):
+            triangle[k, j] = (triangle[k, j] - across * row[j]) / along
+            row[j] = along * row[j] - across * triangle[k, j]
+    return True
+
+
+@kernel
 def _forget(state, features, forgetting):
-    root = np.sqrt(forgetting)
+    root = math.sqrt(forgetting)
     for i in range(features):
         for j in range(i, state.shape[1]):
             state[i, j] *= root
-    for j in range(features):
+        state[features + HELD, i] *= forgetting
+    for j in range(state.shape[1]):
         state[features + POWER, j] *= forgetting
-        state[features + HELD, j] *= forgetting
     state[features + MASS, 0] *= forgetting
 
 
@@ -74,7 +118,7 @@ def _hold(state, features, forgetting, share):
         if pivot > peak:
             state[features + PEAK, j] = pivot
             continue
-        least = 2.0 * SINGULAR * np.sqrt(state[features + POWER, j])
+        least = 2.0 * SINGULAR * math.sqrt(state[features + POWER, j])
         least = max(share * peak, least if peak > least else 0.0)
         if 0.0 < pivot < least:
             for k in range(j, state.shape[1]):
@@ -83,8 +127,8 @@ def _hold(state, features, forgetting, share):
 
 
 @kernel
-def _take_in(state, features, row, weight, forgetting, share, centred):
-    # One row [x, y] more, which is used up.
+def take_in(state, features, row, weight, forgetting, share, centred):
+    """One row [x, y] more, which is used up; one of weight 0 is lost: time passes."""
     if forgetting < 1.0:
         _forget(state, features, forgetting)
     if weight > 0.0:
@@ -92,211 +136,331 @@ def _take_in(state, features, row, weight, forgetting, share, centred):
         state[features + MASS, 0] = mass + weight
         for j in range(features):
             state[features + POWER, j] += weight * row[j] * row[j]
-        root = np.sqrt(weight)
+        root = math.sqrt(weight)
         if centred:
             gain = weight / (mass + weight)
-            root *= np.sqrt(mass / (mass + weight))
+            root *= math.sqrt(mass / (mass + weight))
             for j in range(len(row)):
                 row[j] -= state[features + MEAN, j]
                 state[features + MEAN, j] += gain * row[j]
         for j in range(len(row)):
             row[j] *= root
-        add_row(state[:features], row, 1.0)
+        add_row(state[:features], row)
+        for j in range(features, len(row)):
+            state[features + POWER, j] += row[j] * row[j]
     if forgetting < 1.0:
         _hold(state, features, forgetting, share)
 
 
 @kernel
-def _solve_record(state, features, centred, coef):
-    # The least-squares estimate; a feature that those before it explain gets 0. The last of `coef` is the intercept.
-    outputs, dependent = state.shape[1] - features, False
+def _take_out(state, features, row, weight, centred):
+    # One row [x, y] less; false, with the record spoilt, where digits would be lost.
+    mass = state[features + MASS, 0]
+    left = mass - weight
+    if not left > LEAVES * mass:
+        return False
+    state[features + MASS, 0] = left
     for j in range(features):
-        dependent |= not abs(state[j, j]) > SINGULAR * np.sqrt(state[features + POWER, j])
+        state[features + POWER, j] = max(state[features + POWER, j] - weight * row[j] * row[j], 0.0)
+    root = math.sqrt(weight)
+    if centred:
+        root *= math.sqrt(mass / left)
+        for j in range(len(row)):
+            row[j] -= state[features + MEAN, j]
+            state[features + MEAN, j] -= weight / left * row[j]
+    for j in range(len(row)):
+        row[j] *= root
+    if not _remove_row(state[:features], row):
+        return False
+    for j in range(features, len(row)):
+        whole = state[features + POWER, j]
+        state[features + POWER, j] = max(whole - row[j] * row[j], 0.0)
+    return True
+
+
+@kernel
+def _back(state, features, o, coef):
+    # R coef = Q'y of one output; 0 where there is no pivot
+    for i in range(features - 1, -1, -1):
+        coef[i] = 0.0
+        if state[i, i] != 0.0:
+            total = state[i, features + o]
+            for k in range(i + 1, features):
+                total -= state[i, k] * coef[k]
+            coef[i] = total / state[i, i]
+
+
+@kernel
+def solve_least_squares(state, features, coef):
+    """The least-squares estimate, a row for each output; a feature that those before it explain gets 0."""
+    dependent = False
+    for j in range(features):
+        dependent |= not abs(state[j, j]) > SINGULAR * math.sqrt(state[features + POWER, j])
     if dependent:
         state = state.copy()
         for j in range(features):
-            if not abs(state[j, j]) > SINGULAR * np.sqrt(state[features + POWER, j]):
+            if not abs(state[j, j]) > SINGULAR * math.sqrt(state[features + POWER, j]):
                 # what is left of its row belongs to the features after it
                 row = state[j].copy()
                 state[j] = 0.0
                 row[: j + 1] = 0.0
-                add_row(state[:features], row, 1.0)
-    for o in range(outputs):
-        for i in range(features - 1, -1, -1):
-            coef[o, i] = 0.0
-            if state[i, i] != 0.0:
-                total = state[i, features + o]
-                for k in range(i + 1, features):
-                    total -= state[i, k] * coef[o, k]
-                coef[o, i] = total / state[i, i]
-        if centred:
-            coef[o, features] = state[features + MEAN, features + o]
-            for i in range(features):
-                coef[o, features] -= coef[o, i] * state[features + MEAN, i]
+                add_row(state[:features], row)
+    for o in range(state.shape[1] - features):
+        _back(state, features, o, coef[o])
 
 
 @kernel
-def learn_rows(state, X, y, weights, forgetting, share, centred, coef):
+def set_normal(state, features, o, units, square, lines):
+    """R'R and R'Q'y of one output, with features over these units, in their places; the trace, |y|^2 and |R'Q'y|^2."""
+    trace, size, energy = 0.0, 0.0, state[features + POWER, features + o]
+    for i in range(features):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(j + 1):
+                total += state[k, i] * state[k, j]
+            square[0, i, j] = total / units[i] / units[j]
+        total = 0.0
+        for k in range(i + 1):
+            total += state[k, i] * state[k, features + o]
+        lines[0, i] = total / units[i]
+        size += lines[0, i] * lines[0, i]
+        trace += square[0, i, i]
+        energy += state[i, features + o] * state[i, features + o]
+    return trace, energy, size
+
+
+@kernel
+def _residual(state, features, o, units, x, left):
+    # `left` of the rows of the triangle, and |y - X x|^2 of all rows
+    total = state[features + POWER, features + o]
+    for i in range(features):
+        left[i] = state[i, features + o]
+        for j in range(i, features):
+            left[i] -= state[i, j] * x[j] / units[j]
+        total += left[i] * left[i]
+    return total
+
+
+@kernel
+def solve_ridge(state, features, o, units, alpha, square, lines, x):
+    """x of (X'X + alpha I) x = X'y after `set_normal`, features over `units`; |X x - y|^2, and the smallest pivot.
+
+    The normal equations are corrected once by the residual of the rows, which gives back the digits that they lose
+    (Björck, Numerical Methods for Least Squares Problems, 6.6.5).
+    """
+    information, factor = square[0], square[1]
+    right, pivots, half, work, left = lines[0], lines[1], lines[2], lines[3], lines[4]
+    factorise(information, alpha, right, factor, pivots, half, work)
+    solve_backward(factor, pivots, half, x)
+    _residual(state, features, o, units, x, left)
+    for j in range(features):
+        work[j] = 0.0
+        for i in range(j + 1):
+            work[j] += state[i, j] * left[i]
+        work[j] = work[j] / units[j] - alpha * x[j]
+    solve_forward(factor, work, half)
+    solve_backward(factor, pivots, half, work)
+    largest = 0.0
+    for j in range(features):
+        x[j] += work[j]
+        largest = max(largest, pivots[j])
+    return _residual(state, features, o, units, x, left), 1.0 / largest
+
+
+@kernel
+def search_min_max(state, features, o, units, bound, start, least, square, lines, x):
+    """The min-max estimate of one output after `set_normal`, Theorem 1, for a bound below its threshold.
+
+    The search begins at `start` and stays at or above `least`. Returned are alpha, how often the secular function was
+    evaluated, and the smallest pivot.
+    """
+    factor, pivots, half, turned = square[1], lines[1], lines[2], lines[5]
+    alpha, low, high = max(start, least), 0.0, np.inf
+    for count in range(1, EVALUATIONS):
+        residual, pivot = solve_ridge(state, features, o, units, alpha, square, lines, x)
+        solve_forward(factor, x, half)
+        solve_backward(factor, pivots, half, turned)
+        norm, first, second = 0.0, 0.0, 0.0
+        for i in range(features):
+            norm += x[i] * x[i]
+            first += x[i] * turned[i]
+            second += turned[i] * turned[i]
+        if not (residual > 0.0 and norm > 0.0):
+            return alpha, count, pivot
+        image = bound * math.sqrt(residual / norm)
+        low, high = narrow_bracket(alpha, image, low, high)
+        step, near = next_alpha(alpha, image, norm, residual, first, second, low, high)
+        if near and step > least:
+            _, pivot = solve_ridge(state, features, o, units, step, square, lines, x)
+            return step, count, pivot
+        step = max(step, least)
+        if step == alpha:
+            return alpha, count, pivot
+        alpha = step
+    return alpha, EVALUATIONS, 0.0
+
+
+@kernel
+def solve_min_max(state, features, bound, units, alphas, coef):
+    """The min-max estimate of every output, of features with bounds `bound` times `units`; false where it is not decided.
+
+    Undecided is an output in the space of the features, or nearly, and features of which the bound does not make a well
+    conditioned problem: there singular values decide. `alphas` are where the searches begin, and become their results.
+    """
+    square, lines = np.empty((2, features, features)), np.empty((6, features))
+    for o in range(len(coef)):
+        x = coef[o]
+        trace, energy, size = set_normal(state, features, o, units, square, lines)
+        if not (size > 0.0 and energy > 0.0):
+            return False
+        if bound * bound * energy >= size:
+            x[:] = 0.0
+            alphas[o] = np.inf
+            continue
+        if not state[features + POWER, features + o] > LEAST_EXCESS * LEAST_EXCESS * energy:
+            return False
+        start = alphas[o] if 0.0 < alphas[o] < np.inf else bound * math.sqrt(size / energy)
+        alphas[o], _, pivot = search_min_max(
+            state, features, o, units, bound, start, 0.0, square, lines, x[:features]
+        )
+        if not pivot > WEAKEST * trace:
+            return False
+        for i in range(features):
+            x[i] /= units[i]
+    return True
+
+
+@kernel
+def learn_rows(
+    state, recent, count, X, y, weights, forgetting, share, centred, bounds, per_sample, alphas, coef
+):
     """Rows of features and outputs more in a record, and in `coef` the estimate of all so far, an intercept last.
 
-    A row of weight 0 is lost: time passes. `share` is the least of |R_jj| over its peak: forgetting of a combination of
-    features that nothing excites ends there.
+    `share` is the least of |R_jj| over its peak: forgetting of a combination of features that nothing excites ends there.
+    `recent` holds the rows of a window with their weights, of which there were `count`; an empty one is none. With
+    `bounds` it is the min-max estimate, and false is returned where that is not decided; those `per_sample` are times the
+    root of the sum of the weights.
     """
-    features = X.shape[1]
+    features, window = X.shape[1], len(recent)
     row = np.empty(state.shape[1])
     for t in range(len(X)):
         for j in range(features):
             row[j] = X[t, j]
         for j in range(y.shape[1]):
             row[features + j] = y[t, j]
-        _take_in(state, features, row, weights[t], forgetting, share, centred)
-    _solve_record(state, features, centred, coef)
+        if window == 0:
+            take_in(state, features, row, weights[t], forgetting, share, centred)
+            continue
+        place = (count[0] + t) % window
+        leaving = recent[place].copy()
+        recent[place, 0] = weights[t]
+        recent[place, 1:] = row
+        take_in(state, features, row, weights[t], forgetting, share, centred)
+        # at the end of each window all is taken in anew, so that rounding errors do not add up
+        if leaving[0] > 0.0 and (
+            place == window - 1
+            or not _take_out(state, features, leaving[1:], leaving[0] * forgetting**window, centred)
+        ):
+            state[:] = 0.0
+            for k in range(1, window + 1):
+                row[:] = recent[(place + k) % window, 1:]
+                take_in(state, features, row, recent[(place + k) % window, 0], forgetting, share, centred)
+    count[0] += len(X)
+    decided = True
+    if len(bounds) > 0:
+        size = math.sqrt(state[features + MASS, 0]) if per_sample else 1.0
+        decided = solve_min_max(state, features, size, bounds, alphas, coef)
+    else:
+        solve_least_squares(state, features, coef)
+    for o in range(len(coef)):
+        coef[o, features] = 0.0
+        if centred:
+            coef[o, features] = state[features + MEAN, features + o]
+            for i in range(features):
+                coef[o, features] -= coef[o, i] * state[features + MEAN, i]
+    return decided
+
+
+LEAST, RIDGE, EXACT, APPROXIMATE = range(4)  # what `track_rows` estimates
 
 
 @kernel
-def track_rows(state, estimate, rows, outputs, forgetting, share, held, estimates, errors):
+def track_rows(
+    kind,
+    state,
+    rows,
+    outputs,
+    forgetting,
+    share,
+    settings,
+    iterations,
+    estimates,
+    errors,
+    alphas,
+    evaluations,
+):
     """Row by row of one output, without an intercept: the `errors` before each, and the `estimates` after.
 
-    `held` marks the features whose row was held at the last sample.
+    Of `settings` each row has one: the penalty of ridge regression, the bound of min-max. With so many `iterations` it is
+    algorithm (20): steps of the fixed-point map from lam alpha in place of its root. Returned is which features' rows were
+    held at the last sample.
     """
-    features = rows.shape[1]
-    row, coef, before = np.empty(features + 1), np.empty((1, features)), np.empty(features)
+    n = rows.shape[1]
+    row, x, held = np.empty(n + 1), np.zeros(n), np.zeros(n)
+    square, lines, ones, coef = np.empty((2, n, n)), np.empty((6, n)), np.ones(n), np.empty((1, n))
+    alpha, ridge = np.inf, 0.0
     for t in range(len(rows)):
-        error = outputs[t]
-        for j in range(features):
+        error = row[n] = outputs[t]
+        for j in range(n):
             row[j] = rows[t, j]
-            error -= row[j] * estimate[j]
-            before[j] = forgetting * state[features + HELD, j]
-        row[features] = outputs[t]
+            error -= row[j] * x[j]
+            held[j] = forgetting * state[n + HELD, j]
         errors[t] = error
-        _take_in(state, features, row, 1.0, forgetting, share, False)
-        _solve_record(state, features, False, coef)
-        for j in range(features):
-            estimate[j] = estimates[t, j] = coef[0, j]
-            held[j] = state[features + HELD, j] > before[j]
+        take_in(state, n, row, 1.0, forgetting, share, False)
+        if kind == LEAST:
+            solve_least_squares(state, n, coef)
+            x[:] = coef[0]
+            alpha = 0.0
+        else:
+            trace, energy, size = set_normal(state, n, 0, ones, square, lines)
+            least, bound, start = ROUNDING * trace, settings[t], forgetting * alpha
+            if kind == RIDGE:
+                alpha = bound
+                solve_ridge(state, n, 0, ones, alpha, square, lines, x)
+            elif t < n or bound * bound * energy >= size:  # Theorem 1: eta >= |A'b| / |b|
+                alpha = np.inf
+                x[:] = 0.0
+            elif kind == EXACT or alpha == np.inf:
+                # alpha_t itself is nearer to alpha_(t+1) than lam alpha_t; out of the zero solution there is neither
+                start = alpha if alpha < np.inf else trace / n
+                alpha, evaluations[t], _ = search_min_max(
+                    state, n, 0, ones, bound, start, least, square, lines, x
+                )
+            else:
+                ridge, _ = solve_ridge(state, n, 0, ones, start, square, lines, x)
+                for _ in range(iterations):
+                    norm = 0.0
+                    for i in range(n):
+                        norm += x[i] * x[i]
+                    alpha = max(bound * math.sqrt(ridge / norm), least)
+                    ridge, _ = solve_ridge(state, n, 0, ones, alpha, square, lines, x)
+                evaluations[t] = iterations
+        alphas[t] = alpha
+        estimates[t] = x
+    return state[n + HELD, :n] > held
 
 
 @kernel
-def _solve_back(triangle, values, count):
-    for i in range(count - 1, -1, -1):
-        for j in range(i + 1, count):
-            values[i] -= triangle[i, j] * values[j]
-        values[i] /= triangle[i, i]
-
-
-@kernel
-def _ridge(triangle, alpha, factor, row, x):
-    # x of (A'A + alpha I) x = A'b for the triangle of [A, b]; its factor is left in `factor`; |A x - b|^2
-    count = len(x)
-    factor[:] = triangle
-    for i in range(count):
-        row[:] = 0.0
-        row[i] = np.sqrt(alpha)
-        add_row(factor, row, 1.0)
-    x[:] = factor[:count, count]
-    _solve_back(factor, x, count)
-    residual = triangle[count, count] ** 2
-    for i in range(count):
-        left = -triangle[i, count]
-        for j in range(i, count):
-            left += triangle[i, j] * x[j]
-        residual += left * left
-    return residual
-
-
-@kernel
-def min_max_of_triangle(triangle, bound, start, x):
-    """The min-max estimate of the triangle of [A, b] in `x`, in place, by a search that begins at `start`.
-
-    Returned is the regularisation: infinite where the estimate is zero, negative where nothing is decided, because b is
-    in the column space, or nearly: then singular values decide.
-    """
-    count = len(x)
-    energy = 0.0
-    for i in range(count + 1):
-        energy += triangle[i, count] ** 2
-    correlation = 0.0
-    for j in range(count):
-        part = 0.0
-        for i in range(j + 1):
-            part += triangle[i, j] * triangle[i, count]
-        correlation += part * part
-    if bound * bound * energy >= correlation:
-        x[:] = 0.0
-        return np.inf if correlation > 0.0 else -1.0
-    if not abs(triangle[count, count]) > LEAST_EXCESS * np.sqrt(energy):
-        return -1.0
-    factor, row, turned = np.empty_like(triangle), np.empty(count + 1), np.empty(count)
-    alpha, low, high = start, 0.0, np.inf
-    if not 0.0 < alpha < np.inf:
-        alpha = bound * np.sqrt(energy / correlation) * correlation / energy
-    for _ in range(EVALUATIONS):
-        if not alpha > LEAST_PENALTY:
-            return -1.0
-        residual = _ridge(triangle, alpha, factor, row, x)
-        cholesky_solve(factor.T, x, turned)
-        norm, first, second = 0.0, 0.0, 0.0
-        for i in range(count):
-            norm += x[i] * x[i]
-            first += x[i] * turned[i]
-            second += turned[i] * turned[i]
-        image = bound * np.sqrt(residual / norm)
-        low, high = narrow_bracket(alpha, image, low, high)
-        step, near = next_alpha(alpha, image, norm, residual, first, second, low, high)
-        if near or step == alpha:
-            _ridge(triangle, step, factor, row, x)
-            return step
-        alpha = step
-    return -1.0
-
-
-@kernel
-def advance_min_max(corner, row, root, order, known, shares, bound, coef, alphas):
-    """One row of features and outputs into the triangle `corner`, and the estimates from it, in place.
-
-    Of the columns in their `order` the first `known` are free of errors, the bounds on the others' errors are `bound` times
-    their `shares`. `alphas`, one per output, are those of the row before, and become those of this one; returned is whether
-    every estimate was found.
-    """
-    add_row(corner, row, root)
-    columns = len(order)
-    count = columns - known
-    line = np.empty(columns + 1)
-    for output in range(len(coef)):
-        own = np.zeros((columns + 1, columns + 1))
-        for i in range(len(corner)):
-            for k in range(columns):
-                line[k] = corner[i, order[k]]
-            line[columns] = corner[i, columns + output]
-            add_row(own, line, 1.0)
-        for k in range(known):
-            largest = 0.0
-            for i in range(k + 1):
-                largest = max(largest, abs(own[i, k]))
-            if not abs(own[k, k]) > columns * ROUNDING * largest:
-                return False
-        part, unit, aimed = own[known:, known:].copy(), 0.0, 0.0
-        for j in range(count):
-            for i in range(j + 1):
-                part[i, j] /= shares[j]
-                unit = max(unit, abs(part[i, j]))
-        for i in range(count + 1):
-            aimed = max(aimed, abs(part[i, count]))
-        if not (unit > 0.0 and aimed > 0.0):
-            return False
-        part[:, :count] /= unit
-        part[:, count] /= aimed
-        x = np.empty(count)
-        alphas[output] = min_max_of_triangle(part, bound / unit, alphas[output], x)
-        if not alphas[output] > 0.0:
-            return False
-        values = own[:, columns].copy()
-        for j in range(count):
-            x[j] *= aimed / unit / shares[j]
-            coef[output, order[known + j]] = x[j]
-            for i in range(known):
-                values[i] -= own[i, known + j] * x[j]
-        _solve_back(own, values, known)
-        for k in range(known):
-            coef[output, order[k]] = values[k]
-    return True
+def worst_residuals(rows, outputs, bounds, forgetting, estimates, worst):
+    """|A x - b| + eta |x| of any estimates x_t, one a row."""
+    n = rows.shape[1]
+    state, row, ones, left = np.zeros((n + BESIDE, n + 1)), np.empty(n + 1), np.ones(n), np.empty(n)
+    for t in range(len(rows)):
+        row[:n] = rows[t]
+        row[n] = outputs[t]
+        take_in(state, n, row, 1.0, forgetting, 0.0, False)
+        norm = 0.0
+        for i in range(n):
+            norm += estimates[t, i] * estimates[t, i]
+        residual = _residual(state, n, 0, ones, estimates[t], left)
+        worst[t] = math.sqrt(residual) + bounds[t] * math.sqrt(norm)
