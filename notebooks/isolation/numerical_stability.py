@@ -14,7 +14,7 @@ from experiments.isolation.floors import ShapedFloor, flat_floor
 from experiments.isolation.simulation import Run, simulate
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.base.algebra import inner_product, plus_row
+from stillwork.base.algebra import add_scaled, inner_product, plus_column, plus_left, plus_row, project
 from stillwork.base.checks import (
     InputError,
     pluralise,
@@ -24,14 +24,13 @@ from stillwork.base.checks import (
     require_number,
 )
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel
-from stillwork.estimation import covariance_forms
 from stillwork.estimation.adaptive import FeRls, ferls_update, hold_triangle
 from stillwork.estimation.covariance_forms import (
-    TRIANGLE,
     add_triangle_information,
     factor_of,
     update_covariance,
-    update_form,
+    update_ud,
+    upper_root,
 )
 from workbook import figures
 from workbook.palette import COLOURS
@@ -43,9 +42,11 @@ from workbook.palette import COLOURS
 # antisymmetric, and of one that makes P indefinite.
 
 
-# What one writes first, and what (29) prints; then the library's forms.
-FORMS = ("one product", "both products", *covariance_forms.FORMS)
-ONE_PRODUCT, BOTH_PRODUCTS = 0, 1
+# What one writes first, and what (29) prints; the library has the triangle and UD. What a form stores: P itself, S with
+# P = S S' (``square root``, after Potter), or a triangular factor whose row j is column j of U: U D U' (``UD``), U U'
+# (``inverse QR``, by Givens rotations; Haykin, Adaptive Filter Theory).
+FORMS = ("one product", "both products", "triangle", "Joseph", "square root", "UD", "inverse QR")
+ONE_PRODUCT, BOTH_PRODUCTS, TRIANGLE, JOSEPH, SQUARE_ROOT, UD, INVERSE_QR = range(7)
 REGRESSORS = 9  # of the synthetic records, as the rig has
 OVERFLOW = 1e100  # so large that its square is still a number
 
@@ -97,7 +98,7 @@ def covariance_run(
     """Run the covariance recursion over a record (n, samples), repeated for so many `time_constants`, and watch P.
 
     Of `FORMS`, ``one product`` is P - (g / den) g' with g = P psi; ``both products``, with P psi and psi' P computed
-    apart as printed; the others are the library's, `covariance_forms`. P is looked at so often `per_time_constant`.
+    apart as printed. P is looked at so often `per_time_constant`.
     Not `against_exact`, `error` and `distance` are NaN and `smallest` is the eigenvalue itself: half of the time.
     """
     code = FORMS.index(require_choice("form", form, FORMS))
@@ -112,7 +113,7 @@ def covariance_run(
             f"regressors has {pluralise(len(record), 'sample')}; give at least {step}, or look more often"
         )
 
-    matrix = (start if form in FORMS[:2] else factor_of(form, start)).astype(dtype)
+    matrix = _stored(code, start).astype(dtype)
     information, rounded = np.linalg.inv(start), float(dtype.type(forgetting))
     weights = rounded ** (np.arange(step)[::-1] / 2)
     # Rounded once for both, so that the error is the recursion's and not the data's.
@@ -248,6 +249,14 @@ def stability_map(
     return found
 
 
+def _stored(form: int, covariance: np.ndarray) -> np.ndarray:
+    if form == UD:
+        return factor_of("UD", covariance)
+    if form in (SQUARE_ROOT, INVERSE_QR):
+        return upper_root(covariance) if form == SQUARE_ROOT else upper_root(covariance).T
+    return covariance
+
+
 def recur(form, matrix, regressors, forgetting, column, row):
     """Update what the form keeps over a block in place, in the arrays' precision."""
     # A kernel a form: asked at every sample for its form, the compiler would optimise none of them, and who looks at
@@ -256,10 +265,10 @@ def recur(form, matrix, regressors, forgetting, column, row):
         _one_products(matrix, regressors, forgetting, column)
     elif form == BOTH_PRODUCTS:
         _both_products(matrix, regressors, forgetting, column, row)
-    elif form - 2 == TRIANGLE:
+    elif form == TRIANGLE:
         _triangles(matrix, regressors, forgetting, column)
     else:
-        _forms(form - 2, matrix, regressors, forgetting, column, row)
+        _forms(form, matrix, regressors, forgetting, column, row)
 
 
 @borrowing_kernel
@@ -271,7 +280,77 @@ def _triangles(matrix, regressors, forgetting, column):
 @borrowing_kernel
 def _forms(form, matrix, regressors, forgetting, column, row):
     for k in range(len(regressors)):
-        update_form(form, matrix, regressors[k], forgetting, column, row)
+        if form == UD:
+            update_ud(matrix, regressors[k], forgetting, column, row)
+        elif form == JOSEPH:
+            _update_joseph(matrix, regressors[k], forgetting, column, row)
+        elif form == SQUARE_ROOT:
+            _update_square_root(matrix, regressors[k], forgetting, column, row)
+        else:
+            _update_inverse_qr(matrix, regressors[k], forgetting, column, row)
+
+
+@borrowing_kernel
+def _update_joseph(covariance, regressor, forgetting, gain, row):
+    """(I - k psi') P (I - k psi')' / lambda + k k' with k = g / den, in place."""
+    zero, one, n = covariance.dtype.type(0), covariance.dtype.type(1), len(regressor)
+    denominator = project(covariance, regressor, forgetting, gain)
+    for i in range(n):
+        row[i] = plus_column(zero, covariance, i, regressor)
+    shrink, forget = one / denominator, one / forgetting
+    for i in range(n):
+        share = gain[i] * shrink
+        add_scaled(-share, row, covariance[i])
+        back = plus_row(zero, covariance, i, regressor)
+        for j in range(n):
+            step = gain[j] * shrink
+            covariance[i, j] = (covariance[i, j] - back * step) * forget + share * step
+    return denominator
+
+
+@borrowing_kernel
+def _update_square_root(root, regressor, forgetting, gain, inner):
+    """Potter's update of S in place."""
+    zero, one, n = root.dtype.type(0), root.dtype.type(1), len(regressor)
+    for j in range(n):
+        inner[j] = 0
+    for i in range(n):
+        add_scaled(regressor[i], root[i], inner)
+    denominator = forgetting
+    for j in range(n):
+        denominator += inner[j] * inner[j]
+    share = one / (denominator + np.sqrt(forgetting * denominator))
+    forget = one / np.sqrt(forgetting)
+    for i in range(n):
+        gain[i] = plus_row(zero, root, i, inner)
+        scaled = gain[i] * share
+        for j in range(n):
+            root[i, j] = (root[i, j] - scaled * inner[j]) * forget
+    return denominator
+
+
+@borrowing_kernel
+def _update_inverse_qr(factor, regressor, forgetting, gain, inner):
+    """Givens rotations of [sqrt(lambda), psi' U; 0, U] to [sqrt(den), 0; g / sqrt(den), sqrt(lambda) U], in place."""
+    n, zero = len(regressor), factor.dtype.type(0)
+    root = np.sqrt(forgetting)
+    forget = factor.dtype.type(1) / root
+    for j in range(n):
+        inner[j] = plus_left(zero, factor, j, regressor) + factor[j, j] * regressor[j]
+        gain[j] = 0
+    denominator = forgetting
+    for j in range(n):
+        denominator += inner[j] * inner[j]
+        length = np.sqrt(denominator)
+        cosine, sine = root / length, inner[j] / length
+        for i in range(j + 1):
+            entry, share = factor[j, i], gain[i]
+            gain[i] = cosine * share + sine * entry
+            factor[j, i] = (cosine * entry - sine * share) * forget
+        root = length
+    for i in range(n):
+        gain[i] *= root
+    return denominator
 
 
 @inlined_kernel

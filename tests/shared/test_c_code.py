@@ -399,7 +399,7 @@ def test_code_that_cannot_be_written_says_why(change, message):
 
 def test_other_forms_of_the_covariance_and_numbers_beyond_single_precision_are_refused():
     with pytest.raises(InputError, match=r"^settings\.form\b"):
-        adaptation_code(FeRls(1.0, form="Joseph"), 1, 2, "feed")
+        adaptation_code(FeRls(1.0, form="triangle"), 1, 2, "feed")
     with pytest.raises(InputError, match=r"e\+\d\d\b.*precision"):
         controller_code(named(pid(1e60), 1), "loop", "single")
 

@@ -31,7 +31,7 @@ from stillwork.estimation.covariance_forms import (
     factor_of,
     hold_diagonal,
     update_covariance,
-    update_form,
+    update_ud,
     variance,
 )
 from stillwork.estimation.gaussian import require_covariance
@@ -279,23 +279,23 @@ def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor
 def ferls_form_update(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
 ):
-    """One sample in any other form, by a call; returns the leverage.
+    """One sample in Bierman's factors, by a call; returns the leverage.
 
     Factors show P's diagonal at the price of a product, so one element a sample is held to its limit.
     """
     one, n, axis = matrix.dtype.type(1), len(regressor), sample % len(regressor)
     forget = matrix.dtype.type(forgetting)
-    denominator = update_form(form, matrix, regressor, forget, gain, inner)
+    denominator = update_ud(matrix, regressor, forget, gain, inner)
     step_weights(weights, gain, one / denominator, error)
     check_powers(levels, regressor, forget, allowance)
-    found = variance(form, matrix, axis)
+    found = variance(matrix, axis)
     if found > levels[0, axis]:
         # A regressor along this axis, seen without forgetting. Here: in a function of its own the compiler would make
         # machine code of all forms once more.
         for i in range(n):
             other[i] = 0
         other[axis] = np.sqrt(one / levels[0, axis] - one / found)
-        update_form(form, matrix, other, one, gain, inner)
+        update_ud(matrix, other, one, gain, inner)
         levels[2, axis] = stretched(levels[2, axis], forget, n)
     return denominator
 
