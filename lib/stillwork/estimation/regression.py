@@ -288,7 +288,7 @@ class Kept(NamedTuple):
     recent: (
         np.ndarray
     )  # (window, 1 + features + outputs): weight and row of the last samples; empty without a window
-    count: np.ndarray  # of samples, (1,)
+    samples: np.ndarray  # how many, (1,)
     alphas: np.ndarray  # of a min-max estimate, an output each
     first: np.ndarray  # the initial estimate where it has no covariance: what is kept are deviations from it
 
