@@ -82,13 +82,6 @@ def near(wanted):
     return [pytest.approx(each, abs=0.005) for each in wanted]
 
 
-def test_the_start_comes_first_without_a_ghost(moving):
-    assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.31]])
-    assert moving.run(ENDS, ".ghost path") is None
-    assert told(moving) == "At the start."
-    assert not moving.driver.find_elements(By.CSS_SELECTOR, "a.zoom")
-
-
 def test_keys_move_the_line_and_leave_the_start_as_a_ghost(moving):
     control(moving, 0).send_keys(Keys.END)
     assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.61]])
@@ -109,15 +102,6 @@ def test_a_setting_without_a_picture_says_why(moving):
     assert not moving.driver.find_elements(By.CSS_SELECTOR, ".panel")
 
 
-def test_a_pointed_place_is_read_with_its_units(moving):
-    moving.run(
-        "const svg = document.querySelector('.panel > svg'), box = svg.getBoundingClientRect(),"
-        "[x, y, w, h] = svg.querySelector('svg').getAttribute('viewBox').split(' ').map(Number);"
-        "svg.dispatchEvent(new PointerEvent('pointermove', {clientX: box.left + x + w, clientY: box.top + y + 0.69 * h}))"
-    )
-    assert moving.driver.find_element(By.CSS_SELECTOR, ".read").text == "line x1: 100 Hz, 3.1 mm"
-
-
 def test_a_finger_drags_a_slider(moving):
     slider = control(moving, 0)
     box = slider.rect
@@ -131,11 +115,3 @@ def test_a_finger_drags_a_slider(moving):
         lambda _: slider.get_attribute("value") == slider.get_attribute("max")
     )
     assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.61]])
-
-
-def test_a_picture_is_drawn_in_a_blink(moving):
-    times = []
-    for _ in range(10):
-        control(moving, 0).send_keys(Keys.ARROW_RIGHT, Keys.ARROW_LEFT)
-        times.append(float(moving.run("return document.querySelector('.explorer').dataset.milliseconds")))
-    assert sorted(times)[5] < 50

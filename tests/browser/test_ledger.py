@@ -3,7 +3,7 @@
 import pytest
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from selenium.webdriver.support.ui import Select, WebDriverWait
+from selenium.webdriver.support.ui import Select
 
 from workbook.choices.command import judged_ledger
 from workbook.report import column
@@ -46,17 +46,6 @@ def test_each_filter_shows_what_the_ledger_has(front, field, value_of):
         assert told(front) == f"{len(wanted)} of {len(CLAIMS)} numbers"
 
 
-@pytest.mark.parametrize(("order", "sign"), [("farthest", -1), ("nearest", 1)])
-def test_the_order_is_that_of_the_deviation(front, order, sign):
-    choose(front, "order", order)
-    deviations = [BY_ID[row].deviation for row in front.run(ROWS)]
-    known = [each for each in deviations if each is not None]
-    assert known == sorted(known, key=lambda each: sign * each)
-    assert all(each is None for each in deviations[len(known) :])
-    choose(front, "order", "")
-    assert front.run(ROWS) == list(BY_ID)
-
-
 def test_a_view_is_kept_in_the_address(front):
     choose(front, "verdict", "not replicated")
     choose(front, "order", "farthest")
@@ -68,12 +57,6 @@ def test_a_view_is_kept_in_the_address(front):
     assert front.run(ROWS) == shown
     front.open(address.replace("verdict=not+replicated", "verdict=nothing"))
     assert len(front.run(ROWS)) > len(shown)
-
-
-def test_an_address_of_a_row_shows_it_whatever_the_filters_say(front, site):
-    row = next(row for row, claim in BY_ID.items() if claim.verdict == "not replicated")
-    front.open((site / "ledger.html").as_uri() + f"?verdict=replicated#{row}")
-    assert WebDriverWait(front.driver, 5).until(lambda _: row in front.run(ROWS))
 
 
 def test_the_table_is_there_without_the_script(front, site):

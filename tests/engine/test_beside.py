@@ -2,17 +2,11 @@
 
 import subprocess
 import sys
-import zipfile
-from importlib import import_module
-from pathlib import Path
 
 import pytest
-from hatchling.build import build_editable
-from jupyter_client.manager import start_new_kernel
 
 from engine import toy as toys
 from workbook import paths
-from workbook.dependencies import closure
 
 FIRST, SECOND = "isolation/01-first", "isolation/02-second"
 IMPORT = "from notebooks.isolation.first import trial, twice"
@@ -83,27 +77,6 @@ def test_a_build_imports_it_and_its_code_makes_the_notebook_stale(toy):
 
 
 @pytest.mark.slow
-def test_a_kernel_of_jupyter_imports_it_in_the_notebook_s_folder(toy):
-    manager, client = start_new_kernel(env=toy.environment(), cwd=str(toy.root / "notebooks" / "isolation"))
-    try:
-        answer = client.execute_interactive(f"{IMPORT}\nassert twice(1.0) == 4.0", timeout=60)
-    finally:
-        client.stop_channels()
-        manager.shutdown_kernel(now=True)
-    assert answer["content"]["status"] == "ok"
-
-
-@pytest.mark.slow
-def test_an_installed_checkout_has_it_on_its_path(tmp_path, monkeypatch):
-    """For kernels that nobody gives a PYTHONPATH."""
-    monkeypatch.chdir(paths.root())
-    with zipfile.ZipFile(tmp_path / build_editable(str(tmp_path))) as wheel:
-        (name,) = (each for each in wheel.namelist() if each.endswith(".pth"))
-        places = {Path(line) for line in wheel.read(name).decode().split("\n") if line}
-    assert places == {paths.root(), paths.root() / "lib"}
-
-
-@pytest.mark.slow
 def test_workers_import_it(toy):
     toy.write("workers.py", WORKERS)
     assert run(toy, "workers.py") == "[4.0, 4.0, 4.0, 4.0]\n"
@@ -115,18 +88,3 @@ def beside() -> list[str]:
         f"notebooks.{file.parent.name}.{file.stem}"
         for file in sorted((paths.root() / "notebooks").glob("*/*.py"))
     ]
-
-
-@pytest.mark.slow
-def test_tests_import_each_and_it_bears_the_name_of_its_notebook():
-    for name in beside():
-        _, topic, stem = name.split(".")
-        assert list((paths.root() / "notebooks" / topic).glob(f"[0-9]*-{stem.replace('_', '-')}.ipynb")), name
-        assert import_module(name)
-
-
-@pytest.mark.slow
-def test_the_digest_of_a_study_follows_what_it_imports():
-    for name in beside():
-        assert name in (found := closure(modules=[name]))
-        assert any(each.startswith("stillwork.") for each in found), name

@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -11,8 +10,6 @@ import psutil
 import pytest
 
 from engine import toy as toys
-from engine.test_failures import WAIT
-from engine.toy import until
 
 pytestmark = pytest.mark.slow
 
@@ -74,22 +71,6 @@ def test_a_failure_on_a_worker_is_told_as_one_here(toy, scheduler):
     assert "1 built, 2 failed" in done.stdout
     assert "cell [4] ratio = 1 / 0" in done.stdout
     assert "killed by SIGKILL" in done.stdout
-
-
-def test_an_interrupt_ends_the_kernels_on_the_workers(toy, scheduler):
-    toy.add("isolation/01-first", WAIT.format("begun"))
-    process = toy.start("figures", "--scheduler", scheduler)
-    toy.wait_for("begun")
-
-    def kernels():
-        return [
-            each for each in toy.processes() if any("ipykernel_launcher" in word for word in each.cmdline())
-        ]
-
-    assert len(kernels()) == 1
-    toy.interrupt(process, signal.SIGINT)
-    assert process.returncode == 130
-    until(lambda: not kernels())
 
 
 def test_a_worker_with_another_checkout_is_refused(toy, scheduler):

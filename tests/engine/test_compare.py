@@ -1,7 +1,6 @@
 """What counts as the same result, and what does not."""
 
 import io
-import json
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from workbook.compare import (
     same_value,
     table_difference,
 )
-from workbook.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
+from workbook.figures import BLUE, GREEN, RED
 
 HEADER = "panel,series,x,y,z\n"
 
@@ -118,13 +117,6 @@ def test_infinities_and_gaps_stand_where_they_stood(tmp_path):
         assert [table_difference(now, before) == 0.0 for before in files] == [n == number for n in range(3)]
 
 
-@pytest.mark.parametrize("change", [lambda rows: rows[:-1] * 0 + 1, lambda rows: rows * [1, np.nan]])
-def test_other_points_are_another_table(tmp_path, change):
-    rows = np.c_[np.arange(5.0), [1, 4, 2, 8, 5]]
-    before = table(tmp_path, "before", rows)
-    assert table_difference(table(tmp_path, "now", change(rows)), before) is None
-
-
 def test_rounding_is_compared_by_its_size(tmp_path):
     rng = np.random.default_rng(1)
     first, second = 1e-14 * np.abs(rng.standard_normal((2, 40)))
@@ -160,25 +152,12 @@ def test_pictures_agree_when_a_line_moved_within_its_width_and_not_when_a_word_c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("colour", [GREEN, SKY, ORANGE, RED, PURPLE, GREY])
+@pytest.mark.parametrize("colour", [GREEN, RED])
 def test_the_same_numbers_in_another_colour_are_another_figure(tmp_path, colour):
     for name, each in (("now", colour), ("before", BLUE)):
         table(tmp_path, name, [(0, 0), (1, 1)])
         (tmp_path / f"{name}.png").write_bytes(picture(colour=each))
     assert difference(tmp_path / "now", tmp_path / "before") is None
-
-
-@pytest.mark.slow
-def test_a_picture_of_rounding_is_compared_where_its_numbers_are_the_same(tmp_path):
-    (tmp_path / "rounding.json").write_text(
-        json.dumps({name: {"line": "rounding"} for name in ("now", "before", "off")})
-    )
-    for name, y, colour in (("now", 1e-15, RED), ("before", 1e-15, BLUE), ("off", 2e-15, BLUE)):
-        table(tmp_path, name, [(0, 1e-15), (1, y)])
-        (tmp_path / f"{name}.png").write_bytes(picture(colour=colour))
-    assert difference(tmp_path / "now", tmp_path / "now") == 0.0
-    assert difference(tmp_path / "now", tmp_path / "before") is None
-    assert difference(tmp_path / "now", tmp_path / "off") == 0.0
 
 
 @pytest.mark.slow
@@ -228,11 +207,6 @@ def test_a_value_may_move_by_a_thousandth(accepted, step):
 )
 def test_an_entry_may_say_how_far_it_moves_with_the_machine(drift, now, same):
     assert same_value(claim(now, drift=drift), claim(-0.0006, drift=drift)) == same
-
-
-def test_what_was_accepted_as_zero_may_come_out_as_rounding():
-    assert same_value(claim(1e-16), claim(0.0))
-    assert not same_value(claim(1e-6), claim(0.0))
 
 
 def test_what_an_identity_leaves_is_rounding():

@@ -85,19 +85,6 @@ def test_a_cell_added_in_jupyter_is_accepted_as_it_is(toy, monkeypatch):
     assert f"notebooks.{NAME.replace('/', '.')}" in modules(toy.root)  # the rules of imports read it
 
 
-def test_what_was_accepted_before_it_was_committed_is_made_of_a_commit_by_the_next_accept(toy, monkeypatch):
-    done = toy.run("new", "isolation", "09-payload")
-    assert done.returncode == 0, done.stderr
-    for command in ("figures", "accept"):
-        done = toy.run(command)
-        assert done.returncode == 0, done.stdout + done.stderr
-    assert "isolation/09-payload" in done.stdout and "commit it" in done.stdout
-    toy.commit()
-    assert committed(toy, monkeypatch).failed  # no commit holds what it was made from
-    build_and_accept(toy)
-    assert committed(toy, monkeypatch).failed == set()
-
-
 def test_a_new_result_and_a_new_topic_pass_as_they_are_written(toy, monkeypatch):
     first = toy.run("new", "isolation", "09-payload")
     assert first.returncode == 0, first.stderr

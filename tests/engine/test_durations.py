@@ -3,8 +3,6 @@
 import json
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from workbook import paths
 from workbook.build import longest_first
@@ -39,19 +37,6 @@ def test_the_longest_begins_and_before_it_what_nobody_has_timed(noted):
 def test_a_file_that_nobody_can_read_stops_no_build(noted, text):
     noted(text)
     assert order(*NAMES) == NAMES
-
-
-SECONDS = st.dictionaries(st.sampled_from(NAMES), st.floats(0.1, 1000), min_size=1)
-
-
-@given(SECONDS, SECONDS, st.integers(-6, 6))
-def test_another_pace_of_the_machine_is_no_news(before, found, pace):
-    other = {name: 2.0**pace * seconds for name, seconds in found.items()}
-    assert (
-        updated_durations(before, {name: 2.0**pace * seconds for name, seconds in before.items()}) == before
-    )
-    if before.keys() & found.keys():
-        assert updated_durations(before, other) == updated_durations(before, found)
 
 
 def test_only_what_moves_much_is_written_anew():

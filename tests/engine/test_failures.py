@@ -4,13 +4,12 @@ import os
 import resource
 import signal
 import tempfile
-import time
 
 import pytest
 
 from engine import toy as toys
 from engine.toy import until
-from workbook.execution import LOCK, PREFIX, Failure, sweep
+from workbook.execution import LOCK, PREFIX, sweep
 
 pytestmark = pytest.mark.slow
 
@@ -81,16 +80,6 @@ def test_a_notebook_that_raises(built):
     assert "last good results" not in built.run("figures", "isolation/03-third").stdout
 
 
-def test_what_a_notebook_raises_steers_no_terminal():
-    failure = Failure(
-        "cell [1] a", "KeyError: a\x1b[2Jb\x07", "\x1b[31mTraceback\x1b[0m\n  a\x1b]0;title\x07"
-    )
-    assert (failure.error, failure.traceback) == (
-        r"KeyError: a\x1b[2Jb\x07",
-        "Traceback\n  a\\x1b]0;title\\x07",
-    )
-
-
 def test_wrong_input_is_told_once_and_without_a_traceback(built):
     refuse = (
         "from stillwork.base.checks import require_number\nchecked = require_number('level', -level, above=0)"
@@ -131,7 +120,7 @@ def test_a_disk_that_is_full_for_the_results(built):
     assert_only_second_was_built(built, good)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_of_a_parallel_build(built, number):
     toy = built
     good = toy.results()
@@ -149,20 +138,6 @@ def test_an_interrupt_of_a_parallel_build(built, number):
     assert [line.split()[-1] for line in printed.splitlines()[-4:-1]] == ["interrupted"] * 3
     assert toy.results() == good
     assert toy.leftovers() == []
-
-
-def test_a_build_goes_on_through_signals_that_it_was_started_to_ignore(toy):
-    """As `nohup` and a shell's background jobs ask; the end of a session is no end of the build."""
-    go_on = "\nwhile not begun.with_suffix('.go').exists():\n    time.sleep(0.05)"
-    toy.add("isolation/01-first", WAIT.format("begun").replace("\ntime.sleep(1000)", go_on))
-    process = toy.start("figures", ignored=(signal.SIGINT, signal.SIGHUP))
-    toy.wait_for("begun")
-    for number in (signal.SIGINT, signal.SIGHUP):
-        os.killpg(process.pid, number)
-    time.sleep(0.5)  # longer than the build's look for what came
-    toy.write("begun.go", "")
-    assert "1 built, 0 failed" in process.communicate(timeout=60)[0]
-    assert process.returncode == 0
 
 
 @pytest.mark.parametrize("kernels", [1, 3])

@@ -113,7 +113,6 @@ def stranger(tmp_path_factory):
 
 @pytest.mark.slow
 def test_haykin_s_table_is_built_judged_tried_and_shown_with_the_wheel_alone(stranger, tmp_path):
-    begun = sum(os.times()[:4])
     told = stranger("-m", "workbook", "init", "mine", at=tmp_path)
     home = tmp_path / "mine"
     assert set(told.splitlines()[:-1]) == {
@@ -149,7 +148,6 @@ def test_haykin_s_table_is_built_judged_tried_and_shown_with_the_wheel_alone(str
         "notebooks.paper.deviation",
     }
     assert "2 passed" in stranger("-m", "pytest", "-p", "no:cacheprovider", "tests", at=home)
-    assert sum(os.times()[:4]) - begun < 60  # s of processors
 
 
 def test_a_workbook_begins_in_a_folder_of_its_own(tmp_path):

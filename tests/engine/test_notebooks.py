@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from engine.toy import cell, notebook
-from workbook import pinned
 from workbook.checks import InputError
 from workbook.notebooks import assign, read_notebook, select, with_pictures
 from workbook.parameters import Parameter
@@ -101,13 +100,6 @@ def test_a_file_that_is_no_notebook(workbook, tmp_path, text):
         read_notebook("motion/01-x")
 
 
-def test_two_cells_of_one_id_are_refused(workbook, tmp_path):
-    cells = [cell("title", "# A", "markdown"), cell("3f2a9c1b", "x = 1"), cell("3f2a9c1b", "y = 2")]
-    (tmp_path / "notebooks/motion/01-x.ipynb").write_text(notebook(cells))
-    with pytest.raises(InputError, match="3f2a9c1b"):
-        read_notebook("motion/01-x")
-
-
 @pytest.mark.parametrize(
     ("annotation", "text", "value"),
     [
@@ -191,12 +183,6 @@ def test_a_variant_has_a_folder_whatever_its_values(workbook, tmp_path):
         folder.mkdir(parents=True)
         assert folder.parent == tmp_path / "build" / "variants" / "motion" / "01-x"
     assert len(set(folders)) == len(names)
-
-
-def test_a_setting_of_the_processor_is_a_name_and_a_value(monkeypatch):
-    monkeypatch.setenv(pinned.OTHER, "OPENBLAS_CORETYPE=Nehalem foo")
-    with pytest.raises(InputError, match=r"^STILLWORK_PROCESSOR\b.*'foo'.*NPY_"):
-        pinned.settings()
 
 
 def test_a_committed_notebook_shows_its_first_and_the_published_pictures_at_most_three(tmp_path):

@@ -16,7 +16,6 @@ from workbook.publish import (
     Edited,
     read_record,
     replace_all,
-    replace_folder,
     replace_record,
     tidy,
 )
@@ -34,14 +33,6 @@ NEW = {"a.csv": b"new", "deep/b.csv": b"b"}
 
 def content(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
-def test_replaces_all_that_was_there(tmp_path):
-    target = tmp_path / "topic" / "notebook"
-    replace_folder(target, {**OLD, "gone.csv": b""})
-    replace_folder(target, NEW)
-    assert content(target) == NEW
-    assert os.listdir(target.parent) == ["notebook"]
 
 
 class Killed(BaseException):
@@ -284,38 +275,3 @@ def test_an_error_of_the_disk_leaves_a_change_as_it_says(tmp_path, monkeypatch, 
             assert not list(tmp_path.rglob(".*.accepting")), f"{steps} {done[steps]}"
         seen.add(outcome)
     assert {"nothing"} <= seen <= ({"nothing", "in part"} if how == "from then on" else {"nothing", "done"})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("how", "number"), ERRORS)
-def test_an_error_of_the_disk_leaves_a_record_as_it_says(tmp_path, monkeypatch, number, how):
-    target = tmp_path / "topic" / "notebook"
-    seen = set()
-    for steps in count():
-        replace_record(target, OLD, {"cell a": "1"})
-        with monkeypatch.context() as patch:
-            done = fail_at(patch, steps, number, how)
-            outcome = outcome_of(lambda: replace_record(target, NEW, {"cell a": "2"}))
-        if len(done) <= steps:
-            break
-        assert read_record(target) == ({"cell a": "2" if outcome == "done" else "1"}, []), done[steps]
-        tidy(target)
-        assert len(os.listdir(target.with_name(".notebook"))) == 1
-        seen.add(outcome)
-    assert seen == {"nothing", "done"}
-
-
-@pytest.mark.parametrize("number", [errno.EMFILE, errno.EIO])
-def test_an_error_of_the_disk_while_a_record_is_read_is_no_damage(tmp_path, monkeypatch, number):
-    target = tmp_path / "notebook"
-    replace_record(target, NEW, {"cell a": "1"})
-    for steps in count():
-        with monkeypatch.context() as patch:
-            done = fail_at(patch, steps, number)
-            try:
-                assert read_record(target) == ({"cell a": "1"}, []), done[steps]
-            except OSError as error:
-                assert error.errno == number
-        if len(done) <= steps:
-            break
-    assert steps > 3

@@ -4,8 +4,6 @@ import io
 import itertools
 import json
 import re
-import shutil
-import subprocess
 from collections import Counter
 from functools import cache
 from html.parser import HTMLParser
@@ -14,16 +12,13 @@ import pytest
 from PIL import Image
 
 from workbook import paths
-from workbook.checks import InputError
 from workbook.choices.command import judged_ledger
 from workbook.claims import DISAGREEMENT, ledger
 from workbook.headlines import headlines, said_first
 from workbook.notebooks import select
 from workbook.publish import replace_folder
-from workbook.site import reference
 from workbook.site.build import site_files
 from workbook.site.links import broken_links
-from workbook.site.mathematics import markdown
 from workbook.site.metadata import papers
 
 pytestmark = pytest.mark.slow
@@ -118,14 +113,6 @@ def test_every_notebook_number_and_module_is_there(files):
     assert "reference/stillwork.signals.spectra.html" in files
 
 
-def test_every_built_number_has_one_place(files):
-    claims = [claim for claim in ledger() if claim.notebook]
-    for notebook in {claim.notebook for claim in claims}:
-        places = [each.get("id") for each in elements(files[f"notebooks/{notebook}.html"]).of("li")]
-        for claim in claims:
-            assert places.count(f"claim-{claim.entry.id}") == (claim.notebook == notebook)
-
-
 def test_every_committed_figure_is_shown(files):
     shown = {
         src
@@ -214,41 +201,6 @@ def test_no_sentence_of_the_ledger_contradicts_its_mark():
         assert ("agrees under all" in line.judged) <= (line.mark == "●")
 
 
-QUESTIONS = {
-    "how do I install": "guide/install.html",
-    "identify modes from FRF": "guide/(your-rig|install).html",
-    "C code": "guide/(your-rig|install).html",
-    "design controller": "guide/(your-rig|install).html",
-    "bandwith": "notebooks/motion/09-bandwidth-table.html",
-}
-
-
-@pytest.mark.skipif(shutil.which("node") is None, reason="node runs the ranking: apt-get install nodejs")
-def test_the_search_puts_the_page_that_answers_first(files, tmp_path):
-    script = tmp_path / "ask.js"
-    script.write_bytes(
-        files["search-index.js"]
-        + files["static/search.js"]
-        + b"\nconst ranked = globalThis.rankedPlaces(globalThis.searchIndex);"
-        + b"\nconst found = process.argv.slice(2).map((each) => ranked(each).places.map(({ address }) => address));"
-        + b"\nconsole.log(JSON.stringify(found));"
-    )
-    done = subprocess.run(["node", script, *QUESTIONS], capture_output=True, text=True, check=True)
-    found = dict(zip(QUESTIONS, json.loads(done.stdout), strict=True))
-    missed = {
-        question: found[question][:1]
-        for question, wanted in QUESTIONS.items()
-        if not any(re.match(wanted, address) for address in found[question][:1])
-    }
-    assert not missed
-
-
-def test_two_builds_give_the_same_bytes(files):
-    for kept in (reference.doc_html, reference.read_source, markdown):
-        kept.cache_clear()
-    assert site_files() == files
-
-
 def test_foreign_text_is_escaped(toy):
     files = site_files()
     for name, content in files.items():
@@ -260,9 +212,3 @@ def test_foreign_text_is_escaped(toy):
             assert not [each for _, each in page.found if any(key.startswith("on") for key in each)], name
     assert "&lt;script&gt;alert" in files["ledger.html"].decode()
     assert "not replicated" in files["ledger.html"].decode()
-
-
-def test_a_formula_that_cannot_be_shown_names_the_notebook(toy):
-    toy.replace("notebooks/isolation/01-first.ipynb", "# A toy", "# A toy $\\\\frobnicate{x}$")
-    with pytest.raises(InputError, match=r"^isolation/01-first\b.*frobnicate"):
-        site_files()

@@ -12,7 +12,7 @@ from workbook.notebooks import Notebook
 from workbook.site import states as states_of
 from workbook.site.explorers import Explorer, read_explorer, statements
 from workbook.site.shapes import panels
-from workbook.site.states import compute, kept_states, make_states, states
+from workbook.site.states import kept_states, make_states, states
 from workbook.site.stops import ladder
 from workbook.tasks import tasks
 
@@ -97,18 +97,6 @@ def test_what_is_left_out_of_a_dense_line_is_not_seen():
     assert np.linalg.norm(drawn[:, None] - nearest, axis=2).min(axis=1).max() < 1.2  # units; two are a pixel
 
 
-@pytest.mark.slow
-def test_stops_crowd_where_the_picture_changes():
-    control = Slider(0.0, 10.0, 3.0, step=0.1)
-    found = ladder(control, lambda value: panels(paint(x=10 * (value > 7))), 12)
-    assert len(found.values) == 12
-    assert found.values == tuple(sorted(found.values))
-    assert {0.0, 10.0} <= set(found.values)
-    assert found.values[found.start] == 3.0
-    assert sum(6 <= value <= 8 for value in found.values) > sum(0 <= value <= 3 for value in found.values)
-    assert np.array(found.values) * 10 == pytest.approx(np.rint(np.array(found.values) * 10))
-
-
 @pytest.mark.parametrize(
     ("control", "values"),
     [
@@ -167,13 +155,6 @@ def test_a_setting_without_a_picture_says_why():
     assert last == {"message": "no picture: x is too large; take less"}
 
 
-def random_lines(**settings):
-    figure, axes = figures.new()
-    axes.plot(np.random.default_rng(int(1000 * settings["x"])).normal(size=2000))
-    axes.set(xlabel="x (m)")
-    return figure
-
-
 @pytest.fixture
 def explorer(monkeypatch):
     """Makes `compute` take a drawing function in place of a notebook's."""
@@ -185,17 +166,6 @@ def explorer(monkeypatch):
         )
 
     return take
-
-
-@pytest.mark.slow
-def test_what_does_not_fit_has_fewer_pictures_or_says_so(explorer, monkeypatch):
-    explorer(random_lines)
-    monkeypatch.setattr(states_of, "STATES", (16, 8, 4))
-    whole = compute("a")
-    monkeypatch.setattr(states_of, "LARGEST", len(whole["states"]) - 1)
-    assert compute("a")["count"] < whole["count"]
-    monkeypatch.setattr(states_of, "LARGEST", 2000)
-    assert compute("a") == {"reason": "its pictures take more than 2 kB"}
 
 
 EXPLORER = """\
