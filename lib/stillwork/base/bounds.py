@@ -1,12 +1,12 @@
 """Annotations that state bounds: `checked` and `check_fields` validate by them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import require_array, require_count, require_number
+from stillwork.base.checks import require_array, require_choice, require_count, require_number
 
 Positive = Annotated[float, partial(require_number, above=0.0)]
 NonNegative = Annotated[float, partial(require_number, at_least=0.0)]
@@ -24,6 +24,11 @@ else:
 def within(**bounds: Any) -> Callable:
     """A finite number `above`, `below`, `at_least` or `at_most` these, as `require_number` takes them."""
     return partial(require_number, **bounds)
+
+
+def one_of(choices: Iterable[str]) -> Callable:
+    """One of these words."""
+    return partial(require_choice, choices=tuple(choices))
 
 
 def at_least(count: int) -> Callable:

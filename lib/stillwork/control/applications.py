@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.bounds import Positive
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.bounds import Positive, one_of
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.feedback import SELECTIONS, band_pass, damping_gain, per_flexible_mode, stiffness_gain
 from stillwork.estimation.observer import Observer
@@ -54,7 +55,7 @@ class Application:
     compensate: bool = False  # MC: subtract the estimated flexible part from the measurement
     # AD: desired increase of the damping ratios, one for all modes or each
     damping: float | tuple[float, ...] = 0.0
-    selection: str = "each mode"  # of the damping gains
+    selection: Annotated[str, one_of(SELECTIONS)] = "each mode"  # of the damping gains
     stiffness: Positive = 1.0  # active stiffness: desired factor on the resonance frequencies
     # Q of the band-pass on the damping gains, one for all modes or each; None: no filter
     selectivity: float | tuple[float, ...] | None = None
@@ -68,7 +69,6 @@ class Application:
         check_fields(self)
         for each in np.atleast_1d(self.damping):
             require_number("damping", each, at_least=0.0, below=1.0)
-        require_choice("selection", self.selection, SELECTIONS)
         for each in () if self.selectivity is None else np.atleast_1d(self.selectivity):
             require_number("selectivity", each, above=0.0)
 

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from stillwork.base.bounds import NonNegative, Positive, at_least, within
-from stillwork.base.checks import InputError, require_choice, require_kind, require_number
+from stillwork.base.bounds import NonNegative, Positive, at_least, one_of, within
+from stillwork.base.checks import InputError, require_kind, require_number
 from stillwork.base.rounding import TIE
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.crossover import crossover
@@ -28,6 +28,7 @@ SIX_DB = 10 ** (6 / 20)  # not 2
 FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
 # With plant and controller in the other order, (I + CP)^-1 beside (I + PC)^-1; a loop of one input has each once.
 OTHER_ORDER = ("input_sensitivity_2", "output_sensitivity_2")
+LoopFunction = Annotated[str, one_of((*FUNCTIONS, *OTHER_ORDER))]
 
 
 # Where a closed-loop pole may lift a response: distances from its frequency, in widths of the pole.
@@ -76,12 +77,11 @@ class PeakConstraint:
     6.0
     """
 
-    function: str
+    function: LoopFunction
     limit: Annotated[float, within(above=1.0)] = SIX_DB  # largest magnitude, above 1
 
     def __post_init__(self):
         check_fields(self)
-        require_choice("function", self.function, (*FUNCTIONS, *OTHER_ORDER))
 
 
 @runtime_checkable
@@ -237,7 +237,7 @@ class Loop:
         )
 
     @checked
-    def peak(self, controller: Pid, function: str) -> Peak:
+    def peak(self, controller: Pid, function: LoopFunction) -> Peak:
         """Refined peak of a loop function, one of `FUNCTIONS` or of `OTHER_ORDER`.
 
         Parameters
@@ -264,7 +264,6 @@ class Loop:
         >>> round(loop.peak(pid, "output_sensitivity").magnitude, 3)  # below 6 dB
         1.856
         """
-        require_choice("function", function, (*FUNCTIONS, *OTHER_ORDER))
         return _Design([self], controller, [], refine=True).peak(0, function)
 
     @checked
@@ -711,15 +710,15 @@ def is_feasible(
 
 
 @checked
-def highest_peaks(loops: Sequence[Loop], controller: Pid, functions: Sequence[str]) -> dict[str, Peak]:
+def highest_peaks(
+    loops: Sequence[Loop], controller: Pid, functions: Sequence[LoopFunction]
+) -> dict[str, Peak]:
     """The highest peak over all loops, by function; infinite, at the worst pole, where a loop is unstable.
 
     Only the loops that come near it around their closed-loop poles are refined.
     """
     if not loops:
         raise InputError("loops is empty; give at least one")
-    for name in functions:
-        require_choice("functions", name, (*FUNCTIONS, *OTHER_ORDER))
     design, numbers = _Design(loops, controller, [], refine=True), range(len(loops))
     worst = max((pole for number in numbers for pole in design._poles(number)), key=lambda pole: pole.real)
     if not worst.real < 0:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.bounds import NonNegative, Positive
+from stillwork.base.bounds import NonNegative, Positive, Vector
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import checked
 from stillwork.control.error_budget import KNOWN, Source
@@ -36,13 +36,13 @@ def criterion_floor(name: str, place: str, criterion: str) -> Source:
 
 @checked
 def tabulated(
-    name: str, place: str, unit: str, frequencies_hz: ArrayLike, density: ArrayLike, averages: int = 0
+    name: str, place: str, unit: str, frequencies_hz: Vector, density: ArrayLike, averages: int = 0
 ) -> Source:
     """A density in unit^2/Hz at rising frequencies, interpolated linearly; of Welch's estimate with its number of `averages`.
 
     The averages are taken as half-overlapping Hann windows, whose squared correlation is 1/36.
     """
-    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    f = frequencies_hz
     s = require_array("density", density, shape=f.shape)
     if len(f) < 2 or np.any(np.diff(f) <= 0) or f[0] < 0:
         raise InputError(f"{name}: frequencies_hz must rise from 0 or above; sort them")

@@ -1,14 +1,15 @@
 """The observer in discrete time: filter and predictor form, and their treatment of delays (section 4.1)."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.bounds import Positive
-from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_count
+from stillwork.base.bounds import Positive, one_of
+from stillwork.base.checks import Converted, InputError, require_array, require_count
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application, filtered_estimates
 from stillwork.control.discrete_damping import discrete_damping_gain
@@ -59,7 +60,9 @@ class DiscreteObserver(FlexibleEstimates):
         return (rest + rest.T) / 2
 
     @checked
-    def estimator(self, rows: ArrayLike, form: str = "filter", delay: int = 0) -> StateModel:
+    def estimator(
+        self, rows: ArrayLike, form: Annotated[str, one_of(FORMS)] = "filter", delay: int = 0
+    ) -> StateModel:
         """Model from (u, y) to ``rows @ x_hat`` as it arrives, `delay` samples after the measurement it uses.
 
         ``filter``: at sample k there is x(k-d|k-d), which is old. ``predictor``: there is x(k-d+1|k-d), for d = 1 the
@@ -79,7 +82,6 @@ class DiscreteObserver(FlexibleEstimates):
         InputError
             When the rows do not fit the states, or the form has no such delay.
         """
-        require_choice("form", form, FORMS)
         rows = require_array("rows", rows, shape=(None, len(self.a)))
         delay = require_count("delay", delay, at_least=int(form == "predictor"))
         inputs, outputs = self.b.shape[1], len(self.c)

@@ -7,12 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
-from numpy.typing import ArrayLike
 from scipy import stats
 from scipy.stats import qmc
 
-from stillwork.base.bounds import Count, Fraction, NonNegative, Positive
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.bounds import Count, Fraction, NonNegative, Positive, Vector
+from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.uncertainty import Perturbation, Uncertainty, place_at
 from stillwork.lti.delays import delayed, split_delay
@@ -220,7 +219,7 @@ class Network:
         return interconnect([self.plant, self.controller], feedback, inputs, np.eye(z, z + y + u))
 
     @checked
-    def paths(self, frequencies_hz: ArrayLike) -> Complex128[np.ndarray, "errors places f"]:
+    def paths(self, frequencies_hz: Vector) -> Complex128[np.ndarray, "errors places f"]:
         """Response of the errors to sources at the same frequencies, exact.
 
         Parameters
@@ -241,7 +240,7 @@ class Network:
                [-0.333],
                [ 0.067]])
         """
-        omega = 2 * np.pi * require_array("frequencies_hz", frequencies_hz, ndim=1)
+        omega = 2 * np.pi * frequencies_hz
         if not self.rate_hz:
             return response_between(self.loop, omega)
         step = omega / self.rate_hz
@@ -683,7 +682,7 @@ def _lines(
 
 @checked
 def tone_response(
-    network: Network, source: Source, time: ArrayLike, band_hz: tuple[Positive, float]
+    network: Network, source: Source, time: Vector, band_hz: tuple[Positive, float]
 ) -> Float64[np.ndarray, "errors samples"]:
     """The errors over time due to the tones of a source, such as a setpoint's, in the steady state.
 
@@ -712,11 +711,10 @@ def tone_response(
     """
     _require_units(network, source)
     require_number("band_hz[1]", band_hz[1], above=band_hz[0])
-    t = require_array("time", time, ndim=1)
     at, sizes = _lines(network, source, *band_hz)
-    found = np.zeros((len(network.errors), len(t)))
+    found = np.zeros((len(network.errors), len(time)))
     for hertz, size in zip(at, sizes.T, strict=True):
-        found += (size[:, None] * np.exp(2j * np.pi * hertz * t)).real
+        found += (size[:, None] * np.exp(2j * np.pi * hertz * time)).real
     return found
 
 

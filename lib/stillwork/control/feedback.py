@@ -1,14 +1,14 @@
 """State-feedback gains on the flexible modes: active damping (3.31)-(3.34) and active stiffness (3.42)."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.bounds import Positive
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.bounds import Positive, one_of
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.validation import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
@@ -42,7 +42,9 @@ def require_reach(model: ModalModel) -> None:
 
 @checked
 def damping_gain(
-    model: ModalModel, increase: float | ArrayLike, selection: str = "each mode"
+    model: ModalModel,
+    increase: float | ArrayLike,
+    selection: Annotated[str, one_of(SELECTIONS)] = "each mode",
 ) -> Float64[np.ndarray, "inputs states"]:
     """Gain K of active damping, u_d = K x, on the states of modal form 1.
 
@@ -75,7 +77,6 @@ def damping_gain(
     >>> control.damping_gain(mode, increase=0.1)  # -2 zeta_des omega on the velocity, N s/m
     array([[  0., -20.]])
     """
-    require_choice("selection", selection, SELECTIONS)
     increase = per_flexible_mode(model, "increase", increase)
     rigid = model.rigid_modes
     w, shapes = model.frequencies[rigid:], model.input_shapes[rigid:]

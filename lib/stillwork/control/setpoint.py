@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.bounds import Positive
+from stillwork.base.bounds import Positive, Vector
 from stillwork.base.checks import InputError, require_array, require_number, require_samples
 from stillwork.base.validation import by_value, check_fields, checked
 
@@ -26,7 +26,7 @@ class Setpoint:
     @checked
     def __post_init__(self):
         check_fields(self)
-        rows = require_array("derivatives", self.derivatives, shape=(5, None))
+        rows = self.derivatives
         # Positions are sums of many steps: allow them the rounding of the longest one.
         backwards = np.diff(rows[0], prepend=rows[0, :1]) < -1e-12 * np.abs(rows[0]).max()
         if np.any(rows[1] < -1e-9 * max(np.abs(rows[1]).max(), 1e-300)) or np.any(backwards):
@@ -51,10 +51,9 @@ class Setpoint:
 
 @checked
 def from_snap(
-    segments: ArrayLike, durations: ArrayLike, sample_time: Positive
+    segments: Vector, durations: ArrayLike, sample_time: Positive
 ) -> Float64[np.ndarray, "5 samples"]:
     """Position, velocity, acceleration, jerk and snap at every sample, from constant-snap segments."""
-    segments = require_array("segments", segments, ndim=1)
     if not len(segments):
         raise InputError("segments is empty; give the snap of at least one segment in m/s^4")
     durations = require_array("durations", durations, shape=segments.shape)
@@ -229,7 +228,7 @@ class Move:
         return np.abs(self.knots[:, 2:]).max(axis=0)
 
     @checked
-    def at(self, time: ArrayLike) -> Float64[np.ndarray, "5 times"]:
+    def at(self, time: Vector) -> Float64[np.ndarray, "5 times"]:
         """Position and its first four derivatives; at rest before and after.
 
         Parameters
@@ -248,7 +247,7 @@ class Move:
         array([[0.  , 0.01],
                [0.  , 0.  ]])
         """
-        t = require_array("time", time, ndim=1)
+        t = time
         moving, back = (t >= 0) & (t < self.duration), t > self.duration / 2
         u = np.where(back, self.duration - t, t)
         places = np.clip(np.searchsorted(self.knots[:, 0], u, side="right") - 1, 0, 7)

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.bounds import Fraction, Positive, within
-from stillwork.base.checks import Converted, InputError, require_array, require_number, require_samples
+from stillwork.base.bounds import Fraction, Positive, Vector, within
+from stillwork.base.checks import InputError, require_array, require_number, require_samples
 from stillwork.base.validation import by_value, check_fields, checked
 
 
@@ -18,15 +18,13 @@ class Trajectory:
     """Desired motion of a coordinate, sampled, with its first and second derivative."""
 
     sample_time: Positive  # s
-    position: Converted  # q^N, m, shape (samples,)
-    velocity: Converted = ()  # m/s, shape (samples,)
-    acceleration: Converted = ()  # m/s^2, shape (samples,)
+    position: Vector  # q^N, m, shape (samples,)
+    velocity: Vector = ()  # m/s, shape (samples,)
+    acceleration: Vector = ()  # m/s^2, shape (samples,)
 
     @checked
     def __post_init__(self):
         check_fields(self)
-        for name in ("position", "velocity", "acceleration"):
-            object.__setattr__(self, name, require_array(name, getattr(self, name), ndim=1))
         if len(self.position) < 2:
             raise InputError("position holds fewer than 2 samples; give a longer trajectory")
         for name, below in (("velocity", "position"), ("acceleration", "velocity")):
@@ -154,11 +152,10 @@ def trapezoid_trajectory(
 
 
 @checked
-def record_trajectory(time: ArrayLike, position: ArrayLike, sample_time: Positive = 1e-3) -> Trajectory:
+def record_trajectory(time: Vector, position: ArrayLike, sample_time: Positive = 1e-3) -> Trajectory:
     """A recorded motion as a trajectory: the quintic spline through the record, and its exact derivatives."""
     from scipy.interpolate import make_interp_spline
 
-    time = require_array("time", time, ndim=1)
     position = require_array("position", position, shape=time.shape)
     if len(time) < 6 or np.any(np.diff(time) <= 0):
         raise InputError("time must rise from sample to sample, with at least 6 samples; sort the record")

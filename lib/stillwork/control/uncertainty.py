@@ -9,7 +9,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.bounds import NonNegative, within
+from stillwork.base.bounds import NonNegative, one_of, within
 from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, check_fields, checked
@@ -217,7 +217,7 @@ def corners(uncertainty: Uncertainty) -> list[Perturbation]:
 
 @checked
 def worst_place(
-    loop: Loop, controller: Pid, function: str, uncertainty: Uncertainty
+    loop: Loop, controller: Pid, function: Annotated[str, one_of(FUNCTIONS)], uncertainty: Uncertainty
 ) -> tuple[float, Perturbation]:
     """Largest magnitude of a loop function over the box, and the point at which it occurs.
 
@@ -254,7 +254,6 @@ def worst_place(
     >>> bool(size > loop.peak(pid, "input_sensitivity").magnitude), place.frequencies  # lower is worse
     (True, array([1.  , 0.95]))
     """
-    require_choice("function", function, FUNCTIONS)
     box = make_box(loop, uncertainty)
     ((_, place),) = box.worst(loop, controller, [PeakConstraint(function)], every=True)
     return _refined(loop, controller, function, uncertainty._of_modes(loop.plant), place)

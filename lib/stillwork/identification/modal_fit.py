@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 
-from stillwork.base.checks import InputError, pluralise, require_array
+from stillwork.base.bounds import Vector
+from stillwork.base.checks import InputError, pluralise
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.complex_frequency import STRONGEST, Stabilisation, stabilisation
 from stillwork.identification.frequency_response import Identified
@@ -83,7 +83,7 @@ class ModalFit:
 
 
 @checked
-def fit_modes(measured: Identified, guesses_hz: ArrayLike, band_hz: tuple[float, float]) -> ModalFit:
+def fit_modes(measured: Identified, guesses_hz: Vector, band_hz: tuple[float, float]) -> ModalFit:
     r"""Fit rigid body, modes and compliance to an accelerance, by least squares of the relative error.
 
     :math:`A(\omega) = \frac1M + \sum_i\frac{-\omega^2 r_i}{\omega_i^2 - \omega^2 + 2j\zeta_i\omega_i\omega}
@@ -125,21 +125,18 @@ def fit_modes(measured: Identified, guesses_hz: ArrayLike, band_hz: tuple[float,
     >>> fit.model.frequencies.round(1), fit.model.damping.round(4)
     (array([  0., 600.]), array([0.  , 0.01]))
     """
-    guesses = require_array("guesses_hz", guesses_hz, ndim=1)
-    if not len(guesses):
+    if not len(guesses_hz):
         raise InputError(
             "guesses_hz must hold at least one frequency; identify_modes finds the modes by itself"
         )
-    fit = identify_modes(measured, band_hz, guesses)
+    fit = identify_modes(measured, band_hz, guesses_hz)
     if fit.turned:
         raise InputError("the fitted mass is not positive; check the sign of the response and the band")
     return fit
 
 
 @checked
-def identify_modes(
-    measured: Identified, band_hz: tuple[float, float], guesses_hz: ArrayLike = ()
-) -> ModalFit:
+def identify_modes(measured: Identified, band_hz: tuple[float, float], guesses_hz: Vector = ()) -> ModalFit:
     """Find the modes of an accelerance, leave out the spurious ones, and fit as `fit_modes` does.
 
     Candidates are the poles that settle in a stabilisation diagram (`stabilisation`). In rounds, those that lower the
@@ -182,7 +179,7 @@ def identify_modes(
     >>> identification.identify_modes(measured, band_hz=(20.0, 199.0)).model.frequencies.round(1)
     array([  0., 600.])
     """
-    guesses = np.sort(require_array("guesses_hz", guesses_hz, ndim=1))
+    guesses = np.sort(np.asarray(guesses_hz, float))
     if len(guesses) and (guesses[0] <= band_hz[0] or guesses[-1] >= band_hz[1]):
         raise InputError("guesses_hz must be empty or hold frequencies all inside band_hz")
     problem = _Accelerance(measured, band_hz)

@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.bounds import Matrix, NonNegative, Vector
-from stillwork.base.checks import InputError, pluralise, require_array, require_choice
+from stillwork.base.bounds import Matrix, NonNegative, Vector, one_of
+from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel
 
@@ -60,7 +61,7 @@ class ModalModel:
     input_shapes: Float64[np.ndarray, "modes inputs"]  # phi_a, mass-normalised
     output_shapes: Float64[np.ndarray, "outputs modes"]  # phi_s
     feedthrough: Float64[np.ndarray, "outputs inputs"]  # compliance T_DC
-    measures: str = "position"  # or "velocity"
+    measures: Annotated[str, one_of(("position", "velocity"))] = "position"
     drag: NonNegative = 0.0  # c, 1/s: rate at which the rigid body loses its speed
 
     def __post_init__(self):
@@ -80,7 +81,6 @@ class ModalModel:
             raise InputError("damping must be at least 0 and below 1 (ratio to critical)")
         if np.any(self.damping[self.frequencies == 0] != 0):
             raise InputError("damping of a mode of zero frequency must be 0: its ratio has no meaning")
-        require_choice("measures", self.measures, ("position", "velocity"))
 
     @property
     def rigid_modes(self) -> int:

@@ -9,13 +9,11 @@ from typing import Annotated, Any
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.bounds import NonNegative
+from stillwork.base.bounds import Count, NonNegative, one_of
 from stillwork.base.checks import (
     InputError,
     pluralise,
     require_array,
-    require_choice,
-    require_count,
     require_number,
     short_repr,
 )
@@ -148,7 +146,7 @@ def _designed_motion(write: "Numbers", motion: Motion) -> list[str]:
 
 @checked
 def adaptation_code(
-    settings: FeLms | FeRls, actuators: int, regressors: int, name: str, precision: str = "double"
+    settings: FeLms | FeRls, actuators: Count, regressors: Count, name: str, precision: str = "double"
 ) -> dict[str, str]:
     """C99 of the self-tuned feedforward that allocates nothing: text by the name of its file.
 
@@ -185,10 +183,7 @@ def adaptation_code(
     ['feed.c', 'feed.h']
     """
     write = Numbers(name, precision)
-    sizes = {
-        "actuators": require_count("actuators", actuators),
-        "regressors": require_count("regressors", regressors),
-    }
+    sizes = {"actuators": actuators, "regressors": regressors}
     values = sizes | {
         "zero": write(0),
         "one": write(1),
@@ -327,13 +322,12 @@ def _rows(write: "Numbers", matrix: np.ndarray) -> str:
 
 
 @checked
-def require_names(name: str, precision: str) -> None:
-    """Refuse an invalid prefix of names in C, and an unknown precision."""
+def require_names(name: str, precision: Annotated[str, one_of(PRECISIONS)]) -> None:
+    """Refuse an invalid prefix of names in C."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name):
         raise InputError(
             f"name is {short_repr(name)}; give letters, digits and _, a letter first, 31 at most"
         )
-    require_choice("precision", precision, PRECISIONS)
 
 
 class Numbers:

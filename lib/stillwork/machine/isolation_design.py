@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import signal
 
-from stillwork.base.bounds import Natural, Positive, within
-from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.base.bounds import Natural, Positive, one_of, within
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.isolation_filters import FrequencyNotch, NoiseShaping
 from stillwork.estimation.adaptive import FeLms, FeRls
@@ -182,12 +182,11 @@ def try_loop(
     isolator: Isolator,
     paths_of: Paths,
     floor: FloorSpectra,
-    algorithm: str,
+    algorithm: Annotated[str, one_of(ALGORITHMS)],
     variance: Positive,
     step: Positive | None = None,
 ) -> IsolationDesign:
     """A loop with the fastest adaptation that keeps the `variance` and tolerates the floor's slow motion, or with `step`."""
-    require_choice("algorithm", algorithm, ALGORITHMS)
     f, widths = floor.frequencies_hz, floor.widths_hz
     moving = moving_paths(loop, paths_of, f)
     responses = moving.seen
@@ -412,7 +411,7 @@ def design_isolation(
     correction: Callable | None = None,
     band_hz: tuple[float, float] = (0.0, 0.0),
     notches: tuple[FrequencyNotch, ...] = (),
-    algorithm: str = "FeRls",
+    algorithm: Annotated[str, one_of(ALGORITHMS)] = "FeRls",
     variance: Annotated[float, within(above=0.0, at_most=1.0)] = 0.1,
     spread: Annotated[float, within(at_least=0.0, below=0.2)] = 0.05,
     seed: Natural = 0,
@@ -455,7 +454,6 @@ def design_isolation(
     InputError
         When no loop that was tried may be switched on; the message states why.
     """
-    require_choice("algorithm", algorithm, ALGORITHMS)
     estimate = isolator if estimate is None else estimate
     own = paths_through(isolator, rate, correction)
     first = _first_loop(isolator, estimate, own, floor, rate, band_hz, notches)

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import optimize
 
-from stillwork.base.bounds import Positive
+from stillwork.base.bounds import Positive, Vector
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, checked
 
@@ -32,7 +32,7 @@ class PathFit:
 
 
 @checked
-def fit_path(frequencies_hz: ArrayLike, response: ArrayLike, sample_rate: Positive) -> PathFit:
+def fit_path(frequencies_hz: Vector, response: ArrayLike, sample_rate: Positive) -> PathFit:
     """Fit an isolator to its acceleration along every actuator per command of every actuator.
 
     Parameters
@@ -53,7 +53,7 @@ def fit_path(frequencies_hz: ArrayLike, response: ArrayLike, sample_rate: Positi
     InputError
         When the lines are too few, or no such isolator has that response.
     """
-    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    f = frequencies_hz
     seen = require_array("response", response, dtype=complex)
     axes = seen.shape[-1]
     seen = require_array("response", seen, shape=(len(f), axes, axes), dtype=complex)

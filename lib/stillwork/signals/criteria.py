@@ -1,11 +1,13 @@
 """Published limits of floor vibration: VC and ISO curves."""
 
+from typing import Annotated
+
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.bounds import Vector
-from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.base.bounds import Vector, one_of
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import checked
 from stillwork.signals.spectra import band_power
 
@@ -36,15 +38,14 @@ CRITERIA = tuple(_LEVELS)
 
 @checked
 def one_third_octave_velocity(
-    frequencies_hz: ArrayLike, acceleration_density: ArrayLike
+    frequencies_hz: Vector, acceleration_density: ArrayLike
 ) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, " bands"]]:
     """Root-mean-square velocity (m/s) in the one-third-octave bands that a rising grid covers, from an acceleration PSD.
 
     The bands have centres 2^(k/3) Hz; they lie inside the grid and hold at least three of its points.
     """
-    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    s = require_array("acceleration_density", acceleration_density, shape=f.shape)
-    f, s = f[f > 0], s[f > 0]
+    s = require_array("acceleration_density", acceleration_density, shape=frequencies_hz.shape)
+    f, s = frequencies_hz[frequencies_hz > 0], s[frequencies_hz > 0]
     velocity_density = s / (2 * np.pi * f) ** 2
     first = np.ceil(3 * np.log2(f[0] * BAND_EDGE) - 1e-9)
     last = np.floor(3 * np.log2(f[-1] / BAND_EDGE) + 1e-9)
@@ -61,14 +62,15 @@ def one_third_octave_velocity(
 
 
 @checked
-def criterion_velocity(name: str, frequencies_hz: Vector) -> Float64[np.ndarray, " frequencies"]:
+def criterion_velocity(
+    name: Annotated[str, one_of(CRITERIA)], frequencies_hz: Vector
+) -> Float64[np.ndarray, " frequencies"]:
     """Limit of a vibration criterion: rms velocity in m/s per one-third-octave band.
 
     ``VC-A`` to ``VC-M``, ``BBN-A`` to ``BBN-E`` (the earlier names of VC-A to VC-E) or an ISO level, e.g.
     ``ISO office``: flat from 8 Hz (VC-C and finer: 1 Hz) to 80 Hz and continued so beyond both ends, except that VC-A, VC-B
     and the ISO levels rise below 8 Hz with constant acceleration; they are defined from 4 Hz.
     """
-    require_choice("name", name, CRITERIA)
     if np.any(frequencies_hz < 0):
         raise InputError("frequencies_hz holds negative ones; give them from 0 on")
     level = np.full(frequencies_hz.shape, _LEVELS[name])

@@ -9,12 +9,12 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import signal, special
 
+from stillwork.base.bounds import Count
 from stillwork.base.checks import (
     InputError,
     pluralise,
     require_array,
     require_choice,
-    require_count,
     require_number,
 )
 from stillwork.base.validation import by_value, check_fields, checked
@@ -173,7 +173,7 @@ def load_unscaled(
     *,
     sample_rate: float | None = None,
     channels: list[str] | None = None,
-    most_channels: int | None = None,
+    most_channels: Count | None = None,
 ) -> Record:
     """`load_record` without scaling, in unit ``1`` whatever the names state."""
     path = Path(path)
@@ -187,7 +187,7 @@ def load_unscaled(
         }
     if not columns:
         raise InputError(f"{path.name} holds no channel; give numeric columns beside the time")
-    if most_channels is not None and len(columns) > require_count("most_channels", most_channels):
+    if most_channels is not None and len(columns) > most_channels:
         raise InputError(
             f"{path.name} holds {len(columns)} channels ({', '.join(columns)}), at most {most_channels} can be "
             "used; choose with channels=[...]"

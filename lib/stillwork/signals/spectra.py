@@ -7,7 +7,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from stillwork.base.bounds import Positive
+from stillwork.base.bounds import Positive, Vector
 from stillwork.base.checks import InputError, pluralise, require_array, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 
@@ -186,9 +186,9 @@ def estimate_response(
 
 
 @checked
-def band_power(frequencies_hz: ArrayLike, density: ArrayLike, low_hz: float, high_hz: float) -> float:
+def band_power(frequencies_hz: Vector, density: ArrayLike, low_hz: float, high_hz: float) -> float:
     """Integral of a density between two frequencies (trapezoids; the ends are interpolated)."""
-    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    f = frequencies_hz
     s = require_array("density", density, shape=f.shape)
     if np.any(np.diff(f) <= 0):
         raise InputError("frequencies_hz must rise from line to line; sort them, and give each only once")
