@@ -209,13 +209,7 @@ def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
             r"^stage sensor: unit is 'nm', but 'stage sensor' needs m/sqrt",
         ),
         ('white = "0.3 nm/sqrt(Hz)"', 'white = "0.3 mN/sqrt(Hz)"', r"^stage sensor: unit is 'mN/sqrt\(Hz\)'"),
-        (
-            'white = "0.3 nm/sqrt(Hz)"',
-            "white = 0.3",
-            r"^stage sensor: is 0.3; give a number of at least 0 and its unit",
-        ),
         ('place = "stage drive"', 'place = "stage drve"', r"^amplifier: place.*did you mean 'stage drive'"),
-        ('criterion = "VC-C"', 'criterion = "VC-Z"', "VC-Z"),
         ('criterion = "VC-C"', "", "^floor: holds no kind"),
         (
             "bandwidth_hz = 80.0",
@@ -228,16 +222,10 @@ def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
             "^the closed loop is unstable.*without the skyhook",
         ),
         ("modes_share = [0.15, -0.1]", "modes_share = [-6e6, -0.1]", "^the closed loop is unstable.*signs$"),
-        ("frame_mass_kg = 180.0", "", "'frame_mass_kg' is missing"),
         ("modes_share = [0.15, -0.1]", "modes_share = [0.15]", "^machine: modes_share"),
-        ("skyhook_damping", "skyhok_damping", "skyhok_damping.*did you mean 'skyhook_damping'"),
         ('place = "stage drive"', 'place = "stage drive"\ncorner = 9.0', "corner.*did you mean 'corner_hz'"),
-        ('"10 mN"', '"10 kg"', "mains: unit is 'kg'"),
-        ("feedforward_db = 20.0", "feedforward_db = -20.0", "feedforward_db is -20"),
-        ("rate_hz = 10000.0", "rate_hz = -1.0", "rate_hz is -1"),
         ('quantiser = "2 mN"', 'move = "2 mm"', "^DAC: move is not for the place 'stage drive'; give file"),
         ('criterion = "VC-C"', 'file = "none.csv"', "none.csv"),
-        ('quantiser = "2 mN"', 'periodic = "none.csv"', "none.csv"),
     ],
 )
 def test_bad_files_are_refused_by_name(old, fresh, message, files, tmp_path):

@@ -424,27 +424,6 @@ def test_a_box_holds_what_lies_in_it():
     )
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda: white("floor", "floor", "m", 1.0), r"^floor: unit is 'm'.*'floor' needs m/s\^2"),
-        (lambda: white("x", "flor", "m/s^2", 1.0), "^x: place.*did you mean 'floor'"),
-        (lambda: control.Source("x", ("floor",), "m/s^2", lambda f: -f), "^x: density is negative"),
-        (lambda: control.Source("x", ("floor",), "m/s^2", lambda f: f[:2]), "^x: density returned"),
-        (lambda: control.Source("x", (), "m/s^2", lambda f: f), "^x: no place"),
-        (lambda: control.Source("x", ("floor",), "m/s^2", tones=((-1.0, 2.0),)), "^x: tones hold"),
-        (lambda: setpoint("x", np.ones(9), 1.0, 1.0), "^x: period is constant"),
-        (
-            lambda: tabulated("x", "floor", "m/s^2", np.array([3.0, 2.0]), np.ones(2)),
-            "^x: frequencies_hz must rise",
-        ),
-    ],
-)
-def test_bad_sources_are_named(change, message):
-    with pytest.raises(InputError, match=message):
-        control.error_budget(machine(0).network(), [change()], (1.0, 100.0))
-
-
 def test_unstable_loops_and_misfits_are_refused():
     with pytest.raises(UnstableLoop, match="closed loop is unstable"):
         machine(0, sample_time=1 / 100, delay=3.0).network()

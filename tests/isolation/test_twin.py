@@ -57,50 +57,18 @@ def test_actuators_and_sensors_may_sit_elsewhere_than_the_struts():
     [
         ("body.mass", None, "^body: 'mass'"),
         ("body.mas", 5.4, "^body:.*'mas'.*'mass'"),
-        ("body", [1, 2], r"^body\b"),
-        ("struts", 3.0, r"^struts\b"),
-        ("body.mass", -5.4, r"^mass\b"),
-        ("body.mass", "heavy", r"\bmass\b"),
         ("body.inertia", [[1.0, 0.0], [0.0, 1.0]], r"\binertia\b"),
-        ("struts.stiffness", "stiff", r"\bstiffness\b"),
         ("struts.positions", [[0.0, 0.0, 0.0]], r"\bdirections\b"),
-        ("struts.stiffnes", 1.0, "^struts:.*'stiffnes'.*'stiffness'"),
-        ("floor_sensors.directions", None, "^floor_sensors: 'directions'"),
-        ("floor_sensors.place", 1.0, "^floor_sensors:.*'place'"),
-        ("instruments", None, "^model: 'instruments'"),
         ("instruments.sample_rate", 0.0, r"\bsample_rate\b"),
-        ("instruments.sample_rate", None, "^instruments: 'sample_rate'"),
-        ("instruments.samplerate", 1.0, "^instruments:.*'samplerate'.*'sample_rate'"),
         ("instruments.parasitic_hz", 3000.0, r"\bparasitic_hz\b"),
-        ("instruments.floor_noise", -1e-5, r"\bfloor_noise\b"),
         ("instruments.mains_hz", [50.0], r"\bfloor_mains\b"),
-        ("skyhook.gain", -1.0, r"\bgain\b"),
         ("skyhook", 225.0, r"^skyhook\b"),
-        ("feedforward.beta", 0.0, r"\bbeta\b"),
         ("feedforward.estimate", "ful", r"\bestimate\b"),
-        ("feedforward.estimate", 6, r"\bestimate\b"),
-        ("feedforward.integrator_order", 2.5, r"\bintegrator_order\b"),
         ("feedforward.shaping.highpass_hz", 400.0, r"\blowpass_hz\b"),
-        ("feedforward.path.mass", 0.0, r"\bmass\b"),
         ("feedforward.path.actuator_pole_hz", None, r"^feedforward\.path: 'actuator_pole_hz'"),
-        ("name", None, "^model: 'name'"),
         ("plnt", {}, "^model:.*'plnt'"),
     ],
 )
 def test_bad_models_are_refused_by_name(path, value, message):
     with pytest.raises(InputError, match=message):
         twin_from_table(changed(path, value))
-
-
-def test_files_that_are_no_models(tmp_path):
-    with pytest.raises(InputError, match=r"^model\b"):
-        load_twin("fited")
-    with pytest.raises(InputError, match=r"none\.toml"):
-        load_twin(tmp_path / "none.toml")
-    broken = tmp_path / "broken.toml"
-    broken.write_text("mass = = 1", encoding="utf-8")
-    with pytest.raises(InputError, match=r"broken\.toml\b"):
-        load_twin(broken)
-    broken.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"broken\.toml"):
-        load_twin(broken)

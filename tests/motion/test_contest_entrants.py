@@ -79,11 +79,6 @@ def test_a_broken_observer_is_out_by_reason(what, written, monkeypatch):
         call(scores_of, "mine", file, SCAN, ())
 
 
-def test_what_an_observer_writes_on_stays_its_own(written):
-    file = written(ZERO.replace("BODY", "input[0] = measurement[0] = 9.0; print('mine')"))
-    assert scores_of("mine", file, SCAN, ())["flexible"] == 1.0
-
-
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
@@ -101,13 +96,6 @@ def test_a_file_is_looked_at_before_any_machine_runs(name, text, reason, written
     file = written(ZERO)
     with pytest.raises(InputError, match="one name"):
         hold_contest([file, file])
-
-
-@pytest.mark.parametrize("knobs", ["[('a', 1.0)]", "[('a', 2.0, 1.0, 1.0)]", "[('a', 0.0, 1.0, 1.0)]"])
-def test_wrong_knobs_are_refused(knobs, written):
-    runner.module_of.cache_clear()
-    with pytest.raises((TypeError, ValueError)):
-        knobs_of(written(f"KNOBS = {knobs}\nclass Observer: pass"))
 
 
 @pytest.mark.slow

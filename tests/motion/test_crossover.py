@@ -40,18 +40,3 @@ def test_a_loop_that_does_not_cross_is_refused(gain):
     grid = 2 * np.pi * np.array([1.0, 10.0])
     with pytest.raises(InputError, match=r"\b1 \w+ 10 Hz"):
         found(lambda w: gain * np.ones_like(w, dtype=complex), grid)
-
-
-FALLING = np.array([2.0, 1.5, 0.5])
-
-
-@pytest.mark.parametrize(
-    ("response", "magnitude", "message"),
-    [
-        (lambda w: np.ones(3), FALLING, r"\bresponse\b.*\(3,\)"),
-        (np.zeros_like, FALLING, r"^response\b"),
-    ],
-)
-def test_a_response_that_is_none_is_refused_by_name(response, magnitude, message):
-    with pytest.raises(InputError, match=message):
-        crossover(response, np.array([0.5, 1.0, 2.0]), magnitude)

@@ -35,7 +35,6 @@ from experiments.motion.decoupling_schemes import (
     with_scheme,
 )
 from experiments.motion.machines import published_noise
-from stillwork.base.checks import InputError
 from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.control.feedback import damping_gain
 from stillwork.estimation.observer import kalman_observer
@@ -278,21 +277,3 @@ def test_band_passed_stiffness_takes_damping_away(name, sections):
     assert added[0] < -0.005
     assert not oscillates_stably(system)
     assert oscillates_stably(with_scheme("stiffness", single, Settings(0.05, 1, q, factor)))
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: decouple(PLANT.modes([2, 3])), r"^model\b.*rigid"),
-        (lambda: decouple(PLANT, (0, 1, 2)), r"^model\b.*actuators"),
-        (lambda: decouple(beam([0.3, 0.3], [0.1, 0.9])), "^the actuators"),
-        (lambda: decouple(beam([0.1, 0.9], [0.3, 0.3])), "^the sensors"),
-        (lambda: decouple(PLANT).apply(published_beam(3)), r"^model\b.*\b3\b.*\b2\b"),
-        (lambda: decoupled_plant(PLANT, decouple(PLANT), np.zeros((2, 12))), r"^gain\b.*\b12\b.*\b10\b"),
-        (lambda: constrained_damping(PLANT.modes([0, 1]), 0.1), r"^model\b.*flexible"),
-        (lambda: with_scheme("undamped", PLANT, replace(SETTINGS, damped=4)), "modes"),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -29,7 +29,7 @@ from stillwork.machine.desk import EXAMPLE, desk_file, entry, machine_to_begin_w
 from stillwork.machine.desk_page import modules, offline_page, script
 from workbook import paths
 
-DESIGNS = 200
+DESIGNS = 60
 CLOSE = 1e-9
 ROUNDING = 1e-11  # relative, of a magnitude of 1 beside the point -1
 TURN = 2 * np.pi
@@ -121,7 +121,7 @@ def pid_block(pid):
 
 @pytest.mark.slow
 def test_every_function_of_a_loop_is_that_of_the_library(node):
-    """PID, notches, hold, fractional delay, MC and AD of 200 random machines, and how many poles are unstable."""
+    """PID, notches, hold, fractional delay, MC and AD of random machines, and how many poles are unstable."""
     designs = [drawn(seed) for seed in range(DESIGNS)]
     grids = [np.geomspace(loop.omega[0], 0.49 * TURN / loop.sample_time, 60) for _, loop, _, _ in designs]
     calls = [
@@ -145,7 +145,7 @@ def test_every_function_of_a_loop_is_that_of_the_library(node):
         assert found["unstable"] == unstable[-1]
         if not unstable[-1]:
             np.testing.assert_allclose(found["bandwidth"], loop.crossing_hz(pid), rtol=1e-3)
-    assert 20 < np.count_nonzero(unstable) < DESIGNS - 20  # both kinds were seen
+    assert 6 < np.count_nonzero(unstable) < DESIGNS - 6  # both kinds were seen
 
 
 def chain(rng):
@@ -450,15 +450,6 @@ def test_the_page_is_one_file_that_asks_for_nothing(tmp_path):
         desk_file(out=str(target))
 
 
-@pytest.mark.slow
-def test_a_delay_without_a_rate_is_obeyed(node, tmp_path):
-    desk_file(out=str(tmp_path / "machine.json"), delay=2.5)
-    machine = json.loads((tmp_path / "machine.json").read_text(encoding="utf-8"))
-    [design] = values(node([("state.js", "firstDesign", machine)]))
-    numbers = {block["kind"]: block for block in design["blocks"]}
-    assert numbers["delay"]["delay_us"] == pytest.approx(2.5e6 / numbers["sampling"]["rate_hz"])
-
-
 TYPED = {
     "1.5": 1.5,
     "1,5": 1.5,
@@ -512,20 +503,6 @@ def test_the_modules_run_as_one_script(tmp_path):
     (tmp_path / "script.js").write_text(before + wanted)
     done = subprocess.run(["node", str(tmp_path / "script.js")], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.slow
-def test_a_response_that_nothing_fits_comes_without_a_model(tmp_path):
-    hertz = np.linspace(10, 100, 200)
-    rows = "\n".join(f"{f},0.1,0" for f in hertz)
-    (tmp_path / "mass.csv").write_text(f"frequency (Hz),real (m/s^2/N),imaginary (m/s^2/N)\n{rows}\n")
-    found = read_machine(tmp_path / "mass.csv")
-    assert found["model"] is None and "mass" not in found
-    assert (
-        found["uncertainty"] == {"gain": 0.05, "delay": 0.0} and "no model was fitted" in found["notes"][-1]
-    )
-    said = desk_file(str(tmp_path / "mass.csv"), str(tmp_path / "desk.html"))
-    assert said[0] == "mass.csv: a measurement alone"
 
 
 @pytest.mark.slow
@@ -611,10 +588,3 @@ def test_a_first_design_is_stable_on_a_suspension(node, hertz):
     assert all(each["stable"] and not each["words"] for each in found)
     assert [each["rigid"] for each in found[1:]] == [0, 0, 1, 2]
     assert max(each["peak"] for each in found) < 10 ** (6.01 / 20)
-
-
-def test_a_machine_without_a_stable_first_design_says_so(node):
-    """A force that comes half a minute late."""
-    late = machine_to_begin_with() | {"start": {"rate_hz": 4000.0, "delay_samples": 1.2e5}}
-    (found,) = values(node([("here", "first", late)]))
-    assert "next to no gain" in found["words"][0] and found["design"]["blocks"][0]["gain"] < 1e-5

@@ -12,7 +12,6 @@ from notebooks.motion.two_inertia_drive import (
     drive_observer,
     seen_by_controller,
 )
-from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.machine_loops import encirclement_difference, observed_loops, on_measurement
 from stillwork.control.pid import PidFamily
@@ -124,28 +123,3 @@ def test_an_encirclement_is_counted():
             )
             == turns
         )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0)), [3000.0], (110.0, 1990.0)),
-            r"^guesses_hz\b.*band_hz",
-        ),
-        (
-            lambda: fit_modes(
-                accelerance(TRUE, np.arange(100.0, 2000.0))._replace(
-                    response=-accelerance(TRUE, np.arange(100.0, 2000.0)).response
-                ),
-                [800.0, 1500.0],
-                (110.0, 1990.0),
-            ),
-            r"\bmass\b",
-        ),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -10,11 +10,10 @@ from scipy import linalg
 
 from experiments.motion.designs import stage_observer
 from experiments.motion.machines import chain, published_noise, stage
-from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.feedback import band_pass, damping_gain, fed_back, place, stiffness_gain
 from stillwork.estimation.observer import kalman_observer
-from stillwork.lti import ModalModel, StateModel
+from stillwork.lti import StateModel
 from stillwork.lti.reduction import truncate
 
 MODEL = truncate(stage().at([0], [4]), 4, 3)
@@ -116,37 +115,3 @@ def test_velocity_observer_leaves_the_rigid_position_out():
     expected = abs(observer.flexible_outputs[0, 2::2] @ observer.gain[1::2, 0] * innovation)
     assert spoiled == pytest.approx(expected, rel=1e-6)
     assert kept < 1e-2 * spoiled
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: damping_gain(MODEL.modes([0]), 0.1), r"^model\b.*flexible"),
-        (
-            lambda: damping_gain(replace(MODEL, input_shapes=MODEL.input_shapes * [[1], [0], [1], [1]]), 0.1),
-            r"^input_shapes\b",
-        ),
-        (lambda: fed_back(MODEL, damping_gain(MODEL, 5.0)), r"^gain\b"),
-        (lambda: place(chain([1.0, 2.0]).state_space(), np.zeros(4)), r"^model\b.*\b2 inputs"),
-        (
-            lambda: damping_gain(
-                ModalModel(
-                    np.full(2, 9.0), np.full(2, 0.1), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
-                ),
-                0.1,
-                "pole placement",
-            ),
-            r"^model\b.*controllable",  # two modes of one frequency cannot be told apart by one actuator
-        ),
-        (lambda: place(MODEL.state_space(), 1j * np.arange(8.0)), r"^poles\b"),
-        (
-            lambda: compensator(
-                stage_observer(5), Application(damping=0.1, selection="pole placement", selectivity=2.0)
-            ),
-            r"^selection\b",
-        ),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -29,7 +29,7 @@ from stillwork.lti.modal import modal_model
 from stillwork.machine import single_precision
 from stillwork.machine.c_code import controller_code
 from stillwork.machine.design import design_file
-from stillwork.machine.hardware import QUANTISED, noise_rows, sensor_noise, single_rows
+from stillwork.machine.hardware import QUANTISED, single_rows
 from stillwork.machine.promise import checked_biquads
 from stillwork.machine.single_precision import (
     LOST_LITTLE,
@@ -160,21 +160,6 @@ def test_a_design_says_what_noise_does_and_obeys_the_limit(machine, tmp_path):
     seen = simulated(controller, in_counts, noise)[4000:]
     assert seen.std() == pytest.approx(rms, rel=0.06)
     assert "noise at the output" in (tmp_path / "out" / "report.html").read_text()
-
-
-def test_more_noise_than_is_allowed_is_not_written(machine):
-    (loop,) = observed_loops(
-        machine[1].sensors, None, *observer_settings(machine[1], None, 2, Intensities(1, 1, 1)), 1 / RATE, 1.0
-    )
-    pid = PidFamily(INERTIA)(4.0)
-    controller = error_driven(tied_to_error(runnable(pid, loop.compensator, np.inf, {}, ("rad", "N m"))))
-    arguments = [controller], [loop], pid, ("rad", "N m"), (1.0, 1.0)
-    rows = dict(noise_rows(sensor_noise("rad", np.inf, 0.0, 0.05, 0.0), *arguments))
-    assert "unknown" in rows["noise of the sensor"] and "warning" not in rows
-    wide = dict(noise_rows(sensor_noise("rad", 0.02, 0.05, 10.0, 0.0), *arguments))
-    assert "of the limit" in wide["noise at the output"] and "wear" in wide["warning"]
-    with pytest.raises(InputError, match=r"^noise: .* allow more"):
-        noise_rows(sensor_noise("rad", 0.02, 0.05, 0.05, 0.0), *arguments)
 
 
 def slow_controller(limit=np.inf):

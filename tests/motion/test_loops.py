@@ -232,31 +232,3 @@ def test_soft_sensor_gives_the_other_mass(hertz):
     hidden = plant.modes(slice(4, None)).at([0], [4, 1]).compliance()[:, 0]
     assert abs(estimate - p2) < 1.5 * np.abs(hidden).sum()
     assert abs(estimate - p2) < 0.2 * abs(p5 - p2)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: is_feasible(
-                [make_loop(stage().at([0], [4]))], (FAMILY(20.0),), [PeakConstraint("true_tracking")]
-            ),
-            r"^controller\b",
-        ),
-        (lambda: make_loop(stage()), r"^plant\b.*plant\.at"),
-        (
-            lambda: maximise_bandwidth(
-                [make_loop(stage().at([0], [4]))], FAMILY, [PeakConstraint("input_sensitivity")], 5.0, 9.0, 4
-            ),
-            r"high_hz = 9\b",
-        ),
-        (
-            lambda: channel(closed_loop(stage().at([0], [4]), None, FAMILY(30.0).state_space()), "x", "u"),
-            "^channel 'x'",
-        ),
-        (lambda: closed_loop(stage(), None, FAMILY(30.0).state_space()), r"^compensator or controller\b"),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

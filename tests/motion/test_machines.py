@@ -13,7 +13,6 @@ from notebooks.motion.discretisation import (
     undamped_disturbance,
     undamped_input,
 )
-from stillwork.base.checks import InputError
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import roll_off, truncate
 
@@ -107,16 +106,3 @@ def test_undamped_matrices_are_the_limit_of_small_damping():
     g = np.array([[0.3], [-0.7]])
     expected = undamped_disturbance(w, g[0], g[1], 1e-4)
     np.testing.assert_allclose(disturbance_matrix(mode, g, 1e-4), expected, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: truncate(stage(), 9), r"^modes\b"),
-        (lambda: truncate(chain([1.0, 1.0]), 1, 2), r"^modes\b"),
-        (lambda: parameters("robot"), "machine"),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -9,7 +9,6 @@ import pytest
 
 from motion.true_machines import CompiledLoop, TrueMachine, machine_of_matrices
 from stillwork.__main__ import main
-from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import make_loop
 from stillwork.control.phased_loops import phased_loop
 from stillwork.control.pid import PidFamily
@@ -24,7 +23,7 @@ from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
-from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.lti.modal import ModalModel
 from stillwork.machine.design import design_file
 from stillwork.machine.machine_designs import stated_uncertainty
 from stillwork.machine.retest import retest_file
@@ -140,15 +139,6 @@ def test_friction_enters_the_box_where_it_is_named(tmp_path):
     assert interval > 0 and uncertainty_of(machine, {"gain": 0.1}).friction == 0
     assert uncertainty_of(machine, stated_uncertainty("friction=2")).friction == pytest.approx(2 + interval)
     assert uncertainty_of(machine, stated_uncertainty("none,friction=0")).friction == pytest.approx(interval)
-
-
-def test_a_friction_that_no_machine_has_is_refused():
-    with pytest.raises(InputError, match=r"^uncertainty: friction\b"):
-        stated_uncertainty("friction=-1")
-    springs = modal_model(np.eye(2), [[400.0, -100.0], [-100.0, 100.0]], [[1.0], [0.0]], [[1.0, 0.0]], 0.01)
-    with pytest.raises(InputError, match=r"^friction\b.*on springs leave it out"):
-        worst_place(make_loop(springs), PidFamily(1.0)(1.0), "output_sensitivity", Uncertainty(friction=1.0))
-    assert Perturbation(np.ones(2), np.ones(2), np.ones(2)).friction == 0
 
 
 def two_on_one(share):

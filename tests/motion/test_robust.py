@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 
 from naive import motion_robust as naive
 from notebooks.motion.robust_comparison import regularised_line_search
-from stillwork.base.checks import InputError
 from stillwork.estimation.robust import (
     Derivatives,
     NormBound,
@@ -193,10 +192,3 @@ def test_without_uncertainty_every_filter_is_the_kalman_filter(kind):
     a, b, g, _ = first(model)
     twin = naive.kalman(a, b, g, model.c, model.process, model.sensor, model.initial_covariance, u, y)
     np.testing.assert_allclose(certain(model, rng, kind)(u, y), twin, rtol=1e-10, atol=1e-10)
-
-
-def test_a_recursion_that_overflows_names_the_sample():
-    one = np.eye(2)
-    model = TimeVaryingModel(1e200 * one, one, one, np.ones((5, 1, 2)), one, [[1.0]], one)
-    with pytest.raises(InputError, match=r"gain\b.*sample 1\b"):
-        kalman_gains(model)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from experiments.motion import stage
-from stillwork.base.checks import InputError
 from stillwork.control import PidFamily, closed_loop, uncertain_channel
 from stillwork.control.loops import channel as pick
 from stillwork.lti import StateModel, hinf_norm, prove_gain
@@ -98,19 +97,6 @@ def test_perturbed_stages_stay_below_what_is_proven_of_their_loop(frequency, cha
         reached = max(reached, hinf_norm(pick(loop, *channel)).magnitude)
     assert not prove_gain(model, count, 0.99 * reached).proven
     assert prove_gain(model, count, 1.1 * reached).proven
-
-
-def test_what_cannot_be_proven_is_refused_by_name():
-    model = drawn(0)
-    with pytest.raises(InputError, match="uncertain"):
-        prove_gain(model, 4, 1.0)
-    with pytest.raises(InputError, match="model"):
-        prove_gain(StateModel(-model.a, model.b, model.c, model.d), 3, 1.0)
-    plant, pid = stage().at([0], [4]), PidFamily(12.5)(20.0).state_space()
-    with pytest.raises(InputError, match="frequency"):
-        uncertain_channel(plant, None, pid, "u_ff", "u")
-    with pytest.raises(InputError, match="channel"):
-        uncertain_channel(plant, None, pid, "u_ff", "nowhere", gain=0.1)
 
 
 @pytest.mark.slow

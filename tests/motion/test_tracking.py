@@ -1,7 +1,5 @@
 """Setpoints, judgement of a scan, feedforward and exact simulation, compared with brute force."""
 
-from dataclasses import replace
-
 import control
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import published_setpoint, stage, stage_mass
 from naive.motion import integrate_setpoint, moving_windows
 from notebooks.motion.disturbance_rejection import band_power, cumulative_power
-from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
     Feedforward,
     error_loop,
@@ -23,16 +20,12 @@ from stillwork.control.feedforward import (
 )
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.control.setpoint import Setpoint, from_snap, point_to_point
-from stillwork.lti import ModalModel, StateModel, interconnect, resonance_grid, truncate, zoh
+from stillwork.control.setpoint import from_snap
+from stillwork.lti import StateModel, interconnect, resonance_grid, truncate, zoh
 from stillwork.signals.moving_average import average_filter, average_reduction, moving, rms
 
 PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(35.626).state_space()
-SHORT = Setpoint(1e-3, from_snap([1.0], [0.01], 1e-3), (0.0, 0.01), 0.01)
-TWICE = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.eye(2))
-FREE = ModalModel(np.zeros(2), np.zeros(2), np.eye(2), np.eye(2), np.zeros((2, 2)))
-UNSTABLE = closed_loop(PLANT, None, PidFamily(stage_mass())(200.0).state_space())
 
 
 def test_published_setpoint():
@@ -163,42 +156,6 @@ def test_noise_has_the_power_that_the_norm_predicts():
     # Variance of white noise through a filter: the energy of its impulse response.
     expected = 0.01 * np.sqrt((impulse**2).sum())
     assert rms(error) == pytest.approx(expected, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: from_snap([1.0], [1.5e-3], 1e-3), r"^durations\b"),
-        (
-            lambda: Setpoint(1e-3, from_snap([1.0, -3.0], [0.01, 0.02], 1e-3), (0.0, 0.01), 0.01),
-            r"^derivatives\b",
-        ),
-        (
-            lambda: replace(SHORT, derivatives=SHORT.derivatives * [[-1.0], [1.0], [1.0], [1.0], [1.0]]),
-            r"^derivatives\b",  # the velocity says otherwise
-        ),
-        (lambda: replace(SHORT, scan=(0.0, 1.0)), r"^scan\b.*0\.01 s"),
-        (lambda: tracking_error(error_loop(UNSTABLE), SHORT, Feedforward()), "unstable"),
-        (
-            lambda: error_loop(closed_loop(FREE, None, TWICE)),
-            r"^loop\b.*\b10\b.*\b8\b",
-        ),
-        (lambda: point_to_point(1.0, 1.0, 1.0, 1.0, 0.1, 0.2, 1e-3), "settling"),
-        (
-            lambda: tracking_error(closed_loop(PLANT, None, CONTROLLER), published_setpoint(), Feedforward()),
-            "error_loop",
-        ),
-        (
-            lambda: noise_error(
-                closed_loop(PLANT, None, CONTROLLER), 1e-4, 9, {"x": 1.0}, np.random.default_rng()
-            ),
-            r"^deviations\b",
-        ),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()
 
 
 def test_cumulative_power_is_that_of_a_long_record():

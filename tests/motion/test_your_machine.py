@@ -14,9 +14,9 @@ from notebooks.motion.your_machine import (
 from shared.universal_files import function, write_universal
 from stillwork.base.checks import InputError
 from stillwork.control.machine_loops import DesignSettings, Intensities, SearchSettings, applications, reach
-from stillwork.identification.machine import build_machine, whole_band
+from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
-from stillwork.identification.modal_fit import fit_modes, identify_modes
+from stillwork.identification.modal_fit import fit_modes
 from workbook import paths
 
 TEMPLATES = paths.data("motion", "your_machine")
@@ -131,29 +131,6 @@ def test_what_each_column_was_taken_for_is_reported(tmp_path):
     assert np.abs(again.response) == pytest.approx(9.80665 * np.abs(polar["magnitude (dB re 1 g/N)"]))
 
 
-def test_units_that_contradict_the_file_or_each_other_are_refused(tmp_path):
-    columns = {"real (g/N)": ACCELERANCE.real, "imag (g/N)": ACCELERANCE.imag}
-    file = write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns)
-    with pytest.raises(InputError, match=r"^a\.csv: response_unit\b"):
-        load_machine(file, "m/s^2")
-    with pytest.raises(InputError, match=r"\bforce_unit\b"):
-        load_machine(file, force_unit="kN")
-    assert load_machine(file, "g", "N").kind == "frequency response"
-    with pytest.raises(InputError, match=r"m/s\^2 and.* g\b"):
-        load_machine(
-            hits(tmp_path, **{"acceleration 1 (m/s^2)": np.ones(512), "acceleration 2 (g)": np.ones(512)})
-        )
-
-
-@pytest.mark.parametrize("bracket", ["(g/dyn)", "(dB re 1e-6 g/dyn)", "[furlong]"])
-def test_an_unknown_unit_is_not_taken_for_none(tmp_path, bracket):
-    columns = {f"real {bracket}": ACCELERANCE.real, f"imag {bracket}": ACCELERANCE.imag}
-    file = write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns)
-    for given in ((), ("g", "N")):
-        with pytest.raises(InputError, match=r"^a\.csv: real\b.*response_unit"):
-            load_machine(file, *given)
-
-
 @pytest.mark.slow
 def test_templates_are_one_machine():
     """M and K by eigenvalues; the fits find the same frequencies, the same mass and the damping of 1 %."""
@@ -247,36 +224,6 @@ def hits(folder, n=512, responses=2, tail=False, **more):
     return write_csv(folder / "hits.csv", **{**columns, **more})
 
 
-BAD = {
-    "nothing known": (
-        lambda f: write_csv(f / "a.csv", x=HERTZ, y=HERTZ),
-        {},
-        r"\bx, y\b",
-    ),
-    "no response": (
-        lambda f: write_csv(f / "a.csv", frequency=HERTZ, phase=HERTZ),
-        {},
-        r"\bresponse\b.*frequency",
-    ),
-    "misspelt unit": (two_parts, {"response_unit": "m/s^3"}, r"\bunit\b.*'m/s\^3'"),
-    "one hit short": (lambda f: hits(f, responses=1), {}, r"\bforce\b.*\b2\b"),
-    "dead response": (
-        lambda f: hits(f, **{"acceleration 2": np.zeros(512)}),
-        {},
-        r"\bresponse\b.*\bhit 2\b",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_files_that_cannot_be_used_say_why(tmp_path, name):
-    make, options, message = BAD[name]
-    made = make(tmp_path)
-    file = made[0] if isinstance(made, tuple) else made
-    with pytest.raises(InputError, match=message):
-        load_machine(file, **options)
-
-
 def test_a_record_that_is_cut_is_noted_and_not_padded(tmp_path):
     whole, cut = load_machine(hits(tmp_path)), load_machine(hits(tmp_path, tail=True))
     assert len(whole.accelerance.omega) == 4 * len(cut.accelerance.omega)
@@ -306,55 +253,3 @@ def test_hits_without_noise_give_their_machine(tmp_path, rate, lasts, pulse, wid
     wanted = np.sqrt(linalg.eigvalsh(STIFFNESS, MASS)[1:]) / (2 * np.pi)
     nearest = [np.abs(found.resonances_hz / hertz - 1).min() for hertz in wanted]
     assert max(nearest) < 1e-3 and found.mass == pytest.approx(12.0, rel=2e-3)
-
-
-def test_two_responses_want_a_choice(tmp_path):
-    np.savez(tmp_path / "a.npz", frequency=HERTZ, h11=ACCELERANCE, h21=solved(HERTZ, 1))
-    with pytest.raises(InputError, match=r"^a\.npz\b.*'h11'"):
-        load_machine(tmp_path / "a.npz")
-    with pytest.raises(InputError, match=r"\bresponse\b.*'h21'"):
-        load_machine(tmp_path / "a.npz", response="h2")
-    chosen = load_machine(tmp_path / "a.npz", response="h21")
-    assert chosen.notes[0] == "taken: h21"
-    assert "m/s^2 over N" in chosen.notes[1]
-    assert np.abs(chosen.accelerance.response / solved(HERTZ, 1) - 1).max() < 1e-9
-
-
-MATRICES = {"M": MASS, "K": STIFFNESS, "input": [1.0, 0, 0], "output": [[0.0, 0, 1]]}
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"K": STIFFNESS + np.diag([2e7, 0, 0])},
-            r"^a\.npz\b.*\b0 rigid",
-        ),
-        ({"K": STIFFNESS[:2, :2]}, r"\bK\b"),
-        ({"K": STIFFNESS + np.eye(3)[[1, 2, 0]]}, r"\bstiffness\b"),
-        ({"M": np.diag([4.0, 4, 0])}, r"\bmass\b"),
-        ({"input": [1.0, 0]}, r"\binput\b"),
-        ({"input": [1.0, 0, -1]}, r"\binput and output\b"),
-        ({"output": [[1.0, 0, 0], [0, 0, 2]]}, "12, 6 kg"),
-        ({"output": [[1.0, 0]]}, r"\boutput\b"),
-        ({"D": np.diag([1e3, 0, 0])}, r"\bdamping_matrix\b"),
-        ({"K": 1j * STIFFNESS}, r"\bK\b"),
-    ],
-)
-def test_matrices_that_cannot_be_used_say_why(tmp_path, change, message):
-    np.savez(tmp_path / "a.npz", **{**MATRICES, **change})
-    with pytest.raises(InputError, match=message):
-        built(tmp_path / "a.npz")
-
-
-def test_bands_outside_the_measurement_and_flat_responses_are_refused(tmp_path):
-    measured = load_machine(two_parts(tmp_path)[0]).accelerance
-    assert whole_band(measured, (0.0, 0.0)) == pytest.approx((5.0, 999.0))
-    with pytest.raises(InputError, match=r"\b2000 \w+ 3000 Hz.*\b5 \w+ 999 Hz"):
-        whole_band(measured, (2000.0, 3000.0))
-    found = identify_modes(measured, (5.0, 999.0)).model.frequencies[1:] / (2 * np.pi)
-    assert found == pytest.approx([356.0, 616.0], rel=0.01)
-    with pytest.raises(InputError, match=r"\b5 \w+ 100 Hz.*fit_hz"):
-        identify_modes(measured, (5.0, 100.0))
-    with pytest.raises(InputError, match=r"^disturbance\b"):
-        Intensities(0.0, 1e-9, 1e-4)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from shared.compiled import compiled, pointer, run_controller
-from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.digital import (
     HELD,
@@ -279,18 +278,6 @@ def test_no_input_spoils_the_states(tmp_path, precision):
     assert np.flatnonzero(flags & INVALID).tolist() == [103, 200, *range(300, 310)]
 
 
-def test_states_that_lead_nowhere_are_left_out():
-    model = pid()
-    n = len(model.a)
-    a = np.block(
-        [[model.a, np.zeros((n, 2))], [np.ones((1, n)), np.array([[0.5, 0.0]])], [np.zeros((1, n + 1)), 0.9]]
-    )
-    more = StateModel(
-        a, np.vstack([model.b, [[1.0], [0.0]]]), np.hstack([model.c, [[0.0, 1.0]]]), model.d, SAMPLE_TIME
-    )  # one that is not seen, and one that is not driven
-    assert controller_code(named(more, 1), "loop") == controller_code(named(model, 1), "loop")
-
-
 # --------------------------------------------------------------------------------------------------------- adaptation
 
 
@@ -381,27 +368,6 @@ def test_a_sample_that_cannot_be_used_leaves_the_weights(tmp_path, settings):
 
 
 # --------------------------------------------------------------------------------------------------------- bad input
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"name": "2fast"}, r"^name\b"),
-        ({"name": "a-b"}, r"^name\b"),
-        ({"precision": "half"}, r"^precision\b"),
-    ],
-)
-def test_code_that_cannot_be_written_says_why(change, message):
-    for write, given in ((controller_code, (named(pid(), 1),)), (adaptation_code, (FeLms(), 1, 2))):
-        with pytest.raises(InputError, match=message):
-            write(*given, **{"name": "loop", "precision": "double", **change})
-
-
-def test_other_forms_of_the_covariance_and_numbers_beyond_single_precision_are_refused():
-    with pytest.raises(InputError, match=r"^settings\.form\b"):
-        adaptation_code(FeRls(1.0, form="triangle"), 1, 2, "feed")
-    with pytest.raises(InputError, match=r"e\+\d\d\b.*precision"):
-        controller_code(named(pid(1e60), 1), "loop", "single")
 
 
 @pytest.mark.slow

@@ -150,39 +150,6 @@ def test_a_table_gives_a_controller(tmp_path):
     assert found.inputs == ("input 1",)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        *(("hello", r"^a\.json\b"), ("[1]", r"^a\.json\b"), ("{}", r"^a\.json: 'format'")),
-        ('{"format": "x"}', r"^a\.json: format\b"),
-    ],
-)
-def test_files_that_hold_no_controller_say_why(tmp_path, text, message):
-    (tmp_path / "a.json").write_text(text)
-    with pytest.raises(InputError, match=message):
-        load_controller(tmp_path / "a.json")
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"state_space": {"a": [[1]], "b": [[1]], "c": [[1]]}}, r"^a\.json: state_space: 'd'"),
-        ({"low": [5.0], "high": [-5.0]}, r"^low\b"),
-        ({"inputs": []}, r"^inputs and outputs\b"),
-        ({"inputs": "e"}, r"^a\.json: inputs\b"),
-        ({"anti_windup": [[1.0]] * 4}, r"^anti_windup\b"),
-        ({"anti_windup": {}}, r"^anti_windup\b"),
-        ({"anti_windup": [[1e9]] * 5}, r"^anti_windup\b.*unstable"),
-        ({"delay_samples": -1}, r"^delay\b"),
-        ({"sample_time_s": 0.0}, r"^model\b.*continuous"),
-    ],
-)
-def test_controllers_that_cannot_run_say_why(tmp_path, change, message):
-    (tmp_path / "a.json").write_text(json.dumps(LIMITED.as_dict() | change))
-    with pytest.raises(InputError, match=message):
-        load_controller(tmp_path / "a.json")
-
-
 def test_integrators_in_a_row_and_outputs_that_show_none_have_no_back_calculation():
     double = StateModel(
         np.array([[1.0, 1.0], [0.0, 1.0]]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), SAMPLE_TIME

@@ -150,17 +150,6 @@ def test_the_start_is_one_of_the_slider_s_steps(slider):
     assert way / widget.step == pytest.approx(round(way / widget.step), abs=1e-9)
 
 
-def counted(draw):
-    """A drawing function that notes its calls."""
-    calls = []
-
-    def noting(**settings):
-        calls.append(settings)
-        return draw(**settings)
-
-    return noting, calls
-
-
 def scaled(top, panels=1):
     figure, axes = figures.new(1, panels, squeeze=False)
     for axis in axes[0]:
@@ -179,17 +168,6 @@ def test_the_panels_stay_where_the_first_picture_put_them(monkeypatch):
     first, second = redraw(top=10), redraw(top=10)
     assert len(layouts) == 1
     assert second == first
-
-
-@pytest.mark.slow
-def test_a_label_that_would_leave_the_picture_makes_a_new_layout():
-    drawing, calls = counted(scaled)
-    redraw = Redraw(drawing)
-    redraw(top=10)
-    assert len(calls) == 1
-    wide = redraw(top=99999)
-    assert len(calls) == 3  # in the old places, which do not hold the label, and laid out anew
-    assert wide == Redraw(scaled)(top=99999)
 
 
 def test_remembered_texts_are_what_matplotlib_draws():
@@ -223,22 +201,3 @@ def test_remembered_texts_are_what_matplotlib_draws():
             drawn.append(np.array(renderer.buffer_rgba()))
         assert (drawn[0] != 255).any()
         np.testing.assert_array_equal(*drawn)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Slider(0, 1, start=2), "start"),
-        (lambda: Slider(0, 1, start=0.5, log=True), "low"),
-        (lambda: Choice(("flat", "coloured"), "flt"), "start"),
-        (lambda: Slider(0.0, 1.0, 0.5, basis="guess"), "basis"),
-        (lambda: Slider(0.0, 1.0, 0.5, basis="printed"), "place"),
-        (lambda: Slider(0.0, 1.0, 0.5, basis="assumed", place="Table 1"), "place"),
-        (lambda: explore(draw, {"a": {"gian": 1.0}}, **CONTROLS), "'a'.*'gian'"),
-        (lambda: explore(draw, {"a": {"gain": 11.0}}, **CONTROLS), "gain"),
-        (lambda: explore(draw, {"a": {"floor": "flt"}}, **CONTROLS), "floor"),
-    ],
-)
-def test_what_no_control_can_show_is_refused(make, message):
-    with pytest.raises(InputError, match=message):
-        make()

@@ -1,9 +1,6 @@
 import io
 import re
-import subprocess
-import sys
 
-import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
@@ -72,19 +69,6 @@ def test_a_name_stands_in_the_first_row_of_its_block(tmp_path):
     assert len(table) == 3
     for name, block in rows.groupby(["panel", "series"]):
         np.testing.assert_array_equal(table[name], block[["x", "y", "z"]])
-
-
-def test_a_file_that_is_no_table_of_a_figure_is_refused(tmp_path):
-    (tmp_path / "a.csv").write_text("time,x\n0,1\n")
-    with pytest.raises(InputError, match=r"^path\b.*panel,series"):
-        figures.read_table(tmp_path / "a.csv")
-
-
-def test_a_name_that_would_read_as_the_one_above_is_refused(tmp_path, monkeypatch):
-    figure, _ = labelled()
-    monkeypatch.setattr(figures, "plotted", lambda figure: [("one", "", "0", "0", "")])
-    with pytest.raises(InputError, match="series ''"):
-        figures.save(figure, tmp_path / "a")
 
 
 @pytest.mark.slow
@@ -182,44 +166,3 @@ def test_an_axis_without_a_label_is_refused():
     axes[1].plot([1, 2])
     with pytest.raises(InputError, match=r"^panel 2\b"):
         figures.plotted(figure)
-
-
-def test_a_shared_label_and_an_empty_or_hidden_axis_are_fine():
-    figure, axes = figures.new(2, 2, sharex="col")
-    axes[0, 0].plot([1, 2], label="a")
-    axes[1, 0].plot([1, 2], label="b")
-    axes[1, 0].set_xlabel("time (s)")
-    axes[1, 1].plot([1, 2], label="drawing")
-    axes[1, 1].axis("off")
-    assert {row[1] for row in figures.plotted(figure)} == {"a", "b", "drawing"}
-
-
-DRAW = """\
-import sys
-from pathlib import Path
-import numpy as np
-from workbook import figures
-figure, axes = figures.new(height=2)
-axes.plot(np.random.default_rng(1).normal(size=50), label="noise")
-axes.set_xlabel("time (s)")
-axes.legend()
-figures.save(figure, Path(sys.argv[1]))
-"""
-
-
-@pytest.mark.slow
-def test_two_processes_write_the_same_bytes(tmp_path):
-    for name in ("a", "b"):
-        subprocess.run([sys.executable, "-c", DRAW, str(tmp_path / name)], check=True)
-    for suffix in (".png", ".csv"):
-        assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
-
-
-@pytest.mark.parametrize("name", [r"$\frac{$", "$x$", r"\$a$ $\undefined$", "5 $"])
-def test_a_name_from_a_file_is_no_formula(name):
-    with figures.house_style():
-        figure, axes = figures.new()
-        axes.plot([0, 1], label=figures.literal(name))
-        [text] = axes.legend().get_texts()
-        figure.canvas.draw()  # a formula with a mistake raises
-    assert not matplotlib.cbook.is_math_text(text.get_text())

@@ -13,8 +13,8 @@ from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti import StateModel
 
-UNITS = [1e-9, 1e-3, 1e3, 1e9]
-RATES = [1e-3, 0.1, 40.0]
+UNITS = [1e-9, 1e3]
+RATES = [1e-3, 40.0]
 
 
 def noise(seed=0, shape=(2, 2000)):

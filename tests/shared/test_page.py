@@ -61,19 +61,6 @@ def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_p
     assert not (workbook / "build").exists()
 
 
-@pytest.mark.parametrize(
-    "name", [*"../x a/b /tmp/x a\\b .x x. a..b .. -x é a:b".split(), "", "a b", "a\n", "n" * 300]
-)
-def test_a_figure_has_a_name_and_no_path(workbook, name):
-    page, figure = Page("motion/01-x"), drawing()
-    with pytest.raises(InputError, match=r"^name\b"):
-        page.save(name, figure)
-    assert [file for file in workbook.rglob("*") if file.is_file()] == [
-        workbook / "data/motion/published.toml"
-    ]
-    page.save("Fig_1-2.a", figure)
-
-
 @pytest.mark.slow
 def test_series_that_are_rounding_are_noted_with_the_reason_until_saved_without(workbook):
     page = Page("motion/01-x")
@@ -98,20 +85,6 @@ def test_a_formula_that_cannot_be_set_is_named(workbook, wrong, layout):
     with pytest.raises(InputError, match=r"^figure\b") as told:
         Page("motion/01-x").save("fig-1", figure)
     assert wrong.splitlines()[-1].strip("$") in str(told.value)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "",
-        *"motion moton/01-x motion/ motion/../x motion/a/b motion/..".split(),
-        "motion/ x",
-        "motion/" + "n" * 300,
-    ],
-)
-def test_a_page_has_a_topic_and_a_name(name):
-    with pytest.raises(InputError, match=r"^notebook\b"):
-        Page(name)
 
 
 def test_the_root_is_the_checkout_or_what_the_variable_says(workbook, monkeypatch, tmp_path):

@@ -80,32 +80,3 @@ def test_names_tell_the_two_ends_and_never_collide(tmp_path):
         "coherence 2+Z/1+Z",
         "frf table",
     ]
-
-
-def test_what_cannot_be_used_says_why(tmp_path):
-    import pyuff
-
-    short, long = function("time", TIME[:300], ROWS[0][:300]), function("time", TIME, ROWS[0], node=2)
-    with pytest.raises(InputError, match=r"^a\.uff\b.*axes"):
-        read_universal(write_universal(tmp_path / "a.uff", [short, long]))
-    (tmp_path / "b.uff").write_text("no universal file\n")
-    with pytest.raises(InputError, match=r"^b\.uff\b"):
-        read_universal(tmp_path / "b.uff")
-    whole = write_universal(tmp_path / "c.uff", [long]).read_text()
-    cut = whole.splitlines()
-    (tmp_path / "c.uff").write_text("\n".join([*cut[:30], "    -1"]) + "\n")
-    with pytest.raises(InputError, match=r"^c\.uff\b.*\b600\b"):
-        read_universal(tmp_path / "c.uff")
-    (tmp_path / "d.uff").write_text("\n".join([*cut[:20], 40 * "x", "    -1"]) + "\n")
-    with pytest.raises(InputError, match=r"^d\.uff\b"):
-        read_universal(tmp_path / "d.uff")
-    binary = write_universal(tmp_path / "e.uff", [function("time", TIME, ROWS[0], binary=1)])
-    lines = binary.read_bytes().split(b"\n")
-    lines[8] = b"%10d" % 9 + lines[8][10:]  # no type that dataset 58 knows
-    binary.write_bytes(b"\n".join(lines))
-    with pytest.raises(InputError, match=r"^e\.uff\b.*\b600\b.*\b0\b"):
-        read_universal(tmp_path / "e.uff")
-    units = {"length": 39.37, "force": 0.2248, "temp": 1.8, "temp_offset": 459.67, "temp_mode": 1}
-    inches = pyuff.prepare_164(units_code=7, units_description="inch", **units)
-    with pytest.raises(InputError, match=r"^f\.uff\b.*unit system 7\b"):
-        read_universal(write_universal(tmp_path / "f.uff", [inches, long]))

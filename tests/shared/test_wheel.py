@@ -72,36 +72,6 @@ def test_inspect_works_without_a_checkout(wheel, tmp_path):
     assert "cloned repository" in done.stdout
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["design", "report"])
-def test_a_page_that_cannot_be_drawn_is_told_before_anything_is_computed(wheel, tmp_path, command):
-    """Nothing of the file is read: it is not there."""
-    arguments = {"design": ["--rate", "1e4", "--out", "out"]}.get(command, [])
-    done = _run(wheel, tmp_path, command, "missing.csv", *arguments)
-    assert done.returncode == 2, done.stderr
-    assert done.stderr == "stillwork: matplotlib is not installed; pip install 'stillwork[design]'\n"
-    assert {each.name for each in tmp_path.iterdir()} == {"installed"}
-
-
-@pytest.mark.slow
-# Those of the site need packages that a wheel alone lacks, too.
-@pytest.mark.parametrize("command", "contest claims site".split())
-def test_other_commands_say_what_they_miss(wheel, tmp_path, command):
-    done = _run(wheel, tmp_path, command)
-    told = "set STILLWORK_ROOT to one, or begin one"
-    if command == "contest":
-        told = "this needs the folder contest, which stands in a checkout of stillwork"
-    assert done.returncode == 2, done.stderr
-    assert told in done.stdout + done.stderr and "Traceback" not in done.stderr
-
-
-@pytest.mark.slow
-def test_a_package_is_missed_by_who_has_a_checkout_alone(wheel, tmp_path):
-    done = _run(wheel, tmp_path, "site", STILLWORK_ROOT=str(ROOT))
-    assert done.returncode == 2, done.stderr
-    assert "pip install 'stillwork[site]'" in done.stderr and "Traceback" not in done.stderr
-
-
 def test_what_is_missing_is_asked_of_the_extra_that_brings_it():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     imported = {"griffelib": "griffe"}
