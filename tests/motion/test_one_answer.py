@@ -18,12 +18,12 @@ RATE, DELAY, UNCERTAINTY = 8e3, 0.5, "frequency=0.03,gain=0.1"
 USES = ("PID", "PID with notches", "MC", "AD", "MC and AD")
 
 
-def write_five_modes(file):
-    """3.3 kg with five modes of both signs, 40 us late, as a mobility in mm/s/N with noise of 0.2 %."""
+def write_two_modes(file):
+    """3.3 kg with modes of both signs, 40 us late, as a mobility in mm/s/N with noise of 0.2 %."""
     hertz = np.arange(4.0, 800.0, 0.5)
     s = 2j * np.pi * hertz
     position = 1 / s**2
-    for resonance, ratio, share in ((92, 0.008, 0.6), (151, 0.006, -0.4), (233, 0.01, 0.35), (340, 0.007, 0.5), (517, 0.009, -0.25)):  # fmt: skip
+    for resonance, ratio, share in ((151, 0.006, -0.4), (340, 0.007, 0.5)):
         w = 2 * np.pi * resonance
         position = position + share / (s**2 + 2 * ratio * w * s + w**2)
     noise = np.random.default_rng(3).standard_normal((2, len(hertz)))
@@ -60,8 +60,8 @@ def answer(lines):
 
 @pytest.mark.slow
 def test_design_report_and_notebook_print_the_same(tmp_path, monkeypatch, capsys):
-    """Five modes in mm/s/N. 45 s of CPU: the whole search as each of the three makes it, which no part of it shows."""
-    write_five_modes(tmp_path / "machine.csv")
+    """In mm/s/N: the whole search as each of the three makes it, which no part of it shows."""
+    write_two_modes(tmp_path / "machine.csv")
     asked = {"rate": RATE, "delay": DELAY, "uncertainty": UNCERTAINTY}
     file = str(tmp_path / "machine.csv")
     designed = answer(design_file(file, str(tmp_path / "out"), **asked))
