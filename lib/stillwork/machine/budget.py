@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from string import Template
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ TYPICAL = {
     "isolator drive": ("amplifier and DAC: 1e-4 to 1e-2 N/sqrt(Hz)", 1e-2),
 }
 # Methods that are offered to a machine without them, with usual sizes (chosen).
-OFFERED = {
+OFFERED: dict[str, dict[str, Any]] = {
     "a skyhook of 0.6": {"skyhook": 0.6},
     "a feedforward of 20 dB": {"feedforward": 0.9},
     "both": {"skyhook": 0.6, "feedforward": 0.9},
@@ -258,7 +259,7 @@ def machine_of(entries: Table, design: str = "", position: str = "") -> FloorMac
     for name in ("rate_hz", "delay_samples", "feedforward_db"):
         require_number(f"controller: {name}", law.get(name, 0.0), at_least=0.0)
     rate = _number(law, "rate_hz", 0.0)
-    settings = {
+    settings: dict[str, Any] = {
         "skyhook": _number(law, "skyhook_damping", 0.0),
         "feedforward": 1 - 10 ** (-_number(law, "feedforward_db", 0.0) / 20),
         "integrator_hz": _number(law, "feedforward_from_hz", 2.0),
@@ -293,16 +294,16 @@ def machine_of(entries: Table, design: str = "", position: str = "") -> FloorMac
         law_of_stage = PidFamily(mass)(
             require_number("controller: bandwidth_hz", law["bandwidth_hz"], above=0.0)
         )
-    numbers = [
+    frame, hertz, damping = (
         float(require_number(f"machine: {name}", body[name]))
         for name in ("frame_mass_kg", "suspension_hz", "suspension_damping")
-    ]
-    return FloorMachine(*numbers, stage, law_of_stage, **settings)
+    )
+    return FloorMachine(frame, hertz, damping, stage, law_of_stage, **settings)
 
 
 def _what_would_be_stable(built: FloorMachine) -> str:
     """A change of one of the machine's two loops that makes it stable, in words."""
-    changes = {}
+    changes: dict[str, dict[str, Any]] = {}
     if built.skyhook:
         changes["without the skyhook (skyhook_damping = 0)"] = {"skyhook": 0.0}
     if isinstance(built.controller, Pid):
@@ -566,7 +567,7 @@ def purchases(file: MachineFile, budget: ErrorBudget) -> list[list[str]]:
                 found[f"10 % {way}"] = _error(changed.machine, changed.sources, file.band)
         if found:
             offers.append((now - min(found.values()), f"{name}{_following(file, name)}", found))
-    rows = []
+    rows: list[list[str]] = []
     for _, words, found in sorted(offers, key=lambda offer: -offer[0]):
         ways = sorted(found, key=lambda way: found[way])
         if any(abs(found[way] - now) > SEEN * now for way in ways):
@@ -609,7 +610,7 @@ def waterfall(file: MachineFile) -> list[list[str]]:
         "skyhook": {"skyhook": machine.skyhook},
         "feedforward": {"feedforward": machine.feedforward},
     }
-    rows, chosen = [], {}
+    rows, chosen = [], dict[str, Any]()
     for name, changed in steps.items():
         if name == "passive" or any(changed.values()):
             chosen |= changed

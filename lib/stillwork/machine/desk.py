@@ -103,7 +103,7 @@ def entry(
     """A machine as input of the page's modules: model, box, and the measurement with its delay removed."""
     model, fit = machine.sensors[0], machine.fit
     spread = uncertainty_of(machine, uncertainty)
-    found = {
+    found: dict[str, Any] = {
         "name": machine.source,
         "units": dict(zip(("position", "drive"), machine.units, strict=True)),
         "mass": machine.mass,
@@ -161,7 +161,7 @@ def _lines(measured: Identified, band_hz, resonances_hz, widths_hz) -> dict[str,
             near |= np.abs(hertz - centre) <= NEAR * width
         near = inside[near[inside]]
         near = near[:: 1 + 2 * len(near) // MOST_LINES]
-        wanted = np.geomspace(*hertz[inside[[0, -1]]], MOST_LINES - len(near))
+        wanted = np.geomspace(hertz[inside[0]], hertz[inside[-1]], MOST_LINES - len(near))
         inside = np.union1d(near, inside[np.searchsorted(hertz[inside], wanted).clip(0, len(inside) - 1)])
     response = measured.response[inside]
     columns = {"hz": hertz[inside], "re": response.real, "im": response.imag}

@@ -86,7 +86,7 @@ def noise_rows(
     makes = f"{gain:.3g} {unit} (rms over rms); {ratio:.3g} times {OF_CROSSING}"
     rows = [["noise of the sensor", noise.basis], ["white noise to the output", makes]]
     rows.append(["largest gain", f"{largest:.3g} {unit} at any frequency, {jump:.3g} {unit} within a sample"])
-    share = None
+    share = 0.0
     if noise.rms:
         share = gain * noise.rms / noise.limit
         size = f"{gain * noise.rms:.3g} {units[1]} rms"
@@ -102,7 +102,7 @@ def noise_rows(
             f"noise: white noise passes the written controller with a gain of {makes}; allowed are "
             f"{' and '.join(allowed)}: allow more, or sample faster"
         )
-    if (share or 0.0) > ROUNDED * SHARE or ratio > ROUNDED * RATIO:
+    if share > ROUNDED * SHARE or ratio > ROUNDED * RATIO:
         rows.append(["warning", "this noise is high for an actuator: heat, sound and wear"])
     return rows
 

@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Collection, Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -174,7 +175,7 @@ def _record(path: Path) -> Iterator[str]:
         own = {other for name, other in motions if name in alike}
         given = "" if len(own) > 1 else unit or "UNIT"
         yield _isolate("MACHINE", str(path.resolve()), given, alike if len(alike) < len(record.names) else ())
-        settings = {"floor_record": path.resolve()} | ({"floor_unit": given} if given else {})
+        settings: dict[str, Any] = {"floor_record": path.resolve()} | ({"floor_unit": given} if given else {})
         if len(record.names) > 1:
             settings["floor_channels"] = json.dumps(alike[:FLOOR_SENSORS], ensure_ascii=False)
         yield figures_command("isolation/08-your-floor", settings)
@@ -207,7 +208,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         kind = kind_of(arrays)
     except InputError:
         return
-    settings = {"machine_file": path.resolve()}
+    settings: dict[str, Any] = {"machine_file": path.resolve()}
     try:
         several = list(complex_responses(arrays)) if kind == "frequency response" else []
         chosen = several[0] if len(several) > 1 else ""

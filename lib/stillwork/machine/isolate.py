@@ -338,14 +338,13 @@ def _fitted(f: np.ndarray, seen: np.ndarray, rate: float, notes: list[str]) -> P
 
 def _mechanics(given: Table, noise: Table, rate: float) -> Isolator:
     given.require_known(MECHANICS)
-    matrices = []
-    for name in MECHANICS[:3]:
-        value = require_array(name, given[name])
-        matrices.append(value if value.ndim == 2 else np.diag(np.atleast_1d(value)))
-    axes = len(matrices[0])
+    read = (require_array(name, given[name]) for name in MECHANICS[:3])
+    mass, damping, stiffness = (each if each.ndim == 2 else np.diag(np.atleast_1d(each)) for each in read)
     return Isolator(
-        *matrices,
-        floor=require_array("floor", given.get("floor", np.eye(axes)), ndim=2),
+        mass,
+        damping,
+        stiffness,
+        floor=require_array("floor", given.get("floor", np.eye(len(mass))), ndim=2),
         actuator_pole=2 * np.pi * require_number("actuator_pole_hz", given["actuator_pole_hz"], above=0.0),
         delay=require_number("delay_s", given.get("delay_s", 1 / rate)),
         floor_noise=require_number("noise: floor", noise.get("floor", QUIET)),

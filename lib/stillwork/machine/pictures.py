@@ -30,7 +30,8 @@ STYLE = {
 @contextmanager
 def house_style() -> Iterator[None]:
     """matplotlib's settings of the pages' pictures, for a ``with`` or as a decorator of what draws one."""
-    from matplotlib import cycler, style
+    from cycler import cycler
+    from matplotlib import style
 
     colours = cycler(color=(BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK))
     with style.context({**STYLE, "axes.prop_cycle": colours}):

@@ -104,9 +104,13 @@ def report_file(file: str, out: str = "", **arguments) -> list[str]:
     if kind == "frequency response" and spectra_of(arrays):
         kind = "densities"
     parts = {"densities": _densities, "record": _record}.get(kind, _machine)
-    lines, sections = [], []
+    lines: list[str] = []
+    sections: list[tuple[str, str]] = []
     for part in parts(source, arrays, arguments):
-        (lines if isinstance(part, str) else sections).append(part)
+        if isinstance(part, str):
+            lines.append(part)
+        else:
+            sections.append(part)
     body = [f"<p>{html.escape(line)}</p>" for line in lines]
     body += [f"<h2>{html.escape(title)}</h2>\n{content}" for title, content in sections]
     text = page("report.html", source=html.escape(source.name), body="\n".join(body), held=html.escape(held))
