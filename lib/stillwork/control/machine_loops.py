@@ -255,6 +255,15 @@ class AchievableBandwidth:
         return lower if lower.design_hz >= first else None
 
     @property
+    def safe(self) -> Bandwidth:
+        """What is recommended, where something is."""
+        if self.recommended is None:
+            raise InputError(
+                f"no loop of this use is safe ({self.reason}); ask for less, or change the machine"
+            )
+        return self.recommended
+
+    @property
     def stopped_by_noise(self) -> bool:
         """Whether the allowed sensor noise limits the bandwidth, or makes every bandwidth infeasible."""
         stop = self.recommended

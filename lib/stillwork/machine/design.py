@@ -194,7 +194,7 @@ def design_file(files: str | Sequence[str], folder: str, rate: float, **asked) -
     code = _code(request, written)
     write_folder(folder, code)  # before the page: what was computed is not lost with a picture
     reached = made.found[made.ranking[0]]
-    pid, loops = reached.recommended.controller, reached.model_loops
+    pid, loops = reached.safe.controller, reached.model_loops
     computed = computed_numbers([*loops, *reached.perturbed], pid, [each.model for each in controllers])
     about = [*_facts(given, made), *facts]
     text = report(made, controllers, peaks, computed, helps, held, about, sorted(code))
@@ -256,7 +256,7 @@ def _read(request: DesignRequest, files: str | Sequence[str], load_options: dict
 def _proven(given: _Given, made: Designed) -> tuple[list[DigitalController], list[list[str]], dict]:
     """Controllers in the units of the machine, rows on the box for which their promise holds, and their peaks."""
     source, reached, limit = given.sources[0].name, made.found[made.ranking[0]], given.request.limit
-    pid, about = reached.recommended.controller, _about(given, made)
+    pid, about = reached.safe.controller, _about(given, made)
     controllers = [
         # Of the error: with the feedforward it is (A.7), and without the error under the reference is S_O.
         tied_to_error(
@@ -297,7 +297,7 @@ def _in_own_units(
         for each, loop, own in zip(written, loops, of_each, strict=True)
     ]
     rounded = single_rows(written, of_each, scales) if request.precision == "single" else []
-    pid = reached.recommended.controller
+    pid = reached.safe.controller
     facts = [*noise_rows(given.noise, written, loops, pid, given.units, scales), *rounded]
     if not plain:
         facts.append(["units of the controller", f"{given.units[0]} in, {given.units[1]} out"])
@@ -310,7 +310,7 @@ def _about(given: _Given, made: Designed) -> dict:
     """Gains and provenance, for the controller's file."""
     request, machine, best = given.request, made.machine, made.ranking[0]
     position, drive = given.file.units
-    recommended, spread = made.found[best].recommended, made.spreads[0]
+    safe, spread = made.found[best].safe, made.spreads[0]
     provenance = {
         "made_by": f"stillwork {stillwork.__version__} design",
         "file": given.sources[0].name,
@@ -328,14 +328,14 @@ def _about(given: _Given, made: Designed) -> dict:
         "rate_hz": made.rate,
         "delay_samples_asked": request.delay,
         "delay_samples_of_the_loop": made.delay,
-        "design_hz": recommended.design_hz,
+        "design_hz": safe.design_hz,
         "others": [
             {"file": each.name, "sha256": _sha256(each), "resonances_hz": other.resonances_hz.tolist()}
             for each, other in zip(given.sources[1:], made.others, strict=True)
         ],
     }
     return {
-        "gains": asdict(recommended.controller),
+        "gains": asdict(safe.controller),
         "units": f"input {given.units[0]}, output {given.units[1]}; gain {drive}/{position}, integrator, differentiator and "
         "low_pass rad/s",
         "provenance": provenance,

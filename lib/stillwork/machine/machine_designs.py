@@ -66,8 +66,8 @@ class Designed(NamedTuple):
     def search(self) -> SearchSettings:
         """What the search of every use holds fixed."""
         others = tuple(zip(self.others, self.delays, strict=True))
-        ends = {"loop_hz": self.loop_hz, "search_hz": self.search_hz}
-        return SearchSettings(1 / self.rate, self.delay, self.uncertainty, others, self.noise, **ends)
+        fixed = SearchSettings(1 / self.rate, self.delay, self.uncertainty, others, self.noise)
+        return replace(fixed, loop_hz=self.loop_hz, search_hz=self.search_hz)
 
     @property
     def ranking(self) -> list[str]:
@@ -300,7 +300,7 @@ def improvements(made: Designed, on_step: Callable[[str], None] = lambda _: None
     if not search.delay:
         del trials["no delay:"]
     before = reached.on_model.crossing_hz.min() if reached.on_model else 0.0
-    gains = []
+    gains: list[tuple[float, str]] = []
     for words, (change, settled) in trials.items():
         on_step(words)
         changed, *others = (
@@ -314,7 +314,7 @@ def improvements(made: Designed, on_step: Callable[[str], None] = lambda _: None
             low = min(reached.on_model.design_hz, 0.99 * high)
         found = reach(changed, settings, replace(trial, search_hz=(low, high))).on_model
         if found is not None and found.crossing_hz.min() > (1 + WORTH) * before:
-            gains.append([float(found.crossing_hz.min()), words])
+            gains.append((float(found.crossing_hz.min()), words))
     return [[words, f"{hertz:.1f}"] for hertz, words in sorted(gains, key=lambda each: -each[0])]
 
 

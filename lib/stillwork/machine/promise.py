@@ -18,7 +18,7 @@ def over_the_box(reached: AchievableBandwidth, spreads: Sequence[Uncertainty]) -
     """Largest magnitude of each loop function all over the boxes, by another search than the design's: more starts."""
     if all(spread.is_empty for spread in spreads):
         return {}
-    pid = reached.recommended.controller
+    pid = reached.safe.controller
     pairs = [(loop, spreads[0]) for loop in reached.model_loops]
     pairs += zip(reached.elsewhere, spreads[1:], strict=True)
     sizes = [
@@ -32,7 +32,7 @@ def over_the_phases(
     made: Designed, reached: AchievableBandwidth, controllers: Sequence[DigitalController]
 ) -> list[list[str]]:
     """A row for the table of the box: the peak at places of it with the phases of the modes; none where they have none."""
-    pid, rng = reached.recommended.controller, np.random.default_rng(0)
+    pid, rng = reached.safe.controller, np.random.default_rng(0)
     groups = [reached.model_loops, *((loop,) for loop in reached.elsewhere)]
     worst, count = 0.0, 0
     for group, machine, spread in zip(groups, (made.machine, *made.others), made.spreads, strict=True):

@@ -121,9 +121,10 @@ def _load_design(file: str) -> _Designed:
     about = Table(dict(written.about), Path(file).name)
     made, observer = about.table("provenance"), about.table("compensator")
     sample_time = written.model.sample_time
+    a, b, c, d = (require_array(f"compensator: {name}", observer[name]) for name in "abcd")
     loop = make_loop(
         model_of(about.table("model")),
-        _observer(*(require_array(f"compensator: {name}", observer[name]) for name in "abcd"), sample_time),
+        _observer(a, b, c, d, sample_time),
         sample_time=sample_time,
         delay=made["delay_samples_of_the_loop"],
     )
