@@ -41,7 +41,7 @@ part = @echo "$(1)"; begin=$$(date +%s); if $(2); then end=passed; else end=FAIL
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help figures choices contest test quick course lab site browser bench dated accept release doctor clean
+.PHONY: help figures choices settings contest test quick course lab site browser bench dated accept release doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -51,6 +51,9 @@ figures: $(READY) ## Build what is stale; ARGS="TOPIC/NOTEBOOK -p NAME=VALUE --j
 
 choices: $(READY) ## Try every choice that the papers leave open; ARGS="TOPIC --jobs N --budget MINUTES"
 	@$(BIN)/python -m workbook choices $(ARGS)
+
+settings: $(READY) ## Find which of these choices explain most printed numbers at once; ARGS="TOPIC --jobs N"
+	@$(BIN)/python -m workbook settings $(ARGS)
 
 .PHONY: readings
 readings: # by its old name, for this version

@@ -85,6 +85,7 @@ def _named(text: str) -> str:
 COMMANDS = {
     "figures": "build the notebooks that are out of date",
     "choices": "try every choice that the papers leave open",
+    "settings": "find which of these choices explain most printed numbers at once",
     "claims": "print the ledger",
     "accept": "copy the built results into notebooks/ and figures/",
     "site": "write the static site to build/site",
@@ -96,6 +97,7 @@ COMMANDS = {
 TARGETS = {
     "accept": "workbook.commands:accept",
     "choices": "workbook.choices.command:compute_choices",
+    "settings": "workbook.choices.settings:compute_settings",
     "site": "workbook.site.build:build_site",
     "init": "workbook.site.scaffold:begin",
     "doctor": "workbook.environment:doctor",
@@ -135,6 +137,10 @@ def _parser() -> argparse.ArgumentParser:
     add("--study", type=_named, metavar="NAME", help="only this study of the topic, all of its combinations")
     short = "compare the study's short form with its full form at every option"
     add("--short", action="store_true", help=short)
+
+    add = own["settings"].add_argument
+    add("topic", nargs="?", metavar="TOPIC")
+    add("--jobs", type=_count, metavar="N", help="processes (default: one a core)")
 
     add = own["claims"].add_argument
     add("topic", nargs="?", metavar="TOPIC")

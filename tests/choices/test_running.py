@@ -222,7 +222,6 @@ def test_the_command_runs_while_a_build_does_and_the_ledger_tells_of_combination
     combinations = claims["motion.order"]["choices"]
     assert (combinations["tried"], combinations["agree"]) == (18, sum(order))
     assert combinations["decided_by"][0]["axis"] == "a"
-    assert combinations["joint"]["tried"] == 6
     monkeypatch.setenv("COLUMNS", "60")
     assert main(["claims", "--entry", "motion.order"]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -1,5 +1,6 @@
 """Committed combinations are of the committed axes, and what the code gives now is what stands there."""
 
+import numpy as np
 import pytest
 
 from committed.again import compute_again
@@ -9,6 +10,8 @@ from workbook.choices.checking import moves, note, parts_a_day, today
 from workbook.choices.command import robustness_of
 from workbook.choices.results import read_results
 from workbook.choices.running import design
+from workbook.choices.settings import joint_settings, printed_entries, read_settings, settings_text
+from workbook.choices.windows import search_window, searches
 from workbook.claims import load_entries
 
 PARTS = 4  # tests that share the studies of a topic, for workers to take
@@ -54,3 +57,28 @@ def test_those_whose_turn_it_is_today_come_out_again(topic, part):
 def test_every_axis_that_moves_an_entry_says_so(topic):
     moved = {name: standing.undeclared for name, standing in robustness_of(topic).items()}
     assert not {name: axes for name, axes in moved.items() if axes}
+
+
+SETTINGS = [topic for topic in paths.topics() if paths.data(topic, "settings.csv").exists()]
+BY_SETTINGS = 'run make settings ARGS="{}"'
+
+
+@pytest.mark.parametrize("topic", SETTINGS)
+def test_settings_are_those_of_these_combinations(topic):
+    """The windows are kept; what follows from them and from the combinations is found again."""
+    kept = read_settings(topic)
+    if settings_text(joint_settings(topic, kept.windows)) != settings_text(kept):
+        pytest.fail(f"settings.csv is of other combinations; {BY_SETTINGS.format(topic)}", pytrace=False)
+
+
+@pytest.mark.parametrize("topic", SETTINGS)
+def test_the_window_whose_turn_it_is_today_comes_out_again(topic):
+    tasks = list(searches(studies(topic), printed_entries(topic)).values())
+    kept = read_settings(topic).windows
+    assert {each.axis for each in kept} == {axis.name for _, axis, _, _ in tasks}, BY_SETTINGS.format(topic)
+    for multiverse, axis, point, entries in tasks[today() % len(tasks) :][:1] if tasks else ():
+        texts = {each.name: each.texts[k] for each, k in zip(multiverse.axes, point, strict=True)}
+        for name, pieces in search_window(multiverse, axis, point, entries).items():
+            mine = [each for each in kept if (each.axis, each.number) == (axis.name, name)]
+            (before,) = [each for each in mine if dict(each.others).items() <= texts.items()]
+            assert np.ravel(before.pieces) == pytest.approx(np.ravel(pieces), rel=1e-4), name

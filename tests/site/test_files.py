@@ -1,7 +1,7 @@
 """The site's files, checked without a browser: links, escaping, places, completeness."""
 
+import html
 import io
-import itertools
 import json
 import re
 from collections import Counter
@@ -13,6 +13,7 @@ from PIL import Image
 
 from workbook import paths
 from workbook.choices.command import judged_ledger
+from workbook.choices.settings import read_settings
 from workbook.claims import DISAGREEMENT, ledger
 from workbook.headlines import headlines, said_first
 from workbook.notebooks import select
@@ -143,22 +144,20 @@ def test_advice_rests_on_verdicts_that_stand():
             assert stated == verdicts[entry]
 
 
-def test_a_table_has_its_nearest_joint_combination_and_what_comes_near_there(files):
-    """Of Table 4.1, by brute force over the rows of its study; the first is the default, whose numbers are the ledger's."""
-    lines = paths.data("motion", "choices.csv").read_text(encoding="utf-8").splitlines()
-    (head,) = [number for number, line in enumerate(lines) if "motion.table-4-1.mc.mean" in line.split(",")]
-    rows = list(itertools.takewhile(lambda line: line[:1].isdigit(), lines[head + 1 :]))
-    claims = {claim.entry.id: claim for claim in ledger() if claim.entry.id.startswith("motion.table-4-1.")}
-    names = [name for name in lines[head].split(",") if name in claims and claims[name].entry.kind == "value"]
-    found = [dict(zip(lines[head].split(","), row.split(","), strict=True)) for row in rows]
-    found[0] |= {name: claims[name].ours for name in names}
-    off = [[abs(float(row[name]) / claims[name].entry.published - 1) for name in names] for row in found]
-    best = min(off, key=lambda each: sum(min(one, 1) for one in each))
-    counts = [f"{sum(each <= size for each in best)} of {len(best)}" for size in (0.05, 0.15, 0.25)]
-    text = files["choices/motion.html"].decode()
-    row = re.search(r"<tr><td><code>motion.table-4-1</code></td><td>(.*?)</td><td>.*?</td>(.*?)</tr>", text)
-    assert ("(moved)" in row[1]) == (best is not off[0])
-    assert re.findall(r"<td>(.*?)</td>", row[2]) == [*counts, str(len(rows))]
+def test_a_topic_has_a_page_of_what_its_paper_must_have_used(files):
+    """Every option of every choice that tells numbers apart, and each number of its windows with its ends."""
+    text, joint = files["settings/motion.html"].decode(), read_settings("motion")
+    assert f"{joint.agree} of {joint.numbers} printed numbers" in text.replace("\n", " ").replace("  ", " ")
+    telling = {each.axis for each in joint.settings if each.supports or each.contradicts}
+    rows = re.findall(r'<tr><td title="[^"]*">(.*?)</td><td>(.*?)</td>', text)
+    assert [axis for axis, _ in rows] == [each.axis for each in joint.settings if each.axis in telling]
+    best = {
+        axis: re.search("<strong>(.*?)</strong>", option)[1] for axis, option in rows if "<strong>" in option
+    }
+    assert best == {axis: html.escape(option) for axis, option in joint.best.items() if axis in telling}
+    for each in joint.windows:
+        for low, high in each.pieces:
+            assert f"{low:g} to {high:g}" in text
 
 
 def test_the_search_index_leads_to_places_that_are_there(files):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 from workbook import paths
-from workbook.checks import InputError, nearest, read_toml, require_choice, require_count
+from workbook.checks import InputError, nearest, read_toml, require_choice, require_count, require_number
 from workbook.claims import load_entries
 
 AXIS_KINDS = ("text", "number", "definition", "procedure", "seed")
@@ -43,6 +43,8 @@ class Axis:
         Of the options.
     after : bool
         Whether it was thought of after the numbers had been seen.
+    window : tuple of float or None
+        Of a number that may have any value: the range in which `workbook.choices.windows` searches.
     """
 
     id: str
@@ -54,6 +56,7 @@ class Axis:
     kind: str
     unit: str = ""
     after: bool = False
+    window: tuple[float, float] | None = None
 
     def __post_init__(self):
         require_choice(f"{self.id}: kind", self.kind, AXIS_KINDS)
@@ -70,6 +73,9 @@ class Axis:
         if option_text(self.default) not in self.texts:
             hint = nearest(option_text(self.default), self.texts)
             raise InputError(f"{self.id}: default {self.default!r} is not among its options{hint}")
+        if self.window is not None:
+            require_number(f"{self.id}: window's low end", self.window[0])
+            require_number(f"{self.id}: window's high end", self.window[1], above=self.window[0])
         if not self.keyword.isidentifier() or (self.keyword in _RESERVED and self.kind != "seed"):
             raise InputError(f"{self.id}: {self.name!r} cannot be an argument of a study; take another name")
 
@@ -197,23 +203,19 @@ def load_axes(topic: str) -> tuple[dict[str, Axis], list[Multiverse]]:
     return axes, multiverses
 
 
-def load_together(topic: str) -> dict[str, tuple[str, ...]]:
-    """What was published together beyond a table or figure, by name: ``[together]`` lists entries, or first parts of ids.
+def load_digits(topic: str) -> dict[str, float]:
+    """Half a unit of the last printed digit of entries whose tolerance is wider: ``[digits]``.
 
     Raises
     ------
     InputError
-        When an entry does not exist, or stands in two lists.
+        When an entry does not exist.
     """
-    ledger, found, owner = tuple(load_entries(topic)), {}, {}
-    for name, starts in _read(topic).get("together", {}).items():
-        if not isinstance(starts, list):
-            raise InputError(f"together.{name} is no list; give [...]")
-        found[name] = _matching(f"together.{name}", starts, ledger)
-        for entry in found[name]:
-            if owner.setdefault(entry, name) != name:
-                raise InputError(f"{entry} stands in together.{owner[entry]} and together.{name}; keep one")
-    return found
+    given = _read(topic).get("digits", {})
+    for name, half in given.items():
+        _matching("digits", [name], tuple(load_entries(topic)))
+        require_number(f"digits: {name}", half, above=0)
+    return given
 
 
 def _read(topic: str) -> dict:
@@ -223,8 +225,8 @@ def _read(topic: str) -> dict:
         return {}
     tree = read_toml(file)
     for name in tree:
-        if name not in (topic, "studies", "together"):
-            raise InputError(f"{file}: table {name!r} is none of {topic!r}, 'studies', 'together'; rename it")
+        if name not in (topic, "studies", "digits"):
+            raise InputError(f"{file}: table {name!r} is none of {topic!r}, 'studies', 'digits'; rename it")
     return tree
 
 
@@ -242,8 +244,11 @@ def _axis(name: str, given, ledger: tuple[str, ...]) -> Axis:
     for option in (*given["options"], given["default"]):
         if not isinstance(option, Option) or (isinstance(option, float) and not math.isfinite(option)):
             raise InputError(f"{name}: option {option!r} is no text, number or flag; give one of these")
+    if "window" in given and not (isinstance(given["window"], list) and len(given["window"]) == 2):
+        raise InputError(f"{name}: window is {given['window']!r}; give [low, high]")
     _matching(f"{name}: touches", given["touches"], ledger)
-    return Axis(id=name, **{**given, "options": tuple(given["options"]), "touches": tuple(given["touches"])})
+    lists = {key: tuple(given[key]) for key in ("options", "touches", "window") if key in given}
+    return Axis(id=name, **{**given, **lists})
 
 
 def _multiverse(

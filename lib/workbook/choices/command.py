@@ -10,7 +10,7 @@ from pathlib import Path
 
 from workbook import paths
 from workbook.checks import InputError, require_choice
-from workbook.choices.axes import Axis, Multiverse, load_axes, load_together
+from workbook.choices.axes import Axis, Multiverse, load_axes
 from workbook.choices.checking import (
     age,
     drawn,
@@ -179,12 +179,10 @@ def _unmoved(topic: str, multiverses: list[Multiverse], run, journal: Journal) -
 
 def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Robustness], width: int) -> str:
     """Table of all entries of a topic over their combinations, and what failed."""
-    rows = [("claim", "tried", "agree", "interval", "decided by", "best joint combination")]
+    rows = [("claim", "tried", "agree", "interval", "decided by")]
     for name, standing in standings.items():
         judged = standing.share is not None
         spread = "{:.2f} .. {:.2f}".format(*standing.interval) if judged else ""
-        joint = standing.joint
-        best = f"{len(joint.agreeing)} of {len(joint.ours)} in {joint.tried} tried" if joint else ""
         agree = f"{100 * standing.share:.3g} %" if judged else "not judged"
         rows.append(
             (
@@ -193,7 +191,6 @@ def standings_text(topic: str, studies: list[Outcomes], standings: dict[str, Rob
                 agree,
                 spread,
                 ", ".join(standing.decided_by),
-                best,
             )
         )
     lines = table(rows, width)
@@ -231,7 +228,7 @@ def judged_ledger(topic: str | None = None, figures: Path | None = None, notes: 
 
 def _judged(topic: str, studies: list[Outcomes], axes: dict[str, Axis], claims) -> dict[str, Robustness]:
     by_id = {claim.entry.id: claim for claim in claims}
-    return judge(studies, load_entries(topic), axes, by_id, load_together(topic))
+    return judge(studies, load_entries(topic), axes, by_id)
 
 
 def robustness_of(topic: str, claims: list[Claim] | None = None, notes: bool = True) -> dict[str, Robustness]:

@@ -1,62 +1,25 @@
-"""How often an entry agrees over the combinations of open choices, what decides that, and the best joint combination.
+"""How often an entry agrees over the combinations of open choices and what decides that.
 
 Only the axes that touch an entry count: points that differ in other axes alone are copies of one setting. The default
 setting has the value and the verdict of the ledger.
 """
 
-import itertools
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
 from workbook.checks import InputError
-from workbook.choices.axes import Axis, Option
+from workbook.choices.axes import Axis
 from workbook.choices.results import Outcomes
 from workbook.choices.variance import SEED, Shares, variance_shares
 from workbook.claims import AGREEMENT, LEAST, Claim, Entry
 
 DECIDES = 0.1  # least share of variance, joint effects included, of an axis that is named
 NAMED = 2  # axes at most
-# Of a published value: relative distances within which a table's numbers are counted.
-NEAR = (0.05, 0.15, 0.25)
-
-
-@dataclass(frozen=True)
-class Joint:
-    """The best combination of a group that was published together: one combination for all its numbers.
-
-    Attributes
-    ----------
-    group : str
-        First two parts of the ids.
-    combination : dict of str to option
-        By axis.
-    moved : tuple of str
-        Axes that are not at their default there.
-    agreeing : tuple of str
-        Entries that agree there in at least half of the seeds.
-    ours : dict of str to float
-        Mean over the seeds there, by entry.
-    near : dict of str to int
-        How many of the published values are within 5, 15 and 25 % there, and of how many: ``{"5%": 3, ..., "of": 9}``.
-    tried : int
-        Combinations among which it is the best.
-    distance : float
-        Mean over its numbers of the relative distance from the published one, each 1 at most; it is the smallest.
-    """
-
-    group: str
-    combination: dict[str, Option]
-    moved: tuple[str, ...]
-    agreeing: tuple[str, ...]
-    ours: dict[str, float]
-    near: dict[str, int]
-    tried: int
-    distance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -78,8 +41,6 @@ class Robustness:
         Of its variance: of the value's, or of the agreement's where there is no size.
     undeclared : tuple of str
         Axes that move it and are not declared to; known only where all combinations were computed.
-    joint, whole : Joint or None
-        Of what was published together with it, and of all numbers of the paper.
     age : str
         What is to be noted of values that older code has computed; empty for those of the code as it is.
     differs : str
@@ -94,8 +55,6 @@ class Robustness:
     failed: np.ndarray
     shares: Shares | None = None
     undeclared: tuple[str, ...] = ()
-    joint: Joint | None = None
-    whole: Joint | None = None
     age: str = ""
     differs: str = ""
     lean: str = ""  # of a study by a short form what that leaves out
@@ -164,29 +123,9 @@ class Robustness:
                 {"axis": axis.name, "options": list(axis.options), "unit": axis.unit, "after": axis.after}
                 for axis in self.axes
             ],
-            "joint": self._joint(self.joint),
-            "whole": self._joint(self.whole),
             "age": self.age,
             "differs": self.differs,
             "short form": self.lean,
-        }
-
-    def _joint(self, joint: Joint | None) -> dict | None:
-        name = self.entry.id
-        if joint is None or name not in joint.ours:
-            return None
-        ours = joint.ours[name]
-        return {
-            "group": joint.group,
-            "ours": ours if math.isfinite(ours) else None,
-            "agrees": name in joint.agreeing,
-            "basis": "calibrated" if joint.moved else self.entry.basis,
-            "combination": joint.combination,
-            "tried": joint.tried,
-            "agreeing": len(joint.agreeing),
-            "of": len(joint.ours),
-            "within": joint.near,
-            "distance": joint.distance,
         }
 
 
@@ -195,7 +134,6 @@ def judge(
     entries: dict[str, Entry],
     axes: dict[str, Axis],
     claims: Mapping[str, Claim] = MappingProxyType({}),
-    together: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> dict[str, Robustness]:
     """Robustness of every entry that the studies of a topic give, by id.
 
@@ -208,31 +146,13 @@ def judge(
         By name, as declared.
     claims : mapping of str to Claim
         The ledger's values; the default combination uses them, so that it has one result.
-    together : mapping of str to tuple of str
-        Entries that were published together, by a name; of others it is what shares the first two parts of the id.
     """
     parts = {
         name: _Part(study, entries[name], claims.get(name))
         for study in studies
         for name in study.multiverse.entries
     }
-    found = {name: _robustness(part, axes) for name, part in parts.items()}
-    counted = [name for name, one in found.items() if one.entry.is_replication and one.agree is not None]
-    groups = defaultdict(list)
-    named = {entry: group for group, listed in together.items() for entry in listed}
-    for name in counted:
-        groups[named.get(name, group_of(name))].append(name)
-    for group, names in groups.items():
-        if joint := _best_joint(group, [parts[name] for name in names]):
-            found |= {name: replace(found[name], joint=joint) for name in names}
-    if len(groups) > 1 and (whole := _best_joint("the whole paper", [parts[name] for name in counted])):
-        found |= {name: replace(found[name], whole=whole) for name in counted}
-    return found
-
-
-def group_of(entry: str) -> str:
-    """What was published together: the first two parts of an id, a topic and its table or figure."""
-    return ".".join(entry.split(".")[:2])
+    return {name: _robustness(part, axes) for name, part in parts.items()}
 
 
 def agreement(study: Outcomes, entry: Entry) -> np.ndarray:
@@ -289,24 +209,6 @@ class _Part:
             self.differs = f"{self.values[point, 0]:.4g} in its study, {claim.ours:.4g} in the ledger"
         self.own = (point, 0)
         self.values[self.own], self.agrees[self.own] = claim.ours, agrees
-
-    def at(self, point: int) -> tuple[float, bool]:
-        """Mean over the seeds, and whether most of them agree; at the default what the ledger has."""
-        if self.default is not None and self.study.design[point] == self.study.multiverse.default_point:
-            return self.default
-        there = self.values[point][np.isfinite(self.values[point])]
-        return (float(there.mean()) if there.size else math.nan), bool(self.agrees[point].mean() >= 0.5)
-
-    def distance(self, point: int) -> float:
-        """Of ours from the published number: relative, 1 at most; none on the side that the entry calls better."""
-        (ours, agrees), entry = self.at(point), self.entry
-        if not math.isfinite(ours):
-            return 1.0
-        if not entry.published:
-            return float(not agrees)
-        if entry.better == ("larger" if ours > entry.published else "smaller"):
-            return 0.0
-        return min(abs(ours / entry.published - 1), 1.0)
 
 
 def _robustness(part: _Part, axes: dict[str, Axis]) -> Robustness:
@@ -378,103 +280,3 @@ def _under_own_names(shares: Shares | None, axes, touched) -> Shares | None:
         {own: shares.first[name] for own, name in names.items()},
         {own: shares.total[name] for own, name in names.items()},
     )
-
-
-def _best_joint(group: str, parts: list[_Part]) -> Joint | None:
-    """Nearest combination for all entries of a group; where several studies give them, one that all of them tried."""
-    studies: dict[str, list[_Part]] = defaultdict(list)
-    for part in parts:
-        studies[part.study.multiverse.study].append(part)
-    counts = Counter(axis.name for mine in studies.values() for axis in mine[0].study.multiverse.axes)
-    shared = sorted(name for name, count in counts.items() if count > 1)
-    waiting = [(mine, _best_by_shared(mine, shared)) for mine in studies.values()]
-    whole: dict[tuple, _Pick] = {(): _Pick((0.0, 0), (), 1)}
-    order = []
-    while waiting:  # first what leaves the fewest axes open, which later studies share
-        mine, more = waiting.pop(min(range(len(waiting)), key=lambda k: _left_open(waiting, order, k)))
-        order.append(mine)
-        still = {axis.name for later, _ in waiting for axis in later[0].study.multiverse.axes}
-        joined: dict[tuple, _Pick] = {}
-        for (key, one), (other, two) in itertools.product(whole.items(), more.items()):
-            if all(dict(key).get(name, option) == option for name, option in other):
-                options = (dict(key) | dict(other)).items()
-                left = tuple(sorted(each for each in options if each[0] in still))
-                pick = one.with_(two)
-                joined[left] = joined[left].or_(pick) if left in joined else pick
-        whole = joined
-    if not whole:
-        return None
-    best = whole[()]
-    return _joint_at(
-        group, list(zip(order, best.points, strict=True)), best.count, -best.score[0] / len(parts)
-    )
-
-
-def _left_open(waiting: list, order: list, k: int) -> int:
-    """Axes of the studies taken so far and the k-th waiting one that another waiting one has, too."""
-    taken = {axis.name for mine in (*order, waiting[k][0]) for axis in mine[0].study.multiverse.axes}
-    rest = [mine for place, (mine, _) in enumerate(waiting) if place != k]
-    return len(taken & {axis.name for mine in rest for axis in mine[0].study.multiverse.axes})
-
-
-@dataclass(frozen=True)
-class _Pick:
-    """The best of those points, one of each study, that share an option on every shared axis."""
-
-    score: tuple[float, int]  # minus the sum of distances, minus axes moved
-    points: tuple[int, ...]
-    count: int  # among so many
-
-    def with_(self, other: "_Pick") -> "_Pick":
-        """This and the pick of a further study."""
-        distance = round(self.score[0] + other.score[0], 9)
-        return _Pick(
-            (distance, self.score[1] + other.score[1]), self.points + other.points, self.count * other.count
-        )
-
-    def or_(self, other: "_Pick") -> "_Pick":
-        """The better of two picks, among all of both."""
-        better = other if other.score > self.score else self
-        return replace(better, count=self.count + other.count)
-
-
-def _best_by_shared(parts: list[_Part], shared: list[str]) -> dict[tuple, _Pick]:
-    study = parts[0].study
-    multiverse = study.multiverse
-    columns = [k for k, axis in enumerate(multiverse.axes) if axis.name in shared]
-    found: dict[tuple, _Pick] = {}
-    for point, places in enumerate(study.design):
-        if study.failed[point].all():
-            continue
-        key = tuple((multiverse.axes[k].name, multiverse.axes[k].texts[places[k]]) for k in columns)
-        moved = sum(a != b for a, b in zip(places, multiverse.default_point, strict=True))
-        score = (round(-sum(part.distance(point) for part in parts), 9), -moved)
-        before = found.get(key, _Pick(score, (point,), 0))
-        better = _Pick(score, (point,), 0) if score > before.score else before
-        found[key] = replace(better, count=before.count + 1)
-    return found
-
-
-def _joint_at(group: str, places: list[tuple[list[_Part], int]], tried: int, distance: float) -> Joint:
-    combination: dict[str, Option] = {}
-    moved: list[str] = []
-    agreeing, ours, entries = [], {}, []
-    for parts, point in places:
-        study = parts[0].study
-        combination |= study.multiverse.combination(study.design[point])
-        for axis, k in zip(study.multiverse.axes, study.design[point], strict=True):
-            if k != axis.default_index and axis.name not in moved:
-                moved.append(axis.name)
-        for part in parts:
-            name = part.entry.id
-            ours[name], agrees = part.at(point)
-            entries.append(part.entry)
-            if agrees:
-                agreeing.append(name)
-    off = [
-        abs(ours[entry.id] / entry.published - 1)
-        for entry in entries
-        if entry.kind == "value" and entry.published
-    ]
-    near = {f"{size:.0%}": sum(each <= size for each in off) for size in NEAR} | {"of": len(off)}
-    return Joint(group, combination, tuple(moved), tuple(agreeing), ours, near, tried, distance)

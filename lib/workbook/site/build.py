@@ -13,7 +13,9 @@ from markupsafe import Markup
 
 from workbook import paths, publish
 from workbook.checks import InputError
+from workbook.choices.axes import load_axes
 from workbook.choices.command import judged_ledger
+from workbook.choices.settings import ranges, read_settings
 from workbook.claims import KINDS, VERDICTS, Claim
 from workbook.headlines import headlines, said_first
 from workbook.notebooks import notebook_file
@@ -32,6 +34,7 @@ from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, papers, project
 from workbook.site.pages import NotebookPage, read_page
+from workbook.site.settings import bars
 from workbook.site.specification import curves, sentence, status
 from workbook.site.states import kept_states, make_states
 from workbook.tasks import tasks
@@ -46,6 +49,7 @@ OVERVIEWS = (
     "replicate.html",
     "reference/index.html",
 )
+SEARCHED = ("choices/", "settings/")  # folders of further ones
 
 
 def build_site() -> int:
@@ -77,11 +81,9 @@ def _own_pages() -> dict[str, dict]:
 
 def site_files() -> dict[str, bytes]:
     """The site's files by path, with the explorers' states that are kept."""
-    claims = judged_ledger(notes=True)
-    wanted = tasks()
+    claims, wanted = judged_ledger(notes=True), tasks()
     pages = [read_page(task, claims) for task in wanted]
-    states = kept_states(wanted)
-    modules = reference.read_modules()
+    states, modules = kept_states(wanted), reference.read_modules()
     guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
     topics = [_topic(name, paper, claims, pages) for name, paper in papers().items()]
     own = _own_pages()
@@ -97,10 +99,33 @@ def site_files() -> dict[str, bytes]:
         timed=bool(timed := benchmarks()),
         verdicts=[verdict for verdict in VERDICTS if any(claim.verdict == verdict for claim in claims)],
         counts=Counter(map(column, claims)),
+        curved={curve.claim.entry.id for topic in topics for curve in topic["curves"]},
     )
-
-    curved = {curve.claim.entry.id for topic in topics for curve in topic["curves"]}
+    bodies = {name: markdown(text) for name, text in guides.items()}
     files = static_files()
+    files["index.html"] = _front(render, claims, pages, states)
+    files |= _ledger_pages(render, claims, pages)
+    files |= _choice_pages(render, topics)
+    files["gallery.html"] = render("gallery.html", "", pages=pages)
+    files["benchmarks.html"] = render("benchmarks.html", "", tables=timed)
+    files["replicate.html"] = render(
+        "replicate.html", "", pages=pages, binder=binder("notebooks/index.ipynb")
+    )
+    for page in pages:
+        files |= _notebook_files(render, page, pages, states.get(page.name, {}))
+    files |= _reference_pages(render, modules)
+    files |= _guide_pages(render, guides, bodies)
+    for name, page in own.items():
+        files[name] = render("own.html", "", page=page)
+        files |= {f"static/{each}": text.encode() for each, text in page["files"].items()}
+    files["search.html"] = render("search.html", "")
+    others = {name: files[name] for name in files if name in OVERVIEWS or name.startswith(SEARCHED)}
+    files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims, others))
+    return files
+
+
+def _front(render, claims: list[Claim], pages: list[NotebookPage], states: dict) -> bytes:
+    """The front, with the first explorer that a paper names to be moved there."""
     by_name = {page.name: page for page in pages}
     moving = [
         page.name
@@ -108,7 +133,7 @@ def site_files() -> dict[str, bytes]:
         if (page := by_name.get(paper["moving"])) and "states" in states.get(page.name, {})
         if any(figure.csv is None for figure in page.figures)
     ]
-    files["index.html"] = render(
+    return render(
         "index.html",
         "",
         published=sum(claim.entry.published is not None for claim in claims),
@@ -116,52 +141,77 @@ def site_files() -> dict[str, bytes]:
         moving=by_name[moving[0]] if moving else None,
         states=states[moving[0]] if moving else {},
     )
-    files["ledger.html"] = render(
+
+
+def _ledger_pages(render, claims, pages) -> dict[str, bytes]:
+    page = render(
         "ledger.html",
         "",
         claims=claims,
-        by_name=by_name,
-        curved=curved,
+        by_name={page.name: page for page in pages},
         kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
     )
+    plain = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
+    return {"ledger.html": page, "ledger.json": plain}
+
+
+def _choice_pages(render, topics: list[dict]) -> dict[str, bytes]:
+    """Of each topic its numbers over their combinations, and which settings the paper must have used."""
+    files = {}
     for topic in topics:
+        name, joint = topic["name"], topic["joint"]
         if topic["curves"]:
-            files[f"choices/{topic['name']}.html"] = render(
-                "choices.html", "../", topic=topic, curves=topic["curves"]
+            files[f"choices/{name}.html"] = render("choices.html", "../", topic=topic, curves=topic["curves"])
+        if joint:
+            telling = {each.axis for each in joint.settings if each.supports or each.contradicts}
+            files[f"settings/{name}.html"] = render(
+                "settings.html",
+                "../",
+                topic=topic,
+                joint=joint,
+                axes=load_axes(name)[0],
+                telling=telling,
+                silent=sorted({each.axis for each in joint.settings} - telling),
+                drawn=bars(joint),
             )
-    files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
-    files["gallery.html"] = render("gallery.html", "", pages=pages)
-    files["benchmarks.html"] = render("benchmarks.html", "", tables=timed)
-    files["replicate.html"] = render(
-        "replicate.html", "", pages=pages, binder=binder("notebooks/index.ipynb")
+    return files
+
+
+def _notebook_files(render, page, pages, states: dict) -> dict[str, bytes]:
+    """A notebook's page, the notebook itself, and its figures with their data."""
+    first_figure = next((figure.name for figure in page.figures), "")
+    shown = render(
+        "notebook.html",
+        "../../",
+        page=page,
+        heads=headlines(list(page.claims), said_first(page.topic), first_figure),
+        neighbours=_neighbours(page, pages),
+        states=states,
+        binder=binder(f"notebooks/{page.name}.ipynb"),
     )
-    for page in pages:
-        files[f"notebooks/{page.name}.html"] = render(
-            "notebook.html",
-            "../../",
-            page=page,
-            heads=headlines(
-                list(page.claims), said_first(page.topic), next((f.name for f in page.figures), "")
-            ),
-            curved=curved,
-            neighbours=_neighbours(page, pages),
-            states=states.get(page.name, {}),
-            binder=binder(f"notebooks/{page.name}.ipynb"),
-        )
-        files[f"notebooks/{page.name}.ipynb"] = notebook_file(page.name).read_bytes()
-        for figure in page.figures:
-            files[f"{figure.path}.png"] = figure.png
-            if figure.csv is not None:
-                files[f"{figure.path}.csv"] = figure.csv
-                files[figure.thumbnail] = figure.small[0]
-    files["reference/index.html"] = render(
-        "reference.html", "../", folders=reference.folders(modules), doc=_doc
-    )
+    own = {".html": shown, ".ipynb": notebook_file(page.name).read_bytes()}
+    files = {f"notebooks/{page.name}{suffix}": content for suffix, content in own.items()}
+    for figure in page.figures:
+        files[f"{figure.path}.png"] = figure.png
+        if figure.csv is not None:
+            files[f"{figure.path}.csv"] = figure.csv
+            files[figure.thumbnail] = figure.small[0]
+    return files
+
+
+def _reference_pages(render, modules: list[reference.Module]) -> dict[str, bytes]:
+    shown = {"folders": reference.folders(modules), "doc": _doc}
+    files = {"reference/index.html": render("reference.html", "../", **shown)}
     for module in modules:
         files[f"reference/{module.name}.html"] = render(
             "module.html", "../", module=module, doc=_doc, source=_source(module.source)
         )
-    bodies = {name: markdown(text) for name, text in guides.items()}
+    return files
+
+
+def _guide_pages(render, guides: dict[str, str], bodies: dict[str, str]) -> dict[str, bytes]:
+    """The documents below ``docs``, and the scripts that they lead to."""
+    files = {}
     for name, body in bodies.items():
         files[f"guide/{name}.html"] = render(
             "guide.html", _to_front(name), title=_title(guides[name]), body=Markup(body)
@@ -173,12 +223,6 @@ def site_files() -> dict[str, bytes]:
             file=file.relative_to(paths.root()).as_posix(),
             source=_source(file.read_text(encoding="utf-8")),
         )
-    for name, page in own.items():
-        files[name] = render("own.html", "", page=page)
-        files |= {f"static/{each}": text.encode() for each, text in page["files"].items()}
-    files["search.html"] = render("search.html", "")
-    others = {name: files[name] for name in files if name in OVERVIEWS or name.startswith("choices/")}
-    files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims, others))
     return files
 
 
@@ -203,14 +247,13 @@ def _topic(name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage
     """What a template shows of a topic."""
     mine = [claim for claim in claims if claim.entry.topic == name]
     drawn = curves(name, mine)
-    joints = {curve.standing.joint.group: curve.standing.joint for curve in drawn if curve.standing.joint}
     return {
         "name": name,
         **paper,
         "counts": Counter(map(column, mine)),
         "picture": picture.draw(mine),
         "curves": drawn,
-        "joints": [joint for joint in joints.values() if len(joint.ours) > 1],
+        "joint": read_settings(name),
         "headline": _said(paper["headline"], mine),
         "found": _said(paper["found"], mine),
         "rests": [entry for entry in paper["rests"] if any(claim.entry.id == entry for claim in mine)],
@@ -258,6 +301,7 @@ def _templates() -> jinja2.Environment:
     environment.filters["tally"] = tally
     environment.filters["status"] = status
     environment.filters["sentence"] = sentence
+    environment.filters["ranges"] = ranges
     return environment
 
 
