@@ -86,7 +86,13 @@ def closure(sources: Iterable[str] = (), modules: Iterable[str] = ()) -> dict[st
     InputError
         When there is no module of a name in `modules`.
     """
-    roots = _roots(paths.root(), tuple(sys.path))
+    return _closure(tuple(sources), tuple(modules), _roots(paths.root(), tuple(sys.path)))
+
+
+@cache
+def _closure(
+    sources: tuple[str, ...], modules: tuple[str, ...], roots: tuple[Path, ...]
+) -> dict[str, Module]:
     for name in modules:
         if not _file(name, roots):
             raise InputError(f"there is no module {name!r}; name one that can be imported")
@@ -102,8 +108,8 @@ def closure(sources: Iterable[str] = (), modules: Iterable[str] = ()) -> dict[st
 
 def look_again() -> None:
     """Forget which files there are: some may have been written or changed since."""
-    _module.cache_clear()
-    _file.cache_clear()
+    for known in (_closure, _module, _file, _holding):
+        known.cache_clear()
 
 
 @cache
@@ -152,11 +158,19 @@ def _roots(root: Path, path: tuple[str, ...]) -> tuple[Path, ...]:
 
 @cache
 def _file(name: str, roots: tuple[Path, ...]) -> Path | None:
-    for place in (root.joinpath(*name.split(".")) for root in roots if name):
+    first = name.partition(".")[0]
+    for place in (root.joinpath(*name.split(".")) for root in _holding(first, roots)):
         for file in (place / "__init__.py", place.with_suffix(".py")):
             if file.is_file():
                 return file
     return None
+
+
+@cache
+def _holding(first: str, roots: tuple[Path, ...]) -> list[Path]:
+    """Folders in which a name of one's own begins: of a thousand names most are those of installed packages."""
+    there = [root / first for root in roots if first]
+    return [each.parent for each in there if each.is_dir() or each.with_suffix(".py").is_file()]
 
 
 def _beside(modules: Iterable[Module]) -> Iterator[Path]:
@@ -297,11 +311,17 @@ def normal(name: str) -> str:
 
 @cache
 def _distributions(top: str) -> list[str]:
-    """Installed packages that bring a module: mostly one of its name, else reading what each brings takes a second."""
+    """Installed packages that bring a module: mostly one of its name."""
     try:
         return [metadata.distribution(top).name]
     except metadata.PackageNotFoundError:
-        return metadata.packages_distributions().get(top, [])
+        begins = re.compile(rf"^{re.escape(top)}(/|\.py,|\.[\w-]+\.so,)", re.MULTILINE)
+        return [
+            each.name
+            for each in metadata.distributions()
+            if top in (each.read_text("top_level.txt") or "").split()
+            or begins.search(each.read_text("RECORD") or "")
+        ]
 
 
 @cache
