@@ -351,6 +351,18 @@ def turning_points(errors: np.ndarray, noises: tuple[float, ...] = SWEEP) -> dic
     }
 
 
+def pays_between(memory: int, runs: int, seed: int, taps: int) -> tuple[list[float], list[float]]:
+    """Where min-max begins to pay and where it ends, as in `turning_points`, with a memory; for six seeds each."""
+    ends = []
+    for number in range(6):
+        cells = {f"{n:g}": Setting(0.1, n) for n in SWEEP}
+        how = {"taps": taps, "rows": 4 * memory, "forgetting": 1 - 1 / memory}
+        found = turning_points(compare(cells, max(runs // 8, 2), seed + 1000 * number, **how)["errors"])
+        ends.append([found[f"worstcase.comparison.pays-{end}"] for end in ("from", "to")])
+    first, last = zip(*ends, strict=True)
+    return list(first), list(last)
+
+
 def structured_ratios(errors: np.ndarray) -> dict[str, float]:
     """What a map of all `STRUCTURED` says, by the ledger's names: ratios of geometric means, largest of the excitations."""
     means, methods = np.exp(np.log(errors).mean(axis=2)), list(METHODS)
