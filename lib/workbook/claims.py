@@ -451,10 +451,14 @@ class ClaimsTable:
         return rows
 
     def _reasons(self) -> list[str]:
+        """Each reason once, with those that share it."""
+        shared: dict[str, list[str]] = {}
+        for claim in self.claims:
+            if claim.entry.reason and claim.here not in AGREEMENT:
+                shared.setdefault(claim.entry.reason, []).append(claim.entry.id)
         return [
-            f"{c.entry.id}: {c.entry.reason}"
-            for c in self.claims
-            if c.entry.reason and c.here not in AGREEMENT
+            f"{', '.join(ids) if len(ids) < 4 else f'{ids[0]} and {len(ids) - 1} others'}: {why}"
+            for why, ids in shared.items()
         ]
 
     def __repr__(self) -> str:

@@ -19,7 +19,7 @@ SAMPLES, AHEAD = 4096, 10  # of a move: what follows until all is still, and the
 def check(
     machines: Mapping, design: Mapping, masses: Iterable[int] = range(1, 8)
 ) -> tuple[float, float, float]:
-    """Largest pole and largest of the six peaks (dB) over some masses; rms scan error with noise at mass 5 (nm)."""
+    """Largest pole and largest of the three peaks (dB) over some masses; rms scan error with noise at mass 5 (nm)."""
     radius, peak = 0.0, 0.0
     for mass in masses:
         loop = closed(machines["stage"], design, mass)
@@ -130,7 +130,7 @@ def _observer(noise, design, w, push, see, ratio):
 
 
 def highest(loop, poles: np.ndarray) -> float:
-    """Largest magnitude of S_I, S_O, r to e_true and of what each lacks to 1.
+    """Largest magnitude of S_I, S_O and r to e_true.
 
     A grid and points all over every resonance, as far apart as half of it is wide; then ever closer around all tops.
     """
@@ -142,7 +142,7 @@ def highest(loop, poles: np.ndarray) -> float:
     for _ in range(4):  # to a 64th of half a width: a top is met to 0.0003 dB
         response = loop(np.exp(1j * omega * SAMPLE_TIME), squeeze=False)
         three = np.array([response[1, 1], response[0, 2], response[0, 0]])
-        values = np.abs(np.vstack([three, 1 - three]))
+        values = np.abs(three)
         largest = max(largest, float(values.max()))
         inner = values[:, 1:-1]
         top = (inner >= values[:, :-2]) & (inner >= values[:, 2:]) & (inner > 0.95 * largest)

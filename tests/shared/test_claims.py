@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 import math
 from types import SimpleNamespace
 
@@ -381,3 +382,14 @@ def test_the_table_prints_verdicts_and_reasons_and_keeps_the_last_value(workbook
         "motion.table-1.pid": {"ours": 37.123457, "interval": [36.0, 38.0]},
         "motion.order": {"ours": 0.9},
     }
+
+
+def test_the_table_prints_a_reason_that_entries_share_once(workbook):
+    workbook()
+    table, one = ClaimsTable(), make_claim("motion.order", 0.9)
+    alike = [replace(one, entry=replace(one.entry, id=f"motion.order-{k}")) for k in range(5)]
+    for each in alike:
+        table.add(each)
+    assert repr(table).endswith("\n\nmotion.order-0 and 4 others: one run differs")
+    table.claims = alike[:2]
+    assert repr(table).endswith("\n\nmotion.order-0, motion.order-1: one run differs")
