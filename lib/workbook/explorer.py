@@ -183,19 +183,17 @@ def lines_of(figure) -> list[list]:
     ]
 
 
-def show_behind(figure, lines: list[list]) -> list:
+def show_behind(figure, lines: list[list]) -> None:
     """Lines, as `lines_of` gives them, in grey behind a figure of as many panels; its axes keep their limits."""
     from matplotlib.lines import Line2D
 
     from workbook.palette import GREY
 
     if len(lines) != len(figure.axes):
-        return []
-    return [
-        axes.add_artist(Line2D(*points.T, color=GREY, alpha=0.45, lw=2.5, zorder=0.5))
-        for axes, each in zip(figure.axes, lines, strict=True)
-        for points in each
-    ]
+        return
+    for axes, each in zip(figure.axes, lines, strict=True):
+        for points in each:
+            axes.add_artist(Line2D(*points.T, color=GREY, alpha=0.45, lw=2.5, zorder=0.5))
 
 
 def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **controls: Slider | Choice):
@@ -204,7 +202,7 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
     Parameters
     ----------
     draw : callable
-        Returns a `matplotlib.figure.Figure`; where building one takes long, the one of before with the data set anew.
+        Returns a `matplotlib.figure.Figure`.
     presets : mapping of str to mapping, optional
         Named designs, a button each: values of controls, e.g. ``{"MC": {"damping": 0.0}}``; the others stand at their start.
     **controls : Slider or Choice
@@ -218,17 +216,13 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
     start = {name: control.start for name, control in controls.items()}
     designs = whole_settings(presets or {}, controls)
     ghost: list[list] = []
-    behind: list = []
 
     def drawn(**settings):
-        for artist in behind:  # of a figure that `draw` keeps, to set the data of what moves
-            artist.remove()
-        behind.clear()
         figure = draw(**settings)
         if settings == start:
             ghost[:] = lines_of(figure)
         else:
-            behind[:] = show_behind(figure, ghost)
+            show_behind(figure, ghost)
         return figure
 
     from workbook.redraw import Redraw

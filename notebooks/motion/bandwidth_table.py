@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
@@ -14,14 +15,16 @@ from experiments.motion.designs import (
     NOISE_MODEL,
     SIX,
     Design,
-    first_crossing,
+    design_controller,
     limit,
+    quick_limit,
     stage_bandwidth,
+    stage_loops,
 )
 from experiments.motion.intervals import Values
 from experiments.motion.machines import published_deviations
 from stillwork.control.applications import Application
-from stillwork.control.bandwidth import Bandwidth
+from stillwork.control.bandwidth import SIX_DB, Bandwidth, highest_peaks
 from stillwork.control.crossover import crossover
 from stillwork.estimation.observer import NoiseIntensities
 from workbook import figures
@@ -49,14 +52,22 @@ def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz
     return figure
 
 
-def paint_map(crossing_hz: np.ndarray, selectivity: Sequence, noise_model: Sequence, best: tuple):
-    """A `bandwidth_map`, each cell as wide as the other; `best` is a printed place (Q_nu, Q) and what it says."""
+def paint_map(
+    crossing_hz: np.ndarray, peaks_db: np.ndarray, selectivity: Sequence, noise_model: Sequence, best: tuple
+):
+    """A `bandwidth_map`, each cell as wide as the other; `best` is a printed place (Q_nu, Q) and what it says.
+
+    Crosses: the peak from r to e_true exceeds 6 dB.
+    """
     figure, axis = figures.new(1, 1, height=3.4)
     mesh = axis.pcolormesh(_edges(noise_model), _edges(selectivity), crossing_hz, cmap="viridis")
     figure.colorbar(mesh, ax=axis, label="first crossing (Hz)")
     axis.set(xscale="log", yscale="log", xlabel=r"noise model $Q_\nu$ (N²/s)", ylabel="selectivity $Q$")
     figures.mark_published(axis, *best[:2], label=best[2], markersize=9, color="white")
-    axis.legend(axis.lines, [best[2]], loc="lower left", labelcolor="white")
+    rows, columns = np.nonzero(peaks_db > 20 * np.log10(SIX_DB) + 1e-3)
+    at, broken = (np.take(noise_model, columns), np.take(selectivity, rows)), "breaks the third constraint"
+    axis.plot(*at, "x", color="white", markersize=4, label=broken)
+    axis.legend(axis.lines, [best[2], broken], loc="lower left", labelcolor="white")
     return figure
 
 
@@ -127,15 +138,45 @@ def open_choices(name: str) -> OpenChoices:
     return OpenChoices(found)
 
 
-def bandwidth_map(selectivity: ArrayLike, noise_model: ArrayLike) -> Float64[np.ndarray, "rows columns"]:
-    """First crossings (Hz) at mass 5 of MC and AD together over (Q, Q_nu), the search of (3.47) as a map.
+def bandwidth_map(
+    selectivity: ArrayLike, noise_model: ArrayLike, third: bool = False
+) -> Float64[np.ndarray, "3 rows columns"]:
+    """MC and AD together over (Q, Q_nu), the search of (3.47) as a map, or with the `third` constraint, r to e_true.
 
-    NaN where nothing in the range is feasible.
+    f_bw and first crossing at mass 5 (Hz), and the peak from r to e_true (dB); NaN where nothing in the range is feasible.
     """
-    rows = np.asarray(selectivity, float)
-    columns = np.asarray(noise_model, float)
-    uses = [Application(True, DAMPING, selectivity=float(q)) for q in rows]
-    return np.array([[first_crossing(Design(used, float(size)), 5) for size in columns] for used in uses])
+
+    def cell(q: float, size: float) -> tuple[float, float, float]:
+        limits = Design.constraints + ("true_tracking",) * third
+        found = quick_limit(Design(Application(True, DAMPING, selectivity=q), size, limits))
+        if found is None:
+            return (np.nan,) * 3
+        loops, best = found
+        peak = highest_peaks(loops, best.controller, ["true_tracking"])["true_tracking"].magnitude
+        return best.design_hz, float(best.crossing_hz[4]), float(20 * np.log10(peak))
+
+    rows, columns = np.asarray(selectivity, float).tolist(), np.asarray(noise_model, float).tolist()
+    return np.moveaxis([[cell(q, size) for size in columns] for q in rows], -1, 0)
+
+
+def bandwidth_at(name: str, limit: float, **grid) -> float:
+    """Largest f_bw of a design (Hz) under another limit of the peaks, on another grid."""
+    return stage_bandwidth(name, limit=limit, **grid).design_hz
+
+
+def free_parameter(designs: Sequence[str], printed: Mapping[str, float]) -> pd.DataFrame:
+    """f_bw beside the printed bandwidths: as published, with limit and grid moved, and the largest peak at the print."""
+    coarse, rows = CHOICES["grid of 2000 points"], {}
+    for name in designs:
+        loops, constraints = stage_loops(DESIGNS[name]), DESIGNS[name].constraints
+        peaks = highest_peaks(loops, design_controller(name, "printed"), constraints).values()
+        rows[name] = {
+            "printed": printed[name],
+            "fine grid, 6 dB": stage_bandwidth(name).design_hz,
+            "coarse grid, 2.001": bandwidth_at(name, 2.001, **coarse),
+            "peak at printed (dB)": 20 * np.log10(max(peak.magnitude for peak in peaks)),
+        }
+    return pd.DataFrame(rows).T
 
 
 # --- Chapter 3: bandwidths ---------------------------------------------------------------------------------------

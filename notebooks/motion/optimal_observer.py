@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import optimize
@@ -386,6 +387,40 @@ def published_norms(
     plant = truncate(stage().at([0], [measured_mass - 1]), baseline_modes, 0)
     alone = replace(problem, plant=plant)
     return norm_values(h2_norm(alone.generalised().close(alone.idle())), two_norms(problem)[1])
+
+
+def printed_windows(measured_mass: int) -> pd.DataFrame:
+    """Design parameters f_bw (Hz) with which each norm of Table 5.1 rounds to its printed digits, for one measured mass.
+
+    NaN where none from 60 Hz to the stability limit does.
+    """
+    tried, found = np.arange(60.0, 101.0, 4.0), {}
+    for name, printed, entry, modes in (
+        ("Kalman, four modes", 54.43, "kalman", 4),
+        ("no observer, four modes", 55.00, "baseline", 4),
+        ("no observer, eight modes", 55.00, "baseline", 8),
+    ):
+
+        def over(hertz: float, limit: float = printed, entry: str = entry, modes: int = modes) -> float:
+            given = {
+                "measured_mass": measured_mass,
+                "baseline_modes": modes,
+                "reference_size": 0.17,
+                "seed": 0,
+            }
+            try:
+                return published_norms(f_bw=hertz, **given)[f"motion.table-5-1.{entry}"] - limit
+            except InputError:  # an unstable loop
+                return np.inf
+
+        found[name] = {"norm at 77.7 Hz": over(77.7, 0.0)}
+        for end, limit in (("from", printed - 0.005), ("to", printed + 0.005)):
+            signs = np.array([over(hertz, limit) for hertz in tried])
+            place = int(np.argmax(signs > 0))
+            inside = place and np.isfinite(signs[place])
+            around = tried[place - 1 : place + 1]
+            found[name][end] = optimize.brentq(over, *around, (limit,), 1e-3) if inside else np.nan
+    return pd.DataFrame(found).T[["from", "to", "norm at 77.7 Hz"]]
 
 
 def left_at_five_hz(problem: ObserverProblem, observer: StateModel) -> float:

@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import NamedTuple
 
@@ -931,6 +931,15 @@ def perturbed_scans(
 def nominal_ratios(seed: int, **settings) -> dict[str, Float64[np.ndarray, " draws"]]:
     """Table 5.2 on the exact plant, in brackets there: a value a draw of the noise."""
     return perturbed_ratios(NOMINAL_DRAWS, seed, size=0.0, **settings)
+
+
+def first_column(noise_model: float, plants: int, seed: int, **settings) -> Float64[np.ndarray, " plants"]:
+    """MC and AD over AD, both with the original feedback, with Q_nu = `noise_model` (N^2/s) of the observer with MC."""
+    blocks, design = published_blocks(), replace(DESIGNS["MC and AD"], noise_model=noise_model)
+    both = stage_compensator(MEASURED, design), blocks["none"][1]
+    chosen = {"none": blocks["none"], "AD": blocks["AD"], "MC and AD": both}
+    study = run_study(tracking_trial, plants, seed, blocks=chosen, progress=False, **settings)
+    return study["MC and AD"] / study["AD"]
 
 
 PRINTED = dict(  # Table 5.2, per cent of the error without observer, plant perturbed by 5 %

@@ -131,16 +131,20 @@ def design_controller(name: str, redesign: str = "own limit") -> Pid:
     return PidFamily(stage_mass(), notches)(PRINTED_HZ[name])
 
 
-def first_crossing(setting: Design, position: int) -> float:
-    """First crossing at one mass (Hz) of a design's largest bandwidth, searched quicker on a coarser grid; NaN: there is none."""
+def quick_limit(setting: Design) -> tuple[list[Loop], Bandwidth] | None:
+    """The seven loops of a design and its largest bandwidth, searched quicker on a coarser grid; None: there is none."""
     loops = stage_loops(setting, points=300, around=15)
-    limits = [PeakConstraint(function) for function in setting.constraints]
+    limits, family = [PeakConstraint(function) for function in setting.constraints], PidFamily(stage_mass())
     try:
-        family = PidFamily(stage_mass())
-        found = maximise_bandwidth(loops, family, limits, 20.0, 110.0, scan=46, tolerance_hz=0.02)
+        return loops, maximise_bandwidth(loops, family, limits, 20.0, 110.0, scan=46, tolerance_hz=0.02)
     except InputError:  # no feasible bandwidth is a result here
-        return np.nan
-    return float(found.crossing_hz[position - 1])
+        return None
+
+
+def first_crossing(setting: Design, position: int) -> float:
+    """First crossing at one mass (Hz) of a design's largest bandwidth, see `quick_limit`; NaN: there is none."""
+    found = quick_limit(setting)
+    return np.nan if found is None else float(found[1].crossing_hz[position - 1])
 
 
 COMPENSATIONS = {  # what keeps the integral action of MC: Q_nu, and the corner of a high-pass (Hz)
