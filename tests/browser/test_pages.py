@@ -180,31 +180,6 @@ def test_nothing_is_wrong_with(seen, question):
     assert seen[question] == {}
 
 
-@pytest.mark.parametrize(
-    ("look", "harm"),
-    [
-        (CONTRAST, "document.querySelector('main p').style.color = '#999'"),
-        (FORMULAS, "document.querySelector('math').style.display = 'none'"),
-        (MISFITS, "document.querySelector('main p').style.width = '3000px'"),
-        (MISFITS, "document.querySelector('main p').style.fontSize = '9px'"),
-        (
-            EXPLORERS,
-            "document.querySelector('main p').outerHTML = '<figure data-states=x><div class=panels></div><p class=told></p></figure>'",
-        ),
-        (OUTLINE, "document.querySelector('main p').outerHTML = '<h1>Again</h1>'"),
-    ],
-)
-def test_the_looks_notice_harm(browser, site, look, harm):
-    browser.resize(NARROW)
-    page = next(
-        page for page in sorted(site.glob("notebooks/*/*.html")) if "<math" in page.read_text("utf-8")
-    )
-    browser.open(page.as_uri())
-    assert browser.run(look) == []
-    browser.run(harm)
-    assert browser.run(look)
-
-
 def test_search_finds_sections_numbers_and_names_and_keeps_the_words_in_the_address(browser, site):
     browser.resize(WIDE)
     browser.open((site / "index.html").as_uri())

@@ -3,7 +3,6 @@
 import base64
 import fcntl
 import json
-import os
 import signal
 
 import pytest
@@ -107,24 +106,6 @@ def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(accepted):
     )
     assert toy.run("accept").stdout.endswith("0 files changed\n")
     assert toy.stamps("notebooks", "data", "figures", "README.md") == before
-
-
-def test_what_no_build_wrote_is_named_and_stays_as_it_is(accepted):
-    """Notes beside the pictures, a pipe and links that lead back, and the modes of what is replaced."""
-    toy = accepted
-    toy.write("figures/isolation/01-first/notes.txt", "mine")
-    os.mkfifo(toy.root / "data/isolation/pipe")
-    (toy.root / "data/isolation/back").symlink_to("..")
-    (toy.root / "README.md").chmod(0o600)
-    before = (toy.root / "README.md").read_bytes()
-    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
-    assert toy.run("figures").returncode == 0
-    done = toy.run("accept")
-    assert done.returncode == 0 and " files changed" in done.stdout
-    assert "of no build, and left there: figures/isolation/01-first/notes.txt\n" in done.stdout
-    assert (toy.root / "figures/isolation/01-first/notes.txt").read_text() == "mine"
-    assert (toy.root / "README.md").stat().st_mode & 0o777 == 0o600
-    assert (toy.root / "README.md").read_bytes() != before
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])

@@ -29,7 +29,7 @@ def toy(tmp_path):
     toys.clean_up(made)
 
 
-@pytest.mark.parametrize(("home", "closed"), [(None, False), ("/nonexistent", True)])
+@pytest.mark.parametrize(("home", "closed"), [("/nonexistent", True)])
 def test_a_build_in_the_background_of_a_bare_machine_is_made_and_accepted(toy, home, closed):
     """Signals ignored, no terminal, no input or even nothing to read from, no home, the locale C, no git, blanks and an umlaut in the path."""
     around = {"PATH": os.environ["PATH"], "LC_ALL": "C", "TMPDIR": str(toy.temporary), "TOY_MARK": toy.mark}

@@ -3,13 +3,11 @@
 import os
 import resource
 import signal
-import tempfile
 
 import pytest
 
 from engine import toy as toys
 from engine.toy import until
-from workbook.execution import LOCK, PREFIX, sweep
 
 pytestmark = pytest.mark.slow
 
@@ -78,18 +76,6 @@ def test_a_notebook_that_raises(built):
     both = built.run("figures")
     assert both.stdout.endswith("\nthe last good results of 1 of these stand untouched\n")
     assert "last good results" not in built.run("figures", "isolation/03-third").stdout
-
-
-def test_wrong_input_is_told_once_and_without_a_traceback(built):
-    refuse = (
-        "from stillwork.base.checks import require_number\nchecked = require_number('level', -level, above=0)"
-    )
-    good = end_with(built, refuse)
-    done = built.run("figures")
-    assert done.returncode == 1
-    assert (done.stdout + done.stderr).count("level is -1; give a finite number above 0") == 1
-    assert "Traceback" not in done.stdout + done.stderr
-    assert_only_second_was_built(built, good)
 
 
 def test_a_kernel_that_is_killed_and_had_children(built):
@@ -161,30 +147,6 @@ def test_no_kernel_outlives_a_runner_that_is_killed_and_the_next_build_tidies_up
     assert toy.run("figures").returncode == 0
     # Of multiprocessing an empty folder with a random name stays where it was killed.
     assert [each for each in toy.leftovers() if "/pymp-" not in each] == []
-
-
-def test_what_others_put_beside_the_temporary_folders_neither_hangs_nor_hurts(tmp_path, monkeypatch):
-    """A FIFO for a lock, a link to a folder of mine, and a folder that others may write to or that is another user's."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    mine = tmp_path / "mine"
-    places = [tmp_path / f"{PREFIX}{name}" for name in ("old", "pipe", "open", "theirs", "link", "links")]
-    for folder in (mine, *places[:4], places[5]):
-        folder.mkdir(mode=0o700)
-        (folder / LOCK).touch()
-    places[1].joinpath(LOCK).unlink()
-    os.mkfifo(places[1] / LOCK)
-    places[2].chmod(0o777)
-    places[4].symlink_to(mine)
-    places[5].joinpath(LOCK).unlink()
-    places[5].joinpath(LOCK).symlink_to(mine / LOCK)
-    if not os.getuid():  # only root gives away
-        os.chown(places[3], 65534, 65534)
-    for folder in (mine, *places):
-        os.utime(folder, (0, 0))
-    sweep()  # opening the FIFO would wait for a writer
-    assert not places[0].exists() and (mine / LOCK).exists()
-    left = {folder.name.removeprefix(PREFIX) for folder in places if folder.exists()}
-    assert left == {"open", "link", "links", *({"theirs"} if not os.getuid() else ())}
 
 
 def test_a_page_of_another_name(toy):

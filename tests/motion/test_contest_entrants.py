@@ -9,7 +9,7 @@ import pytest
 from contest import runner, tuning
 from contest.nominal import TuningParameter
 from contest.ranking import KEYS
-from contest.runner import Disqualified, FileObserver, checked_file, knobs_of, running
+from contest.runner import Disqualified, FileObserver, knobs_of, running
 from contest.scores import ENTRANTS, Scan, scores_of
 from contest.table import hold_contest, written_table
 from stillwork.base.checks import InputError
@@ -77,25 +77,6 @@ def test_a_broken_observer_is_out_by_reason(what, written, monkeypatch):
         call(scores_of, "zero", None, SCAN, ())  # compiles what a scan needs
         monkeypatch.setattr(runner, "SECONDS", 3)
         call(scores_of, "mine", file, SCAN, ())
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "reason"),
-    [
-        ("mine.so", "", "is no Python file"),
-        ("mine.py", "class Observer(", "is no Python code"),
-        ("Kalman.py", ZERO, "'Kalman' is taken"),
-    ],
-)
-def test_a_file_is_looked_at_before_any_machine_runs(name, text, reason, written, monkeypatch):
-    monkeypatch.setattr("contest.table.run_file", None)
-    with pytest.raises(InputError, match=reason):
-        hold_contest([written(text, name)])
-    with pytest.raises(InputError, match="cannot be read"):
-        checked_file("nowhere.py")
-    file = written(ZERO)
-    with pytest.raises(InputError, match="one name"):
-        hold_contest([file, file])
 
 
 @pytest.mark.slow

@@ -11,17 +11,10 @@ from contest import bench, compute, plants, ranking
 from contest import table as tables
 from contest.machines import BUILDERS, machine_numbers
 from contest.noise_map import (
-    FILE as MAP,
-)
-from contest.noise_map import (
     MAPPED,
-    NOISES,
     PUBLICS,
-    SEEDS,
-    SIZES,
     flexible_errors,
     leads,
-    map_variants,
     stored_map,
 )
 from contest.nominal import OwnObserver, nominal_of
@@ -216,19 +209,6 @@ def test_the_committed_table_is_of_this_code():
         row = table.loc[(score, public, plant, scan.uncertainty, 0)]
         for name, knobs in settings_for(plant, 0, ["Kalman", "fictitious noise", "extended Kalman"]).items():
             assert scores_of(name, None, scan, knobs)[score] == pytest.approx(row[name], rel=2e-3), name
-
-
-def test_the_committed_map_holds_every_cell_and_seed():
-    rows = pd.read_csv(MAP)
-    assert list(rows.columns) == ["public", "size", "noise", "seed", *MAPPED]
-    assert set(rows["public"].astype(str)) == set(PUBLICS)
-    cells = {(size, noise, seed) for size in SIZES for noise in NOISES for seed in range(SEEDS)}
-    for public in PUBLICS:
-        errors = stored_map(public)
-        assert set(errors[["size", "noise", "seed"]].itertuples(index=False, name=None)) == cells
-        assert len(errors) == len(cells)
-        assert np.isfinite(errors.to_numpy()).all() and (errors[list(MAPPED)] > 0).all(axis=None)
-    assert sorted(len(each) for each in map_variants().values()) == [600] * 4 + [1200] * 2
 
 
 @pytest.mark.slow

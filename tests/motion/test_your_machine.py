@@ -1,19 +1,13 @@
 """A machine from its file: every form gives the same machine, whose response a plain solve of the matrices gives."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy import linalg, signal
 from scipy.io import savemat
 
 from experiments.motion.machines import measured_accelerance
-from notebooks.motion.your_machine import (
-    paint_sensitivities,
-)
 from shared.universal_files import function, write_universal
-from stillwork.base.checks import InputError
-from stillwork.control.machine_loops import DesignSettings, Intensities, SearchSettings, applications, reach
+from stillwork.control.machine_loops import DesignSettings, Intensities, applications, reach
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import fit_modes
@@ -199,17 +193,6 @@ def test_bandwidths_do_not_depend_on_the_unit_of_force(tmp_path):
     use = DesignSettings(applications(0.02, 2.0)["MC"], 3, INTENSITIES)
     one, other = (reach(machine, use) for machine in machines)
     assert other.on_model.crossing_hz == pytest.approx(one.on_model.crossing_hz, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_a_use_without_a_feasible_bandwidth_is_a_result(found):
-    machine, _ = found
-    use, search = DesignSettings(None, 3, INTENSITIES), SearchSettings(search_hz=(300.0, 400.0))
-    asked = {"PID": reach(machine, use, search)}
-    assert asked["PID"].recommended is None and re.search(r"\b300 \w+ 400 Hz", asked["PID"].reason)
-    assert asked["PID"].summary == {"on the model (Hz)": "none", "on the measurement (Hz)": "none"}
-    with pytest.raises(InputError, match="feasible"):
-        paint_sensitivities(asked, machine)
 
 
 # ------------------------------------------------------------------------------------------------- bad input

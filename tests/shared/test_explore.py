@@ -1,4 +1,3 @@
-import ipywidgets
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import RendererAgg
@@ -105,29 +104,6 @@ def test_the_lines_of_the_start_stand_behind_and_leave_the_axes_alone():
     assert axes.get_ylim() == alone.get_ylim() and axes.get_xlim() == alone.get_xlim()
     shown.value = 1  # another number of panels: no place for those of the start
     assert [len(axis.lines) for axis in seen[-1].axes] == [2, 2]
-
-
-@pytest.mark.parametrize(
-    ("slider", "kind"),
-    [
-        (Slider(1, 12, start=6), ipywidgets.IntSlider),
-        (Slider(100, 2000, start=500, log=True), ipywidgets.FloatLogSlider),
-        (Slider(4, 60, start=20, step=2), ipywidgets.IntSlider),
-    ],
-)
-def test_whole_numbers_reach_the_drawing_as_whole_numbers(slider, kind):
-    seen = []
-
-    def note(count):
-        seen.append(count)
-        return draw()
-
-    [row, _, _] = explore(note, count=slider).children
-    control = row.children[0]
-    assert isinstance(control, kind)
-    control.value = slider.high
-    assert seen == [slider.start, slider.high]
-    assert all(type(count) is int for count in seen)
 
 
 def test_an_impossible_setting_says_why_and_keeps_the_last_picture():

@@ -1,10 +1,6 @@
-import io
-import re
-
 import numpy as np
 import pandas as pd
 import pytest
-from PIL import Image
 
 from workbook import figures
 from workbook.checks import InputError
@@ -69,45 +65,6 @@ def test_a_name_stands_in_the_first_row_of_its_block(tmp_path):
     assert len(table) == 3
     for name, block in rows.groupby(["panel", "series"]):
         np.testing.assert_array_equal(table[name], block[["x", "y", "z"]])
-
-
-@pytest.mark.slow
-def test_the_numbers_of_a_long_line_are_all_written_and_saving_again_gives_the_same(tmp_path):
-    figure, axes = labelled()
-    t = np.linspace(1, 1000, 3000)
-    axes.loglog(t, 1 / t, label="line")
-    first, again = (figures.save(figure, tmp_path / name) for name in "ab")
-    np.testing.assert_allclose(
-        figures.read_table(tmp_path / "a.csv")["panel 1", "line"][:, :2], np.c_[t, 1 / t], rtol=1e-6
-    )
-    assert again.png == first.png
-    assert (tmp_path / "b.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
-
-
-def drawn_and_saved(figure, path):
-    """Colours of a figure as it is drawn, and as its file has them."""
-    saved = Image.open(io.BytesIO(figures.save(figure, path).png))
-    drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=min(138, 1000 / figure.get_size_inches()[0]))
-    colours = [np.asarray(each.convert("RGB")).astype(int) for each in (Image.open(drawn), saved)]
-    assert saved.mode == "P" and colours[0].shape == colours[1].shape
-    return colours
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("width", [4.0, 7.2, 12.0])
-def test_a_picture_has_a_palette_close_to_its_colours_and_fits_a_notebook(tmp_path, width):
-    figure, axes = labelled()
-    figure.set_size_inches(width, 3)
-    mesh = axes.pcolormesh(np.add.outer(np.linspace(0, 1, 40), np.linspace(0, 3, 50)))
-    figure.colorbar(mesh)
-    axes.plot([0, 50], [0, 40], color=figures.RED)
-    drawn, saved = drawn_and_saved(figure, tmp_path / "a")
-    assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 256
-    off = np.abs(drawn - saved).max(axis=2)
-    assert off.max() <= 48 and off[(drawn == 255).all(axis=2)].max() == 0
-    assert drawn.shape[1] <= figures.MOST_PIXELS
-    assert not re.search(rb"tEXt|tIME|iTXt", (tmp_path / "a.png").read_bytes())  # no program's name, no date
 
 
 def test_scatter_fill_steps_and_error_bars():

@@ -281,32 +281,6 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
         assert abs(value[0, 0]) < 1e-6 * abs(nearby[0, 0])
 
 
-DISCRETE, CONTINUOUS = zoh_modes(stage(), 1e-4), stage().state_space()
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: stage().frequency_response([0.0, 1.0]), r"^omega\b.*rigid"),
-        (lambda: lti.zoh(DISCRETE, 1e-4), r"^model\b.*discrete"),
-        (lambda: tustin(DISCRETE, 1e-4), r"^model\b.*discrete"),
-        (lambda: tustin(CONTINUOUS, 1e-3, 4e3), r"^omega\b"),
-        (lambda: lti.simulate(CONTINUOUS, np.zeros((1, 3))), r"^model\b.*continuous"),
-        (lambda: lti.simulate(lti.zoh(unstable(), 1.0), np.ones((1, 2000))), r"sample 4\b"),
-        (lambda: lti.hinf_norm(CONTINUOUS), r"^model\b.*stable"),
-        (lambda: lti.h2_norm(CONTINUOUS), r"^model\b.*stable"),
-        (lambda: tustin(unstable(), 0.01), r"^tustin\b"),
-        (lambda: lti.modal_model(np.diag([1, 0]), np.eye(2), np.eye(2), np.eye(2)), "mass"),
-        (lambda: lti.modal_model(np.eye(2), [[1, 2], [0, 1]], np.eye(2), np.eye(2)), r"^stiffness\b"),
-        (lambda: lti.modal_model(np.eye(2), -np.eye(2), np.eye(2), np.eye(2)), r"^stiffness\b"),
-        (lambda: stage().frequency_response([1e-200]), r"frequency_response\b"),
-    ],
-)
-def test_what_has_no_answer_is_refused(call, message):
-    with pytest.raises(InputError, match=message):
-        call()
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-4, 2e-3, 0.5]))
 def test_a_rule_by_tustin_responds_at_a_frequency_as_it_did_at_the_prewarped_one(seed, sample_time):

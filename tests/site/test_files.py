@@ -127,14 +127,6 @@ def test_every_committed_figure_is_shown(files):
     assert committed <= shown
 
 
-def test_what_a_work_says_first_is_judged_by_an_entry_of_its_own_ledger():
-    known = {claim.entry.id: claim.entry.topic for claim in ledger()}
-    for topic, paper in papers().items():
-        for part in ("headline", "found"):
-            named = [each["entry"] for each in paper[part]]
-            assert {known.get(each) for each in named} <= {topic}
-
-
 def test_advice_rests_on_verdicts_that_stand():
     """With another verdict the sentence is to be written anew."""
     verdicts = {claim.entry.id: claim.verdict for claim in judged_ledger()}

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from workbook import figures
-from workbook.checks import InputError
 from workbook.explorer import Choice, Slider
 from workbook.notebooks import Notebook
 from workbook.site import states as states_of
@@ -142,17 +141,6 @@ def test_the_two_that_change_the_picture_most_move_together():
         values = [float(each["stops"][stop]) for each, stop in zip(found["controls"], stops, strict=True)]
         wanted = panels(paint(**dict(zip(CONTROLS, values, strict=True))))
         assert found["pictures"][place] == wanted
-
-
-def test_a_setting_without_a_picture_says_why():
-    def refuse(x):
-        if x > 5:
-            raise InputError("x is too large; take less")
-        return paint(x=x)
-
-    found = states(Explorer(refuse, {"x": Slider(0.0, 10.0, 1.0)}), 8)
-    last = found["pictures"][found["states"][str(len(found["controls"][0]["stops"]) - 1)]]
-    assert last == {"message": "no picture: x is too large; take less"}
 
 
 @pytest.fixture
