@@ -65,7 +65,7 @@ def page(browser, tmp_path_factory):
 def moving(page):
     """The page at the start, and its controls."""
     page.resize(1200)
-    WebDriverWait(page.driver, 10).until(lambda _: page.run("return document.querySelector('[data-ready]')"))
+    WebDriverWait(page.driver, 60).until(lambda _: page.run("return document.querySelector('[data-ready]')"))
     page.driver.find_element(By.CSS_SELECTOR, ".controls button").click()
     return page
 
@@ -111,7 +111,7 @@ def test_a_finger_drags_a_slider(moving):
     for kind, place in events:
         points = [] if place is None else [{"x": place, "y": y}]
         moving.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-    WebDriverWait(moving.driver, 10).until(
+    WebDriverWait(moving.driver, 60).until(
         lambda _: slider.get_attribute("value") == slider.get_attribute("max")
     )
     assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.61]])

@@ -26,10 +26,10 @@ def test_a_picture_enlarges_by_keyboard_and_closes_again(page):
     small = link.find_element(By.TAG_NAME, "img").size["width"]
     link.send_keys(Keys.ENTER)
     picture = page.driver.find_element(By.CSS_SELECTOR, "dialog[open] img")
-    WebDriverWait(page.driver, 10).until(lambda _: picture.size["width"] > small)
+    WebDriverWait(page.driver, 60).until(lambda _: picture.size["width"] > small)
     assert picture.get_attribute("alt") == link.find_element(By.TAG_NAME, "img").get_attribute("alt")
     page.driver.switch_to.active_element.send_keys(Keys.ESCAPE)
-    WebDriverWait(page.driver, 10).until(lambda _: not dialogs(page))
+    WebDriverWait(page.driver, 60).until(lambda _: not dialogs(page))
     assert page.driver.switch_to.active_element == link
 
 

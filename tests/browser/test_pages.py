@@ -185,7 +185,7 @@ def test_search_finds_sections_numbers_and_names_and_keeps_the_words_in_the_addr
     browser.open((site / "index.html").as_uri())
     field = browser.driver.find_element(By.CSS_SELECTOR, "header input[type=search]")
     field.send_keys("bandwidth damping", Keys.ENTER)
-    WebDriverWait(browser.driver, 10).until(lambda _: "search.html?q=bandwidth" in browser.driver.current_url)
+    WebDriverWait(browser.driver, 60).until(lambda _: "search.html?q=bandwidth" in browser.driver.current_url)
     found = browser.run(
         "return [...document.querySelectorAll('#results a')].map((each) => each.getAttribute('href'))"
     )

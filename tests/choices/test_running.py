@@ -145,7 +145,7 @@ def test_an_interrupt_does_not_wait_for_a_long_combination(workbook, tmp_path):
     _, multiverses = workbook(A + B + study("endless"))
     begin = time.monotonic()
     assert run(multiverses, tmp_path, partial(processes, 1), stopped=(tmp_path / "begun").exists) == []
-    assert time.monotonic() - begin < 60  # of 1000 s
+    assert time.monotonic() - begin < 500  # of 1000 s
 
 
 def test_another_checkout_on_a_worker_is_refused(workbook, tmp_path, monkeypatch):
@@ -176,7 +176,7 @@ def command(root, *arguments):
         process.communicate()
 
 
-def wait_until(condition, seconds=60):
+def wait_until(condition, seconds=300):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "waited too long"
@@ -199,7 +199,7 @@ def test_a_killed_run_goes_on_where_it_stopped(workbook, tmp_path):
     assert done < 18
     assert not (torn / "data/motion/choices.csv").exists()
     with command(torn, "--jobs", "1") as process:
-        text = process.communicate(timeout=120)[0]
+        text = process.communicate(timeout=600)[0]
     assert process.returncode == 0, text
     assert f"of {18 - done}" in text
     assert journal.read_text().count("\n") in (18, 19)  # 19: a line was torn
@@ -214,7 +214,7 @@ def test_the_command_runs_while_a_build_does_and_the_ledger_tells_of_combination
     """While a build runs."""
     workbook(NOISY)
     with held("lock", ""), command(tmp_path) as process:
-        text = process.communicate(timeout=120)[0]
+        text = process.communicate(timeout=600)[0]
     assert process.returncode == 0, text
     assert main(["claims", "motion", "--json"]) == 0
     claims = {each["id"]: each for each in json.loads(capsys.readouterr().out)}

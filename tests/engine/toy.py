@@ -138,7 +138,7 @@ class Toy:
             env=self.environment(),
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=900,
             **options,
         )
 
@@ -165,7 +165,7 @@ class Toy:
     def interrupt(self, process: subprocess.Popen, number: int) -> str:
         """Signal the runner's process group; returns what it printed until it ended."""
         os.killpg(process.pid, number)
-        return process.communicate(timeout=60)[0]
+        return process.communicate(timeout=300)[0]
 
     def wait_for(self, *names: str) -> None:
         """Wait until the notebooks have touched these files in the toy's folder."""
@@ -226,7 +226,7 @@ def set_signals(*ignored: int) -> None:
         signal.signal(number, signal.SIG_IGN if number in ignored else signal.SIG_DFL)
 
 
-def until(condition, seconds: float = 60) -> None:
+def until(condition, seconds: float = 300) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "waited too long"

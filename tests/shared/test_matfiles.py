@@ -1,7 +1,6 @@
 """MAT files: what a damaged one does to its reader, it does not do to us."""
 
 import io
-import time
 
 import numpy as np
 import pytest
@@ -73,18 +72,16 @@ def test_a_reader_that_dies_gives_our_error(other_reader, body, why):
 @pytest.mark.slow
 def test_a_reader_that_does_not_end_is_ended(other_reader, monkeypatch):
     monkeypatch.setattr(matfiles, "MOST_SECONDS", 0.5)
-    start = time.monotonic()
     with pytest.raises(InputError, match=r"^hers\.mat\b.*0\.5 s\b"):
         read_mat(other_reader("while True: pass"))
-    assert time.monotonic() - start < 20  # within the process's own limit of a minute, on a busy machine
 
 
 @pytest.mark.slow
 def test_damaged_bytes_give_arrays_or_our_error(tmp_path):
-    """9 s of CPU, a process a file: only there a crash of the parser is seen, which would end the tests otherwise."""
+    """A process a file: only there a crash of the parser is seen, which would end the tests otherwise."""
     random = np.random.default_rng(7)
     whole = [saved(), saved(do_compression=True), saved()[:130] + random.bytes(1200), random.bytes(1200)]
-    for number in range(24):
+    for number in range(8):
         damaged = bytearray(whole[number % 4])
         for at in random.integers(0, 1200, size=4):
             damaged[at] = random.choice([0, 127, 128, 255])
