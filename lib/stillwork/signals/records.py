@@ -259,6 +259,8 @@ def resample(record: Record, sample_rate: float) -> Record:
     Content up to 0.8 of the lower Nyquist frequency passes within 0.1 %; what would fold back, or appear as an
     image, is 80 dB down. No sample is further than `LATEST` samples from its time, whatever the ratio of the rates.
     Beyond its ends a record counts as the line between them, which falsifies some 30 samples of the lower rate at either end.
+    It lasts as long as before, to less than one new sample more: as each sample stands for a whole period, the last new
+    samples may lie behind the record's last one, by less than one period of the record.
     """
     low, high = PLAUSIBLE_RATES_HZ
     require_number("sample_rate", sample_rate, at_least=low, at_most=high)
