@@ -1,19 +1,24 @@
-"""Every numbered conclusion of the thesis is judged by entries of the ledger."""
+"""Every numbered conclusion of the thesis is judged by entries of the ledger, and the page of all papers knows them."""
 
-import tomllib
+import pytest
 
-from workbook import paths
 from workbook.claims import load_entries
+from workbook.site.stated import stated
 
 NUMBERS = {2: 3, 3: 8, 4: 7, 5: 9, 6: 2}  # conclusions of each chapter, section 7.1
 
 
 def test_every_numbered_conclusion_is_judged():
-    given = tomllib.loads(paths.data("motion", "conclusions.toml").read_text(encoding="utf-8"))
-    assert list(given) == [f"{chapter}.{k}" for chapter, last in NUMBERS.items() for k in range(1, last + 1)]
     ledger = load_entries("motion")
-    for number, conclusion in given.items():
-        assert set(conclusion) == {"says", "entries"}, number
-        assert not set(conclusion["entries"]) - set(ledger), number
-        kinds = {ledger[name].kind for name in conclusion["entries"]}
-        assert kinds & {"value", "exact", "slope", "ordering"}, number
+    found = [each for each in stated("motion", ledger) if not each.place.startswith("Remark")]
+    assert [each.place for each in found] == [
+        f"{c}.{k}" for c, last in NUMBERS.items() for k in range(1, last + 1)
+    ]
+    for each in found:
+        kinds = {ledger[name].kind for name in each.entries}
+        assert kinds & {"value", "exact", "slope", "ordering"}, each.place
+
+
+@pytest.mark.parametrize("topic", ["isolation", "worstcase", "fixedpoint"])
+def test_the_claims_of_each_abstract_name_entries(topic):
+    assert len(stated(topic, load_entries(topic))) >= 7

@@ -1,4 +1,4 @@
-"""Committed files that follow from others: README blocks, the index notebook, the manifest."""
+"""Committed files that follow from others: README blocks, the index notebook, the manifest, what the papers conclude."""
 
 import json
 from collections.abc import Callable
@@ -12,6 +12,7 @@ from workbook.publish import replace_file
 from workbook.report import readme_with_summary
 from workbook.site.metadata import about, papers, project
 from workbook.site.pages import NotebookPage, read_page
+from workbook.site.stated import PAGE, page_of
 from workbook.tasks import tasks
 
 GALLERY_BEGIN, GALLERY_END = "<!-- gallery:begin -->", "<!-- gallery:end -->"
@@ -36,6 +37,8 @@ def derived_files() -> dict[str, str]:
         "notebooks/index.ipynb": _index,
         "codecheck.yml": _codecheck,
     }
+    if any(paths.data(topic, "conclusions.toml").exists() for topic in papers()):
+        makers[PAGE] = _conclusions
     if _present("README.md") is None:  # a workbook may do without
         del makers["README.md"]
     return {name: make(pages, claims) for name, make in makers.items()}
@@ -102,6 +105,10 @@ def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
             lines.append(f"  - file: figures/{page.name}/claims.json")
             lines.append(f"    comment: {_quoted(f'{page.title}. {sources[page.topic]}')}")
     return "\n".join([*lines, ""])
+
+
+def _conclusions(_pages: list[NotebookPage], claims: list[Claim]) -> str:
+    return page_of([(topic, f"{paper['title']}: {paper['by']}") for topic, paper in papers().items()], claims)
 
 
 def _quoted(text: str) -> str:
