@@ -66,6 +66,20 @@ def test_the_next_stretch_is_louder_as_often_as_is_said(name, seconds):
     assert np.mean(np.log(ratios) > 2.326 * alone) > 0.03
 
 
+@pytest.mark.parametrize(("seconds", "wanders", "share"), [(300.0, 20.0, 1 / 12), (120.0, 20.0, 1 / 6)])
+def test_a_strength_that_wanders_is_louder_next_as_often_as_the_page_says(seconds, wanders, share):
+    """White noise times the exponential of a first-order process: what `isolate` prints for a 15th and a 6th of a record."""
+    rng, count = np.random.default_rng(9), round(2.5 * seconds * RATE)
+    strength = rng.standard_normal(DRAWS)
+    keep, rows = np.exp(-1 / (wanders * RATE)), rng.standard_normal((DRAWS, count))
+    for k in range(count):
+        rows[:, k] *= np.exp(0.5 * strength)
+        strength = keep * strength + np.sqrt(1 - keep**2) * rng.standard_normal(DRAWS)
+    record, later = rows[:, : round(seconds * RATE)], rows[:, -round(seconds * RATE) :]
+    exceeded = np.mean(later.std(axis=1) / record.std(axis=1) > next_rms(record, 0.99))
+    assert 0.02 < exceeded < share
+
+
 def test_the_factor_does_not_depend_on_the_unit_and_falls_with_length():
     rows = gaussian(np.random.default_rng(1), peak_at(0.2, 0.1), 900.0)[0][:3]
     found = next_rms(rows, 0.99)

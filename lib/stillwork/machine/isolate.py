@@ -241,6 +241,21 @@ def facts_of(design: IsolationDesign, found: IsolationPrediction, spectra: Floor
             f"{spectra.duration:.3g} s up to {_listed(found.force[1])} N rms, and a peak of {_listed(found.force[2])} N "
             + ("by Rice's formula" if spectra.record is None else "on the record itself"),
         ],
+        *_condition(spectra),
+    ]
+
+
+def _condition(spectra: FloorSpectra) -> list[list[str]]:
+    """What a record cannot show of how far its floor's strength goes; the shares are those of `tests/shared/test_levels.py`."""
+    if spectra.record is None:
+        return []
+    slow, slower = spectra.duration / 15, spectra.duration / 6
+    return [
+        [
+            "what is called highest",
+            f"is meant to be exceeded by one stretch of {spectra.duration:.3g} s in a hundred; but where the floor's strength "
+            f"wanders over {slow:.2g} s, by one in 12 or fewer, over {slower:.2g} s by one in 6 or fewer: then record longer",
+        ]
     ]
 
 
