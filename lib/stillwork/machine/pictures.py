@@ -1,7 +1,10 @@
 """Style of the pictures on the commands' pages."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from stillwork.base.checks import one_line
 
 # Of Okabe and Ito's palette: distinguished by colour-blind readers, and in grey by lightness.
 BLACK, GREY = "#000000", "#7F7F7F"
@@ -53,5 +56,5 @@ def legend_below(axes, columns: int) -> None:
 
 
 def literal(text: str) -> str:
-    """A text of a file's in a figure: a $ in it begins no formula."""
-    return text.replace("$", r"\$")
+    """A text of a file's in a figure, on one line: a $ in it begins no formula, and a legend shows what begins with _."""
+    return re.sub(r"^_", " _", one_line(text)).replace("$", r"\$")
