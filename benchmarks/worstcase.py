@@ -10,11 +10,14 @@ With `--write` the times against n go to `data/worstcase/update_times/` for note
 """
 
 import csv
+import ctypes
 import os
 import platform
+import subprocess
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).parents[1]
@@ -25,6 +28,7 @@ import numpy as np  # noqa: E402
 from notebooks.worstcase.geometry import solve_cone_program  # noqa: E402
 from notebooks.worstcase.time_updates import UPDATES, run_printed, slope  # noqa: E402
 from stillwork.estimation import FeRls, MinMaxRegressor, RecursiveLeastSquares, identify, track  # noqa: E402
+from stillwork.machine import least_squares_code  # noqa: E402
 
 FORGETTING, BOUND = 0.95, 1.34  # of Fig. 2
 SIZES = (5, 10, 20, 50, 100, 200)
@@ -45,7 +49,7 @@ KERNELS = {
 
 def main() -> None:
     print(f"{machine()}; one thread; lowest of {REPEATS} repeats (and their median)\n")
-    small = update_times(5) | peer_times(5) | call_times(5)
+    small = update_times(5) | peer_times(5) | call_times(5) | record_times(5)
     print("one update at n = 5                      microseconds")
     for name, times in small.items():
         print(f"  {name:36s} {min(times):10.3f}   ({np.median(times):.3f})")
@@ -60,6 +64,7 @@ def main() -> None:
         ("padasip RLS / RLS kernel", "padasip RLS", "RLS", ""),
         ("padasip RLS / approximate kernel", "padasip RLS", "approximate 1", ""),
         ("RLS, partial_fit / padasip RLS", "RLS, partial_fit", "padasip RLS", "<= 1.3"),
+        ("RLS, fit of a record / C, gcc -O3", "RLS, fit", "RLS, C", "<= 1.5"),
         ("min-max, partial_fit / padasip RLS", "min-max, partial_fit", "padasip RLS", "<= 4"),
     ]
     print()
@@ -90,8 +95,8 @@ def update_times(n: int) -> dict[str, list[float]]:
     outputs = rng.standard_normal(n) @ rows + 0.3 * rng.standard_normal(4000)
     lengths, times = {}, {name: [] for name in KERNELS}
     for name, kernel in KERNELS.items():
-        cost = min(run(kernel, rows, outputs, 4 * n) for _ in range(3))
-        lengths[name] = int(np.clip(RUN_SECONDS * 1e6 / cost, 4 * n, 4000))
+        cost = min(run(kernel, rows, outputs, max(4 * n, 400)) for _ in range(3))
+        lengths[name] = int(np.clip(RUN_SECONDS * 1e6 / cost, max(4 * n, 400), 4000))
     for _ in range(REPEATS):
         for name, kernel in KERNELS.items():
             times[name].append(run(kernel, rows, outputs, lengths[name]))
@@ -125,6 +130,42 @@ def call_times(n: int, samples: int = 200) -> dict[str, list[float]]:
             for row, output in zip(rows, outputs, strict=True):
                 update(row, output)
             times[name].append((time.process_time() - began) / samples * 1e6)
+    return times
+
+
+def record_times(n: int, samples: int = 20_000) -> dict[str, list[float]]:
+    """CPU microseconds a sample of a whole record: `fit`, and the C that the library writes of the same kernel."""
+    rng = np.random.default_rng(n)
+    rows = rng.standard_normal((samples, n))
+    outputs = rows @ rng.standard_normal(n) + 0.3 * rng.standard_normal(samples)
+    estimator = RecursiveLeastSquares(forgetting=FORGETTING).fit(rows, outputs)
+    driver = f"""#include "rls.h"
+void run(long samples, const double *x, const double *y, double coef[1][{n}])
+{{
+    rls_state s;
+    double intercept[1];
+    rls_start(&s);
+    for (long k = 0; k < samples; k++)
+        (void)rls_learn(&s, x + k * {n}, y + k, 1.0);
+    rls_solve(&s, coef, intercept);
+}}
+"""
+    found, times = np.zeros((1, n)), {"RLS, fit": [], "RLS, C": []}
+    with TemporaryDirectory() as folder:
+        for name, text in (least_squares_code(estimator, n, 1, "rls") | {"run.c": driver}).items():
+            Path(folder, name).write_text(text)
+        command = ["gcc", "-std=c99", "-O3", "-shared", "-fPIC", "rls.c", "run.c", "-o", "rls.so", "-lm"]
+        subprocess.run(command, cwd=folder, check=True)
+        library = ctypes.CDLL(f"{folder}/rls.so")
+        given = [ctypes.c_void_p(each.ctypes.data) for each in (rows, outputs, found)]
+        for _ in range(REPEATS):
+            began = time.process_time()
+            estimator.fit(rows, outputs)
+            middle = time.process_time()
+            library.run(ctypes.c_long(samples), *given)
+            times["RLS, fit"].append((middle - began) / samples * 1e6)
+            times["RLS, C"].append((time.process_time() - middle) / samples * 1e6)
+    assert np.array_equal(found[0], estimator.coef_)
     return times
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from shared.compiled import compiled, pointer, run_controller
+from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.digital import (
     HELD,
@@ -20,12 +21,13 @@ from stillwork.control.pid import Notch, Pid
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.online import adapt
+from stillwork.estimation.recursive_least_squares import RecursiveLeastSquares
 from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
-from stillwork.machine.c_code import adaptation_code, controller_code
+from stillwork.machine.c_code import adaptation_code, controller_code, least_squares_code
 
 SAMPLES = 100_000
 SAMPLE_TIME = 1e-4
@@ -365,6 +367,65 @@ def test_a_sample_that_cannot_be_used_leaves_the_weights(tmp_path, settings):
     errors[0, 30] = np.nan
     used, found = run_adaptation(adaptation_code(settings, 2, 5, "feed"), tmp_path, psi, errors, np.float64)
     assert used == 30 and np.all(np.isfinite(found)) and not np.any(found[30:])
+
+
+# ------------------------------------------------------------------------------------------------------ least squares
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("intercept", [True, False])
+@pytest.mark.parametrize("forgetting", [0.97, 1.0])
+@pytest.mark.parametrize("prior", [None, 10.0])
+def test_recursive_least_squares_in_double_precision_are_those_of_python_bit_by_bit(
+    tmp_path, intercept, forgetting, prior
+):
+    """Through rests, a feature that another explains, two levels, steps, lost rows and weights."""
+    rng = np.random.default_rng(3)
+    x, weights = rng.standard_normal((900, 4)), rng.uniform(0, 2, 900)
+    x[200:500] = x[200]
+    x[:, 3] = np.sign(x[:, 3])
+    x[:80, 1] = 2 * x[:80, 0] - 1
+    x[600:] *= 1e3
+    y = x @ rng.standard_normal((4, 2)) + 0.1 * rng.standard_normal((900, 2)) + 5.0
+    x[[7, 300]], y[[8, 9], 1], weights[[20, 21]] = np.nan, np.nan, 0.0
+    kept = {"forgetting": forgetting, "initial_covariance": prior, "fit_intercept": intercept}
+    start = {} if prior is None else {"initial_coef": [[1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, 1.0]]}
+    estimator = RecursiveLeastSquares(**kept, **start)
+    driver = """
+#include "rls.h"
+void run(long samples, const double *x, const double *y, const double *w, double *out)
+{
+    rls_state s;
+    rls_start(&s);
+    for (long k = 0; k < samples; k++) {
+        double coef[2][4];
+        double intercept[2];
+        (void)rls_learn(&s, x + k * 4, y + k * 2, w[k]);
+        rls_solve(&s, coef, intercept);
+        for (int o = 0; o < 2; o++) {
+            for (int i = 0; i < 4; i++)
+                out[k * 10 + o * 5 + i] = coef[o][i];
+            out[k * 10 + o * 5 + 4] = intercept[o];
+        }
+    }
+}
+"""
+    library = compiled(least_squares_code(estimator, 4, 2, "rls"), tmp_path, driver)
+    found = np.zeros((900, 2, 5))
+    library.run(ctypes.c_long(900), pointer(x), pointer(y), pointer(weights), pointer(found))
+    for k in range(900):
+        estimator.partial_fit(x[k : k + 1], y[k : k + 1], weights[k : k + 1])
+        assert np.array_equal(found[k, :, :4], estimator.coef_), k
+        assert np.array_equal(found[k, :, 4], estimator.intercept_), k
+
+
+def test_what_has_no_c_is_refused():
+    for settings, message in (
+        ({"window": 5}, r"^estimator\.window"),
+        ({"initial_coef": [1.0]}, r"^estimator\.initial_coef"),
+    ):
+        with pytest.raises(InputError, match=message):
+            least_squares_code(RecursiveLeastSquares(**settings), 1, 1, "rls")
 
 
 # --------------------------------------------------------------------------------------------------------- bad input

@@ -9,8 +9,9 @@ from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.digital import DigitalController
 from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.recursive_least_squares import RecursiveLeastSquares
 from stillwork.lti.state_space import StateModel
-from stillwork.machine.c_code import adaptation_code, controller_code
+from stillwork.machine.c_code import adaptation_code, controller_code, least_squares_code
 from stillwork.machine.export import write_folder
 
 LAG = DigitalController(
@@ -44,6 +45,15 @@ def test_an_adaptation_is_written_as_the_library_gives_it(tmp_path, text, settin
     (tmp_path / "out").mkdir()
     assert main(["export", str(tmp_path / "a.toml"), "--out", str(tmp_path / "out")]) == 0
     assert read(tmp_path / "out") == adaptation_code(settings, 2, 3, "controller")
+
+
+def test_least_squares_are_written_as_the_library_gives_them(tmp_path):
+    (tmp_path / "a.toml").write_text(
+        "[RecursiveLeastSquares]\nforgetting = 0.99\nfeatures = 3\noutputs = 1\n"
+    )
+    assert main(["export", str(tmp_path / "a.toml"), "--out", str(tmp_path / "out")]) == 0
+    wanted = least_squares_code(RecursiveLeastSquares(forgetting=0.99), 3, 1, "controller")
+    assert read(tmp_path / "out") == wanted
 
 
 BAD = {

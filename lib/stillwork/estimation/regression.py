@@ -328,9 +328,9 @@ class TriangleRegressor(WeightedRegressor):
         record, alphas, count = record.copy(), alphas.copy(), count.copy()
         recent = recent.copy() if len(recent) else recent
         # the kernel is compiled for arrays as numpy makes them: not for those of a reader that are read-only or strided
-        X = np.array(X, order="C")
-        outputs = np.array(outputs, order="C") if self.initial_coef is None else outputs - X @ first.T
-        weights = weights if weights is ONE else np.array(weights, float)
+        X = _as_made(X)
+        outputs = _as_made(outputs) if self.initial_coef is None else outputs - X @ first.T
+        weights = _as_made(weights)
         found = np.zeros((outputs.shape[1], X.shape[1] + 1))
         decided = learn_rows(
             record, recent, count, X, outputs, weights, forgetting, share, self._has_intercept, bounds, per_sample,
@@ -439,7 +439,13 @@ def _as_input_error(name, check, *values, **how) -> np.ndarray:
         raise InputError(f"{name}: {' '.join(str(error).split())}") from None
 
 
+def _as_made(values: np.ndarray) -> np.ndarray:
+    return values if values.flags.c_contiguous and values.flags.writeable else np.array(values, order="C")
+
+
 def _lost(X, y) -> np.ndarray:
+    if not math.isnan(X.sum() + y.sum()):  # neither holds infinity; the rest takes ten times as long
+        return np.zeros(len(X), bool)
     return np.isnan(X).any(axis=1) | np.isnan(y.reshape(len(y), -1)).any(axis=1)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from stillwork.base.algebra import factorise, solve_backward, solve_forward
 from stillwork.base.checks import require_array, require_number
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import borrowing_kernel, kernel, pasted_kernel
 from stillwork.estimation.gaussian import require_covariance
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
@@ -62,10 +62,10 @@ def least_share(growth_limit: float) -> float:
     return max(1 / math.sqrt(growth_limit), 1e-100)
 
 
-@kernel
-def add_row(triangle, row):
-    """The triangle with one row more, in place; of `row` is left what the triangle's columns do not explain."""
-    for k in range(len(triangle)):
+@pasted_kernel
+def add_row(triangle, row, features):
+    """The triangle with one row more, in place; of `row` is left what the features do not explain."""
+    for k in range(features):
         if row[k] == 0.0:
             continue
         length = math.sqrt(triangle[k, k] * triangle[k, k] + row[k] * row[k])
@@ -79,10 +79,10 @@ def add_row(triangle, row):
             row[j] = along * row[j] - across * upper
 
 
-@kernel
-def _remove_row(triangle, row):
+@borrowing_kernel
+def _remove_row(triangle, row, features):
     # The triangle without one row, by hyperbolic rotations in their stable order; false where digits would be lost.
-    for k in range(len(triangle)):
+    for k in range(features):
         if row[k] == 0.0:
             continue
         whole = triangle[k, k]
@@ -97,7 +97,7 @@ def _remove_row(triangle, row):
     return True
 
 
-@kernel
+@pasted_kernel
 def _forget(state, features, forgetting):
     root = math.sqrt(forgetting)
     for i in range(features):
@@ -109,7 +109,7 @@ def _forget(state, features, forgetting):
     state[features + MASS, 0] *= forgetting
 
 
-@kernel
+@pasted_kernel
 def _hold(state, features, forgetting, share):
     # Row j of [R, Q'y] times a number is as if its combination of features were seen again with what the estimate says:
     # the estimate stays. So |R_jj| is kept above a share of its peak, and above what rounding would lose.
@@ -126,7 +126,7 @@ def _hold(state, features, forgetting, share):
             state[features + HELD, j] += 1.0 - forgetting
 
 
-@kernel
+@borrowing_kernel
 def take_in(state, features, row, weight, forgetting, share, centred):
     """One row [x, y] more, which is used up; one of weight 0 is lost: time passes."""
     if forgetting < 1.0:
@@ -145,14 +145,14 @@ def take_in(state, features, row, weight, forgetting, share, centred):
                 state[features + MEAN, j] += gain * row[j]
         for j in range(len(row)):
             row[j] *= root
-        add_row(state[:features], row)
+        add_row(state, row, features)
         for j in range(features, len(row)):
             state[features + POWER, j] += row[j] * row[j]
     if forgetting < 1.0:
         _hold(state, features, forgetting, share)
 
 
-@kernel
+@borrowing_kernel
 def _take_out(state, features, row, weight, centred):
     # One row [x, y] less; false, with the record spoilt, where digits would be lost.
     mass = state[features + MASS, 0]
@@ -170,7 +170,7 @@ def _take_out(state, features, row, weight, centred):
             state[features + MEAN, j] -= weight / left * row[j]
     for j in range(len(row)):
         row[j] *= root
-    if not _remove_row(state[:features], row):
+    if not _remove_row(state, row, features):
         return False
     for j in range(features, len(row)):
         whole = state[features + POWER, j]
@@ -178,7 +178,7 @@ def _take_out(state, features, row, weight, centred):
     return True
 
 
-@kernel
+@pasted_kernel
 def _back(state, features, o, coef):
     # R coef = Q'y of one output; 0 where there is no pivot
     for i in range(features - 1, -1, -1):
@@ -204,12 +204,12 @@ def solve_least_squares(state, features, coef):
                 row = state[j].copy()
                 state[j] = 0.0
                 row[: j + 1] = 0.0
-                add_row(state[:features], row)
+                add_row(state, row, features)
     for o in range(state.shape[1] - features):
         _back(state, features, o, coef[o])
 
 
-@kernel
+@borrowing_kernel
 def set_normal(state, features, o, units, square, lines):
     """R'R and R'Q'y of one output, with features over these units, in their places; the trace, |y|^2 and |R'Q'y|^2."""
     trace, size, energy = 0.0, 0.0, state[features + POWER, features + o]
@@ -229,7 +229,7 @@ def set_normal(state, features, o, units, square, lines):
     return trace, energy, size
 
 
-@kernel
+@pasted_kernel
 def _residual(state, features, o, units, x, left):
     # `left` of the rows of the triangle, and |y - X x|^2 of all rows
     total = state[features + POWER, features + o]

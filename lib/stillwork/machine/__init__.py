@@ -5,7 +5,7 @@ from stillwork.base.lazy_exports import lazy_exports
 __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
-        "c_code": ("adaptation_code", "controller_code"),
+        "c_code": ("adaptation_code", "controller_code", "least_squares_code"),
         "loop_margins": ("loop_margins",),
         "readings": ("require_explained",),
     },

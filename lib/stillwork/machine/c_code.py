@@ -14,6 +14,7 @@ from stillwork.base.checks import (
     InputError,
     pluralise,
     require_array,
+    require_kind,
     require_number,
     short_repr,
 )
@@ -22,6 +23,7 @@ from stillwork.control.digital import DigitalController, without_dead_states
 from stillwork.control.feedforward import Motion
 from stillwork.control.setpoint import HALVINGS
 from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.triangle_kernels import POWER, SINGULAR, least_share, start_record
 from stillwork.machine.isolation import POWERS, FeedforwardLoop
 from stillwork.machine.single_precision import in_single_precision, kept_states
 
@@ -220,6 +222,71 @@ def adaptation_code(
         + "    int axis; /* whose limit is looked at next */",
     }
     return write.files(("adaptation", "ferls"), name, values)
+
+
+@checked
+def least_squares_code(
+    estimator: Any, features: Count, outputs: Count, name: str, precision: str = "double"
+) -> dict[str, str]:
+    """C99 of `RecursiveLeastSquares` that allocates nothing: text by the name of its file.
+
+    It is the kernel of Python, in double precision bit by bit: a row is turned into the triangle, lost rows let time pass.
+
+    Parameters
+    ----------
+    estimator : RecursiveLeastSquares
+        Its settings, without a window; an initial estimate has a covariance.
+    features, outputs : int
+        Of a row.
+    name, precision : str
+        See `controller_code`.
+
+    Returns
+    -------
+    dict of str to str
+
+    Raises
+    ------
+    InputError
+        When `name` is no name in C, or a setting has no C.
+
+    Examples
+    --------
+    >>> sorted(machine.least_squares_code(estimation.RecursiveLeastSquares(forgetting=0.99), 3, 1, "rls"))
+    ['rls.c', 'rls.h']
+    """
+    from stillwork.estimation.recursive_least_squares import RecursiveLeastSquares
+
+    write = Numbers(name, precision)
+    require_kind("estimator", estimator, RecursiveLeastSquares)
+    if estimator.window is not None:
+        raise InputError("estimator.window has no C; use forgetting, or keep the rows of a window yourself")
+    given = estimator.initial_coef
+    if given is not None and estimator.initial_covariance is None:
+        raise InputError("estimator.initial_coef has C only with initial_covariance; give it")
+    first = np.zeros((outputs, features))
+    if given is not None:
+        first[:] = require_array("estimator.initial_coef", given, shape=first.shape[outputs == 1 :])
+    record = start_record(first, estimator.initial_covariance)
+    forgetting = require_number("estimator.forgetting", estimator.forgetting, above=0.0, at_most=1.0)
+    single = precision == "single"
+    values = {
+        "title": f"{name}: recursive least squares, {features} features, {pluralise(outputs, 'output')}, {precision} precision.",
+        "features": features,
+        "outputs": outputs,
+        "columns": features + outputs,
+        "zero": write(0),
+        "one": write(1),
+        "two": write(2),
+        "forgetting": write(forgetting),
+        "share": write(max(least_share(estimator.growth_limit), 1e-30 if single else 0.0)),
+        "singular": write(1e-6 if single else SINGULAR),
+        "first": _rows(write, record[:features]).rstrip(),
+        "power": ", ".join(map(write, record[features + POWER, :features])),
+        "sqrt": "sqrtf" if single else "sqrt",
+        "fabs": "fabsf" if single else "fabs",
+    }
+    return write.files("least_squares", name, values, {"C": bool(estimator.fit_intercept)})
 
 
 def _limit(name: str, value) -> float:
