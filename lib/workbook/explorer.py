@@ -183,17 +183,19 @@ def lines_of(figure) -> list[list]:
     ]
 
 
-def show_behind(figure, lines: list[list]) -> None:
+def show_behind(figure, lines: list[list]) -> list:
     """Lines, as `lines_of` gives them, in grey behind a figure of as many panels; its axes keep their limits."""
     from matplotlib.lines import Line2D
 
     from workbook.palette import GREY
 
     if len(lines) != len(figure.axes):
-        return
-    for axes, each in zip(figure.axes, lines, strict=True):
-        for points in each:
-            axes.add_artist(Line2D(*points.T, color=GREY, alpha=0.45, lw=2.5, zorder=0.5))
+        return []
+    return [
+        axes.add_artist(Line2D(*points.T, color=GREY, alpha=0.45, lw=2.5, zorder=0.5))
+        for axes, each in zip(figure.axes, lines, strict=True)
+        for points in each
+    ]
 
 
 def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **controls: Slider | Choice):
@@ -202,7 +204,7 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
     Parameters
     ----------
     draw : callable
-        Returns a `matplotlib.figure.Figure`.
+        Returns a `matplotlib.figure.Figure`; where building one takes long, the one of before with the data set anew.
     presets : mapping of str to mapping, optional
         Named designs, a button each: values of controls, e.g. ``{"MC": {"damping": 0.0}}``; the others stand at their start.
     **controls : Slider or Choice
@@ -216,13 +218,17 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
     start = {name: control.start for name, control in controls.items()}
     designs = whole_settings(presets or {}, controls)
     ghost: list[list] = []
+    behind: list = []
 
     def drawn(**settings):
+        for artist in behind:  # of a figure that `draw` keeps, to set the data of what moves
+            artist.remove()
+        behind.clear()
         figure = draw(**settings)
         if settings == start:
             ghost[:] = lines_of(figure)
         else:
-            show_behind(figure, ghost)
+            behind[:] = show_behind(figure, ghost)
         return figure
 
     from workbook.redraw import Redraw

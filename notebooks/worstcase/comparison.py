@@ -1,6 +1,7 @@
 """Which estimator comes nearest to the truth: min-max beside the usual ones, in many settings."""
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -350,6 +351,18 @@ def turning_points(errors: np.ndarray, noises: tuple[float, ...] = SWEEP) -> dic
     }
 
 
+def pays_between(memory: int, runs: int, seed: int, taps: int) -> tuple[list[float], list[float]]:
+    """Where min-max begins to pay and where it ends, as in `turning_points`, with a memory; for six seeds each."""
+    ends = []
+    for number in range(6):
+        cells = {f"{n:g}": Setting(0.1, n) for n in SWEEP}
+        how = {"taps": taps, "rows": 4 * memory, "forgetting": 1 - 1 / memory}
+        found = turning_points(compare(cells, max(runs // 8, 2), seed + 1000 * number, **how)["errors"])
+        ends.append([found[f"worstcase.comparison.pays-{end}"] for end in ("from", "to")])
+    first, last = zip(*ends, strict=True)
+    return list(first), list(last)
+
+
 def structured_ratios(errors: np.ndarray) -> dict[str, float]:
     """What a map of all `STRUCTURED` says, by the ledger's names: ratios of geometric means, largest of the excitations."""
     means, methods = np.exp(np.log(errors).mean(axis=2)), list(METHODS)
@@ -497,12 +510,29 @@ def explore_comparison(input_noise: float, output_noise: float, gain: float, del
     A record takes 3 ms, and the picture has 0.1 s for 16 of them.
     """
     setting = {"yours": Setting(input_noise, output_noise, gain, delay)}
-    errors = compare(setting, 4, 1, int(taps), 200, 0.98)["errors"][0]
+    logs = np.log(compare(setting, 4, 1, int(taps), 200, 0.98)["errors"][0]).swapaxes(1, 2)
+    figure, axes, bars = _comparison_figure()
+    mean, ends = logs.mean(axis=2), np.array([[mean_interval(each) for each in rows] for rows in logs])
+    for (points, _, (intervals,)), middle, pair in zip(bars, np.exp(mean), np.exp(ends), strict=True):
+        rows = points.get_ydata()
+        points.set_xdata(middle)
+        intervals.set_segments([[(x, y) for x in both] for both, y in zip(pair, rows, strict=True)])
+    low, high = min(ends.min(), 0.0), max(ends.max(), 0.0)
+    margin = 0.05 * (high - low)
+    axes.set_xlim(np.exp(low - margin), np.exp(high + margin))
+    return figure
+
+
+@cache
+def _comparison_figure():
+    """Figure, axes and error bars of the explorer, kept for its next move: only their data change."""
     figure, axes = figures.new(height=3.6)
-    colours = (figures.BLACK, figures.GREEN, figures.BLUE, figures.RED)
+    colours, ones = (figures.BLACK, figures.GREEN, figures.BLUE, figures.RED), np.ones(len(METHODS))
+    bars = []
     for number, (name, colour) in enumerate(zip(EXCITATIONS, colours, strict=True)):
         rows = np.arange(len(METHODS)) + 0.2 * (number - 1.5)
-        _paint_geometric_means(axes, np.log(errors[number]).T, rows, markersize=4, color=colour, label=name)
+        style = {"fmt": "o", "markersize": 4, "color": colour, "label": name}
+        bars.append(axes.errorbar(ones, rows, xerr=ones / 2, **style))
     axes.set_yticks(np.arange(len(METHODS)), METHODS.values())
     axes.axvline(1, color=figures.GREY, linestyle=":", label="the estimate zero")
     axes.set(xscale="log", xlabel="|x − estimate| over |x|")
@@ -510,4 +540,4 @@ def explore_comparison(input_noise: float, output_noise: float, gain: float, del
     axes.xaxis.set_major_formatter("{x:g}")
     axes.invert_yaxis()
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="excitation")
-    return figure
+    return figure, axes, bars

@@ -173,6 +173,11 @@ def explore_sweep(taps: int, length: int):
 SHIFT = 500  # samples by which the windows are moved
 
 
+def later(pair: MeasuredPair) -> MeasuredPair:
+    """The record from so many samples on: windows at other places."""
+    return replace(pair, input=pair.input[SHIFT:], output=pair.output[SHIFT:])
+
+
 def over_models(pair: MeasuredPair, taps: tuple[int, ...], longest: int, most: int) -> dict[str, np.ndarray]:
     """What is concluded of 32 taps and one place of the windows, for each of `taps` at two places; by entry.
 
@@ -181,8 +186,7 @@ def over_models(pair: MeasuredPair, taps: tuple[int, ...], longest: int, most: i
     that of min-max, with the longest window.
     """
     found = {"short-windows": [], "long-windows": [], "ridge": []}
-    shifted = replace(pair, input=pair.input[SHIFT:], output=pair.output[SHIFT:])
-    for each, count in product((pair, shifted), taps):
+    for each, count in product((pair, later(pair)), taps):
         residuals = window_residuals(each, count, [2 * count, 5 * count, longest], most)
         least, ridge, ours = (
             residuals[name] for name in ("least squares", "ridge", "min-max, typical bound")

@@ -78,6 +78,30 @@ def recursion_trial(
     return found
 
 
+def iteration_errors(
+    seeds, truth, bound: float, forgetting: float, noise: float, records: int
+) -> dict[str, np.ndarray]:
+    """Of one step of (20) for each seed, and for the parameters in another order: relative errors of alpha.
+
+    ``beyond``: share of instants at which it exceeds a third; ``largest`` of a record, median over so many `records`.
+    """
+    found = {"beyond": [], "largest": []}
+    for seed, plant in [*((seed, truth) for seed in seeds), (seeds[0], truth[::-1])]:
+        rng, errors = np.random.default_rng(seed), []
+        for _ in range(records):
+            regressors = rng.standard_normal(truth.shape)
+            outputs = np.sum(regressors * plant, axis=0) + noise * rng.standard_normal(truth.shape[1])
+            exact, one = (
+                run_printed(*UPDATES[name], regressors, outputs, bound, forgetting).alphas
+                for name in ("exact", "approximate_1")
+            )
+            both = np.isfinite(exact) & np.isfinite(one)
+            errors.append(np.abs(one[both] / exact[both] - 1))
+        found["beyond"].append(np.mean(np.concatenate(errors) > 1 / 3))
+        found["largest"].append(np.median([each.max() for each in errors]))
+    return {name: np.array(values) for name, values in found.items()}
+
+
 def _one_update(found, t, weighted, estimate, alpha, bound, forgetting):
     # h by (15), its image by (17), and what they stand for with alpha_t (as printed) and with lam alpha_t
     (matrix, _), (later, target) = weighted[t], weighted[t + 1]

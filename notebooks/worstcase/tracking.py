@@ -185,6 +185,40 @@ def win_map(
     return np.array([[ratio(bound, noise) for noise in noises] for bound in bounds])
 
 
+def repeated_draws(study: Study, trials: int, late: int) -> dict[str, np.ndarray]:
+    """Draws of so many trials each, from sample `late` on, of `tracking_trial`.
+
+    ``ratio``: rms error of min-max over that of RLS in each draw. ``below``: whether its mean over the trials is the
+    smaller, (draws, samples); ``median``: the same of the medians over the draws.
+    """
+    errors = {
+        name: study[name].reshape(-1, trials, study[name].shape[1])[..., late:] for name in ("min_max", "rls")
+    }
+    sizes = {name: np.sqrt(np.mean(each**2, axis=(1, 2))) for name, each in errors.items()}
+    curves = {name: each.mean(axis=1) for name, each in errors.items()}
+    middle = {name: np.median(each, axis=0) for name, each in curves.items()}
+    return {
+        "ratio": sizes["min_max"] / sizes["rls"],
+        "below": curves["min_max"] < curves["rls"],
+        "median": middle["min_max"] < middle["rls"],
+    }
+
+
+def break_even_noises(seeds, bound, trials, truth, forgetting, samples, row_error) -> list[float]:
+    """`break_even_noise` at one bound for each of several seeds, and for parameters in another order."""
+    about = np.linalg.norm(truth) * np.geomspace(0.5, 4.0, 8)
+    plants = [*((seed, truth) for seed in seeds), (seeds[0], truth[::-1])]
+    return [
+        break_even_noise(
+            about,
+            np.array([bound]),
+            win_map(about, np.array([bound]), trials, seed, plant, forgetting, samples, row_error),
+            bound,
+        )
+        for seed, plant in plants
+    ]
+
+
 def break_even_noise(noises: np.ndarray, bounds: np.ndarray, ratios: np.ndarray, bound: float) -> float:
     """Noise from which min-max is better than RLS, of `win_map` at a bound, by lines between logarithms."""
     logs = np.log(ratios)
