@@ -354,6 +354,14 @@ def test_the_two_norm_of_a_multiple_sampled_pole_is_the_sum_of_its_impulses(mult
         assert lti.h2_norm(model) == pytest.approx(np.linalg.norm(impulse), rel=1e-9)
 
 
+@pytest.mark.parametrize(("multiplicity", "near", "nearer"), [(2, 0.003, 0.001), (3, 0.03, 0.01)])
+def test_a_multiple_pole_near_one_is_known_to_six_digits_or_refused(multiplicity, near, nearer):
+    model = companion([1 - near] * multiplicity, sample_time=1.0)
+    assert lti.h2_norm(model) == pytest.approx(precise_h2_norm(model), rel=1e-6)
+    with pytest.raises(InputError, match="too close to instability"):
+        lti.h2_norm(companion([1 - nearer] * multiplicity, sample_time=1.0))
+
+
 def test_two_norms_of_filters_with_a_double_pole():
     damped = 2 * np.pi * 50.0  # critically damped
     assert lti.h2_norm(companion([-1.0, -1.0])) == pytest.approx(0.5, rel=1e-12)

@@ -219,7 +219,9 @@ def h2_norm(model: StateModel) -> float:
     Raises
     ------
     InputError
-        When the model is unstable, has feedthrough in continuous time, or the equation is too ill-conditioned.
+        When the model is unstable, has feedthrough in continuous time, or the equation is too ill-conditioned: in discrete
+        time for example by a double pole nearer to z = 1 than some 0.002, or a triple one nearer than 0.02, in companion
+        form, where the rounding of the coefficients alone moves the squared norm by 1e-6.
 
     References
     ----------
