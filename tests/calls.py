@@ -25,7 +25,7 @@ PACKAGES = {
 # No calls: made by the functions beside them, warnings and errors.
 RESULTS = {
     "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
-    "GainProof",
+    "GainProof", "MinimalRealisation", "Margins", "CancellationWarning",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # Calls whose good arguments stand for a file or a machine that is not there.
@@ -224,6 +224,8 @@ def catalogue() -> dict:
         "from_control": (lti.from_control, {"system": state}),
         "h2_norm": (lti.h2_norm, {"model": state}),
         "hinf_norm": (lti.hinf_norm, {"model": state}),
+        "minimal_realisation": (lti.minimal_realisation, {"model": state, "tolerance": 1e-10}),
+        "margins": (control.margins, {"loop": state}),
         "interconnect": (lti.interconnect, {"models": [state], **joined, "direct": np.zeros((1, 1))}),
         "modal_model": (lti.modal_model, {"mass": np.eye(2), "stiffness": np.array([[2.0, -1], [-1, 2]]), "input_map": np.ones((2, 1)), "output_map": np.ones((1, 2)), "damping_ratio": 0.01}),
         "modal_model, damped": (lti.modal_model, {"mass": np.eye(2), "stiffness": np.array([[2.0, -1], [-1, 2]]), "input_map": np.ones((2, 1)), "output_map": np.ones((1, 2)), "damping_matrix": 0.1 * np.eye(2)}),

@@ -344,6 +344,8 @@ def _check(hint) -> Callable | None:
         return _sequence(origin, parts)
     if inspect.isclass(hint) and issubclass(hint, AbstractArray):
         return _array(hint)
+    if hasattr(hint, "converted"):  # takes what other libraries have for it
+        return hint.converted
     if _is_kind(hint):
         return lambda name, value: require_kind(name, value, hint)
     return None
@@ -379,6 +381,9 @@ def _union(parts: tuple) -> Callable | None:
                 return each(name, value)
             except InputError:
                 continue
+        for part in rest:
+            if hasattr(value, "dt") and hasattr(part, "converted"):  # a model: say what is wrong with it
+                return part.converted(name, value)
         raise InputError(f"{name} is {short_repr(value)}; give {' or '.join(map(_words, rest))}")
 
     return check
@@ -408,6 +413,8 @@ def _sequence(origin, parts: tuple) -> Callable | None:
         return None
 
     def check(name: str, value):
+        if origin is tuple and not fixed and type(value) is tuple and not value:
+            return value
         plain = isinstance(value, refused) or getattr(value, "ndim", 1) == 0
         if plain or not isinstance(value, Iterable):
             raise InputError(f"{name} is {short_repr(value)}; give a list of values")

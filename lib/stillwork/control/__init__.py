@@ -26,6 +26,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "joint_kalman": ("JointKalman",),
         "kinematics": ("KinematicDesign",),
         "loops": ("closed_loop",),
+        "margins": ("Margins", "margins"),
         "mechanism": ("Mechanism",),
         "pid": ("PidFamily",),
         "setpoint": ("MoveLimits", "plan_move", "point_to_point"),

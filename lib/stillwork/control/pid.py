@@ -82,6 +82,11 @@ class Pid:
         """Realisation by partial fractions: an integrator in parallel with the low-pass, each with its own scale."""
         return self._realised
 
+    @property
+    def model(self) -> StateModel:
+        """The same as a model: `state_space`."""
+        return self._realised
+
     @cached_property  # one controller closes the loop at every position
     def _realised(self) -> StateModel:
         w, z, wi, wd = self.low_pass, self.low_pass_damping, self.integrator, self.differentiator

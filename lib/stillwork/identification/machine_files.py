@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -16,6 +17,7 @@ from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import frequency_axis
 from stillwork.signals.headings import HOLDS, column_unit, heading, in_hertz
 from stillwork.signals.records import is_time, sampling_rate
+from stillwork.signals.spectra import response_arrays
 from stillwork.signals.units import DRIVES, MOVES, Reading, Unit, unit_factor
 
 FORMS = (
@@ -68,7 +70,7 @@ def kind_of(arrays: dict[str, np.ndarray]) -> str:
 
 @checked(missing=True)
 def load_machine(
-    file: str | Path,
+    file: Any,
     response_unit: str = "",
     force_unit: str = "",
     *,
@@ -90,7 +92,8 @@ def load_machine(
 
     Parameters
     ----------
-    file : str or Path
+    file : str or Path or control.FrequencyResponseData or tuple
+        Or a frequency response at hand: one of python-control (its frequency is rad/s), or (frequencies in Hz, complex response).
     response_unit, force_unit : str
         Units of the response and the force, e.g. ``m/s^2``, ``g``, ``um`` and ``N``, ``kN``; empty: as stated in brackets in
         the file, else m/s^2 and N (N m for a rotation). A machine that turns is in ``rad`` (or
@@ -123,8 +126,8 @@ def load_machine(
     >>> identification.load_machine("stage.npz").kind
     'matrices'
     """
-    file = Path(file)
-    arrays = read_arrays(file)
+    arrays = read_arrays(file) if isinstance(file, str | Path) else response_arrays(file)
+    file = Path(file if isinstance(file, str | Path) else "the response")
     try:
         kind = kind_of(arrays)
         if kind == "matrices":

@@ -16,6 +16,13 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "reduction": ("truncate",),
         "simulation": ("simulate",),
         "structured": ("GainProof", "prove_gain"),
-        "state_space": ("StateModel", "from_control", "interconnect"),
+        "foreign": ("CancellationWarning",),
+        "state_space": (
+            "MinimalRealisation",
+            "StateModel",
+            "from_control",
+            "interconnect",
+            "minimal_realisation",
+        ),
     },
 )

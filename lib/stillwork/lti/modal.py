@@ -12,6 +12,7 @@ from scipy import linalg
 from stillwork.base.bounds import Matrix, NonNegative, Vector, one_of
 from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.lti.modal_form import modes_of
 from stillwork.lti.state_space import StateModel
 
 
@@ -81,6 +82,13 @@ class ModalModel:
             raise InputError("damping must be at least 0 and below 1 (ratio to critical)")
         if np.any(self.damping[self.frequencies == 0] != 0):
             raise InputError("damping of a mode of zero frequency must be 0: its ratio has no meaning")
+
+    @classmethod
+    def converted(cls, name: str, system) -> "ModalModel":
+        """A system of another library as this one, where it has such modes; its errors call it `name`."""
+        if isinstance(system, cls):
+            return system
+        return cls(**modes_of(StateModel.converted(name, system), name))
 
     @property
     def rigid_modes(self) -> int:

@@ -1,18 +1,19 @@
 """State-space models, their responses, and their interconnection."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from scipy import linalg
+from scipy import linalg, signal
 from scipy.sparse import csgraph
 
-from stillwork.base.bounds import NonNegative, Vector
-from stillwork.base.checks import InputError, short_repr
+from stillwork.base.bounds import NonNegative, Positive, Vector
+from stillwork.base.checks import InputError, nearest
 from stillwork.base.extras import require_package
 from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.lti.foreign import matrices, minimal
 
 # Above this condition of the eigenvectors, residues would lose more than half of the digits.
 WORST_CONDITION = 1e6
@@ -29,15 +30,22 @@ class StateModel:
         Shapes (states, states), (states, inputs), (outputs, states) and (outputs, inputs).
     sample_time : float
         s; 0 in continuous time.
+    input_labels, output_labels, state_labels : sequence of str, optional
+        Names, as python-control has them.
 
     Raises
     ------
     InputError
-        When the shapes do not fit together.
+        When the shapes or the numbers of names do not fit together.
 
     References
     ----------
     Zhou, Doyle and Glover, Robust and Optimal Control (1996), chapter 3.
+
+    Notes
+    -----
+    Sums, products and `feedback` are those of python-control: ``g * h`` feeds the outputs of h to g. Where a function of
+    this library takes a model, it takes one of python-control or of `scipy.signal` as well, or a tuple of arrays.
 
     Examples
     --------
@@ -51,6 +59,11 @@ class StateModel:
     c: Float64[np.ndarray, "outputs states"]
     d: Float64[np.ndarray, "outputs inputs"]
     sample_time: NonNegative = 0.0  # s; 0: continuous time
+    input_labels: tuple[str, ...] = ()
+    output_labels: tuple[str, ...] = ()
+    state_labels: tuple[str, ...] = ()
+
+    __array_ufunc__ = None  # an array times a model is the model's to compute
 
     def __post_init__(self):
         check_fields(self)
@@ -58,6 +71,17 @@ class StateModel:
         if self.a.shape != (n, n) or self.b.shape != (n, inputs) or self.c.shape != (outputs, n):
             shapes = ", ".join(str(getattr(self, name).shape) for name in "abcd")
             raise InputError(f"a, b, c, d have shapes {shapes}, which do not fit together")
+        for kind, count in (("input", inputs), ("output", outputs), ("state", n)):
+            names = getattr(self, f"{kind}_labels")
+            if names and len(set(names)) != count:
+                raise InputError(
+                    f"{kind}_labels has {len(set(names))} different names; give {count}, or none"
+                )
+
+    @classmethod
+    def converted(cls, name: str, system) -> "StateModel":
+        """A system of another library as this one; its errors call it `name`."""
+        return system if isinstance(system, cls) else cls(**matrices(system, name))
 
     @property
     def poles(self) -> Complex128[np.ndarray, " states"]:
@@ -74,27 +98,33 @@ class StateModel:
     @property
     @checked
     def zeros(self) -> Complex128[np.ndarray, " zeros"]:
-        """Finite invariant zeros of a square model, from a balanced pencil."""
-        if len(self.c) != self.b.shape[1]:
-            raise InputError("model is not square; its zeros need as many inputs as outputs")
-        rate = np.linalg.norm(linalg.matrix_balance(self.a, permute=False)[0])
-        n = len(self.a)
-        whole = np.block([[self.a / rate, self.b / rate], [self.c, self.d]])
-        whole, _ = linalg.matrix_balance(whole, permute=False, separate=True)
-        mass = np.zeros_like(whole)
-        mass[:n, :n] = np.eye(n)
-        values = linalg.eig(whole, mass, right=False, homogeneous_eigvals=True)
-        finite = np.abs(values[1]) > 1e-10 * np.abs(values[0])
-        return (rate * values[0][finite] / values[1][finite]).astype(complex)
+        """Finite invariant zeros: where the response loses rank (for a square model, where its inverse has poles).
+
+        By the reduction to a square pencil of Emami-Naeini and Van Dooren, Automatica 18 (1982).
+        """
+        scale = state_scale(self.a, self.b, self.c)
+        a, b, c = self.a * scale / scale[:, None], self.b / scale[:, None], self.c * scale
+        rate = np.linalg.norm(a) or 1.0
+        sizes = [np.linalg.norm(each) or 1.0 for each in (b, c)]
+        system = a / rate, b / sizes[0], c / sizes[1], self.d * rate / sizes[0] / sizes[1]
+        a, b, c, d = _square_pencil(*system)
+        if not len(a):
+            return np.zeros(0, complex)
+        m = b.shape[1]
+        turn = linalg.qr(np.hstack([c, d]).T)[0][
+            :, m:
+        ]  # of all directions, those that the outputs do not see
+        values = linalg.eigvals(np.hstack([a, b]) @ turn, turn[: len(a)])
+        return values.astype(complex) * rate
 
     @checked
-    def select(self, inputs: Sequence[int], outputs: Sequence[int]) -> "StateModel":
+    def select(self, inputs: Sequence[int | str], outputs: Sequence[int | str]) -> "StateModel":
         """Keep only these inputs and outputs.
 
         Parameters
         ----------
-        inputs, outputs : sequence of int
-            Their indices, from 0, in the desired order.
+        inputs, outputs : sequence of int or str
+            Their indices, from 0, or their names, in the desired order.
 
         Returns
         -------
@@ -112,10 +142,15 @@ class StateModel:
         >>> lags.select([1], [1]).frequency_response([10.0]).round(3)  # the faster one, at its corner
         array([[[0.5-0.5j]]])
         """
-        i, o = list(inputs), list(outputs)
+        i, o = _places("inputs", inputs, self.input_labels), _places("outputs", outputs, self.output_labels)
         if not i or not o:
             raise InputError("inputs or outputs is empty; choose one of each at least")
-        return StateModel(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.sample_time)
+        return StateModel(
+            *(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.sample_time),
+            input_labels=_chosen(self.input_labels, i),
+            output_labels=_chosen(self.output_labels, o),
+            state_labels=self.state_labels,
+        )
 
     @checked
     def frequency_response(self, omega: Vector) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
@@ -201,8 +236,125 @@ class StateModel:
         ]
         return left / scale, [np.ascontiguousarray(half) for part in parts for half in (part.real, part.imag)]
 
+    def __getitem__(self, places) -> "StateModel":
+        """``model[outputs, inputs]``: indices, names, slices, or lists of indices and names."""
+        if not isinstance(places, tuple) or len(places) != 2:
+            raise InputError("give model[outputs, inputs], each an index, a name, a slice or a list")
+        outputs, inputs = (
+            list(range(count)[each])
+            if isinstance(each, slice)
+            else [each]
+            if isinstance(each, int | str)
+            else each
+            for each, count in zip(places, self.d.shape, strict=True)
+        )
+        return self.select(inputs, outputs)
+
+    @checked
+    def feedback(
+        self, other: "StateModel | float | np.ndarray | None" = None, sign: int = -1
+    ) -> "StateModel":
+        """The closed loop of this model, with `other` from its outputs back to its inputs.
+
+        Parameters
+        ----------
+        other : StateModel or float or array_like, optional
+            Model or gain in the way back; 1 without.
+        sign : int
+            -1 subtracts what comes back, 1 adds it.
+
+        Returns
+        -------
+        StateModel
+            From this model's inputs to its outputs.
+
+        Raises
+        ------
+        InputError
+            When the sizes or sample times do not fit, or the loop has no unique solution.
+
+        Examples
+        --------
+        >>> integrator = lti.StateModel([[0.0]], [[5.0]], [[1.0]], [[0.0]])
+        >>> integrator.feedback().poles.real
+        array([-5.])
+        """
+        back = self._operand(1.0 if other is None else other, self.d.shape[::-1])
+        if sign not in (-1, 1) or back is None:
+            raise InputError(f"sign is {sign} or other no model; give -1 or 1, and a model or a gain")
+        (outputs, inputs), n = self.d.shape, sum(self.d.shape)
+        if back.d.shape != (inputs, outputs):
+            raise InputError(f"other has shape {back.d.shape}; give {inputs} outputs and {outputs} inputs")
+        turn = np.zeros((n, n))
+        turn[:inputs, outputs:], turn[inputs:, :outputs] = sign * np.eye(inputs), np.eye(outputs)
+        loop = interconnect([self, back], turn, np.eye(n, inputs), np.eye(outputs, n))
+        return replace(loop, input_labels=self.input_labels, output_labels=self.output_labels)
+
+    def _operand(self, other, shape: tuple[int, int]) -> "StateModel | None":
+        """What this model is added to or multiplied with, as a model; a number is a gain in each channel of `shape`."""
+        if isinstance(other, int | float | np.integer | np.floating):
+            other = float(other) * (np.eye(*shape) if shape[0] == shape[1] else np.ones(shape))
+        if isinstance(other, np.ndarray):
+            return constant(np.atleast_2d(other), self.sample_time)
+        try:
+            return StateModel.converted("the other model", other)
+        except InputError:
+            if hasattr(other, "dt") or isinstance(other, StateModel | tuple):
+                raise
+            return None
+
+    def __neg__(self) -> "StateModel":
+        return replace(self, c=-self.c, d=-self.d)
+
+    def __add__(self, other) -> "StateModel":
+        other = self._operand(np.full(self.d.shape, other) if np.isscalar(other) else other, self.d.shape)
+        if other is None:
+            return NotImplemented
+        if other.d.shape != self.d.shape:
+            raise InputError(
+                f"models of shapes {self.d.shape} and {other.d.shape} cannot be added; give equal ones"
+            )
+        outputs, inputs = (np.eye(size) for size in self.d.shape)
+        return self._named(
+            _joined([self, other], None, np.vstack([inputs, inputs]), np.hstack([outputs, outputs])), self
+        )
+
+    __radd__ = __add__
+
+    def __sub__(self, other) -> "StateModel":
+        return self + -other
+
+    def __rsub__(self, other) -> "StateModel":
+        return -self + other
+
+    def __mul__(self, other) -> "StateModel":
+        inputs = self.d.shape[1]
+        other = self._operand(other, (inputs, inputs))
+        return NotImplemented if other is None else self._after(other)
+
+    def __rmul__(self, other) -> "StateModel":
+        outputs = len(self.d)
+        other = self._operand(other, (outputs, outputs))
+        return NotImplemented if other is None else other._after(self)
+
+    def _after(self, first: "StateModel") -> "StateModel":
+        """`first`, then this."""
+        if len(first.d) != self.d.shape[1]:
+            raise InputError(
+                f"models of shapes {self.d.shape} and {first.d.shape} are no product; give as many "
+                "outputs of the second as inputs of the first"
+            )
+        inner, inputs, outputs = len(first.d), first.d.shape[1], len(self.d)
+        turn = np.zeros((inputs + inner, inner + outputs))
+        turn[inputs:, :inner] = np.eye(inner)
+        ends = np.eye(inputs + inner, inputs), np.eye(inner + outputs)[inner:]
+        return self._named(_joined([first, self], turn, *ends), first)
+
+    def _named(self, model: "StateModel", first: "StateModel") -> "StateModel":
+        return replace(model, input_labels=first.input_labels, output_labels=self.output_labels)
+
     def to_control(self):
-        """The same model as `control.StateSpace`.
+        """The same model as `control.StateSpace`, with its names.
 
         Returns
         -------
@@ -216,13 +368,34 @@ class StateModel:
 
         Examples
         --------
-        >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]])
-        >>> float(low_pass.to_control().dcgain())
-        1.0
+        >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]], input_labels=["force"])
+        >>> float(low_pass.to_control().dcgain()), low_pass.to_control().input_labels
+        (1.0, ['force'])
         """
         control = require_package("control")
+        names = {
+            f"{kind}s": list(getattr(self, f"{kind}_labels"))
+            for kind in ("input", "output", "state")
+            if getattr(self, f"{kind}_labels")
+        }
+        return control.StateSpace(self.a, self.b, self.c, self.d, self.sample_time or 0, **names)
 
-        return control.StateSpace(self.a, self.b, self.c, self.d, self.sample_time or 0)
+    def to_scipy(self):
+        """The same model as `scipy.signal.StateSpace`, which holds no names.
+
+        Returns
+        -------
+        scipy.signal.StateSpace
+            In discrete time when `sample_time` is above 0.
+
+        Examples
+        --------
+        >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]])
+        >>> low_pass.to_scipy().poles
+        array([-10.])
+        """
+        time = {"dt": self.sample_time} if self.sample_time else {}
+        return signal.StateSpace(self.a, self.b, self.c, self.d, **time)
 
 
 # Models that differ in their inputs and outputs alone, as the channels of a loop or the gains of a feedforward, have
@@ -321,35 +494,117 @@ def constant(gain: Float64[np.ndarray, "outputs inputs"], sample_time: float = 0
 
 
 @checked
-def from_control(system) -> StateModel:
-    """Take a `control.StateSpace`; a system with an unspecified sample time is refused.
+def from_control(system: StateModel) -> StateModel:
+    """Take a model of python-control or `scipy.signal`, or a tuple of arrays; one without a sample time is refused.
+
+    Every function that takes a model does this by itself.
 
     Parameters
     ----------
-    system : control.StateSpace
+    system : control.StateSpace or control.TransferFunction or scipy.signal.lti or scipy.signal.dlti or tuple
+        A transfer function becomes a cascade of sections without the poles that its zeros cancel (those nearer than
+        1e-6 of their size), which a `CancellationWarning` names. A tuple holds A, B, C, D, and may hold the sample time in s.
 
     Returns
     -------
     StateModel
-        The same matrices; `sample_time` 0 in continuous time.
+        The same names of signals and states; `sample_time` 0 in continuous time.
 
     Raises
     ------
     InputError
-        When it is not a `control.StateSpace`, or its sample time is unspecified.
+        When it is no such model, is improper, or its sample time is unspecified: None with python-control, True with both.
 
     Examples
     --------
-    >>> from control import ss
-    >>> lti.from_control(ss(-1.0, 1.0, 1.0, 0.0)).is_stable
-    True
+    >>> from control import tf
+    >>> lti.from_control(tf([1.0], [1.0, 3.0, 2.0])).poles.real
+    array([-2., -1.])
     """
-    if not all(hasattr(system, name) for name in ("A", "B", "C", "D", "dt")):
-        raise InputError(f"system is {short_repr(system)}; give a control.StateSpace")
-    if system.dt is None or system.dt is True:
-        raise InputError("system.dt is unspecified; give 0 for continuous time or the sample time in s")
-    a, b, c, d = (np.array(m, dtype=float, ndmin=2) for m in (system.A, system.B, system.C, system.D))
-    return StateModel(a, b, c, d, sample_time=float(system.dt))
+    return system
+
+
+@by_value
+@dataclass(frozen=True)
+class MinimalRealisation:
+    """A model without the states that its response does not need."""
+
+    model: StateModel
+    # the singular values that were counted as zero, of the size of their matrix, falling: as many as states that went
+    removed: Float64[np.ndarray, " removed"]
+
+
+@checked
+def minimal_realisation(model: StateModel, tolerance: Positive = 1e-10) -> MinimalRealisation:
+    """Leave out the states that the inputs do not reach or the outputs do not see.
+
+    Parameters
+    ----------
+    model : StateModel
+    tolerance : float
+        A singular value counts as zero below this part of the size of its matrix (B, then A; states balanced).
+
+    Returns
+    -------
+    MinimalRealisation
+        The smaller model, and the singular values that went.
+
+    References
+    ----------
+    Van Dooren, The generalized eigenstructure problem in linear system theory, IEEE Trans. Automatic Control 26 (1981).
+
+    Examples
+    --------
+    >>> lag = lti.StateModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> found = lti.minimal_realisation(lag + lag)  # two equal lags are one
+    >>> found.model.poles.real, len(found.removed)
+    (array([-1.]), 1)
+    """
+    a, b, c, removed = minimal(model.a, model.b, model.c, tolerance)
+    labels = {"input_labels": model.input_labels, "output_labels": model.output_labels}
+    return MinimalRealisation(StateModel(a, b, c, model.d, model.sample_time, **labels), removed)
+
+
+def _places(name: str, asked: Sequence[int | str], labels: tuple[str, ...]) -> list[int]:
+    """Indices of signals that are asked for by index or by name."""
+    for each in asked:
+        if isinstance(each, str) and each not in labels:
+            raise InputError(f"{name} holds {each!r}, which is none of {list(labels)}{nearest(each, labels)}")
+    return [labels.index(each) if isinstance(each, str) else each for each in asked]
+
+
+def _chosen(labels: tuple[str, ...], places: list[int]) -> tuple[str, ...]:
+    """Names of the signals at these places; none where a signal is there twice."""
+    return tuple(labels[each] for each in places) if labels and len(set(places)) == len(places) else ()
+
+
+def _square_pencil(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A system with the same finite zeros whose D is square and regular: rows without D are followed until they have one."""
+    least = 1e3 * np.finfo(float).eps * max(1.0, len(a)) * max(1.0, np.linalg.norm(d, 2) if d.size else 0.0)
+    for _ in range(2):  # rows, and then columns as rows of the dual system
+        a, b, c, d = _regular_rows(a, b, c, d, least)
+        a, b, c, d = a.T, c.T, b.T, d.T
+    return a, b, c, d
+
+
+def _regular_rows(a, b, c, d, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    while True:
+        left, values, _ = np.linalg.svd(d)
+        rank = int(np.sum(values > least))
+        c, d = left.T @ c, left.T @ d
+        if rank == len(d) or not len(a):
+            return a, b, c[:rank], d[:rank]
+        _, values, right = np.linalg.svd(c[rank:])
+        bound = int(np.sum(values > least))  # states that an output at zero holds at zero
+        free = len(a) - bound
+        turn = np.vstack([right[bound:], right[:bound]]).T
+        a, b, c = turn.T @ a @ turn, turn.T @ b, c[:rank] @ turn
+        c, d = np.vstack([c[:, :free], a[free:, :free]]), np.vstack([d[:rank], b[free:]])
+        a, b = a[:free, :free], b[:free]
+        if not bound:
+            return a, b, c[:rank], d[:rank]
 
 
 def _least_condition(matrix: np.ndarray) -> float:
@@ -449,6 +704,13 @@ def block_matrix(
             for row, height in zip(entries, rows, strict=True)
         ]
     )
+
+
+def _joined(
+    models: list[StateModel], turn: np.ndarray | None, inputs: np.ndarray, outputs: np.ndarray
+) -> StateModel:
+    size = inputs.shape[0], outputs.shape[1]
+    return interconnect(models, np.zeros(size) if turn is None else turn, inputs, outputs)
 
 
 def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:

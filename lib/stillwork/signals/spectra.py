@@ -1,6 +1,7 @@
 """Spectra of measured signals, their power, and frequency responses from them."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -8,7 +9,8 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from stillwork.base.bounds import Positive, Vector
-from stillwork.base.checks import InputError, pluralise, require_array, require_number
+from stillwork.base.checks import InputError, pluralise, require_array, require_number, short_repr
+from stillwork.base.extras import require_package
 from stillwork.base.validation import by_value, check_fields, checked
 
 
@@ -71,6 +73,52 @@ class ResponseEstimate:
 
     def __post_init__(self):
         check_fields(self)
+
+    def to_control(self):
+        """The response as `control.FrequencyResponseData`, at rad/s.
+
+        Returns
+        -------
+        control.FrequencyResponseData
+
+        Raises
+        ------
+        MissingPackage
+            When python-control is not installed.
+
+        Examples
+        --------
+        >>> noise = np.random.default_rng(1).normal(size=20_000)
+        >>> found = signals.estimate_response(noise, 2 * noise, sample_rate=1000.0, resolution_hz=1.0)
+        >>> round(abs(found.to_control()(2j * np.pi * 100.0)), 6)
+        2.0
+        """
+        return require_package("control").FrequencyResponseData(
+            self.response, 2 * np.pi * self.frequencies_hz
+        )
+
+
+def response_arrays(response: Any) -> dict[str, np.ndarray]:
+    """A frequency response of python-control, or (frequencies in Hz, response), as a file would hold it."""
+    if hasattr(response, "omega") and hasattr(response, "frdata"):
+        return {"frequency (rad/s)": np.asarray(response.omega), "response": _one(response.frdata)}
+    if hasattr(response, "frequencies_hz") and hasattr(response, "response"):
+        return {"frequency (Hz)": response.frequencies_hz, "response": _one(response.response)}
+    if isinstance(response, tuple) and len(response) == 2:
+        hertz = require_array("file[0]", response[0], shape=(None,))
+        return {
+            "frequency (Hz)": hertz,
+            "response": require_array("file[1]", response[1], shape=hertz.shape, dtype=complex),
+        }
+    raise InputError(
+        f"file is {short_repr(response)}; give a path, a control.FrequencyResponseData, or (frequencies in Hz, response)"
+    )
+
+
+def _one(response: Any) -> np.ndarray:
+    """The only channel, or all of them with the frequencies first, as a file holds them."""
+    values = np.asarray(response, complex)
+    return values[0, 0] if values.shape[:2] == (1, 1) else np.moveaxis(values, -1, 0)
 
 
 @checked

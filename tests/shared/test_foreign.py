@@ -1,0 +1,344 @@
+"""Models of python-control and SciPy at every door, and back; algebra, minimal models, zeros and margins beside theirs."""
+
+import warnings
+
+import control as ct
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import linalg
+from scipy import signal as scipy_signal
+
+from stillwork import control, estimation, identification, lti, signals
+from stillwork.base.checks import InputError
+
+W = np.geomspace(0.01, 100, 60)
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def drawn(rng, outputs, inputs, states=None):
+    """A random stable model by Scott's recipe without the library that is tested: poles in pairs, mixed states."""
+    n = int(rng.integers(1, 6)) if states is None else states
+    blocks = [
+        np.array([[-rng.uniform(0.1, 3), w], [-w, -rng.uniform(0.1, 3)]])
+        for w in rng.uniform(0.1, 20, (n + 1) // 2)
+    ]
+    a = linalg.block_diag(*blocks)[:n, :n]
+    turn = linalg.qr(rng.normal(size=(n, n)))[0]
+    b, c = rng.normal(size=(n, inputs)), rng.normal(size=(outputs, n))
+    return ct.ss(turn @ a @ turn.T, turn @ b, c @ turn.T, rng.normal(size=(outputs, inputs)), 0)
+
+
+def agrees(ours, theirs, tolerance=1e-8):
+    wanted = theirs(1j * W, squeeze=False)
+    found = lti.from_control(ours).frequency_response(W)
+    return np.abs(found - wanted).max() <= tolerance * np.abs(wanted).max()
+
+
+@settings(max_examples=30)
+@given(SEEDS)
+def test_sums_products_and_feedback_are_those_of_python_control_from_either_side(seed):
+    rng = np.random.default_rng(seed)
+    m, p, k = (int(each) for each in rng.integers(1, 4, 3))
+    one, other, beside, back = drawn(rng, p, m), drawn(rng, m, k), drawn(rng, p, m), drawn(rng, m, p)
+    a, b, c = (lti.from_control(each) for each in (one, other, beside))
+    gain = rng.normal(size=(2, p))
+    for mixed in (a * b, one * b, a * other):
+        assert isinstance(mixed, lti.StateModel) and agrees(mixed, one * other)
+    for mixed, theirs in (
+        *((each, one + beside) for each in (a + c, one + c, a + beside)),
+        *((each, one - beside) for each in (a - c, one - c, a - beside)),
+        (-a, -one),
+        (2 * a, 2 * one),
+        (a + 1.5, one + 1.5),
+        (gain * a, gain * one),
+        (a[0, :], one[0, :]),
+        (a.feedback(back, sign=1), ct.feedback(one, back, 1)),
+    ):
+        assert agrees(mixed, theirs)
+    closed = ct.feedback(one, back)
+    assert agrees(a.feedback(back), closed) and agrees(ct.feedback(a, back), closed)
+
+
+@settings(max_examples=30)
+@given(SEEDS)
+def test_round_trips_keep_values_time_and_names(seed):
+    rng = np.random.default_rng(seed)
+    theirs = drawn(rng, 2, 3)
+    for time in (0, 0.25):
+        names = {
+            "inputs": ["F", "G", "H"],
+            "outputs": ["x", "v"],
+            "states": [f"s{k}" for k in range(theirs.nstates)],
+        }
+        named = ct.ss(theirs.A, theirs.B, theirs.C, theirs.D, time, **names)
+        model = lti.from_control(named)
+        again = model.to_control()
+        assert all(np.array_equal(getattr(again, each), getattr(named, each)) for each in "ABCD")
+        assert again.dt == time and (again.input_labels, again.output_labels) == (
+            named.input_labels,
+            named.output_labels,
+        )
+        assert again.state_labels == named.state_labels and lti.from_control(again) == model
+        assert lti.from_control(model.to_scipy()) == lti.StateModel(model.a, model.b, model.c, model.d, time)
+        assert model["v", ["H", "F"]].input_labels == ("H", "F")
+    with pytest.raises(InputError, match=r"'speed'.*'x', 'v'"):
+        model["speed", "F"]
+
+
+@settings(max_examples=40)
+@given(SEEDS, st.booleans())
+def test_a_transfer_function_becomes_a_minimal_model(seed, discrete):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 7))
+    scale = 1.0 if discrete else 10.0 ** rng.uniform(-2, 3)
+    pairs = rng.uniform(0.1, 0.9, n // 2) * np.exp(1j * rng.uniform(0.3, 2.8, n // 2))
+    poles = np.concatenate([pairs, pairs.conj(), rng.uniform(0.1, 0.8, n % 2)]) * (1 if discrete else -scale)
+    zeros = -scale * rng.uniform(1.1, 3, int(rng.integers(0, n + 1)))
+    num, den = 2.5 * np.atleast_1d(np.poly(zeros)).real, np.atleast_1d(np.poly(poles)).real
+    point = np.exp(1j * np.linspace(0.1, 3, 40)) if discrete else 1j * scale * W
+    wanted = np.polyval(num, point) / np.polyval(den, point)
+    time = {"dt": 0.5} if discrete else {}
+    omega = np.linspace(0.1, 3, 40) / 0.5 if discrete else scale * W
+    extra = scale * 5.0  # a pole that a zero cancels
+    cancelled = ct.tf(np.polymul(num, [1, extra]), np.polymul(den, [1, extra]), time.get("dt", 0))
+    for system in (
+        ct.tf(num, den, time.get("dt", 0)),
+        scipy_signal.TransferFunction(num, den, **time),
+        cancelled,
+    ):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            model = lti.from_control(system)
+        assert len(model.a) == n and (model.sample_time or 0) == time.get("dt", 0)
+        np.testing.assert_allclose(
+            model.frequency_response(omega)[0, 0], wanted, rtol=1e-6, atol=1e-9 * abs(wanted).max()
+        )
+        assert (f"{-extra:.6g}" in "".join(str(each.message) for each in said)) == (system is cancelled)
+
+
+def test_transfer_matrices_share_their_states():
+    lag, other = [1.0, 2.0], [1.0, 5.0]
+    system = ct.tf([[[1.0], [2.0]], [[3.0], [1.0, 0.0]]], [[lag, other], [lag, other]], inputs=["a", "b"])
+    model = lti.from_control(system)
+    assert len(model.a) == 2 and model.input_labels == ("a", "b") and agrees(model, system)
+
+
+REFUSED = {
+    "unspecified; give 0": ct.ss(-1.0, 1.0, 1.0, 0.0, None),
+    "dt is unspecified": scipy_signal.dlti([1.0], [1.0, 0.5]),
+    "improper": ct.tf([1.0, 0.0, 0.0], [1.0, 1.0]),
+    "frequency response; fit": ct.frd([1.0, 2.0], [1.0, 2.0]),
+    "tuple of 2": ([1.0], [1.0, 2.0]),
+    "is 5; give": 5,
+}
+
+
+@pytest.mark.parametrize("said", REFUSED)
+def test_what_is_no_model_is_refused_with_what_to_give(said):
+    for function in (lti.hinf_norm, lti.from_control, control.margins):
+        with pytest.raises(InputError, match=said):
+            function(REFUSED[said])
+
+
+def test_functions_take_models_of_other_libraries():
+    lag = ct.tf([3.0], [1.0, 2.0])
+    for each in (
+        lag,
+        ct.ss(lag),
+        lag.to_scipy() if hasattr(lag, "to_scipy") else scipy_signal.TransferFunction([3.0], [1.0, 2.0]),
+    ):
+        assert lti.hinf_norm(each).magnitude == pytest.approx(1.5, rel=1e-9)
+        assert lti.h2_norm(each) == pytest.approx(3 / np.sqrt(4), rel=1e-9)
+        assert lti.zoh(each, 0.1).poles == pytest.approx(np.exp(-0.2))
+    assert lti.zoh(scipy_signal.ZerosPolesGain([], [-2.0], 3.0), 0.1).poles == pytest.approx(np.exp(-0.2))
+    assert lti.hinf_norm((-2.0, 1.0, 3.0, 0.0)).magnitude == pytest.approx(1.5)
+    noise = estimation.NoiseIntensities(process=1.0, sensor=1e-6)
+    gain = estimation.kalman_observer(ct.tf([1.0], [1.0, 0.2, 100.0]), noise).gain
+    theirs = ct.lqe([[0.0, 1.0], [-100.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[1.0]], [[1e-6]])[0]
+    np.testing.assert_allclose(gain, theirs, rtol=1e-7)
+
+
+@settings(max_examples=30)
+@given(SEEDS)
+def test_modes_are_found_in_any_states_and_units(seed):
+    rng = np.random.default_rng(seed)
+    free, modes = int(rng.integers(0, 2)), int(rng.integers(1, 5))
+    hertz = np.cumsum(rng.uniform(20, 400, modes))
+    model = lti.ModalModel(
+        np.append(np.zeros(free), hertz),
+        np.append(np.zeros(free), rng.uniform(0.002, 0.3, modes)),
+        rng.uniform(0.2, 1, (free + modes, 2)),
+        rng.uniform(0.2, 1, (3, free + modes)),
+        1e-7 * rng.normal(size=(3, 2)),
+        measures="velocity" if not free and seed % 2 else "position",
+    )
+    theirs = model.to_control()
+    turn = linalg.qr(rng.normal(size=theirs.A.shape))[0]
+    found = lti.ModalModel.converted(
+        "model", ct.ss(turn @ theirs.A @ turn.T, turn @ theirs.B, theirs.C @ turn.T, theirs.D)
+    )
+    np.testing.assert_allclose(found.frequencies, model.frequencies, rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(
+        found.frequency_response(10 * W), model.frequency_response(10 * W), rtol=1e-4, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("system", "said"),
+    [
+        (ct.tf([1.0], [1.0, 1.0]), "others: -1 rad/s"),
+        (ct.tf([1.0, 1.0], [1.0, 0.2, 100.0]), "real shapes"),
+        (ct.tf([1.0], [1.0, -0.2, 100.0]), "do not grow"),
+        (ct.tf([1.0], [1.0, -0.2, 0.1], 0.1), "discrete time"),
+    ],
+)
+def test_what_has_no_modes_is_refused(system, said):
+    with pytest.raises(InputError, match=said):
+        lti.ModalModel.converted("model", system)
+
+
+def test_zeros_of_the_example_of_slicot():
+    """AB08ND's example program: zeros -1 and 2."""
+    a = np.diag([1.0, 1.0, 3.0, -4.0, -1.0, 3.0])
+    b = np.array([[0, -1], [-1, 0], [1, -1], [0, 0], [0, 1], [-1, -1.0]])
+    c = np.array([[1, 0, 0, 1, 0, 0], [0, 1, 0, 1, 0, 1], [0, 0, 1, 0, 0, 1.0]])
+    np.testing.assert_allclose(
+        np.sort(lti.StateModel(a, b, c, np.zeros((3, 2))).zeros.real), [-1, 2], atol=1e-9
+    )
+
+
+@settings(max_examples=40)
+@given(SEEDS)
+def test_zeros_do_not_depend_on_states_and_units(seed):
+    rng = np.random.default_rng(seed)
+    n, m, p = (int(each) for each in rng.integers([2, 1, 1], [8, 4, 4]))
+    a, b, c = rng.normal(size=(n, n)), rng.normal(size=(n, m)), rng.normal(size=(p, n))
+    d = rng.normal(size=(p, m)) if m == p else np.zeros((p, m))
+    at = rng.normal()
+    if (
+        m != p
+    ):  # a mode that the inputs do not reach, or the outputs do not see, is a zero of a wide, or a tall, model
+        side = (
+            (np.zeros((1, m)), rng.normal(size=(p, 1)))
+            if m > p
+            else (rng.normal(size=(1, m)), np.zeros((p, 1)))
+        )
+        aside = rng.normal(size=(n, 1)) * (m > p), rng.normal(size=(1, n)) * (m < p)
+        a, b, c = (
+            np.block([[a, aside[0]], [aside[1], np.array([[at]])]]),
+            np.vstack([b, side[0]]),
+            np.hstack([c, side[1]]),
+        )
+    turn = linalg.qr(rng.normal(size=a.shape))[0] * 10.0 ** rng.uniform(-2, 2, len(a))
+    rate = 10.0 ** rng.uniform(-3, 3)
+    found = lti.StateModel(
+        rate * linalg.solve(turn, a @ turn), linalg.solve(turn, b), rate * c @ turn, d
+    ).zeros
+    wanted = [rate * at] if m != p else rate * linalg.eigvals(a - b @ linalg.solve(d, c))
+    assert len(found) == len(wanted)
+    for each in wanted:
+        assert np.abs(found - each).min() < 1e-5 * max(abs(each), 1e-2 * rate)
+
+
+@settings(max_examples=30)
+@given(SEEDS)
+def test_a_minimal_realisation_has_the_response_and_no_state_too_many(seed):
+    rng = np.random.default_rng(seed)
+    theirs = drawn(rng, 2, 2, 4)
+    hidden, unseen = rng.normal(size=(4, 1)), rng.normal(size=(1, 4))
+    a = np.block(
+        [
+            [theirs.A, hidden, np.zeros((4, 1))],
+            [np.zeros((1, 4)), -3 * np.eye(1), np.zeros((1, 1))],
+            [unseen, np.zeros((1, 1)), -7 * np.eye(1)],
+        ]
+    )
+    b, c = (
+        np.vstack([theirs.B, np.zeros((1, 2)), rng.normal(size=(1, 2))]),
+        np.hstack([theirs.C, rng.normal(size=(2, 1)), np.zeros((2, 1))]),
+    )
+    turn = linalg.qr(rng.normal(size=(6, 6)))[0]
+    found = lti.minimal_realisation((turn @ a @ turn.T, turn @ b, c @ turn.T, theirs.D))
+    assert len(found.model.a) == 4 and len(found.removed) == 2 and found.removed.max() < 1e-12
+    assert agrees(found.model, theirs)
+
+
+def swept(loop, omega):
+    """Margins from a fine grid, by python-control's response alone."""
+    response = loop(np.exp(1j * omega * loop.dt) if loop.dt else 1j * omega)
+    real = np.flatnonzero(response.imag[:-1] * response.imag[1:] < 0)
+    factors = [
+        -1 / response[k].real
+        for k in real
+        if response[k].real < 0 and abs(response[k].imag) < 0.1 * abs(response[k])
+    ]
+    factors += [-1 / response[-1].real] if loop.dt and response[-1].real < 0 else []
+    size = np.log(np.abs(response))
+    unit = np.flatnonzero(size[:-1] * size[1:] < 0)
+    share = size[unit] / (size[unit] - size[unit + 1])  # where it is one between two points
+    angle = np.angle(-response[unit]) + share * np.angle(response[unit + 1] / response[unit])
+    return {
+        "gain": min((each for each in factors if each > 1), default=np.inf),
+        "phase": min(np.abs(angle), default=np.inf),
+        "delay": min(np.mod(angle, 2 * np.pi) / omega[unit], default=np.inf),
+        "modulus": np.abs(1 + response).min(),
+    }
+
+
+@pytest.mark.parametrize("time", [0, 0.02])
+def test_margins_are_those_of_a_fine_grid(time):
+    rng = np.random.default_rng(5)
+    tried = 0
+    while tried < 12:
+        gain, pole, mode, damping = 10 ** rng.uniform([-1, 0, 0.5, -2], [1.5, 1, 1.5, -0.5])
+        plant = ct.tf([gain * mode**2], np.polymul([1, pole, 0], [1, 2 * damping * mode, mode**2]))
+        loop = ct.sample_system(ct.ss(plant), time) if time else ct.ss(plant)
+        if not lti.from_control(ct.feedback(loop, 1)).is_stable:
+            with pytest.raises(InputError, match="unstable when it is closed"):
+                control.margins(loop)
+            continue
+        tried += 1
+        (found,) = control.margins(loop)
+        top = np.pi / time if time else 1e4
+        wanted = swept(
+            loop,
+            np.sort(
+                np.append(
+                    np.geomspace(1e-3, top, 60_000), np.geomspace(0.5 * mode, min(2 * mode, top), 60_000)
+                )
+            ),
+        )
+        for name, value in wanted.items():
+            assert getattr(found, name) == pytest.approx(value, rel=1e-3), name
+
+
+def test_margins_of_a_textbook_loop_and_of_one_loop_at_a_time():
+    """1 / (s (s + 1) (s + 2)): gain margin 6 at sqrt 2 rad/s (Routh); two of them apart have the same in each channel."""
+    loop = lti.from_control(ct.tf([1.0], [1.0, 3.0, 2.0, 0.0]))
+    (found,) = control.margins(loop)
+    assert (found.gain, found.gain_omega) == (pytest.approx(6, rel=1e-9), pytest.approx(np.sqrt(2), rel=1e-9))
+    both = control.margins(ct.append(loop.to_control(), loop.to_control()))
+    assert [each.gain for each in both] == [pytest.approx(6, rel=1e-8)] * 2
+    assert control.margins(6.01 * loop * 0.9)[0].gain == pytest.approx(6 / 5.409, rel=1e-9)
+    turned = control.margins(
+        ct.ss([[0.0]], [[1.0, 0.0]], [[1.0], [0.0]], [[0.0, 0.5], [0.0, 0.0]])
+    )  # a triangle: the loops are apart
+    assert [each.gain for each in turned] == [np.inf, np.inf]
+
+
+def test_responses_of_python_control_are_read_and_written():
+    omega = 2 * np.pi * np.linspace(10, 500, 400)
+    plant = ct.tf([1.0], [8.0, 0.0, 0.0])
+    for response in (ct.frd(plant, omega), (omega / 2 / np.pi, plant(1j * omega))):
+        read = identification.load_machine(response, "m", "N")
+        np.testing.assert_allclose(read.accelerance.response, 1 / 8, rtol=1e-12)
+        np.testing.assert_allclose(read.accelerance.omega, omega, rtol=1e-12)
+    with pytest.raises(InputError, match="give a path"):
+        identification.load_machine(5)
+    noise = np.random.default_rng(2).normal(size=(2, 4000))
+    found = signals.estimate_response(noise, np.array([[1.0, 2.0], [0.0, 3.0]]) @ noise, 100.0, 1.0)
+    theirs = found.to_control()
+    np.testing.assert_allclose(theirs.omega, 2 * np.pi * found.frequencies_hz)
+    np.testing.assert_allclose(theirs(1j * theirs.omega[20], squeeze=False), [[1, 2], [0, 3]], atol=1e-9)
