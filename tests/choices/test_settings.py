@@ -9,8 +9,8 @@ import pytest
 
 from choices.toy_work import axis
 from workbook import paths
+from workbook.checks import InputError
 from workbook.choices import settings
-from workbook.choices.axes import load_axes
 from workbook.choices.results import results_text
 from workbook.choices.running import Journal, run_combinations
 from workbook.choices.settings import Number, best_joint, joint_settings, meetings, printed_entries, report
@@ -25,15 +25,19 @@ CELLS = [
     "for k in range(1, 13):\n"
     "    page.check(f'motion.table-1.y{k}', gain * s(0.3 * k / 4) ** (1 / order) + k / 10)",
 ]
+ENTRY = (
+    '[{}]\nplace = "Table 1"\nquantity = "y"\nunit = "1"\npublished = {:.2f}\nkind = "value"\n'
+    'tolerance = {{ absolute = 0.005, source = "half the last printed digit" }}\n'
+)
 SHAPES = {"ramp": lambda t: t, "sine": np.sin, "decay": lambda t: -np.expm1(-t)}
 NAMES = [f"motion.table-1.y{k}" for k in range(1, 13)]
 TOUCHES = json.dumps(["motion.table-1"])
-GAIN = axis("gain", [1.0, 2.0], 1.0, touches=TOUCHES).rstrip() + "\nwindow = [0.5, 3.0]\n\n"
+STUDY = f'[studies.toy]\nfunction = "motion/01-toy"\nentries = {TOUCHES}\nwindows = {{ gain = [0.5, 3.0] }}\n'
 CHOICES = (
     axis("shape", '["ramp", "sine", "decay"]', '"ramp"', "text", TOUCHES)
     + axis("order", [1, 2, 3], 1, touches=TOUCHES)
-    + GAIN
-    + f'[studies.toy]\nfunction = "motion/01-toy"\nentries = {TOUCHES}\n'
+    + axis("gain", [1.0, 2.0], 1.0, touches=TOUCHES)
+    + STUDY
 )
 
 
@@ -46,11 +50,7 @@ def paper(workbook, tmp_path):
     """Writes the paper with these printed numbers, and finds its settings."""
 
     def find(printed):
-        entry = (
-            '[{}]\nplace = "Table 1"\nquantity = "y"\nunit = "1"\npublished = {:.2f}\nkind = "value"\n'
-            'tolerance = {{ absolute = 0.005, source = "half the last printed digit" }}\n'
-        )
-        ledger = "\n".join(map(entry.format, NAMES, printed))
+        ledger = "\n".join(map(ENTRY.format, NAMES, printed))
         _, multiverses = workbook(CHOICES, ledger)
         tags = [[], ["parameters"], []]
         cells = [
@@ -147,7 +147,20 @@ def test_the_best_joint_settings_are_those_of_brute_force(monkeypatch, factorial
 
 def test_half_a_printed_digit_may_be_finer_than_the_tolerance(workbook):
     digits = '[digits]\n"motion.table-1.sum" = 0.05\n'
-    workbook(CHOICES.split("[studies")[0].replace("motion.table-1", "motion.table-1.sum") + digits)
+    workbook(digits)
     assert printed_entries("motion")["motion.table-1.sum"].tolerance.absolute == 0.05
     assert load_entries("motion")["motion.table-1.sum"].tolerance.absolute == 1.0
-    assert load_axes("motion")[0]["gain"].window == (0.5, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("windows", "message"),
+    [
+        ("{ gain = [2.0, 1.0] }", r"^studies.toy: windows: high end of gain\b"),
+        ("{ gain = 1.0 }", r"give \[low, high\]"),
+        ("{ shape = [0, 1] }", r"^studies.toy: windows\b.*gain"),
+    ],
+)
+def test_a_window_is_a_range_of_a_choice_of_numbers(workbook, windows, message):
+    ledger = "\n".join(map(ENTRY.format, NAMES, range(12)))
+    with pytest.raises(InputError, match=message):
+        workbook(CHOICES.replace("{ gain = [0.5, 3.0] }", windows), ledger)

@@ -43,8 +43,6 @@ class Axis:
         Of the options.
     after : bool
         Whether it was thought of after the numbers had been seen.
-    window : tuple of float or None
-        Of a number that may have any value: the range in which `workbook.choices.windows` searches.
     """
 
     id: str
@@ -56,7 +54,6 @@ class Axis:
     kind: str
     unit: str = ""
     after: bool = False
-    window: tuple[float, float] | None = None
 
     def __post_init__(self):
         require_choice(f"{self.id}: kind", self.kind, AXIS_KINDS)
@@ -73,9 +70,6 @@ class Axis:
         if option_text(self.default) not in self.texts:
             hint = nearest(option_text(self.default), self.texts)
             raise InputError(f"{self.id}: default {self.default!r} is not among its options{hint}")
-        if self.window is not None:
-            require_number(f"{self.id}: window's low end", self.window[0])
-            require_number(f"{self.id}: window's high end", self.window[1], above=self.window[0])
         if not self.keyword.isidentifier() or (self.keyword in _RESERVED and self.kind != "seed"):
             raise InputError(f"{self.id}: {self.name!r} cannot be an argument of a study; take another name")
 
@@ -131,6 +125,9 @@ class Multiverse:
         What the lean form of the study leaves out and what difference that makes; empty without a lean form.
     points : int
         Size of the sample where the axes have more than 64 combinations.
+    windows : dict of str to tuple of float
+        Of axes with numbers for options, where others could stand between them, the range that
+        `workbook.choices.windows` searches with this study.
     """
 
     topic: str
@@ -143,6 +140,7 @@ class Multiverse:
     touched: dict[str, frozenset[str]] = field(default_factory=dict)
     lean: str = ""
     points: int = POINTS
+    windows: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -174,7 +172,7 @@ class Multiverse:
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
-_STUDY_FIELDS = ("function", "entries", "defaults", "lean", "points")
+_STUDY_FIELDS = ("function", "entries", "defaults", "lean", "points", "windows")
 
 
 def load_axes(topic: str) -> tuple[dict[str, Axis], list[Multiverse]]:
@@ -244,11 +242,8 @@ def _axis(name: str, given, ledger: tuple[str, ...]) -> Axis:
     for option in (*given["options"], given["default"]):
         if not isinstance(option, Option) or (isinstance(option, float) and not math.isfinite(option)):
             raise InputError(f"{name}: option {option!r} is no text, number or flag; give one of these")
-    if "window" in given and not (isinstance(given["window"], list) and len(given["window"]) == 2):
-        raise InputError(f"{name}: window is {given['window']!r}; give [low, high]")
     _matching(f"{name}: touches", given["touches"], ledger)
-    lists = {key: tuple(given[key]) for key in ("options", "touches", "window") if key in given}
-    return Axis(id=name, **{**given, **lists})
+    return Axis(id=name, **{**given, "options": tuple(given["options"]), "touches": tuple(given["touches"])})
 
 
 def _multiverse(
@@ -287,7 +282,22 @@ def _multiverse(
         touched={entry: frozenset(key for key in axes if entry in touching[key]) for entry in entries},
         lean=given.get("lean", ""),
         points=require_count(f"{name}: points", given.get("points", POINTS), at_least=2),
+        windows=_windows(f"{name}: windows", given.get("windows", {}), mine),
     )
+
+
+def _windows(name: str, given, axes: list[Axis]) -> dict[str, tuple[float, float]]:
+    found, known = (
+        {},
+        [axis.name for axis in axes if all(isinstance(each, int | float) for each in axis.options)],
+    )
+    for key, ends in given.items():
+        require_choice(name, key, known)
+        if not isinstance(ends, list) or len(ends) != 2:
+            raise InputError(f"{name}: {key} is {ends!r}; give [low, high]")
+        low = require_number(f"{name}: low end of {key}", ends[0])
+        found[key] = (low, require_number(f"{name}: high end of {key}", ends[1], above=low))
+    return found
 
 
 def _with_defaults(name: str, defaults, axes: list[Axis]) -> list[Axis]:

@@ -162,6 +162,10 @@ def joint_settings(topic: str, windows: Iterable[Window]) -> Joint:
             )
         )
     defaults = {axis.name: axis.texts[axis.default_index] for axis in axes.values() if axis.name in options}
+    for axis, texts in options.items():
+        if len(texts) > len(axes[axis].texts):
+            options[axis] = _undominated(axis, texts, len(axes[axis].texts), numbers)
+            numbers = [_kept(number, axis, options[axis]) for number in numbers]
     joint = best_joint(numbers, options, defaults)
     shown = [each for each in joint.settings if each.best or each.option in axes[each.axis].texts]
     return replace(joint, settings=tuple(shown), windows=tuple(windows))
@@ -192,6 +196,29 @@ def _with_windows(number: Number, windows: list[Window], options: dict[str, list
                     inside = any(low <= float(text) <= high for low, high in each.pieces)
                     agrees.setdefault((*setting[:place], text, *setting[place + 1 :]), inside)
     return replace(number, agrees=agrees)
+
+
+def _undominated(axis: str, texts: list[str], declared: int, numbers: list[Number]) -> list[str]:
+    """The declared options, and of the others those with which more agrees, or other numbers, than with any that is kept."""
+    agreeing = {text: set() for text in texts}
+    for number in numbers:
+        place = number.axes.index(axis) if axis in number.axes else None
+        for setting, agrees in number.agrees.items() if place is not None else ():
+            if agrees:
+                agreeing[setting[place]].add((number.id, *setting[:place], *setting[place + 1 :]))
+    kept = texts[:declared]
+    for text in sorted(texts[declared:], key=lambda text: -len(agreeing[text])):
+        if not any(agreeing[text] <= agreeing[other] for other in kept):
+            kept.append(text)
+    return kept
+
+
+def _kept(number: Number, axis: str, texts: list[str]) -> Number:
+    """With these options of an axis alone."""
+    if axis not in number.axes:
+        return number
+    place = number.axes.index(axis)
+    return replace(number, agrees={each: one for each, one in number.agrees.items() if each[place] in texts})
 
 
 def best_joint(numbers: list[Number], options: dict[str, list[str]], defaults: dict[str, str]) -> Joint:
@@ -418,7 +445,7 @@ def report(topic: str, joint: Joint) -> list[str]:
     for met in meetings(joint.windows):
         held = ", ".join(f"{name} {option}" for name, option in met.others.items())
         each = "; ".join(f"{one.number} {ranges(one.pieces)}" for one in met.windows)
-        lines.append(f"{met.axis} with {held}: {each}; all {ranges(met.pieces)}")
+        lines.append(f"{met.axis} with {held or 'any others'}: {each}; all {ranges(met.pieces)}")
     return lines
 
 

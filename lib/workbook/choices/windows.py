@@ -46,7 +46,7 @@ class Window:
 def windows_of(
     multiverses: list[Multiverse], entries: dict[str, Entry], pool, journal: Journal
 ) -> list[Window]:
-    """Windows of all judged numbers on every axis with a range, without the choices that do not move them.
+    """Windows of all judged numbers on every axis with a range in their study, without the choices that do not move them.
 
     Parameters
     ----------
@@ -83,8 +83,9 @@ def searches(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[s
             touched = [name for name in multiverse.entries if axis.name in multiverse.touched[name]]
             judged = [entries[name] for name in touched if entries[name].kind != "reported"]
             mine = [entry for entry in judged if entry.is_replication]
-            for point in _points(multiverse, axis, touched) if axis.window and mine else ():
-                facts = [study_digest(multiverse.function), axis.window, repr(mine)]
+            ends = multiverse.windows.get(axis.name)
+            for point in _points(multiverse, axis, touched) if ends and mine else ():
+                facts = [study_digest(multiverse.function), ends, repr(mine)]
                 facts += [multiverse.options(point), axis.name, multiverse.seeds]
                 key = hashlib.sha256(json.dumps(facts).encode()).hexdigest()
                 tasks[key] = (multiverse, axis, point, mine)
@@ -124,7 +125,7 @@ def search_window(multiverse: Multiverse, axis: Axis, point: tuple[int, ...], en
         found = _outside(entry, values)[side] if values else math.nan
         return found if math.isfinite(found) else 1e9
 
-    low, high = axis.window
+    low, high = multiverse.windows[axis.name]
     spaced = np.geomspace if 0 < LOGARITHMIC * low < high else np.linspace
     grid = spaced(low, high, GRID + 1).tolist()
     return {
@@ -135,18 +136,17 @@ def search_window(multiverse: Multiverse, axis: Axis, point: tuple[int, ...], en
 def _pieces(outside, grid: list[float]) -> list[tuple[float, float]]:
     from scipy.optimize import brentq
 
-    ends = {grid[0], grid[-1]}
+    ends, accuracy = {grid[0], grid[-1]}, 1e-6 * (grid[-1] - grid[0])
     for side in (0, 1):
         for one, two in pairwise(grid):
             if (outside(side, one) > 0) != (outside(side, two) > 0):
-                accuracy = 1e-6 * (grid[-1] - grid[0])
                 ends.add(brentq(lambda x, side=side: outside(side, x) or -1e-300, one, two, xtol=accuracy))
     pieces: list[tuple[float, float]] = []
     for one, two in pairwise(sorted(ends)):
         if max(outside(side, (one + two) / 2) for side in (0, 1)) <= 0:
             joined = pieces and pieces[-1][1] == one
             pieces = [*pieces[:-1], (pieces[-1][0], two)] if joined else [*pieces, (one, two)]
-    return [(float(f"{one:.{DIGITS}g}"), float(f"{two:.{DIGITS}g}")) for one, two in pieces]
+    return [tuple(float(f"{x:.{DIGITS}g}") * (abs(x) > accuracy) for x in piece) for piece in pieces]
 
 
 def _outside(entry: Entry, values: list) -> tuple[float, float]:

@@ -163,13 +163,15 @@ def _choice_pages(render, topics: list[dict]) -> dict[str, bytes]:
         if topic["curves"]:
             files[f"choices/{name}.html"] = render("choices.html", "../", topic=topic, curves=topic["curves"])
         if joint:
+            axes, multiverses = load_axes(name)
             telling = {each.axis for each in joint.settings if each.supports or each.contradicts}
             files[f"settings/{name}.html"] = render(
                 "settings.html",
                 "../",
                 topic=topic,
                 joint=joint,
-                axes=load_axes(name)[0],
+                axes=axes,
+                searched={axis: ends for one in multiverses for axis, ends in one.windows.items()},
                 telling=telling,
                 silent=sorted({each.axis for each in joint.settings} - telling),
                 drawn=bars(joint),
