@@ -125,6 +125,15 @@ def test_transfer_matrices_share_their_states():
     assert len(model.a) == 2 and model.input_labels == ("a", "b") and agrees(model, system)
 
 
+def test_a_gain_has_any_sample_time():
+    held = lti.zoh(ct.tf([1.0], [1.0, 2.0]), 0.1)
+    for gain in (ct.tf([3.0], [1.0]), ct.ss([], [], [], 3.0)):
+        assert (held * gain).sample_time == (gain * held).sample_time == 0.1
+        np.testing.assert_allclose(
+            (gain * held).frequency_response([1.0]), 3 * held.frequency_response([1.0])
+        )
+
+
 REFUSED = {
     "unspecified; give 0": ct.ss(-1.0, 1.0, 1.0, 0.0, None),
     "dt is unspecified": scipy_signal.dlti([1.0], [1.0, 0.5]),

@@ -56,6 +56,8 @@ def _real(name: str, value, dimensions: int) -> np.ndarray:
 def _sample_time(system: Any, name: str) -> float:
     """Of python-control None is unspecified, of SciPy continuous; True is a sample time that is not stated in both."""
     continuous = type(system).__module__.startswith("scipy.")
+    if system.dt is None and getattr(system, "nstates", 1) == 0:  # a gain has none to state
+        return 0.0
     if system.dt is True or (system.dt is None and not continuous):
         raise InputError(f"{name}.dt is unspecified; give 0 for continuous time or the sample time in s")
     return 0.0 if system.dt is None else require_number(f"{name}.dt", system.dt, at_least=0.0)

@@ -297,7 +297,8 @@ class StateModel:
         if isinstance(other, np.ndarray):
             return constant(np.atleast_2d(other), self.sample_time)
         try:
-            return StateModel.converted("the other model", other)
+            model = StateModel.converted("the other model", other)
+            return model if len(model.a) else replace(model, sample_time=self.sample_time)
         except InputError:
             if hasattr(other, "dt") or isinstance(other, StateModel | tuple):
                 raise
