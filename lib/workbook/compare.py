@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from workbook import paths
+from workbook.appendix import KIND as APPENDIX
 from workbook.checks import InputError
 from workbook.claims import Claim, load_entries
 from workbook.figures import read_table
@@ -311,12 +312,9 @@ def same_outputs(now: list[dict], before: list[dict]) -> bool:
 
 def printed(output: dict) -> str:
     """The text of an output."""
-    text = (
-        output.get("text")
-        if output["output_type"] == "stream"
-        else output.get("data", {}).get("text/plain", "")
-    )
-    return "".join(text or "")
+    data = output.get("data", {})
+    text = output.get("text") if output["output_type"] == "stream" else data.get("text/plain", "")
+    return "".join(text or "") + "".join(data.get(APPENDIX, ""))
 
 
 def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:

@@ -10,13 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from workbook import paths
+from workbook.appendix import KIND as APPENDIX
 from workbook.checks import InputError, nearest
 from workbook.parameters import Parameter, read_parameters
 
 NEAREST = 3  # how many are suggested where none is near
 LISTED = 12  # parameters that are all named in a line
 PICTURES = 3  # that a committed notebook shows
-TEXT = ("text/plain", "text/markdown")  # what is kept of an output; Markdown is a sentence of `Page.conclude`
+# What is kept of an output; Markdown is a sentence of `Page.conclude`.
+TEXT = ("text/plain", "text/markdown", APPENDIX)
 SAVED = re.compile(r"([\w.-]+)\.png, \1\.csv")  # the text of a saved figure
 
 # A notebook's own, in the form that is committed: no version of whatever ran it.

@@ -79,7 +79,9 @@ class Page:
             elif summary.lines:
                 self._handle = display(summary, display_id=True)
 
-    def save(self, name: str, figure, rounding: Mapping[str, str] | None = None) -> None:
+    def save(
+        self, name: str, figure, rounding: Mapping[str, str] | None = None, *, shown: bool = True
+    ) -> None:
         """Write ``<name>.png`` and the plotted numbers ``<name>.csv``, and show the picture in the notebook.
 
         Parameters
@@ -91,6 +93,8 @@ class Page:
             Series, by their labels, whose numbers are rounding itself, and why: another processor gives others
             of the same size. They are noted in ``rounding.json`` beside the figure; a rebuilt one has to agree
             with them within a factor of ten.
+        shown : bool
+            Not in an appendix.
 
         Raises
         ------
@@ -123,10 +127,8 @@ class Page:
             notes.write_text(noted + "\n", encoding="utf-8")
         else:
             notes.unlink(missing_ok=True)
-        if _shell() is not None:
-            from IPython.display import display
-
-            display(saved)
+        if shown:
+            _display(saved)
 
     def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:
         """Hold `ours` against the ledger's entry `claim` (with the topic in front); returns where it lies at these settings.
@@ -169,16 +171,80 @@ class Page:
         InputError
             When a place has no value, a value no place, or an entry was not checked in this run.
         """
-        from workbook.conclusions import Sentence, found_here, sentence
+        from workbook.conclusions import Sentence
+
+        _display(Sentence(self.sentence(text, otherwise, when, values)))
+
+    def sentence(
+        self, text: str, otherwise: str | None, when: bool | str | Sequence[str], values: Mapping[str, object]
+    ) -> str:
+        """The sentence that `conclude` shows, kept in `conclusions`."""
+        from workbook.conclusions import found_here, sentence
 
         named = isinstance(when, str) or (isinstance(when, Sequence) and len(when) > 0)
         holds = found_here(when, self.claims.claims) if named else bool(when)
-        said = sentence(text, otherwise, holds, values)
-        self.conclusions.append(said)
-        if _shell() is not None:
-            from IPython.display import display
+        self.conclusions.append(sentence(text, otherwise, holds, values))
+        return self.conclusions[-1]
 
-            display(Sentence(said))
+    def show(self, *values, **options) -> None:
+        """Show words, numbers and tables, one below the other.
+
+        Parameters
+        ----------
+        *values
+            A table of pandas is shown as one, and committed as text.
+        **options
+            Of `pandas.DataFrame.to_string` and `to_html`, as ``float_format="{:.2f}".format``.
+        """
+        from workbook.conclusions import Sentence
+
+        for value in values:
+            words = Sentence(value) if isinstance(value, str) else value
+            _display(Table(value, options) if hasattr(value, "to_string") else words)
+
+    def appendix(self, **settings) -> None:
+        """Run the function ``appendix`` of the module beside the notebook, and show one line of it.
+
+        It is called as ``appendix(page, **settings)`` with a `workbook.appendix.Appendix`; what it checks and saves belongs to
+        this notebook. The site shows it whole.
+
+        Parameters
+        ----------
+        **settings
+            What it needs of the notebook: parameters and results.
+
+        Raises
+        ------
+        InputError
+            When the notebook has not imported the module, or that has no such function.
+        """
+        from workbook.appendix import Appendix, function_of
+
+        made = Appendix(self)
+        function_of(self.notebook)(made, **settings)
+        _display(made)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of pandas as a notebook shows it, whole."""
+
+    frame: Any
+    options: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        return self.frame.to_string(**self.options)
+
+    def _repr_html_(self) -> str:
+        frame = self.frame.to_frame() if self.frame.ndim == 1 else self.frame
+        return frame.to_html(**self.options)
+
+
+def _display(shown) -> None:
+    if _shell() is not None:
+        from IPython.display import display
+
+        display(shown)
 
 
 def _shell():

@@ -1,9 +1,13 @@
 import json
+import sys
+from types import ModuleType
 
 import pytest
 
 from workbook import figures, paths
+from workbook.appendix import KIND, Appendix
 from workbook.checks import InputError
+from workbook.choices.notebook_study import run_notebook
 from workbook.headlines import summary_of
 from workbook.page import Page
 
@@ -59,6 +63,61 @@ def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_p
     }
     assert "outside" in repr(page.claims)
     assert not (workbook / "build").exists()
+
+
+def appendix(page, *, gain):
+    page.text("## More")
+    page.save("fig-2", drawing())
+    page.check("motion.gain", gain)
+    page.conclude("The gain is {gain:.1f}.", "It is not 2 but {gain:.1f}.", when="motion.gain", gain=gain)
+    page.show("gain", gain)
+
+
+def test_an_appendix_belongs_to_the_build_and_is_shown_in_a_line(workbook, monkeypatch):
+    page = Page("motion/01-its-page")
+    with pytest.raises(InputError, match=r"import notebooks\.motion\.its_page"):
+        page.appendix(gain=3.0)
+    module = ModuleType("notebooks.motion.its_page")
+    module.appendix = appendix
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    shown = []
+    monkeypatch.setattr("workbook.page._display", shown.append)
+    page.appendix(gain=3.0)
+    folder = workbook / "build" / "interactive" / "motion" / "01-its-page"
+    assert json.loads((folder / "claims.json").read_text()) == {"motion.gain": {"ours": 3.0}}
+    assert sorted(file.name for file in folder.iterdir()) == ["claims.json", "fig-2.csv", "fig-2.png"]
+    assert [type(each) for each in shown] == [Appendix]  # the figure is shown there alone
+    bundle = shown[0]._repr_mimebundle_()
+    assert bundle["text/plain"].startswith("Appendix: 1 number and 1 picture,")
+    assert bundle[KIND].split("\n\n") == [
+        "## More",
+        "![fig-2](fig-2.png)",
+        "It is not 2 but 3.0.",
+        "```\ngain\n3.0\n```\n",
+    ]
+    assert page.conclusions == ["It is not 2 but 3.0."]
+
+
+def test_a_study_of_a_notebook_runs_its_appendix_where_it_needs_it(workbook, monkeypatch):
+    module = ModuleType("notebooks.motion.its_page")
+    module.appendix = appendix
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    sources = {
+        "begin": "from workbook.page import Page\npage = Page('motion/01-its-page')",
+        "parameters": "gain: float = 2.0  # 1",
+        "order": "page.check('motion.order', 1.0)",
+        "appendix": "page.appendix(gain=gain)",
+    }
+    cells = [
+        {"cell_type": "code", "metadata": {"tags": [name]}, "source": source}
+        for name, source in sources.items()
+    ]
+    file = workbook / "notebooks" / "motion" / "01-its-page.ipynb"
+    file.parent.mkdir(parents=True)
+    file.write_text(json.dumps({"cells": cells}))
+    assert run_notebook("motion/01-its-page", ("motion.gain",), {"gain": 5.0}) == {"motion.gain": 5.0}
+    module.appendix = None  # which this one does not need
+    assert run_notebook("motion/01-its-page", ("motion.order",), {}) == {"motion.order": 1.0}
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from functools import cache
 
 from workbook import paths
+from workbook.appendix import Appendix, function_of
 from workbook.checks import InputError, nearest
 from workbook.dependencies import dependencies
 from workbook.parameters import read_parameters
@@ -20,10 +21,11 @@ class _Recorder:
 
     claims = ()
 
-    def __init__(self):
+    def __init__(self, notebook: str, entries: tuple[str, ...]):
+        self.notebook, self.entries = notebook, entries
         self.found: dict[str, Value] = {}
 
-    def save(self, name, figure, rounding=None):
+    def save(self, name, figure, rounding=None, shown=True):
         return figure
 
     def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:
@@ -32,6 +34,17 @@ class _Recorder:
 
     def conclude(self, text, otherwise=None, /, when=True, **values):
         """Nothing: a study asks for values alone."""
+
+    def show(self, *values, **options):
+        """Nothing, as `conclude`."""
+
+    def sentence(self, text, otherwise, when, values) -> str:
+        return ""
+
+    def appendix(self, **settings) -> None:
+        """As of the page, where one of the entries is not found before it."""
+        if not set(self.entries) <= set(self.found):
+            function_of(self.notebook)(Appendix(self), **settings)
 
 
 def code_cells(notebook: str) -> list[tuple[str, bool]]:
@@ -83,5 +96,5 @@ def run_notebook(notebook: str, entries: tuple[str, ...], options: Mapping) -> d
                         raise InputError(f"{notebook} has no parameter {name!r}{nearest(name, known)}")
                 names |= options
             if page is None and "page" in names:
-                page = names["page"] = _Recorder()
+                page = names["page"] = _Recorder(notebook, entries)
     return {entry: page.found[entry] for entry in entries}

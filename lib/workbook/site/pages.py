@@ -14,6 +14,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from workbook import notebook_source, paths
+from workbook.appendix import KIND as APPENDIX
 from workbook.checks import InputError
 from workbook.claims import HERE, VERDICTS, Claim
 from workbook.notebooks import Notebook
@@ -23,6 +24,7 @@ from workbook.tasks import Task
 PRINTED = tuple(map(repr, HERE))
 # Small pictures are for lists of figures: a gallery of them in full size would weigh twenty megabytes.
 SMALL = 480  # pixels: two for each of a column's
+PICTURE = re.compile(r"!\[([\w.-]+)\]\(\1\.png\)\n?")
 FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
 HEADING = re.compile(r'<h([1-6])\b[^>]*?\bid="([^"]*)"[^>]*>(.*?)</h\1>', re.DOTALL)
 ANCHOR = re.compile(r'<a class="anchor-link".*?</a>', re.DOTALL)
@@ -82,6 +84,7 @@ class PageCell:
     figures: tuple[Figure, ...] = ()
     claims: tuple[Claim, ...] = ()
     table: bool = False  # prints the table of all claims, which a page shows as one of its own
+    apart: bool = False  # of the appendix
 
     @property
     def html(self) -> Markup:
@@ -229,11 +232,14 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             drawn |= set(here)
             judged |= set(ids)
             figures = [_saved_figure(name, each, heading, folder) for each in here]
-            outputs = []
+            outputs, apart = [], []
             table = source.strip() == "page.claims"
             for output in cell.get("outputs", []):
                 text, png = _shown(output)
-                if said := "".join(output.get("data", {}).get("text/markdown", "")):
+                data = output.get("data", {})
+                if APPENDIX in data:
+                    apart = _appendix(name, anchor, "".join(data[APPENDIX]), folder)
+                elif said := "".join(data.get("text/markdown", "")):
                     outputs.append(Markup(_prose(name, said)))
                 elif png and not FILE_NAMES.match(text):
                     figures.append(Figure(name, f"{cell['id']}-static", heading, png, None))
@@ -243,6 +249,19 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             cells.append(
                 PageCell(name, anchor, True, source, tuple(outputs), tuple(figures), judgements, table)
             )
+            cells += apart
+    return cells
+
+
+def _appendix(name: str, anchor: str, markdown: str, folder: Path) -> list[PageCell]:
+    """An appendix as cells of text, each with the picture that follows it."""
+    cells = []
+    for number, part in enumerate(re.split(r"(?<=\.png\))\n", markdown)):
+        text, picture = PICTURE.sub("", part), PICTURE.search(part)
+        heading = next(iter(re.findall(r"^#+ (.+)$", text, re.MULTILINE)), "Appendix")
+        figures = [_saved_figure(name, picture[1], heading, folder)] if picture else []
+        place = f"{anchor}-{number}"
+        cells.append(PageCell(name, place, False, text, figures=tuple(figures), apart=True))
     return cells
 
 
