@@ -17,6 +17,7 @@ from workbook import notebook_source, paths
 from workbook.appendix import KIND as APPENDIX
 from workbook.checks import InputError
 from workbook.claims import HERE, VERDICTS, Claim
+from workbook.conclusions import Sentence
 from workbook.notebooks import Notebook
 from workbook.tasks import Task
 
@@ -80,7 +81,7 @@ class PageCell:
     id: str
     code: bool
     source: str
-    outputs: tuple[str, ...] = ()
+    outputs: tuple[str | Sentence, ...] = ()
     figures: tuple[Figure, ...] = ()
     claims: tuple[Claim, ...] = ()
     table: bool = False  # prints the table of all claims, which a page shows as one of its own
@@ -90,6 +91,14 @@ class PageCell:
     def html(self) -> Markup:
         """For a site's page; who derives a README or a manifest from a page does not wait for it."""
         return _highlighted(self.source) if self.code else Markup(_prose(self.notebook, self.source))
+
+    @property
+    def shown(self) -> list[str]:
+        """What it printed; a sentence as HTML."""
+        return [
+            Markup(_prose(self.notebook, each.text)) if isinstance(each, Sentence) else each
+            for each in self.outputs
+        ]
 
     @property
     def head_and_rest(self) -> tuple[Markup, Markup]:
@@ -240,7 +249,7 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
                 if APPENDIX in data:
                     apart = _appendix(name, anchor, "".join(data[APPENDIX]), folder)
                 elif said := "".join(data.get("text/markdown", "")):
-                    outputs.append(Markup(_prose(name, said)))
+                    outputs.append(Sentence(said))
                 elif png and not FILE_NAMES.match(text):
                     figures.append(Figure(name, f"{cell['id']}-static", heading, png, None))
                 elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in PRINTED and not table:
