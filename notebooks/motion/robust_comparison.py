@@ -749,7 +749,7 @@ def paint_cases(ahead: Mapping[tuple[str, bool], np.ndarray]):
         [0, 1],
         "o",
         mfc="none",
-        mec=figures.BLACK,
+        mec=figures.ORANGE,
         ms=36,
         mew=1.5,
         label="the thesis may mean",
