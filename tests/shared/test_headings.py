@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.io import savemat
 
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
@@ -486,6 +487,39 @@ def test_a_fault_in_the_first_row_makes_no_names_of_it(tmp_path, above):
     (tmp_path / "a.csv").write_text(above + "time,x\n0,oops\n1,2\n2,3\n")
     with pytest.raises(InputError, match="column x: 'oops' in row 1"):
         read_arrays(tmp_path / "a.csv")
+
+
+def lvm(x_column, comma):
+    """A text as LabVIEW writes it: two headers, X in the first column or not, a column for comments."""
+    rows = [(k / 500, math.sin(k), math.cos(k)) for k in range(300)]
+    lines = ["LabVIEW Measurement", "Separator\tTab", f"Decimal_Separator\t{',' if comma else '.'}"]
+    lines += [f"X_Columns\t{'One' if x_column else 'No'}", "***End_of_Header***", "", "Channels\t2"]
+    lines += ["Y_Unit_Label\tg\tNewtons", "X_Dimension\tTime\tTime", "X0\t0.0E+0\t0.0E+0"]
+    lines += ["Delta_X\t2.000000E-3\t2.000000E-3", "***End_of_Header***", "X_Value\tPlate\tHammer\tComment"]
+    lines += ["\t".join([repr(x) if x_column else "", f"{y:.9f}", f"{z:.9f}"]) for x, y, z in rows]
+    text = "\n".join(lines) + "\n"
+    return text.replace(".", ",") if comma else text
+
+
+@pytest.mark.parametrize(("x_column", "comma"), [(True, False), (True, True), (False, False), (False, True)])
+def test_a_text_of_labview_has_its_time_and_units(tmp_path, x_column, comma):
+    (tmp_path / "a.lvm").write_text(lvm(x_column, comma))
+    record = load_record(tmp_path / "a.lvm", channels=["Plate (g)"])
+    assert record.sample_rate == pytest.approx(500) and record.unit == "m/s^2"
+    np.testing.assert_allclose(record.signals[0], G * np.sin(np.arange(300)), atol=1e-7)
+    assert "Hammer (Newtons)" in read_arrays(tmp_path / "a.lvm")
+
+
+def test_a_unit_beside_a_member_of_a_structure_is_that_of_its_name(tmp_path):
+    table = {"Frequency": TURN * HZ, "FrequencyUnit": "rad/s", "ResponseData": ACCELERANCE[None, None]}
+    savemat(tmp_path / "a.mat", {"frd": table})
+    assert load_machine(tmp_path / "a.mat").accelerance.omega == pytest.approx(TURN * HZ)
+    savemat(tmp_path / "a.mat", {"frd": table | {"FrequencyUnit": "rad/TimeUnit"}})
+    with pytest.raises(InputError, match="rad/TimeUnit"):
+        load_machine(tmp_path / "a.mat")
+    savemat(tmp_path / "b.mat", {"s": {"title": "a plate", "parts": np.array(["x", 1], dtype=object)}})
+    with pytest.raises(InputError, match=r"s\.title \(text\), s\.parts"):
+        read_arrays(tmp_path / "b.mat")
 
 
 def test_a_sign_of_a_number_within_a_row_is_no_comment(tmp_path):

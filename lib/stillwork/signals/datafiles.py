@@ -1,4 +1,4 @@
-"""Named arrays of numbers from CSV, MAT, NPZ and universal files; no code in them is executed."""
+"""Named arrays of numbers from CSV, LVM, MAT, NPZ and universal files; no code in them is executed."""
 
 import csv
 import itertools
@@ -54,6 +54,7 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
         ".csv": _csv,
         ".txt": _csv,
         ".tsv": _csv,
+        ".lvm": _lvm,
         ".mat": read_mat,
         ".npz": _npz,
         ".uff": read_universal,
@@ -61,12 +62,12 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
     }
     if not os.path.isfile(path):  # False as well for a name that no system takes
         raise InputError(
-            f"{short_repr(str(path))}: no such file; give the path of a CSV, MAT, NPZ or UFF file"
+            f"{short_repr(str(path))}: no such file; give the path of a CSV, LVM, MAT, NPZ or UFF file"
         )
     if path.suffix.lower() not in readers:
         raise InputError(
             f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
-            "export CSV, MAT (version 7), NPZ or UFF"
+            "export CSV, LVM, MAT (version 7), NPZ or UFF"
         )
     if (size := path.stat().st_size) > MOST_TEXT:
         raise InputError(f"{path.name} has {size:.2g} bytes, more than {MOST_TEXT >> 30} GB; cut it")
@@ -144,6 +145,31 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
             )
         columns[str(name)] = numbers
     return columns
+
+
+def _lvm(path: Path) -> dict[str, np.ndarray]:
+    """A text of LabVIEW: its header states what X is, and the units; X may be left out of the rows."""
+    columns = _csv(path)
+    stated: dict[str, list[str]] = {}
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for line in itertools.islice(file, MOST_ABOVE):
+            key, *values = (each.strip() for each in line.split("\t"))
+            stated.setdefault(key, values)
+    x = columns.pop("X_Value", np.full(0, np.nan))
+    if np.isnan(columns.get("Comment", [0.0])).all():
+        del columns["Comment"]
+    pairs = itertools.zip_longest(columns, stated.get("Y_Unit_Label", [])[: len(columns)], fillvalue="")
+    names = [f"{name} ({unit})" if unit else name for name, unit in pairs]
+    channels = dict(zip(names, columns.values(), strict=True))
+    if stated.get("X_Dimension", [""])[0] != "Time":
+        return channels | ({"X_Value": x} if np.isfinite(x).any() else {})
+    if not np.isfinite(x).any():
+        try:
+            step = float(stated["Delta_X"][0].replace(",", "."))
+        except (KeyError, IndexError, ValueError):
+            raise InputError(f"{path.name} states no Delta_X; export it with its X column") from None
+        x = step * np.arange(len(next(iter(columns.values()), x)))
+    return {"time (s)": x} | channels
 
 
 @by_value

@@ -18,6 +18,7 @@ from stillwork.base.validation import checked
 MOST_BYTES = 2**29
 MOST_MEMORY = 4 * 2**30  # of the process
 MOST_SECONDS = 60
+MOST_LISTED = 20  # of what a file holds beside numbers
 _REFUSED = 2  # exit code of the process that reports the reason on stderr
 
 
@@ -111,15 +112,24 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     except Exception as error:  # on a damaged file scipy raises whatever its parser stumbles over
         raise _refusal(path, str(error)) from None
     found: dict[str, np.ndarray] = {}
+    others: list[str] = []
 
     def walk(prefix: str, branch: dict) -> None:
         for name, value in branch.items():
             if isinstance(value, dict):
                 walk(f"{prefix}{name}.", value)
-            elif not name.startswith("__") and (array := np.asarray(value)).dtype.kind in "fiuc":
-                found[prefix + name] = array
+            elif name.startswith("__"):
+                continue
+            elif (array := np.asarray(value)).dtype.kind in "fiuc":
+                unit = branch.get(f"{name}Unit", branch.get(f"{name}Units"))  # as frd has FrequencyUnit
+                found[f"{prefix}{name} ({unit})" if isinstance(unit, str) and unit else prefix + name] = array
+            else:
+                kind = {"U": "text", "O": "cells"}.get(array.dtype.kind, "an object")
+                others.append(f"{prefix}{name} ({kind})")
 
     walk("", tree)
+    if not found:
+        raise _refusal(path, f"it holds no numbers, but {', '.join(others[:MOST_LISTED]) or 'nothing'}")
     return found
 
 
