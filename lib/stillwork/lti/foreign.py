@@ -26,14 +26,27 @@ def matrices(system: Any, name: str) -> dict[str, Any]:
         return _of_arrays(system, name)
     if all(hasattr(system, each) for each in ("A", "B", "C", "D", "dt")):
         a, b, c, d = (_real(f"{name}.{each}", getattr(system, each), 2) for each in "ABCD")
-        return {"a": a, "b": b, "c": c, "d": d, "sample_time": _sample_time(system, name), **_labels(system)}
+        return {
+            "a": a,
+            "b": b,
+            "c": c,
+            "d": d,
+            "sample_time": _sample_time(system, name, len(a)),
+            **_labels(system),
+        }
     if all(hasattr(system, each) for each in ("zeros", "poles", "gain", "dt")):
         found = _realised(np.asarray(system.zeros), np.asarray(system.poles), float(system.gain), name)
-        return dict(zip("abcd", found, strict=True)) | {"sample_time": _sample_time(system, name)}
+        return dict(zip("abcd", found, strict=True)) | {
+            "sample_time": _sample_time(system, name, len(found[0]))
+        }
     if all(hasattr(system, each) for each in ("num", "den", "dt")):
         found = _of_fractions(system.num, system.den, name)
         labels = {key: value for key, value in _labels(system).items() if key != "state_labels"}
-        return dict(zip("abcd", found, strict=True)) | {"sample_time": _sample_time(system, name)} | labels
+        return (
+            dict(zip("abcd", found, strict=True))
+            | {"sample_time": _sample_time(system, name, len(found[0]))}
+            | labels
+        )
     if hasattr(system, "frdata"):
         raise InputError(f"{name} is a frequency response; fit a model to it first, or give {WANTED}")
     raise InputError(f"{name} is {short_repr(system)}; give {WANTED}")
@@ -53,10 +66,10 @@ def _real(name: str, value, dimensions: int) -> np.ndarray:
     return require_array(name, np.array(value, ndmin=dimensions), dtype=float)
 
 
-def _sample_time(system: Any, name: str) -> float:
+def _sample_time(system: Any, name: str, states: int) -> float:
     """Of python-control None is unspecified, of SciPy continuous; True is a sample time that is not stated in both."""
     continuous = type(system).__module__.startswith("scipy.")
-    if system.dt is None and getattr(system, "nstates", 1) == 0:  # a gain has none to state
+    if system.dt is None and not states:  # a gain has none to state
         return 0.0
     if system.dt is True or (system.dt is None and not continuous):
         raise InputError(f"{name}.dt is unspecified; give 0 for continuous time or the sample time in s")
