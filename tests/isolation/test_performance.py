@@ -13,11 +13,10 @@ from experiments.isolation.performance import (
     record_case,
     reduction_db,
 )
-from experiments.isolation.power import reduction_percent, without_lines
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
 from notebooks.isolation.floor_and_paths import suspension_modes
-from notebooks.isolation.power import floor_level_for
+from notebooks.isolation.power import floor_level_for, reduction_percent, without_lines
 from notebooks.isolation.transmissibility import band_means
 from stillwork.base.checks import InputError
 from stillwork.signals.spectra import Spectrum

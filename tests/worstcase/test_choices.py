@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from choices.defaults import require_accepted
-from experiments.worstcase.simulations import (
-    sample_bounded,
-)
+from notebooks.worstcase.fir_identification import sample_bounded
 from notebooks.worstcase.tracking import EXCITATIONS, PUBLISHED_NORM, weighted_excitation
 
 

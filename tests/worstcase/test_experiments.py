@@ -4,14 +4,14 @@ from scipy import optimize, signal
 
 from experiments.worstcase import measured
 from experiments.worstcase.pairs import open_pair
-from experiments.worstcase.simulations import FIG_2_PARAMETERS, fir_trial, path
-from experiments.worstcase.theory import convergence_trial, counter_example
+from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
+from experiments.worstcase.theory import counter_example
 from naive import worstcase as naive
 from notebooks.worstcase import real_record
 from notebooks.worstcase import real_record as measured_pictures
 from notebooks.worstcase import tracking as tracking_pictures
-from notebooks.worstcase.contraction import scalar_trial
-from notebooks.worstcase.fir_identification import criterion_trial, gain_trial, least_squares_limit
+from notebooks.worstcase.contraction import convergence_trial, scalar_trial
+from notebooks.worstcase.fir_identification import criterion_trial, fir_trial, gain_trial, least_squares_limit
 from notebooks.worstcase.geometry import solution_trial
 from notebooks.worstcase.real_record import load_pair
 from notebooks.worstcase.time_updates import weighting_trial
