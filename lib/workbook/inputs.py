@@ -9,6 +9,7 @@ import json
 import platform
 import tomllib
 from functools import cache, lru_cache
+from pathlib import Path
 
 from workbook import paths
 from workbook.dependencies import dependencies, file_digest, names_ledger, normal, packages
@@ -24,13 +25,15 @@ VALUES = ("parameter ", *ENVIRONMENT)  # inputs kept as they are; of the others 
 
 def environment_inputs(loaded: set[str] | None = None) -> dict[str, str]:
     """The pins of the packages that are loaded (all without a set), Python, and the processor's settings."""
-    found = {f"environment: {name}": pin for name, pin in _pins().items() if loaded is None or name in loaded}
+    pinned = _pins(paths.root())
+    found = {f"environment: {name}": pin for name, pin in pinned.items() if loaded is None or name in loaded}
     found["environment: Python"] = platform.python_version()
     return found | {f"setting {name}": value for name, value in {**passed_inputs(), **settings()}.items()}
 
 
 @cache
-def _pins() -> dict[str, str]:
+def _pins(root: Path) -> dict[str, str]:
+    """Of the workbook at `root`, the present one."""
     return {normal(name): version for name, version in pins().items()}
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from workbook import figures
 from workbook.explorer import Choice, Slider
+from workbook.inputs import environment_inputs
 from workbook.notebooks import Notebook
 from workbook.site import states as states_of
 from workbook.site.explorers import Explorer, read_explorer, statements
@@ -172,6 +173,7 @@ explore(draw, x=Slider(0, 4, 1))
 def test_pictures_are_computed_once_for_each_build(toy, monkeypatch):
     name = "isolation/01-first"
     toy.add(name, EXPLORER)
+    environment_inputs()  # of this checkout, whose pins are not the toy's
     monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
     assert make_states(tasks()) == {}  # not built: nobody knows what the notebook reads
     toy.run("figures")
