@@ -198,6 +198,11 @@ def show_behind(figure, lines: list[list]) -> list:
     ]
 
 
+# What `explore` drew last behind a figure: `draw` may keep the figure and set the data of what moves, also for an
+# explorer that is made again.
+_behind: list = []
+
+
 def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **controls: Slider | Choice):
     """Redraw ``draw(**settings)`` while a control moves, before the lines of the start in grey; Reset returns to it.
 
@@ -218,17 +223,15 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
     start = {name: control.start for name, control in controls.items()}
     designs = whole_settings(presets or {}, controls)
     ghost: list[list] = []
-    behind: list = []
 
     def drawn(**settings):
-        for artist in behind:  # of a figure that `draw` keeps, to set the data of what moves
-            artist.remove()
-        behind.clear()
+        while _behind:
+            _behind.pop().remove()
         figure = draw(**settings)
         if settings == start:
             ghost[:] = lines_of(figure)
         else:
-            behind[:] = show_behind(figure, ghost)
+            _behind.extend(show_behind(figure, ghost))
         return figure
 
     from workbook.redraw import Redraw

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 TEXTS = 512  # that are remembered, a few kilobytes each
 
@@ -43,7 +44,7 @@ class Redraw:
         return self._laid_out(figure)
 
     def _laid_out(self, figure) -> bytes:
-        if (engine := figure.get_layout_engine()) is not None:
+        if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine):
             engine.set(w_pad=0.08, h_pad=0.06)  # inches: room for tick labels to grow
         self._render(figure)
         self._places[len(figure.axes)] = [axes.get_position(original=True) for axes in figure.axes]

@@ -134,6 +134,26 @@ def scaled(top, panels=1):
     return figure
 
 
+def test_a_kept_figure_gives_the_pictures_of_one_made_anew():
+    """Also with the lines of the start behind it, and where its explorer is made again."""
+    kept = draw(gain=1.0, rate=1.0, order=1)
+
+    def moved(gain):
+        kept.axes[0].lines[0].set_ydata(gain * np.arange(5) + 1.0)
+        kept.axes[0].relim()
+        kept.axes[0].autoscale_view()
+        return kept
+
+    for _ in range(2):
+        pictures = []
+        for function in (moved, lambda gain: draw(gain, 1.0, 1)):
+            box = explore(function, gain=Slider(1.0, 9.0, start=2.0))
+            for value in (3.0, 5.0, 2.0, 4.0):
+                box.children[0].children[0].value = value
+                pictures.append(bytes(box.children[-1].value))
+        assert pictures[:4] == pictures[4:]
+
+
 def test_the_panels_stay_where_the_first_picture_put_them(monkeypatch):
     layouts = []
     execute = ConstrainedLayoutEngine.execute

@@ -15,7 +15,7 @@ from experiments.motion.designs import (
     stage_loops,
 )
 from experiments.motion.machines import chain, stage, stage_mass
-from experiments.motion.pictures import LABELS, decibel, paint_bode, paint_over_masses
+from experiments.motion.pictures import LABELS, decibel, magnitudes_over_masses, paint_bode, paint_over_masses
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, highest_peaks
 from stillwork.control.pid import Pid, PidFamily
@@ -112,44 +112,35 @@ def table_presets(*designs: str) -> dict[str, dict]:
     return found
 
 
-def paint_published(design: str, part: float):
-    """Explorer: the seven loops of a published design at a part (%) of the largest bandwidth that it allows."""
-    loops, figure, controller = _loops(DESIGNS[design]), _published(design), _published_pid(design, part)
-    responses = [loop.at(controller) for loop in loops]
-    for axis, name in zip(figure.axes, THREE, strict=True):
-        for line, loop, response in zip(axis.lines, loops, responses, strict=False):
-            shown = np.isin(loop.omega / (2 * np.pi), line.get_xdata())
-            line.set_ydata(decibel(getattr(response, name)[shown]))
-    return _with_peaks(figure, loops, controller, THREE)
-
-
 THREE = ("input_sensitivity", "output_sensitivity", "true_tracking")
 
 
-@lru_cache(maxsize=8)
-def _published(design: str):
-    """The figure of `paint_published`, kept for the next part: only its lines and titles move."""
-    loops, controller = _loops(DESIGNS[design]), _published_pid(design, 100.0)
-    return paint_over_masses({LABELS[name]: (loops, controller, name) for name in THREE})
-
-
-def _published_pid(design: str, part: float) -> Pid:
+def paint_published(design: str, part: float):
+    """Explorer: the seven loops of a published design at a part (%) of the largest bandwidth that it allows."""
     notches = tuple(stage().frequencies[1:RETAINED]) if DESIGNS[design].notches else ()
-    return PidFamily(stage_mass(), notches)(part / 100 * _limit_hz(design))
+    controller = PidFamily(stage_mass(), notches)(part / 100 * _limit_hz(design))
+    return _paint(DESIGNS[design], controller, THREE)
+
+
+@lru_cache
+def _panels(names: tuple[str, ...]):
+    """A figure of these loop functions, kept from one move to the next: its lines and titles are set anew."""
+    plain = _loops(DESIGNS["PID"]), PidFamily(stage_mass())(10.0)
+    return paint_over_masses({LABELS[name]: (*plain, name) for name in names})
 
 
 def _paint(design: Design, controller: Pid, names: tuple[str, ...]):
     """Loop functions of the seven masses, with the highest peak of each."""
-    loops = _loops(design)
-    figure = paint_over_masses({LABELS[name]: (loops, controller, name) for name in names})
-    return _with_peaks(figure, loops, controller, names)
-
-
-def _with_peaks(figure, loops: list[Loop], controller: Pid, names: tuple[str, ...]):
+    loops, figure = _loops(design), _panels(names)
+    curves = magnitudes_over_masses({name: (loops, controller, name) for name in names})
     peaks = highest_peaks(loops, controller, names)
     for axis, (name, peak) in zip(figure.axes, peaks.items(), strict=True):
+        for line, (omega, response, _) in zip(axis.lines, curves[name].values(), strict=False):
+            line.set_data(omega / (2 * np.pi), decibel(response))
         verdict = (
             f"peak {20 * np.log10(peak.magnitude):.1f} dB" if np.isfinite(peak.magnitude) else "unstable"
         )
         axis.set_title(f"{LABELS[name]}: {verdict}")
+        axis.relim()
+        axis.autoscale_view(scaley=False)
     return figure

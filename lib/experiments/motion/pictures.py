@@ -147,6 +147,26 @@ def paint_limited(
     return figure
 
 
+def magnitudes_over_masses(
+    panels: Mapping[str, tuple[Sequence[Loop], Pid, str]],
+    low_hz: float = 1.0,
+    high_hz: float = 2e3,
+    label: str = "mass",
+) -> dict[str, dict[str, tuple]]:
+    """The lines of `paint_over_masses`, as `paint_magnitudes` takes them."""
+    curves = {title: {} for title in panels}
+    responses = {}  # of a loop with a controller: panels often show two functions of it
+    for title, (loops, controller, function) in panels.items():
+        for number, loop in enumerate(loops, 1):
+            hertz = loop.omega / (2 * np.pi)
+            shown = (hertz >= low_hz) & (hertz <= high_hz)
+            if (known := (id(loop), id(controller))) not in responses:
+                responses[known] = loop.at(controller)
+            response = getattr(responses[known], function)[shown]
+            curves[title][f"{label} {number}"] = loop.omega[shown], response, {"linewidth": 1.0}
+    return curves
+
+
 def paint_over_masses(
     panels: Mapping[str, tuple[Sequence[Loop], Pid, str]],
     *,
@@ -160,16 +180,7 @@ def paint_over_masses(
 
     `zoom` is what `add_zoom` needs for an inset in every panel.
     """
-    curves = {title: {} for title in panels}
-    responses = {}  # of a loop with a controller: panels often show two functions of it
-    for title, (loops, controller, function) in panels.items():
-        for number, loop in enumerate(loops, 1):
-            hertz = loop.omega / (2 * np.pi)
-            shown = (hertz >= low_hz) & (hertz <= high_hz)
-            if (known := (id(loop), id(controller))) not in responses:
-                responses[known] = loop.at(controller)
-            response = getattr(responses[known], function)[shown]
-            curves[title][f"{label} {number}"] = loop.omega[shown], response, {"linewidth": 1.0}
+    curves = magnitudes_over_masses(panels, low_hz, high_hz, label)
     figure = paint_limited(curves, bottom, 15, 3.2)
     if zoom:
         for axis in figure.axes:
