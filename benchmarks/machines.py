@@ -343,17 +343,18 @@ def try_machine(number: int, draws: int = DRAWS) -> dict:
         found["seconds"] = time.process_time() - start
         held = json.loads((out / "controller.json").read_text())
         controller = linear_map(out)
-    promised = next((line for line in said if "largest over all of it" in line), "")
-    sizes = [float(each) for each in re.findall(r"S_[IO] (-?[\d.]+) dB", promised)]
+    sizes = [float(each) for each in re.findall(r"S_[IO] (-?[\d.]+) dB", said[1])]
     # About the true machine: the box that was stated. The design has to add the errors of the fit.
     sensitivity, error, radius = worst(
         machine, controller, asked_box(), 1 / rate, np.random.default_rng(1000 + number), draws
     )
     return found | {
         "use": held["provenance"]["use"],
-        "phases": any("phases of their own" in line for line in said),
+        "phases": any("phases of their own" in line for line in held["provenance"]["notes"]),
         "mass_error": held["provenance"]["mass"] / machine.mass - 1,
         "design_hz": held["provenance"]["design_hz"],
+        "bandwidth_hz": float(re.search(r"bandwidth of ([\d.]+) Hz", said[0])[1]),
+        "waits": held["provenance"]["settings"]["wait"],
         "promised_db": max(sizes, default=None),
         "sensitivity_db": float(sensitivity),
         "r_to_e_db": float(error),
@@ -368,7 +369,7 @@ def line_of(each: dict) -> str:
     return (
         f"{each['number']:3d} {each['form']} {each['modes']} modes {each['negative']} negative, "
         f"b/m {each['friction_1_s']:.2g}, {each['rate_hz']:6.0f} Hz, {each['delay_samples']:.2f} late, "
-        f"mass {100 * each['mass_error']:+.2g} %{', phases' * each['phases']}, {each['use']:16s} {each['design_hz']:6.1f} Hz; promised {each['promised_db']:.2f} dB, S "
+        f"mass {100 * each['mass_error']:+.2g} %{', phases' * each['phases']}, {each['use']:16s} waits {each['waits']:g}, {each['bandwidth_hz']:6.1f} Hz; promised {each['promised_db']:.2f} dB, S "
         f"{each['sensitivity_db']:.2f} dB, r to e {each['r_to_e_db']:.2f} dB, poles {each['largest_pole']:.6f}; "
         f"{each['seconds']:.0f} s"
     )

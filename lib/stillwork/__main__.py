@@ -65,6 +65,8 @@ _OF_A_LOOP = (
     option("--damping-ratio", type=float, default=0.005, help="for mass and stiffness without damping"),
 )
 
+_VERBOSE = flag("verbose", "print all findings, which are on the page")
+
 COMMANDS = {
     "inspect": Command(
         "list what a file of yours holds and which commands and notebooks can use it",
@@ -127,6 +129,8 @@ COMMANDS = {
             *_OF_A_MACHINE,
             *_OF_A_LOOP,
             flag("mirrored-sensor", "design for a mirrored sensor, too"),
+            flag("what-helps", "search for changes of the machine, too: takes five times as long"),
+            _VERBOSE,
         ),
     ),
     "isolate": Command(
@@ -190,6 +194,7 @@ COMMANDS = {
             ),
             *_OF_A_MACHINE,
             _band("loop-hz", "band in which the measurement is reliable"),
+            _VERBOSE,
         ),
     ),
     "desk": Command(

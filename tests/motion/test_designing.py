@@ -13,7 +13,7 @@ from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.digital import from_biquads, load_controller
 from stillwork.control.feedforward import Feedforward, Motion
-from stillwork.control.machine_loops import DesignSettings, SearchSettings, pid_family, reach
+from stillwork.control.machine_loops import pid_family
 from stillwork.control.setpoint import MoveLimits
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine, stated_units
@@ -21,7 +21,7 @@ from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import modal_model
 from stillwork.machine import promise
 from stillwork.machine.design import WITHOUT_BIQUADS, design_file
-from stillwork.machine.machine_designs import INTENSITIES, Designed, improvements
+from stillwork.machine.machine_designs import crossing, improvements, search_designs
 from stillwork.machine.retest import retest_file
 from workbook import paths
 
@@ -39,7 +39,12 @@ def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("design")
     np.savez(folder / "<pair>.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
     said = design_file(
-        str(folder / "<pair>.npz"), str(folder / "out"), RATE, limit=40.0, limits=[0.02, 0.5, 20.0]
+        str(folder / "<pair>.npz"),
+        str(folder / "out"),
+        RATE,
+        limit=40.0,
+        limits=[0.02, 0.5, 20.0],
+        verbose=True,
     )
     return folder / "out", said
 
@@ -131,19 +136,38 @@ def test_the_written_controller_keeps_six_decibels_by_python_control(written, fa
 
 
 @pytest.mark.slow
-def test_what_would_help_is_what_it_would_give(written):
-    """Under PID alone: the machine searched afresh without its delay, and at twice the rate."""
-    folder, said = written
-    machine, use = Machine((PAIR,), 40.0, "pair"), DesignSettings(None, 5, INTENSITIES)
-    changes = (1 / RATE, 1.0), (1 / RATE, 0.0), (0.5 / RATE, 1.0)
-    before, prompt, fast = (reach(machine, use, SearchSettings(*each, BOX)) for each in changes)
-    made = Designed(machine, (), RATE, 1.0, (), BOX, (), {"PID": use}, {"PID": before}, ())
-    helps = improvements(made)
-    gains = [each.on_model.crossing_hz[0] for each in (prompt, fast)]
-    assert helps == [["no delay:", f"{gains[0]:.1f}"], ["twice the rate:", f"{gains[1]:.1f}"]]
-    assert gains[0] > gains[1] > 1.2 * before.on_model.crossing_hz[0]
-    page = (folder / "report.html").read_text()
-    assert said[-2].startswith("what would help most, ") and "at the worst places of the box (dB)" in page
+def test_what_would_help_is_what_a_design_of_the_changed_file_finds(tmp_path):
+    """A machine searched afresh with twice the damping, with its sensor at the force, at twice the rate, and prompt."""
+    machine = Machine((PAIR,), 40.0, "pair")
+    made = search_designs(machine, rate=2e3, delay=2.0)
+    found = {words: (use, float(hertz)) for words, use, hertz in improvements([machine], made, 2.0)}
+    arrays = {"M": MASS, "K": STIFFNESS, "input": [1.0, 0.0]}
+    files = {
+        "twice the damping of its modes": (arrays | {"output": [[0.0, 1.0]]}, 0.01, 2e3, 2.0),
+        "the sensor where the force acts": (arrays | {"output": [[1.0, 0.0]]}, 0.005, 2e3, 2.0),
+        "twice the rate": (arrays | {"output": [[0.0, 1.0]]}, 0.005, 4e3, 2.0),
+        "no delay": (arrays | {"output": [[0.0, 1.0]]}, 0.005, 2e3, 0.0),
+    }
+    before = bandwidth(made)
+    for number, (words, (held, damping, rate, delay)) in enumerate(files.items()):
+        np.savez(tmp_path / f"{number}.npz", **held)
+        said = design_file(
+            str(tmp_path / f"{number}.npz"),
+            str(tmp_path / f"out{number}"),
+            rate,
+            delay=delay,
+            damping_ratio=damping,
+        )
+        hertz = float(re.search(r"bandwidth of ([\d.]+) Hz", said[0])[1])
+        if words in found:
+            assert found[words][1] == pytest.approx(hertz, rel=5e-3) and f": {found[words][0]}" in said[0]
+        else:
+            assert hertz < 1.015 * before
+    assert len(found) >= 2
+
+
+def bandwidth(made):
+    return max(map(crossing, made.found.values()))
 
 
 def test_notches_stand_where_tustin_puts_them():
@@ -179,7 +203,7 @@ def test_a_retest_says_whether_the_promise_holds(written, tmp_path, monkeypatch,
     monkeypatch.chdir(tmp_path)
     controller = str(written[0] / "controller.json")
     assert main(["retest", controller, changed(tmp_path, factor), "--out", "page.html"]) == 0
-    lines = retest_file(controller, "now.npz", "again.html")
+    lines = retest_file(controller, "now.npz", "again.html", verbose=True)
     assert ("the promise holds" in lines[0]) == holds and ("design again" in lines[0]) == (not holds)
     assert any("outside the box" in line for line in lines) == (not inside)
     sizes = dict(re.findall(r"(S_I|S_O) ([-.\d]+) dB", lines[1]))
@@ -226,7 +250,7 @@ def test_a_retest_in_the_loop_judges_machines_that_moved(written, tmp_path, gain
     sensitivity = 1 / (1 + gain * k * held_response(moved, hertz))
     np.savez(tmp_path / "s.npz", **{"frequency (Hz)": hertz, "s": sensitivity})
     said = retest_file(
-        str(written[0] / "controller.json"), str(tmp_path / "s.npz"), str(tmp_path / "page.html"), closed_loop=True
+        str(written[0] / "controller.json"), str(tmp_path / "s.npz"), str(tmp_path / "page.html"), closed_loop=True, verbose=True
     )  # fmt: skip
     size = 20 * np.log10(np.abs(sensitivity).max())
     shown = {name: float(each) for name, each in re.findall(r"(S_I|S_O) ([-.\d]+) dB", said[1])}
@@ -295,7 +319,7 @@ def test_several_responses_are_all_served(written, tmp_path):
     loaded = MASS + np.diag([0.0, 4.0])
     np.savez(tmp_path / "loaded.npz", M=loaded, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
     files = [str(tmp_path / name) for name in ("free.npz", "loaded.npz")]
-    said = design_file(files, str(tmp_path / "out"), RATE)
+    said = design_file(files, str(tmp_path / "out"), RATE, verbose=True)
     held = json.loads((tmp_path / "out" / "controller.json").read_text())
     assert held["provenance"]["others"][0]["file"] == "loaded.npz"
     assert "loaded.npz" in (tmp_path / "out" / "report.html").read_text()
@@ -373,7 +397,7 @@ def test_a_late_measurement_is_designed_for_and_each_sensor_gets_its_controller(
     np.savez(tmp_path / "late.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": measured})
     out = tmp_path / "out"
     arguments = ["--rate", "10000", "--out", str(out), "--mirrored-sensor", "--precision", "single"]
-    arguments += ["--name", "axis", "--delay", "0", "--uncertainty", "none"]
+    arguments += ["--name", "axis", "--delay", "0", "--uncertainty", "none", "--verbose"]
     monkeypatch.setattr(
         promise, "equivalent_biquads", lambda controller: None
     )  # as where none are close enough
@@ -442,11 +466,11 @@ def test_a_machine_that_turns_is_designed_in_the_drives_own_units(written, tmp_p
     """The same numbers in rad and N m give the same controller; in counts and A it is that one between two gains."""
     np.savez(tmp_path / "turns.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
     counts, constant = 20_000 / (2 * np.pi), 0.8
-    said = design_file(
+    design_file(
         str(tmp_path / "turns.npz"), str(tmp_path / "out"), RATE, limit=40.0 / constant,
         counts=counts, motor_constant=constant, response_unit="rad", force_unit="N m", noise_share=1e4,
     )  # fmt: skip
-    assert "40 kg m^2" in said[0]
+    assert "40 kg m^2" in (tmp_path / "out" / "report.html").read_text()
     turned, plain = (load_controller(each / "controller.json") for each in (tmp_path / "out", written[0]))
     assert turned.inputs == ("e (count)",) and turned.outputs == ("f (A)",)
     gains, series = turned.motion.feedforward, plain.motion.feedforward

@@ -145,7 +145,7 @@ def test_a_design_says_what_noise_does_and_obeys_the_limit(machine, tmp_path):
     file, _ = machine
     said = design_file(
         str(file), str(tmp_path / "out"), RATE, limit=0.15, counts=600.0, motor_constant=0.2,
-        response_unit="rad", force_unit="N m",
+        response_unit="rad", force_unit="N m", verbose=True,
     )  # fmt: skip
     line = next(each for each in said if each.startswith("noise at the output"))
     rms, share = map(float, re.search(r": ([\d.e-]+) A rms, ([\d.]+) % of the limit", line).groups())

@@ -64,7 +64,7 @@ def test_design_report_and_notebook_print_the_same(tmp_path, monkeypatch, capsys
     write_two_modes(tmp_path / "machine.csv")
     asked = {"rate": RATE, "delay": DELAY, "uncertainty": UNCERTAINTY}
     file = str(tmp_path / "machine.csv")
-    designed = answer(design_file(file, str(tmp_path / "out"), **asked))
+    designed = answer(design_file(file, str(tmp_path / "out"), verbose=True, **asked))
     assert answer(report_file(file, str(tmp_path / "page.html"), **asked)) == designed
     capsys.readouterr()
     named = {"controller_hz": RATE, "delay_samples": DELAY, "uncertainty": UNCERTAINTY}

@@ -222,7 +222,9 @@ def test_the_promise_holds_where_a_damper_couples_two_modes(tmp_path):
     columns = {"frequency (Hz)": hertz, "h (m/N)": seen, "coherence": np.full(len(hertz), 1 / (1 + 1e-6))}
     np.savez(tmp_path / "coupled.npz", **columns)
     box = {"frequency": 0.05, "gain": 0.1, "damping": 0.2}
-    said = design_file(str(tmp_path / "coupled.npz"), str(tmp_path / "out"), rate, uncertainty=box)
+    said = design_file(
+        str(tmp_path / "coupled.npz"), str(tmp_path / "out"), rate, uncertainty=box, verbose=True
+    )
     assert any("phases of their own" in line for line in said)
     assert any("with the phases of the modes" in line for line in said)
     loop = CompiledLoop(tmp_path / "out", rate)

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from stillwork.base.bounds import Positive, at_least
+from stillwork.base.bounds import NonNegative, Positive, at_least
 from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.applications import Application, compensator
@@ -327,6 +327,8 @@ class DesignSettings:
         Give the controller a notch at each of these resonances that the rate reaches.
     lead : float
         See `PidFamily`.
+    wait : float
+        Samples that the controller waits by itself; what is beside whole ones is an all-pass. See `waiting`.
     """
 
     application: Application | None
@@ -334,6 +336,7 @@ class DesignSettings:
     intensities: Intensities
     notches: bool = False
     lead: float = 3.0
+    wait: NonNegative = 0.0
 
     def __post_init__(self):
         check_fields(self)
@@ -341,6 +344,34 @@ class DesignSettings:
     def family(self, machine: Machine, sample_time: float) -> PidFamily:
         """The PID rules of a machine with these settings."""
         return pid_family(machine, self.lead, self.retained if self.notches else 1, sample_time)
+
+
+@checked
+def waiting(block: StateModel, samples: NonNegative) -> StateModel:
+    """A sampled compensator that waits: the measurement less y_flex, and u_d, leave late by `samples`.
+
+    Whole samples are delays; what is beside them is an all-pass of first order that is as late at low frequencies. The
+    controller is behind it, so that it waits, too: with it the machine is one that is later by as much.
+    """
+    if not samples:
+        return block
+    if not block.sample_time:
+        raise InputError("samples: in continuous time there are none to wait for; give a sample time")
+    c, d = block.c * [[1.0], [-1.0]], block.d * [[1.0], [-1.0]] + [[0.0, 0.0], [0.0, 1.0]]
+    whole, part = split_delay(samples)
+    late = delayed(replace(block, c=c, d=d), whole)
+    if part:
+        a, one = -(1 - part) / (1 + part), np.eye(2)
+        turned = StateModel(a * one, one, (1 - a * a) * one, -a * one, block.sample_time)
+        late = interconnect([late, turned], np.eye(4, k=-2), np.eye(4, 2), np.eye(2, 4, k=2))
+    return replace(late, c=late.c * [[1.0], [-1.0]], d=late.d * [[1.0], [-1.0]] + [[0.0, 0.0], [0.0, 1.0]])
+
+
+def with_compensator(loop: Loop, block: StateModel) -> Loop:
+    """The loop with another compensator."""
+    if block is loop.compensator:
+        return loop
+    return make_loop(loop.plant, block, sample_time=loop.sample_time, delay=loop.delay)
 
 
 @by_value
@@ -392,9 +423,8 @@ class SearchSettings:
     def loops_of(self, machine: Machine, use: DesignSettings) -> tuple[tuple[Loop, ...], tuple[Loop, ...]]:
         """Loops of one use on the model: one a sensor, and the same observer's at the other positions."""
         observer = observer_settings(machine, use.application, use.retained, use.intensities)
-        loops = tuple(
-            observed_loops(machine.sensors, use.application, *observer, self.sample_time, self.delay)
-        )
+        loops = observed_loops(machine.sensors, use.application, *observer, self.sample_time, self.delay)
+        loops = tuple(with_compensator(loop, waiting(loop.compensator, use.wait)) for loop in loops)
         return loops, loops_elsewhere(loops[0], self.others)
 
 

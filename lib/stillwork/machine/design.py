@@ -16,12 +16,13 @@ from stillwork.control.bandwidth import Loop
 from stillwork.control.digital import DigitalController, error_driven, in_units, runnable, tied_to_error
 from stillwork.control.feedforward import motion_of
 from stillwork.control.loop_noise import SHARE
+from stillwork.control.machine_loops import SHOWN, in_hertz
 from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES
 from stillwork.identification.machine import TURNED, Machine
 from stillwork.identification.machine_files import MachineFile, load_machine
 from stillwork.machine.c_code import controller_code, require_names
-from stillwork.machine.design_page import box_table, report
+from stillwork.machine.design_page import beyond, box_table, report
 from stillwork.machine.export import require_free, write_folder
 from stillwork.machine.hardware import ALLOWED_DB, SensorNoise, noise_rows, sensor_noise, single_rows
 from stillwork.machine.loop_margins import computed_numbers
@@ -31,6 +32,7 @@ from stillwork.machine.machine_designs import (
     EACH,
     USES,
     Designed,
+    crossing,
     improvements,
     search_designs,
     stated_uncertainty,
@@ -86,6 +88,9 @@ class DesignRequest:
         Share of `limit` that the noise may take at the output, root mean square.
     noise_ratio : float
         See `NoiseBound`; 0: `RATIO` if the noise or the limit is unknown.
+    what_helps : bool
+        Whether to search for the machine with more damping, another place of its sensor, a faster or prompter
+        processor, too: four more searches.
     """
 
     rate: float
@@ -103,6 +108,7 @@ class DesignRequest:
     noise: float = 0.0
     noise_share: float = SHARE
     noise_ratio: float = 0.0
+    what_helps: bool = False
 
     def __post_init__(self):
         require_names(self.name, self.precision)
@@ -143,7 +149,9 @@ class DesignRequest:
         return self.counts or 1.0, 1 / self.motor_constant if self.motor_constant else 1.0
 
 
-def design_file(files: str | Sequence[str], folder: str, rate: float, **asked) -> list[str]:
+def design_file(
+    files: str | Sequence[str], folder: str, rate: float, *, verbose: bool = False, **asked
+) -> list[str]:
     """Design a controller for the machine in `files` and write it, as C and as JSON, into a new folder.
 
     Parameters
@@ -155,13 +163,15 @@ def design_file(files: str | Sequence[str], folder: str, rate: float, **asked) -
         New or empty folder.
     rate : float
         Sample rate of the controller, Hz.
+    verbose : bool
+        Whether to return all findings, which are on the page.
     **asked
         Other fields of `DesignRequest`, and arguments of `load_machine`.
 
     Returns
     -------
     list of str
-        The findings, one line each.
+        What was chosen, what it promises and where it is, one line each; with `verbose` then the findings.
 
     Raises
     ------
@@ -175,7 +185,7 @@ def design_file(files: str | Sequence[str], folder: str, rate: float, **asked) -
     own = {each.name for each in fields(DesignRequest)} & asked.keys()
     request = DesignRequest(rate, **{name: asked[name] for name in own})
     given = _read(request, files, {name: value for name, value in asked.items() if name not in own})
-    step = count_steps(EACH * USES + CHANGES, "design")
+    step = count_steps(EACH * USES * (1 + CHANGES * request.what_helps), "design")
     made = search_designs(
         given.machines[0],
         given.machines[1:],
@@ -188,7 +198,7 @@ def design_file(files: str | Sequence[str], folder: str, rate: float, **asked) -
     )
     if not made.ranking:
         raise NoSafeLoop(given.sources[0].name, rate, made)
-    helps = improvements(made, step)
+    helps = improvements(given.machines, made, request.delay, step) if request.what_helps else None
     controllers, held, peaks = _proven(given, made)
     written, facts = _in_own_units(given, made, controllers)
     code = _code(request, written)
@@ -196,22 +206,42 @@ def design_file(files: str | Sequence[str], folder: str, rate: float, **asked) -
     reached = made.found[made.ranking[0]]
     pid, loops = reached.safe.controller, reached.model_loops
     computed = computed_numbers([*loops, *reached.perturbed], pid, [each.model for each in controllers])
+    answer = [
+        *_answer(made, held, peaks),
+        f"C and reasons: {folder}: {', '.join(sorted([*code, 'report.html']))}",
+    ]
     about = [*_facts(given, made), *facts]
-    text = report(made, controllers, peaks, computed, helps, held, about, sorted(code))
+    text = report(made, answer[:2], controllers, peaks, computed, helps, held, about)
     (Path(folder) / "report.html").write_text(text, encoding="utf-8")
+    if not verbose:
+        return answer
     return [
+        *answer,
         *_findings(given, made),
         f"the written controller over {pluralise(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, computed))}",
+        *(f"{name}: {words}" for name, words in facts),
         *(
-            f"{name}: {words}"
-            for name, words in facts
-            if name not in ("units of the controller", "biquads for a drive")
+            [
+                f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps) or 'nothing that was tried'}"
+            ]
+            if helps is not None
+            else []
         ),
-        f"taken: {made.ranking[0]}, stopped by {reached.summary['stopped by']}",
-        f"the promise holds for {'; '.join(map(' '.join, held))}",
-        *(f"biquads for a drive: {value}" for _, value in facts if value == WITHOUT_BIQUADS),
-        f"what would help most, on the model with the same settings, beyond which a new design may reach: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
-        f"{folder}: {', '.join(sorted([*code, 'report.html']))}",
+    ]
+
+
+def _answer(made: Designed, held: list[list[str]], peaks: dict[str, dict[str, float]]) -> list[str]:
+    """What was chosen and what it promises, one line each."""
+    best = made.ranking[0]
+    found = made.found[best]
+    waits = f", waiting {made.settings[best].wait:g} samples by itself" if made.settings[best].wait else ""
+    box = "; ".join(map(" ".join, held))
+    if not box:
+        sizes = ", ".join(f"{SHOWN[name]} {max(each.values()):.2f} dB" for name, each in peaks.items())
+        box = f"the model alone, as no uncertainty was stated: {sizes}"
+    return [
+        f"{made.machine.source}: {best}{waits}, with a bandwidth of {in_hertz(crossing(found))} Hz, stopped by {found.summary['stopped by']}",
+        f"the promise of 6 dB holds for {box}{beyond(made.machine)}",
     ]
 
 

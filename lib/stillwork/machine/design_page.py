@@ -49,19 +49,27 @@ def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) 
     return rows
 
 
+def beyond(machine: Machine) -> str:
+    """What the promise is without, where the model is that of a measured band."""
+    if machine.fit is None:
+        return ""
+    return (
+        f"; not for modes above the measured band, which ends at {machine.fit.omega[-1] / (2 * np.pi):.4g} Hz"
+    )
+
+
 def report(
     made: Designed,
+    answer: list[str],
     controllers: list[DigitalController],
     peaks: dict[str, dict[str, float]],
     computed: list[tuple[str, str]],
-    helps: list[list[str]],
+    helps: list[list[str]] | None,
     box: list[list[str]],
     about: list,
-    files: list[str],
 ) -> str:
-    """One page: the machine, the bandwidth of each use of an observer, the choice, its peaks, and how to run it."""
-    machine, best = made.machine, made.ranking[0]
-    reached = made.found[best]
+    """One page: the answer, the machine, the bandwidth of each use of an observer, the peaks of the choice, and how to run it."""
+    machine, reached = made.machine, made.found[made.ranking[0]]
     where = list(next(iter(peaks.values())))
     sizes = [[SHOWN[name], *(f"{peak[column]:.2f}" for column in where)] for name, peak in peaks.items()]
     facts = [
@@ -70,21 +78,21 @@ def report(
         *map(list, about),
         *(["note", note] for note in machine.notes),
     ]
+    changes = [["not searched: give --what-helps", "", ""]] if helps is None else helps
     return page(
         "design.html",
         source=html.escape(machine.source),
         kind=": a controller",
-        taken=html.escape(best),
-        stopped=html.escape(reached.summary["stopped by"]),
+        answer="".join(f"<p>{html.escape(line)}</p>\n" for line in answer),
         facts=table([], facts),
         box=table([], box or [["everything", "exactly as in the model: no uncertainty was stated"]]),
+        beyond=html.escape(beyond(machine).lstrip("; ")),
         uses=uses_table(made),
         peaks=table(["peak", *where], sizes),
         computed=table([], list(map(list, computed))),
-        helps=table(["change", "bandwidth (Hz)"], helps or [["none of those tried", ""]]),
+        helps=table(["change", "use", "bandwidth (Hz)"], changes or [["none of those tried", "", ""]]),
         machine=picture(paint_machine(machine), "accelerance of the model and of the measurement"),
         loops=picture(paint_loops(reached, controllers), "sensitivities of the sampled loop"),
-        files=html.escape(", ".join(files)),
     )
 
 
@@ -92,11 +100,11 @@ def uses_table(made: Designed) -> str:
     """Bandwidth of each use of an observer, or why it has none, and their order."""
     columns = list(dict.fromkeys(key for each in made.found.values() for key in each.summary))
     rows = [
-        [use, *(each.summary.get(key, "") for key in columns), each.reason]
+        [use, *(each.summary.get(key, "") for key in columns), made.words(use).rstrip("; ") or each.reason]
         for use, each in made.found.items()
     ]
     words = "".join(f"<p>{html.escape(line)}</p>\n" for line in (*made.notes, made.ranking_line))
-    return words + table(["use", *columns, "why not"], rows)
+    return words + table(["use", *columns, "remark"], rows)
 
 
 @pictures.house_style()

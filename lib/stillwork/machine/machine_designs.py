@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +21,17 @@ from stillwork.control.machine_loops import (
     reach,
     search_range,
 )
-from stillwork.control.uncertainty import ABSOLUTE, NAMES, Uncertainty, require_shares, uncertainty_of
+from stillwork.control.uncertainty import (
+    ABSOLUTE,
+    NAMES,
+    Uncertainty,
+    require_shares,
+    uncertainty_of,
+)
 from stillwork.identification.machine import Machine, remove_delay
 from stillwork.lti.modal import ModalModel
 from stillwork.machine.machine_tuning import tuned, varied
+from stillwork.machine.waiting import bound_hz, waited
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
 INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
@@ -42,7 +50,16 @@ LEAD_ABOUT_SUSPENSION = 16 / 3  # there: a crossing above the resonance needs mo
 USES = 5  # that are searched
 CHANGES = 4  # of the machine or its processor, of which each is tried for what it would help
 WORTH = 0.01  # relative gain in bandwidth below which a change of the machine is not listed
-EACH = 2  # searches a use: with the first settings, and with those that are tuned
+# The uses that each contains: where it gets no further than one of them, its design is that one's.
+CONTAINED: dict[str, tuple[str, ...]] = {
+    "PID": (),
+    NOTCHED: ("PID",),
+    "MC": ("PID",),
+    "AD": ("PID",),
+    "MC and AD": ("MC", "AD"),
+}
+LITTLE = 1 / 8  # of the added damping: what AD begins with beside an MC that is tuned
+EACH = 2  # steps a use: with the first settings, and with those that are tuned
 
 
 class Designed(NamedTuple):
@@ -58,6 +75,7 @@ class Designed(NamedTuple):
     settings: dict[str, DesignSettings]
     found: dict[str, AchievableBandwidth]  # by use
     notes: tuple[str, ...]  # what the search is for, in words
+    same: dict[str, str]  # uses whose design is that of another one, which they contain
     noise: NoiseBound = USUAL
     loop_hz: tuple[float, float] = (0.0, 0.0)
     search_hz: tuple[float, float] = (0.0, 0.0)
@@ -81,10 +99,15 @@ class Designed(NamedTuple):
         listed = [f"{use} {in_hertz(crossing(self.found[use]))} Hz" for use in self.ranking]
         return f"highest bandwidth first: {', '.join(listed) or 'none has a safe loop'}"
 
+    def words(self, use: str) -> str:
+        """What is special about the design of a use: that it is a simpler one's, and that it waits."""
+        same, wait = self.same.get(use), self.settings[use].wait
+        return (f"as {same}; " if same else "") + (f"waits {wait:g} samples; " if wait else "")
+
     def lines(self) -> list[str]:
         """Settings and results of the search, one line each."""
         rows = [
-            f"{use}: {', '.join(f'{key} {value}' for key, value in each.summary.items())}"
+            f"{use}: {self.words(use)}{', '.join(f'{key} {value}' for key, value in each.summary.items())}"
             f"{each.reason and '; ' + each.reason}"
             for use, each in self.found.items()
         ]
@@ -218,13 +241,25 @@ def search_designs(
         {},
         {},
         notes,
+        {},
         noise,
         loop_hz,
         search_hz,
     )
     for use, application in ({"PID": None, NOTCHED: None} | applications(added_damping, selectivity)).items():
         first = DesignSettings(application, retained, intensities, use == NOTCHED)
-        made.settings[use], made.found[use] = _furthest(made, first, lambda use=use: on_step and on_step(use))
+        best = _furthest(
+            prompt[0],
+            first,
+            _carried(first, made.settings),
+            made.search,
+            partial(on_step or (lambda _: None), use),
+        )
+        made.settings[use], made.found[use] = best
+        for name in CONTAINED[use]:
+            if crossing(made.found[name]) >= crossing(made.found[use]) and made.found[name].recommended:
+                made.settings[use], made.found[use] = made.settings[name], made.found[name]
+                made.same[use] = made.same.get(name, name)
     return made
 
 
@@ -236,34 +271,59 @@ def _prompt(machine: Machine, delay: float, rate: float) -> tuple[Machine, float
     return remove_delay(machine, machine.fit.delay), delay + max(machine.fit.delay, 0.0) * rate
 
 
+class _Reached(NamedTuple):
+    """Settings of one use, and how far they get."""
+
+    use: DesignSettings
+    found: AchievableBandwidth
+
+    @property
+    def hertz(self) -> float:
+        """The bandwidth."""
+        return crossing(self.found)
+
+
 def _furthest(
-    made: Designed, settings: DesignSettings, on_step
-) -> tuple[DesignSettings, AchievableBandwidth]:
-    """The settings, tuned where that leads further, and how far they get.
+    machine: Machine,
+    first: DesignSettings,
+    contained: list[DesignSettings],
+    search: SearchSettings,
+    on_step: Callable[[], object],
+) -> _Reached:
+    """How far one use gets: from its first settings, from those of the uses that it contains, and with waiting.
 
     Of a machine on springs that has no safe loop well above its suspension, those about it are sought.
     """
-    lowest, high = search_range(made.machine, 1 / made.rate)
-    suspension = float(made.machine.sensors[0].frequencies[0]) / (2 * np.pi)
-    first = _tuned_from(made.machine, settings, made.search, lowest, on_step)
-    if first[1].recommended is not None or not suspension or any(made.search_hz):
-        return first
-    for share in ABOUT_SUSPENSION:
-        low = share * suspension
-        if low < high:
-            wide = replace(settings, lead=LEAD_ABOUT_SUSPENSION)
-            about = replace(made.search, search_hz=(low, high))
-            other = _tuned_from(made.machine, wide, about, low)
-            if other[1].recommended is not None:
-                return other
-    return first
-
-
-def _tuned_from(
-    machine: Machine, settings: DesignSettings, search: SearchSettings, lowest: float, on_step=lambda: None
-) -> tuple[DesignSettings, AchievableBandwidth]:
-    """Likewise from a lowest bandwidth on."""
     on_step()
+    best = _tuned_from(machine, first, search)
+    high = search_range(machine, search.sample_time)[1]
+    suspension = float(machine.sensors[0].frequencies[0]) / (2 * np.pi)
+    for share in ABOUT_SUSPENSION if suspension and not any(search.search_hz) else ():
+        low = share * suspension
+        if best.found.recommended is None and low < high:
+            wide = replace(search, search_hz=(low, high))
+            best = _further(best, _tuned_from(machine, replace(first, lead=LEAD_ABOUT_SUSPENSION), wide))
+            search = wide if best.hertz else search
+    on_step()
+    for start in contained:
+        if bound_hz(machine, start, search) > (1 + WORTH) * best.hertz:
+            best = _further(best, _tuned_from(machine, start, search))
+    if first.application is not None:  # an observer is tuned anew
+        best = _further(best, _tuned_from(machine, replace(first, wait=1.0), search))
+    trial = waited(machine, best.use, search, best.found, best.hertz)
+    if trial != best.use:
+        best = _further(best, _Reached(trial, reach(machine, trial, search)))
+        if trial.application is not None and best.use == trial:
+            best = _further(best, _tuned(machine, best, search))
+    return best
+
+
+def _further(one: _Reached, other: _Reached) -> _Reached:
+    return other if other.hertz > one.hertz else one
+
+
+def _tuned_from(machine: Machine, settings: DesignSettings, search: SearchSettings) -> _Reached:
+    """How far some settings get, tuned where that leads further."""
     found = reach(machine, settings, search)
     deaf, other = settings, found
     for _ in range(DEAFER):
@@ -273,13 +333,31 @@ def _tuned_from(
         deaf, other = deafer, reach(machine, deafer, search)
         if crossing(other) > crossing(found):
             settings, found = deaf, other
-    on_step()
-    design_hz = found.recommended.design_hz if found.recommended else lowest
-    trial = tuned(machine, settings, design_hz, search)
-    further = found if trial == settings else reach(machine, trial, search)
-    if further.recommended is None or crossing(further) <= crossing(found):
-        return settings, found
-    return trial, further
+    return _tuned(machine, _Reached(settings, found), search)
+
+
+def _tuned(machine: Machine, known: _Reached, search: SearchSettings) -> _Reached:
+    """The settings tuned, where that leads further."""
+    lowest = search.search_hz[0] or search_range(machine, search.sample_time)[0]
+    recommended = known.found.recommended
+    trial = tuned(machine, known.use, recommended.design_hz if recommended else lowest, search)
+    return known if trial == known.use else _further(known, _Reached(trial, reach(machine, trial, search)))
+
+
+def _carried(first: DesignSettings, settings: Mapping[str, DesignSettings]) -> list[DesignSettings]:
+    """Of MC with AD, the optima of MC and of AD with little of the other."""
+    if first.application is None or not (first.application.compensate and first.application.damping):
+        return []
+    little = {
+        "damping": LITTLE * float(np.max(first.application.damping)),
+        "selectivity": first.application.selectivity,
+    }
+    starts = []
+    for use, added in (("MC", little), ("AD", {"compensate": True})):
+        known = settings[use]
+        if known.application is not None:  # the use gets further than PID
+            starts.append(replace(known, application=replace(known.application, **added)))
+    return starts
 
 
 @checked
@@ -288,34 +366,42 @@ def crossing(reached: AchievableBandwidth) -> float:
     return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0
 
 
-def improvements(made: Designed, on_step: Callable[[str], None] = lambda _: None) -> list[list[str]]:
-    """Changes of the machine that raise the bandwidth of the model with the same settings, the best first."""
-    search, settings, reached = made.search, made.settings[made.ranking[0]], made.found[made.ranking[0]]
-    trials: dict[str, tuple[Callable[[ModalModel], ModalModel], dict]] = {
-        "twice the damping of its modes:": (_damped, {}),
-        "the sensor where the force acts:": (_beside, {}),
-        "twice the rate:": (lambda model: model, {"sample_time": search.sample_time / 2}),
-        "no delay:": (lambda model: model, {"delay": 0.0}),
-    }
-    if not search.delay:
-        del trials["no delay:"]
-    before = reached.on_model.crossing_hz.min() if reached.on_model else 0.0
-    gains: list[tuple[float, str]] = []
-    for words, (change, settled) in trials.items():
-        on_step(words)
-        changed, *others = (
+def improvements(
+    machines: Sequence[Machine], made: Designed, delay: float, on_step: Callable[[str], object] | None = None
+) -> list[list[str]]:
+    """Changes of the machine or of its processor that raise the bandwidth, the best first, each by the whole search.
+
+    `machines` and `delay` are those that the design `made` was searched for. With other modes there is no measurement:
+    the search is that of the model, as if a file held its matrices.
+    """
+    damped, beside = (
+        [
             replace(each, measured=None, fit=None, sensors=tuple(map(change, each.sensors)))
-            for each in (made.machine, *made.others)
-        )
-        late = [settled.get("delay", delay) for delay in made.delays]
-        trial = replace(search, **settled, others=tuple(zip(others, late, strict=True)), loop_hz=(0.0, 0.0))
-        low, high = search_range(changed, trial.sample_time)
-        if reached.on_model:  # only what exceeds it is listed
-            low = min(reached.on_model.design_hz, 0.99 * high)
-        found = reach(changed, settings, replace(trial, search_hz=(low, high))).on_model
-        if found is not None and found.crossing_hz.min() > (1 + WORTH) * before:
-            gains.append((float(found.crossing_hz.min()), words))
-    return [[words, f"{hertz:.1f}"] for hertz, words in sorted(gains, key=lambda each: -each[0])]
+            for each in machines
+        ]
+        for change in (_damped, _beside)
+    )
+    trials = {
+        "twice the damping of its modes": (damped, made.rate, made.delay),
+        "the sensor where the force acts": (beside, made.rate, made.delay),
+        "twice the rate": (machines, 2 * made.rate, delay),
+        "no delay": (machines, made.rate, 0.0),
+    }
+    asked = {
+        "uncertainty": made.uncertainty,
+        "loop_hz": made.loop_hz,
+        "noise": made.noise,
+        "on_step": on_step,
+    }
+    before, gains = crossing(made.found[made.ranking[0]]), []
+    for words, ((first, *others), rate, late) in trials.items():
+        if late == delay and rate == made.rate and first is machines[0]:
+            continue
+        found = search_designs(first, others, rate=rate, delay=late, **asked)
+        hertz = max(map(crossing, found.found.values()))
+        if hertz > (1 + WORTH) * before:
+            gains.append((hertz, words, found.ranking[0]))
+    return [[words, use, f"{hertz:.1f}"] for hertz, words, use in sorted(gains, reverse=True)]
 
 
 def _damped(model: ModalModel) -> ModalModel:

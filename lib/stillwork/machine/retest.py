@@ -42,6 +42,7 @@ def retest_file(
     file: str,
     out: str = "",
     *,
+    verbose: bool = False,
     closed_loop: bool = False,
     fit_hz: tuple[float, float] = (0.0, 0.0),
     loop_hz: tuple[float, float] = (0.0, 0.0),
@@ -57,6 +58,8 @@ def retest_file(
         New measurement of the machine, as for `design` and in the same units; see `load_machine`.
     out : str
         Path of the page, which must not exist; empty: the name of `file` with ``.retest.html``.
+    verbose : bool
+        Whether to return all findings, which are on the page.
     closed_loop : bool
         Whether `file` was measured in closed loop: the force on the machine over the force injected at the controller's
         output, both sampled as the controller samples. That is the output sensitivity; the machine follows from it and
@@ -69,7 +72,7 @@ def retest_file(
     Returns
     -------
     list of str
-        The verdict and the changes of the machine, one line each.
+        The verdict, the peaks and where the page is, one line each; with `verbose` then the changes of the machine.
 
     Raises
     ------
@@ -84,18 +87,22 @@ def retest_file(
     else:
         found = _measured_machine(designed, file, fit_hz, loop_hz, load_options)
     peaks = {where: _peaks(loop, designed.controller) for where, loop in found.loops.items()}
-    lines = [
-        f"{Path(file).name} with {Path(controller).name}: {_verdict(found, peaks)}",
+    outside = [row[0] for row in found.changes if row[-1] != INSIDE]
+    verdict = f"{Path(file).name} with {Path(controller).name}: {_verdict(found, peaks)}"
+    answer = [
+        verdict + (f"; not in the box: {', '.join(outside)}" if outside else ""),
         "; ".join(
             f"{where}: {', '.join(f'{SHOWN[name]} {peak}' for name, peak in each.items())}"
             for where, each in peaks.items()
         ),
+    ]
+    findings = [
         *([] if found.stable else ["the loop is unstable on the model of this response"]),
         *([f"extra turns around -1 on the measurement: {found.turns}"] if found.turns is not None else []),
         *(" ".join(row) for row in found.changes if row[-1] != INSIDE),
     ]
-    target.write_text(_page(designed, found, file, lines), encoding="utf-8")
-    return [*lines, f"written: {target}"]
+    target.write_text(_page(designed, found, file, [*answer, *findings]), encoding="utf-8")
+    return [*answer, f"written: {target}", *(findings if verbose else [])]
 
 
 class _Designed(NamedTuple):

@@ -75,7 +75,7 @@ export function observedController(machine, design) {
 
 // The controller as a table that `export` turns into C: `rate_hz` and either biquads or state space.
 export function controllerJson(machine, design) {
-  const { sampleTime, delay, observer } = timing(design);
+  const { sampleTime, delay, own, observer } = timing(design);
   if (!sampleTime) throw new Error("a controller runs sampled: add a sampling block");
   const { position, drive } = machine.units;
   const controller = { rate_hz: 1 / sampleTime, inputs: [`e (${position})`], outputs: [`f (${drive})`] };
@@ -85,6 +85,7 @@ export function controllerJson(machine, design) {
   } else {
     controller.biquads = biquads(design);
   }
+  if (own) controller.delay_samples = own; // with what is fed forward
   const count = integrators(design);
   // Integrators in a row would wind up at a limit.
   if (design.limit > 0 && count <= 1) {

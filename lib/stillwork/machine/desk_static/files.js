@@ -272,6 +272,9 @@ export function designOfController(text, machine) {
   blocks.push({ kind: "sampling", rate_hz: 1 / time });
   const late = (provenance.delay_samples_of_the_loop ?? 0) * time - Math.max(machine?.delay_s ?? 0, 0);
   blocks.push({ kind: "delay", delay_us: Math.max(late, 0) * 1e6 });
+  const wait = settings?.wait ?? 0;
+  if (!Number.isInteger(wait)) throw new Error(`its controller waits ${wait} samples, a part of one through an all-pass, for which there is no block`);
+  if (wait) blocks.push({ kind: "wait", samples: wait });
   const limit = entries.high?.[0], notes = [];
   if (per) notes.push("its gains stand in the machine's units; its file's limits in the drive's own");
   const mine = provenance.resonances_hz, own = machine?.model?.omega.filter((w) => w > 0).map((w) => w / turn);

@@ -36,6 +36,10 @@ export const BLOCKS = {
     numbers: { corner_hz: hertz("corner"), damping: ratio("damping", 0.05, 2) },
   },
   delay: { title: "Delay", numbers: { delay_us: { label: "delay", unit: "µs", low: 0, high: 1e6, free: false } } },
+  wait: {
+    title: "Own delay",
+    numbers: { samples: { label: "samples that the controller waits", unit: "", low: 0, high: 1000, free: false, whole: true } },
+  },
   sampling: { title: "Sampling", numbers: { rate_hz: { label: "rate", unit: "Hz", low: 1, high: 1e7, free: false } } },
   observer: {
     title: "Observer",
@@ -94,22 +98,25 @@ export function sectionsOf(block, sampleTime = 0) {
       const corner = w("corner_hz");
       return [{ num: [0, 0, corner * corner], den: [1, 2 * block.damping * corner, corner * corner] }];
     }
-    default: // delay, sampling and observer are no filters of the error
+    default: // delay, wait, sampling and observer are no filters of the error
       return [];
   }
 }
 
-export const isFilter = (block) => !["delay", "sampling", "observer"].includes(block.kind);
+export const isFilter = (block) => !["delay", "wait", "sampling", "observer"].includes(block.kind);
 export const activeBlocks = (design) => design.blocks.filter((block) => !block.off);
 
-// Sample time (s) and delay (s) of a design, and its observer, if it has one.
+// Sample time (s) and delay (s) of a design, and its observer, if it has one; of the delay, the controller's own samples.
 export function timing(design) {
   const blocks = activeBlocks(design);
   const sampling = blocks.find((block) => block.kind === "sampling");
   const delay = blocks.filter((block) => block.kind === "delay").reduce((sum, block) => sum + block.delay_us * 1e-6, 0);
+  const own = blocks.filter((block) => block.kind === "wait").reduce((sum, block) => sum + block.samples, 0);
+  const sampleTime = sampling ? 1 / sampling.rate_hz : 0;
   return {
-    sampleTime: sampling ? 1 / sampling.rate_hz : 0,
-    delay,
+    sampleTime,
+    delay: delay + own * sampleTime,
+    own,
     observer: blocks.find((block) => block.kind === "observer") ?? null,
   };
 }

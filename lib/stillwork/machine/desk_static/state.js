@@ -44,6 +44,7 @@ export function newBlock(kind, machine, design, crossing) {
     low_pass_1: { corner_hz: 5 * hz },
     low_pass_2: { corner_hz: 5 * hz, damping: 0.7 },
     delay: { delay_us: 10 },
+    wait: { samples: 1 },
     sampling: { rate_hz: niceRate(100 * hz) },
     observer: { compensate: true, damping: 0, selectivity: 2, retained: 5, disturbance: 8e-4, sensor: 1.41e-9, drift: 1.92e-4 },
   }[kind];
