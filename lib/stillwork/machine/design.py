@@ -199,7 +199,7 @@ def design_file(
     if not made.ranking:
         raise NoSafeLoop(given.sources[0].name, rate, made)
     helps = improvements(given.machines, made, request.delay, step) if request.what_helps else None
-    controllers, held, peaks = _proven(given, made)
+    controllers, held, peaks = _first_proven(given, made)
     written, facts = _in_own_units(given, made, controllers)
     code = _code(request, written)
     write_folder(folder, code)  # before the page: what was computed is not lost with a picture
@@ -281,6 +281,20 @@ def _read(request: DesignRequest, files: str | Sequence[str], load_options: dict
             f"{against[0].source} moves opposite to {source.name} under the same force; correct the sign of one of them"
         )
     return _Given(request, sources, every[0], machines, units, noise)
+
+
+def _first_proven(given: _Given, made: Designed) -> tuple[list[DigitalController], list[list[str]], dict]:
+    """As `_proven`, of the use that gets furthest and whose promise holds when it is looked at once more."""
+    while True:
+        reached = made.found[made.ranking[0]]
+        try:
+            return _proven(given, made)
+        except InputError as error:
+            for use, each in made.found.items():
+                if each is reached:
+                    made.found[use] = replace(each, reason=str(error))
+            if not made.ranking:
+                raise
 
 
 def _proven(given: _Given, made: Designed) -> tuple[list[DigitalController], list[list[str]], dict]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy import integrate
+from scipy import integrate, ndimage
 
 from stillwork.base.checks import InputError, one_line, pluralise
 from stillwork.base.extras import require_package
@@ -40,6 +40,8 @@ from stillwork.signals.units import UNITS_TEXT, unit_factor
 
 SEGMENTS = 16  # of a record, at least, in its spectra
 MOST_CHANNELS = 8  # of a record or of spectra on one page
+TRUSTED = 0.1  # noise over response by the coherence, up to which a line is trusted
+SMOOTH = 15  # lines of the running median of that
 NORMAL = 1.96  # standard deviations either side of a number, 95 %
 
 
@@ -146,6 +148,7 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
     known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
     yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}{known}"
     yield from machine.notes
+    yield from _trusted(machine)
     yield "Modes", _modes(machine) + picture(paint_machine(machine), "accelerance")
     if machine.fit:
         yield "Stabilisation", picture(paint_stabilisation(machine.fit), "poles over the order")
@@ -160,6 +163,31 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
     else:
         yield from made.lines()
         yield "Bandwidth with a PID controller, and what an observer adds", uses_table(made)
+
+
+def _trusted(machine: Machine) -> Iterator[str]:
+    """How far the coherence lets the response be trusted, and what a wider measurement would add."""
+    if machine.measured is None or machine.fit is None:
+        return
+    hertz, coherence = machine.measured.omega / (2 * np.pi), machine.measured.coherence
+    ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
+    if np.isfinite(coherence).any() and np.nanmin(coherence) < 1:
+        known = np.clip(np.nan_to_num(coherence, nan=0.0), 1e-9, 1.0)
+        noise = ndimage.median_filter(np.sqrt((1 - known) / known), SMOOTH, mode="nearest")
+        places, count = ndimage.label(noise <= TRUSTED)
+        stretches = [hertz[places == k][[0, -1]] for k in range(1, count + 1)]
+        if not stretches:
+            yield f"at no line does the coherence let the response be trusted to {100 * TRUSTED:g} %: average more, or excite more"
+            return
+        low, high = max(stretches, key=lambda each: each[1] / max(each[0], hertz[0], 1e-9))
+        cut = low > ends[0] or high < ends[1]
+        beside = ": fit_hz reaches beyond it; average or excite more there, or narrow it" if cut else ""
+        yield f"the coherence lets the response be trusted to {100 * TRUSTED:g} % from {low:.4g} to {high:.4g} Hz{beside}"
+    further = machine.fit.cut
+    seen = (
+        f"; one shows at about {further[0] / (2 * np.pi):.4g} Hz: measure beyond it" if len(further) else ""
+    )
+    yield f"modes above {ends[1]:.4g} Hz, where the band of the fit ends, are not in the model{seen}"
 
 
 def _modes(machine: Machine) -> str:
