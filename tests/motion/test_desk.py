@@ -429,12 +429,49 @@ def test_the_blocks_of_a_design_come_back(node, tmp_path):
         )
     )
     controller = load_controller(written).linear.frequency_response(grid)[0, 0]
-    sensitivity = 1 / np.abs(1 + controller * number(again["plant"]))
+    # Samples of own delay are in the written controller; the desk counts them with the machine's.
+    own = sum(each["samples"] for each in found["design"]["blocks"] if each["kind"] == "wait")
+    sensitivity = 1 / np.abs(1 + controller * number(again["plant"]) * np.exp(1e-4j * own * grid))
     np.testing.assert_allclose(again["functions"]["output_sensitivity"], sensitivity, rtol=1e-7)
     (tmp_path / "controller.json").write_text(exported, encoding="utf-8")
     assert main(["export", str(tmp_path / "controller.json"), "--out", str(tmp_path / "code")]) == 0
     [refused] = node([("files.js", "designOfController", '{"format": "another"}', None)])
     assert "controller.json" in refused["error"]
+
+
+def test_a_design_that_waits_is_shaped_exported_and_read_back(node):
+    """With and without an observer: two samples of its own are two of the machine's, and the exported C leaves late by them."""
+    for seed in (0, 1):
+        machine, loop, _, design = drawn(seed)
+        late = [block | {"delay_us": block["delay_us"] + 2e6 * loop.sample_time} if block["kind"] == "delay" else block for block in design["blocks"]]  # fmt: skip
+        waits = design | {"blocks": [*design["blocks"], {"kind": "wait", "samples": 2}]}
+        grid, own = np.geomspace(loop.omega[0], 0.4 * TURN / loop.sample_time, 40), entry(machine, {})
+        one, other, exported = values(
+            node(
+                [
+                    ("here", "responses", own, waits, grid),
+                    ("here", "responses", own, design | {"blocks": late}, grid),
+                    ("here", "controller", own, waits),
+                ]
+            )
+        )
+        for name in ("input_sensitivity", "output_sensitivity"):
+            np.testing.assert_allclose(one["functions"][name], other["functions"][name], rtol=1e-9)
+        assert json.loads(exported)["controller"]["delay_samples"] == 2
+    gains = {"gain": 1.0, "integrator": 2.0, "differentiator": 5.0, "low_pass": 50.0, "low_pass_damping": 0.7}
+    text = {"format": "stillwork controller 1", "sample_time_s": 1e-3, "gains": gains}
+    calls = [
+        (
+            "files.js",
+            "designOfController",
+            json.dumps(text | {"provenance": {"settings": {"wait": wait}}}),
+            None,
+        )
+        for wait in (3.0, 0.5)
+    ]
+    read, refused = node(calls)
+    assert {"kind": "wait", "samples": 3} in read["value"]["design"]["blocks"]
+    assert "all-pass" in refused["error"]
 
 
 def test_the_page_is_one_file_that_asks_for_nothing(tmp_path):

@@ -24,11 +24,8 @@ from stillwork.machine.waiting import waited
 RATE = 1e4
 INTENSITIES = Intensities(8e-4, 1.41e-9, 1.92e-4)
 ALONE = DesignSettings(None, 5, INTENSITIES)
-WAITS = (
-    150.0,
-    0.01,
-    -0.5,
-)  # Hz, damping and share of a mode against the force, whose phase four samples turn to advantage
+# Hz, damping and share of modes against the force, whose phases a few samples turn to advantage.
+WAITS = (154.36, 213.44, 392.74), (0.016926, 0.0048742, 0.0035904), (-0.18835, -0.45439, -0.36498)
 
 
 def modal(hertz, damping, shares, mass=10.0):
@@ -141,11 +138,13 @@ def test_more_freedom_never_gets_less_far_and_more_delay_no_further(seed):
 @pytest.mark.slow
 def test_a_written_controller_that_waits_keeps_its_promise_on_the_true_machine(tmp_path):
     """The compiled C around the machine by SciPy, all over the box; then the same file around the machine retested."""
-    hertz, damping, share = WAITS
-    true = TrueMachine(10.0, (hertz,), (damping,), position=(share,), delay=0.0)
-    w, shape = 2 * np.pi * hertz, np.array([1.0, np.sqrt(abs(share))]) / np.sqrt(10.0)
-    arrays = {"M": np.eye(2), "K": np.diag([0.0, w * w]), "D": np.diag([0.0, 2 * damping * w])}
-    np.savez(tmp_path / "machine.npz", **arrays, input=shape, output=[shape * [1, np.sign(share)]])
+    hertz, damping, shares = map(np.array, WAITS)
+    true = TrueMachine(10.0, *WAITS, delay=0.0)
+    w = 2 * np.pi * np.append(0.0, hertz)
+    shapes = np.sqrt(np.abs(np.append(1.0, shares)) / 10.0)
+    arrays = {"M": np.eye(4), "K": np.diag(w * w), "D": np.diag(2 * np.append(0.0, damping) * w)}
+    output = shapes * np.sign(np.append(1.0, shares))
+    np.savez(tmp_path / "machine.npz", **arrays, input=shapes, output=output[None])
     box = {"frequency": 0.05, "gain": 0.1}
     file, out = str(tmp_path / "machine.npz"), tmp_path / "out"
     said = design_file(file, str(out), RATE, delay=0.0, uncertainty=box)
