@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork inspect|report|design|isolate|budget|retest|desk|export|new|contest``, and those of others."""
+"""Command line: ``python -m stillwork inspect|report|design|isolate|budget|retest|desk|export|new|compile|contest``, and those of others."""
 
 import os
 import sys
@@ -212,6 +212,11 @@ COMMANDS = {
         "write a controller, or FeRls or FeLms, as C99 from a file",
         "stillwork.machine.export:export_file",
         (_file("controller.json, or TOML"), *_C_FOLDER),
+    ),
+    "compile": Command(
+        "compile the estimators and filters once after an installation, so that no first call waits",
+        "stillwork.machine.compiling:compile_kernels",
+        (),
     ),
     "contest": Command(
         "run an observer of yours, with your rights, and rank it beside the built-in ones",

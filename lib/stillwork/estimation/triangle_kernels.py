@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from stillwork.base.algebra import factorise, solve_backward, solve_forward
+from stillwork.base.algebra import copy_vector, factorise, solve_backward, solve_forward
 from stillwork.base.checks import require_array, require_number
 from stillwork.base.kernels import borrowing_kernel, kernel, pasted_kernel
 from stillwork.estimation.gaussian import require_covariance
@@ -354,7 +354,7 @@ def learn_rows(
         place = (count[0] + t) % window
         leaving = recent[place].copy()
         recent[place, 0] = weights[t]
-        recent[place, 1:] = row
+        copy_vector(row, recent[place, 1:])
         take_in(state, features, row, weights[t], forgetting, share, centred)
         # at the end of each window all is taken in anew, so that rounding errors do not add up
         if leaving[0] > 0.0 and (
@@ -363,7 +363,7 @@ def learn_rows(
         ):
             state[:] = 0.0
             for k in range(1, window + 1):
-                row[:] = recent[(place + k) % window, 1:]
+                copy_vector(recent[(place + k) % window, 1:], row)
                 take_in(state, features, row, recent[(place + k) % window, 0], forgetting, share, centred)
     count[0] += len(X)
     decided = True
@@ -419,7 +419,7 @@ def track_rows(
         take_in(state, n, row, 1.0, forgetting, share, False)
         if kind == LEAST:
             solve_least_squares(state, n, coef)
-            x[:] = coef[0]
+            copy_vector(coef[0], x)
             alpha = 0.0
         else:
             trace, energy, size = set_normal(state, n, 0, ones, square, lines)
@@ -446,7 +446,7 @@ def track_rows(
                     ridge, _ = solve_ridge(state, n, 0, ones, alpha, square, lines, x)
                 evaluations[t] = iterations
         alphas[t] = alpha
-        estimates[t] = x
+        copy_vector(x, estimates[t])
     return state[n + HELD, :n] > held
 
 
@@ -456,7 +456,7 @@ def worst_residuals(rows, outputs, bounds, forgetting, estimates, worst):
     n = rows.shape[1]
     state, row, ones, left = np.zeros((n + BESIDE, n + 1)), np.empty(n + 1), np.ones(n), np.empty(n)
     for t in range(len(rows)):
-        row[:n] = rows[t]
+        copy_vector(rows[t], row)
         row[n] = outputs[t]
         take_in(state, n, row, 1.0, forgetting, 0.0, False)
         norm = 0.0
