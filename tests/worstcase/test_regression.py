@@ -176,34 +176,6 @@ def test_a_prediction_is_the_same_in_any_unit(estimator, fit_intercept):
             assert again.predict(X) / size == pytest.approx(expected, rel=1e-7)
 
 
-@pytest.mark.parametrize("seed", [21, 22])
-@pytest.mark.parametrize(
-    "estimator",
-    [
-        *SCALED[1:4],
-        MinMaxRegressor([0.3, 0.2, 0.1], "sample"),
-        MinMaxRegressor([0.3, 0.2, 0.1], "sample", forgetting=0.9, fit_intercept=False),
-    ],
-    ids=repr,
-)
-def test_each_feature_may_have_a_unit_of_its_own(estimator, seed):
-    """Of regressors without a penalty on all coefficients alike; what is known of a feature is in its unit.
-
-    Min-max refuses bounds that differ by more than 1e12.
-    """
-    X, y = record(seed)
-    X[:5, 2] = 0
-    rng = np.random.default_rng(seed)
-    widest = 1e5 if isinstance(estimator, MinMaxRegressor) else 1e9
-    units, unit = rng.permutation([1 / widest, 1.0, widest]), 10 ** rng.uniform(-9, 9)
-    given = estimator.get_params()
-    own = {"bound": np.multiply(given["bound"], units)} if "bound" in given else {}
-    for stream in (False, True):
-        expected = learn(clone(estimator), X, y, stream).predict(X)
-        again = learn(clone(estimator).set_params(**own), X * units, y * unit, stream)
-        assert again.predict(X * units) / unit == pytest.approx(expected, rel=1e-7)
-
-
 @pytest.mark.parametrize("seed", range(40, 45))
 @pytest.mark.parametrize("fit_intercept", [False, True])
 def test_unlike_units_that_change_a_prediction_are_warned_of(fit_intercept, seed):

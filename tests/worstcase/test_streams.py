@@ -79,33 +79,99 @@ def record(seed, samples=120, features=3):
     return X, X @ rng.standard_normal(features) + 0.3 * rng.standard_normal(samples)
 
 
+@st.composite
+def drawn_records(draw):
+    """Features of a machine: stretches of noise, rests, steps of the operating point, features of two levels, lost rows."""
+    rng, parts = np.random.default_rng(draw(st.integers(0, 2**32 - 1))), []
+    place = np.zeros(3)
+    for kind in draw(st.lists(st.sampled_from(["noise", "rest", "step", "lost"]), min_size=2, max_size=5)):
+        part = rng.standard_normal((30, 3))
+        if kind == "rest":
+            part[:] = part[0]
+        elif kind == "step":
+            place = 3 * rng.standard_normal(3)
+        elif kind == "lost":
+            part[rng.integers(0, 30, 5), rng.integers(0, 3, 5)] = np.nan
+        parts.append(part + place)
+    X = np.vstack([rng.standard_normal((30, 3)), *parts])
+    for j in draw(st.sets(st.integers(0, 2), max_size=2)):
+        X[:, j] = np.where(np.isnan(X[:, j]), np.nan, np.sign(X[:, j]))
+    y = X @ rng.standard_normal(3) + 0.3 * rng.standard_normal(len(X))
+    return X, y
+
+
 EXACT = [
     RecursiveLeastSquares(),
     RecursiveLeastSquares(forgetting=0.97),
+    RecursiveLeastSquares(window=45),
     MinMaxRegressor(0.0, forgetting=0.97),
 ]
 BOUNDED = MinMaxRegressor([0.1, 0.2, 0.3], forgetting=0.97)
+TURNED = [*EXACT, MinMaxRegressor(0.3), MinMaxRegressor(0.3, "sample", 0.97, window=50)]
 
 
-@settings(max_examples=30)
+def predicted(estimator, X, y, seen, **changed):
+    """Of the rows that count most: the last ones; older ones of a window may lie where nothing is known any more."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fitted = type(estimator)(**estimator.get_params() | changed).fit(X, y)
+    rows = seen[-30:]
+    return fitted.predict(rows[~np.isnan(rows).any(axis=1)])
+
+
+@settings(max_examples=60)
 @given(
-    st.integers(0, 2**32 - 1),
+    drawn_records(),
     st.tuples(*3 * [st.floats(-6, 6)]),
     st.tuples(*3 * [st.sampled_from([0.0, 1.0, -3e3, 1e5])]),
     st.permutations(range(3)),
     st.sampled_from([*EXACT, BOUNDED]),
 )
-def test_neither_unit_nor_offset_nor_order_of_the_features_matters(seed, powers, offsets, order, estimator):
-    X, y = record(seed)
-    units, given = 10.0 ** np.array(powers), estimator.get_params()
-    copy = type(estimator)(**given)
+def test_neither_unit_nor_offset_nor_order_of_the_features_matters(record, powers, offsets, order, estimator):
+    X, y = record
+    units, bound = 10.0 ** np.array(powers), {}
     if estimator is BOUNDED:
-        copy.set_params(bound=(given["bound"] * units)[order])
+        bound = {"bound": (estimator.bound * units)[order]}
     moved = ((X + offsets) * units)[:, order]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        expected = type(estimator)(**given).fit(X, y).predict(X)
-        assert copy.fit(moved, y).predict(moved) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+    expected = predicted(estimator, X, y, X)
+    assert predicted(estimator, moved, y, moved, **bound) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+@settings(max_examples=60)
+@given(drawn_records(), st.integers(0, 2**32 - 1), st.sampled_from(TURNED))
+def test_features_may_be_turned_into_one_another(record, seed, estimator):
+    X, y = record
+    turn = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
+    expected = predicted(estimator, X, y, X)
+    assert predicted(estimator, X @ turn, y, X @ turn) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+@settings(max_examples=40)
+@given(drawn_records(), st.integers(0, 2), st.sampled_from(EXACT))
+def test_a_feature_given_twice_changes_no_prediction(record, which, estimator):
+    X, y = record
+    twice = np.column_stack([X, X[:, which]])
+    expected = predicted(estimator, X, y, X)
+    assert predicted(estimator, twice, y, twice) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+@settings(max_examples=40)
+@given(drawn_records(), st.integers(2, 60), st.sampled_from([1.0, 0.95]), st.booleans(), st.booleans())
+def test_a_window_is_least_squares_of_its_rows(record, window, forgetting, intercept, stream):
+    X, y = record
+    made = RecursiveLeastSquares(forgetting=forgetting, window=window, fit_intercept=intercept)
+    if stream:
+        rows_of(made, X, y)
+    else:
+        made.fit(X, y)
+    A, b = np.column_stack([X, np.full(len(X), float(intercept))])[-window:], y[-window:]
+    used = ~np.isnan(A).any(axis=1)
+    root = np.sqrt(forgetting ** np.arange(len(A) - 1, -1, -1))[used]
+    A, b = A[used], b[used]
+    if not len(A):
+        return
+    expected = A @ np.linalg.lstsq(A * root[:, None], b * root)[0]
+    assert made.predict(X[-window:][used]) == pytest.approx(expected, rel=1e-8, abs=1e-8)
 
 
 @settings(max_examples=30)
