@@ -199,22 +199,6 @@ def test_what_a_fit_does_not_know_comes_on_top_of_what_is_asked_for():
 
 
 @pytest.mark.slow
-def test_the_intervals_of_a_fit_hold_what_is_there():
-    """Delays and parts of the modes of 40 noisy responses: within their intervals of 95 % as often as that says."""
-    omega = 2 * np.pi * np.arange(20.0, 900.0)
-    accelerance = -(omega**2) * CHAIN.frequency_response(omega)[0, 0]
-    parts = (CHAIN.output_shapes[0] * CHAIN.input_shapes[:, 0])[1:]
-    inside = []
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        noise = 1 + 0.02 * (rng.standard_normal(len(omega)) + 1j * rng.standard_normal(len(omega)))
-        fit = identify_modes(Identified(omega, accelerance * noise, np.ones(len(omega))), (20.0, 899.0))
-        found = (fit.model.output_shapes[0] * fit.model.input_shapes[:, 0])[1:]
-        inside.append(np.abs(found / parts - 1) <= 1.96 * fit.residue_deviation)
-    assert 0.8 < np.mean(inside) <= 1
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("delay", [1.2, 2.0])
 def test_six_decibels_hold_on_the_true_machine_in_the_whole_box(tmp_path, delay):
     """By SciPy alone, with what the compiled C does: a mode against the force that its phase holds, and 1.2 samples."""
