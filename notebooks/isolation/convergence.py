@@ -1,25 +1,16 @@
 """Convergence of FeLMS and FeRLS: what this notebook alone needs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import signal, stats
 
-from experiments.isolation import convergence as con
-from experiments.isolation.convergence import (
-    ALGORITHMS,
-    FINAL_SHARE,
-    SHARE,
-    STYLES,
-    Course,
-    Starts,
-    converge,
-    settling_times,
-)
+from experiments.isolation.convergence import ALGORITHMS, FINAL_SHARE, SHARE, STYLES
 from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, flat_floor
 from experiments.isolation.mean_convergence import Sideways, mean_course
 from experiments.isolation.responses import responses
@@ -27,13 +18,128 @@ from experiments.isolation.shared_runs import study_each
 from experiments.isolation.simulation import TOGETHER, sample_seeds, simulate, simulate_together
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.rounding import in_order
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Steady
 from workbook import figures
 from workbook.claims import load_entries
 from workbook.studies import Study, fraction, mean_interval, run_study, spread_interval
+
+
+@dataclass(frozen=True)
+class Course:
+    """Weights and quadratic filtered error over a run of one algorithm."""
+
+    time_s: Float64[np.ndarray, " kept"]
+    weights: Float64[np.ndarray, "kept parameters"]  # those of the first actuator
+    error_power: Float64[np.ndarray, " kept"]  # quadratic filtered error, mean over each interval, N^2
+
+    @property
+    def final(self) -> Float64[np.ndarray, " parameters"]:
+        """Final values: means over the last tenth of the run."""
+        return self.weights[-self._tail :].mean(axis=0)
+
+    @property
+    def deviation(self) -> Float64[np.ndarray, " parameters"]:
+        """Standard deviation over the last tenth of the run."""
+        return self.weights[-self._tail :].std(axis=0)
+
+    @property
+    def final_error(self) -> float:
+        """Quadratic filtered error over the last tenth of the run, N^2."""
+        return float(self.error_power[-self._tail :].mean())
+
+    @property
+    def _tail(self) -> int:
+        return max(round(FINAL_SHARE * len(self.time_s)), 1)
+
+
+def settling_times(
+    time_s: ArrayLike, traces: ArrayLike, final: ArrayLike, share: float = SHARE
+) -> Float64[np.ndarray, " parameters"]:
+    """Time after which each trace stays within 63 % of its final value, as the caption of Table 1 has it.
+
+    It is the first kept time from which on no value is further from the final one than `share` of it. Noise is not
+    smoothed away: a trace whose noise exceeds the band of a small final value never settles, and gets the end. A
+    share of 0.63 is the caption to the letter; 0.37 would be the time constant of a first-order course from zero, 2.2
+    times longer.
+    """
+    time_s = require_array("time_s", time_s, ndim=1)
+    traces = require_array("traces", traces, shape=(len(time_s), None))
+    final = require_array("final", final, shape=(traces.shape[1],))
+    outside = np.abs(traces - final) > share * np.abs(final)
+    # First kept time from which on all are inside; the end of the trace when the last one is outside.
+    inside_from = np.where(outside.any(axis=0), len(time_s) - np.argmax(outside[::-1], axis=0), 0)
+    return time_s[np.minimum(inside_from, len(time_s) - 1)]
+
+
+def printed_algorithms(
+    steady: Steady,
+    *,
+    step_size: float,
+    trace: str,
+    memory_s: float,
+    initial_covariance: float,
+    sample_time: float,
+) -> dict[str, FeLms | FeRls]:
+    """The two algorithms with the settings of Section 5.1.1.
+
+    `trace` is the reading of eq. (18), ``regressors`` or ``literal``; P(-1) is diagonal with `initial_covariance`
+    times the steady diagonal.
+    """
+    require_number("memory_s", memory_s, above=0.0)
+    require_number("initial_covariance", initial_covariance, above=0.0)
+    forgetting = float(np.exp(-sample_time / memory_s))
+    inverse = np.diag(np.linalg.inv(steady.correlation))
+    return {
+        "FeLMS": FeLms(step_size=step_size, trace=trace),
+        "FeRLS": FeRls(initial_covariance * (1 - forgetting) * inverse, forgetting),
+    }
+
+
+def converge(
+    twin: Twin,
+    floor: ShapedFloor,
+    adaptations: Mapping[str, FeLms | FeRls],
+    duration_s: float,
+    seeds: Sequence[int],
+) -> list[dict[str, Course]]:
+    """For each seed the course of each of several algorithms from zero weights, on one floor; kept every 0.1 s."""
+    runs = simulate_together(twin, floor, duration_s, seeds=seeds, adaptations=adaptations)
+    return [
+        {
+            name: Course(run.time_s, np.ascontiguousarray(run.weights[:, 0]), run.error_power)
+            for name, run in each.items()
+        }
+        for each in runs
+    ]
+
+
+@dataclass(frozen=True)
+class Starts:
+    """What FeRLS does in the first seconds from P(-1) = I / epsilon."""
+
+    epsilon: Float64[np.ndarray, " starts"]
+    # largest command, N; that of the last sample before it where the run was stopped
+    peak_command: Float64[np.ndarray, " starts"]
+    stopped_s: Float64[np.ndarray, " starts"]  # when it was stopped as unstable; NaN where it went on
+
+
+def try_starts(
+    twin: Twin, floor: ShapedFloor, epsilons: ArrayLike, forgetting: float, duration_s: float, seed: int
+) -> Starts:
+    """Start FeRLS from zero weights and P(-1) = I / epsilon for several epsilon (squared units of the regressors)."""
+    epsilons = require_array("epsilons", epsilons, ndim=1)
+    options = {"signals_from_s": 0.0, "signals": ["command"], "to_the_break": True}
+    peaks, stops = [], []
+    for epsilon in epsilons:
+        start = 1 / require_number("epsilons", epsilon, above=0.0)
+        adaptation = FeRls(start, forgetting, growth_limit=np.inf)
+        run = simulate(twin, floor, duration_s, adaptation=adaptation, seed=seed, **options)
+        peaks.append(np.abs(run.command).max())
+        stops.append(np.nan if run.broke_s is None else run.broke_s)
+    return Starts(epsilons, np.array(peaks), np.array(stops))
 
 
 def narrow_floor(twin: Twin, low_hz: float, high_hz: float) -> ShapedFloor:
@@ -362,7 +468,8 @@ def repeat_all(
     steady = steady_state(twin, floor)
     own = [case.own for case in cases]
     algorithms = {
-        case: con.algorithms(steady, **case.settings, sample_time=twin.sample_time)[case.name] for case in own
+        case: printed_algorithms(steady, **case.settings, sample_time=twin.sample_time)[case.name]
+        for case in own
     }
     where = low_pass_hz, duration_s, model
     settings = {"twin": twin, "floor": floor, "duration_s": duration_s, "final": steady.weights[0]}
@@ -407,7 +514,7 @@ def times_by_actuator(
     found = {}
     for name in algorithms:
         times = [
-            con.settling_times(run[name].time_s, run[name].weights[:, k], steady.weights[k])[ROWS]
+            settling_times(run[name].time_s, run[name].weights[:, k], steady.weights[k])[ROWS]
             for run in runs
             for k in range(twin.actuators)
         ]
@@ -455,7 +562,7 @@ def convergence(
         both(**given, low_pass_hz=floor_upper_end, seed=seed, **length)
         for length in ({}, {"runs": SHORT_RUNS, "duration_s": SHORT_S})
     )
-    tau = "tau" if settling_band == con.SHARE else "tau 37"
+    tau = "tau" if settling_band == SHARE else "tau 37"
     found = judged(long, tau)
     del found["isolation.convergence.least-speed-up-ours"]  # reported by the notebook alone
     length = {"runs": TOGETHER, "duration_s": RIGID_S, "model": "rigid_body"}
@@ -468,7 +575,7 @@ def convergence(
 def _actuator_times(given: tuple, low_pass_hz: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Those of `times_by_actuator` on the rigid body, FeLMS and FeRLS."""
     twin, floor = load_twin("rigid_body"), flat_floor(low_pass_hz)
-    algorithms = con.algorithms(steady_state(twin, floor), **dict(given), sample_time=twin.sample_time)
+    algorithms = printed_algorithms(steady_state(twin, floor), **dict(given), sample_time=twin.sample_time)
     found = times_by_actuator(twin, floor, algorithms, seed)
     return found["FeLMS"], found["FeRLS"]
 
@@ -529,8 +636,7 @@ def starting(*, memory: float, floor_upper_end: float, seed: int) -> dict:
     forgetting = float(np.exp(-twin.sample_time / memory))
     floor = flat_floor(floor_upper_end)
     stopped = [
-        con.try_starts(twin, floor, [1e-5], forgetting, START_S, seed + k).stopped_s[0]
-        for k in range(SHORT_RUNS)
+        try_starts(twin, floor, [1e-5], forgetting, START_S, seed + k).stopped_s[0] for k in range(SHORT_RUNS)
     ]
     return {"isolation.convergence.start": fraction(np.isnan(stopped))}
 
@@ -545,13 +651,15 @@ def far_starts(multiples: ArrayLike, seed: int) -> tuple[np.ndarray, np.ndarray]
     common = {"trace": "regressors", "step_size": STEP_SIZE, "memory_s": EQUAL_MEMORY_S}
     goes_on, settled = [], []
     for multiple in multiples:
-        start = con.algorithms(steady, **common, initial_covariance=multiple, sample_time=twin.sample_time)
+        start = printed_algorithms(
+            steady, **common, initial_covariance=multiple, sample_time=twin.sample_time
+        )
         runs = [
             simulate(twin, floor, FAR_S, adaptation=start["FeRLS"], seed=seed + k, to_the_break=True)
             for k in range(TOGETHER)
         ]
         goes_on.append(np.mean([run.broke_s is None for run in runs]))
-        times = [con.settling_times(run.time_s, run.weights[:, 0], steady.weights[0])[ROWS] for run in runs]
+        times = [settling_times(run.time_s, run.weights[:, 0], steady.weights[0])[ROWS] for run in runs]
         settled.append(np.exp(np.log(times).mean()) if goes_on[-1] == 1 else np.nan)
     return np.array(goes_on), np.array(settled)
 
@@ -602,7 +710,7 @@ def equal_variance(
     *, floor_upper_end: float, settling_band: float, seed: int
 ) -> dict[str, tuple[float, tuple[float, float]]]:
     """FeRLS against FeLMS where both scatter alike: speed-up, and share of runs that are faster."""
-    tau = "tau" if settling_band == con.SHARE else "tau 37"
+    tau = "tau" if settling_band == SHARE else "tau 37"
     common = {"seed": seed, "low_pass_hz": floor_upper_end, "runs": SHORT_RUNS, "duration_s": SHORT_S}
     printed = Case("FeLMS")
     cases = {
@@ -796,7 +904,7 @@ of 60 s; a weight not settled by then counts as 60 s, which favours FeLMS. *More
 
 def _of_actuators(page, rigid: Twin, floor: ShapedFloor, given: Mapping, seed: int) -> None:
     page.text("Settling times of w4 to w9 by actuator, on the rigid body:")
-    algorithms = con.algorithms(steady_state(rigid, floor), **given, sample_time=rigid.sample_time)
+    algorithms = printed_algorithms(steady_state(rigid, floor), **given, sample_time=rigid.sample_time)
     times = times_by_actuator(rigid, floor, algorithms, seed)
     for entry, ours in other_actuators(times["FeLMS"], times["FeRLS"]).items():
         page.check(entry, ours)
@@ -932,8 +1040,8 @@ def _of_starts(page, fitted, floor, steady: Steady, given: Mapping, low_pass_hz:
     page.text(r"""## How large may the start be?
 
 From $P(-1) = I/\epsilon$ (section 4.3) the weights jump before the filters have settled; above a limit the run diverges.""")
-    forgetting = con.algorithms(steady, **given, sample_time=fitted.sample_time)["FeRLS"].forgetting
-    starts = con.try_starts(
+    forgetting = printed_algorithms(steady, **given, sample_time=fitted.sample_time)["FeRLS"].forgetting
+    starts = try_starts(
         fitted, floor, 10.0 ** np.arange(-7.0, 2.0), forgetting, duration_s=START_S, seed=seed
     )
     page.save("starts", paint_starts(starts, np.diag(steady.covariance)))

@@ -10,7 +10,8 @@ from jaxtyping import Float64, Int64
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from experiments.isolation.floors import ShapedFloor, flat_floor
+from experiments.isolation.floors import SAMPLE_RATE, SENSORS, ShapedFloor, flat_floor
+from experiments.isolation.recorded_floors import RecordedFloor, ground_spectrum
 from experiments.isolation.simulation import Run, simulate
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
@@ -32,8 +33,81 @@ from stillwork.estimation.covariance_forms import (
     update_ud,
     upper_root,
 )
+from stillwork.signals.records import Record, resample, to_acceleration
 from workbook import figures
 from workbook.palette import COLOURS
+
+
+def synthesise_floor(
+    frequencies_hz: ArrayLike,
+    density: ArrayLike,
+    duration: float,
+    seed: int,
+    *,
+    common: float = 0.0,
+    channels: int = SENSORS,
+    sample_rate: float = SAMPLE_RATE,
+    source: str = "synthesised",
+) -> RecordedFloor:
+    """Gaussian motion whose expected PSD is exactly the given one on every line 1/duration.
+
+    Each Fourier line gets a random amplitude and phase; the motion is stationary and its end joins its start.
+    Between the given frequencies the density runs straight, as `spectra.band_power` integrates it; outside it is
+    zero. The density is one-sided, (m/s^2)^2/Hz, of all channels or of each; `common` the share of the power that all
+    sensors see alike, 0 (independent, as the paper's three shakers) to 1 (the plate only translates, as ground waves far
+    longer than the plate move it).
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    channels = require_count("channels", channels)
+    s = require_array("density", density)
+    s = require_array("density", s, shape=f.shape if s.ndim < 2 else (channels, *f.shape))
+    if len(f) < 2 or f[0] <= 0 or np.any(np.diff(f) <= 0):
+        raise InputError("frequencies_hz must be positive and rise; sort them and leave 0 Hz out")
+    if np.any(s < 0):
+        raise InputError("density holds negative values; give a power spectral density")
+    require_number("common", common, at_least=0.0, at_most=1.0)
+    require_number("sample_rate", sample_rate, above=0.0)
+    require_number("duration", duration, at_least=2 / sample_rate)
+    samples = round(duration * sample_rate)
+    lines = np.fft.rfftfreq(samples, 1 / sample_rate)
+    amplitude = np.sqrt([np.interp(lines, f, row, left=0.0, right=0.0) for row in np.atleast_2d(s)])
+    # One-sided density = 2 |X|^2 / (rate samples), half of it in the real and half in the imaginary part.
+    amplitude *= np.sqrt(sample_rate * samples) / 2
+    draws = np.random.default_rng(seed).standard_normal((channels + 1, len(lines), 2)) @ [1, 1j]
+    if samples % 2 == 0:
+        draws[:, -1] = 2 * draws[:, -1].real  # the Nyquist line stands for itself, and is real
+    mixed = np.sqrt(common) * draws[0] + np.sqrt(1 - common) * draws[1:]
+    motion = np.fft.irfft(mixed * amplitude, samples, axis=1)
+    return RecordedFloor(motion, float(sample_rate), source)
+
+
+def ground_floor(duration: float, seed: int, *, gain: float = 1.0, **options) -> RecordedFloor:
+    """Motion with the spectrum of `ground_spectrum`; the record has no phase, so the motion is synthesised."""
+    ground = ground_spectrum(gain=gain)
+    return synthesise_floor(
+        ground.frequencies_hz, ground.levels, duration, seed, source=ground.source, **options
+    )
+
+
+def record_floor(
+    record: Record, *, channels: int = SENSORS, sample_rate: float = SAMPLE_RATE
+) -> RecordedFloor:
+    """Measured record as a floor: acceleration without its mean, resampled for the loop.
+
+    A sensor without a channel of its own moves as the mean of the others, so one channel is a plate that only
+    translates.
+    """
+    channels = require_count("channels", channels)
+    if len(record.signals) > channels:
+        raise InputError(
+            f"{record.source} holds {pluralise(len(record.signals), 'channel')}, the plate {pluralise(channels, 'sensor')}; "
+            "choose channels when loading"
+        )
+    moved = resample(to_acceleration(record), sample_rate).signals
+    moved = moved - moved.mean(axis=1, keepdims=True)
+    missing = np.repeat(moved.mean(axis=0, keepdims=True), channels - len(moved), axis=0)
+    return RecordedFloor(np.concatenate([moved, missing]), float(sample_rate), record.source)
+
 
 # === Stability ====================================================================================================
 # Numerical stability of the covariance recursion (29): seven ways to write it, in any precision.

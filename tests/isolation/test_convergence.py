@@ -3,12 +3,20 @@
 import numpy as np
 import pytest
 
-from experiments.isolation.convergence import algorithms, converge, settling_times
 from experiments.isolation.floors import coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
-from notebooks.isolation.convergence import Case, convergence_trial, follow_sideways, narrow_floor, repeat_all
+from notebooks.isolation.convergence import (
+    Case,
+    converge,
+    convergence_trial,
+    follow_sideways,
+    narrow_floor,
+    printed_algorithms,
+    repeat_all,
+    settling_times,
+)
 from notebooks.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
 from stillwork.base.checks import InputError
 from workbook.studies import run_study
@@ -50,7 +58,7 @@ def course_of(adaptation, duration, seed):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "duration"), [("FeLMS", 60.0), ("FeRLS", 30.0)])
 def test_expected_course_is_the_mean_of_simulations(name, duration):
-    adaptation = algorithms(STEADY, **SETTINGS)[name]
+    adaptation = printed_algorithms(STEADY, **SETTINGS)[name]
     runs = [course_of(adaptation, duration, seed) for seed in range(4)]
     mean = np.mean([run.weights for run in runs], axis=0)[49::50]
     expected = mean_course(FITTED, STEADY, name, runs[0].time_s[49::50])
@@ -60,7 +68,7 @@ def test_expected_course_is_the_mean_of_simulations(name, duration):
 
 
 def test_a_short_run_is_judged_by_where_the_weights_settle():
-    both = algorithms(STEADY, **SETTINGS)
+    both = printed_algorithms(STEADY, **SETTINGS)
     options = {"twin": FITTED, "floor": FLOOR, "both": both, "duration_s": 6.0}
     final = STEADY.weights[0]
     own, given = (
@@ -135,7 +143,7 @@ def test_cases_run_together_and_in_part_again_are_those_of_each_alone():
     twin, floor = load_twin("fitted"), flat_floor(80.0)
     steady = steady_state(twin, floor)
     for case, study in zip(cases, found, strict=True):
-        adaptation = algorithms(steady, **case.settings, sample_time=twin.sample_time)[case.name]
+        adaptation = printed_algorithms(steady, **case.settings, sample_time=twin.sample_time)[case.name]
         settings = {"twin": twin, "floor": floor, "duration_s": 2.0, "final": steady.weights[0]}
         alone = run_study(convergence_trial, 10, 11, together=8, both={case.name: adaptation}, **settings)
         assert study.values.keys() == alone.values.keys() and study.runs == 10

@@ -6,12 +6,10 @@ import pytest
 from experiments.isolation.floors import FLAT_LEVEL, SAMPLE_RATE, coloured_floor, flat_floor
 from experiments.isolation.recorded_floors import (
     GROUND_CRITERION,
-    ground_floor,
     ground_spectrum,
     measured_ground_density,
-    record_floor,
-    synthesise_floor,
 )
+from notebooks.isolation.numerical_stability import ground_floor, record_floor, synthesise_floor
 from stillwork.base.checks import InputError
 from stillwork.signals.criteria import CRITERIA, criterion_density, one_third_octave_velocity
 from stillwork.signals.records import Record

@@ -7,7 +7,7 @@ A run in four lines::
     from stillwork.estimation import FeRls
 
     twin = load_twin("rigid_body")                  # or "fitted", or the path of a TOML file of the same form
-    floor = flat_floor(80.0)                        # or coloured_floor(), ground_floor(...), record_floor(...)
+    floor = flat_floor(80.0)                        # or coloured_floor()
     steady = steady_state(twin, floor)              # optimum weights and covariance, in the frequency domain
     run = simulate(twin, floor, 100.0, adaptation=FeRls(10 * np.diag(steady.covariance)), seed=1)
 
@@ -23,12 +23,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "floors": ("ShapedFloor", "coloured_floor", "flat_floor"),
-        "recorded_floors": (
-            "RecordedFloor",
-            "ground_floor",
-            "record_floor",
-            "synthesise_floor",
-        ),
+        "recorded_floors": ("RecordedFloor",),
         "rig": ("Lines", "Rig"),
         "simulation": ("Run", "simulate", "simulate_together"),
         "steady": ("steady_state",),
