@@ -13,9 +13,10 @@ from stillwork.base.checks import InputError, pluralise, require_array, require_
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.signals.column_words import HOLDS
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import frequency_axis
-from stillwork.signals.headings import HOLDS, column_unit, heading, in_hertz
+from stillwork.signals.headings import column_unit, heading, in_hertz
 from stillwork.signals.records import is_time, sampling_rate
 from stillwork.signals.spectra import response_arrays
 from stillwork.signals.units import DRIVES, MOVES, Reading, Unit, unit_factor

@@ -9,6 +9,25 @@ from typing import Any
 
 from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, checked
+from stillwork.signals.column_words import (
+    ARGUMENT,
+    AXES,
+    HOLDS,
+    LABELS,
+    LETTER,
+    LOGARITHMS,
+    MOTIONS,
+    NEGATED,
+    OF_A_RESPONSE,
+    OF_WORD,
+    OTHERS,
+    RADIANS,
+    RESPONSES,
+    SCALED,
+    SEPARATORS,
+    SPELLINGS,
+    STRICT,
+)
 from stillwork.signals.units import (
     DECIBELS,
     DENSITIES,
@@ -27,77 +46,6 @@ from stillwork.signals.units import (
     spelled,
 )
 
-# Other writings of names: dB (re 1 m/N) is (dB re 1 m/N), |H| and abs(H) are a magnitude, arg(H) is a phase.
-_SPELLINGS = (
-    (r"\b(db)\s*[(\[{]\s*((?:re|ref|rel)\b)", "($1 $2"),
-    (r"\u2212", "-"),
-    (r"\|([^|]*)\|", " magnitude ($1) "),
-    (r"\babs(?=\s*\()", "magnitude"),
-    (r"\u2220\s*([a-z]+\d*)", "phase ($1) "),
-    (r"\b(?:arg|phi)(?=\s*\()", "phase"),
-    (r"(sample|sampling)(?=freq)", "$1 "),
-    (r"\b((?:acc|vel)[a-z]*(?:_?[xyz\d]+)?)_in_(s2?)$", "$1 in/$2"),  # inches; x_in_s is in seconds
-)
-_NEGATED = (
-    "-",
-    "minus",
-    "negative",
-    "neg",
-    "negated",
-    "inverted",
-    "flipped",
-)  # before a quantity: of the other sign
-_MOTIONS = ("acceleration", "velocity", "position")
-_AXES = ("x", "axis", "value", "abscissa", "stimulus")
-_LETTER = r"[^\W\d_]"
-_ARGUMENT = r"(?:[hgpstcl]\d*|f|jw)(?:\((?:f|s|z|w|jw)\))?"  # of a response, as in Re(H)
-_SCALED = r"[*^\u00d7]|\d[eE]|\d{4}"  # a name that holds a factor
-_SEPARATORS = r"[\s_,;:/-]+"
-
-# What the words of a name stand for, the units that a column of it may have, and the one that it has without any.
-HOLDS = {
-    "frequency": ("frequency frequencies freq freqs frequenz frequenzen fréquence frequentie f omega ω w kreisfrequenz pulsation", ("Hz", "rad/s"), "Hz"),
-    "time": ("time times t zeit temps tijd timestamp", ("s",), "s"),
-    "rate": ("fs rate samplerate abtastrate", ("Hz",), "Hz"),
-    "magnitude": ("magnitude mag amplitude ampl gain betrag modulus", (*MOVES, "1", "V", "A", "N", "N m"), ""),
-    "phase": ("phase angle winkel", ("rad",), "deg"),
-    "real": ("real re realteil", (*MOVES, "1"), ""),
-    "imaginary": ("imaginary imag im imaginärteil", (*MOVES, "1"), ""),
-    "coherence": ("coherence coh kohärenz", ("1",), "1"),
-    "force": ("force hammer kraft torque", DRIVES, "N"),
-    "acceleration": ("acceleration accel acc beschleunigung", ("m/s^2", "rad/s^2", "count/s^2", "V"), ""),
-    "velocity": ("velocity vel speed geschwindigkeit", ("m/s", "rad/s", "count/s", "V"), ""),
-    "position": ("position pos displacement disp weg", (*POSITIONS, "V"), ""),
-    "voltage": ("voltage spannung", ("V",), ""),
-    "current": ("current strom", ("A",), ""),
-}  # fmt: skip
-_OF_WORD = {word: quantity for quantity, (words, _, _) in HOLDS.items() for word in words.split()}
-# Quantities whose names may hold nothing that is not understood, where they state no unit.
-_STRICT = ("frequency", "time", "rate", "magnitude", "phase", "real", "imaginary", "coherence", "force")
-_RESPONSES = ("magnitude", "phase", "real", "imaginary", "coherence")
-_OF_A_RESPONSE = (
-    "force",
-    "acceleration",
-    "velocity",
-    "position",
-    "voltage",
-    "current",
-)  # a magnitude or a phase of these
-_RADIANS = ("omega", "ω", "w", "kreisfrequenz", "pulsation", "angular")  # a frequency called so is in rad/s
-_LABELS = (
-    "angle axis vector array data value values part response resp function frf h g p s l c k x y z xy of in at on from to "
-    "ch chan channel trace input output in out measured measurement meas avg average mean median sample sampling est estimate stamp base "
-    "relative elapsed open closed loop plant sensor force acceleration velocity position displacement current voltage "
-    "grid list unwrapped wrapped shift hammer hit run left right top bottom front rear upper lower tip impact point node dof "
-    "lin linear absolute ratio"
-).split()
-# A column that one of these words names is another one than its quantity's.
-_OTHERS = (
-    "log lg ln logarithmic logmag normalized normalised squared inverse reciprocal index bin bins error std stdev sigma "
-    "variance deviation uncertainty resolution step delay lag margin stiffness impedance apparent attenuation loss"
-).split()
-_LOGARITHMS = ("log", "logarithmic", "logmag")  # of a magnitude in decibels
-
 
 @by_value
 @dataclass(frozen=True)
@@ -115,7 +63,7 @@ class Heading:
 
     def refusal(self, quantity: str) -> str:
         """Why its numbers cannot be read as this quantity, and what to do; empty: they can."""
-        if self.strange in _NEGATED:
+        if self.strange in NEGATED:
             return f"{self.strange!r} turns its sign; turn that of its numbers, and name it without"
         if not (odd := self.unknown or self.strange):
             return ""
@@ -141,36 +89,36 @@ def heading(name: str) -> Heading:
     if tail and not words and not groups:
         return Heading(name, _alone(*tail), *tail)
     groups = _of_units(groups, quantity)
-    odd = [each for each in groups if re.search(_LETTER, each) and not meaning(each)]
+    odd = [each for each in groups if re.search(LETTER, each) and not meaning(each)]
     stated, unit = _stated(groups, tail)
     means = unit[1]
     quantity = _unless_another(quantity or _abscissa(words, means), label, odd, means)
     unknown = next((each for each, other in stated if not _same(other, stated[-1][1])), "")
-    if odd and (means is None or (quantity in _STRICT and not set(_words(odd[-1])) <= set(_LABELS))):
+    if odd and (means is None or (quantity in STRICT and not set(_words(odd[-1])) <= set(LABELS))):
         unknown = odd[-1]
     if means is None and not unknown:
-        unknown = "in" if inches and quantity in _MOTIONS else _foreign(label)
-    if quantity in _STRICT and means and means.si not in HOLDS[quantity][1]:
+        unknown = "in" if inches and quantity in MOTIONS else _foreign(label)
+    if quantity in STRICT and means and means.si not in HOLDS[quantity][1]:
         if len(words[0]) == 1:  # f (mN) is a force, and no frequency
             quantity = ""
         else:
             unknown = unit[0]
-    strange = _strange(text, label, words, quantity, means) if quantity in _STRICT and not unknown else ""
+    strange = _strange(text, label, words, quantity, means) if quantity in STRICT and not unknown else ""
     return Heading(name, quantity, unit[0], None if unknown else means, unknown, strange)
 
 
 def _plain(name: str) -> str:
     """A name in the letters in which it is read, without the structure of which it is a member."""
     text = re.sub(ROOT, "rtHz", unicodedata.normalize("NFKC", name).strip(), flags=re.IGNORECASE)
-    for pattern, other in _SPELLINGS:
+    for pattern, other in SPELLINGS:
         text = re.sub(pattern, re.sub(r"\$(\d)", r"\\\1", other), text, flags=re.IGNORECASE)
     return re.sub(r"^(?:[^\W\d]\w*\.)+(?=[^\W\d])", "", text)
 
 
 def _of_units(groups: list[str], quantity: str) -> list[str]:
     """Those of the brackets that may hold a unit: no argument of a response, no number of a hit or of a channel."""
-    if quantity in _RESPONSES:
-        groups = [each for each in groups if not re.fullmatch(_ARGUMENT, each.lower())]
+    if quantity in RESPONSES:
+        groups = [each for each in groups if not re.fullmatch(ARGUMENT, each.lower())]
     if quantity and "1" not in HOLDS[quantity][1]:
         groups = [each for each in groups if each != "1"]
     return groups
@@ -189,18 +137,16 @@ def _stated(
 
 def _abscissa(words: list[str], means: Unit | None) -> str:
     """What an x-axis in seconds or in Hz is."""
-    if means is None or not words or not set(words) <= set(_AXES):
+    if means is None or not words or not set(words) <= set(AXES):
         return ""
     return {"s": "time", "Hz": "frequency"}.get(means.si, "")
 
 
 def _unless_another(quantity: str, label: str, odd: list[str], means: Unit | None) -> str:
     """The quantity, or nothing where a word of the name makes another one of it."""
-    others = {re.sub(r"^\d+|\d+$", "", each) for part in (label, *odd) for each in _words(part)} & set(
-        _OTHERS
-    )
+    others = {re.sub(r"^\d+|\d+$", "", each) for part in (label, *odd) for each in _words(part)} & set(OTHERS)
     if quantity == "magnitude" and means and means.decibels:
-        others -= set(_LOGARITHMS)
+        others -= set(LOGARITHMS)
     if others - ({"squared"} if quantity == "coherence" else set()):
         return ""
     return "" if quantity == "force" and means and means.ratio else quantity
@@ -243,7 +189,7 @@ def _at_the_end(text: str) -> tuple[str, tuple[str, Unit] | None]:
     text = re.sub(r"(?<=\w)\s+\d+$", "", text)  # the number of a column of a matrix
     text = re.sub(r"_([munpk]?[mg])(_s2|_s)?_2_hz$", r"_(\1\2)^2/Hz", text, flags=re.IGNORECASE)
     text = re.sub(r"(?<=\w)(?=[%\u00b0])", " ", text)
-    starts = [0, *(each.end() for each in re.finditer(_SEPARATORS, text))]
+    starts = [0, *(each.end() for each in re.finditer(SEPARATORS, text))]
     camel = re.search(r"(?<=[a-z])[A-Z][A-Za-z]*$", text)
     for start in [*starts, *([camel.start()] if camel else [])]:
         part = text[start:]
@@ -263,7 +209,7 @@ def _at_the_end(text: str) -> tuple[str, tuple[str, Unit] | None]:
 
 def _is_stated(text: str, unit: Unit, quantity: str) -> bool:
     """Whether what stands at the end of a name is its unit: no single letter, minimum or ratio of what is not understood."""
-    if quantity in _STRICT or (quantity and unit.si in HOLDS[quantity][1]):
+    if quantity in STRICT or (quantity and unit.si in HOLDS[quantity][1]):
         return True
     return len(text) > 1 and (unit.decibels or unit.si not in ("s", "Hz", "1"))
 
@@ -274,15 +220,15 @@ def _quantity(words: list[str]) -> str:
     for number, word in enumerate(words):
         plain = _bare_word(word) if len(word) > 2 else word
         after = words[number + 1 : number + 2]
-        if plain not in _OF_WORD or (len(plain) == 1 and number):
+        if plain not in OF_WORD or (len(plain) == 1 and number):
             continue
         sampled = number and words[number - 1] in ("sample", "sampling")
         if plain == "rate" and number and not sampled:
             continue
-        if _OF_WORD[plain] in ("frequency", "time") and after in (["response"], ["resp"], ["responses"]):
+        if OF_WORD[plain] in ("frequency", "time") and after in (["response"], ["resp"], ["responses"]):
             continue
-        if found not in _RESPONSES or _OF_WORD[plain] not in _OF_A_RESPONSE:
-            found = "rate" if sampled and _OF_WORD[plain] == "frequency" else _OF_WORD[plain]
+        if found not in RESPONSES or OF_WORD[plain] not in OF_A_RESPONSE:
+            found = "rate" if sampled and OF_WORD[plain] == "frequency" else OF_WORD[plain]
     return found
 
 
@@ -296,18 +242,18 @@ def _alone(text: str, unit: Unit) -> str:
 
 def _strange(text: str, label: str, words: list[str], quantity: str, means: Unit | None) -> str:
     """What of a name turns its sign or scales its numbers, or may be a unit, but is not the one that the name states."""
-    if re.match(rf"-\s*{_LETTER}", text):
+    if re.match(rf"-\s*{LETTER}", text):
         return "-"
-    if turned := next((word for word in words if word in _NEGATED), ""):
+    if turned := next((word for word in words if word in NEGATED), ""):
         return turned
-    if re.search(_SCALED, label):
+    if re.search(SCALED, label):
         return label
     last = max(
-        (k for k, word in enumerate(words) if _OF_WORD.get(_bare_word(word)) == quantity), default=len(words)
+        (k for k, word in enumerate(words) if OF_WORD.get(_bare_word(word)) == quantity), default=len(words)
     )
     for number, word in enumerate(words):
         plain = _bare_word(word)
-        if plain in _LABELS or plain in _OF_WORD or plain.isdigit():
+        if plain in LABELS or plain in OF_WORD or plain.isdigit():
             continue
         if (means is None and number > last) or (len(word) > 1 and meaning(word)):
             return word
@@ -338,7 +284,7 @@ def column_unit(name: str, quantity: str, read_as: str = "") -> tuple[Unit, Read
     if (refusal := stated.refusal(quantity)) and not read_as:
         raise InputError(f"{name!r}: {refusal}")
     by_name = quantity == "frequency" and any(
-        each in _RADIANS for each in re.findall(r"[^\W\d_]+", name.lower())
+        each in RADIANS for each in re.findall(r"[^\W\d_]+", name.lower())
     )
     text = read_as or stated.unit or ("rad/s" if by_name else HOLDS[quantity][2]) or "1"
     unit = meaning(text)
@@ -368,24 +314,24 @@ def page_table() -> dict[str, Any]:
         "root": ROOT,
         "decibels": DECIBELS,
         "densities": DENSITIES,
-        "spellings": _SPELLINGS,
-        "negated": _NEGATED,
-        "motions": _MOTIONS,
-        "axes": _AXES,
+        "spellings": SPELLINGS,
+        "negated": NEGATED,
+        "motions": MOTIONS,
+        "axes": AXES,
         "foreign": FOREIGN,
-        "argument": _ARGUMENT,
-        "scaled": _SCALED,
-        "separators": _SEPARATORS,
+        "argument": ARGUMENT,
+        "scaled": SCALED,
+        "separators": SEPARATORS,
         "units": UNITS,
         "folded": FOLDED,
         "holds": HOLDS,
-        "strict": _STRICT,
-        "responses": _RESPONSES,
-        "of_a_response": _OF_A_RESPONSE,
-        "radians": _RADIANS,
-        "labels": _LABELS,
-        "others": _OTHERS,
-        "logarithms": _LOGARITHMS,
+        "strict": STRICT,
+        "responses": RESPONSES,
+        "of_a_response": OF_A_RESPONSE,
+        "radians": RADIANS,
+        "labels": LABELS,
+        "others": OTHERS,
+        "logarithms": LOGARITHMS,
         "positions": POSITIONS,
         "drives": DRIVES,
         "moves": MOVES,
