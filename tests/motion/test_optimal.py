@@ -10,6 +10,7 @@ from notebooks.motion.optimal_observer import (
     control_bandwidth_hz,
     emphasised,
     front,
+    printed_windows,
     sensitivity_weight,
     tipping_corner,
     weighted_peak,
@@ -21,6 +22,7 @@ from stillwork.estimation import h2_riccati
 from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import h2_norm, hinf_norm
 from stillwork.lti.reduction import truncate
+from workbook.choices.settings import read_settings
 
 SCALES = (0.06, 6e-9, 6e-9)
 
@@ -158,3 +160,15 @@ def test_control_bandwidth_is_where_the_open_loop_and_the_sensitivity_cross():
     assert 0 < tracking < open_loop
     unstable = closed_loop(plant, None, PidFamily(stage_mass())(400.0).state_space())
     assert control_bandwidth_hz(unstable) == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mass", [5, 7])
+def test_the_windows_of_table_5_1_are_those_that_the_page_finds_by_itself(mass):
+    """In settings.csv, found by the search of all studies, and in notebook 20, by its own brackets to 1 mHz."""
+    page = printed_windows(mass)
+    kept = [each for each in read_settings("motion").windows if each.number.startswith("motion.table-5-1.")]
+    for each in (one for one in kept if dict(one.others)["measured-mass"] == str(mass)):
+        modes = {"4": "four modes", "8": "eight modes"}[dict(each.others).get("baseline-modes", "4")]
+        name = "Kalman" if each.number.endswith("kalman") else "no observer"
+        assert each.pieces == (pytest.approx(tuple(page.loc[f"{name}, {modes}", ["from", "to"]]), abs=2e-3),)
