@@ -72,6 +72,15 @@ class TestNotebook:
         hiding = [text(cell) for cell in cells(notebook) if text(cell).rstrip().endswith(";")]
         assert hiding == [], "assign the value to a name instead"
 
+    def test_a_conclusion_shows_a_value_or_rests_on_a_condition(self, notebook):
+        calls = [
+            node
+            for cell in cells(notebook)
+            for node in ast.walk(ast.parse(text(cell)))
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "page.conclude"
+        ]
+        assert not [ast.unparse(call)[:80] for call in calls if not call.keywords], "write it in Markdown"
+
     def test_its_file_is_the_one_that_accept_writes(self, notebook):
         assert notebook.source == notebook_text(json.loads(notebook.source)), "run `make accept`"
 
