@@ -86,7 +86,7 @@ def report(
         answer="".join(f"<p>{html.escape(line)}</p>\n" for line in answer),
         facts=table([], facts),
         box=table([], box or [["everything", "exactly as in the model: no uncertainty was stated"]]),
-        beyond=html.escape(beyond(machine).lstrip("; ")),
+        beyond=html.escape(beyond(machine).removeprefix("; ").capitalize()),
         uses=uses_table(made),
         peaks=table(["peak", *where], sizes),
         computed=table([], list(map(list, computed))),
