@@ -137,24 +137,22 @@ def test_the_written_controller_keeps_six_decibels_by_python_control(written, fa
 
 @pytest.mark.slow
 def test_what_would_help_is_what_a_design_of_the_changed_file_finds(tmp_path):
-    """A machine searched afresh with twice the damping, with its sensor at the force, at twice the rate, and prompt."""
+    """Two minutes of CPU, seven whole searches: with twice the damping in a file of its own, and without delay."""
     machine = Machine((PAIR,), 40.0, "pair")
     made = search_designs(machine, rate=2e3, delay=2.0)
     found = {words: (use, float(hertz)) for words, use, hertz in improvements([machine], made, 2.0)}
     arrays = {"M": MASS, "K": STIFFNESS, "input": [1.0, 0.0]}
-    files = {
-        "twice the damping of its modes": (arrays | {"output": [[0.0, 1.0]]}, 0.01, 2e3, 2.0),
-        "the sensor where the force acts": (arrays | {"output": [[1.0, 0.0]]}, 0.005, 2e3, 2.0),
-        "twice the rate": (arrays | {"output": [[0.0, 1.0]]}, 0.005, 4e3, 2.0),
-        "no delay": (arrays | {"output": [[0.0, 1.0]]}, 0.005, 2e3, 0.0),
+    files = {  # two of the four, and the other two are of the same kinds
+        "twice the damping of its modes": (arrays | {"output": [[0.0, 1.0]]}, 0.01, 2.0),
+        "no delay": (arrays | {"output": [[0.0, 1.0]]}, 0.005, 0.0),
     }
     before = bandwidth(made)
-    for number, (words, (held, damping, rate, delay)) in enumerate(files.items()):
+    for number, (words, (held, damping, delay)) in enumerate(files.items()):
         np.savez(tmp_path / f"{number}.npz", **held)
         said = design_file(
             str(tmp_path / f"{number}.npz"),
             str(tmp_path / f"out{number}"),
-            rate,
+            2e3,
             delay=delay,
             damping_ratio=damping,
         )
@@ -163,7 +161,7 @@ def test_what_would_help_is_what_a_design_of_the_changed_file_finds(tmp_path):
             assert found[words][1] == pytest.approx(hertz, rel=5e-3) and f": {found[words][0]}" in said[0]
         else:
             assert hertz < 1.015 * before
-    assert len(found) >= 2
+    assert "the sensor where the force acts" in found
 
 
 def bandwidth(made):
