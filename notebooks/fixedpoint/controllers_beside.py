@@ -21,7 +21,7 @@ from stillwork.control import (
     simulate_adaptive,
     simulate_mechanism,
 )
-from stillwork.control.fixed_point import ControlledRun
+from stillwork.control.controlled_run import ControlledRun
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation import ExtendedKalman, LowPass

@@ -14,7 +14,8 @@ from experiments.fixedpoint.noise import LOGISTIC_DEVIATION, Noise
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW, published_controllers
 from experiments.fixedpoint.statements import LOW_PASS_BEST, NOISIEST, SMOOTHEST, WINDOW_PRECISE, statements
-from stillwork.control.fixed_point import ControlledRun, Controller, simulate
+from stillwork.control.controlled_run import ControlledRun
+from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.trajectory import asin_trajectory
 from stillwork.control.transformation import FlowTransformation
 from stillwork.estimation.coordinate_filters import MovingWindow, UnscentedKalman

@@ -17,7 +17,8 @@ from experiments.fixedpoint.noise import Noise, drop_samples
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW, published_controllers
 from stillwork.base.checks import InputError, nearest, pluralise, require_choice, require_number
-from stillwork.control.fixed_point import ControlledRun, Controller, simulate
+from stillwork.control.controlled_run import ControlledRun
+from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.fixed_point_convergence import StableRange, stable_range
 from stillwork.control.fixed_point_linear import LinearLoop, linear_loop
 from stillwork.control.fixed_point_mechanism import simulate_mechanism

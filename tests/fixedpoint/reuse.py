@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stillwork.control import Controller, KinematicDesign, fixed_point, simulate
+from stillwork.control import Controller, KinematicDesign, adaptation_loop, simulate
 from stillwork.control.trajectory import sine_trajectory
 from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation import Plant
@@ -17,5 +17,5 @@ def use(own_model):
     )
     controller = Controller(UnscentedKalman(rough), RobustTransformation(), KinematicDesign(10.0), rough)
     run = simulate(own, controller, sine_trajectory(duration=1.0))
-    compiled = sum(fixed_point.run_closed_loop.stats.cache_misses.values())
+    compiled = sum(adaptation_loop.run_one_coordinate.stats.cache_misses.values())
     return compiled, float(np.abs(run.position_error[500:]).max())

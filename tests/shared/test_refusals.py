@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from stillwork.base.checks import InputError
+from stillwork.control.controlled_run import ending, require_noise
 from stillwork.control.crossover import crossover
 from stillwork.control.digital import biquads
 from stillwork.control.feedback import fed_back
 from stillwork.control.feedforward import Feedforward
-from stillwork.control.fixed_point import ending, require_noise
 from stillwork.control.fixed_point_convergence import LimitCycle, Oscillation
 from stillwork.control.fixed_point_linear import LinearFilter, semi_implicit_motion
 from stillwork.control.machine_loops import DesignSettings, Intensities

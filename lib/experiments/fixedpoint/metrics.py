@@ -7,7 +7,8 @@ import numpy as np
 from experiments.fixedpoint.noise import Noise, drop_samples
 from experiments.fixedpoint.published import INTEGRATION
 from stillwork.base.checks import InputError, require_number
-from stillwork.control.fixed_point import ControlledRun, Controller, simulate
+from stillwork.control.controlled_run import ControlledRun
+from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.trajectory import Trajectory, asin_trajectory
 from stillwork.estimation.plant import Plant
 from workbook.studies import Study, run_study

@@ -14,7 +14,7 @@ from experiments.fixedpoint.axes import (
 )
 from experiments.fixedpoint.published import LITERAL
 from stillwork.base.rounding import first_largest
-from stillwork.control.fixed_point import ControlledRun
+from stillwork.control.controlled_run import ControlledRun
 from stillwork.control.trajectory import Trajectory
 from workbook import figures
 from workbook.studies import Study

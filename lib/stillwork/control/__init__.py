@@ -5,7 +5,7 @@ from stillwork.base.lazy_exports import lazy_exports
 __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
-        "adaptive_control": ("SlotineLi", "regressor", "simulate_adaptive"),
+        "adaptive_control": ("SlotineLi", "simulate_adaptive"),
         "applications": ("Application", "compensator"),
         "bandwidth": ("PeakConstraint", "make_loop", "maximise_bandwidth"),
         "decoupling": ("decouple",),
@@ -29,6 +29,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "margins": ("Margins", "margins"),
         "mechanism": ("Mechanism",),
         "pid": ("PidFamily",),
+        "regressor": ("regressor",),
         "setpoint": ("MoveLimits", "plan_move", "point_to_point"),
         "trajectory": ("asin_trajectory",),
         "transformation": ("DisturbanceObserver", "FlowTransformation"),

@@ -1,45 +1,38 @@
-"""The controller's loop, Fig. 1: measure, filter, desired and deformed acceleration, force, motion; one kernel for every filter."""
+"""The controller of Fig. 1 and its run on a plant with one coordinate."""
 
 import warnings
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
-from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.base.validation import by_value, check_fields, checked
-from stillwork.control.held_force import move_held
+from stillwork.control.adaptation_loop import EXTEND, HOLD, INTEGRATIONS, SKIP, Law
+from stillwork.control.controlled_run import (
+    ControlledRun,
+    close_loop,
+    make_course,
+    require_disturbance,
+    require_noise,
+)
 from stillwork.control.joint_kalman import JointKalman
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism
 from stillwork.control.trajectory import Trajectory
-from stillwork.control.transformation import Transformation, deform_packed, warn_outside_contraction
+from stillwork.control.transformation import Transformation, warn_outside_contraction
 from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
     Filter,
     UnscentedKalman,
     require_sample_time,
 )
-from stillwork.estimation.filter_step import filter_step
-from stillwork.estimation.filtering import model_of
+from stillwork.estimation.filter_step import Packed
+from stillwork.estimation.filtering import UNIT_MASS, model_of
 from stillwork.estimation.plant import Plant, force_slope, partial_derivatives
 
-INTEGRATIONS = ("exact", "semi-implicit", "explicit")
-EXACT, SEMI_IMPLICIT, EXPLICIT = range(3)
 LOSSES = ("predict", "hold")  # what stands for a sample that is lost
 LONGEST_TURN = 0.3  # rad of free motion a sample, up to which an Euler step stands for the plant
-RUNNING, TOO_FAR, NOT_FINITE, NOT_DEFINITE, NO_INERTIA = range(5)
-HOLD, EXTEND, SKIP = range(3)  # of a lost sample
-SEEN, MEASURED, DESIRED, DEFORMED = range(4)  # what a coordinate's `memory` holds
-CAUSES = {
-    NOT_FINITE: "the commanded force is not finite",
-    NOT_DEFINITE: "the filter's covariance is no longer positive definite",
-    NO_INERTIA: "the inertia of a model is not positive definite",
-}
 
 
 @by_value
@@ -87,47 +80,6 @@ class Controller:
             raise InputError(
                 f"kinematics has order {self.kinematics.order}; the loop drives second-order plants: use 2"
             )
-
-
-@by_value
-@dataclass(frozen=True)
-class ControlledRun:
-    """One coordinate of a simulated run; all arrays of shape (samples,), NaN after a divergence.
-
-    For an angle read rad for m and N m for N.
-    """
-
-    trajectory: Trajectory
-    position: Float64[np.ndarray, " samples"]  # m, true
-    velocity: Float64[np.ndarray, " samples"]  # m/s, true
-    acceleration: Float64[np.ndarray, " samples"]  # m/s^2, true, as the coming step begins
-    measured: Float64[np.ndarray, " samples"]  # m; what stands for a lost sample, NaN where a filter predicts
-    position_estimate: Float64[np.ndarray, " samples"]  # m
-    velocity_estimate: Float64[np.ndarray, " samples"]  # m/s
-    acceleration_estimate: Float64[np.ndarray, " samples"]  # m/s^2
-    desired: Float64[np.ndarray, " samples"]  # m/s^2, (1)
-    deformed: Float64[np.ndarray, " samples"]  # m/s^2, (6) or (8)
-    force: Float64[np.ndarray, " samples"]  # N
-    diverged_at: float | None = None  # s
-    cause: str = ""  # of the divergence
-
-    @property
-    def time(self) -> Float64[np.ndarray, " samples"]:
-        """s."""
-        return self.trajectory.time
-
-    @property
-    def position_error(self) -> Float64[np.ndarray, " samples"]:
-        """Nominal minus true position, m."""
-        return self.trajectory.position - self.position
-
-    @property
-    def velocity_error(self) -> Float64[np.ndarray, " samples"]:
-        """Nominal minus true velocity, m/s."""
-        return self.trajectory.velocity - self.velocity
-
-
-COLUMNS = tuple(field.name for field in fields(ControlledRun)[1:-2])  # the arrays, in the order of a record
 
 
 @checked(missing=True)
@@ -226,10 +178,9 @@ def simulate(
         raise InputError(
             "the controller's filter is a JointKalman; use ExtendedKalman, or simulate_mechanism"
         )
-    samples = len(trajectory.position)
-    noise = require_noise(noise, (samples,))
+    shape = trajectory.position.shape
+    noise = require_noise(noise, shape)[None]
     require_number("grid", grid)
-    require_number("bound", bound, above=1)
     require_choice("integration", integration, INTEGRATIONS)
     require_sample_time(controller.signal_filter, trajectory.sample_time)
     start = (trajectory.position[0], trajectory.velocity[0]) if start is None else start
@@ -238,30 +189,18 @@ def simulate(
     if integration != "exact":
         by_position, by_velocity, _ = partial_derivatives(plant, float(start[0]), float(start[1]), 0.0)
         warn_long_steps(max(abs(by_position) ** 0.5, abs(by_velocity)), trajectory.sample_time)
-    limits = [bound * max(1.0, np.abs(x).max()) for x in (trajectory.position, trajectory.velocity)]
-    record = np.full((len(COLUMNS), samples), np.nan)
-    done, status = run_closed_loop(
-        controller.signal_filter.packed(),
-        *model_of(controller.signal_filter),
-        packed_parts(controller, resolution, grid, lost),
-        bool(force_from_estimate),
-        plant.compiled[0],
-        *plants_along(plant.parameters, change, trajectory.sample_time),
-        require_disturbance(disturbance, (samples,)),
-        *controller.model.compiled,
-        trajectory.sample_time,
-        (trajectory.position, trajectory.velocity, trajectory.acceleration),
-        noise,
-        np.inf if force_limit is None else require_number("force_limit", force_limit, above=0),
-        INTEGRATIONS.index(integration),
-        np.array([*start, trajectory.acceleration[0]]),
-        np.zeros(len(controller.kinematics.gains) - 1),
-        np.zeros(4),
-        np.array(limits),
-        record,
+    disturbance = require_disturbance(disturbance, shape)[None]
+    course = make_course(plant, [trajectory], noise, disturbance, change, bound)._replace(
+        resolutions=np.array([require_number("resolution", resolution, at_least=0)]),
+        grids=np.array([float(grid)]),
+        integration=INTEGRATIONS.index(integration),
     )
-    left = f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity"
-    return ControlledRun(trajectory, *record, **ending(status, done * trajectory.sample_time, left))
+    limit = np.inf if force_limit is None else require_number("force_limit", force_limit, above=0)
+    law = fixed_point_law([controller], np.array([limit]), lost)
+    law = law._replace(force_from_estimate=bool(force_from_estimate))
+    filters = packed_filters([controller])
+    runs, _ = close_loop(filters, law, controller.model, plant, course, start[:, None], [trajectory])
+    return runs[0]
 
 
 class IntegrationWarning(UserWarning):
@@ -288,194 +227,36 @@ def response_gain(plant: Plant, model: Plant) -> float:
 
 
 @checked
-def ending(status: int, time: float, left: str) -> dict[str, Any]:
-    """When a run diverged, in s, and why (`left` if the plant left its bounds); empty if it did not."""
-    if status == RUNNING:
-        return {}
-    causes = {TOO_FAR: left, **CAUSES}
-    if status not in causes:
-        raise InputError(f"status is {status}; give {RUNNING} or one of {', '.join(map(str, causes))}")
-    return {"diverged_at": float(time), "cause": causes[status]}
+def packed_filters(controllers: list[Controller]) -> tuple:
+    """Filters of coordinates side by side, each array with a row for every one (of a `JointKalman` one row), and their models."""
+    first, model = controllers[0].signal_filter, controllers[0].model
+    if isinstance(first, JointKalman):
+        return _side_by_side([first]), (UNIT_MASS.compiled[0], UNIT_MASS.parameters), first.model.compiled
+    return _side_by_side([each.signal_filter for each in controllers]), model_of(first), model.compiled
 
 
-def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
-    """Noise of this shape, zero where none is given; NaN is a lost sample, and the first one is needed."""
-    if not (isinstance(shape, tuple) and shape and shape[-1]):
-        raise InputError(f"shape is {shape!r}; give a tuple of sizes, the last one of samples, at least 1")
-    if noise is None:
-        return np.zeros(shape)
-    noise = require_array("noise", noise, shape=shape, missing=True)
-    if np.isnan(noise[..., 0]).any():
-        raise InputError("noise is NaN at the first sample; start with one that was measured")
-    return np.ascontiguousarray(noise)
-
-
-@checked
-def joint_motion(
-    trajectories: list[Trajectory], count: int, start: ArrayLike | None, bound: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Desired motion of `count` coordinates (position, velocity and acceleration of each), their start, and the bounds of divergence."""
-    alike = {(trajectory.sample_time, len(trajectory.position)) for trajectory in trajectories}
-    if len(trajectories) != count or len(alike) != 1:
-        raise InputError(
-            f"trajectories holds {len(trajectories)}; give one for each of {count} coordinates, of one length and sample time"
-        )
-    require_number("bound", bound, above=1)
-    nominal = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])
-    start = require_array("start", nominal[:, :2, 0].T if start is None else start, shape=(2, count))
-    return nominal, start, bound * np.maximum(1.0, np.abs(nominal[:, :2]).max(axis=2))
-
-
-@checked
-def require_disturbance(disturbance: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
-    """A disturbance of this shape, zero where none is given."""
-    if disturbance is None:
-        return np.zeros(shape)
-    return np.ascontiguousarray(require_array("disturbance", disturbance, shape=shape))
-
-
-@checked
-def plants_along(
-    parameters: np.ndarray, change: tuple[float, ArrayLike] | None, sample_time: Positive
-) -> tuple[np.ndarray, int]:
-    """Parameters of a plant before and after a change, a row each, and the first sample after it."""
-    if change is None:
-        return np.array([parameters, parameters]), 0
-    after = require_array("change", change[1], shape=parameters.shape)
-    begins = require_number("change", change[0], at_least=0.0)
-    return np.array([parameters, after]), round(begins / sample_time)
-
-
-@checked
-def packed_parts(controller: Controller, resolution: float, grid: float, lost: str) -> tuple:
-    """Arguments of `command_step` beside the filter itself."""
-    predicts = isinstance(controller.signal_filter, UnscentedKalman | ExtendedKalman | JointKalman)
-    if require_choice("lost", lost, LOSSES) == "hold":
-        loss = HOLD
-    else:
-        loss = SKIP if predicts else EXTEND
-    return (
-        bool(controller.signal_filter.error_from_measurement),
-        controller.transformation.packed,
-        controller.kinematics.gains,
-        (require_number("resolution", resolution, at_least=0), float(grid), loss),
+def _side_by_side(filters) -> Packed:
+    packed = [each.packed() for each in filters]
+    options, process, noise, work = (
+        np.array(rows) for rows in zip(*(each[1:] for each in packed), strict=True)
     )
+    return Packed(packed[0].kind, options, process, noise, work)
 
 
-# The filter itself is stepped between the next two by the loop that holds it: handed on through another function, its
-# arrays would be counted again at every sample, which takes as long as all the rest.
-@inlined_kernel
-def measure_position(measurement, position, noise, sample_time, speed, last):
-    """Measured position, or its replacement if it is lost; `speed` is the estimated one."""
-    resolution, grid, loss = measurement
-    measured = position + noise
-    if resolution > 0.0:
-        measured = np.round((measured - grid) / resolution) * resolution + grid
-    if np.isnan(noise) and loss == HOLD:
-        measured = last
-    elif np.isnan(noise) and loss == EXTEND:
-        measured = last + sample_time * speed
-    return measured
-
-
-@inlined_kernel
-def command_step(parts, sample_time, nominal, measured, first, held, chain, estimate, memory):
-    """Desired and deformed acceleration of one coordinate for one sample, with `packed_parts`.
-
-    held: the force is at its limit, nothing is integrated.
-    """
-    error_from_measurement, transformation, gains, _ = parts
-    integrals = len(gains) - 2
-    seen = measured if error_from_measurement else estimate[0]
-    chain[0] = nominal[0] - seen  # chain[j]: j-fold integral of the error
-    desired = nominal[2] + gains[integrals + 1] * (nominal[1] - estimate[1])
-    desired += gains[integrals] * chain[0]
-    for j in range(1, integrals + 1):
-        if not held:
-            chain[j] += sample_time * chain[j - 1]
-        desired += gains[integrals - j] * chain[j]
-    deformed = memory[DEFORMED]
-    before = memory[DESIRED]
-    if first:
-        memory[DEFORMED] = desired
-    else:
-        memory[DEFORMED] = deform_packed(transformation, deformed, estimate[2], desired, before)
-    memory[SEEN], memory[MEASURED], memory[DESIRED] = seen, measured, desired
-
-
-@inlined_kernel
-def record_sample(record, i, position, velocity, acceleration, estimate, memory, force):
-    """One column of the record, in the order of `COLUMNS`."""
-    record[0, i] = position
-    record[1, i] = velocity
-    record[2, i] = acceleration
-    record[3, i] = memory[MEASURED]
-    record[4, i] = estimate[0]
-    record[5, i] = estimate[1]
-    record[6, i] = estimate[2]
-    record[7, i] = memory[DESIRED]
-    record[8, i] = memory[DEFORMED]
-    record[9, i] = force
-
-
-@borrowing_kernel
-def run_closed_loop(
-    device,
-    filter_acceleration,
-    filter_plant,
-    parts,
-    force_from_estimate,
-    plant_acceleration,
-    plants,
-    changed,
-    disturbance,
-    model_acceleration,
-    model_force,
-    model,
-    sample_time,
-    nominal,
-    noise,
-    force_limit,
-    integration,
-    estimate,
-    chain,
-    memory,
-    limits,
-    record,
-):
-    """Fill `record` (COLUMNS x samples) from the state in `estimate`; returns the number of samples done and how the run ended."""
-    measurement = parts[3]
-    positions, velocities, accelerations = nominal
-    position, velocity = estimate[0], estimate[1]
-    force, held, length = 0.0, False, sample_time
-    for i in range(len(noise)):
-        plant = plants[0] if i < changed else plants[1]
-        now = positions[i], velocities[i], accelerations[i]
-        measured = measure_position(
-            measurement, position, noise[i], sample_time, estimate[1], memory[MEASURED]
-        )
-        if not filter_step(device, filter_acceleration, filter_plant, sample_time, measured, force, estimate):
-            return i, NOT_DEFINITE
-        command_step(parts, sample_time, now, measured, i == 0, held, chain, estimate, memory)
-        place = estimate[0] if force_from_estimate else memory[SEEN]
-        force = model_force(place, estimate[1], memory[DEFORMED], model)
-        if not np.isfinite(force):
-            return i, NOT_FINITE
-        held = abs(force) > force_limit
-        if held:
-            force = np.copysign(force_limit, force)
-            memory[DEFORMED] = model_acceleration(place, estimate[1], force, model)
-        acting = force + disturbance[i]
-        acceleration = plant_acceleration(position, velocity, acting, plant)
-        record_sample(record, i, position, velocity, acceleration, estimate, memory, force)
-        if integration == EXACT:
-            position, velocity, length = move_held(
-                plant_acceleration, plant, position, velocity, acting, sample_time, length
-            )
-        else:
-            before = velocity
-            velocity += sample_time * acceleration
-            position += sample_time * (velocity if integration == SEMI_IMPLICIT else before)
-        if not (abs(position) < limits[0] and abs(velocity) < limits[1]):
-            return i, TOO_FAR
-    return len(noise), RUNNING
+@checked
+def fixed_point_law(controllers: list[Controller], force_limits: np.ndarray, lost: str) -> Law:
+    """What the loop takes of the controllers, beside filters and model."""
+    first = controllers[0].signal_filter
+    predicts = isinstance(first, UnscentedKalman | ExtendedKalman | JointKalman)
+    loss = HOLD if require_choice("lost", lost, LOSSES) == "hold" else SKIP if predicts else EXTEND
+    return Law(
+        loss,
+        bool(first.error_from_measurement),
+        False,
+        np.array([each.kinematics.gains for each in controllers]),
+        np.array([each.transformation.packed for each in controllers]),
+        force_limits,
+        np.zeros(0),
+        np.zeros(0),
+        np.zeros((0, 0)),
+    )

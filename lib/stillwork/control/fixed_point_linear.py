@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
-from stillwork.control.fixed_point import INTEGRATIONS, Controller
+from stillwork.control.adaptation_loop import INTEGRATIONS
+from stillwork.control.fixed_point import Controller
 from stillwork.control.fixed_point_mechanism import require_alike
 from stillwork.control.joint_kalman import JointKalman
 from stillwork.control.mechanism import Mechanism

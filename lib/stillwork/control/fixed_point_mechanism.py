@@ -7,50 +7,23 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.algebra import copy_vector
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
-from stillwork.base.kernels import borrowing_kernel
 from stillwork.base.validation import checked
-from stillwork.control.fixed_point import (
-    COLUMNS,
-    DEFORMED,
-    EXACT,
-    INTEGRATIONS,
-    MEASURED,
-    NO_INERTIA,
-    NOT_DEFINITE,
-    NOT_FINITE,
-    RUNNING,
-    SEEN,
-    SEMI_IMPLICIT,
-    TOO_FAR,
+from stillwork.control.adaptation_loop import INTEGRATIONS
+from stillwork.control.controlled_run import (
     ControlledRun,
-    Controller,
-    command_step,
-    ending,
-    joint_motion,
-    measure_position,
-    packed_parts,
-    plants_along,
-    record_sample,
+    close_loop,
+    joint_start,
+    make_course,
     require_disturbance,
     require_noise,
-    warn_long_steps,
 )
-from stillwork.control.held_force import HELD_ROWS, move_mechanism_held
-from stillwork.control.joint_kalman import JOINT, JointKalman, joint_extended_step
-from stillwork.control.mechanism import (
-    Mechanism,
-    forward_dynamics,
-    inverse_dynamics,
-    iteration_radius,
-    response_gains,
-)
+from stillwork.control.fixed_point import Controller, fixed_point_law, packed_filters, warn_long_steps
+from stillwork.control.joint_kalman import JointKalman
+from stillwork.control.mechanism import Mechanism, iteration_radius, response_gains
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import ContractionWarning, warn_outside_contraction
 from stillwork.estimation.coordinate_filters import require_sample_time
-from stillwork.estimation.filter_step import Packed, filter_step
-from stillwork.estimation.filtering import UNIT_MASS, model_of
 from stillwork.estimation.plant import slope
 
 
@@ -149,11 +122,14 @@ def simulate_mechanism(
         raise InputError(
             "the controller's model is a Plant; give it a Mechanism, or drive the plant with simulate"
         )
-    nominal, start, limits = joint_motion(trajectories, count, start, bound)
-    samples = nominal.shape[-1]
+    if isinstance(controller.signal_filter, JointKalman):
+        believed = controller.signal_filter.model.coordinates
+        if believed != count:
+            raise InputError(f"the filter's model has {believed} coordinates; give one of {count}")
+    start = joint_start(trajectories, count, start)
+    shape = count, len(trajectories[0].position)
     for each in controllers:
-        sample_time = require_sample_time(each.signal_filter, trajectories[0].sample_time)
-    noise = require_noise(noise, (count, samples))
+        require_sample_time(each.signal_filter, trajectories[0].sample_time)
     require_choice("integration", integration, INTEGRATIONS)
     forces = np.full(count, np.inf)
     if force_limits is not None:
@@ -162,65 +138,27 @@ def simulate_mechanism(
             raise InputError(f"force_limits is {forces}; give numbers above 0")
     _warn_outside_convergence(plant, controllers, start[0])
     if integration != "exact":
-        warn_long_steps(_fastest_rate(plant, start), sample_time)
-    encoders = []
-    for name, values in (("resolution", resolution), ("grid", grid)):
-        values = require_array(name, values)
-        if values.shape not in ((), (count,)):
-            raise InputError(
-                f"{name} has shape {values.shape}; give one number, or one for each of {count} coordinates"
-            )
-        encoders.append(np.resize(values, count))
-    for value in encoders[0]:
+        warn_long_steps(_fastest_rate(plant, start), trajectories[0].sample_time)
+    noise, disturbance = require_noise(noise, shape), require_disturbance(disturbance, shape)
+    course = make_course(plant, trajectories, noise, disturbance, change, bound)._replace(
+        resolutions=_one_each("resolution", resolution, count),
+        grids=_one_each("grid", grid, count),
+        integration=INTEGRATIONS.index(integration),
+    )
+    for value in course.resolutions:
         require_number("resolution", value, at_least=0)
-    packed = [
-        packed_parts(each, *encoder, lost)
-        for each, encoder in zip(controllers, zip(*encoders, strict=True), strict=True)
-    ]
-    parts = (
-        packed[0][0],
-        np.array([each[1] for each in packed]),
-        np.array([each[2] for each in packed]),
-        *encoders,
-        packed[0][3][2],
-    )
-    record = np.full((count, len(COLUMNS), samples), np.nan)
-    believed, own_model = model, (UNIT_MASS.compiled[0], UNIT_MASS.parameters)
-    if not isinstance(controller.signal_filter, JointKalman):
-        own_model = model_of(controller.signal_filter)
-    else:
-        believed = controller.signal_filter.model
-        if believed.coordinates != count:
-            raise InputError(
-                f"the filter's model has {believed.coordinates} coordinates; give one of {count}"
-            )
-    done, status = _closed_mechanism(
-        packed_filters(controllers),
-        *believed.compiled,
-        *own_model,
-        parts,
-        *plant.compiled[:2],
-        *plants_along(plant.parameters, change, sample_time),
-        require_disturbance(disturbance, (count, samples)),
-        *model.compiled,
-        sample_time,
-        nominal,
-        noise,
-        forces,
-        INTEGRATIONS.index(integration),
-        np.array(start),
-        np.vstack([start, nominal[:, 2, 0]]).T.copy(),  # rows in one piece, as for one coordinate
-        np.zeros((count, len(controller.kinematics.gains) - 1)),
-        np.zeros((count, 4)),
-        np.zeros((2 * count + 12 + HELD_ROWS, count)),
-        limits,
-        record,
-    )
-    ended = ending(status, done * sample_time, "a coordinate left its bound")
-    return [
-        ControlledRun(trajectory, *rows, **ended)
-        for trajectory, rows in zip(trajectories, record, strict=True)
-    ]
+    law = fixed_point_law(controllers, forces, lost)
+    runs, _ = close_loop(packed_filters(controllers), law, model, plant, course, start, trajectories)
+    return runs
+
+
+def _one_each(name: str, values: ArrayLike, count: int) -> np.ndarray:
+    values = require_array(name, values)
+    if values.shape not in ((), (count,)):
+        raise InputError(
+            f"{name} has shape {values.shape}; give one number, or one for each of {count} coordinates"
+        )
+    return np.resize(values, count)
 
 
 def _warn_outside_convergence(plant, controllers, position) -> None:
@@ -273,21 +211,6 @@ def _alike_filters(one, other) -> bool:
 
 
 @checked
-def packed_filters(controllers: list[Controller]) -> Packed:
-    """Filters of coordinates side by side, each array with a row for every one; of a `JointKalman` one row."""
-    first = controllers[0].signal_filter
-    filters = (
-        [first]
-        if isinstance(first, JointKalman)
-        else [controller.signal_filter for controller in controllers]
-    )
-    packed = [each.packed() for each in filters]
-    return Packed(
-        packed[0].kind, *(np.array(rows) for rows in zip(*(each[1:] for each in packed), strict=True))
-    )
-
-
-@checked
 def require_alike(controllers: list[Controller], count: int) -> None:
     """Refuse controllers of `count` coordinates that differ in more than numbers of filter, transformation and kinematics."""
     alike = len(controllers) == count and all(
@@ -301,120 +224,3 @@ def require_alike(controllers: list[Controller], count: int) -> None:
             f"controller holds {len(controllers)}; give one, or one for each of {count} coordinates, with the same kind of filter, "
             "model and number of integrals"
         )
-
-
-@borrowing_kernel
-def _closed_mechanism(
-    device,
-    believed_inertia,
-    believed_bias,
-    believed_plant,
-    filter_acceleration,
-    filter_plant,
-    parts,
-    inertia,
-    bias,
-    plants,
-    changed,
-    disturbance,
-    model_inertia,
-    model_bias,
-    model,
-    sample_time,
-    nominal,
-    noise,
-    force_limits,
-    integration,
-    motion,
-    estimate,
-    chain,
-    memory,
-    work,
-    limits,
-    record,
-):
-    """Fill `record` (coordinates x COLUMNS x samples); returns the samples done and how it ended."""
-    count, samples = noise.shape
-    kind, options, process, sensor, works = device
-    from_measurement, transformations, gains, resolutions, grids, loss = parts
-    position, velocity = motion[0], motion[1]
-    force, acceleration, deformed, seen, speed, held = work[0], work[1], work[2], work[3], work[4], work[5]
-    acting, rows, work, length = work[6], work[7 : 7 + HELD_ROWS], work[7 + HELD_ROWS :], sample_time
-    measured = rows[0]
-    for i in range(samples):
-        plant = plants[0] if i < changed else plants[1]
-        for j in range(count):
-            measurement = resolutions[j], grids[j], loss
-            measured[j] = measure_position(
-                measurement, position[j], noise[j, i], sample_time, estimate[j, 1], memory[j, MEASURED]
-            )
-            if kind != JOINT:
-                own = Packed(kind, options[j], process[j], sensor[j], works[j])
-                if not filter_step(
-                    own, filter_acceleration, filter_plant, sample_time, measured[j], deformed[j], estimate[j]
-                ):
-                    return i, NOT_DEFINITE
-        if kind == JOINT and not joint_extended_step(
-            options[0],
-            process[0],
-            sensor[0],
-            works[0],
-            believed_inertia,
-            believed_bias,
-            believed_plant,
-            sample_time,
-            measured,
-            force,
-            estimate,
-            work,
-        ):
-            return i, NOT_DEFINITE
-        for j in range(count):
-            now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
-            command_step(
-                (from_measurement, transformations[j], gains[j], (resolutions[j], grids[j], loss)),
-                sample_time,
-                now,
-                measured[j],
-                i == 0,
-                held[j] > 0.0,
-                chain[j],
-                estimate[j],
-                memory[j],
-            )
-            seen[j], deformed[j], speed[j] = memory[j, SEEN], memory[j, DEFORMED], estimate[j, 1]
-        inverse_dynamics(model_inertia, model_bias, model, seen, speed, deformed, work, force)
-        limited = False
-        for j in range(count):
-            if not np.isfinite(force[j]):
-                return i, NOT_FINITE
-            held[j] = 0.0
-            if abs(force[j]) > force_limits[j]:
-                force[j] = np.copysign(force_limits[j], force[j])
-                held[j], limited = 1.0, True
-        if limited:
-            if not forward_dynamics(model_inertia, model_bias, model, seen, speed, force, work, deformed):
-                return i, NO_INERTIA
-            copy_vector(deformed, memory[:, DEFORMED])
-        for j in range(count):
-            acting[j] = force[j] + disturbance[j, i]
-        if not forward_dynamics(inertia, bias, plant, position, velocity, acting, work, acceleration):
-            return i, NO_INERTIA
-        for j in range(count):
-            record_sample(
-                record[j], i, position[j], velocity[j], acceleration[j], estimate[j], memory[j], force[j]
-            )
-        if integration == EXACT:
-            length = move_mechanism_held(
-                inertia, bias, plant, position, velocity, acting, sample_time, length, work, rows
-            )
-            if length == 0.0:
-                return i, NO_INERTIA
-        for j in range(count):
-            if integration != EXACT:
-                before = velocity[j]
-                velocity[j] += sample_time * acceleration[j]
-                position[j] += sample_time * (velocity[j] if integration == SEMI_IMPLICIT else before)
-            if not (abs(position[j]) < limits[j, 0] and abs(velocity[j]) < limits[j, 1]):
-                return i, TOO_FAR
-    return samples, RUNNING

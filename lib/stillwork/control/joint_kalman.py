@@ -111,13 +111,12 @@ class JointKalman:
 
 
 @borrowing_kernel
-def joint_extended_step(
-    options, process, noise, work, inertia, bias, plant, sample_time, measured, force, estimate, room
-):
+def joint_extended_step(device, inertia, bias, plant, sample_time, measured, force, estimate, room):
     """One sample of all coordinates; NaN is a missing measurement. `room`: workspace, (2 n + 5, n).
 
     Central differences over a millionth of an estimate or of its deviation, as of one coordinate.
     """
+    _, options, process, noise, work = device
     n = len(measured)
     means, jacobian, covariance = work[MEANS], work[JACOBIAN], work[COVARIANCE]
     speed, place, change, aside, dynamics = room[0], room[1], room[2], room[3], room[4:]
