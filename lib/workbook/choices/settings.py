@@ -151,16 +151,10 @@ def joint_settings(topic: str, windows: Iterable[Window]) -> Joint:
         known = ~one.failed
         agrees = (2 * one.agrees.sum(axis=1) >= known.sum(axis=1)) & known.any(axis=1)
         texts = [tuple(a.texts[k] for a, k in zip(one.options, each, strict=True)) for each in one.settings]
-        mine = [each for each in windows if each.number == name]
-        numbers.append(
-            _with_windows(
-                Number(
-                    name, tuple(a.name for a in one.options), dict(zip(texts, agrees.tolist(), strict=True))
-                ),
-                mine,
-                options,
-            )
+        found = Number(
+            name, tuple(a.name for a in one.options), dict(zip(texts, agrees.tolist(), strict=True))
         )
+        numbers.append(_with_windows(found, [each for each in windows if each.number == name], options))
     defaults = {axis.name: axis.texts[axis.default_index] for axis in axes.values() if axis.name in options}
     for axis, texts in options.items():
         if len(texts) > len(axes[axis].texts):
