@@ -90,9 +90,11 @@ def paint_windows(
 ):
     """Out-of-sample residual against the length of the training window, or what `label` says; bars are quartiles."""
     figure, axes = figures.new(height=3.6)
+    above = []
     for number, (name, colour, style) in enumerate(METHODS):
         low, middle, high = np.transpose([np.quantile(values, (0.25, 0.5, 0.75)) for values in found[name]])
         if middle.min() > 1.6:
+            above.append(f"{name}: above the frame, {middle.min():.2g} to {middle.max():.2g}")
             name += " (above the frame)"
         elif middle.max() > 1.6:
             name += " (leaves the frame)"
@@ -102,5 +104,8 @@ def paint_windows(
     axes.axhline(1, color=figures.GREY, linewidth=0.8, label="predicting zero")
     axes.set(xscale="log", xlabel=label, ylabel="rms residual / rms output")
     axes.set(ylim=(0.4, 1.6))
-    axes.legend(ncols=2)
+    if above:
+        axes.text(0.01, 0.97, "\n".join(above), transform=axes.transAxes, va="top", fontsize=8)
+    drawn = [pair for pair in zip(*axes.get_legend_handles_labels(), strict=True) if "(above" not in pair[1]]
+    axes.legend(*zip(*drawn, strict=True), ncols=2, loc="upper right")
     return figure

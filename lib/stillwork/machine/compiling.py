@@ -6,12 +6,24 @@ Numba compiles a kernel at its first call and keeps it on disk; until then each 
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
+from importlib.util import find_spec
 from itertools import product
 
 import numpy as np
 
-from stillwork import estimation
-from stillwork.estimation.coordinate_filters import MovingWindow, SavitzkyGolay
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.coordinate_filters import (
+    ExtendedKalman,
+    LowPass,
+    MovingWindow,
+    SavitzkyGolay,
+    UnscentedKalman,
+)
+from stillwork.estimation.filtering import filter_signal
+from stillwork.estimation.online import AdaptationStepper, adapt, identify
+from stillwork.estimation.plant import Plant
+from stillwork.estimation.recursive import track
 from stillwork.machine.progress import count_steps
 
 SAMPLES = 12  # so few that only the compiler takes time
@@ -27,47 +39,34 @@ def compile_kernels() -> list[str]:
             warnings.simplefilter("ignore")
             call()
         lines.append(f"{name:24s} {time.monotonic() - began:5.1f} s")
-        step()
+        step(name)
     return lines
 
 
-def first_calls() -> dict[str, Callable]:
+def first_calls() -> dict[str, Callable[[], object]]:
     """By name, a call that compiles all that a longer one runs."""
     rng = np.random.default_rng(1)
     rows, outputs = rng.standard_normal((2, SAMPLES)), rng.standard_normal((1, SAMPLES))
-    plant = estimation.Plant(_acceleration, _force, np.array([1.0]))
+    plant = Plant(_acceleration, _force, np.array([1.0]))
 
-    def adapt(settings) -> None:
-        estimation.identify(settings, rows, outputs)
-        estimation.adapt(settings, rows, outputs)
-        estimation.AdaptationStepper(settings, np.zeros((1, 2)))
+    def run(settings: FeLms | FeRls) -> None:
+        identify(settings, rows, outputs)
+        adapt(settings, rows, outputs)
+        AdaptationStepper(settings, np.zeros((1, 2)))
 
-    calls = {
-        f"FeRls {dtype} {form}": lambda form=form, dtype=dtype: adapt(
-            estimation.FeRls(1.0, 0.99, form=form, dtype=dtype)
-        )
-        for form, dtype in product(("triangle", "UD"), ("float64", "float32"))
-    }
-    calls |= {
-        "FeLms": lambda: adapt(estimation.FeLms()),
-        "RecursiveLeastSquares": estimation.RecursiveLeastSquares,
-        "MinMaxRegressor": lambda: estimation.MinMaxRegressor(0.1).fit(rows.T, outputs[0]),
-        "LeastMeanSquares": estimation.LeastMeanSquares,
-        "track": lambda: estimation.track(rows, outputs[0], 0.99),
-    }
-    filters = (
-        estimation.LowPass(),
-        MovingWindow(),
-        SavitzkyGolay(),
-        estimation.ExtendedKalman(plant),
-        estimation.UnscentedKalman(plant),
-    )
-    return calls | {
-        type(each).__name__: lambda each=each: estimation.filter_signal(
-            each, np.zeros(100), force=np.zeros(100)
-        )
-        for each in filters
-    }
+    calls: dict[str, Callable[[], object]] = {"FeLms": partial(run, FeLms())}
+    for form, dtype in product(("triangle", "UD"), ("float64", "float32")):
+        calls[f"FeRls {dtype} {form}"] = partial(run, FeRls(1.0, 0.99, form=form, dtype=dtype))
+    calls["track"] = lambda: track(rows, outputs[0], 0.99)
+    if find_spec("sklearn"):  # an extra
+        from stillwork.estimation.least_mean_squares import LeastMeanSquares
+        from stillwork.estimation.min_max_regression import MinMaxRegressor
+
+        calls["RecursiveLeastSquares"] = lambda: MinMaxRegressor(0.1).fit(rows.T, outputs[0])  # one kernel
+        calls["LeastMeanSquares"] = LeastMeanSquares
+    for each in (LowPass(), MovingWindow(), SavitzkyGolay(), ExtendedKalman(plant), UnscentedKalman(plant)):
+        calls[type(each).__name__] = partial(filter_signal, each, np.zeros(100), force=np.zeros(100))
+    return calls
 
 
 def _acceleration(position, velocity, force, parameters):
