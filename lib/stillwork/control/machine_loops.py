@@ -341,6 +341,7 @@ class DesignSettings:
     def __post_init__(self):
         check_fields(self)
 
+    @checked
     def family(self, machine: Machine, sample_time: float) -> PidFamily:
         """The PID rules of a machine with these settings."""
         return pid_family(machine, self.lead, self.retained if self.notches else 1, sample_time)
@@ -367,6 +368,7 @@ def waiting(block: StateModel, samples: NonNegative) -> StateModel:
     return replace(late, c=late.c * [[1.0], [-1.0]], d=late.d * [[1.0], [-1.0]] + [[0.0, 0.0], [0.0, 1.0]])
 
 
+@checked
 def with_compensator(loop: Loop, block: StateModel) -> Loop:
     """The loop with another compensator."""
     if block is loop.compensator:
@@ -414,12 +416,14 @@ class SearchSettings:
     def __post_init__(self):
         check_fields(self)
 
+    @checked
     def limits(self, application: Application | None) -> Sequence[PeakConstraint]:
         """The constraints; without an observer, where all functions of a loop are the same, the tightest."""
         if application is not None:
             return self.constraints
         return [min(self.constraints, key=lambda each: each.limit)]
 
+    @checked
     def loops_of(self, machine: Machine, use: DesignSettings) -> tuple[tuple[Loop, ...], tuple[Loop, ...]]:
         """Loops of one use on the model: one a sensor, and the same observer's at the other positions."""
         observer = observer_settings(machine, use.application, use.retained, use.intensities)

@@ -12,6 +12,7 @@ import numpy as np
 import stillwork
 from stillwork.base.checks import InputError, one_line, pluralise, require_number
 from stillwork.base.extras import require_package
+from stillwork.base.validation import by_value
 from stillwork.control.bandwidth import Loop
 from stillwork.control.digital import DigitalController, error_driven, in_units, runnable, tied_to_error
 from stillwork.control.feedforward import motion_of
@@ -47,6 +48,7 @@ WITHOUT_BIQUADS = (
 )
 
 
+@by_value
 @dataclass(frozen=True)
 class DesignRequest:
     """What is asked of a controller.

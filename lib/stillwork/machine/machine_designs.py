@@ -99,6 +99,7 @@ class Designed(NamedTuple):
         listed = [f"{use} {in_hertz(crossing(self.found[use]))} Hz" for use in self.ranking]
         return f"highest bandwidth first: {', '.join(listed) or 'none has a safe loop'}"
 
+    @checked
     def words(self, use: str) -> str:
         """What is special about the design of a use: that it is a simpler one's, and that it waits."""
         same, wait = self.same.get(use), self.settings[use].wait
@@ -366,6 +367,7 @@ def crossing(reached: AchievableBandwidth) -> float:
     return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0
 
 
+@checked
 def improvements(
     machines: Sequence[Machine], made: Designed, delay: float, on_step: Callable[[str], object] | None = None
 ) -> list[list[str]]:

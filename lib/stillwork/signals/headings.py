@@ -61,6 +61,7 @@ class Heading:
         ""  # a word beside a quantity that may be a unit, and is none that is known, or one of the sign
     )
 
+    @checked
     def refusal(self, quantity: str) -> str:
         """Why its numbers cannot be read as this quantity, and what to do; empty: they can."""
         if self.strange in NEGATED:
