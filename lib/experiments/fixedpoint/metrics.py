@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.fixedpoint.noise import Noise, drop_samples
+from experiments.fixedpoint.noise import Noise, drop_at_random, drop_samples
 from experiments.fixedpoint.published import INTEGRATION
 from stillwork.base.checks import InputError, require_number
 from stillwork.control.controlled_run import ControlledRun
@@ -80,14 +80,19 @@ def noisy_run(
     *,
     lost_every: float = 0.0,
     lost_for: float = 0.0,
+    lost_share: float = 0.0,
     **options,
 ) -> ControlledRun:
-    """One run with noise from a generator or a seed, signals lost as in `noise.drop_samples`, other options of `control.simulate`."""
+    """One run with noise from a generator or a seed, and other options of `control.simulate`.
+
+    Signals are lost as in `noise.drop_samples`, and one by one as in `noise.drop_at_random`.
+    """
     rng = np.random.default_rng(rng)
     added = drop_samples(
         noise.sample(rng, len(trajectory.position)), trajectory.sample_time, lost_every, lost_for
     )
     encoder = {"resolution": noise.resolution, "grid": noise.sample_grid(rng)}
+    added = drop_at_random(added, lost_share, rng)
     options = {"integration": INTEGRATION, **options}
     return simulate(plant, controller, trajectory, added, **encoder, **options)
 

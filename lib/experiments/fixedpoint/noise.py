@@ -80,3 +80,14 @@ def drop_samples(
     period, lost = round(every / sample_time), round(length / sample_time)
     gone = np.arange(noise.shape[-1]) % period >= period - lost
     return np.where(gone, np.nan, noise)
+
+
+def drop_at_random(
+    noise: Float64[np.ndarray, " samples"], share: float, rng: np.random.Generator
+) -> Float64[np.ndarray, " samples"]:
+    """The same noise with NaN, a lost signal, in single samples drawn with this probability, not in the first one."""
+    if not require_number("lost_share", share, at_least=0, below=1):
+        return noise
+    gone = rng.random(len(noise)) < share
+    gone[0] = False
+    return np.where(gone, np.nan, noise)
