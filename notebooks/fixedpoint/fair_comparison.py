@@ -12,7 +12,11 @@ from experiments.fixedpoint.axes import COLOURS, METRICS, log_axis, points_with_
 from experiments.fixedpoint.error_lines import approximate, paint_error_lines
 from experiments.fixedpoint.metrics import QUANTITIES, compare, judge
 from experiments.fixedpoint.noise import Noise
-from experiments.fixedpoint.oscillator import VanDerPol, load_oscillator
+from experiments.fixedpoint.oscillator import (
+    VanDerPol,
+    load_oscillator,
+    restoring_force,
+)
 from experiments.fixedpoint.published import (
     EXTENDED,
     INTEGRATION,
@@ -24,6 +28,7 @@ from experiments.fixedpoint.published import (
 )
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.fixed_point import Controller, simulate
+from stillwork.control.fixed_point_linear import linear_loop
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import Trajectory, asin_trajectory
 from stillwork.control.transformation import RobustTransformation
@@ -340,17 +345,103 @@ def statements_of(
     }
 
 
-def paint_model_error(stiffness: list[float], believed: float, errors: dict[str, np.ndarray]):
-    """RMS error of q' over the true stiffness: a line a training seed; `errors` (seeds, plants) in m/s by filter."""
-    figure, axes = figures.new(height=3.4)
-    for name, lines in errors.items():
-        for number, line in enumerate(1e3 * np.where(np.isfinite(lines), lines, np.nan)):
-            label = name if number == 0 else f"_{name}, search {number + 1}"
-            axes.plot(np.array(stiffness) / believed, line, "o-", ms=3, color=COLOURS[name], label=label)
-    axes.axvline(1, color=figures.BLACK, linestyle=":", linewidth=1, label="the model is right")
-    axes.set(xlabel="true stiffness over the model's", ylabel="RMS error of q' (mm/s)", yscale="log")
-    log_axis(axes.yaxis)
-    figures.legend_below(axes, 3, title="each filter: one line for each of three searches")
+# --- Which error of the model ------------------------------------------------------------------------------------
+
+# A plant of Table I that differs in one thing from itself: multiples of its number, or newtons.
+SIZES = {
+    "stiffness": (0.4, 1.0, 1.6, 2.4),
+    "mass": (2 / 3, 1.0, 4 / 3, 1.5, 5 / 3),
+    "damping": (1 / 3, 1.0, 3.0, 10.0),
+    "drag": (1 / 3, 1.0, 3.0, 5.0),
+    "dry friction": (0.0, 2.0, 20.0),
+    "constant force": (0.0, 20.0, 100.0),
+}
+WITHOUT_MODEL = (WINDOW, LOW_PASS, POLYNOMIAL)
+SMOOTH = 0.1  # m/s, over which dry friction turns
+
+
+def friction_acceleration(position, velocity, force, parameters):
+    """The oscillator of (11) with dry friction, its last parameter, N."""
+    resisted = restoring_force(position, velocity, parameters) + parameters[6] * np.tanh(velocity / SMOOTH)
+    return (force - resisted) / parameters[0]
+
+
+def friction_force(position, velocity, acceleration, parameters):
+    """The force that gives an acceleration."""
+    resisted = restoring_force(position, velocity, parameters) + parameters[6] * np.tanh(velocity / SMOOTH)
+    return parameters[0] * acceleration + resisted
+
+
+def wrong_plant(exact: VanDerPol, kind: str, size: float) -> Plant:
+    """The plant with one of `SIZES`; a constant force is no part of it."""
+    if kind == "dry friction":
+        numbers = np.append(exact.plant.parameters, size)
+        return Plant(friction_acceleration, friction_force, numbers)
+    if kind == "constant force":
+        return exact.plant
+    return replace(exact, **{kind: size * getattr(exact, kind)}).plant
+
+
+def stable(plant: Plant, controllers: dict[str, Controller], sample_time: float) -> dict[str, bool]:
+    """Whether small motion around rest decays, loop by loop."""
+    found = {}
+    for name, each in controllers.items():
+        loop = linear_loop(plant, each, sample_time, integration=INTEGRATION)
+        found[name] = loop.radius(each.transformation.local_gain) < 1
+    return found
+
+
+def errors_by_kind(
+    exact: VanDerPol, searches: list[dict[str, Controller]], trajectory: Trajectory, noise: Noise, **how
+) -> dict[str, dict[str, Float64[np.ndarray, "searches sizes"]]]:
+    """Mean RMS error of q', m/s, on wrong plants: by kind, then filter; NaN where the loop is unstable, so not ranked."""
+    found = {}
+    for kind, sizes in SIZES.items():
+        found[kind] = {name: np.full((len(searches), len(sizes)), np.nan) for name in searches[0]}
+        for place, size in enumerate(sizes):
+            plant = wrong_plant(exact, kind, size)
+            push = np.full(len(trajectory.position), size if kind == "constant force" else 0.0)
+            for number, controllers in enumerate(searches):
+                kept = stable(plant, controllers, trajectory.sample_time)
+                run = {name: each for name, each in controllers.items() if kept[name]}
+                for name, each in compare(plant, run, trajectory, noise, disturbance=push, **how).items():
+                    found[kind][name][number, place] = each["velocity"].mean()
+    return found
+
+
+def over_best(errors: dict[str, np.ndarray]) -> Float64[np.ndarray, "searches sizes"]:
+    """The unscented filter's error over that of the best filter without a model whose loop is stable."""
+    return errors[KALMAN] / np.fmin.reduce([errors[name] for name in WITHOUT_MODEL])
+
+
+def largest_stable_mass(
+    exact: VanDerPol, controllers: dict[str, Controller], sample_time: float
+) -> dict[str, float]:
+    """Largest of the plant's masses, in steps of 1/20 of Table I's up to twice it, up to which a loop is stable."""
+    found = dict.fromkeys(controllers, 0.0)
+    for share in np.arange(1.0, 2.01, 0.05):
+        kept = stable(wrong_plant(exact, "mass", share), controllers, sample_time)
+        found = {name: share if kept[name] else found[name] for name in found}
+    return {name: float(share * exact.mass) for name, share in found.items()}
+
+
+def paint_model_error(errors: dict[str, dict[str, np.ndarray]], heaviest: dict[str, float], mass: float):
+    """RMS error of q' over the size of each kind of error: medians of the searches, where all their loops are stable."""
+    figure, panels = figures.new(2, 3, height=4.8, sharey=True)
+    for axes, (kind, found) in zip(panels.flat, errors.items(), strict=True):
+        for name, lines in found.items():
+            middle = 1e3 * np.median(lines, axis=0)  # NaN where one is unstable
+            axes.plot(SIZES[kind], middle, "o-", ms=3, color=COLOURS[name], label=name)
+        unit = "N" if kind in ("dry friction", "constant force") else "times Table I's"
+        axes.set(title=kind, xlabel=unit, yscale="log")
+        log_axis(axes.yaxis)
+    for name in WITHOUT_MODEL:
+        edge = {"color": COLOURS[name], "linestyle": ":", "label": f"_{name}, stable up to here"}
+        panels[0, 1].axvline(heaviest[name] / mass, **edge)
+    panels[0, 1].set_title("mass (dotted: stable up to here)")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("RMS error of q' (mm/s)")
+    figures.legend_below(panels[0, 0], 3)
     return figure
 
 

@@ -37,16 +37,17 @@ class VanDerPol:
 
 def oscillator_acceleration(position, velocity, force, parameters):
     """Equation (11) solved for the acceleration."""
-    return (force - _restoring_force(position, velocity, parameters)) / parameters[0]
+    return (force - restoring_force(position, velocity, parameters)) / parameters[0]
 
 
 def oscillator_force(position, velocity, acceleration, parameters):
     """Equation (11): the force that gives an acceleration."""
-    return parameters[0] * acceleration + _restoring_force(position, velocity, parameters)
+    return parameters[0] * acceleration + restoring_force(position, velocity, parameters)
 
 
 @kernel
-def _restoring_force(position, velocity, parameters):
+def restoring_force(position, velocity, parameters):
+    """All forces of (11) but the inertial and the driving one, N."""
     separator, excitation = parameters[2], parameters[3]
     return (
         parameters[1] * position
