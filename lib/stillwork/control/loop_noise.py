@@ -10,8 +10,9 @@ from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.bandwidth import Bandwidth, Loop
 from stillwork.control.pid import Pid
+from stillwork.lti.discretisation import continuous_poles
 from stillwork.lti.norms import h2_norm
-from stillwork.lti.peaks import Peak
+from stillwork.lti.peaks import Peak, resonance_grid
 from stillwork.lti.state_space import StateModel, interconnect
 
 NOISE = "noise at the output"  # as what stops a bandwidth
@@ -147,4 +148,14 @@ def written_noise(written: StateModel, plant: StateModel) -> tuple[float, float]
     omega = np.linspace(0, np.pi, 4001)[1:] / loop.sample_time
     omega = np.unique(np.concatenate([omega, np.abs(np.angle(loop.poles)) / loop.sample_time]))
     largest = float(np.abs(loop.frequency_response(omega[omega > 0])[0, 0]).max())
-    return h2_norm(loop), largest
+    try:
+        return h2_norm(loop), largest
+    except (
+        InputError
+    ):  # its Lyapunov equation has lost its digits, as in small units: an integral over a grid then
+        poles = continuous_poles(loop.poles, loop.sample_time)
+        top = np.pi / loop.sample_time
+        low = max(float(np.abs(poles).min()), 1e-6 * top) / 100
+        omega = resonance_grid(poles[poles.imag >= 0], low / (2 * np.pi), 0.999 * top / (2 * np.pi), 2000, 60)
+        power = np.abs(loop.frequency_response(omega)[0, 0]) ** 2
+        return float(np.sqrt(np.trapezoid(power, omega) / top)), largest
