@@ -466,7 +466,7 @@ def test_a_machine_that_turns_is_designed_in_the_drives_own_units(written, tmp_p
     counts, constant = 20_000 / (2 * np.pi), 0.8
     design_file(
         str(tmp_path / "turns.npz"), str(tmp_path / "out"), RATE, limit=40.0 / constant,
-        counts=counts, motor_constant=constant, response_unit="rad", force_unit="N m", noise_share=1e4,
+        counts=counts, motor_constant=constant, response_unit="rad", force_unit="N m", noise_share=1e4, noise_ratio=30.0,
     )  # fmt: skip
     assert "40 kg m^2" in (tmp_path / "out" / "report.html").read_text()
     turned, plain = (load_controller(each / "controller.json") for each in (tmp_path / "out", written[0]))
