@@ -337,6 +337,54 @@ def test_margins_of_a_textbook_loop_and_of_one_loop_at_a_time():
     assert [each.gain for each in turned] == [np.inf, np.inf]
 
 
+@pytest.mark.parametrize(
+    ("loop", "wanted"),
+    [
+        (([-0.5, 0.0], [1.0, 1.0]), {"gain": 2.0}),  # closed pole -1 / (1 - k / 2)
+        (([1.5, 1.0], [1.0, 0.0]), {"gain": np.inf, "delay": 0.0}),  # above one at the highest frequencies
+        (([2.0, 1.0], [1.0, 0.0, 0.0]), {"gain": np.inf, "gain_reduction": 0.0}),
+        (([1.0], [1.0, 2.0, 1.0]), {"gain": np.inf, "delay": np.inf}),  # one at rest alone
+        (([1.0, 1.0], [1.0, 0.0, 1.0]), {"gain": np.inf, "gain_reduction": 0.0}),  # s^2 + k s + 1 + k
+        (([2e17], np.poly([1e4, -2e4, -3e5, -4e5])), {}),
+    ],
+)
+def test_margins_at_rest_and_at_the_highest_frequencies(loop, wanted):
+    if not wanted:  # an unstable plant, badly scaled: the gain may fall to -1 / L(0) at least
+        loop = (-2 * loop[1][-1] * np.ones(1), loop[1])
+        wanted = {"gain_reduction": 0.5}
+    (found,) = control.margins(ct.tf(*loop))
+    assert {name: getattr(found, name) for name in wanted} == pytest.approx(wanted, rel=1e-9)
+
+
+def test_slow_states_that_matter_stay():
+    """Poles over twelve decades: a small singular value may carry most of the response."""
+    plain = ct.ss(np.diag([-1e-6, -2e-6, -1e6]), np.ones((3, 1)), np.ones((1, 3)), 0)
+    found = lti.minimal_realisation(plain)
+    assert found.model.frequency_response([0.0])[0, 0, 0] == pytest.approx(1.5e6, rel=1e-9)
+    slow = [[np.poly([-1e-3, -2e-3, -1e5]), [1.0, 1.0]], [[1.0, 2.0], [1.0, 3.0]]]
+    system = ct.tf([[[2e-1], [1.0]], [[1.0], [1.0]]], slow)
+    at_rest = lti.from_control(system).frequency_response([0.0])[:, :, 0]
+    np.testing.assert_allclose(at_rest, [[1.0, 1.0], [0.5, 1 / 3]], rtol=1e-5)
+
+
+def test_equal_modes_and_odd_roots():
+    model = lti.ModalModel(
+        *(np.full(2, 100.0), np.full(2, 0.01), np.array([[1.0, 0.2], [0.3, 1.0]])),
+        *(np.array([[1.0, 0.1], [0.5, 0.7]]), np.zeros((2, 2))),
+    )
+    found = lti.ModalModel.converted("model", model.to_control())
+    assert len(found.frequencies) == 2
+    np.testing.assert_allclose(
+        found.frequency_response([90.0, 101.0]), model.frequency_response([90.0, 101.0]), rtol=1e-5
+    )
+    with pytest.raises(InputError, match="without its conjugate"):
+        lti.from_control(scipy_signal.ZerosPolesGain([1j], [-1.0, -2.0], 2.0))
+    named = ct.ss(-1.0, 1.0, 1.0, 0.0, inputs="F", outputs="x", states="v")
+    for held in (lti.zoh(named, 0.1), lti.tustin(named, 0.1)):
+        assert (held.input_labels, held.output_labels, held.state_labels) == (("F",), ("x",), ("v",))
+    assert (lti.from_control(named) / 2).frequency_response([0.0]) == 0.5
+
+
 def test_responses_of_python_control_are_read_and_written():
     omega = 2 * np.pi * np.linspace(10, 500, 400)
     plant = ct.tf([1.0], [8.0, 0.0, 0.0])

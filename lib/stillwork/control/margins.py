@@ -12,6 +12,9 @@ from stillwork.lti.state_space import StateModel, constant
 
 NEAR_AXIS = 1e-3  # of its size: how far a zero may lie from the imaginary axis to be looked at as a crossing
 CROSSES = 1e-6  # how far a polished crossing may be off
+AT_REST = 1e-13  # of the fastest pole: a pole below it is at rest
+SLOWER = 1e-6  # of the slowest pole: a crossing below it is the rounding of one at rest
+LEAST = 1e-9  # a gain that may change by more than a factor of 1e9 is not limited
 
 
 @by_value
@@ -88,22 +91,26 @@ def _of_channel(loop: StateModel, channel: int) -> Margins:
         loop = loop.feedback(constant(opened, loop.sample_time))
         loop = loop.select([channel], [channel])
     slow = to_bilinear(loop) if loop.sample_time else loop
-    real, unit = _crossings(slow, -1.0), _crossings(slow, 1.0)
+    floor = _slowest(slow)
+    real, unit = (
+        places[places > SLOWER * floor] for places in (_crossings(slow, -1.0), _crossings(slow, 1.0))
+    )
 
     def omega(places: np.ndarray) -> np.ndarray:
         return 2 * np.arctan(places) / loop.sample_time if loop.sample_time else places
 
-    ends = [np.pi / loop.sample_time] if loop.sample_time else []
-    at_real = np.array([*omega(real), *ends, 0.0])
-    response = np.array([*_response(slow, real), *(slow.d[0] if ends else []), *_static(slow)])
+    fast = np.pi / loop.sample_time if loop.sample_time else np.inf
+    at_real = np.array([*omega(real), fast, 0.0])
+    response = np.array([*_response(slow, real), slow.d[0, 0], *_static(slow)])
     at_real = at_real[: len(response)]
-    negative = response.real < 0
+    negative = (response.real < -LEAST) & (
+        np.abs(response) < 1 / LEAST
+    )  # beyond these nothing limits the gain
     factors, at_real = -1 / response.real[negative], at_real[negative]
     angles = np.angle(-_response(slow, unit))
-    turns = np.mod(angles, 2 * np.pi)  # by how much a delay may turn it
-    delays = turns / omega(unit)
-    if loop.sample_time:  # whole turns are whole samples at half the rate
-        delays = np.where(omega(unit) > 0, delays, np.inf)
+    delays, late = np.mod(angles, 2 * np.pi) / omega(unit), omega(unit)  # by how much a delay may turn it
+    if not loop.sample_time and abs(slow.d[0, 0]) >= 1:  # a delay turns what is fast without end
+        delays, late = np.append(delays, 0.0), np.append(late, np.inf)
     peak = hinf_norm(constant(np.eye(1), loop.sample_time) - loop.feedback())
     up, down = factors > 1 + 1e-12, factors < 1 - 1e-12
     return Margins(
@@ -111,7 +118,7 @@ def _of_channel(loop: StateModel, channel: int) -> Margins:
         *_best(factors[down], at_real[down], 0.0, least=False),
         *_best(np.abs(angles), omega(unit), np.inf, least=True),
         *(1 / peak.magnitude, peak.omega),
-        *_best(delays, omega(unit), np.inf, least=True),
+        *_best(delays, late, np.inf, least=True),
     )
 
 
@@ -126,9 +133,17 @@ def _response(model: StateModel, omega: np.ndarray) -> Complex128[np.ndarray, " 
     return model.frequency_response(omega)[0, 0] if len(omega) else np.zeros(0, complex)
 
 
+def _slowest(model: StateModel) -> float:
+    """The size of the slowest pole that is not at rest."""
+    sizes = np.abs(model.poles)
+    moving = sizes[sizes > AT_REST * sizes.max(initial=0.0)]
+    return float(moving.min(initial=np.inf)) if len(moving) else 0.0
+
+
 def _static(model: StateModel) -> list[complex]:
-    """The response at rest, where it is finite."""
-    if len(model.a) and np.linalg.cond(model.a) > 1e12:
+    """The response at rest, where no pole is there."""
+    sizes = np.abs(model.poles)
+    if len(sizes) and sizes.min() <= AT_REST * sizes.max():
         return []
     return [complex(_response(model, np.zeros(1))[0])]
 
@@ -139,7 +154,7 @@ def _crossings(model: StateModel, kind: float) -> Float64[np.ndarray, " crossing
     seen = constant(np.eye(1)) - model * mirrored if kind > 0 else model - mirrored
     zeros = seen.zeros
     places = np.unique(np.abs(zeros[np.abs(zeros.real) <= NEAR_AXIS * np.abs(zeros)]))
-    places = places[places > 0]
+    places = places[(places > 0) & np.isfinite(places)]
 
     def off(omega: np.ndarray) -> np.ndarray:
         response = _response(model, omega)
@@ -150,6 +165,7 @@ def _crossings(model: StateModel, kind: float) -> Float64[np.ndarray, " crossing
             return places
         step = 1e-6 * places
         slope = (off(places + step) - off(places - step)) / (2 * step)
-        change = np.divide(-off(places), slope, out=np.zeros(len(places)), where=slope != 0)
+        change = -off(places) / np.where(slope == 0, np.inf, slope)
+        places, change = places[np.isfinite(change)], change[np.isfinite(change)]  # none at a pole
         places = places + np.clip(change, -1e-2 * places, 1e-2 * places)
     return places[np.abs(off(places)) < CROSSES]

@@ -143,6 +143,10 @@ def load_machine(
         named = response.partition("[")[0]
         read = [each for each in (response, named) if each in arrays] or list(arrays)
         _require_known(read)
+        if kind == "frequency response":  # units of what is read alone: a column beside it may hold anything
+            found, notes, taken = _from_response(arrays, response, read_as or {})
+            read = [name for name in read if any(each.column.startswith(name) for each in taken)]
+            _require_motion(taken)
         stated = stated_units(read)
         response_unit = _agreed("response_unit", response_unit, stated[0])
         force_unit = _agreed("force_unit", force_unit, stated[1])
@@ -246,6 +250,16 @@ def complex_responses(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 @checked
+def response_names(arrays: Mapping[str, np.ndarray]) -> list[str]:
+    """Names that may state the unit of a frequency response; of other files all. What stands beside it may hold anything."""
+    if not frequency_axis(arrays):
+        return list(arrays)
+    parts = ("magnitude", "real", "imaginary")
+    return [
+        name for name, array in arrays.items() if np.iscomplexobj(array) or heading(name).quantity in parts
+    ]
+
+
 def stated_units(names: Iterable[str]) -> tuple[str, str]:
     """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(g)`` and ``(N)``; empty: none."""
     units: dict[str, str] = {}
@@ -283,6 +297,18 @@ def _require_known(names: Iterable[str]) -> None:
             raise InputError(
                 f"{name}: {refusal}; give response_unit and force_unit where they differ from m/s^2 and N"
             )
+
+
+def _require_motion(taken: Iterable[Reading]) -> None:
+    """Refuse a response whose unit is written, and none of a motion over what drives it."""
+    for each in taken:
+        unit = heading(each.column).meaning
+        if each.quantity in ("magnitude", "real", "imaginary", "complex") and unit and not unit.ratio:
+            if unit.lower or unit.si not in (*MOVES, "1"):
+                raise InputError(
+                    f"{each.column}: {heading(each.column).unit} is no motion over a force or over another drive; multiply it by "
+                    "what the sensor has for a unit, and name it e.g. magnitude (m/s^2/N)"
+                )
 
 
 def _agreed(name: str, given: str, stated: str) -> str:

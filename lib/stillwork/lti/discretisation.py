@@ -1,6 +1,7 @@
 """Discretisation: by zero-order hold exactly, of modes in closed form and of any model, and by Tustin's rule."""
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import Annotated
 
@@ -128,7 +129,7 @@ def zoh(model: StateModel, sample_time: Positive) -> StateModel:
     # Unbalanced, the exponential of a stiff motion system is silently wrong.
     balanced, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
     held = linalg.expm(balanced) * scale[:, None] / scale
-    return StateModel(held[:n, :n], held[:n, n:], model.c, model.d, sample_time)
+    return replace(model, a=held[:n, :n], b=held[:n, n:], sample_time=sample_time)
 
 
 @checked
@@ -177,6 +178,9 @@ def tustin(model: StateModel, sample_time: Positive, omega: float | None = None)
         c,
         model.d + c @ model.b,
         sample_time,
+        model.input_labels,
+        model.output_labels,
+        model.state_labels,
     )
 
 

@@ -9,6 +9,7 @@ from scipy import linalg
 from stillwork.base.checks import InputError, require_array, require_number, short_repr
 
 CANCELS = 1e-6  # of a pole's size: a zero as near as this cancels it
+SAME = 1e-6  # of the response: by how much states that go may change it
 NEGLIGIBLE = 1e-9  # of the size of its matrix: a singular value below it is rounding
 WANTED = "a stillwork.lti.StateModel, a model of python-control or scipy.signal, or arrays (A, B, C, D)"
 
@@ -35,7 +36,8 @@ def matrices(system: Any, name: str) -> dict[str, Any]:
             **_labels(system),
         }
     if all(hasattr(system, each) for each in ("zeros", "poles", "gain", "dt")):
-        found = _realised(np.asarray(system.zeros), np.asarray(system.poles), float(system.gain), name)
+        zeros, poles = (_paired(f"{name}.{each}", getattr(system, each)) for each in ("zeros", "poles"))
+        found = _realised(zeros, poles, require_number(f"{name}.gain", system.gain), name)
         return dict(zip("abcd", found, strict=True)) | {
             "sample_time": _sample_time(system, name, len(found[0]))
         }
@@ -50,6 +52,16 @@ def matrices(system: Any, name: str) -> dict[str, Any]:
     if hasattr(system, "frdata"):
         raise InputError(f"{name} is a frequency response; fit a model to it first, or give {WANTED}")
     raise InputError(f"{name} is {short_repr(system)}; give {WANTED}")
+
+
+def _paired(name: str, roots: Any) -> np.ndarray:
+    """Roots of which each complex one stands beside its conjugate."""
+    roots = require_array(name, np.ravel(roots), dtype=complex)
+    if len(roots) and not np.allclose(
+        np.sort_complex(roots), np.sort_complex(roots.conj()), rtol=1e-9, atol=0
+    ):
+        raise InputError(f"{name} holds a complex root without its conjugate; give both: the model is real")
+    return roots
 
 
 def _of_arrays(system: tuple, name: str) -> dict[str, Any]:
@@ -202,9 +214,39 @@ def _without_cancelled(zeros: np.ndarray, poles: np.ndarray, name: str) -> tuple
 def minimal(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The part of A, B, C that the inputs reach and the outputs see, and the singular values that went, relative."""
+    """The part of A, B, C that the inputs reach and the outputs see, and the singular values that went, relative.
+
+    Where poles lie many decades apart a small singular value may carry much of the response: what changes it stays.
+    """
     scale = _scale(a, b, c)
     a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
+    for share in (1.0, 1e-3, 1e-6):
+        found = _reduced(a, b, c, share * tolerance)
+        if len(found[0]) == len(a) or _unchanged((a, b, c), found[:3]):
+            return found
+    return a, b, c, np.zeros(0)
+
+
+def _unchanged(whole: tuple[np.ndarray, ...], part: tuple[np.ndarray, ...]) -> bool:
+    """Whether the response at and around the poles is the same, to `SAME` of its size there."""
+    poles = np.abs(linalg.eigvals(whole[0]))
+    points = 1j * np.unique(np.outer([0.1, 0.5, 1.0, 2.0, 10.0], poles[poles > 0]).ravel())
+    responses = []
+    for a, b, c in (whole, part):
+        shifted = points[:, None, None] * np.eye(len(a)) - a
+        with np.errstate(all="ignore"):
+            try:
+                responses.append(c @ np.linalg.solve(shifted, np.broadcast_to(b, (len(points), *b.shape))))
+            except np.linalg.LinAlgError:  # a pole on the axis
+                return False
+    return bool(
+        np.all(
+            np.abs(responses[0] - responses[1]) <= SAME * np.abs(responses[0]).max(axis=(1, 2), keepdims=True)
+        )
+    )
+
+
+def _reduced(a, b, c, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     reached, low = _reached(a, b, tolerance)
     a, b, c = reached.T @ a @ reached, reached.T @ b, c @ reached
     seen, unseen = _reached(a.T, c.T, tolerance)

@@ -6,7 +6,8 @@ from stillwork.base.checks import InputError
 from stillwork.lti.state_space import StateModel
 
 AGREES = 1e-6  # of the response: by how much the modes may miss it
-AT_REST = 1e-5  # of the largest pole: a double pole at zero is computed no better
+AT_REST = 1e-6  # of the largest pole: a double pole at zero is computed no better; slower modes count as free
+EQUAL = 1e-6  # of their size: poles as near as this are modes of one frequency
 
 
 def modes_of(model: StateModel, name: str) -> dict:
@@ -24,19 +25,29 @@ def modes_of(model: StateModel, name: str) -> dict:
             f"{name} is no model of modes: its poles are to be pairs that do not grow, and double ones at zero"
             + (f"; these are others: {real} rad/s" if real else "")
         )
-    pairs = pairs[np.argsort(np.abs(pairs))]
+    pairs, counts = _distinct(pairs[np.argsort(np.abs(pairs))])
     omega = np.geomspace(0.1, 10.0, 50) * (np.abs(pairs[0]) if len(pairs) else 1.0)
     omega = np.concatenate([omega, *(np.abs(each) * np.linspace(0.97, 1.03, 8) for each in pairs)])
     wanted = model.frequency_response(omega)
     shares = _shares(pairs, bool(rest.any()), omega, wanted - model.d[:, :, None])
     for measures in ("position", "velocity"):
-        found = _fields(pairs, shares[measures == "velocity"], bool(rest.any()), model.d, measures)
+        most = [int(rest.sum()) // 2, *counts][not rest.any() :]
+        found = _fields(pairs, shares[measures == "velocity"], most, model.d, measures)
         if found and _misses(found, omega, wanted) < AGREES:
             return found
     raise InputError(
         f"{name} is no model of modes with real shapes that measures a position or a velocity; give a "
         "stillwork.lti.ModalModel, as lti.modal_model makes of masses and springs"
     )
+
+
+def _distinct(pairs: np.ndarray) -> tuple[np.ndarray, list[int]]:
+    """Poles, those that are nearly equal as one, and how many each stands for."""
+    groups: list[list[complex]] = []
+    for each in pairs:
+        near = [group for group in groups if abs(group[0] - each) <= EQUAL * abs(each)]
+        (near[0] if near else groups).append(each if near else [each])
+    return np.array([np.mean(group) for group in groups]), [len(group) for group in groups]
 
 
 def _shares(pairs: np.ndarray, free: bool, omega: np.ndarray, response: np.ndarray) -> list[list[np.ndarray]]:
@@ -57,14 +68,15 @@ def _shares(pairs: np.ndarray, free: bool, omega: np.ndarray, response: np.ndarr
 
 
 def _fields(
-    pairs: np.ndarray, shares: list, free: bool, feedthrough: np.ndarray, measures: str
+    pairs: np.ndarray, shares: list, most: list[int], feedthrough: np.ndarray, measures: str
 ) -> dict | None:
-    """Each numerator as shapes: one mode for a pair, as many as its rank for what is free."""
+    """Each numerator as shapes: as many modes as its rank, at most as many as its poles."""
+    free = len(most) > len(pairs)
     rows: list[tuple[float, float, np.ndarray, np.ndarray]] = []
     for place, share in enumerate(shares):
         left, values, right = np.linalg.svd(share)
         pole = 0.0 if free and place == 0 else pairs[place - free]
-        rank = int(np.sum(values > AGREES * values[0])) if not pole else 1
+        rank = min(int(np.sum(values > AGREES * values[0])), most[place]) or 1
         for each in range(rank):
             size = np.sqrt(values[each])
             ratio = float(-np.real(pole) / np.abs(pole)) if pole else 0.0

@@ -201,6 +201,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         complex_responses,
         kind_of,
         load_machine,
+        response_names,
         stated_units,
     )
 
@@ -220,7 +221,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         else:
             hertz = file.accelerance.omega / (2 * np.pi)
             yield f"{kind} of a machine: {pluralise(len(hertz), 'line')} from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
-            response, force = stated_units(arrays)
+            response, force = stated_units(response_names(arrays))
             settings |= {"response_unit": response or "UNIT", "force_unit": force or "N"}
             if not response:
                 yield "the unit of the response is not stated; replace UNIT by m/s^2, g, m/s, mm/s, m, mm or um"

@@ -161,7 +161,11 @@ def _left(path, reading, fit_hz, options) -> float:
         with np.errstate(all="ignore"):
             few = thinned(measured, LINES, band)
             return misfit(few, identify_modes(few, band))[0]
-    except InputError:
+    except (
+        InputError,
+        np.linalg.LinAlgError,
+        OverflowError,
+    ):  # numbers read as decibels may have hundreds of decades
         return np.inf
 
 

@@ -16,6 +16,7 @@ from stillwork.identification.machine_files import (
     complex_responses,
     kind_of,
     load_machine,
+    response_names,
     stated_units,
 )
 from stillwork.machine import pictures
@@ -132,7 +133,7 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
         _rate(source, arrays, arguments)
     if kind != "matrices":
         try:
-            units = stated_units(arrays)
+            units = stated_units(response_names(arrays))
         except InputError as error:
             raise InputError(f"{source.name}: {error}") from None
         for name, stated, usual in zip(

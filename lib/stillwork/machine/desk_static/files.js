@@ -104,7 +104,7 @@ function responseOf(columns, names) {
   if (!whole) throw new Error("no response stands beside the frequency; give real and imaginary, or magnitude and phase");
   const [[first, [one]], [second, [other]]] = whole;
   const x = columnUnit(one, first), y = columnUnit(other, second), plain = (unit) => (unit.si === "1" ? unit.factor : 1);
-  if (x.lowerSi && !DRIVES.includes(x.lowerSi)) throw new Error(`${one}: a response is a motion over a force`);
+  if (x.lowerSi ? !(MOVES[x.si] && DRIVES.includes(x.lowerSi)) : !(MOVES[x.si] || x.si === "1")) throw new Error(`${one}: a response is a motion over a force`);
   if (first === "real") return { values: columns[one].map((value, k) => [plain(x) * value, plain(y) * columns[other][k]]), silent: [] };
   const values = columns[one].map((value, k) => {
     const size = plain(x) * (x.decibels ? x.reference * 10 ** (value / 20) : value), angle = y.factor * columns[other][k];
@@ -141,7 +141,8 @@ export function machineOfTable(text, name, units = {}) {
   for (let k = 1; k < hz.length; k++) {
     if (!(hz[k] > hz[k - 1])) throw new Error("the frequency does not rise from line to line; sort the rows");
   }
-  const stated = statedUnits(names), notes = [];
+  const read = names.filter((each, k) => ["real", "imaginary", "magnitude"].includes(quantities[k])); // a column beside them may hold anything
+  const stated = statedUnits(read), notes = [];
   if (!columnUnit(axis, "frequency").written) silent.unshift("frequency in Hz");
   if (silent.length) notes.push(`the file does not say it; taken for: ${silent.join(", ")}`);
   const response = units.response || stated.response || "m/s^2";
