@@ -51,8 +51,8 @@ class ModalFit:
     """A modal model fitted to a measured accelerance.
 
     Standard deviations account for the noise, the error of the model and the correlation of neighbouring lines
-    (Newey and West). Plus or minus 1.96 of them held the truth in 82 to 97 % of 40 fits each, on four machines with modes on
-    one line to ten and noise of 2 % of the response, and in 97 to 100 % where the noise stays the same at all lines.
+    (Newey and West). Plus or minus 1.96 of them held the truth in 80 to 100 % of 40 fits each, on four machines with modes on
+    one line to ten and noise of 2 % of the response, and in 88 to 100 % where the noise stays the same at all lines.
     """
 
     model: ModalModel  # force to position

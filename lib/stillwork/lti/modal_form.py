@@ -46,7 +46,10 @@ def _distinct(pairs: np.ndarray) -> tuple[np.ndarray, list[int]]:
     groups: list[list[complex]] = []
     for each in pairs:
         near = [group for group in groups if abs(group[0] - each) <= EQUAL * abs(each)]
-        (near[0] if near else groups).append(each if near else [each])
+        if near:
+            near[0].append(each)
+        else:
+            groups.append([each])
     return np.array([np.mean(group) for group in groups]), [len(group) for group in groups]
 
 
