@@ -75,8 +75,7 @@ class TestNotebook:
     def test_a_conclusion_shows_a_value_or_rests_on_a_condition(self, notebook):
         calls = [
             node
-            for cell in cells(notebook)
-            for node in ast.walk(ast.parse(text(cell)))
+            for node in ast.walk(ast.Module(statements(notebook.source), []))
             if isinstance(node, ast.Call) and ast.unparse(node.func) == "page.conclude"
         ]
         assert not [ast.unparse(call)[:80] for call in calls if not call.keywords], "write it in Markdown"

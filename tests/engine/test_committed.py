@@ -106,7 +106,12 @@ def toy(accepted):
 
 def test_an_accepted_workbook_passes(toy, monkeypatch):
     outcomes = committed(toy, monkeypatch)
-    assert (outcomes.failed, outcomes.skipped) == (set(), set())
+    assert outcomes.failed == set()
+    # It has no topic with studies of open choices.
+    assert outcomes.skipped <= {
+        "test_settings_are_those_of_these_combinations",
+        "test_the_window_whose_turn_it_is_today_comes_out_again",
+    }
 
 
 @pytest.mark.parametrize(

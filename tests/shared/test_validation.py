@@ -249,6 +249,7 @@ OWN_DOORS = re.compile(
 )
 # What hands the parts of a recursion to its kernels, a sample at a time: `track` and the steppers have asked before.
 PARTS = {
+    *("first_state", "joint_start", "close_loop", "regressor_at"),
     "FeLms.trace_copies",
     *(
         "solve_plain",

@@ -22,9 +22,31 @@ LEAST = 1e-9  # a gain that may change by more than a factor of 1e9 is not limit
 class Margins:
     """Margins of one loop; each with the frequency (rad/s) where it is reached, NaN where nothing limits it.
 
+    Parameters
+    ----------
+    gain, gain_reduction : float
+        Factors: infinity and 0 where nothing limits the gain.
+    phase : float
+        rad.
+    modulus : float
+        Between 0 and 1 for a loop that falls off.
+    delay : float
+        s; 0 where the loop stays above one at the highest frequencies.
+    gain_omega, gain_reduction_omega, phase_omega, modulus_omega, delay_omega : float
+        rad/s.
+
+    Notes
+    -----
     The gain may grow by the factor `gain` and fall to the factor `gain_reduction`; the phase may turn by `phase`
     (rad) either way; `modulus` is the least distance to -1, the inverse of the sensitivity's peak; a delay of `delay`
     (s) makes the loop unstable.
+
+    Examples
+    --------
+    >>> from control import tf
+    >>> (found,) = control.margins(tf([1.0], [1.0, 3.0, 2.0, 0.0]))  # 1 / (s (s + 1) (s + 2))
+    >>> round(found.gain, 6), round(found.gain_omega**2, 6)
+    (6.0, 2.0)
     """
 
     gain: float
@@ -69,7 +91,7 @@ def margins(loop: StateModel) -> list[Margins]:
     --------
     >>> loop = lti.from_control(([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]]))  # 1 / (s (s + 1))
     >>> found = control.margins(loop)[0]
-    >>> round(np.degrees(found.phase), 2), round(found.phase_omega, 4), found.gain
+    >>> round(float(np.degrees(found.phase)), 2), round(found.phase_omega, 4), found.gain
     (51.83, 0.7862, inf)
     """
     outputs, inputs = loop.d.shape

@@ -260,6 +260,7 @@ def response_names(arrays: Mapping[str, np.ndarray]) -> list[str]:
     ]
 
 
+@checked
 def stated_units(names: Iterable[str]) -> tuple[str, str]:
     """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(g)`` and ``(N)``; empty: none."""
     units: dict[str, str] = {}

@@ -15,7 +15,18 @@ WANTED = "a stillwork.lti.StateModel, a model of python-control or scipy.signal,
 
 
 class CancellationWarning(UserWarning):
-    """Poles of a transfer function that its zeros cancel: its state-space model does without them."""
+    """Poles of a transfer function that its zeros cancel: its state-space model does without them.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from control import tf
+    >>> with warnings.catch_warnings(record=True) as said:
+    ...     warnings.simplefilter("always")
+    ...     model = lti.from_control(tf([1.0, 2.0], [1.0, 3.0, 2.0]))
+    >>> said[0].category.__name__, len(model.a)
+    ('CancellationWarning', 1)
+    """
 
 
 def matrices(system: Any, name: str) -> dict[str, Any]:

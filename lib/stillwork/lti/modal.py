@@ -85,7 +85,31 @@ class ModalModel:
 
     @classmethod
     def converted(cls, name: str, system) -> "ModalModel":
-        """A system of another library as this one, where it has such modes; its errors call it `name`."""
+        """A system of another library as this one, where it has such modes.
+
+        Parameters
+        ----------
+        name : str
+            What errors call it.
+        system : ModalModel or StateModel or control.StateSpace or scipy.signal.lti or tuple
+            In continuous time; a mode a million times slower than the fastest counts as free.
+
+        Returns
+        -------
+        ModalModel
+            With the same response.
+
+        Raises
+        ------
+        InputError
+            When it is no model, or not one of modes with real shapes that measures a position or a velocity.
+
+        Examples
+        --------
+        >>> from control import tf
+        >>> lti.ModalModel.converted("stage", tf([1.0], [1.0, 0.2, 100.0])).frequencies.round(6)
+        array([10.])
+        """
         if isinstance(system, cls):
             return system
         return cls(**modes_of(StateModel.converted(name, system), name))

@@ -80,7 +80,29 @@ class StateModel:
 
     @classmethod
     def converted(cls, name: str, system) -> "StateModel":
-        """A system of another library as this one; its errors call it `name`."""
+        """A system of another library as this one.
+
+        Parameters
+        ----------
+        name : str
+            What errors call it.
+        system : StateModel or control.StateSpace or scipy.signal.lti or tuple
+            As `from_control` takes it.
+
+        Returns
+        -------
+        StateModel
+
+        Raises
+        ------
+        InputError
+            When it is no such model.
+
+        Examples
+        --------
+        >>> lti.StateModel.converted("lag", ([[-1.0]], [[1.0]], [[1.0]], [[0.0]])).is_stable
+        True
+        """
         return system if isinstance(system, cls) else cls(**matrices(system, name))
 
     @property
@@ -526,7 +548,7 @@ def from_control(system: StateModel) -> StateModel:
     Examples
     --------
     >>> from control import tf
-    >>> lti.from_control(tf([1.0], [1.0, 3.0, 2.0])).poles.real
+    >>> np.sort(lti.from_control(tf([1.0], [1.0, 3.0, 2.0])).poles.real)
     array([-2., -1.])
     """
     return system
@@ -535,7 +557,20 @@ def from_control(system: StateModel) -> StateModel:
 @by_value
 @dataclass(frozen=True)
 class MinimalRealisation:
-    """A model without the states that its response does not need."""
+    """A model without the states that its response does not need.
+
+    Parameters
+    ----------
+    model : StateModel
+    removed : array_like, shape (removed,)
+        Singular values that were counted as zero, of the size of their matrix, falling; one for each state that went.
+
+    Examples
+    --------
+    >>> lag = lti.StateModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> lti.minimal_realisation(lag).removed
+    array([], dtype=float64)
+    """
 
     model: StateModel
     # the singular values that were counted as zero, of the size of their matrix, falling: as many as states that went

@@ -90,7 +90,7 @@ class ResponseEstimate:
         --------
         >>> noise = np.random.default_rng(1).normal(size=20_000)
         >>> found = signals.estimate_response(noise, 2 * noise, sample_rate=1000.0, resolution_hz=1.0)
-        >>> round(abs(found.to_control()(2j * np.pi * 100.0)), 6)
+        >>> round(float(abs(found.to_control()(2j * np.pi * 100.0))), 6)
         2.0
         """
         return require_package("control").FrequencyResponseData(
