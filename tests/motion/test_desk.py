@@ -532,7 +532,31 @@ def test_a_name_cannot_end_the_script():
     assert "</script><b>" not in text and text.count("</script>") == 2
 
 
-def test_the_modules_run_as_one_script(tmp_path):
+BESIDE = ["Sensor noise (um)", "Position (mm)", "Drive current (A)", "Drive level (mN)", "Std phase (deg)"]
+NO_MOTION = ["mV/N", "g/g", "um/mm", "V/V", "V/N"]
+
+
+def test_the_unit_of_a_response_is_that_of_its_own_columns(node, tmp_path):
+    """Of 8 kg: a column beside it may hold anything, and a unit that is no motion over a force is refused; also on the page."""
+    hertz = np.linspace(10, 500, 100)
+    rows = "\n".join(f"{f},0.125,0,1" for f in hertz)
+    headers = [f"frequency (Hz),magnitude,phase (deg),{each}" for each in BESIDE]
+    headers += [f"frequency (Hz),magnitude ({each}),phase (deg),line" for each in NO_MOTION]
+    texts = [f"{each}\n{rows}\n" for each in headers]
+    pages = node([("files.js", "machineOfTable", text, "x") for text in texts])
+    for text, page, header in zip(texts, pages, headers, strict=True):
+        (tmp_path / "x.csv").write_text(text)
+        if header.endswith("line"):
+            assert "error" in page
+            with pytest.raises(InputError, match="is no motion over a force"):
+                load_machine(tmp_path / "x.csv")
+        else:
+            read = load_machine(tmp_path / "x.csv")
+            assert "error" not in page and read.units == ("m", "N")
+            np.testing.assert_allclose(read.accelerance.response, 0.125, rtol=1e-12)
+
+
+def test_the_modules_run_as_one_script(node, tmp_path):
     """Those that need no document: each finds what it imports."""
     before = script().split('deskModules["ui.js"]')[0]
     assert before.count("deskModules[") > 10
