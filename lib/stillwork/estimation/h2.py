@@ -18,7 +18,8 @@ from stillwork.estimation.h2_discrete import discrete_h2, require_promised
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.lti.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import h2_norm, rough_h2_norm
-from stillwork.lti.state_space import StateModel, state_scale
+from stillwork.lti.scaling import state_scale
+from stillwork.lti.state_space import StateModel
 
 
 @by_value

@@ -7,7 +7,8 @@ from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 from stillwork.lti.generalised_plant import GeneralisedPlant, with_feedthrough
 from stillwork.lti.norms import h2_norm
-from stillwork.lti.state_space import StateModel, state_scale
+from stillwork.lti.scaling import state_scale
+from stillwork.lti.state_space import StateModel
 
 WORST_SEPARATION = 1e-6  # of the loop's norm from that which the equations promise, relative
 

@@ -9,7 +9,7 @@ from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, checked
-from stillwork.lti.state_space import state_scale
+from stillwork.lti.scaling import state_scale
 
 # Relative residual above which a solution is refused; a scaled solution leaves about 1e-12.
 WORST_RESIDUAL = 1e-8

@@ -143,11 +143,7 @@ def load_machine(
         named = response.partition("[")[0]
         read = [each for each in (response, named) if each in arrays] or list(arrays)
         _require_known(read)
-        if kind == "frequency response":  # units of what is read alone: a column beside it may hold anything
-            found, notes, taken = _from_response(arrays, response, read_as or {})
-            read = [name for name in read if any(each.column.startswith(name) for each in taken)]
-            _require_motion(taken)
-        stated = stated_units(read)
+        stated = stated_units(response_names({name: arrays[name] for name in read}))
         response_unit = _agreed("response_unit", response_unit, stated[0])
         force_unit = _agreed("force_unit", force_unit, stated[1])
         silent = [name for name, unit in (("response", response_unit), ("force", force_unit)) if not unit]
@@ -159,6 +155,7 @@ def load_machine(
             found, notes, taken, cut_off = _from_hammer(arrays, sample_rate, file.name)
         else:
             found, notes, taken = _from_response(arrays, response, read_as or {})
+            _require_motion(taken)
             cut_off = False
     except InputError as error:
         raise InputError(f"{file.name}: {error}") from None

@@ -7,6 +7,7 @@ import numpy as np
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_number, short_repr
+from stillwork.lti.scaling import state_scale
 
 CANCELS = 1e-6  # of a pole's size: a zero as near as this cancels it
 SAME = 1e-6  # of the response: by how much states that go may change it
@@ -165,7 +166,7 @@ def _realised(zeros: np.ndarray, poles: np.ndarray, gain: float, name: str) -> t
         own_a, own_b, own_c, own_d = _section(top, bottom)
         a = np.block([[a, np.zeros((len(a), len(own_a)))], [own_b @ c, own_a]])
         b, c, d = np.vstack([b, own_b @ d]), np.hstack([own_d @ c, own_c]), own_d @ d
-    scale = _scale(a, b, gain * c)
+    scale = state_scale(a, b, gain * c)
     return a * scale / scale[:, None], b / scale[:, None], gain * c * scale, gain * d
 
 
@@ -188,14 +189,6 @@ def _section(num: np.ndarray, den: np.ndarray) -> tuple[np.ndarray, ...]:
     a = np.array([[0.0, rate], [-d0 / rate, -d1]])
     c = np.array([[(n0 - n2 * d0) / rate, n1 - n2 * d1]])
     return a, np.array([[0.0], [1.0]]), c, np.array([[n2]])
-
-
-def _scale(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    n = len(a)
-    size = n + max(b.shape[1], len(c))
-    whole = np.zeros((size, size))
-    whole[:n, :n], whole[:n, n : n + b.shape[1]], whole[n : n + len(c), :n] = a, b, c
-    return linalg.matrix_balance(whole, permute=False, separate=True)[1][0][:n]
 
 
 def _without_cancelled(zeros: np.ndarray, poles: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -229,7 +222,7 @@ def minimal(
 
     Where poles lie many decades apart a small singular value may carry much of the response: what changes it stays.
     """
-    scale = _scale(a, b, c)
+    scale = state_scale(a, b, c)
     a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
     for share in (1.0, 1e-3, 1e-6):
         found = _reduced(a, b, c, share * tolerance)

@@ -12,7 +12,7 @@ from scipy import linalg
 from stillwork.base.bounds import Matrix, NonNegative, Vector, one_of
 from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, check_fields, checked
-from stillwork.lti.modal_form import modes_of
+from stillwork.lti.modal_form import AGREES, fields_of_modes
 from stillwork.lti.state_space import StateModel
 
 
@@ -112,7 +112,17 @@ class ModalModel:
         """
         if isinstance(system, cls):
             return system
-        return cls(**modes_of(StateModel.converted(name, system), name))
+        states = StateModel.converted(name, system)
+        omega, candidates = fields_of_modes(states, name)
+        wanted = states.frequency_response(omega)
+        for model in (cls(**each) for each in candidates):
+            off = np.linalg.norm(model.frequency_response(omega) - wanted, axis=(0, 1))
+            if np.all(off < AGREES * np.linalg.norm(wanted, axis=(0, 1))):
+                return model
+        raise InputError(
+            f"{name} is no model of modes with real shapes that measures a position or a velocity; give a "
+            "stillwork.lti.ModalModel, as lti.modal_model makes of masses and springs"
+        )
 
     @property
     def rigid_modes(self) -> int:

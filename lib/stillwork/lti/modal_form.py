@@ -10,8 +10,8 @@ AT_REST = 1e-6  # of the largest pole: a double pole at zero is computed no bett
 EQUAL = 1e-6  # of their size: poles as near as this are modes of one frequency
 
 
-def modes_of(model: StateModel, name: str) -> dict:
-    """Fields of the `ModalModel` with the response of `model`; an `InputError` where it has none."""
+def fields_of_modes(model: StateModel, name: str) -> tuple[np.ndarray, list[dict]]:
+    """Frequencies around its poles, and fields of the `ModalModel`s that may have the response of `model` there."""
     if model.sample_time:
         raise InputError(
             f"{name} is in discrete time; give a continuous model: modes are those of a mechanism"
@@ -30,15 +30,12 @@ def modes_of(model: StateModel, name: str) -> dict:
     omega = np.concatenate([omega, *(np.abs(each) * np.linspace(0.97, 1.03, 8) for each in pairs)])
     wanted = model.frequency_response(omega)
     shares = _shares(pairs, bool(rest.any()), omega, wanted - model.d[:, :, None])
-    for measures in ("position", "velocity"):
-        most = [int(rest.sum()) // 2, *counts][not rest.any() :]
-        found = _fields(pairs, shares[measures == "velocity"], most, model.d, measures)
-        if found and _misses(found, omega, wanted) < AGREES:
-            return found
-    raise InputError(
-        f"{name} is no model of modes with real shapes that measures a position or a velocity; give a "
-        "stillwork.lti.ModalModel, as lti.modal_model makes of masses and springs"
-    )
+    most = [int(rest.sum()) // 2, *counts][not rest.any() :]
+    found = [
+        _fields(pairs, share, most, model.d, measures)
+        for share, measures in zip(shares, ("position", "velocity"), strict=True)
+    ]
+    return omega, [each for each in found if each]
 
 
 def _distinct(pairs: np.ndarray) -> tuple[np.ndarray, list[int]]:
@@ -95,11 +92,3 @@ def _fields(
         "feedthrough": feedthrough,
         "measures": measures,
     }
-
-
-def _misses(found: dict, omega: np.ndarray, wanted: np.ndarray) -> float:
-    w, z = found["frequencies"][:, None], found["damping"][:, None]
-    modal = 1 / (w**2 - omega**2 + 2j * z * w * omega) * (1j * omega) ** (found["measures"] == "velocity")
-    residues = found["output_shapes"][:, None, :] * found["input_shapes"].T[None]
-    response = residues @ modal + found["feedthrough"][:, :, None]
-    return float(np.max(np.linalg.norm(response - wanted, axis=(0, 1)) / np.linalg.norm(wanted, axis=(0, 1))))

@@ -14,6 +14,7 @@ from stillwork.base.checks import InputError, nearest
 from stillwork.base.extras import require_package
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.foreign import matrices, minimal
+from stillwork.lti.scaling import state_scale
 
 # Above this condition of the eigenvectors, residues would lose more than half of the digits.
 WORST_CONDITION = 1e6
@@ -338,9 +339,9 @@ class StateModel:
                 f"models of shapes {self.d.shape} and {other.d.shape} cannot be added; give equal ones"
             )
         outputs, inputs = (np.eye(size) for size in self.d.shape)
-        return self._named(
-            _joined([self, other], None, np.vstack([inputs, inputs]), np.hstack([outputs, outputs])), self
-        )
+        apart = np.zeros((2 * len(inputs), 2 * len(outputs)))
+        both = np.vstack([inputs, inputs]), np.hstack([outputs, outputs])
+        return self._named(interconnect([self, other], apart, *both), self)
 
     __radd__ = __add__
 
@@ -378,7 +379,7 @@ class StateModel:
         turn = np.zeros((inputs + inner, inner + outputs))
         turn[inputs:, :inner] = np.eye(inner)
         ends = np.eye(inputs + inner, inputs), np.eye(inner + outputs)[inner:]
-        return self._named(_joined([first, self], turn, *ends), first)
+        return self._named(interconnect([first, self], turn, *ends), first)
 
     def _named(self, model: "StateModel", first: "StateModel") -> "StateModel":
         return replace(model, input_labels=first.input_labels, output_labels=self.output_labels)
@@ -484,23 +485,6 @@ def response_between(
             states[k] = (driven / apart[k]).ravel()
         response = (c @ states).reshape(len(c), size, len(omega))
     return response + model.d[:, :, None]
-
-
-@checked
-def state_scale(
-    a: Float64[np.ndarray, "states states"],
-    b: Float64[np.ndarray, "states inputs"],
-    c: Float64[np.ndarray, "outputs states"],
-) -> Float64[np.ndarray, " states"]:
-    """Units of the states that balance A, B and C together, in the units that B and C are given in.
-
-    A alone does not determine the scale of a rigid body. The balanced model is ``a * s / s[:, None]``, ``b / s[:, None]``, ``c * s``.
-    """
-    n, size = len(a), max(b.shape[1], len(c))
-    whole = np.zeros((n + size, n + size))
-    whole[:n, :n], whole[:n, n : n + b.shape[1]], whole[n : n + len(c), :n] = a, b, c
-    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
-    return scale[:n]
 
 
 def _matrix(a: bytes, states: int) -> Float64[np.ndarray, "states states"]:
@@ -750,13 +734,6 @@ def block_matrix(
             for row, height in zip(entries, rows, strict=True)
         ]
     )
-
-
-def _joined(
-    models: list[StateModel], turn: np.ndarray | None, inputs: np.ndarray, outputs: np.ndarray
-) -> StateModel:
-    size = inputs.shape[0], outputs.shape[1]
-    return interconnect(models, np.zeros(size) if turn is None else turn, inputs, outputs)
 
 
 def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
