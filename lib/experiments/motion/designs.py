@@ -113,10 +113,9 @@ def stage_bandwidth(
     """Achievable bandwidth of a published design (a name in `DESIGNS`) or of one's own."""
     design = DESIGNS[name] if isinstance(name, str) else name
     plant = None if damping_ratio is None else stage(damping_ratio)
-    notches = tuple(stage(damping_ratio).frequencies[1:RETAINED]) if design.notches else ()
     return maximise_bandwidth(
         stage_loops(design, noise, plant, **grid),
-        PidFamily(stage_mass(), notches),
+        controllers(design),
         [PeakConstraint(function, limit) for function in design.constraints],
         refine=refine,
     )
@@ -127,8 +126,12 @@ def design_controller(name: str, redesign: str = "own limit") -> Pid:
     require_choice("redesign", redesign, ("own limit", "printed"))
     if redesign == "own limit":
         return stage_bandwidth(name).controller
-    notches = tuple(stage().frequencies[1:RETAINED]) if DESIGNS[name].notches else ()
-    return PidFamily(stage_mass(), notches)(PRINTED_HZ[name])
+    return controllers(DESIGNS[name])(PRINTED_HZ[name])
+
+
+def controllers(design: Design) -> PidFamily:
+    """The controllers (3.1) of a design, by f_bw; with its notches, at the retained modes."""
+    return PidFamily(stage_mass(), tuple(stage().frequencies[1:RETAINED]) if design.notches else ())
 
 
 def quick_limit(setting: Design) -> tuple[list[Loop], Bandwidth] | None:

@@ -9,12 +9,12 @@ from experiments.motion.designs import (
     DESIGNS,
     NOISE_MODEL,
     PRINTED_HZ,
-    RETAINED,
     Design,
+    controllers,
     stage_bandwidth,
     stage_loops,
 )
-from experiments.motion.machines import chain, stage, stage_mass
+from experiments.motion.machines import chain, stage_mass
 from experiments.motion.pictures import LABELS, decibel, magnitudes_over_masses, paint_bode, paint_over_masses
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, highest_peaks
@@ -117,8 +117,7 @@ THREE = ("input_sensitivity", "output_sensitivity", "true_tracking")
 
 def paint_published(design: str, part: float):
     """Explorer: the seven loops of a published design at a part (%) of the largest bandwidth that it allows."""
-    notches = tuple(stage().frequencies[1:RETAINED]) if DESIGNS[design].notches else ()
-    controller = PidFamily(stage_mass(), notches)(part / 100 * _limit_hz(design))
+    controller = controllers(DESIGNS[design])(part / 100 * _limit_hz(design))
     return _paint(DESIGNS[design], controller, THREE)
 
 
