@@ -26,7 +26,9 @@ def main(arguments: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] in ("", "workbook"):
             raise
-        return _refuse(f"{error.name} is not installed; pip install 'stillwork[site]'")
+        return _refuse(
+            f"{error.name} is not installed; python -m pip install 'FOLDER_OR_WHEEL[site]', the clone or the wheel that this is of"
+        )
     except OSError as error:
         told = error.filename and error.strerror and f"{os.fsdecode(error.filename)}: {error.strerror}"
         return _refuse(told or str(error))
@@ -53,6 +55,15 @@ def _run(target: str, options: dict) -> int:
         return told
     print("\n".join(map(one_line, told.split("\n") if isinstance(told, str) else told)))
     return 0
+
+
+def offered() -> list[str]:
+    """Names of the commands that work here: outside of a workbook only that which begins one."""
+    try:
+        import_module("workbook.paths").root()
+    except OSError:
+        return ["init"]
+    return list(COMMANDS)
 
 
 def model_file(path):
@@ -111,7 +122,8 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     group = parser.add_subparsers(required=True, metavar="COMMAND")
-    own = {name: group.add_parser(name, help=help, allow_abbrev=False) for name, help in COMMANDS.items()}
+    listed = {name: {"help": COMMANDS[name]} for name in offered()}
+    own = {name: group.add_parser(name, allow_abbrev=False, **listed.get(name, {})) for name in COMMANDS}
     for name, each in own.items():
         target = TARGETS.get(name, f"workbook.commands:{name}")
         each.set_defaults(target=target, needs_root=name != "init")

@@ -1,9 +1,11 @@
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
+from stillwork.base import extras
 from stillwork.base.extras import missing
 
 PACKAGES = [
@@ -75,4 +77,27 @@ def test_what_no_extra_brings_is_missing_under_its_own_name():
     for name in ("stillwork.none", "workbook.none", None):
         error = ModuleNotFoundError("none", name=name)
         assert missing(error) is error
-    assert "pip install 'stillwork[" in str(missing(ModuleNotFoundError("none", name="matplotlib")))
+
+
+def test_a_missing_package_comes_from_the_clone_or_the_wheel_at_hand(monkeypatch, tmp_path):
+    """No index has a package of this name: the command names a folder or a file that pip finds."""
+    error = ModuleNotFoundError("none", name="matplotlib")
+    clone = Path(__file__).parents[2]
+    assert str(missing(error)).endswith(f"python -m pip install '{clone}[design]'")
+
+    wheel = tmp_path / "a folder" / "stillwork-0.1.0-py3-none-any.whl"
+    installed = tmp_path / "site-packages"
+    module = installed / "stillwork" / "base" / "extras.py"
+    for folder in (wheel.parent, module.parent, installed / "stillwork-0.1.0.dist-info"):
+        folder.mkdir(parents=True)
+    module.write_text("")
+    (installed / "stillwork-0.1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: stillwork\nVersion: 0.1.0\n"
+    )
+    monkeypatch.setattr(extras, "__file__", str(module))
+    monkeypatch.syspath_prepend(str(installed))
+    assert str(missing(error)).endswith("python -m pip install 'stillwork-0.1.0-py3-none-any.whl[design]'")
+    wheel.write_text("")
+    noted = installed / "stillwork-0.1.0.dist-info" / "direct_url.json"
+    noted.write_text(f'{{"url": "{wheel.as_uri()}", "archive_info": {{}}}}')
+    assert str(missing(error)).endswith(f"python -m pip install '{wheel}[design]'")

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 from stillwork.base.checks import nearest, one_line
 from stillwork.base.extras import MissingPackage, missing
 
-# Modules of other packages whose commands are offered, too: each has ``COMMANDS`` (help by name), ``main(arguments)``
-# and ``model_file(path)``, which says what uses a TOML file as a machine.
+# Modules of other packages whose commands are offered, too: each has ``COMMANDS`` (help by name), ``main(arguments)``,
+# ``offered()``, the names of those that work in this folder, and ``model_file(path)``, which says what uses a TOML file as a machine.
 OTHERS = "stillwork.commands"  # their group of entry points
 BESIDE = "workbook.__main__"  # of an environment that was installed before its distribution named it there
 
@@ -96,7 +96,7 @@ def _meant(word: str, command: "Command", commands: dict[str, "Command"]) -> str
 
 def _parser(program: str, commands: dict[str, "Command"], more: list[ModuleType]) -> argparse.ArgumentParser:
     also = [
-        f"{', '.join(each.COMMANDS)} (python -m {each.__name__.removesuffix('.__main__')} --help)"
+        f"{', '.join(each.offered())} (python -m {each.__name__.removesuffix('.__main__')} --help)"
         for each in more
     ]
     parser = argparse.ArgumentParser(
@@ -106,7 +106,8 @@ def _parser(program: str, commands: dict[str, "Command"], more: list[ModuleType]
     )
     group = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, command in commands.items():
-        own = group.add_parser(name, help=command.help, allow_abbrev=False)
+        listed = {"help": command.help} if command.works_here else {}
+        own = group.add_parser(name, allow_abbrev=False, **listed)
         own.set_defaults(command=command)
         for names, how in command.options:
             own.add_argument(*names, **how)
@@ -151,6 +152,11 @@ class Command(NamedTuple):
             if longer
             else text
         )
+
+    @property
+    def works_here(self) -> bool:
+        """Whether its package is there: some stand in a clone alone."""
+        return find_spec(self.target.partition(".")[0]) is not None
 
     @property
     def words(self) -> list[str]:
