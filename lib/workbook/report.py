@@ -10,7 +10,6 @@ from workbook import paths
 from workbook.checks import InputError, nearest
 from workbook.claims import AGREEMENT, DISAGREEMENT, NOT_REPLICATED, VERDICT_WORDS, Claim
 
-BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
 FITTED = "fitted or calibrated"
 BASIS = {"predicted": "predicted", "fitted": FITTED, "calibrated": FITTED}
 # What a claim is counted as: first the work's numbers, then what is none of them.
@@ -239,10 +238,3 @@ def _counts(claims: list[Claim], head: str, names: tuple[str, ...]) -> str:
         if any(numbers):
             lines.append(f"| `{topic}` | {' | '.join(map(str, (sum(numbers), *numbers)))} |")
     return "\n".join(lines) if shown else ""
-
-
-def readme_with_summary(text: str, claims: list[Claim]) -> str:
-    """`text` with the block between the ledger's marks made anew; unchanged where it has no marks."""
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{summary(claims)}\n{END}{after}" if begin and end else text

@@ -32,6 +32,49 @@ def test_the_citation_file_keeps_the_schema_of_its_format():
             jsonschema.validate(citation | harm, schema)
 
 
+def test_codemeta_says_the_same_as_the_citation_file():
+    stated = json.loads((paths.root() / "codemeta.json").read_text(encoding="utf-8"))
+    same = {
+        "version": CITATION["version"],
+        "dateModified": CITATION["date-released"].isoformat(),
+        "license": f"https://spdx.org/licenses/{CITATION['license']}",
+        "keywords": CITATION["keywords"],
+        "name": CITATION["title"].partition(":")[0],
+        "description": project()["description"],
+    }
+    assert {name: stated[name] for name in same} == same
+    assert [each["name"] for each in stated["author"]] == [each["name"] for each in CITATION["authors"]]
+    required = {re.match(r"[\w-]+", each)[0] for each in project()["dependencies"]}
+    assert set(stated["softwareRequirements"]) == required
+
+
+def test_the_paper_cites_what_its_bibliography_has():
+    text = (paths.root() / "paper" / "paper.md").read_text(encoding="utf-8")
+    _, head, body = text.split("---\n", 2)
+    about = yaml.safe_load(head)
+    assert [each["name"] for each in about["authors"]] == [each["name"] for each in project()["authors"]]
+    bibliography = (paths.root() / "paper" / about["bibliography"]).read_text(encoding="utf-8")
+    cited = set(re.findall(r"@(\w+)", body))
+    assert cited == set(re.findall(r"^@\w+\{(\w+),", bibliography, re.MULTILINE))
+    assert {"Summary", "Statement of need", "State of the field", "References"} <= set(
+        re.findall(r"^# (.+)$", body, re.MULTILINE)
+    )
+    assert len(body.split()) < 1750  # what the journal takes at most
+
+
+def test_the_workflow_runs_the_commands_of_the_readme():
+    workflow = yaml.safe_load((paths.root() / ".github/workflows/tests.yml").read_text(encoding="utf-8"))
+    (job,) = workflow["jobs"].values()
+    commands = [step["run"] for step in job["steps"] if "run" in step]
+    readme = (paths.root() / "README.md").read_text(encoding="utf-8")
+    shown, *_ = re.findall(r"^```\n(make figures .*?)^```", readme, re.MULTILINE | re.DOTALL)
+    typed = [line.partition("#")[0].strip() for line in shown.splitlines()]
+    assert commands[: len(typed) - 1] == typed[1:]  # the first builds one figure of the second
+    versions = job["strategy"]["matrix"]["python"]
+    named = re.search(r"Python (3\.\d+) to (3\.\d+)", readme)
+    assert versions == list(named.groups())
+
+
 def test_the_manifest_keeps_the_rules_that_its_author_can():
     """Rules of https://codecheck.org.uk/spec/config/2.0, by their numbers in the register's list.
 

@@ -10,7 +10,7 @@ from workbook.choices.axes import Axis, Multiverse
 from workbook.choices.judging import Robustness
 from workbook.choices.results import Outcomes
 from workbook.claims import Claim, Entry, Tolerance
-from workbook.site.specification import HEIGHT, TOP, curve_of
+from workbook.site.specification import HEIGHT, TOP, curve_of, said_of, sentence
 
 # Value = size of `scale`, or minus it: published is 2, and 1.5 to 2.5 agree.
 SCALE = Axis("motion.scale", "how large?", (1.0, 2.0, 4.0), 2.0, "not printed", ("motion.size",), "number")
@@ -61,3 +61,33 @@ def test_below_each_value_stand_the_options_that_gave_it():
     # In order of value: -4, -2, -1, 1, 2, 4.
     assert list(on.values()) == [[2, 3], [1, 4], [0, 5], [3, 4, 5], [0, 1, 2]]
     assert drawn.options[1][2].keys() == {"agrees", "differs"}
+
+
+def claim_of(name, ours, published, share=None):
+    """A claim that agrees at our settings within 0.5, and under a share of two combinations."""
+    entry = Entry(
+        f"motion.{name}", "Table 1", name, "Hz", "value", published, Tolerance("printed", absolute=0.5)
+    )
+    over = None
+    if share is not None:
+        agrees = np.array([[share > 0], [share == 1]])
+        values, settings = np.array([[ours], [ours]]), ((0,), (1,))
+        over = Robustness(entry, (SIGN,), settings, values, agrees, np.zeros((2, 1), bool))
+    return Claim(entry, ours=ours, over=over)
+
+
+@pytest.mark.parametrize(
+    ("ours", "share", "expected"),
+    [
+        (83.2, None, "The bandwidth rises: from 37 Hz to 83.2 Hz (printed 83 Hz)."),
+        (60.0, None, "It does not rise: to 60 Hz."),
+        (83.2, 0, "Under most combinations of open choices, it does not rise."),
+        (60.0, 1, "Under most combinations of open choices, the bandwidth rises."),
+    ],
+)
+def test_a_sentence_has_the_numbers_of_its_run_where_they_bear_it_out(ours, share, expected):
+    says = "the bandwidth rises: from {ours:motion.pid} to {ours} (printed {published})"
+    statement = {"says": says, "otherwise": "it does not rise: to {ours}", "entry": "motion.both"}
+    claims = [claim_of("pid", 37.0, 37.0), claim_of("both", ours, 83.0, share)]
+    ((said, claim),) = said_of([statement, statement | {"entry": "motion.unknown"}], claims)
+    assert sentence(said, claim) == expected

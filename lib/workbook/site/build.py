@@ -35,7 +35,7 @@ from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, papers, project
 from workbook.site.pages import NotebookPage, read_page
 from workbook.site.settings import bars
-from workbook.site.specification import curves, sentence, status
+from workbook.site.specification import curves, said_of, sentence, status
 from workbook.site.states import kept_states, make_states
 from workbook.tasks import tasks
 from workbook.timings import benchmarks
@@ -256,8 +256,8 @@ def _topic(name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage
         "picture": picture.draw(mine),
         "curves": drawn,
         "joint": read_settings(name),
-        "headline": _said(paper["headline"], mine),
-        "found": _said(paper["found"], mine),
+        "headline": said_of(paper["headline"], mine),
+        "found": said_of(paper["found"], mine),
         "rests": [entry for entry in paper["rests"] if any(claim.entry.id == entry for claim in mine)],
         "hero": next(
             (each for page in pages for each in page.figures if each.path == f"figures/{paper['hero']}"), None
@@ -265,12 +265,6 @@ def _topic(name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage
         "orderings": Counter(column(claim) for claim in mine if claim.entry.kind == "ordering"),
         "pages": [page for page in pages if page.topic == name],
     }
-
-
-def _said(statements: list[dict], claims: list[Claim]) -> list[tuple[dict, Claim]]:
-    """What a paper says, each with the claim that judges it."""
-    by_id = {claim.entry.id: claim for claim in claims}
-    return [(each, by_id[each["entry"]]) for each in statements if each["entry"] in by_id]
 
 
 def _listed(words: list[str]) -> str:

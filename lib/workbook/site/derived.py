@@ -1,6 +1,7 @@
 """Committed files that follow from others: README blocks, the index notebook, the manifest, what the papers conclude."""
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from html import escape
 
@@ -9,14 +10,14 @@ from workbook.choices.command import judged_ledger
 from workbook.claims import Claim
 from workbook.notebooks import METADATA, notebook_text
 from workbook.publish import replace_file
-from workbook.report import readme_with_summary
+from workbook.report import REPLICATIONS, column, summary
 from workbook.site.metadata import about, papers, project
 from workbook.site.pages import NotebookPage, read_page
+from workbook.site.specification import said_of, sentence
 from workbook.site.stated import PAGE, page_of
 from workbook.tasks import tasks
 
-GALLERY_BEGIN, GALLERY_END = "<!-- gallery:begin -->", "<!-- gallery:end -->"
-IN_A_ROW = 4  # pictures of the README
+WIDTH = 720  # of the README's picture, pixels
 CODECHECK = "https://codecheck.org.uk/spec/config/2.0/"
 
 
@@ -50,26 +51,42 @@ def _present(name: str) -> str | None:
 
 
 def _readme(pages: list[NotebookPage], claims: list[Claim]) -> str:
-    text = readme_with_summary(_present("README.md"), claims)
-    before, begin, rest = text.partition(GALLERY_BEGIN)
-    _, end, after = rest.partition(GALLERY_END)
-    return f"{before}{begin}\n{_gallery(pages)}\n{end}{after}" if begin and end else text
+    text = _present("README.md")
+    for name, block in (("ledger", summary(claims)), ("found", _found(claims)), ("picture", _picture(pages))):
+        before, begin, rest = text.partition(f"<!-- {name}:begin -->")
+        _, end, after = rest.partition(f"<!-- {name}:end -->")
+        text = f"{before}{begin}\n{block}\n{end}{after}" if begin and end else text
+    return text
 
 
-def _gallery(pages: list[NotebookPage]) -> str:
-    """One row: the picture that stands for each of the first topics, leading to its notebook."""
-    shown = {(page.name, figure.name): (page, figure) for page in pages for figure in page.figures}
-    cells = []
+def _found(claims: list[Claim]) -> str:
+    """What was found, in a sentence for all published numbers and one for each paper."""
+    counts = Counter(map(column, claims))
+    *words, differs, open_ = REPLICATIONS
+    whole, mostly, rarely, *seen = (counts[word] for word in words)
+    lines = [
+        f"- Of {sum(counts[name] for name in REPLICATIONS)} numbers that the papers print, {whole} are replicated by a "
+        f"prediction, {mostly} mostly and {rarely} rarely; {sum(seen)} are so only after a fit or a choice that used a printed "
+        f"number, {counts[differs]} are not replicated, and {counts[open_]} cannot be judged."
+    ]
     for paper in papers().values():
-        notebook, _, name = paper.get("hero", "").rpartition("/")
-        if (notebook, name) in shown:
-            page, figure = shown[notebook, name]
-            title = escape(f"{paper['title']}: {page.title}")
-            cells.append(
-                f'<a href="notebooks/{page.name}.ipynb"><img src="{figure.path}.png" width="200" '
-                f'alt="{title}" title="{title}"></a>'
-            )
-    return "\n".join(cells[:IN_A_ROW])
+        for said, claim in said_of(paper["found"][:1], claims) if paper["source"] else ():
+            words, over = sentence(said, claim).rstrip("."), claim.over
+            if over is not None and over.share is not None:
+                words += f"; the claim agrees under {over.agree} of {over.tried} combinations of open choices"
+            lines.append(f"- **{paper['title']}**{f' ({by})' if (by := paper['by']) else ''}: {words}.")
+    return "\n".join(lines)
+
+
+def _picture(pages: list[NotebookPage]) -> str:
+    """The picture that ``[tool.workbook] picture`` names, or the first that stands for a paper, leading to its notebook."""
+    named = [paths.own_settings().get("picture", ""), *(paper["hero"] for paper in papers().values())]
+    shown = {figure.path: page for page in pages for figure in page.figures}
+    for path in (f"figures/{name}" for name in named):
+        if page := shown.get(path):
+            image = f'<img src="{path}.png" width="{WIDTH}" alt="{escape(page.title)}">'
+            return f'<a href="notebooks/{page.name}.ipynb">{image}</a>'
+    return ""
 
 
 def _index(pages: list[NotebookPage], _claims: list[Claim]) -> str:

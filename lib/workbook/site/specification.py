@@ -1,7 +1,7 @@
 """How an entry stands over all combinations, in words and as a specification curve: an entry's values under all combinations, sorted, and which options were on below each."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from workbook.choices.judging import Robustness
 from workbook.choices.results import Outcomes, read_results
 from workbook.claims import DISAGREEMENT, LEAST, NOT_REPLICATED, RARELY, VERDICTS, Claim
 from workbook.headlines import over_combinations
-from workbook.report import our_quantity, published_quantity
+from workbook.report import find, our_quantity, published_quantity
 
 WIDTH, TOP = 460, 10  # of the values and dots; a page stretches the width to what it has
 HEIGHT, ROW = 120, 15  # of the values; of an option
@@ -153,17 +153,34 @@ def status(claim: Claim) -> str:
     return "; ".join(words)
 
 
+def said_of(statements: Iterable[Mapping[str, str]], claims: list[Claim]) -> list[tuple[dict, Claim]]:
+    """What a paper says, each with the claim that judges it and the values of the other entries that it names."""
+    by_id = {claim.entry.id: claim for claim in claims}
+    pick = {"ours": our_quantity, "published": published_quantity}
+
+    def filled(text: str) -> str:
+        return re.sub(
+            r"\{(ours|published):(\S+?)\}", lambda named: pick[named[1]](find(claims, named[2])), text
+        )
+
+    return [
+        ({name: filled(text) for name, text in each.items()}, by_id[each["entry"]])
+        for each in statements
+        if each["entry"] in by_id
+    ]
+
+
 def sentence(said: Mapping[str, str], claim: Claim) -> str:
     """What came out, as a sentence: what the paper says, or its negation where that is not found.
 
     Parameters
     ----------
     said : mapping of str to str
-        ``says``, what the paper says; ``otherwise``, the sentence where it is not found, in which ``{ours}`` and
-        ``{published}`` stand for the values. Without it the negation is general.
+        ``says``, what the paper says; ``otherwise``, the sentence where it is not found; without it the negation is general.
+        In both ``{ours}`` and ``{published}`` stand for the values, behind a colon.
     claim : Claim
         The entry that judges it. What most combinations give decides which of the two it is; where our settings give
-        the other, the sentence says that it is about most combinations, and has no value of ours in it.
+        the other, the sentence says that it is about most combinations, and leaves out what stands behind the colon.
     """
     if claim.ours is None and (claim.over is None or claim.over.share is None):
         return f"Not computed yet: {_begun_small(said['says'])}."
@@ -171,12 +188,15 @@ def sentence(said: Mapping[str, str], claim: Claim) -> str:
     as_by_default = holds == (claim.here not in DISAGREEMENT)
     if holds:
         words = said["says"]
-    elif "otherwise" in said and (as_by_default or "{ours}" not in said["otherwise"]):
-        values = {"ours": our_quantity(claim), "published": published_quantity(claim)}
-        words = re.sub(r"\{(ours|published)\}", lambda found: values[found[1]], said["otherwise"])
     else:
-        words = f"We did not find this: {_begun_small(said['says'])}"
+        words = said.get(
+            "otherwise", f"We did not find this: {_begun_small(said['says'].partition(': ')[0])}"
+        )
+    values = {"ours": our_quantity(claim), "published": published_quantity(claim)}
+    words = re.sub(r"\{(ours|published)\}", lambda found: values[found[1]], words)
     if not as_by_default:
+        if holds or "otherwise" in said:
+            words = words.partition(": ")[0]
         words = f"Under most combinations of open choices, {_begun_small(words)}"
     return f"{words[:1].upper()}{words[1:]}."
 
