@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from naive import adaptation as naive
 from notebooks.isolation.numerical_stability import steady_start
+from stillwork.base.checks import InputError
 from stillwork.estimation.adaptive import (
     FeLms,
     FeRls,
@@ -119,6 +120,42 @@ def test_felms_is_its_naive_twin(trace):
     run = identify(FeLms(0.02, 1e-3, trace), regressors, disturbance)
     twin = naive.felms(regressors, disturbance, 0.02, 1e-3, trace == "literal")
     np.testing.assert_allclose(run.weights, twin, atol=1e-13)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+@pytest.mark.parametrize("kind", ["FeLMS", "FeRLS"])
+def test_modified_error_is_its_naive_twin(kind, delay):
+    regressors, errors, _ = record()
+    commands = np.random.default_rng(9).standard_normal(errors.shape)
+    start = np.diag([0.1, 1.0, 2.0, 5.0])
+    used = FeLms(0.02, 1e-3, path_delay=delay)
+    step = naive.felms_step(0.02, 1e-3)
+    if kind == "FeRLS":
+        used, step = FeRls(start, **PRINTED, path_delay=delay), naive.ferls_step(start, FORGETTING)
+    wanted = naive.modified(step, regressors, errors, commands, delay, len(errors))
+    run = adapt(used, regressors, errors, every=1, commands=commands)
+    np.testing.assert_allclose(run.history, wanted, atol=1e-11)
+    stepper = AdaptationStepper(used, np.zeros(wanted.shape[1:]))
+    for psi, error, command in zip(regressors.T, errors.T, commands.T, strict=True):
+        stepper.update(psi, error, command)
+    np.testing.assert_allclose(stepper.weights, wanted[-1], atol=1e-11)
+    plain = adapt(FeLms(0.02) if kind == "FeLMS" else FeRls(start, **PRINTED), regressors, errors, every=1)
+    assert np.abs(plain.history - wanted).max() > 0.01  # what the exchange does
+
+
+def test_what_belongs_to_the_modified_error_is_given_with_a_path_delay_alone():
+    regressors, errors, _ = record()
+    late = FeLms(0.1, path_delay=1)
+    for wrong in (
+        lambda: adapt(late, regressors, errors),
+        lambda: adapt(FeLms(0.1), regressors, errors, commands=errors),
+        lambda: adapt(late, regressors, errors, commands=errors[:1]),
+        lambda: identify(late, regressors, errors),
+        lambda: AdaptationStepper(late, np.zeros((3, 4))).update(np.ones(4), np.ones(3)),
+        lambda: AdaptationStepper(FeLms(), np.zeros((3, 4))).update(np.ones(4), np.ones(3), np.ones(3)),
+    ):
+        with pytest.raises(InputError, match=r"commands?|path_delay"):
+            wrong()
 
 
 def test_limit_is_added_information():

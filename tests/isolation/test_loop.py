@@ -42,7 +42,10 @@ def record(twin, seed=0, samples=SAMPLES):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RIGS)
-@pytest.mark.parametrize("case", ["passive", "feedback", "frozen", "felms", "ferls"])
+@pytest.mark.parametrize(
+    "case",
+    ["passive", "feedback", "frozen", "felms", "ferls", "felms late 2", "ferls late 0", "ferls late 3"],
+)
 def test_kernel_agrees_with_its_slow_twin(name, case):
     twin = RIGS[name]
     rng = np.random.default_rng(5)
@@ -51,13 +54,16 @@ def test_kernel_agrees_with_its_slow_twin(name, case):
     options, slow = {}, {}
     if case == "passive":
         options["feedback"] = slow["feedback"] = False
-    if case in ("frozen", "felms", "ferls"):
+    kind, _, late = case.partition(" late ")
+    delay = int(late) if late else None
+    if kind in ("frozen", "felms", "ferls"):
         options["weights"] = slow["weights"] = start
-    if case == "felms":
-        options["adaptation"] = FeLms(step_size=1e-3, trace="literal")
+        slow["path_delay"] = delay
+    if kind == "felms":
+        options["adaptation"] = FeLms(step_size=1e-3, trace="literal", path_delay=delay)
         slow["felms"] = (1e-3, 1e-5, twin.actuators)
-    if case == "ferls":
-        options["adaptation"] = FeRls(0.3, growth_limit=np.inf)
+    if kind == "ferls":
+        options["adaptation"] = FeRls(0.3, growth_limit=np.inf, path_delay=delay)
         slow["ferls"] = (0.3 * np.eye(twin.regressors), options["adaptation"].forgetting)
     run = simulate(twin, floor, seed=3, keep_every_s=2e-4, signals_from_s=0.0, **options)
     source = Sources(twin, [(SAMPLES, floor)], True, [3])

@@ -60,3 +60,32 @@ def limited(covariance, limits):
             information[i, i] = 1 / limits[i] - 1 / covariance[i, i]
             covariance = np.linalg.inv(np.linalg.inv(covariance) + information)
     return covariance
+
+
+def modified(update, regressors, errors, commands, delay, actuators):
+    """The modified filtered error sample by sample: e(k) - c(k - d) + W psi(k - d), with `update(W, psi, e)` giving the next W."""
+    n, samples = regressors.shape
+    w, history = np.zeros((actuators, n)), []
+    for k in range(samples):
+        psi = regressors[:, k - delay] if k >= delay else np.zeros(n)
+        sent = commands[:, k - delay] if k >= delay else np.zeros(actuators)
+        w = update(w, psi, errors[:, k] - sent + w @ psi)
+        history.append(w)
+    return np.array(history)
+
+
+def felms_step(step_size, regularisation):
+    """Eq. (18)-(19) of one sample, for `modified`."""
+    return lambda w, psi, e: w - step_size / (regularisation + psi @ psi) * np.outer(e, psi)
+
+
+def ferls_step(initial, forgetting):
+    """Eq. (29)-(30) of one sample by the information matrix, for `modified`."""
+    information = np.linalg.inv(initial)
+
+    def step(w, psi, e):
+        nonlocal information
+        information = forgetting * information + np.outer(psi, psi)
+        return w - np.outer(e, np.linalg.solve(information, psi))
+
+    return step

@@ -34,8 +34,11 @@ def step_tustin(continuous, sample_time):
     return step
 
 
-def run(twin, floor, noise, *, feedback=True, weights=None, felms=None, ferls=None):
+def run(twin, floor, noise, *, feedback=True, weights=None, felms=None, ferls=None, path_delay=None):
     """Simulate; `felms` is (mu, epsilon, copies), `ferls` is (P, lambda). Returns a dict of histories.
+
+    With a `path_delay` the error of the update is d + W psi_N, d being the error that no feedforward would leave if its
+    path were the delay alone.
 
     floor : (samples, sensors); noise : (samples, outputs + sensors).
     """
@@ -55,6 +58,8 @@ def run(twin, floor, noise, *, feedback=True, weights=None, felms=None, ferls=No
     w = np.zeros((twin.actuators, twin.regressors)) if weights is None else np.array(weights)
     p = None if ferls is None else np.array(ferls[0])
     command = np.zeros(twin.actuators)
+    sent = Cascade(twin.noise_shaping, twin.actuators)
+    pasts = [(np.zeros(twin.regressors), np.zeros(twin.actuators))] * (path_delay or 0)
     history = {
         name: [] for name in ("platform", "measured", "sensed", "command", "psi_n", "error", "weights")
     }
@@ -72,21 +77,27 @@ def run(twin, floor, noise, *, feedback=True, weights=None, felms=None, ferls=No
         error = twin.error_filter.after @ np.array([f([x])[0] for f, x in zip(axes, mixed, strict=True)])
         command = w @ psi - feedback * skyhook(measured)
         history["command"].append(command)
+        kept = error
+        learnt = psi_n
+        if path_delay is not None:
+            pasts.append((psi_n, sent(w @ psi)))
+            learnt, effect = pasts[k]
+            error = (error - effect) + w @ learnt
         command = command + twin.plant.floor_inertia @ floor[k]
         if felms is not None:
             mu, epsilon, copies = felms
-            w = w - mu / (epsilon + copies * psi_n @ psi_n) * np.outer(error, psi_n)
+            w = w - mu / (epsilon + copies * learnt @ learnt) * np.outer(error, learnt)
         if ferls is not None:
             forgetting = ferls[1]
-            gain = p @ psi_n
-            p = (p - np.outer(gain, gain) / (forgetting + psi_n @ gain)) / forgetting
-            w = w - np.outer(error, p @ psi_n)
+            gain = p @ learnt
+            p = (p - np.outer(gain, gain) / (forgetting + learnt @ gain)) / forgetting
+            w = w - np.outer(error, p @ learnt)
         for name, value in (
             ("platform", platform),
             ("measured", measured),
             ("sensed", sensed),
             ("psi_n", psi_n),
-            ("error", error),
+            ("error", kept),
             ("weights", w),
         ):
             history[name].append(value)

@@ -42,6 +42,7 @@ class Law(NamedTuple):
     step_size: float = 0.0
     regularisation: float = 1.0
     trace_copies: float = 1.0  # how often the trace counts the regressors
+    modified: bool = False  # whether the error is the modified one
 
 
 class Rows(NamedTuple):
@@ -62,6 +63,7 @@ class Rows(NamedTuple):
     regressor: np.ndarray  # (runs, regressors), psi
     filtered: np.ndarray  # (runs, regressors), psi_N in the precision of the weights
     rounded: np.ndarray  # (runs, actuators), e in the precision of the weights
+    sent: np.ndarray  # (runs, actuators), N[W psi]
 
 
 class Channels(NamedTuple):
@@ -73,6 +75,7 @@ class Channels(NamedTuple):
     damping: np.ndarray
     error: np.ndarray
     axes: np.ndarray
+    sent: np.ndarray
     shaped: np.ndarray  # the floor through N
     both: np.ndarray  # `direct` of all runs, then `band`
 
@@ -97,6 +100,10 @@ class ClosedLoop(NamedTuple):
     after: np.ndarray  # (actuators, axes)
     weights: np.ndarray  # (runs, actuators, regressors), W
     recursion: Recursion  # of FeRLS; `matrix` and `levels` with a first axis of runs
+    # Of the modified error, else empty: N on the feedforward's commands, and [psi_N, N[W psi]] of the last samples in turn
+    sent: Bank
+    past: np.ndarray  # (runs, 1 + delay, regressors + actuators)
+    turn: np.ndarray  # (1,): samples so far
     power: np.ndarray  # (runs,): sum of e'e since the weights were last kept
 
 
@@ -113,7 +120,9 @@ class Signals(NamedTuple):
     error_power: np.ndarray  # (kept, runs), mean of e'e since the last kept
 
 
-def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursion) -> ClosedLoop:
+def loop_of(
+    twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursion, path_delay: int | None = None
+) -> ClosedLoop:
     """Loop of a twin at rest, with its skyhook closed or open, in as many runs as there are `weights`."""
     runs, model = len(weights), twin.plant.discrete(twin.sample_time)
     matrix = np.block([[model.a, model.b], [model.c, model.d]]).T
@@ -148,17 +157,25 @@ def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursio
         after=np.ascontiguousarray(filters.after),
         weights=weights.astype(recursion.matrix.dtype),
         recursion=recursion,
+        sent=bank_of(twin.noise_shaping, padded(twin.actuators * runs)),
+        past=np.zeros(
+            (runs, 0 if path_delay is None else path_delay + 1, twin.regressors + twin.actuators),
+            recursion.matrix.dtype,
+        ),
+        turn=np.zeros(1, int),
         power=np.zeros(runs),
     )
 
 
 def _memory(twin: Twin, runs: int, inputs: int, outputs: int, precision) -> tuple[Rows, Channels]:
     a, o, n = twin.actuators, twin.outputs, twin.sensors
-    sizes = {"command": a, "resonance": a, "damping": o, "error": o, "axes": o}
+    sizes = {"command": a, "resonance": a, "damping": o, "error": o, "axes": o, "sent": a}
     wide = {name: aligned(padded(size * runs)) for name, size in sizes.items()}
     readings, both = aligned(runs * (o + n)), aligned(padded(2 * n * runs))
     rows = {name: wide[name][: runs * size].reshape(runs, size) for name, size in sizes.items()}
-    channels = {name: wide[name][: runs * size] for name, size in sizes.items()} | {"error": wide["error"]}
+    channels = {name: wide[name][: runs * size] for name, size in sizes.items()} | {
+        name: wide[name] for name in ("error", "sent")
+    }
     found = Rows(
         vector=aligned(runs, inputs),
         product=aligned(runs, outputs),
@@ -366,8 +383,11 @@ def _regress(loop):
 
 
 @pasted_kernel
-def _command(loop, force_limit):
-    """Feedforward (13) and skyhook (1); returns a run whose command is too large, or -1."""
+def _command(loop, force_limit, modified):
+    """Feedforward (13) and skyhook (1); returns a run whose command is too large, or -1.
+
+    Where the error is `modified` the feedforward alone goes through N, too.
+    """
     rows = loop.rows
     _filter(loop.skyhook, loop.channels.damping)
     stopped = -1
@@ -375,10 +395,14 @@ def _command(loop, force_limit):
         weights, regressor, squares = loop.weights[run], rows.regressor[run], 0.0
         for i in range(len(weights)):
             rows.command[run, i] = plus_row(-rows.damping[run, i], weights, i, regressor)
+            if modified:
+                rows.sent[run, i] = rows.command[run, i] + rows.damping[run, i]
             squares += rows.error[run, i] * rows.error[run, i]
             if not abs(rows.command[run, i]) <= force_limit:  # true for NaN as well
                 stopped = run
         loop.power[run] += squares
+    if modified:
+        _filter(loop.sent, loop.channels.sent)
     return stopped
 
 
@@ -404,9 +428,31 @@ def _compensate(loop, floor):
 
 
 @pasted_kernel
+def _modify(loop):
+    """The modified error in place of e, and psi_N of as many samples ago as the path is late."""
+    rows, turn = loop.rows, loop.turn[0]
+    n, places = rows.filtered.shape[1], loop.past.shape[1]
+    for run in range(len(loop.past)):
+        now, then = loop.past[run, turn % places], loop.past[run, (turn + 1) % places]
+        for i in range(n):
+            now[i] = rows.filtered[run, i]
+        for a in range(rows.sent.shape[1]):
+            now[n + a] = rows.sent[run, a]
+        for i in range(n):
+            rows.filtered[run, i] = then[i]
+        for a in range(rows.sent.shape[1]):
+            rows.error[run, a] = plus_row(
+                rows.error[run, a] - then[n + a], loop.weights[run], a, rows.filtered[run]
+            )
+    loop.turn[0] += 1
+
+
+@pasted_kernel
 def _adapt(loop, law, inner, other, k):
     """One sample of the adaptation; returns a run whose P is indefinite, or -1."""
     rows, recursion = loop.rows, loop.recursion
+    if law.modified:
+        _modify(loop)
     if law.code == FELMS:
         numbers = law.step_size, law.regularisation, law.trace_copies
         for run in range(len(loop.weights)):
@@ -457,7 +503,7 @@ def advance(floor, noise, loop, signals, keep_every, phase, law, inner, other, f
         _sense(loop, floor[k], noise[0][k], noise[1][k])
         _filter_error(loop)
         _regress(loop)
-        stopped = _command(loop, force_limit)
+        stopped = _command(loop, force_limit, law.modified)
         if stopped >= 0:
             return OVERLOAD, k, stopped
         if keep:

@@ -124,7 +124,8 @@ def simulate_together(
         places = np.minimum(np.arange(at, at + runs), len(seeds) - 1)
         for adaptation in adaptations.values():
             law, recursion = algorithm_of(twin, adaptation)
-            closed = loop.loop_of(twin, feedback, each[places], recursion)
+            delay = None if adaptation is None else adaptation.path_delay
+            closed = loop.loop_of(twin, feedback, each[places], recursion, delay)
             kept = KeptSignals(twin, total, every, first, runs, signals)
             sides.append((adaptation, law, closed, kept))
         until, broke_s = total, None
@@ -192,11 +193,11 @@ def algorithm_of(twin: Twin, adaptation) -> tuple[loop.Law, Recursion]:
     """What the kernel does, and the recursion of FeRLS at the start."""
     n = twin.regressors
     if isinstance(adaptation, FeRls):
-        return loop.Law(loop.FERLS), adaptation.start(n)
+        return loop.Law(loop.FERLS, modified=adaptation.path_delay is not None), adaptation.start(n)
     still = FeRls(1.0).start(n)
     if isinstance(adaptation, FeLms):
         numbers = (adaptation.step_size, adaptation.regularisation, adaptation.trace_copies(twin.actuators))
-        return loop.Law(loop.FELMS, *numbers), still
+        return loop.Law(loop.FELMS, *numbers, adaptation.path_delay is not None), still
     if adaptation is not None:
         raise InputError(f"adaptation is {adaptation!r}; give FeLms(...), FeRls(...) or None")
     return loop.Law(loop.FROZEN), still

@@ -2,6 +2,11 @@
 
     u = W psi,   e = N P2^-1 a1,   psi_N = N psi
 
+With a `path_delay` of d samples the weights follow the modified filtered error of Bjarnason (1995), which holds what the
+weights of now would have left, with the regressors of then:
+
+    e_m(k) = e(k) - N[u](k - d) + W(k) psi_N(k - d)
+
 The weights W have one row per actuator; every row sees the same regressors, so that one covariance P of the
 regressors serves all of them, eq. (27).
 """
@@ -13,7 +18,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.algebra import add_scaled, inner_product
-from stillwork.base.bounds import Count, Positive, within
+from stillwork.base.bounds import Count, Natural, Positive, within
 from stillwork.base.checks import (
     Converted,
     InputError,
@@ -54,6 +59,8 @@ class FeLms:
     trace : str
         ``regressors``: the trace over the n regressors, which fits the published curves. ``literal``: the trace
         that eq. (18) prints, which counts them once for every actuator and is that many times slower.
+    path_delay : int, optional
+        As of `FeRls`.
 
     Raises
     ------
@@ -75,6 +82,7 @@ class FeLms:
     step_size: Positive = 1e-4
     regularisation: Positive = 1e-5
     trace: str = "regressors"
+    path_delay: Natural | None = None
 
     def __post_init__(self):
         check_fields(self)
@@ -159,6 +167,10 @@ class FeRls:
         definiteness on regressors that one record drives, Bierman's factors, which take no longer.
     dtype : str
         Precision of the update and of the weights, ``float64`` or ``float32``.
+    path_delay : int, optional
+        Samples by which the path from command to error, its estimate inverted, is late: the update then uses the modified
+        filtered error, and psi_N of as many samples ago. None: the published update, which takes N[W psi] for W psi_N
+        and feeds slow signals back as the weights move.
 
     Raises
     ------
@@ -169,6 +181,8 @@ class FeRls:
     ----------
     The work that extends Beijen, Heertjes, van Dijk, Hakvoort, Control Engineering Practice 72 (2018), by FeRLS,
     eq. (29)-(30).
+    Bjarnason, Analysis of the filtered-X LMS algorithm, IEEE Trans. Speech and Audio Processing 3 (1995): the modified
+    form; Rupp and Sayed, IEEE Trans. Signal Processing 44 (1996).
 
     Examples
     --------
@@ -182,6 +196,7 @@ class FeRls:
     growth_limit: float = 10.0
     form: str = "safe"
     dtype: str = "float64"
+    path_delay: Natural | None = None
 
     @checked
     def __post_init__(self):

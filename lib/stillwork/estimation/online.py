@@ -49,6 +49,7 @@ def adapt(
     errors: Matrix,
     weights: ArrayLike | None = None,
     every: Count = 1000,
+    commands: Matrix | None = None,
 ) -> Adaptation:
     """Run the updates over recorded regressors and recorded filtered errors.
 
@@ -68,6 +69,8 @@ def adapt(
         Initial value; zero by default.
     every : int
         Store the weights every this many samples.
+    commands : array_like, shape (actuators, samples), optional
+        N[u], the feedforward commands of the run through the filter of the regressors: with a `path_delay`.
 
     Returns
     -------
@@ -93,7 +96,18 @@ def adapt(
     >>> estimation.adapt(estimation.FeLms(0.5), floor, errors).weights.round(3)
     array([[-0.5]])
     """
-    return _run(settings, regressors, "errors", errors, weights, every)
+    if settings.path_delay is None:
+        if commands is not None:
+            raise InputError(
+                "commands belong to the modified error; give settings a path_delay, or leave them out"
+            )
+        return _run(settings, regressors, "errors", errors, weights, every)
+    if commands is None:
+        raise InputError("commands is missing, which a path_delay needs; give N[u] of every sample")
+    if commands.shape != errors.shape:
+        raise InputError(f"commands has shape {commands.shape} but errors {errors.shape}; give as many")
+    regressors, commands = (_late(each, settings.path_delay) for each in (regressors, commands))
+    return _run(settings, regressors, "errors", errors - commands, weights, every)
 
 
 @checked
@@ -141,7 +155,14 @@ def identify(
     >>> estimation.identify(settings, floor, [[-3.0, 5.0]] @ floor).weights.round(3)  # N per (m/s^2)
     array([[ 3., -5.]])
     """
+    if settings.path_delay is not None:
+        raise InputError("settings.path_delay: a disturbance goes through no path; leave it out")
     return _run(settings, regressors, "disturbance", disturbance, weights, every)
+
+
+def _late(rows: np.ndarray, delay: int) -> np.ndarray:
+    """Rows of so many samples ago, zero before the first."""
+    return np.hstack([np.zeros((len(rows), delay)), rows])[:, : rows.shape[1]]
 
 
 class AdaptationStepper:
@@ -191,14 +212,20 @@ class AdaptationStepper:
             self.recursion = settings.start(self.weights.shape[1])
             self.weights = self.weights.astype(settings.dtype)
         self.samples = 0
-        self._step(np.zeros(self.weights.shape[1]), np.zeros(len(self.weights)))  # compiles what steps
+        actuators, n = self.weights.shape
+        self._late = [(np.zeros(n), np.zeros(actuators))] * (
+            settings.path_delay or 0
+        )  # psi_N and N[u], the oldest first
+        self._step(np.zeros(n), np.zeros(actuators))  # compiles what steps
 
     @property
     def covariance(self) -> Float64[np.ndarray, "n n"] | None:
         """P after the last valid sample; None for FeLMS."""
         return None if self.recursion is None else self.recursion.covariance
 
-    def update(self, regressor: ArrayLike, error: ArrayLike) -> Float[np.ndarray, "actuators n"]:
+    def update(
+        self, regressor: ArrayLike, error: ArrayLike, command: ArrayLike | None = None
+    ) -> Float[np.ndarray, "actuators n"]:
         """Update with psi_N, shape (n,), and e, shape (actuators,), of one sample; returns a copy of the new weights.
 
         After an exception weights and covariance are those of the previous sample, which may be kept or faded out.
@@ -209,6 +236,8 @@ class AdaptationStepper:
             psi_N.
         error : array_like, shape (actuators,)
             e.
+        command : array_like, shape (actuators,), optional
+            N[u], with a `path_delay`.
 
         Returns
         -------
@@ -231,12 +260,21 @@ class AdaptationStepper:
         actuators, n = self.weights.shape
         regressor = require_array("regressor", regressor, shape=(n,))
         error = require_array("error", error, shape=(actuators,))
+        late = self._late
+        if (command is None) != (self.settings.path_delay is None):
+            raise InputError(
+                "command is N[u] of the modified error; give it with a path_delay, and only then"
+            )
+        if command is not None:
+            late = [*late, (regressor, require_array("command", command, shape=(actuators,)))]
+            regressor, sent = late.pop(0)
+            error = error - sent
         stopped, definite, weights, recursion = self._step(regressor, error)
         if not definite:
             raise _not_definite(self.samples)
         if stopped == 0:
             raise _runaway(self.samples, self.settings)
-        self.weights, self.recursion = weights, recursion
+        self.weights, self.recursion, self._late = weights, recursion, late
         self.samples += 1
         return weights.copy()
 
@@ -246,7 +284,7 @@ class AdaptationStepper:
         recursion = None if self.recursion is None else self.recursion.copy()
         one = (each[None].astype(weights.dtype) for each in (regressor, error))
         history = np.empty((0, *weights.shape))
-        rest = *one, False, np.inf, history, 2, True
+        rest = *one, self.settings.path_delay is not None, np.inf, history, 2, True
         done = _advance(self.settings, weights, recursion, *rest, first=self.samples)
         return *done, weights, recursion
 
@@ -267,7 +305,7 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
     start = np.zeros((actuators, n)) if weights is None else weights
     start = require_array("weights", start, shape=(actuators, n))
     history = np.empty((samples // every, actuators, n))
-    fits = name == "disturbance"
+    fits = name == "disturbance" or settings.path_delay is not None
     ceiling = RUNAWAY * (np.abs(signals).max() + np.abs(signals + start @ regressors).max())
     dtype = settings.dtype if isinstance(settings, FeRls) else "float64"
     inputs = (
@@ -348,8 +386,8 @@ def run_ferls(
     """FeRLS over samples of which the first has the number `first`, in place.
 
     Returns how many are done, and whether P was positive definite up to there. The `signals` are e, or, where it
-    `fits`, d of e = d + W psi, which ends the run above the `ceiling`. To `watch` is to check at each sample whether all
-    is finite.
+    `fits`, d of e = d + W psi, which ends the run above the `ceiling`: of the modified error e less N[u]. To `watch` is to
+    check at each sample whether all is finite.
     """
     matrix, form, forgetting, levels, allowance, gain, _, _ = recursion
     error = np.empty(signals.shape[1], signals.dtype)
