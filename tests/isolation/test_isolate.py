@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from naive import adaptation
 from naive.isolators import (
     FINE,
     CompiledLoop,
@@ -162,11 +163,11 @@ def test_a_step_has_left_every_regressor_when_the_filters_have_settled(highpasse
 # --------------------------------------------------------------------------------------------------------------- the C
 
 
-def written(algorithm="FeRls", precision="double", axes=2, limit=1e9):
+def written(algorithm="FeRls", precision="double", axes=2, limit=1e9, **more):
     true = draw_isolator(np.random.default_rng(5), axes, RATE)
     loop = loop_of(isolator_of(true), 50.0)
     regressors = (POWERS + 1) * true.floor.shape[1]
-    settings = FeRls(1e-2, 0.999) if algorithm == "FeRls" else FeLms(1e-3, 1e-2)
+    settings = FeRls(1e-2, 0.999, **more) if algorithm == "FeRls" else FeLms(1e-3, 1e-2, **more)
     weights = np.random.default_rng(6).standard_normal((axes, regressors))
     return (
         loop,
@@ -228,6 +229,42 @@ def test_the_written_filters_are_those_of_the_design(tmp_path, algorithm, precis
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("delay", [0, 2])
+@pytest.mark.parametrize("algorithm", ["FeRls", "FeLms"])
+def test_the_written_modified_error_is_that_of_its_equation_sample_by_sample(tmp_path, algorithm, delay):
+    """scipy's filters, and the information matrix in place of the factors: no line of the library but the design's numbers."""
+    more = {"growth_limit": np.inf} if algorithm == "FeRls" else {}
+    loop, weights, files, sensors = written(algorithm, path_delay=delay, **more)
+    library = compiled(files, tmp_path, DRIVER)
+    rng = np.random.default_rng(8)
+    start = round(loop.settling * RATE)
+    first = start + round(FADE * start) + round(0.05 * RATE)
+    floor, platform = (rng.standard_normal((rows, first + 500)) for rows in (sensors, 2))
+    floor *= (
+        0.2 / signal.sosfilt(loop.noise_shaping, signal.sosfilt(loop.highpass, floor, axis=1), axis=1).std()
+    )
+    found, flags, _ = run(library, floor, platform, adapting=True)
+    assert np.all(flags[first:] == 0)
+    damping = signal.sosfilt(loop.skyhook, platform, axis=1)
+    rows = [signal.sosfilt(loop.highpass, floor, axis=1)]
+    for _ in range(POWERS):
+        rows.append(signal.sosfilt(loop.integrator, rows[-1], axis=1))
+    psi = np.vstack(rows)
+    learnt, sent = (signal.sosfilt(loop.noise_shaping, each, axis=1) for each in (psi, found + damping))
+    before, modes, after = loop.error
+    mixed = before @ platform
+    errors = after @ np.array([signal.sosfilt(rows, row) for rows, row in zip(modes, mixed, strict=True)])
+    step = adaptation.felms_step(1e-3, 1e-2)
+    if algorithm == "FeRls":
+        step = adaptation.ferls_step(1e-2 * np.eye(len(psi)), 0.999)
+    w, size = weights, np.abs(found).max()
+    for k in range(first, first + 500):
+        assert np.abs(w @ psi[:, k] - damping[:, k] - found[:, k]).max() < 1e-7 * size
+        w = step(w, learnt[:, k - delay], errors[:, k] - sent[:, k - delay] + w @ learnt[:, k - delay])
+    assert np.abs((w - weights) @ psi).max() > 1e-3 * size  # it has learnt
+
+
+@pytest.mark.slow
 def test_a_limit_and_missing_samples_freeze_the_weights_and_stored_ones_go_on(tmp_path):
     loop, weights, files, sensors = written(limit=5.0)
     library = compiled(files, tmp_path, DRIVER)
@@ -264,10 +301,11 @@ def test_a_limit_and_missing_samples_freeze_the_weights_and_stored_ones_go_on(tm
     not shutil.which("cppcheck"), reason="cppcheck is not installed: apt-get install cppcheck"
 )
 @pytest.mark.parametrize("axes", [1, 3, 6])
+@pytest.mark.parametrize("delay", [None, 2])
 @pytest.mark.parametrize("algorithm", ["FeRls", "FeLms"])
-def test_the_loop_is_written_without_warnings_and_within_misra(tmp_path, axes, algorithm):
+def test_the_loop_is_written_without_warnings_and_within_misra(tmp_path, axes, algorithm, delay):
     """Rule 2.5 is of macros in a header that its source does not use: they are there for the user."""
-    *_, files, _ = written(algorithm, "single", axes)
+    *_, files, _ = written(algorithm, "single", axes, path_delay=delay)
     compiled(files, tmp_path, DRIVER)
     names = [name for name in files if name.endswith(".c")]
     checks = ["--std=c99", "--addon=misra", "--quiet", "--suppress=missingIncludeSystem"]

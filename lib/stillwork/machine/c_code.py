@@ -153,7 +153,8 @@ def adaptation_code(
     """C99 of the self-tuned feedforward that allocates nothing: text by the name of its file.
 
     FeRLS keeps P in Bierman's factors whatever the precision; float32 holds these where it loses P itself. FeLMS
-    keeps the rounding error of each weight: otherwise small steps would be lost in single precision.
+    keeps the rounding error of each weight: otherwise small steps would be lost in single precision. With a `path_delay` the
+    update takes N[u], too, and a sample without an update is passed.
 
     Parameters
     ----------
@@ -186,7 +187,11 @@ def adaptation_code(
     """
     write = Numbers(name, precision)
     sizes = {"actuators": actuators, "regressors": regressors}
+    delay = settings.path_delay
+    marks = {"m": delay is not None, "p": delay is None}
     values = sizes | {
+        "delay": delay,
+        "places": 1 + (delay or 0),
         "zero": write(0),
         "one": write(1),
         "title": f"{name}: {actuators} x {regressors} weights by {type(settings).__name__}, {precision} precision.",
@@ -197,7 +202,7 @@ def adaptation_code(
         )
         values |= {each: write(getattr(settings, each)) for each in ("step_size", "regularisation")}
         values["copies"] = write(settings.trace_copies(actuators))
-        return write.files(("adaptation", "felms"), name, values)
+        return write.files(("adaptation", "felms"), name, values, marks)
     if settings.form not in ("safe", "UD"):
         raise InputError(f"settings.form is {settings.form!r}; C code exists for 'safe' and 'UD'")
     dtype = PRECISIONS[precision].__name__
@@ -221,7 +226,7 @@ def adaptation_code(
         )
         + "    int axis; /* whose limit is looked at next */",
     }
-    return write.files(("adaptation", "ferls"), name, values)
+    return write.files(("adaptation", "ferls"), name, values, marks)
 
 
 @checked
@@ -379,7 +384,9 @@ def isolation_code(
             )
         },
     }
-    return write.files("isolation", name, values, {"r": recursive}) | adaptation_code(
+    modified = settings.path_delay is not None
+    marks = {"r": recursive, "m": modified, "p": not modified}
+    return write.files("isolation", name, values, marks) | adaptation_code(
         settings, axes, regressors, f"{name}_adapt", precision
     )
 

@@ -150,6 +150,8 @@ $after    };
     ${name}_real e[A];
     ${name}_real psi[N];
     ${name}_real filtered[N];
+m|    double sent[A];
+m|    ${name}_real c[A];
     int place = 0;
     int a;
     int i;
@@ -213,6 +215,15 @@ $after    };
             flags |= ${guard}_SATURATED;
         }
     }
+m|
+m|    /* N on what the feedforward sent, for the modified error. */
+m|    for (a = 0; a < A; a++) {
+m|        sent[a] = (double)out[a] + damping[a];
+m|        for (k = 0; k < $shaping_sections; k++) {
+m|            sent[a] = section(shaping[k], &s->sent[k][0][a], &s->sent[k][1][a], sent[a]);
+m|        }
+m|        c[a] = (${name}_real)sent[a];
+m|    }
     if ((flags & ${guard}_SATURATED) != 0u) {
         s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
     }
@@ -220,7 +231,9 @@ $after    };
     if ((s->adapting == 0) || (s->wait > 0)) {
         flags |= ${guard}_FROZEN;
         s->wait -= (s->wait > 0) ? 1 : 0;
-    } else if (${name}_adapt_update(&s->adapt, filtered, e) == 0) {
+m|        ${name}_adapt_pass(&s->adapt, filtered, c);
+p|    } else if (${name}_adapt_update(&s->adapt, filtered, e) == 0) {
+m|    } else if (${name}_adapt_update(&s->adapt, filtered, c, e) == 0) {
         flags |= ${guard}_INVALID | ${guard}_FROZEN;
     } else {
         /* adapted */

@@ -40,6 +40,7 @@ typedef struct {
     double highpass[$highpass_sections][2][$sensors];
     double integrator[$integrator_sections][2][$both];
     double error[$error_sections][2][$axes];
+m|    double sent[$shaping_sections][2][$axes];
 } ${name}_state;
 
 /* Filters at rest, and a warm start: the weights that the design expects, and their covariance on its floor. */
