@@ -319,7 +319,6 @@ def catalogue() -> dict:
         "DigitalController.run": (digital.run, {"inputs": signal[None], "first": np.ones(1)}),
         "least_squares_code": (m.least_squares_code, {"estimator": e.RecursiveLeastSquares(), "features": 2, "outputs": 1, "name": "rls", "precision": "single"}),
         "adaptation_code": (m.adaptation_code, {"settings": e.FeRls(1.0), "actuators": 1, "regressors": 2, "name": "feed", "precision": "single"}),
-        "as_libraries": (c.as_libraries, {"controller": digital}),
         "controller_code": (m.controller_code, {"controller": digital, "name": "loop", "precision": "single"}),
         "load_controller": (c.load_controller, {"file": "missing.json"}),
         "Controller": (c.Controller, fields(controller)),

@@ -9,7 +9,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "applications": ("Application", "compensator"),
         "bandwidth": ("PeakConstraint", "make_loop", "maximise_bandwidth"),
         "decoupling": ("decouple",),
-        "digital": ("DigitalController", "as_libraries", "error_driven", "load_controller"),
+        "digital": ("DigitalController", "error_driven", "load_controller"),
         "error_budget": ("Network", "Source", "error_budget", "tone_response"),
         "feedback": ("damping_gain",),
         "feedforward": (

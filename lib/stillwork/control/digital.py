@@ -20,7 +20,6 @@ from stillwork.base.checks import (
     require_number,
     short_repr,
 )
-from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table, read_toml
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.feedforward import Feedforward, Motion
@@ -51,7 +50,7 @@ INTERFACE = {
     "call_order": "once start; then each sample: measure, setpoint, e and u, step, output",
 }
 ALIKE = 1e-3  # to which sections must respond like the controller that they stand for: 0.009 dB of a peak
-SAME = 1e-6  # to which biquads must agree with their model, or they are left out
+SAME = 1e-6  # to which a pole at zero and a zero must agree to cancel
 
 
 @by_value
@@ -546,25 +545,6 @@ def from_biquads(sections: ArrayLike, sample_time: Positive) -> StateModel:
     return series(models)
 
 
-@checked
-def biquads(model: StateModel) -> np.ndarray | None:
-    """Second-order sections of a model with one input and one output; None where they would not agree with it."""
-    if model.d.shape != (1, 1):
-        raise InputError(
-            f"model has {pluralise(model.d.shape[1], 'input')} and {pluralise(len(model.d), 'output')}; give one of each"
-        )
-    if not model.sample_time:
-        raise InputError("model is in continuous time; discretise it first")
-    omega = np.geomspace(1e-4, 0.99, 200) * np.pi / model.sample_time
-    wanted = model.frequency_response(omega)[0, 0]
-    zeros, poles = model.zeros, model.poles
-    shape = signal.freqz_zpk(zeros, poles, 1.0, omega * model.sample_time)[1]
-    gain = float(np.median((wanted / shape).real))
-    sections = signal.zpk2sos(zeros, poles, gain)
-    found = signal.sosfreqz(sections, omega * model.sample_time)[1]
-    return sections if np.abs(found - wanted).max() <= SAME * np.abs(wanted).max() else None
-
-
 class EquivalentBiquads(NamedTuple):
     """A controller of r and y in a drive's form, f = feedback(r - y) + reference(r), within its limits."""
 
@@ -674,44 +654,6 @@ def _conjugate(roots: np.ndarray) -> np.ndarray:
     real = np.abs(roots.imag) <= AT_ONE * np.maximum(np.abs(roots), 1)
     upper = roots[~real & (roots.imag > 0)]
     return np.concatenate([upper, upper.conj(), roots[real].real.astype(complex)])
-
-
-class LibraryObjects(NamedTuple):
-    """One linear controller as objects of other libraries."""
-
-    control: Any  # control.StateSpace
-    scipy: Any  # scipy.signal.StateSpace in discrete time
-    biquads: np.ndarray | None  # (sections, 6), where there is one input and one output
-
-
-@checked
-def as_libraries(controller: DigitalController) -> LibraryObjects:
-    """A controller within its limits, without its delay, as objects of python-control and SciPy.
-
-    Parameters
-    ----------
-    controller : DigitalController
-
-    Returns
-    -------
-    LibraryObjects
-        The same controller as objects of both.
-
-    Raises
-    ------
-    MissingPackage
-        When python-control is not installed.
-
-    Examples
-    --------
-    >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
-    >>> control.as_libraries(control.DigitalController(pid, ("e (m)",), ("f (N)",))).scipy.dt
-    0.0001
-    """
-    require_package("control")
-    model = controller.linear
-    discrete = signal.StateSpace(model.a, model.b, model.c, model.d, dt=model.sample_time)
-    return LibraryObjects(model.to_control(), discrete, biquads(model) if model.d.shape == (1, 1) else None)
 
 
 @checked(infinite=True)
