@@ -28,11 +28,22 @@ from stillwork.control.isolation_filters import NoiseShaping, weak_highpass
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Responses, mean_adaptation, scatter
 from stillwork.machine import isolation_design
+from stillwork.machine import replay as replay_module
 from stillwork.machine.c_code import FADE, isolation_code
 from stillwork.machine.inspect import inspect_file
 from stillwork.machine.isolate import isolate_file, new_file
 from stillwork.machine.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
-from stillwork.machine.isolation_design import CUTOFFS_HZ, DRAWS, HIGHPASSES, LONGEST_S, RATIOS
+from stillwork.machine.isolation_design import (
+    CUTOFFS_HZ,
+    DRAWS,
+    HIGHPASSES,
+    LONGEST_S,
+    RATIOS,
+    choose_beta,
+    floor_spectra,
+    paths_through,
+    try_loop,
+)
 from stillwork.machine.path_fit import fit_path
 from workbook import paths
 
@@ -451,6 +462,48 @@ def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
         assert np.abs(loop.commands).max() == pytest.approx(max(about["command_peak"]), rel=0.2)
         assert not flags & 1
         assert band_rms(platform, FINE * rate, *about["judged_hz"])[0] < about["remains"][2][0]
+    # The isolator as given: what the page shows of the record is what a plant of others' making does.
+    for mode in ("frozen", "adapting"):
+        loop = CompiledLoop(tmp_path / "out", "isolator")
+        loop.run(template, np.tile(fine, (1, 2)), 1, mode == "adapting")
+        platform, _, _ = loop.run(template, fine[None], 2, mode == "adapting")
+        replayed = {name: about["replay"][name][mode] for name in ("peak", "minutes", "saturated")}
+        assert replayed["peak"] == pytest.approx([np.abs(loop.commands).max()], rel=0.06)  # of other noise
+        lines, low_high = np.fft.rfft(platform[0]) / platform.size, about["judged_hz"]
+        f = np.fft.rfftfreq(platform.size, 1 / (FINE * rate))
+        found = np.sqrt(2 * np.sum(np.abs(lines[(f >= low_high[0]) & (f <= low_high[1])]) ** 2))
+        assert np.ravel(replayed["minutes"]) == pytest.approx(found, rel=0.1)  # likewise
+        assert replayed["saturated"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("algorithm", "late"), [("FeRls", 1.4), ("FeLms", 0.0)])
+def test_without_a_compiler_the_record_runs_through_the_same_loop(tmp_path, monkeypatch, algorithm, late):
+    """The compiled C and the kernel in Python: the same commands, weights and samples at the limit."""
+    true = draw_isolator(np.random.default_rng(5), 2, RATE)
+    isolator = replace(isolator_of(true), delay=late / RATE)
+    record = coloured(np.random.default_rng(1), GRID, flat(), 12_000, RATE, isolator.sensors)
+    floor = floor_spectra(record, RATE, "record")
+    loop = replace(loop_of(isolator, 50.0), cutoff_hz=2.0)
+    loop = replace(loop, beta=choose_beta(loop, floor))
+    design = try_loop(loop, isolator, paths_through(isolator, RATE), floor, algorithm, 1.0, 1e-3)
+    files = isolation_code(loop, design.settings, design.steady.weights, 1e9, 0.05, "iso")
+
+    def both(limit):
+        return replay_module.replay(design, files, "iso", limit, 0.05, floor, (1.0, 100.0))
+
+    runs = [both(np.inf)]
+    limit = 0.6 * float(runs[0].peak.max())
+    runs.append(both(limit))
+    monkeypatch.setattr(replay_module, "COMPILERS", ())
+    runs += [both(np.inf), both(limit)]
+    for in_c, kernel in zip(runs[:2], runs[2:], strict=True):
+        assert in_c.ran != kernel.ran and in_c.saturated == kernel.saturated
+        assert kernel.motion == pytest.approx(in_c.motion, rel=1e-5)
+        assert kernel.peak == pytest.approx(in_c.peak, rel=1e-5)
+        assert kernel.noise == pytest.approx(in_c.noise, rel=1e-5)
+    assert runs[0].saturated == (0, 0) and min(runs[1].saturated) > 0
+    assert not np.allclose(runs[0].motion[1], runs[0].motion[2], rtol=1e-3)  # it adapts
 
 
 @pytest.mark.slow

@@ -345,7 +345,7 @@ def isolation_code(
     before, modes, after = loop.error
     unlimited = limit == np.inf
     recursive = isinstance(settings, FeRls)
-    start = round(max(loop.settling, pause_s) * loop.rate)
+    start, fade, pause = waiting_samples(loop, pause_s)
     values = {
         "title": f"{name}: {axes}-axis feedforward from {pluralise(sensors, 'floor sensor')}, "
         f"{loop.rate:g} samples a second.",
@@ -358,10 +358,10 @@ def isolation_code(
         "zero": write(0),
         "limit": "INFINITY" if unlimited else write(limit),
         "start": start,
-        "fade": max(round(FADE * start), 1),
+        "fade": fade,
         "two": write(2),
         "three": write(3),
-        "pause": round(pause_s * loop.rate),
+        "pause": pause,
         "patience": round(PATIENCE_S * loop.rate),
         "powers": POWERS,
         "power_sections": len(loop.integrator),
@@ -389,6 +389,12 @@ def isolation_code(
     return write.files("isolation", name, values, marks) | adaptation_code(
         settings, axes, regressors, f"{name}_adapt", precision
     )
+
+
+def waiting_samples(loop: FeedforwardLoop, pause_s: float) -> tuple[int, int, int]:
+    """Samples until the floor sensors' filters have settled, in which the feedforward then rises, and of a pause."""
+    start = round(max(loop.settling, pause_s) * loop.rate)
+    return start, max(round(FADE * start), 1), round(pause_s * loop.rate)
 
 
 def _rows(write: "Numbers", matrix: np.ndarray) -> str:

@@ -41,6 +41,7 @@ from stillwork.machine.isolation_design import (
 )
 from stillwork.machine.isolation_prediction import IsolationPrediction, predict
 from stillwork.machine.path_fit import PathFit, fit_path
+from stillwork.machine.replay import Replay, paint_replay, replay, replay_rows, require_kept
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import density_unit, read_densities, stated_density
@@ -141,16 +142,23 @@ def isolate_file(
         spread=spread,
     )
     found = predict(design, around, spectra, correction)
-    require_force(found, limit)
     pause = PAUSES / (2 * np.pi * design.loop.shaping.highpass_hz)
     weights = design.steady.weights
     files = isolation_code(design.loop, design.settings, weights, limit, pause, name, precision)
+    run = None
+    if spectra.record is not None:
+        run = replay(design, files, name, limit, pause, spectra, found.band_hz)
+    require_force(found, limit, 0.0 if run is None else run.noise)
+    if run:
+        require_kept(run, found)
     about = {
         "made_by": f"stillwork {stillwork.__version__} isolate",
         "machine": Path(machine).name,
         "floor": spectra.source,
         "rate_hz": rate,
     } | _record_of(design, found)
+    if run:
+        about["replay"] = run.record()
     files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
     write_folder(folder, files)  # before the page: what was computed is not lost with a picture
     facts = [
@@ -160,9 +168,8 @@ def isolate_file(
         *(["check the floor", each] for each in seen),
     ]
     given = {"source": html.escape(Path(machine).name), "spread": f"{100 * spread:g}", "name": name}
-    text = _report(
-        design, around, found, spectra, facts, files=html.escape(", ".join(sorted(files))), **given
-    )
+    given |= {"replay": _replayed(run, found, limit), "files": html.escape(", ".join(sorted(files)))}
+    text = _report(design, around, found, spectra, facts, **given)
     (Path(folder) / "report.html").write_text(text, encoding="utf-8")
     return [
         f"{Path(machine).name} on {spectra.source}",
@@ -208,6 +215,24 @@ def _report(design, around, found, spectra: FloorSpectra, facts: list[list[str]]
         transmissibility=picture(paint_transmissibility(design, found), "transmissibility of every axis"),
         certificate=table(["", "found", "worst in the box", "limit"], certificate_rows(design, around)),
         **given,
+    )
+
+
+def _replayed(run: Replay | None, found: IsolationPrediction, limit: float) -> str:
+    """The part of the page on the record that ran through the loop."""
+    if run is None:
+        return ""
+    saturated = (
+        f"{run.saturated[0]} samples frozen and {run.saturated[1]} adapting at the limit of {limit:g} N"
+        if np.isfinite(limit)
+        else "no limit was given"
+    )
+    return (
+        f"<h2>The record, run through the loop</h2>\n<p>{run.ran}, around the isolator as given, from settled filters on and "
+        f"with noise at its sensors. Largest command: {_listed(run.peak[0].max(axis=1))} N with frozen weights, "
+        f"{_listed(run.peak[1].max(axis=1))} N adapting; {saturated}. Each minute (rms, m/s<sup>2</sup>, of every axis):</p>\n"
+        + table(["minute", "without control", "frozen", "adapting"], replay_rows(run))
+        + picture(paint_replay(run, found, limit), "motion and command over the record")
     )
 
 
@@ -276,9 +301,9 @@ def answer(
     ]
 
 
-def require_force(found: IsolationPrediction, limit: float) -> None:
-    """Refuse a `limit` that the commands may reach: a command at its limit isolates nothing."""
-    largest = float(found.force[1:].max())
+def require_force(found: IsolationPrediction, limit: float, noise: float | np.ndarray = 0.0) -> None:
+    """Refuse a `limit` that commands with their peak of `noise` may reach: a command at its limit isolates nothing."""
+    largest = float(np.maximum(found.force[1], found.force[2] + noise).max())
     if limit < largest:
         raise InputError(
             f"not to be switched on: limit is {limit:g} N, and on this floor a command reaches {largest:.4g} N; give "

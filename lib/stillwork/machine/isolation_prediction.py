@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 
 from stillwork.base.bounds import Natural
 from stillwork.base.checks import InputError
@@ -62,8 +62,8 @@ def predict(
 ) -> IsolationPrediction:
     """Motion and transmissibility of a design and of the loops around it, each with weights drawn from their scatter.
 
-    Where `floor` has its record, that runs through every loop with frozen weights: its peaks are those of the commands,
-    and its scatter is that of the floor's spectra, too. Without it the spectra count as known, and the peaks are Rice's.
+    Where `floor` has its record, that runs through every loop with frozen weights: its peaks are those of the commands
+    without sensor noise (`replay` adds that), and its scatter is that of the floor's spectra, too. Without it the spectra count as known, and the peaks are Rice's.
     """
     if design.scatter is None:
         raise InputError(
@@ -198,16 +198,13 @@ def _forces(
     correction,
 ) -> list[np.ndarray]:
     """Rms of each command, its highest and its peak with weights about those of the design."""
-    through = design.paths.commands(design.steady.weights)
-    whole = density_through(floor, noises, *through)
+    whole = density_through(floor, noises, *design.paths.commands(design.steady.weights))
     expected = np.sqrt(whole @ floor.widths_hz + scattered)
     if floor.record is None:
         varies = _varying(whole, floor.widths_hz, floor, expected**2)
         return [expected, expected * np.exp(varies), _rice(whole, expected, floor)]
     command = _followed(design, lambda paths: paths.commands(weights)[0], floor, correction)
-    noise = whole - density_through(floor, (0.0, 0.0), *through)
-    peak = np.abs(command).max(axis=1) + _rice(noise, np.sqrt(noise @ floor.widths_hz), floor)
-    return [expected, expected * next_rms(command, HIGHEST), peak]
+    return [expected, expected * next_rms(command, HIGHEST), np.abs(command).max(axis=1)]
 
 
 def _followed(
@@ -219,18 +216,29 @@ def _followed(
 ) -> np.ndarray:
     """What the floor's record becomes over time through a response of the loop, in a band."""
     record = np.asarray(floor.record)
-    # Close enough for a straight line between the responses of a mode with 1 % of damping.
-    grid = np.geomspace(SLOWEST_HZ, min(floor.frequencies_hz[-1], 0.49 * design.loop.rate), LINES)
+    grid = record_grid(design, floor)
     response = respond(
         moving_paths(design.loop, paths_through(design.isolator, design.loop.rate, correction), grid)
     )
     lines, f = np.fft.rfft(record, axis=1), np.fft.rfftfreq(record.shape[1], 1 / floor.record_hz)
-    moved = np.zeros((response.shape[1], len(f)), complex)
-    for axis, sensor in np.ndindex(response.shape[1:]):
-        # Slower or faster motion than the grid's is left out.
-        moved[axis] += np.interp(f, grid, response[:, axis, sensor], left=0.0, right=0.0) * lines[sensor]
+    moved = through(f, lines, grid, response)
     moved *= (f >= band_hz[0]) & (f <= band_hz[1])
     return FINER * np.fft.irfft(moved, FINER * record.shape[1], axis=1)
+
+
+def record_grid(design: IsolationDesign, floor: FloorSpectra) -> Float64[np.ndarray, " lines"]:
+    """Frequencies (Hz) between which the response of a mode with 1 % of damping is a straight line."""
+    return np.geomspace(SLOWEST_HZ, min(floor.frequencies_hz[-1], 0.49 * design.loop.rate), LINES)
+
+
+def through(
+    f: np.ndarray, lines: np.ndarray, grid: np.ndarray, response: Responding
+) -> Complex128[np.ndarray, "axes lines"]:
+    """Lines (inputs, f) of signals through a response on a grid; slower or faster motion than the grid's is left out."""
+    moved = np.zeros((response.shape[1], len(f)), complex)
+    for axis, column in np.ndindex(response.shape[1:]):
+        moved[axis] += np.interp(f, grid, response[:, axis, column], left=0.0, right=0.0) * lines[column]
+    return moved
 
 
 def _banded(draws: np.ndarray, expected: np.ndarray, varies: np.ndarray) -> np.ndarray:

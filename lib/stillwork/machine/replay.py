@@ -1,0 +1,338 @@
+"""A floor's record through the written C around the nominal isolator, with frozen and with adapting weights."""
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+from string import Template
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg, signal
+
+from stillwork.base.algebra import set_product
+from stillwork.base.checks import InputError
+from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.estimation.adaptive import FeRls, felms_update, ferls_step
+from stillwork.machine import pictures
+from stillwork.machine.c_code import TEMPLATES, waiting_samples
+from stillwork.machine.isolation import POWERS, FloorSpectra, Isolator
+from stillwork.machine.isolation_design import IsolationDesign
+from stillwork.machine.isolation_prediction import IsolationPrediction, record_grid, through
+
+COMPILERS = ("cc", "gcc", "clang")
+MODES = ("frozen", "adapting")
+MINUTE_S = 60
+TAIL_S = 3.0  # after the record, which do not count
+SATURATED = 1  # the flag of the C
+
+
+class Replay(NamedTuple):
+    """What a record makes of the platform and of the commands, second by second."""
+
+    ran: str  # the compiled C, or the kernel
+    motion: np.ndarray  # (3, axes, seconds): rms without control, frozen, adapting in the judged band, m/s^2
+    peak: np.ndarray  # (2, axes, seconds): largest command, frozen and adapting, N
+    saturated: tuple[int, int]  # samples at the limit
+    noise: np.ndarray  # (axes,): largest command by the sensors' noise alone, with frozen weights, N
+
+    @property
+    def minutes(self) -> np.ndarray:
+        """Rms of each minute, m/s^2, (3, axes, minutes)."""
+        parts = max(1, round(self.motion.shape[2] / MINUTE_S))
+        squares = np.array_split(self.motion**2, parts, axis=2)
+        return np.sqrt(np.stack([each.mean(axis=2) for each in squares], axis=2))
+
+    def record(self) -> dict:
+        """Its numbers, as the written JSON has them."""
+        return {
+            "ran": self.ran,
+            "peak": dict(zip(MODES, self.peak.max(axis=2).tolist(), strict=True)),
+            "minutes": dict(zip(("without", *MODES), self.minutes.tolist(), strict=True)),
+            "noise": self.noise.tolist(),
+            "saturated": dict(zip(MODES, self.saturated, strict=True)),
+        }
+
+
+def replay(
+    design: IsolationDesign,
+    files: dict[str, str],
+    name: str,
+    limit: float,
+    pause_s: float,
+    floor: FloorSpectra,
+    band_hz: tuple[float, float],
+    seed: int = 0,
+) -> Replay:
+    """Run the record of `floor` through the C in `files`, compiled where a compiler is, else through its kernel.
+
+    The end of the record runs first, in which the filters settle and the feedforward rises. Sensor noise is white.
+    """
+    rate, isolator = design.loop.rate, design.isolator
+    record = np.asarray(floor.record)
+    count, lead = round(record.shape[1] / floor.record_hz * rate), sum(waiting_samples(design.loop, pause_s))
+    tail = round(TAIL_S * rate)
+    order = np.arange(-lead, count + tail) % count
+    grid = record_grid(design, floor)
+    primary, held, _ = isolator.paths(grid, 1 / rate)
+    read = signal.resample(record, count, axis=1)
+    lines = through(np.fft.rfftfreq(count, 1 / rate), np.fft.rfft(read, axis=1), grid, primary)
+    read, moved = read[:, order], np.fft.irfft(lines, count, axis=1)[:, order]
+    white = np.random.default_rng(seed).standard_normal((len(read) + len(moved), len(order)))
+    levels = np.repeat([isolator.floor_noise, isolator.platform_noise], [len(read), len(moved)])
+    noise = np.sqrt(rate / 2) * levels[:, None] * white
+    quiet, still = (np.ascontiguousarray(each.T) for each in np.split(noise, [len(read)]))
+    floors, seen = np.ascontiguousarray(read.T) + quiet, np.ascontiguousarray(moved.T) + still
+    f = np.fft.rfftfreq(len(order), 1 / rate)
+    inside = (f >= band_hz[0]) & (f <= band_hz[1])
+
+    def left(lines):
+        banded = np.fft.irfft(lines * inside, len(order), axis=1)[:, lead : lead + count]
+        return np.sqrt(_seconds(banded**2, rate, np.mean))
+
+    passive = np.fft.rfft(moved, axis=1)
+    motions, peaks, saturated, ran = [left(passive)], [], [], ""
+    counted = slice(lead, lead + count)
+    for begins in (len(order), 0):
+        forces, flags, ran = _run(design, files, name, limit, pause_s, floors, seen, begins)
+        if not np.isfinite(forces).all():
+            raise InputError(
+                "not to be switched on: on the record itself the weights run away; adapt more slowly"
+            )
+        peaks.append(_seconds(np.abs(forces[counted].T), rate, np.max))
+        saturated.append(int(np.count_nonzero(flags[counted] & SATURATED)))
+        # From rest to rest, with the rise before it and a fade after: else its lines had a step of the commands.
+        forces[lead + count :] *= np.linspace(1.0, 0.0, tail)[:, None]
+        motions.append(left(passive + through(f, np.fft.rfft(forces.T, axis=1), grid, held)))
+    alone, *_ = _run(design, files, name, np.inf, pause_s, quiet, still, len(order))
+    largest = np.abs(alone[counted]).max(axis=0)
+    return Replay(ran, np.array(motions), np.array(peaks), (saturated[0], saturated[1]), largest)
+
+
+def _seconds(rows: np.ndarray, rate: float, summary) -> np.ndarray:
+    parts = np.array_split(rows, max(1, int(rows.shape[1] / rate)), axis=1)
+    return np.stack([summary(each, axis=1) for each in parts], axis=1)
+
+
+def plant_matrices(isolator: Isolator, sample_time: float):
+    """A, B of a held command and of the one before, C to the acceleration; and the whole samples of its delay.
+
+    States: relative positions, their velocities, forces behind the actuators' pole. Between two samples the earlier
+    command acts for the fraction of a sample that the delay holds, then the later one.
+    """
+    n, inverse, pole = isolator.axes, np.linalg.inv(isolator.mass), isolator.actuator_pole
+    zero, one = np.zeros((n, n)), np.eye(n)
+    c = np.hstack([-inverse @ isolator.stiffness, -inverse @ isolator.damping, inverse])
+    a = np.vstack([np.hstack([zero, one, zero]), c, np.hstack([zero, zero, -pole * one])])
+    whole = np.zeros((4 * n, 4 * n))
+    whole[: 3 * n] = np.hstack([a, np.vstack([zero, zero, pole * one])])
+    late, part = divmod(isolator.delay / sample_time, 1.0)
+    early, later = (linalg.expm(whole * share * sample_time)[: 3 * n] for share in (part, 1 - part))
+    step = later[:, : 3 * n] @ early
+    a, now, before = (
+        np.ascontiguousarray(each) for each in (step[:, : 3 * n], later[:, 3 * n :], step[:, 3 * n :])
+    )
+    return a, now, before, c, int(late)
+
+
+def _run(design, files, name, limit, pause_s, floors, seen, begins):
+    """Commands (samples, axes) and flags of each sample, and what ran; weights adapt from the sample `begins` on."""
+    *plant, late = plant_matrices(design.isolator, design.loop.sample_time)
+    forces, flags = np.zeros_like(seen), np.zeros(len(seen), np.uint8)
+    compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
+    if compiler:
+        states = len(plant[0])
+        work = np.zeros(states), np.zeros(states)
+        with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+            if run := _compiled(compiler, files, name, Path(folder)):
+                whole = (ctypes.c_long(len(seen)), states, ctypes.c_long(late), ctypes.c_long(begins))
+                arrays = [
+                    each.ctypes.data_as(ctypes.c_void_p)
+                    for each in (*plant, floors, seen, forces, flags, *work)
+                ]
+                run(*whole, *arrays[:6], ctypes.c_double(limit), *arrays[6:])
+                return forces, flags, "the written C, compiled"
+    _run_kernel(
+        design,
+        limit,
+        (*waiting_samples(design.loop, pause_s), late, begins),
+        floors,
+        seen,
+        tuple(plant),
+        forces,
+        flags,
+    )
+    return forces, flags, "its kernel in Python, as no C compiler was found"
+
+
+def _compiled(compiler: str, files: dict[str, str], name: str, folder: Path):
+    """The function `replay` of the C with its plant; None where it does not compile here."""
+    driver = Template((TEMPLATES / "replay.c").read_text(encoding="utf-8")).substitute(
+        name=name, guard=name.upper()
+    )
+    for file, text in {**files, "replay.c": driver}.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    sources = [f"{name}.c", f"{name}_adapt.c", "replay.c"]
+    command = [compiler, "-std=c99", "-O2", "-shared", "-fPIC", *sources, "-o", "replay.so", "-lm"]
+    if subprocess.run(command, cwd=folder, capture_output=True).returncode:
+        return None
+    return ctypes.CDLL(str(folder / "replay.so")).replay
+
+
+def _run_kernel(design, limit, spans, floors, seen, plant, forces, flags) -> None:
+    """The loop of the C by the toolbox's filters and updates, into `forces` and `flags`."""
+    loop, settings = design.loop, design.settings
+    rows = [signal.sosfilt(loop.highpass, floors, axis=0)]
+    rows.append(signal.sosfilt(loop.noise_shaping, rows[0], axis=0))
+    stacks = [[each] for each in rows]
+    for stack in stacks:
+        for _ in range(POWERS):
+            stack.append(signal.sosfilt(loop.integrator, stack[-1], axis=0))
+    psi, filtered = (np.ascontiguousarray(np.hstack(stack)) for stack in stacks)
+    weights = design.steady.weights.copy()
+    recursive = isinstance(settings, FeRls)
+    recursion = (
+        FeRls(settings.initial_covariance, settings.forgetting, settings.growth_limit, form="UD")
+        if recursive
+        else FeRls(1.0, form="UD")
+    )
+    rates = (
+        (0.0, 1.0, 1.0)
+        if recursive
+        else (settings.step_size, settings.regularisation, settings.trace_copies(len(weights)))
+    )
+    filters = (loop.skyhook, *(np.ascontiguousarray(each) for each in loop.error))
+    started = recursion.start(psi.shape[1])
+    _step_through(
+        weights, started, *started[-2:], recursive, rates, psi, filtered, seen, plant, filters, spans, float(limit), forces, flags
+    )  # fmt: skip
+
+
+@inlined_kernel
+def _section(coefficients, memory, value):
+    """One section, transposed direct form II."""
+    result = coefficients[0] * value + memory[0]
+    memory[0] = coefficients[1] * value - coefficients[4] * result + memory[1]
+    memory[1] = coefficients[2] * value - coefficients[5] * result
+    return result
+
+
+@kernel
+def _step_through(
+    weights,
+    recursion,
+    inner,
+    other,
+    recursive,
+    rates,
+    psi,
+    filtered,
+    seen,
+    plant,
+    filters,
+    spans,
+    limit,
+    forces,
+    flags,
+):
+    """Every sample: sensors, filtered error and skyhook, command and its limit, update, plant."""
+    a, now, before_it, c = plant
+    skyhook, before, modes, after = filters
+    start, fade, pause, late, begins = spans
+    matrix, form, forgetting, levels, allowance, gain, _, _ = recursion
+    axes, states = seen.shape[1], len(a)
+    x, damped, error, turned = np.zeros(states), np.zeros(axes), np.zeros(axes), np.zeros(axes)
+    skies, errors = np.zeros((axes, len(skyhook), 2)), np.zeros((axes, modes.shape[1], 2))
+    rest, wait = start + fade, start + fade + pause
+    for k in range(len(seen)):
+        for i in range(axes):
+            error[i] = seen[k, i] + np.sum(c[i] * x)
+            damped[i] = error[i]
+            for m in range(len(skyhook)):
+                damped[i] = _section(skyhook[m], skies[i, m], damped[i])
+        set_product(before, error, turned)
+        for i in range(axes):
+            for m in range(modes.shape[1]):
+                turned[i] = _section(modes[i, m], errors[i, m], turned[i])
+        set_product(after, turned, error)
+        share = 1 - rest / fade if rest < fade else 0.0
+        share = share * share * (3 - 2 * share)
+        for i in range(axes):
+            forces[k, i] = share * np.sum(weights[i] * psi[k]) - damped[i]
+            if not abs(forces[k, i]) <= limit:
+                forces[k, i] = np.copysign(limit, forces[k, i])
+                flags[k] = SATURATED
+        if flags[k]:
+            wait = max(wait, pause)
+        rest -= rest > 0
+        if k < begins or wait > 0:
+            wait -= wait > 0
+        elif recursive:
+            ferls_step(
+                weights, matrix, form, forgetting, levels, allowance, gain, inner, other, filtered[k], error, k
+            )  # fmt: skip
+        else:
+            felms_update(weights, filtered[k], error, rates[0], rates[1], rates[2])
+        following = a @ x
+        if k >= late:
+            following += now @ forces[k - late]
+        if k > late:
+            following += before_it @ forces[k - late - 1]
+        x = following
+
+
+def require_kept(found: Replay, promised: IsolationPrediction) -> None:
+    """Refuse a loop that on the record itself reaches its limit, or leaves more than what was called the highest."""
+    if any(found.saturated):
+        raise InputError(
+            f"not to be switched on: on the record itself the limit acts in {max(found.saturated)} samples; give a higher "
+            "limit, or start the band at a higher frequency"
+        )
+    whole, highest = np.sqrt(np.mean(found.motion[1:] ** 2, axis=2)).max(axis=0), promised.remains[2]
+    if (over := np.flatnonzero(whole > highest)).size:
+        axis = over[0]
+        raise InputError(
+            f"not to be switched on: on the record itself axis {axis + 1} moves by {whole[axis]:.3g} m/s^2 rms, more than "
+            f"the highest {highest[axis]:.3g} foretold; adapt more slowly (a smaller variance), or record longer"
+        )
+
+
+def replay_rows(found: Replay) -> list[list[str]]:
+    """Rms of each minute on every axis: without control, frozen, adapting."""
+    return [
+        [str(k + 1), *(", ".join(f"{value:.3g}" for value in each) for each in found.minutes[:, :, k])]
+        for k in range(found.minutes.shape[2])
+    ]
+
+
+@pictures.house_style()
+def paint_replay(found: Replay, promised: IsolationPrediction, limit: float):
+    """Rms and largest command of each second, all axes together."""
+    figure, (top, bottom) = pictures.new(2, 1, height=4.6, sharex=True)
+    seconds = np.arange(found.motion.shape[2]) + 0.5
+    whole = np.linalg.norm(found.motion, axis=1)
+    styles = (
+        (pictures.GREY, 1.0, "without control"),
+        (pictures.ORANGE, 2.6, "frozen"),
+        (pictures.BLUE, 0.9, "adapting"),
+    )
+    for row, (colour, width, label) in zip(whole, styles, strict=True):
+        top.semilogy(seconds, row, color=colour, linewidth=width, label=label)
+    highest = np.linalg.norm(promised.remains[2])
+    top.axhline(
+        highest,
+        color=pictures.BLACK,
+        linestyle="--",
+        linewidth=1.0,
+        label="highest foretold, over the record",
+    )
+    top.set_ylabel(f"rms of a second (m/s²)\n{promised.band_hz[0]:g} to {promised.band_hz[1]:.3g} Hz")
+    top.legend(ncols=2)
+    for row, (colour, width, label) in zip(found.peak.max(axis=1), styles[1:], strict=True):
+        bottom.plot(seconds, row, color=colour, linewidth=width, label=label)
+    if np.isfinite(limit):
+        bottom.axhline(limit, color=pictures.RED, linestyle="--", linewidth=1.0, label="limit")
+    bottom.set(xlabel="time on the record (s)", ylabel="largest command\nof a second (N)", ylim=(0, None))
+    bottom.legend()
+    return figure
