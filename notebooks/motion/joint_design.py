@@ -11,6 +11,7 @@ from functools import cache, cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import optimize
@@ -24,7 +25,7 @@ from experiments.motion.machines import (
     stage_mass,
 )
 from experiments.motion.pictures import add_magnitude, mark_limit, plain
-from experiments.motion.uncertainty import detuned, perturbed, sample_errors
+from experiments.motion.uncertainty import LAWS, detuned, perturbed, sample_errors
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_numbers
 from stillwork.control.applications import filtered_estimates
@@ -41,7 +42,7 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel, interconnect, response_between
-from workbook import figures, paths
+from workbook import figures, paths, proportion_interval
 
 SAMPLE_TIME, DELAY = 1e-4, 1.5  # s, as in notebook 11; samples from command to force
 MEASURED = 4  # mass 5, at which the thesis evaluates a scan
@@ -626,27 +627,26 @@ def as_toml(name: str, stored: Stored) -> str:
 
 # === Pictures =====================================================================================================
 
-SIZE_COLOURS = dict(zip(SIZES, (figures.RED, figures.BLUE, figures.GREEN), strict=True))
 TOP_DB = 20.0  # where larger peaks are cut
 
 
-def paint_left(designs: Mapping[str, Stored], nominal: Mapping[str, Judged], published: Judged):
-    """Scan error over what a step of the force leaves; nominal stage, colours by the errors that a design serves."""
-    figure, axis = figures.new(1, 1, height=3.2)
-    for name, stored in designs.items():
-        kind = name.partition(",")[0]
-        marker = {"joint": "o", "two steps": "^"}.get(kind, "v")
-        at = 1e9 * nominal[name].left[0], 1e9 * nominal[name].error[0]
-        fill = SIZE_COLOURS[stored.size] if stored.left else "none"
-        axis.plot(*at, marker, color=SIZE_COLOURS[stored.size], markerfacecolor=fill, label=name)
-    axis.plot(
-        1e9 * published.left[0], 1e9 * published.error[0], "x", color=figures.BLACK, label="as published"
-    )
-    label = f"limit of a search, {1e9 * LEFT_LIMIT:g} nm/N"
-    axis.axvline(1e9 * LEFT_LIMIT, color=figures.BLACK, linestyle=":", linewidth=1.0, label=label)
-    axis.set_xscale("log")
-    axis.set(xlabel="left 100 to 200 ms after a step (nm/N)", ylabel="rms error in the scan (nm)")
-    figures.legend_below(axis, 3, fontsize=7)
+def paint_designs(nominal: Mapping[str, Judged], published: Judged, floor: float):
+    """Scan error of each design and what a step of the force leaves, a row a design; nominal stage."""
+    figure, (left, right) = figures.new(1, 2, height=3.2, sharey=True)
+    rows = {"as published": published} | dict(nominal)
+    names = sorted(rows, key=lambda name: -rows[name].error[0])
+    for axis, numbers in ((left, "error"), (right, "left")):
+        values = [1e9 * getattr(rows[name], numbers)[0] for name in names]
+        axis.plot(values, range(len(names)), "o", color=figures.BLUE, label="design")
+    left.set_yticks(range(len(names)), [name.replace("%", " %") for name in names], fontsize=7)
+    left.axvline(1e9 * floor, color=figures.BLACK, label="noise floor")
+    limit = f"limit of the searches named by it, {1e9 * LEFT_LIMIT:g} nm/N"
+    right.axvline(1e9 * LEFT_LIMIT, color=figures.BLACK, linestyle=":", label=limit)
+    right.set_xscale("log")
+    left.set(xlabel="rms error in the scan (nm)", xlim=(0, None))
+    right.set(xlabel="left 100 to 200 ms after a step (nm/N)")
+    handles = [each for axis in (left, right) for each in axis.lines[axis is right :]]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=7)
     return figure
 
 
@@ -693,6 +693,164 @@ def paint_joint(
     axis.set_ylim(-40, 20)
     axis.legend(loc="lower left")
     return figure
+
+
+# === The appendix =================================================================================================
+
+
+def appendix(
+    page,
+    *,
+    published: JointDesign,
+    designs: Mapping[str, JointDesign],
+    stored: Mapping[str, Stored],
+    nominal: Mapping[str, Judged],
+    late: Judged,
+    judges: Mapping[float, list[ModalModel]],
+    fresh: Mapping,
+    law_plants: int,
+    fresh_seed: int,
+) -> None:
+    """What the page of motion/27 judges beside its answer."""
+    _of_the_delay(page, designs)
+    _of_each_freedom(page, stored, nominal, late)
+    _of_the_laws(page, designs, fresh, law_plants, fresh_seed)
+    _of_fresh_stages(page, stored, judges, fresh)
+    _of_a_lasting_force(page, stored, nominal, late, judges)
+    page.text("## Each design over the published one")
+    ratios = {
+        name: {k: np.round(np.divide(getattr(each, k), getattr(published, k)), 2) for k in NUMBERS}
+        for name, each in designs.items()
+    }
+    page.show(pd.DataFrame(ratios).drop(columns="published"))
+
+
+def _of_the_delay(page, designs: Mapping[str, JointDesign]) -> None:
+    page.text("""## The delay
+
+Processor and amplifier delay the whole control force. The largest peak (dB), where the observer includes the delay and where it
+does not:""")
+    places = {
+        "no delay": (0.0, 0.0),
+        f"{DELAY} samples": (DELAY, DELAY),
+        "2 samples": (2.0, 2.0),
+        "2 samples, not in observer": (2.0, 0.0),
+    }
+    peaks = pd.DataFrame(
+        {
+            place: {name: judge(each, [stage()], *where).peaks.max() for name, each in designs.items()}
+            for place, where in places.items()
+        }
+    )
+    page.show(peaks.T.round(1).replace(np.inf, "unstable"))
+    page.check("motion.section-7-3.late-peak", peaks.loc["published", f"{DELAY} samples"])
+    untold = peaks["2 samples, not in observer"] - peaks["2 samples"]
+    page.check("motion.section-7-3.late-untold", untold["published"])
+
+
+def _of_each_freedom(page, stored: Mapping[str, Stored], nominal: Mapping[str, Judged], late: Judged) -> None:
+    page.text("""## What each additional freedom gains
+
+Each search solves linear programs in a trust region. The searches began at the published design at half its bandwidth, at random
+ones around it, and where those for smaller errors had ended. Each on its nominal stage; *10 nm/N* limits what 1 N leaves after
+100 ms:""")
+    rows = {
+        name: {
+            "error (nm)": 1e9 * found.error[0],
+            "of it noise": 1e9 * found.noise[0],
+            "peak (dB)": found.peaks.max(),
+            "crossing (Hz)": crossing_hz(stored[name].design),
+            "force (mN)": 1e3 * found.force[0],
+            "left (nm/N)": 1e9 * found.left[0],
+            "starts kept": f"{len(stored[name].ends)} of {stored[name].started}",
+            "ended (nm)": ", ".join(f"{1e9 * e:.2f}" for e in stored[name].ends),
+            "at a bound": ", ".join(at_bounds(stored[name].design)),
+        }
+        for name, found in nominal.items()
+    }
+    page.show(pd.DataFrame(rows).T, float_format="{:.2f}".format)
+    error = {name: 1e9 * found.error[0] for name, found in nominal.items()}
+    below = [error[f"joint, for {s:.0%}"] < error[f"two steps, for {s:.0%}"] for s in SIZES]
+    page.check("motion.section-7-3.joint-below-two-steps", float(np.mean(below)))
+    page.check("motion.section-7-3.joint-force", nominal["joint, for 5%"].force[0] / late.force[0])
+    again = search(Problem(stored["joint, for 0%"].design, NUMBERS, [stage()]))
+    lower = 1 - 1e9 * again.error / error["joint, for 0%"]
+    page.show(f"a search from the joint design, for 0%, ends {lower:.1%} lower")
+
+
+def _of_the_laws(
+    page, designs: Mapping[str, JointDesign], fresh: Mapping, law_plants: int, fresh_seed: int
+) -> None:
+    page.text("## Share of stages with stable loops, by law of the errors")
+    shares = {
+        f"ends, {s:.0%}": {name: found.stable.mean() for name, found in row.items()}
+        for s, row in fresh.items()
+    }
+    for law in LAWS[1:]:
+        for size in fresh:
+            others = sample_plants(size, law_plants, fresh_seed, law)
+            shares[f"{law}, {size:.0%}"] = {
+                name: stable_on(each, others).mean() for name, each in designs.items()
+            }
+    page.show(pd.DataFrame(shares), float_format="{:.0%}".format)
+
+
+def _of_fresh_stages(page, stored: Mapping[str, Stored], judges: Mapping, fresh: Mapping) -> None:
+    page.text("""## Robust by design
+
+The searches for 2 and 5 % include the nominal stage and those of a pool of perturbed ones that break a limit, with 5.6 dB as a margin. On
+the fresh stages, with the gains refitted there and with those of the nominal stage:""")
+    robust = {}
+    for (size, plants), claim in zip(judges.items(), ("two-percent", "five-percent"), strict=True):
+        name, second = f"joint, for {size:.0%}", stored[f"two steps, for {size:.0%}"].design
+        found, gains = fresh[size][name], 1e9 * errors_of_nominal_gains(stored[name].design, plants)
+        low, middle, high = np.quantile(gains, [0.25, 0.5, 0.75])
+        error, kept = 1e9 * found.error, int(found.feasible.sum())
+        robust[name] = {
+            "median, refitted": np.median(error),
+            "worst, refitted": error.max(),
+            "median, nominal gains": middle,
+            "worst peak (dB)": found.peaks.max(),
+            "keep all limits": found.feasible.mean(),
+            "below two steps": np.mean(found.error < judge(second, plants).error),
+        }
+        page.check(f"motion.section-7-3.joint-error-{claim}", np.median(error), (error.min(), error.max()))
+        interval = proportion_interval(kept, len(plants))
+        page.check(f"motion.section-7-3.joint-keeps-{claim}", kept / len(plants), interval)
+        page.check(f"motion.section-7-3.nominal-gains-{claim}", middle, (low, high))
+    table = pd.DataFrame(robust).T
+    page.show(table, float_format="{:.2f}".format)
+    page.check("motion.section-7-3.joint-below-two-steps-fresh", table["below two steps"].min())
+    floors = np.array([noise_floor(plant) for plant in judges[0.05]])
+    page.check("motion.section-7-3.above-floor", np.mean(fresh[0.05]["joint, for 5%"].error > floors))
+    page.conclude(
+        "The one for 5 % keeps 6 dB on {kept:.0%} and errs by {error:.2f} nm if the feedforward gains are refitted: with the "
+        "nominal ones by {gains:.0f} nm.",
+        kept=table["keep all limits"].iloc[-1],
+        error=table["median, refitted"].iloc[-1],
+        gains=table["median, nominal gains"].iloc[-1],
+    )
+
+
+def _of_a_lasting_force(page, stored, nominal: Mapping[str, Judged], late: Judged, judges: Mapping) -> None:
+    page.text("""## A force that lasts
+
+White noise does not show how slowly a loop recovers: without a limit the search takes the integral action away.""")
+    forgets = {size: f"joint, for {size:.0%}, {1e9 * LEFT_LIMIT:g} nm/N" for size in SIZES}
+    page.check("motion.section-7-3.step-left", 1e9 * nominal["joint, for 5%"].left[0])
+    page.check("motion.section-7-3.step-left-published", 1e9 * late.left[0])
+    for claim, (size, name) in zip(("nominal", "two-percent", "five-percent"), forgets.items(), strict=True):
+        cost = nominal[name].error[0] / nominal[f"joint, for {size:.0%}"].error[0] - 1
+        page.check(f"motion.section-7-3.forgetting-costs-{claim}", cost)
+    page.check("motion.section-7-3.forgetting-left", max(1e9 * nominal[n].left[0] for n in forgets.values()))
+    page.check("motion.section-7-3.forgetting-error", 1e9 * nominal[forgets[0.05]].error[0])
+    kept = [judge(stored[forgets[size]].design, plants).feasible.mean() for size, plants in judges.items()]
+    page.check("motion.section-7-3.forgetting-keeps", min(kept))
+
+
+def crossing_hz(design: JointDesign) -> float:
+    """Lowest crossing of the loops of all masses of the nominal stage (Hz)."""
+    return min(each.crossing_hz(design.controller) for each in loops(design, stage()))
 
 
 if __name__ == "__main__":
