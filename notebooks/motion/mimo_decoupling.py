@@ -1,9 +1,10 @@
 """Decoupling a machine with several inputs and outputs: what this notebook alone needs."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float64
 
 from experiments.motion.beam import beam, beam_parameters, beam_shapes
@@ -15,11 +16,14 @@ from experiments.motion.decoupling_schemes import (
     with_compensation,
 )
 from experiments.motion.intervals import Values
+from experiments.motion.machines import published_noise
 from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.control.feedback import damping_gain
+from stillwork.estimation.observer import kalman_observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
-from workbook import figures
+from stillwork.lti.state_space import StateModel
+from workbook import figures, proportion_interval
 
 
 def paint_beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
@@ -136,3 +140,154 @@ def moving(*, second_actuator: float, beam_taper: float, seed: int) -> Values:
     moved = move_actuators(*places, settings, TRAVEL, beam_taper)
     seen = move_sensors(*places, settings, SENSOR_TRAVEL, beam_taper)
     return moving_values(moved, seen, settings.increase)
+
+
+def paint_moving(
+    plant: ModalModel,
+    actuators: Sequence[float],
+    sensors: Sequence[float],
+    settings: Settings,
+    travel,
+    moved: Moved,
+):
+    """Added damping as both actuators move, and the gain that follows them; the largest gain over that of the built place."""
+    fine, modes = np.linspace(*travel, 201), slice(2, 2 + settings.damped)
+    shapes = beam(np.concatenate([place + fine for place in actuators]), sensors).input_shapes[modes]
+    shapes = shapes.reshape(settings.damped, 2, -1)  # modes, actuators, places
+    wanted = 2 * settings.increase * plant.frequencies[modes, None]
+    alone, together = wanted / np.abs(shapes[:, 0]), wanted / np.linalg.norm(shapes, axis=1)
+    figure, axes = figures.new(1, 2, height=2.8)
+    for mode, colour in zip(range(settings.damped), (figures.BLUE, figures.RED), strict=True):
+        name = f"{plant.frequencies[2 + mode] / (2 * np.pi):.0f} Hz"
+        marker = {"markersize": (8, 3)[mode], "linewidth": (3, 1)[mode]}  # the two lie on each other
+        axes[0].plot(
+            moved.shifts,
+            moved.following[:, mode],
+            "o-",
+            color=colour,
+            label=f"{name}, gains follow",
+            **marker,
+        )
+        axes[0].plot(moved.shifts, moved.kept[:, mode], "--", color=colour, label=f"{name}, gains kept")
+        axes[1].semilogy(fine, together[mode], color=colour, label=f"{name}, two actuators")
+        axes[1].semilogy(fine, alone[mode], ":", color=colour, label=f"{name}, one actuator")
+    axes[0].axhline(-plant.damping[2], color=figures.BLACK, linewidth=0.8, label="unstable below")
+    axes[0].set_ylabel("added damping ratio")
+    axes[1].set(ylabel="gain (N s/m/√kg)", ylim=(1e2, 3e4))
+    for axis in axes:
+        axis.set_xlabel("shift along the beam (of its length)")
+        axis.legend(fontsize=6)
+    built = np.linalg.norm(damping_gain(truncate(plant, 2 + settings.damped), settings.increase), axis=0)[
+        5::2
+    ]
+    return figure, together.max(axis=1) / built
+
+
+# === The appendix =================================================================================================
+
+
+def appendix(
+    page,
+    *,
+    plant: ModalModel,
+    settings: Settings,
+    study: Mapping,
+    systems: Mapping[str, StateModel],
+    actuators: Sequence[float],
+    sensors: Sequence[float],
+    travel,
+    sensor_travel,
+) -> None:
+    """What the page of motion/17 judges beside its answer."""
+    _of_noise_models(page, actuators, sensors, plant)
+    decoupling = decouple(plant)
+    gain = damping_gain(truncate(plant, 2 + settings.damped, 3 - settings.damped), settings.increase)
+    page.text("""## Remark 4.3.1
+
+A Kalman observer with all modes couples exactly as perfect estimates do.""")
+    whole = decoupled_plant(plant, decoupling, gain, kalman_observer(plant, published_noise()))
+    omega = 2 * np.pi * np.geomspace(1.0, 2000.0, 300)
+    apart = np.abs(whole.frequency_response(omega) / systems["(3.31)"].frequency_response(omega) - 1)
+    page.check("motion.section-4-3.remark-4-3-1", round(float(apart.max()), 7))  # what is left is rounding
+    rows = {name: added_damping(plant, system)[0] for name, system in systems.items()}
+    page.show("added damping ratio", pd.DataFrame(rows, index=["161 Hz", "517 Hz", "760 Hz"]).round(4) + 0.0)
+    _of_moving(page, plant, actuators, sensors, settings, travel, sensor_travel)
+    _of_geometries(page, study, settings.increase)
+
+
+def _of_noise_models(page, actuators: Sequence[float], sensors: Sequence[float], plant: ModalModel) -> None:
+    page.text("""## Noise models
+
+The rank test counts the constant forces that two sensors can distinguish: at most two, so more actuators than sensors cannot have
+a noise model each. By number of actuators:""")
+    counts = {n: observable_noise_models(beam(actuators[:n], sensors)) for n in range(1, len(actuators) + 1)}
+    page.show(pd.Series(counts))
+    page.check("motion.section-4-3.noise-models", max(counts.values()) - len(sensors))
+    machines = [beam(actuators[:n], sensors) for n in range(2, len(actuators) + 1)]
+    on_u = [observable_noise_models(decouple(machine).apply(machine)) for machine in machines]
+    page.check("motion.section-4-3.noise-models-on-u", min(on_u) - plant.rigid_modes)
+
+
+def _of_moving(page, plant, actuators, sensors, settings: Settings, travel, sensor_travel) -> None:
+    page.text(r"""## At other places
+
+When actuators or sensors move, the matrices follow the place $p$ (section 4.2): for sensors $\Upsilon(p)$ and $C_f(p)$, for
+actuators $\Gamma(p)$ and, "to ensure the same level of damping for all positions",
+
+$$K_{dj}(p) = -\big(\phi_{aj}(p)^\top\big)^\dagger\,2\,\zeta_{des}\,\omega_j,\qquad |K_{dj}(p)| = \frac{2\,\zeta_{des}\,\omega_j}{|\phi_{aj}(p)|}$$
+
+The gain is infinite only where both actuators stand on nodes of one mode.""")
+    moved = move_actuators(actuators[:2], sensors, settings, travel)
+    seen = move_sensors(actuators[:2], sensors, settings, sensor_travel)
+    figure, over = paint_moving(plant, actuators[:2], sensors, settings, travel, moved)
+    page.save("moving-actuators", figure)
+    unstable = np.any(moved.kept + plant.damping[2 : 2 + settings.damped] < 0, axis=1)
+    page.conclude(
+        "With the gain of the built place the beam is unstable from a shift of {shift:.3f} of its length on; the gain that follows "
+        "grows at most {most:.1f} times.",
+        "With the gain of the built place the beam stays stable; the gain that follows grows at most {most:.1f} times.",
+        when=bool(unstable.any()),
+        shift=moved.shifts[unstable].min() if unstable.any() else np.nan,
+        most=over.max(),
+    )
+    for claim, ours in moving_values(moved, seen, settings.increase).items():
+        page.check(claim, ours)
+    page.text("""Now the sensors move, with MC. With the original $\\Upsilon$ a rotation is measured as a translation, and $q_1/u_2$ is a
+double integrator again.""")
+    page.check("motion.section-4-3.moving-sensors", round(float(np.abs(seen.slopes).max()), 2))
+    page.check("motion.section-4-3.kept-sensing", round(float(np.abs(seen.stale + 2).max()), 2))
+
+
+def _of_geometries(page, study: Mapping, increase: float) -> None:
+    page.text("""## Over geometries
+
+The coupling of (4.15) over its closed form, its onset (Hz), how the schemes couple and what (3.32) adds:""")
+    off_diagonal = ~np.eye(2, dtype=bool)
+    by_closed_form = study["each mode: limit"][:, off_diagonal]
+    page.check(
+        "motion.section-4-3.limit", round(float(np.abs(by_closed_form - 1).max()), 9)
+    )  # left: rounding
+    onset = study["each mode: onset_hz"][:, off_diagonal]
+    page.show(
+        f"onset of the slope -1 (Hz), least, 5 %, median, 95 %: {np.quantile(onset, [0, 0.05, 0.5, 0.95]).round(2)}"
+    )
+    reached = np.abs(study["each mode: slopes above"][:, off_diagonal] + 1) < 0.02
+    page.show(f"entries whose slope is within 0.02 of -1 at 0.03 to 0.3 Hz: {reached.mean():.3f}")
+    names = ("undamped", "compensation", "each mode", "minimal interaction")
+    low = {name: study[f"{name}: low"][:, off_diagonal] for name in names}
+    added = study["minimal interaction: added"]
+    orderings = {
+        "compensation-peaks": (study["compensation: at modes"] < 1).all(axis=(1, 2, 3)),
+        "compensation-compliance": (low["compensation"] < low["undamped"]).all(axis=1),
+        "minimal-interaction-couples-less": (low["minimal interaction"] < low["each mode"]).all(axis=1),
+        "minimal-interaction-damps-little": (added < 0.1 * increase).all(axis=1),
+    }
+    for claim, obeys in orderings.items():
+        interval = proportion_interval(obeys.sum(), len(obeys))
+        page.check(f"motion.section-4-3.{claim}", obeys.mean(), interval)
+    quantiles = np.quantile(added / increase, [0.025, 0.5, 0.975], axis=0).T
+    page.show(
+        "(3.32), part of the wanted damping, central 95 % and median, a row a mode:", quantiles.round(2)
+    )
+    entries = {name: float(np.median(low[name] / low["undamped"])) for name in names}
+    page.show("off-diagonal entries at 1 Hz over the undamped ones, median:", pd.Series(entries).round(2))

@@ -78,13 +78,15 @@ def paint_slope_ranges(
     entries = (("u2 to q1", (0, 1)), ("u1 to q2", (1, 0)))
     for number, (axis, (title, place)) in enumerate(zip(axes, entries, strict=True)):
         for row, name in zip(rows, slopes, strict=True):
-            kinds = [(above, 0.22, figures.ORANGE, "machines, 0.03 to 0.3 Hz")]
+            kinds = [(above, 0.24, figures.ORANGE, "machines, 0.03 to 0.3 Hz")]
             if not np.array_equal(slopes[name], above[name]):
-                kinds.append((slopes, -0.22, figures.BLUE, "machines, in the limit"))
+                kinds.append((slopes, -0.24, figures.BLUE, "machines, in the limit"))
             for values, offset, colour, label in kinds:
                 value = values[name][(slice(None), *place)]
-                at = np.full(len(value), row + offset)
-                axis.plot(value, at, "|", color=colour, markersize=6, label=label)
+                at = (
+                    row + offset + np.linspace(-0.14, 0.14, len(value))
+                )  # a machine a height: none hides another
+                axis.plot(value, at, ".", color=colour, markersize=2, label=label)
         figures.mark_published(axis, [published[name][number] for name in slopes], rows)
         least = min(min(pair) for pair in published.values())
         axis.set(title=title, xlabel="slope (decades per decade)", xlim=(least - 0.3, 0.3))
@@ -92,7 +94,8 @@ def paint_slope_ranges(
     axes[0].invert_yaxis()
     shown = {line.get_label(): line for line in axes[0].lines}
     names = ["machines, in the limit", "machines, 0.03 to 0.3 Hz", "published"]
-    figure.legend([shown[name] for name in names], names, loc="outside lower center", ncols=3)
+    texts = [names[0] + ", 1 to 10 µHz", *names[1:]]
+    figure.legend([shown[name] for name in names], texts, loc="outside lower center", ncols=3, markerscale=2)
     return figure
 
 
