@@ -4,14 +4,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.designs import RETAINED, Design
+from experiments.motion.designs import DAMPING, RETAINED, Design
 from experiments.motion.machines import shapes_along, stage, stage_mass
 from experiments.motion.pictures import (
     LABELS,
     add_magnitude,
+    decibel,
+    highest,
+    labelled_lines,
     mark_limit,
     paint_limited,
     paint_magnitudes,
@@ -21,7 +25,7 @@ from experiments.motion.position_dependence import GainTable, at_place, compensa
 from experiments.motion.scan_study import along_scan
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, make_loop
-from stillwork.control.discrete_damping import discrete_damping_gain
+from stillwork.control.discrete_damping import discrete_damping_gain, sampled_feedback
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.robust import kalman_gains
@@ -134,8 +138,12 @@ def paint_sensitivities(
     loops: Mapping[float, Loop],
     controllers: Mapping[str, Pid],
     functions: Sequence[str] = ("input_sensitivity", "output_sensitivity"),
+    printed_hz: float | None = None,
 ):
-    """Loop functions, a row a controller (by the name in the title), a line a place (m), and the allowed 6 dB."""
+    """Loop functions, a row a controller (by the name in the title), a line a place (m), and the allowed 6 dB.
+
+    `printed_hz` is where the text has the peak of the last function.
+    """
     omega, lines = _along(loops, 10.0, 2e3)
     panels = {
         f"{LABELS[function]}{name}": {
@@ -146,7 +154,11 @@ def paint_sensitivities(
         for function in functions
     }
     rows = len(controllers)
-    return paint_limited(panels, -15, 12, 3.4 if rows == 1 else 5.2, rows)
+    figure = paint_limited(panels, -15, 12, 3.4 if rows == 1 else 5.2, rows)
+    for axis in figure.axes[len(functions) - 1 :: len(functions)] if printed_hz else ():
+        axis.axvline(printed_hz, color=figures.BLACK, linestyle=":", linewidth=1.0, label="_printed")
+        axis.annotate("printed peak", (1.05 * printed_hz, 10), fontsize=7)
+    return figure
 
 
 def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid, dots: ArrayLike = ()):
@@ -217,3 +229,278 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
         axis.xaxis.set_minor_locator(NullLocator())
         axis.legend(fontsize=7)
     return figure
+
+
+def paint_node(runs: Mapping[str, Passage], left_at: float):
+    """True and estimated motion of the first mode, a panel a trajectory of the sensor."""
+    titles = {
+        "passing": "passing the node at the black line",
+        "staying": "standing on the node until the black line",
+    }
+    figure, axes = figures.new(2, 1, height=4.2, sharex=True)
+    for axis, (name, one) in zip(axes, runs.items(), strict=True):
+        shown = one.time >= 0.2
+        lines = {"true": one.truth, "estimated": one.estimate, "error": one.truth - one.estimate}
+        for (label, values), colour in zip(
+            lines.items(), (figures.GREY, figures.BLUE, figures.RED), strict=True
+        ):
+            axis.plot(one.time[shown], 1e9 * values[shown], color=colour, linewidth=0.9, label=label)
+        axis.axvline(left_at, color=figures.BLACK, linewidth=0.8)
+        axis.set(title=titles[name], ylabel="first mode (nm √kg)")
+    axes[1].set_xlabel("time (s)")
+    figures.legend_below(axes[1], 3)
+    return figure
+
+
+def peak_table(loops: Mapping[str, Mapping[float, Loop]], controllers: Mapping[str, Pid]) -> pd.DataFrame:
+    """Peaks of S_O over the places, and how far S_O and the gain from y spread at 100 Hz, a row a use and controller."""
+    at, rows = np.array([2 * np.pi * 100.0]), {}
+    for title, used in controllers.items():
+        for name in ("AD", "AD, band-pass", "MC and AD"):
+            tops = [loop.peak(used, "output_sensitivity") for loop in loops[name].values()]
+            near = [loop.at(used, at) for loop in loops[name].values()]
+            hertz = [top.omega / (2 * np.pi) for top in tops]
+            rows[name + title] = {
+                "peak of S_O, lowest (Hz)": min(hertz),
+                "median (Hz)": np.median(hertz),
+                "highest (Hz)": max(hertz),
+                "its spread (dB)": np.ptp([decibel(top.magnitude) for top in tops]),
+                "S_O at 100 Hz, spread (dB)": np.ptp([decibel(each.output_sensitivity)[0] for each in near]),
+                "gain from y there (dB)": np.ptp([decibel(each.output_controller)[0] for each in near]),
+            }
+    return pd.DataFrame(rows).T
+
+
+# === The appendix =================================================================================================
+
+
+def appendix(
+    page,
+    *,
+    plant: ModalModel,
+    grid: np.ndarray,
+    loops: Mapping[str, Mapping[float, Loop]],
+    controllers: Mapping[str, Pid],
+    table: pd.DataFrame,
+    damped,
+    compensated,
+    runs: Mapping[str, Sequence[Passage]],
+    left_at: float,
+    noise_model: float,
+    sample_time: float,
+) -> None:
+    """What the page of motion/15 judges beside its answer."""
+    controller = next(iter(controllers.values()))
+    resonances = plant.frequencies[1:4]
+    bare = paint_sensitivities(loops["bare"], {"": controller}, ["input_sensitivity"])
+    _of_the_bare_loop(page, bare, controller)
+    _of_the_observer(page, loops["MC and AD"], resonances)
+    _of_compensation(page, plant, loops, controller, compensated, bare)
+    _of_damping(page, loops, controller, table, damped, highest(bare.axes[0], 300)[:, 1])
+    _of_both(page, plant, grid, loops, controllers, noise_model)
+    _of_the_node(page, runs, left_at)
+    _of_the_actuator(page, plant, grid, sample_time)
+
+
+def _of_the_bare_loop(page, bare, controller: Pid) -> None:
+    page.text("""## Without an observer
+
+Sensitivity at the seven masses with the original controller (Fig. 4.1a); the controllers from $r$ and from $y$ are one (Fig. 4.1b).""")
+    page.save("fig-4-1a", bare)
+    omega = 2 * np.pi * np.geomspace(1.0, 1e3, 400)
+    figure, axis = figures.new(1, 1, height=2.6)
+    response = decibel(controller.frequency_response(omega))
+    axis.semilogx(omega / (2 * np.pi), response, label="$r$ to $u$", linewidth=4, color=figures.SKY)
+    axis.semilogx(omega / (2 * np.pi), response, "--", label="$-y$ to $u$", color=figures.BLACK)
+    axis.set(xlabel="frequency (Hz)", ylabel="magnitude (dB re 1 N/m)")
+    axis.legend()
+    page.save("fig-4-1b", figure)
+
+
+def _of_the_observer(page, loops: Mapping[float, Loop], resonances: np.ndarray) -> None:
+    page.text("""## The observer (Fig. 4.2)
+
+The damping gain $K$ is the same everywhere, but the transfer to $u_d$ varies with compliance and observer gain. From $y$ over from
+$u$ (dB), medians and, at the resonances, range:""")
+    page.save("fig-4-2", paint_observers(loops))
+    band = 2 * np.pi * np.geomspace(10.0, 1e3, 300)
+    found = np.array([loop.compensator.frequency_response(band) for loop in loops.values()])
+    ratio = decibel(found[:, :, 1] / found[:, :, 0])
+    page.check("motion.section-4-2-1.ratio", np.median(ratio), np.quantile(ratio, [0.025, 0.975]))
+    medians = {
+        "u_d": np.median(ratio[:, 0]),
+        "y_flex": np.median(ratio[:, 1]),
+        "both, from 100 Hz on": np.median(ratio[..., band > 2 * np.pi * 100]),
+    }
+    page.show(pd.Series(medians).round(1))
+    found = np.array([loop.compensator.frequency_response(resonances) for loop in loops.values()])
+    spread = np.ptp(decibel(found[:, 0, 0]), axis=0)
+    page.check("motion.section-4-2-1.varies", np.mean(spread > 1.0))
+    page.show(f"u to u_d at the resonances, spread over the masses (dB): {np.round(spread, 1)}")
+    ratio = decibel(found[:, :, 1] / found[:, :, 0])
+    page.show(f"from y over from u there (dB): {ratio.min():.0f} to {ratio.max():.0f}")
+
+
+def _of_compensation(page, plant: ModalModel, loops, controller: Pid, compensated, bare) -> None:
+    page.text("""## Measurement compensation
+
+The gain from $y$ over that of the controller (dB), $S_I$ near the resonances and $S_O$ above 300 Hz, at each mass:""")
+    resonances = plant.frequencies[1:4]
+    original = controller.frequency_response(resonances)
+    depth = np.array(
+        [
+            decibel(loop.at(controller, resonances).output_controller / original)
+            for loop in loops["MC"].values()
+        ]
+    )
+    visible, modes = np.abs(plant.output_shapes[:, 1:4]), np.arange(3)
+    page.check("motion.fig-4-3.anti-resonance", np.mean(depth < 0))
+    most, least = visible.argmax(axis=0), visible.argmin(axis=0)
+    page.check("motion.fig-4-3.depth", np.mean(depth[most, modes] < depth[least, modes]))
+    names = [f"{place:g} m" for place in loops["MC"]]
+    columns = [f"{f:.0f} Hz" for f in resonances / (2 * np.pi)]
+    page.show(pd.DataFrame(depth, index=names, columns=columns).round(1))
+    shown = [highest(compensated.axes[0], 0.95 * f, 1.05 * f)[:, 1] for f in resonances / (2 * np.pi)]
+    page.check("motion.fig-4-4.input-suppressed", np.mean(np.array(shown) < 1.0))
+    near = np.concatenate([np.linspace(0.95, 1.05, 401) * w for w in resonances])
+    for name in ("bare", "MC"):
+        found = [decibel(each.at(controller, near).input_sensitivity) for each in loops[name].values()]
+        peaks = np.max([each.reshape(3, -1).max(axis=1) for each in found], axis=0)
+        page.show(
+            f"S_I within 5 % of a resonance, largest over the masses (dB), {name}: {peaks.round(1) + 0.0}"
+        )
+    without = highest(bare.axes[0], 300)[:, 1]  # S_O is S_I there
+    reduced = highest(compensated.axes[1], 300)[:, 1] < without
+    page.check("motion.fig-4-4.output-reduced", np.mean(reduced[without > 1.0]))
+    high = {
+        name: [
+            decibel(loop.at(controller).output_sensitivity)[loop.omega > 2 * np.pi * 300].max()
+            for loop in each.values()
+        ]
+        for name, each in loops.items()
+    }
+    page.show(pd.DataFrame(high, index=names).round(1))
+
+
+def _of_damping(page, loops, controller: Pid, table: pd.DataFrame, damped, without: np.ndarray) -> None:
+    page.text("""## Active damping
+
+Equivalent controllers (Fig. 4.5), then the peaks of $S_O$:""")
+    page.save("fig-4-5", paint_equivalent_controllers(loops["AD"], controller))
+    reduced = highest(damped.axes[1], 300)[:, 1] < without
+    page.check("motion.fig-4-6.output-reduced", np.mean(reduced[without > 1.0]))
+    page.show(table.round(2))
+    spread = [
+        np.ptp([np.interp(100, *line) for name, line in labelled_lines(axis).items() if name.endswith(" m")])
+        for axis in damped.axes[1::2]
+    ]
+    page.check("motion.fig-4-6.variation", float(spread[1] > spread[0]))
+    for title, claim in (("original", "band-pass"), ("redesigned", "band-pass-redesigned")):
+        lower = table.loc[f"AD, band-pass, {title}"] < table.loc[f"AD, {title}"]
+        page.check(f"motion.fig-4-5.{claim}", np.mean(lower[["its spread (dB)", "gain from y there (dB)"]]))
+
+
+def _of_both(
+    page, plant: ModalModel, grid: np.ndarray, loops, controllers: Mapping[str, Pid], noise_model: float
+) -> None:
+    controller = next(iter(controllers.values()))
+    page.text(r"""## Both (Figs 4.7 and 4.8)
+
+Damping dominates. Over AD alone, with the drawn noise model and with that of section 3.4:""")
+    page.save("fig-4-7", paint_equivalent_controllers(loops["MC and AD"], controller))
+    page.save("fig-4-8", paint_sensitivities(loops["MC and AD"], controllers))
+    strong = Design(Application(compensate=True, damping=DAMPING), 1e3)
+    places = list(loops["AD"])
+    combined = {
+        f"Q_nu = {noise_model:g}, as drawn": list(loops["MC and AD"].values()),
+        "Q_nu = 1000": place_loops(plant, grid, places, strong),
+    }
+    below = np.array([0.8 * plant.frequencies[1]])
+    band = 2 * np.pi * np.geomspace(10.0, 1e3, 300)
+    rows = {}
+    for label, each in combined.items():
+        gain, apart = [], []
+        for both, alone in zip(each, loops["AD"].values(), strict=True):
+            controllers_there = [loop.at(controller, below).output_controller[0] for loop in (both, alone)]
+            gain.append(decibel(controllers_there[0] / controllers_there[1]))
+            there = [loop.at(controller, band) for loop in (both, alone)]
+            for name in ("input_sensitivity", "output_sensitivity"):
+                apart.append(np.abs(decibel(getattr(there[0], name) / getattr(there[1], name))).max())
+        rows[label] = [np.min(gain), np.max(gain), np.mean(np.array(gain) > 0), np.max(apart)]
+    found = next(iter(rows.values()))
+    page.check("motion.fig-4-7.before-first", found[2])
+    page.check("motion.fig-4-8.identical", found[3])
+    names = ["smallest change of the gain from y below the first resonance (dB)", "largest (dB)"]
+    names += ["fraction of masses where it grows", "largest change of S_I and S_O (dB)"]
+    page.show(pd.DataFrame(rows, index=names).round(2))
+    page.conclude(
+        "So the noise model decides at how many masses MC added to AD raises that gain: {few:.0%} of them as drawn, {all:.0%} with "
+        "1000.",
+        few=found[2],
+        all=rows["Q_nu = 1000"][2],
+    )
+
+
+def _of_the_node(page, runs: Mapping[str, Sequence[Passage]], left_at: float) -> None:
+    page.text("## Past the node\n\nLargest error over the mode's motion in the 10 ms after the node:")
+    after = {
+        name: np.array([one.worst(left_at, left_at + 0.01) for one in each]) for name, each in runs.items()
+    }
+    page.check("motion.section-4-2-1.staying", np.mean(after["staying"] > after["passing"]))
+    page.show(pd.Series({name: each.max() for name, each in after.items()}).round(2))
+
+
+def errors_past(
+    plant: ModalModel, grid: np.ndarray, noise: NoiseIntensities, sample_time: float
+) -> pd.Series:
+    """Largest error of the first mode's estimate, over its motion, past a node at several speeds (m/s)."""
+    known, wait, reach = plant.modes(slice(0, 4)), 0.3, 0.05
+    node, worst = float(nodes(plant, grid, 1)[0]), {}
+    for speed in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
+        track = move(node - reach, wait, speed, 2 * reach, 0.05, sample_time)
+        one = pass_node(known, grid, track, 1, noise, sample_time)
+        worst[speed] = one.worst(wait, wait + 2 * reach / speed + 0.05)
+    return pd.Series(worst)
+
+
+def _of_the_actuator(page, plant: ModalModel, grid: np.ndarray, sample_time: float) -> None:
+    page.text(r"""## A damping gain that follows the actuator
+
+When the actuator moves, the gain follows, solved at every sample or taken from a table:
+
+$$\lambda\big(A^d + B^d(r_p)\,K^d(r_p)\big) = e^{p^*T_s},\qquad K_i^d(r_p) \sim \frac1{\phi_{ai}(r_p)} \tag{4.3}$$
+
+It grows without bound at the nodes.""")
+    track = np.linspace(grid[0], grid[-1], 601)
+    marks = {mode: nodes(plant, grid, mode) for mode in (1, 2, 3)}
+    near = [np.abs(track[:, None] - mark).min(axis=1) for mark in marks.values()]
+    track = track[np.min(near, axis=0) > 4e-4]
+    gains = damping_along(plant, grid, track, DAMPING, sample_time)[:, 0]
+    figure, axis = figures.new(1, 1, height=2.8)
+    for mode, colour in zip(marks, (figures.BLUE, figures.RED, figures.GREEN), strict=True):
+        velocity = np.abs(gains[:, 2 * mode + 1])
+        axis.semilogy(track, velocity, ".", markersize=2, color=colour, label=f"mode {mode}")
+        for place in marks[mode]:
+            axis.axvline(place, color=colour, linewidth=0.8, linestyle=":")
+    axis.plot([], [], ":", color=figures.GREY, linewidth=0.8, label="node")
+    axis.set(xlabel="place of the actuator (m)", ylabel="gain on the velocity (N s/m/√kg)")
+    axis.legend()
+    page.save("moving-actuator", figure)
+    page.text(
+        """The largest error of the damping ratios between two nodes, with a linearly interpolated table, by its spacing:"""
+    )
+    clear = (0.02, 0.09)
+    fine = np.linspace(*clear, 71)
+    target = plant.damping[1:4] + DAMPING
+    rows = {}
+    for count in (3, 5, 8, 15, 29):
+        table = damping_table(plant, grid, np.linspace(*clear, count), DAMPING, sample_time)
+        reached = [
+            sampled_feedback(
+                at_place(plant, grid, place, "actuator").modes(slice(0, 4)), gain, sample_time
+            ).damping[1:]
+            for place, gain in zip(fine, table.at(fine), strict=True)
+        ]
+        spacing = 1e3 * (clear[1] - clear[0]) / (count - 1)
+        rows[f"{spacing:.1f} mm"] = np.abs(np.array(reached) - target).max(axis=0)
+    page.show(pd.DataFrame(rows, index=["mode 1", "mode 2", "mode 3"]).T.round(5))
