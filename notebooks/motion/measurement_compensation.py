@@ -1,13 +1,130 @@
-"""Measurement compensation: how fast a loop may be that is closed over a soft sensor (notebook 06)."""
+"""Measurement compensation: what notebook 06 alone needs, with the loop over a soft sensor and the appendix."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from experiments.motion.designs import DESIGNS, stage_loops, stage_observer
-from experiments.motion.machines import stage, stage_mass
-from stillwork.control.applications import soft_sensor
+from experiments.motion.loop_conditions import keeps_integral_action, required_integrators
+from experiments.motion.loop_pictures import line_slope, paint_controllers, paint_over_first
+from experiments.motion.machines import published_noise, stage, stage_mass
+from experiments.motion.pictures import (
+    add_magnitude,
+    decibel,
+    depth,
+    labelled_lines,
+    mark_printed,
+    mark_slope,
+    paint_bode,
+)
+from stillwork.control.applications import Application, compensator, soft_sensor
 from stillwork.control.bandwidth import Loop, PeakConstraint, make_loop, maximise_bandwidth
-from stillwork.control.pid import PidFamily
+from stillwork.control.loops import channel, closed_loop
+from stillwork.control.pid import Pid, PidFamily
+from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.peaks import resonance_grid
+from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel
+from workbook import figures
+
+PLAIN = Application(compensate=True)
+
+
+def crossing_of(omega: np.ndarray, gain: np.ndarray) -> float:
+    """Where a gain last falls below 1 under 1 Hz (Hz)."""
+    size = np.abs(gain)
+    last = np.flatnonzero((size[:-1] > 1) & (size[1:] <= 1) & (omega[1:] < 2 * np.pi))[0]
+    pair = slice(last, last + 2)
+    return float(np.exp(np.interp(0, -np.log(size[pair]), np.log(omega[pair]))) / (2 * np.pi))
+
+
+# === High-pass or noise model =====================================================================================
+
+
+def departures(phases: Mapping[str, tuple], thresholds: Sequence[float]) -> dict[str, dict[float, float]]:
+    """Frequency (Hz) at which a distance from -180 degrees first exceeds each threshold (degrees), by label."""
+    return {
+        name: {each: float(hertz[np.argmax(away > each)]) for each in thresholds}
+        for name, (hertz, away) in phases.items()
+    }
+
+
+def paint_departure(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], phase_deg: float) -> tuple:
+    """Magnitudes (Fig. 3.12) over the distance of the phase from -180 degrees, and where this exceeds `phase_deg` (Hz)."""
+    figure, axes = figures.new(2, 1, height=5.0, sharex=True)
+    styles = ({"color": figures.BLACK}, {"color": figures.BLUE}, {"color": figures.RED, "linestyle": "--"})
+    for (label, (omega, response)), style in zip(curves.items(), styles, strict=True):
+        add_magnitude(axes[0], omega, response, label=label, **style)
+        angle = np.unwrap(np.degrees(np.angle(response)), period=360)
+        away = np.abs(angle - 360 * np.ceil(angle[0] / 360 - 1e-6) + 180)
+        axes[1].loglog(omega / (2 * np.pi), away, label=label, **style)
+    leaves = departures(labelled_lines(axes[1]), [phase_deg])
+    leaves = {name: each[phase_deg] for name, each in leaves.items()}
+    for (_, hertz), style in zip(leaves.items(), styles, strict=True):
+        axes[1].plot([hertz], [phase_deg], "o", color=style["color"])
+    axes[1].axhline(phase_deg, color=figures.BLACK, linestyle=":", linewidth=1)
+    axes[1].text(11, 1.15 * phase_deg, f"counts as leaving: {phase_deg:g}°", fontsize=7)
+    axes[0].set(ylim=(-260, -80), ylabel="magnitude (dB re 1 m/N)")
+    axes[1].set(xlim=(10, 3e3), ylim=(1e-3, 1e3), xlabel="frequency (Hz)", ylabel="phase from −180° (deg)")
+    axes[0].legend()
+    return figure, leaves
+
+
+def left_at_resonances(figure, ideal: np.ndarray, resonances: np.ndarray) -> dict[str, np.ndarray]:
+    """Largest distance (dB) of the upper panel's lines from an ideal response within 3 % of each resonance (Hz)."""
+    left = {}
+    for name, (hertz, level) in labelled_lines(figure.axes[0]).items():
+        off = np.abs(level - 20 * np.log10(np.abs(ideal)))
+        left[name] = np.array([off[np.abs(hertz / at - 1) < 0.03].max() for at in resonances])
+    return left
+
+
+# === High and low gain ============================================================================================
+
+# What section 3.2.2 says of Fig. 3.16: 1, a transfer rises at the resonances; -1, it falls.
+GAIN_SENTENCES = {
+    "high gain": {"u_ff": 1, "w": 1, "v": 1, "d": -1},
+    "low gain": {"w": -1, "v": -1, "u_ff": 1, "d": 1},
+}
+
+
+def gain_cases(
+    plant: ModalModel, position: int, controller: Pid, block: StateModel, noise_model: float, low_gain: float
+) -> dict[str, StateModel]:
+    """Closed loops without observer, with the high-gain observer of `block`, and with `low_gain` times its R."""
+    published = published_noise()
+    weak = NoiseIntensities(published.process, low_gain * published.sensor)
+    slow = compensator(stage_observer(position, weak, noise_model), PLAIN)
+    blocks = {"no observer": None, "high gain": block, "low gain": slow}
+    return {name: closed_loop(plant, each, controller.state_space()) for name, each in blocks.items()}
+
+
+def paint_high_and_low_gain(cases: Mapping[str, StateModel], resonances: np.ndarray):
+    """Fig. 3.16 as ratios around the first resonance: each transfer to the true error over that without observer."""
+    poles = np.concatenate([loop.poles for loop in cases.values()])
+    omega = resonance_grid(poles, 10.0, 2.5e3, 600, 60)
+    figure = paint_over_first(cases, omega[omega < 2 * np.pi * 2500], resonances[:1], (440, 500))
+    for axis in figure.axes:
+        axis.set_xscale("linear")
+    return figure
+
+
+def resonance_ratios(cases: Mapping[str, StateModel], name: str, at: np.ndarray) -> dict[str, np.ndarray]:
+    """Transfers of a loop to the true error over those of the first loop, by source, at some frequencies (rad/s)."""
+    first = next(iter(cases.values()))
+    found = {}
+    for source in ("u_ff", "w", "v", "d"):
+        mine, base = (
+            channel(each, source, "e_true").frequency_response(at)[0, 0] for each in (cases[name], first)
+        )
+        found[source] = np.abs(mine / base)
+    return found
+
+
+# === Soft sensing =================================================================================================
 
 
 def soft_sensed_loop(sensor: int, performance: int) -> Loop:
@@ -40,3 +157,274 @@ def soft_sensed_limits(position: int) -> dict[str, float]:
         "fixed place, none": limit_hz([bare[position - 1]]),
         "sensor moves, soft": limit_hz([soft_sensed_loop(each, position) for each in masses]),
     }
+
+
+# === Appendix =====================================================================================================
+
+
+def appendix(
+    page,
+    *,
+    position: int,
+    redesign: str,
+    noise_model: float,
+    sample_time: float,
+    low: np.ndarray,
+    wide: np.ndarray,
+    blocks: Mapping[str, StateModel],
+    controllers: Mapping[str, Pid],
+    sensitivities: Sequence[Mapping[str, tuple]],
+    phases: Mapping[str, tuple],
+    cases: Mapping[str, StateModel],
+) -> None:
+    """What this notebook judges beside its answer.
+
+    `low` and `wide` are frequencies (rad/s), `sensitivities` the lines of Fig. 3.6 in its two panels, `phases` those of the
+    lower panel of Fig. 3.12, `cases` the loops of Fig. 3.16.
+    """
+    plant, observer = stage().at([0], [position - 1]), stage_observer(position)
+    _of_rigid_estimate(page, plant, observer, blocks["MC"], controllers["PID"], sample_time)
+    _of_redesign(page, sensitivities)
+    _of_integrators(page, blocks, controllers["PID"], low)
+    _of_departure(page, phases)
+    _of_controllers(page, plant, blocks, controllers, low, wide)
+    _of_low_frequency(page, cases, plant)
+    _of_velocity(page, plant, noise_model, low)
+    _of_soft_sensor(page, plant, observer, blocks["MC"], controllers["PID"], position, wide)
+
+
+def _of_rigid_estimate(
+    page, plant: ModalModel, observer: Observer, block: StateModel, original: Pid, sample_time: float
+) -> None:
+    page.text(r"""
+## Why not feed back the estimated rigid body
+
+An unknown constant force gives the estimate $\hat y_{rig} = C_r\hat x$ an error that the controller does not see (section 3.2.1).
+""")
+    rigid = np.eye(1, len(observer.a)) * observer.model.output_shapes[0, 0]
+    estimate = observer.estimator(np.vstack([0 * rigid, -rigid]))
+    instead = StateModel(estimate.a, estimate.b, estimate.c, np.diag([0.0, 1.0]))
+    uses = {"no observer": None, "MC": block, "rigid body": instead}
+    loops = {name: closed_loop(plant, each, original.state_space()) for name, each in uses.items()}
+    hertz, density = np.geomspace(1e-3, 5e3, 4000), {name: 0.0 for name in uses}
+    for name, closed in loops.items():
+        for source, size in {"w": 0.01, "v": 1e-9, "d": 1e-9}.items():
+            response = channel(closed, source, "e_true").frequency_response(2 * np.pi * hertz)[0, 0]
+            density[name] += np.abs(response) ** 2 * 2 * sample_time * size**2
+    error_nm = {name: float(1e9 * np.sqrt(np.trapezoid(each, hertz))) for name, each in density.items()}
+    still = {name: float(np.sqrt(each[hertz < 0.1].mean())) for name, each in density.items()}
+    page.show("rms of the true error (nm)", pd.Series(error_nm).round(2))
+    page.show(f"below 0.1 Hz, over that without observer: {still['rigid body'] / still['no observer']:.0f}")
+    page.check("motion.section-3-2-1.no-gain", float(error_nm["rigid body"] >= error_nm["no observer"]))
+    page.check("motion.section-3-2-1.low-frequency", float(still["rigid body"] > still["no observer"]))
+
+
+def _of_redesign(page, sensitivities: Sequence[Mapping[str, tuple]]) -> None:
+    page.text("## What the redesign does to $S_O$")
+    better, worse = [], []
+    for mass in range(1, 8):
+        (hertz, old), (_, new) = (each[f"mass {mass}"] for each in sensitivities)
+        better.append(np.all(new[hertz < 37] < old[hertz < 37]))
+        worse.append(np.max((new - old)[hertz > 50]) > 1)  # dB
+    page.show(f"lower below 37 Hz at {sum(better)} masses, higher above 50 Hz at {sum(worse)}")
+    page.check("motion.fig-3-6.redesign", np.mean(np.array(better) & np.array(worse)))
+
+
+def _of_integrators(page, blocks: Mapping[str, StateModel], original: Pid, low: np.ndarray) -> None:
+    page.text(r"""
+## Conditions and corner
+
+Static gain $O_{yu}(0)$, and where $|C_{fb}O_{yu}| = 1$ by measured mass.
+""")
+    page.show(f"integrators that C_y needs: {required_integrators()}")
+    for name in ("MC", "noise model"):
+        found = keeps_integral_action(blocks[name], "compensation")
+        gain = round(1e9 * found.input_gain, 3) + 0.0
+        page.show(f"{name}: O_yu(0) = {gain:.3f} nm/N, keeps integral action: {found.keeps}")
+    every = []
+    for k in range(1, 8):
+        static = keeps_integral_action(compensator(stage_observer(k), PLAIN), "compensation").input_gain
+        every.append(abs(static) * original.gain * original.integrator / (2 * np.pi))
+    page.show("crossing per mass (Hz)", pd.Series(every, index=range(1, 8)).round(4))
+    nearest = int(np.argmin(np.abs(np.array(every) - 0.003)))
+    page.conclude(
+        "The printed 0.003 Hz is the crossing at mass {mass}.",
+        "The crossing nearest to the printed 0.003 Hz is that of mass {mass}.",
+        when=round(every[nearest], 3) == 0.003,
+        mass=nearest + 1,
+    )
+    still = low < 2 * np.pi * 1e-2
+    without, with_model = (blocks[name].frequency_response(low)[1, 0] for name in ("MC", "noise model"))
+    rising = np.abs(with_model[still]) / low[still]
+    page.check(
+        "motion.integral-action.noise-model", np.abs(without[still]).mean() / rising.mean() / (2 * np.pi)
+    )
+    static = abs(keeps_integral_action(blocks["noise model"], "compensation").input_gain)
+    page.check(
+        "motion.integral-action.theorem-3-2-4", round(float(static / np.abs(with_model).max()), 13)
+    )  # rounding is left
+
+
+def _of_departure(page, phases: Mapping[str, tuple]) -> None:
+    page.text(r"""
+## Where the phase leaves -180°, by threshold
+
+In Hz, by threshold in degrees: at 0.03° the order is as printed; from 0.1° on, the high-pass departs after the plant.
+""")
+    page.show(pd.DataFrame(departures(phases, (0.03, 0.1, 0.3, 1.0, 3.0, 10.0))).T.round())
+
+
+def _of_controllers(
+    page,
+    plant: ModalModel,
+    blocks: Mapping[str, StateModel],
+    controllers: Mapping[str, Pid],
+    low: np.ndarray,
+    wide: np.ndarray,
+) -> None:
+    page.text(r"""
+## Equivalent controllers
+
+Towards low frequency the equivalent controller from $y$ becomes flat (Fig. 3.9). Equivalent controllers with and without noise
+model "overlap, except for the notches" (Fig. 3.13); with it the slope from $v$ to the true error is +3 again (Fig. 3.14). From $y$,
+MC resembles notches, but "there are no notches present in the path from reference $r$" (Fig. 3.15).
+""")
+    bare = make_loop(plant, low_hz=1e-4)
+    loop, with_model = (make_loop(plant, blocks[name]) for name in ("MC", "noise model"))
+    original, redesigned = controllers["PID"], controllers["MC"]
+    resonances = plant.frequencies[1:4] / (2 * np.pi)
+    figure = paint_controllers({"original": (bare, original), "with MC": (loop, original)}, low)
+    mark_printed(figure.axes[1], 0.003, "printed: lost below 0.003 Hz", at=0.03)
+    page.save("fig-3-9", figure)
+    cases = {
+        "original": (bare, original),
+        "without noise model": (loop, original),
+        "with noise model": (with_model, original),
+    }
+    thick = {"color": figures.GREY, "linewidth": 3.0}  # the other lines lie on it
+    figure = paint_controllers(cases, low, {"original": thick, "with noise model": {"linestyle": "--"}})
+    apart = []
+    for axis in figure.axes[:2]:
+        (hertz, first), (_, second) = (
+            labelled_lines(axis)[name] for name in ("original", "with noise model")
+        )
+        beside = np.all(np.abs(hertz[:, None] / resonances - 1) > 0.2, axis=1)
+        apart.append(np.abs(second - first)[beside].max())
+    page.show("largest distance beside the notches (dB)", pd.Series(apart, ["from r", "from y"]).round(2))
+    page.check("motion.fig-3-13.overlap", max(apart))
+    notched = [depth(figure.axes[1], "with noise model", at) > 3 for at in resonances]
+    page.check("motion.fig-3-13.notches", np.mean(notched))
+    page.save("fig-3-13", figure)
+    curves = {
+        "original": bare.at(original, low).output_sensitivity,
+        "MC, redesigned": loop.at(redesigned, low).output_sensitivity,
+        "MC with noise model, redesigned": with_model.at(redesigned, low).output_sensitivity,
+    }
+    lines = {name: (low, response) for name, response in curves.items()}
+    figure, axes = paint_bode(lines, "$v$ to $e_{true}$ (dB)", ylim=(-350, 20))
+    slope = line_slope(axes[0], "MC with noise model, redesigned", 1e-4, 1e-3)
+    page.check("motion.slopes.compensation-noise-model", slope)
+    mark_slope(axes[0], 3.0, (1e-3, 1.0), -230.0, "printed: slope 3 with noise model")
+    axes[0].legend()
+    page.save("fig-3-14", figure)
+    notched = controllers["PID with notches"]
+    figure = paint_controllers({"MC": (with_model, redesigned), "PID with notches": (bare, notched)}, wide)
+    names = ("MC", "PID with notches")
+    deep = {name: [depth(figure.axes[0], name, at) for at in resonances] for name in names}
+    page.show("notches from r at the three resonances (dB)", pd.DataFrame(deep).T.round(2))
+    page.check("motion.fig-3-15.no-notch-from-reference", np.mean(np.array(deep["MC"]).round(2) < 3))
+    mark_printed(figure.axes[0], 46.0, "printed: 46 Hz", at=0.6)
+    mark_printed(figure.axes[1], 43.0, "printed: 43 Hz", at=0.6)
+    page.save("fig-3-15", figure)
+
+
+def _of_low_frequency(page, cases: Mapping[str, StateModel], plant: ModalModel) -> None:
+    page.text(r"""
+## The changes are local
+
+Remark 3.2.5: largest change of each transfer below half of the first resonance (dB), and the ratios at the resonances.
+""")
+    ratios = {
+        name: resonance_ratios(cases, name, plant.frequencies[1:4]) for name in ("high gain", "low gain")
+    }
+    for name, each in ratios.items():
+        page.show(name, pd.DataFrame(each, index=["mode 1", "mode 2", "mode 3"]).T.round(4))
+    half = plant.frequencies[1] / 2
+    poles = np.concatenate([loop.poles for loop in cases.values()])
+    omega = resonance_grid(poles, 10.0, 2.5e3, 600, 60)
+    changes = {
+        name: {
+            source: float(np.abs(decibel(ratio)).max())
+            for source, ratio in resonance_ratios(cases, name, omega[omega < half]).items()
+        }
+        for name in ratios
+    }
+    page.show(pd.DataFrame(changes).round(2))
+    page.check("motion.remark-3-2-5.local", max(changes["high gain"].values()))
+
+
+def _of_velocity(page, plant: ModalModel, noise_model: float, low: np.ndarray) -> None:
+    page.text(r"""
+## Velocity measurements
+
+With a velocity sensor, according to the text, the transfer to $\dot y_{flex}$ vanishes at zero frequency except for the compliance
+feedthrough (Fig. 3.17). Here it is constant without feedthrough, too; the noise model removes it.
+""")
+    reduced, published = truncate(plant, 4, 3), published_noise()
+    speed = replace(reduced, measures="velocity")
+    no_feed = replace(speed, feedthrough=0 * reduced.feedthrough)
+    velocity = {
+        "no feedthrough": compensator(kalman_observer(no_feed, published), PLAIN),
+        "feedthrough": compensator(kalman_observer(speed, published), PLAIN),
+        "feedthrough and noise model": compensator(kalman_observer(speed, published, noise_model), PLAIN),
+    }
+    gains = {name: (low, block.frequency_response(low)[1, 0]) for name, block in velocity.items()}
+    dashed = {"feedthrough": {"linestyle": "--"}}  # it coincides with the line without
+    label = "$u$ to $\\dot y_{flex}$ (dB re 1 m/(s N))"
+    page.save("fig-3-17", paint_bode(gains, label, styles=dashed, xlim=(1e-4, 1e4))[0])
+    static = {
+        name: keeps_integral_action(block, "compensation").input_gain for name, block in velocity.items()
+    }
+    largest = np.abs(gains["no feedthrough"][1]).max()
+    page.check("motion.integral-action.velocity", abs(static["no feedthrough"]) / largest)
+    page.show("static gain (µm/(s N))", (1e6 * pd.Series(static)).round(3) + 0.0)
+
+
+def _of_soft_sensor(
+    page,
+    plant: ModalModel,
+    observer: Observer,
+    block: StateModel,
+    original: Pid,
+    position: int,
+    wide: np.ndarray,
+) -> None:
+    page.text(r"""
+## Soft sensing
+
+The estimate can also move the measurement, (3.21), here to mass 2, whose resonances then have "the same bandwidth limiting
+effect". (3.23) adds only the static compliance of the place, times the feedforward.
+""")
+    other = stage().at([0], [1])
+    sensor = soft_sensor(observer, other.output_shapes[:, : len(observer.model.frequencies)])
+    soft, measured = sensor.frequency_response(wide)[0], plant.frequency_response(wide)[0, 0]
+    truth, here = other.frequency_response(wide)[0, 0], f"mass {position}, measured"
+    said = {
+        "mass 2, true": (wide, truth),
+        "mass 2, soft sensor": (wide, soft[0] + soft[1] * measured),
+        here: (wide, measured),
+    }
+    styles = {"mass 2, soft sensor": {"linestyle": "--"}, here: {"color": figures.GREY, "linewidth": 0.8}}
+    quantity = "magnitude (dB re 1 m/N)"
+    page.save("soft-sensor", paint_bode(said, quantity, styles=styles, height=3.2, ylim=(-230, -80))[0])
+    static = float(other.modes(slice(1, None)).compliance()[0, 0])
+    compensated = make_loop(plant, block).at(original, wide).equivalent_plant
+    slow_part = wide < 2 * np.pi * 37
+    with_static, without_static = (np.abs(compensated + each - truth)[slow_part] for each in (static, 0.0))
+    page.check("motion.section-3-2-4.compliance", np.mean(with_static < without_static))
+    most = np.max(with_static / without_static)
+    page.show(f"error at mass 2 up to 37 Hz, (3.23) over the rigid part alone: {most:.3f} at most")
+    limits = soft_sensed_limits(position)
+    page.show("largest f_bw (Hz)", pd.Series(limits).round(1))
+    page.check("motion.section-3-2-4.same-limit", limits["performance moves"] / limits["sensor moves, none"])
+    page.check("motion.remark-3-2-6.no-limit", limits["sensor moves, soft"] / limits["fixed place, none"])

@@ -46,6 +46,35 @@ def paint_rejections(
     return figure
 
 
+def paint_over_first(
+    cases: Mapping[str, StateModel], omega: np.ndarray, resonances: Sequence[float], xlim: tuple[float, float]
+):
+    """Transfers to the true error over those of the first case (dB), from u_ff, w, v and d, with the `resonances` (Hz).
+
+    The ratio is local and small, and two cases may coincide: the second is drawn broad, the third dashed on it.
+    """
+    figure, axes = figures.new(2, 2, sharex=True)
+    (base, first), *others = cases.items()
+    styles = (
+        {"color": figures.SKY, "linewidth": 3.0},
+        {"color": figures.RED, "linewidth": 1.2, "linestyle": "--"},
+    )
+    for axis, (source, name) in zip(
+        axes.ravel(), {"u_ff": "$u_{ff}$", "w": "$w$", "v": "$v$", "d": "$d$"}.items(), strict=True
+    ):
+        below = channel(first, source, "e_true").frequency_response(omega)[0, 0]
+        for (label, loop), style in zip(others, styles, strict=True):
+            above = channel(loop, source, "e_true").frequency_response(omega)[0, 0]
+            add_magnitude(axis, omega, above / below, label=label, **style)
+        axis.axhline(0, color=figures.BLACK, linewidth=0.8)
+        for hertz in resonances:
+            axis.axvline(hertz, color=figures.GREY, linestyle=":", linewidth=1)
+        axis.set(title=f"{name} to $e_{{true}}$", xlim=xlim)
+    figures.label(axes, "frequency (Hz)", f"over {base} (dB)")
+    figures.legend_below(axes[0, 0], len(others))
+    return figure
+
+
 def paint_controllers(
     cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray, styles: Mapping[str, dict] | None = None
 ):

@@ -50,6 +50,23 @@ def mark_limit(axis) -> None:
     axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
 
 
+def mark_printed(axis, x: float, label: str, at: float = 0.97) -> None:
+    """A printed frequency (or time) as a dashed line over a panel, named beside it at a height in parts of the panel's."""
+    ends = axis.get_ylim()
+    axis.plot([x, x], ends, color=figures.BLACK, linewidth=1.1, linestyle=(0, (6, 2)), label=label)
+    axis.set_ylim(ends)
+    place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "rotation": 90}
+    axis.annotate(
+        label, (x, at), (-2, 0), ha="right", va="top" if at > 0.5 else "bottom", fontsize=7, **place
+    )
+
+
+def mark_slope(axis, slope: float, hertz: tuple[float, float], level: float, label: str) -> None:
+    """A printed slope as a line in dB between two frequencies, from `level` at the lower one."""
+    ends = [level, level + 20 * slope * np.log10(hertz[1] / hertz[0])]
+    axis.plot(hertz, ends, color=figures.BLACK, linewidth=1.1, linestyle=(0, (6, 2)), label=label)
+
+
 def add_zoom(axis, place: Sequence[float], x: tuple[float, float], y: tuple[float, float]) -> None:
     """Repeat a panel's labelled lines from `x` to `y` in an inset at `place`: left, bottom, width, height in parts."""
     inset = axis.inset_axes(place, xlim=x, ylim=y)
