@@ -303,9 +303,8 @@ with notches; from $y$ its gain rises at the resonances (Fig. 3.25).
     page.show(pd.DataFrame({"notch from r (dB)": deep, "rise from y (dB)": rise}, FLEXIBLE).round(2))
     page.check("motion.fig-3-25.notches-from-reference", np.mean(np.array(deep) > 3))
     page.check("motion.fig-3-25.gain-rises", np.mean(np.array(rise) > 3))
-    for axis in figure.axes[:2]:
-        mark_printed(axis, 37.0, "printed: 37 Hz", at=0.03)
-        mark_printed(axis, 77.0, "printed, redesigned: 77 Hz", at=0.03)
+    for hertz in (37.0, 77.0):
+        mark_printed(figure.axes[1], hertz, f"printed: {hertz:g} Hz", at=0.03)
     page.save("fig-3-25", figure)
     conditions, wide = keeps_integral_action(damped.compensator, "damping"), _wide(plant, damped)
     peak = np.abs(damped.compensator.frequency_response(wide)[0, 1]).max()

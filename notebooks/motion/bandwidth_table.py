@@ -64,26 +64,27 @@ def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz
 def paint_map(
     crossing_hz: np.ndarray, peaks_db: np.ndarray, selectivity: Sequence, noise_model: Sequence, best: tuple
 ):
-    """A `bandwidth_map`, each cell as wide as the other; `best` is a printed place (Q_nu, Q) and what it says.
+    """A `bandwidth_map` as a line a selectivity over Q_nu; `best` is a printed place (Q_nu, Hz) and what it says.
 
-    Crosses: the peak from r to e_true exceeds 6 dB.
+    Open circles: the peak from r to e_true exceeds 6 dB.
     """
+    from matplotlib import colormaps
+
     figure, axis = figures.new(1, 1, height=3.4)
-    mesh = axis.pcolormesh(_edges(noise_model), _edges(selectivity), crossing_hz, cmap="viridis")
-    figure.colorbar(mesh, ax=axis, label="first crossing (Hz)")
-    axis.set(xscale="log", yscale="log", xlabel=r"noise model $Q_\nu$ (N²/s)", ylabel="selectivity $Q$")
-    figures.mark_published(axis, *best[:2], label=best[2], markersize=9, color="white")
-    rows, columns = np.nonzero(peaks_db > 20 * np.log10(SIX_DB) + 1e-3)
-    at, broken = (np.take(noise_model, columns), np.take(selectivity, rows)), "breaks the third constraint"
-    axis.plot(*at, "x", color="white", markersize=4, label=broken)
-    axis.legend(axis.lines, [best[2], broken], loc="lower left", labelcolor="white")
+    colours, sizes = (
+        colormaps["viridis"](np.linspace(0, 0.85, len(selectivity))),
+        np.asarray(noise_model, float),
+    )
+    for q, hertz, peaks, colour in zip(selectivity, crossing_hz, peaks_db, colours, strict=True):
+        broken = peaks > 20 * np.log10(SIX_DB) + 1e-3
+        axis.semilogx(sizes, hertz, color=colour, label=f"$Q$ = {q:g}")
+        axis.plot(sizes[~broken], hertz[~broken], "o", color=colour, markersize=4)
+        axis.plot(sizes[broken], hertz[broken], "o", color=colour, markerfacecolor="white", markersize=5)
+    axis.plot([], [], "o", color=figures.BLACK, markerfacecolor="white", label="breaks the third constraint")
+    figures.mark_published(axis, *best[:2], label=best[2], markersize=8)
+    axis.set(xlabel=r"noise model $Q_\nu$ (N²/s)", ylabel="first crossing (Hz)")
+    axis.legend()
     return figure
-
-
-def _edges(centres: Sequence[float]) -> np.ndarray:
-    """Edges of cells around ascending positive centres, halfway in logarithms."""
-    inner = np.sqrt(np.multiply(centres[1:], centres[:-1]))
-    return np.concatenate([[centres[0] ** 2 / inner[0]], inner, [centres[-1] ** 2 / inner[-1]]])
 
 
 # === Open choices =================================================================================================

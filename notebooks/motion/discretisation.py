@@ -1,6 +1,9 @@
 """The sampled matrices of a flexible mode as chapter 2 prints them, beside the exact ones (notebook 04)."""
 
+from collections.abc import Sequence
+
 import numpy as np
+import pandas as pd
 from jaxtyping import Float64
 
 from stillwork.lti.discretisation import zoh
@@ -63,6 +66,42 @@ def disturbance_matrix(
 def discrete_compliance(model: StateModel) -> Float64[np.ndarray, "outputs inputs"]:
     """Static gain C (I - A)^-1 B + D of a discrete model without rigid-body modes, (2.22)."""
     return model.c @ np.linalg.solve(np.eye(len(model.a)) - model.a, model.b) + model.d
+
+
+def order_differences(
+    reduced_first: StateModel, whole: StateModel, kept: Sequence[int], left_out: np.ndarray
+) -> list[float]:
+    """Relative differences of A, B and D of a model that was reduced first from the `kept` states of the `whole` one.
+
+    `left_out` is the discrete compliance of the discarded modes (Theorem 2.4.1).
+    """
+    kept = list(kept)
+    return [
+        np.abs(reduced_first.a - whole.a[np.ix_(kept, kept)]).max() / np.abs(whole.a).max(),
+        np.abs(reduced_first.b - whole.b[kept]).max() / np.abs(whole.b).max(),
+        np.abs(reduced_first.d - left_out).max() / np.abs(left_out).max(),
+    ]
+
+
+def type_2(states: StateModel) -> StateModel:
+    """The same model with the positions of all modes first, (2.7)."""
+    order = [*range(0, len(states.a), 2), *range(1, len(states.a), 2)]
+    return StateModel(states.a[np.ix_(order, order)], states.b[order], states.c[:, order], states.d)
+
+
+def undamped_errors(model: ModalModel, whole: StateModel, sample_time: float) -> pd.DataFrame:
+    """Relative errors of (2.33) and (2.34) for the first three flexible modes, beside the exact ones of the `whole` model."""
+    on_both = np.column_stack([np.ones(2 * len(model.frequencies)), np.zeros(2 * len(model.frequencies))])
+    on_both[1::2, 1] = 1.0
+    exact, rows = disturbance_matrix(model, on_both, sample_time), {}
+    for k in (1, 2, 3):
+        states, w = slice(2 * k, 2 * k + 2), float(model.frequencies[k])
+        rough = undamped_input(w, model.input_shapes[k], sample_time)[:, 0]
+        rough_g = undamped_disturbance(w, on_both[2 * k], on_both[2 * k + 1], sample_time)
+        off_g = np.abs(rough_g - exact[states]).max(axis=1) / np.abs(exact[states]).max(axis=1)
+        off = np.abs(rough / whole.b[states, 0] - 1).max()
+        rows[f"mode {k}"] = {"input matrix": off, "disturbance matrix": off_g.max()}
+    return pd.DataFrame(rows).T
 
 
 def paint_transition_error(frequency_hz: float, damping: float):

@@ -1,16 +1,101 @@
-"""Explorer of the measured structure (notebook 13)."""
+"""The measured structure: what notebook 13 alone needs, its search, pictures and appendix."""
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
+import pandas as pd
 
 from experiments.motion.machines import as_stage, measured_accelerance, published_noise, stage_mass
-from experiments.motion.pictures import paint_bode
+from experiments.motion.pictures import decibel, paint_bode, paint_over_masses
 from stillwork.control.applications import Application
-from stillwork.control.machine_loops import observed_loops
-from stillwork.control.pid import PidFamily
-from stillwork.identification.modal_fit import identify_modes
+from stillwork.control.bandwidth import FUNCTIONS, Bandwidth, Loop, highest_peaks, maximise_bandwidth
+from stillwork.control.machine_loops import SAFE, SHOWN, encirclement_difference, observed_loops
+from stillwork.control.pid import Pid, PidFamily
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.modal_fit import ModalFit, identify_modes
 from stillwork.lti.modal import ModalModel, mirrored
+from workbook import figures
+
+LIMITS = {"all three": SAFE, "S_I, S_O alone": SAFE[:2]}
+Found = Mapping[tuple[str, str], Sequence[Bandwidth]]
+
+
+def limits_of(
+    modelled: Mapping[str, Sequence[Loop]], measured: Mapping[str, Sequence[Loop]], family: PidFamily
+) -> tuple[dict[tuple[str, str], list[Bandwidth]], dict[tuple[str, str], Pid]]:
+    """By use of the observer and set of `LIMITS`: the largest bandwidths on model and measurement, and the lower controller."""
+    range_hz = {"low_hz": 20.0, "high_hz": 300.0, "tolerance_hz": 0.01}
+    found = {
+        (name, label): [
+            maximise_bandwidth(loops[name], family, limits, refine=refine, lowest=True, **range_hz)
+            for loops, refine in ((modelled, True), (measured, False))
+        ]
+        for name in modelled
+        for label, limits in LIMITS.items()
+    }
+    return found, {
+        case: min(pair, key=lambda each: each.design_hz).controller for case, pair in found.items()
+    }
+
+
+def table_of(
+    found: Found, measured: Mapping[str, Sequence[Loop]], lower: Mapping[tuple[str, str], Pid]
+) -> pd.DataFrame:
+    """The search as a table: first crossings (Hz), what stops it, the peak from r to e_true and extra turns on the measurement."""
+    rows = {}
+    for (name, label), (on_model, on_data) in found.items():
+        responses = [each.at(on_data.controller) for each in measured[name]]
+        turns = [abs(encirclement_difference(each, lower[name, label])) for each in measured[name]]
+        rows[name, label] = {
+            "on the model": on_model.crossing_hz.mean().round(1),
+            "on the measurement": on_data.crossing_hz.mean().round(1),
+            "stopped by": f"{SHOWN[on_data.function]} at {on_data.peak.omega / (2 * np.pi):.0f} Hz",
+            "tracking (dB)": max(decibel(each.true_tracking).max() for each in responses),
+            "extra turns": sum(turns),
+        }
+    return pd.DataFrame(rows).T
+
+
+def paint_fit(fine: Identified, fit: ModalFit, band_hz: tuple[float, float]):
+    """The measured accelerance with the fitted one, the coherence, and the error of the fit."""
+    shown = (fine.omega > 2 * np.pi * 20) & (fine.omega < 2 * np.pi * 3500)
+    omega = fine.omega[shown]
+    fitted = -(omega**2) * fit.model.frequency_response(omega)[0, 0]
+    figure, axes = figures.new(3, 1, height=6.0, sharex=True)
+    hertz = omega / (2 * np.pi)
+    axes[0].semilogx(hertz, decibel(fine.response[shown]), linewidth=0.9, label="measured")
+    axes[0].semilogx(hertz, decibel(fitted), "--", linewidth=0.9, label="fitted")
+    axes[0].set_ylabel("accelerance (dB re 1/kg)")
+    for axis in axes:
+        axis.axvspan(*band_hz, color=figures.GREY, alpha=0.12, linewidth=0, label="band of the fit")
+    axes[0].legend()
+    axes[1].semilogx(hertz, fine.coherence[shown], linewidth=0.7, label="coherence")
+    axes[1].set_ylabel("coherence")
+    axes[2].loglog(fit.omega / (2 * np.pi), 100 * fit.error, linewidth=0.7, label="error of the fit")
+    axes[2].set_ylabel("relative error (%)")
+    axes[2].set_xlabel("frequency (Hz)")
+    return figure
+
+
+def paint_limits(table: pd.DataFrame):
+    """First crossings of the search, by use of the observer, set of limits and place."""
+    figure, axis = figures.new(1, 1, height=2.8)
+    for label, marker, left in (("all three", "o", -0.15), ("S_I, S_O alone", "x", 0.05)):
+        of = table.xs(label, level=1)
+        name = "all three constraints" if marker == "o" else "$S_I$, $S_O$ alone"
+        for shift, place, colour in (
+            (0, "on the model", figures.BLUE),
+            (0.1, "on the measurement", figures.RED),
+        ):
+            face = {"color": colour, "markerfacecolor": "none" if shift else colour}
+            places = np.arange(len(of)) + left + shift
+            axis.plot(places, of[place].astype(float), marker, label=f"{name}, {place}", **face)
+    axis.set_xticks(range(len(of)), list(of.index))
+    axis.set_ylabel("first crossing (Hz)")
+    axis.set_ylim(0, None)
+    axis.legend()
+    return figure
 
 
 @cache
@@ -32,3 +117,51 @@ def paint_structure(damping: float, noise_model: float):
         "with MC and AD": (omega, used.at(controller, omega).equivalent_plant),
     }
     return paint_bode(curves, "magnitude (dB re 1 m/N)", height=3.2)[0]
+
+
+def appendix(
+    page,
+    *,
+    fit: ModalFit,
+    modelled: Mapping[str, Sequence[Loop]],
+    measured: Mapping[str, Sequence[Loop]],
+    lower: Mapping[tuple[str, str], Pid],
+    table: pd.DataFrame,
+    loss: Mapping[str, pd.Series],
+) -> None:
+    """What this notebook judges beside its answer; `lower`, `table` of the search, `loss` by the third constraint (Hz)."""
+    page.text("## The fitted modes")
+    model = fit.model
+    modes = {
+        "frequency (Hz)": (model.frequencies / (2 * np.pi)).round(1),
+        "± (Hz)": (1.96 * np.append(0.0, fit.deviation) / (2 * np.pi)).round(2),
+        "damping (%)": (100 * model.damping).round(3),
+        "± (%)": (196 * np.append(0.0, fit.damping_deviation)).round(3),
+        "residue (1/kg)": (model.input_shapes[:, 0] * model.output_shapes[0]).round(3),
+    }
+    page.show(pd.DataFrame(modes))
+    middle, all_ = 100 * np.median(fit.error), 100 * fit.rms_error
+    page.show(f"error of the fit: median {middle:.0f} %, rms {all_:.0f} % (deep anti-resonances weigh most)")
+    page.check("motion.structure.smallest-damping", 100 * model.damping[1:].min())
+    page.check("motion.structure.largest-damping", 100 * model.damping[1:].max())
+    page.text("## The sensitivity on the measurement at the limit under all three constraints")
+    kept = {name: (measured[name], lower[name, "all three"]) for name in measured}
+    panels = {f"{name}, $S_O$": (*kept[name], "output_sensitivity") for name in ("PID", "MC and AD")}
+    page.save("sensitivities", paint_over_masses(panels, low_hz=10.0, high_hz=2900.0, label="sensor"))
+    page.text("## What is recommended keeps its limits")
+    peaks = []
+    for name, (loops, controller) in kept.items():
+        responses = [each.at(controller) for each in loops]
+        for limit in SAFE:
+            peaks += [each.peak(controller, limit.function).magnitude for each in modelled[name]]
+            peaks += [np.abs(getattr(each, limit.function)).max() for each in responses]
+    sizes = [highest_peaks(modelled[name], controller, FUNCTIONS) for name, (_, controller) in kept.items()]
+    computed = decibel(
+        max(each.magnitude for size in sizes for each in size.values())
+    )  # infinite of an unstable loop
+    page.check("motion.structure.recommended", max(0.0, decibel(max(peaks)) - 6.0))
+    page.check("motion.structure.computed", max(0.0, computed - 6.0))
+    page.check("motion.structure.mc-alone-model", table.loc[("MC", "S_I, S_O alone"), "on the model"])
+    page.check("motion.structure.mc-safe-model", table.loc[("MC", "all three"), "on the model"])
+    page.check("motion.structure.both-loss", loss["on the model"]["MC and AD"])
+    page.check("motion.structure.both-loss-measured", loss["on the measurement"]["MC and AD"])

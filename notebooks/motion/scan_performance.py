@@ -1,15 +1,17 @@
-"""Three masses in a row, Example 1.5.1: a loop that a larger bandwidth makes stable or not (notebook 01)."""
+"""The scan, and three masses in a row (Example 1.5.1), whose loop a larger bandwidth makes unstable (notebook 01)."""
 
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from experiments.motion.machines import chain_matrix
+from experiments.motion.machines import chain_matrix, parameters
 from stillwork.control.bandwidth import Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.pid import Pid, PidFamily
+from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.lti.peaks import resonance_grid
+from stillwork.signals.moving_average import Moving, average_filter, average_reduction
 from workbook import figures
 
 
@@ -45,19 +47,82 @@ def stability_trial(rng: np.random.Generator, spread: float) -> dict[str, float]
     return {"first_unstable": float(not stable[0]), "second_stable": float(stable[1])}
 
 
-def paint_nyquist(loops: Mapping[str, Loop], controller: Pid, around: int = 150):
-    """Nyquist plot of open loops near -1, with the verdict of the closed-loop eigenvalues."""
-    figure, axis = figures.new(1, 1, height=4.2)
-    for label, loop in loops.items():
+def paint_nyquist(
+    loops: Mapping[str, Loop], controller: Pid, around: int = 150, printed_hz: float | None = None
+):
+    """Nyquist plot of open loops, with the verdict of the closed-loop eigenvalues, its radius log10(1 + |L|).
+
+    `printed_hz` marks the point of the last loop at a printed bandwidth.
+    """
+    figure, axis = figures.new(1, 1, height=4.6)
+    angle = np.linspace(0, 2 * np.pi, 181)
+    for size in (1.0, 10.0, 100.0):
+        ring = _near_origin(size * np.exp(1j * angle))
+        axis.plot(ring.real, ring.imag, color=figures.GREY, linewidth=0.6, label=f"|L| = {size:g}")
+        axis.annotate(
+            f"|L| = {size:g}",
+            (0, ring.imag.max()),
+            (0, 2),
+            textcoords="offset points",
+            fontsize=6,
+            ha="center",
+        )
+    for (label, loop), style in zip(loops.items(), ("-", "--"), strict=True):
         omega = resonance_grid(loop.plant.poles, 10.0, 1e4, 300, around)
-        open_loop = loop.at(controller, omega).loop
+        line = _near_origin(loop.at(controller, omega).loop)
         verdict = "stable" if loop.is_stable(controller) else "unstable"
-        near = open_loop[np.abs(open_loop) < 30]
-        axis.plot(near.real, near.imag, label=f"{label}: {verdict}")
-    axis.plot([-1], [0], "+", color=figures.BLACK, markersize=12, label="−1")
-    axis.set(xlim=(-6, 6), ylim=(-6, 6), aspect="equal")
-    figures.label(axis, "real part of the open loop", "imaginary part of the open loop")
-    axis.legend()
+        axis.plot(line.real, line.imag, style, label=f"{label}: {verdict}")
+        if printed_hz is not None and style == "--":
+            at = _near_origin(loop.at(controller, np.array([2 * np.pi * printed_hz])).loop)
+            figures.mark_published(axis, at.real, at.imag, label=f"{label} at the printed {printed_hz:g} Hz")
+    axis.plot([_near_origin(-1.0).real], [0], "+", color=figures.BLACK, markersize=12, label="−1")
+    axis.set(aspect="equal")
+    figures.label(axis, "along the real axis, radius log10(1 + |L|)", "along the imaginary axis")
+    axis.legend(handles=axis.lines[3:], loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def _near_origin(response):
+    """A response with its distance from the origin as log10(1 + distance)."""
+    response = np.asarray(response, complex)
+    return response / np.abs(response) * np.log10(1 + np.abs(response))
+
+
+def paint_phases(setpoint: Setpoint):
+    """The move with its phases, and the printed limits of Table 3.6 (Fig. 1.5)."""
+    limits = {2: parameters("setpoint")["acceleration"], 1: parameters("setpoint")["velocity"], 0: 0.17}
+    names = {2: "acceleration (m/s²)", 1: "velocity (m/s)", 0: "position (m)"}
+    settling = (setpoint.acceleration_end, setpoint.scan[0])
+    figure, axes = figures.new(3, 1, height=4.6, sharex=True)
+    for axis, (row, name) in zip(axes, names.items(), strict=True):
+        axis.plot(setpoint.time, setpoint.derivatives[row], label=name)
+        axis.axvspan(*settling, color=figures.YELLOW, alpha=0.25, linewidth=0)
+        axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
+        highest = np.argmax(setpoint.derivatives[row] > 0.9999 * setpoint.derivatives[row].max())
+        figures.mark_published(axis, setpoint.time[highest], limits[row], "printed limit")
+        axis.set_ylabel(name)
+    axes[-1].set_xlabel("time (s)")
+    axes[1].legend(handles=axes[1].lines[1:], loc="lower right")
+    for phase, (begin, end) in {"settling": settling, "scanning": setpoint.scan}.items():
+        axes[0].text((begin + end) / 2, 70, phase, ha="center")
+    figure.align_ylabels()
+    return figure
+
+
+def paint_moving(
+    setpoint: Setpoint, error: np.ndarray, values: Moving, centre: np.ndarray, inside: np.ndarray
+):
+    """Error in the scan with its moving average, deviation and rms (nm) at the centres that lie `inside`."""
+    figure, axis = figures.new(1, 1, height=3.0)
+    shown = setpoint.scanning
+    grey = {"color": figures.GREY, "linewidth": 0.7, "label": "error"}
+    axis.plot(setpoint.time[shown], 1e9 * error[shown], **grey)
+    for name, curve in (("MA", values.average), ("MSD", values.deviation), ("rms", values.rms)):
+        largest = 1e9 * np.abs(curve[inside]).max()
+        label = f"{name}, at most {largest:.1f} nm"
+        axis.plot(centre[inside], 1e9 * curve[inside], "--" if name == "rms" else "-", label=label)
+    axis.set(xlabel="time (s)", ylabel="error in the scan (nm)")
+    axis.legend(ncols=2)
     return figure
 
 
@@ -68,3 +133,33 @@ def paint_three_masses(bandwidth_hz: float):
     controller = PidFamily(masses.sum())(bandwidth_hz)
     loops = {f"$x_{k + 1}$": make_loop(machine.at([0], [k])) for k in (0, 1)}
     return paint_nyquist(loops, controller, around=60)  # coarse enough to redraw quickly
+
+
+def appendix(
+    page,
+    *,
+    error: np.ndarray,
+    values: Moving,
+    inside: np.ndarray,
+    sample_time: float,
+    exposure: float,
+    bandwidth_hz: float,
+) -> None:
+    """What this notebook judges beside its answer: the identity (1.3), the filter of the moving average, the example's bandwidth."""
+    page.text("## (1.3), and the moving average as a filter")
+    windows = np.lib.stride_tricks.sliding_window_view(error, round(exposure / sample_time))
+    direct = (windows**2).mean(axis=1)
+    off = np.abs(values.average**2 + values.deviation**2 - direct)[inside] / direct[inside].max()
+    page.check("motion.scan.rms-identity", round(float(off.max()), 13))  # what is left is rounding
+    omega = 2 * np.pi * np.geomspace(5, 3000, 2000)
+    figure, axis = figures.new(1, 1, height=2.6)
+    gain = np.abs(average_filter(omega, exposure))
+    axis.semilogx(omega / (2 * np.pi), gain, label=f"T = {1e3 * exposure:g} ms")
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel("gain of the moving average")
+    axis.legend()
+    page.save("average-filter", figure)
+    zero = np.abs(average_filter([2 * np.pi / exposure], exposure)[0])
+    page.check("motion.scan.average-zeros", round(float(zero), 13))  # what is left is rounding
+    page.check("motion.scan.average-reduction", 100 * average_reduction(1.1))
+    page.check("motion.example-1-5-1.bandwidth", bandwidth_hz)

@@ -60,7 +60,7 @@ ORIGINAL = ", original controller"
 @lru_cache(maxsize=8)
 def _loops(design: Design) -> list[Loop]:
     """Loops of the seven masses: they stay while the bandwidth alone moves."""
-    return stage_loops(design, points=250, around=8)
+    return stage_loops(design, points=120, around=5)
 
 
 def paint_design(
