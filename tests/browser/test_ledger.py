@@ -46,6 +46,26 @@ def test_each_filter_shows_what_the_ledger_has(front, field, value_of):
         assert told(front) == f"{len(wanted)} of {len(CLAIMS)} numbers"
 
 
+def test_rows_come_by_the_page_and_a_link_leads_past_it(front, site):
+    """Whichever the width, some screens of rows stand there at first, and more after a click."""
+    seen = (
+        "return [...document.querySelectorAll('#claims tbody tr')].filter((row) => row.offsetHeight).length"
+    )
+    for width in (390, 1440):
+        front.resize(width)
+        front.open("about:blank")
+        front.open((site / "ledger.html").as_uri())
+        first = front.run(seen)
+        assert 0 < first < len(CLAIMS) / 5
+        front.driver.find_element(By.ID, "more").click()
+        assert front.run(seen) == 2 * first
+    last = front.run("return [...document.querySelectorAll('#claims tbody tr')].at(-1).id")
+    front.open("about:blank")
+    front.open((site / "ledger.html").as_uri() + f"#{last}")
+    assert front.run("return document.querySelector(':target').offsetHeight") > 0
+    assert not front.driver.find_element(By.ID, "more").is_displayed()
+
+
 def test_a_view_is_kept_in_the_address(front):
     choose(front, "verdict", "not replicated")
     choose(front, "order", "farthest")

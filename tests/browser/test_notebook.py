@@ -48,6 +48,7 @@ def test_every_row_leads_to_its_place_and_every_place_back(browser, site):
             figures = [each for each in found[1:] if each != curve]
             assert all(each.startswith(f"{place}#figure-") for each in figures)
             assert len(figures) <= 1
-    browser.open((site / f"notebooks/{CLAIM.notebook}.html").as_uri())
+    # The link opens the fold in which the place stands.
+    browser.open((site / f"notebooks/{CLAIM.notebook}.html").as_uri() + f"#claim-{CLAIM.entry.id}")
     browser.driver.find_element(By.CSS_SELECTOR, f"[id='claim-{CLAIM.entry.id}'] a").click()
     assert browser.run("return document.querySelector(':target').id") == f"row-{CLAIM.entry.id}"

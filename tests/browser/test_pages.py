@@ -36,6 +36,13 @@ copy.querySelectorAll("pre, code, math, svg").forEach((each) => each.remove());
 return copy.textContent;
 """
 
+# Displayed formulas that are wider than their place and do not scroll, or without keys.
+CUT = """
+return [...document.querySelectorAll(".equation")].filter((box) => box.scrollWidth > box.clientWidth + 1)
+  .filter((box) => getComputedStyle(box).overflowX !== "auto" || box.getAttribute("tabindex") !== "0")
+  .map((box) => box.textContent);
+"""
+
 # What does not fit: a page wider than its window, a picture wider than what it stands in, text too small to read.
 MISFITS = """
 const limit = document.documentElement.clientWidth;
@@ -137,7 +144,7 @@ def seen(browser, site, pages) -> dict[str, dict[str, list]]:
         browser.open(page.as_uri())
         answers = {
             "pictures": browser.driver.execute_async_script(PICTURES),
-            "wide": browser.run(MISFITS),
+            "wide": browser.run(MISFITS) + browser.run(CUT),
             "formulas": browser.run("return document.querySelectorAll('math').length"),
             "unrendered": browser.run(FORMULAS)
             + re.findall(r"\$[^$\n]*[\\^_{][^$\n]*\$|\\[a-z]+\{", browser.run(PROSE)),
@@ -149,7 +156,7 @@ def seen(browser, site, pages) -> dict[str, dict[str, list]]:
         answers["contrast in the dark"] = browser.run(CONTRAST)
         browser.dark(False)
         browser.resize(NARROW)
-        answers["narrow"] = browser.run(MISFITS)
+        answers["narrow"] = browser.run(MISFITS) + browser.run(CUT)
         answers["outside"] = [
             each for each in browser.requests() if not each.startswith((site.as_uri(), "data:"))
         ]

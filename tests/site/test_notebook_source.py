@@ -121,3 +121,26 @@ def test_no_markdown_becomes_an_element_of_its_own(text):
     assert page.tags <= PROSE
     assert not {name for name in page.attributes if name.startswith("on")}
     assert not [link for link in page.links if re.match(r"\W*(x$|\w+script|data)", link, re.IGNORECASE)]
+
+
+def test_the_reference_shows_shapes_and_says_once_what_several_arguments_share(tmp_path):
+    lines = [
+        "def join(a: Float64[np.ndarray, 'states states'], b, *, weights: Complex128[np.ndarray, ' modes'] = None):",
+        "    '''Join.",
+        "",
+        "    Parameters",
+        "    ----------",
+        "    a, b : array_like",
+        "        Shape (states, states).",
+        "    weights : array_like",
+        "        One a mode.",
+        "    '''",
+    ]
+    (item,) = reference.read_source("toy", tmp_path / "toy.py", "\n".join(lines)).items
+    assert item.signature == "join(a: (states, states), b, *, weights: complex (modes,) = None)"
+    html = reference.doc_html(item.doc)
+    assert re.findall("<dt>(.*?)</dt>", html) == [
+        "<code>a, b</code> <span>array_like</span>",
+        "<code>weights</code> <span>array_like</span>",
+    ]
+    assert html.count("Shape (states, states).") == 1

@@ -137,17 +137,21 @@ def _front(render, claims: list[Claim], pages: list[NotebookPage], states: dict)
         "index.html",
         "",
         published=sum(claim.entry.published is not None for claim in claims),
-        citation=_citation(),
         moving=by_name[moving[0]] if moving else None,
         states=states[moving[0]] if moving else {},
     )
 
 
 def _ledger_pages(render, claims, pages) -> dict[str, bytes]:
+    reasons, first = {}, {}  # of a group that shares its reasons the first entry prints them
+    for claim in claims:
+        if texts := tuple(dict.fromkeys(filter(None, (claim.unjudged, claim.entry.reason)))):
+            reasons[claim.entry.id] = first.setdefault((claim.entry.topic, texts), claim.entry.id), texts
     page = render(
         "ledger.html",
         "",
         claims=claims,
+        reasons=reasons,
         by_name={page.name: page for page in pages},
         kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
     )
@@ -202,11 +206,14 @@ def _notebook_files(render, page, pages, states: dict) -> dict[str, bytes]:
 
 
 def _reference_pages(render, modules: list[reference.Module]) -> dict[str, bytes]:
-    shown = {"folders": reference.folders(modules), "doc": _doc}
-    files = {"reference/index.html": render("reference.html", "../", **shown)}
+    folders = reference.folders(modules)
+    files = {
+        "reference/index.html": render("reference.html", "../", folders=folders, doc=_doc),
+        "objects.inv": reference.inventory(modules, project()["name"], project()["version"]),
+    }
     for module in modules:
         files[f"reference/{module.name}.html"] = render(
-            "module.html", "../", module=module, doc=_doc, source=_source(module.source)
+            "module.html", "../", module=module, folders=folders, doc=_doc, source=_source(module.source)
         )
     return files
 
@@ -271,11 +278,15 @@ def _listed(words: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
-def _citation() -> str:
+def _imprint() -> dict[str, str]:
+    """Who made the workbook, and how it is cited."""
     said = project()
     authors = ", ".join(each["name"] for each in said["authors"])
     begin = f"{authors}, " if authors else ""
-    return f"{begin}{said['name']}: {said['description']}, version {said['version']}."
+    return {
+        "authors": authors,
+        "citation": f"{begin}{said['name']}: {said['description']}, version {said['version']}.",
+    }
 
 
 @cache
@@ -305,6 +316,7 @@ def _renderer(**shared):
     """``render(template, root, **values)``; `root` leads from the page to the site's front."""
     site = {
         **about(),
+        **_imprint(),
         "address": address(),
         "commit": commit() or "",
         "modified": bool({name for name in modified() if not name.startswith("build/")}),

@@ -44,6 +44,11 @@ def mathml(formula: str, block: bool = False) -> str:
     return rendered
 
 
+def equation(formula: str) -> str:
+    """A displayed formula, in a box that scrolls where it is wider than its place."""
+    return f'<span class="equation">{mathml(formula, block=True)}</span>'
+
+
 # The only HTML of a text that stays HTML: what hides an answer behind a click.
 _FOLD = re.compile(r"<details>\n<summary>[\w ,]+</summary>|</details>")
 
@@ -67,13 +72,13 @@ class _Renderer(IPythonRenderer):
         return mathml(body)
 
     def block_math(self, body: str) -> str:
-        return mathml(body, block=True)
+        return equation(body)
 
     def latex_environment(self, name: str, body: str) -> str:
-        return mathml(rf"\begin{{{name}}}{body}\end{{{name}}}", block=True)
+        return equation(rf"\begin{{{name}}}{body}\end{{{name}}}")
 
     def multiline_math(self, text: str) -> str:
-        return mathml(text.strip().removeprefix("$$").removesuffix("$$"), block=True)
+        return equation(text.strip().removeprefix("$$").removesuffix("$$"))
 
     def link(self, text: str, url: str, title: str | None = None) -> str:
         if ":" not in url:

@@ -296,6 +296,9 @@ def _with_the_rest(cells: list[PageCell], raw: list[dict], claims: list[Claim]) 
     tables = [number for number, cell in enumerate(raw) if _text(cell).strip() == "page.claims"]
     if left and cells:
         at = tables[-1] if tables else len(cells) - 1
+        at = next(
+            (k for k in reversed(range(len(cells))) if cells[k].apart), at
+        )  # the appendix computes the rest
         cells[at] = replace(cells[at], claims=cells[at].claims + left)
     return tuple(cells)
 

@@ -3,19 +3,24 @@
 import ast
 import inspect
 import re
+import zlib
 from dataclasses import dataclass
 from functools import cache
 from html import escape, unescape
+from itertools import groupby
 from pathlib import Path
 
 import griffe
 
 from workbook import paths
-from workbook.site.mathematics import mathml
+from workbook.site.mathematics import equation, mathml
 
 # Each imports those before it.
 TOOLBOX = ("base", "signals", "lti", "identification", "estimation", "control", "machine")
 LIBRARY = Path(__file__).parents[2]
+ARRAY = re.compile(
+    r"""\b([A-Z]\w+)\[np\.ndarray, (["']?)([^"'\]]*)\2\]"""
+)  # Float64[np.ndarray, "states inputs"]
 # Modules of the workbook.
 FOR_NOTEBOOKS = ("__init__", "claims", "explorer", "figures", "page", "paths", "studies")
 
@@ -36,6 +41,7 @@ class Item:
         Where it begins in the module.
     members : tuple of Item
         Public methods and properties of a class.
+    is_class : bool
     """
 
     name: str
@@ -43,6 +49,7 @@ class Item:
     doc: str
     line: int
     members: tuple["Item", ...] = ()
+    is_class: bool = False
 
 
 @dataclass(frozen=True)
@@ -156,6 +163,27 @@ def index(modules: list[Module]) -> dict[str, str]:
     return places
 
 
+def inventory(modules: list[Module], project: str, version: str) -> bytes:
+    """``objects.inv``, by which other projects' documentation links to names of these pages (Sphinx inventory, version 2)."""
+    lines = []
+    for module in modules:
+        page = f"reference/{module.name}.html"
+        lines.append(f"{module.name} py:module 0 {page} -")
+        lines += [
+            f"{module.name}.{name} py:data 1 {page}#line-{line} -" for name, line in module.constants.items()
+        ]
+        waiting = list(module.items)
+        while waiting:
+            item = waiting.pop(0)
+            owned = "method" if "(" in item.signature else "attribute"
+            role = owned if "." in item.name else "class" if item.is_class else "function"
+            lines.append(f"{module.name}.{item.name} py:{role} 1 {page}#{item.name} -")
+            waiting += item.members
+    head = f"# Sphinx inventory version 2\n# Project: {project}\n# Version: {version}\n"
+    head += "# The remainder of this file is compressed using zlib.\n"
+    return head.encode() + zlib.compress("".join(f"{line}\n" for line in lines).encode(), 9)
+
+
 def _module(file: Path) -> Module:
     place = LIBRARY if file.is_relative_to(LIBRARY) else paths.root()
     parts = file.relative_to(place).with_suffix("").parts
@@ -182,7 +210,8 @@ def _items(read: griffe.Module | griffe.Class, owner: str = "") -> tuple[Item, .
         if not each.is_attribute or "property" in each.labels:
             name = f"{owner}{each.name}"
             members = _items(each, f"{name}.") if each.is_class else ()
-            items.append(Item(name, _signature(each), _text(each), each.lineno or 1, members))
+            line = each.lineno or 1
+            items.append(Item(name, _signature(each), _text(each), line, members, each.is_class))
     return tuple(items)
 
 
@@ -191,7 +220,18 @@ def _text(read: griffe.Object) -> str:
 
 
 def _signature(read: griffe.Object) -> str:
-    """As Python would print it: without `self`, and for a class its annotated fields."""
+    """As Python would print it: without `self`, for a class its annotated fields, and of arrays their shapes."""
+    return ARRAY.sub(_shape, _as_written(read))
+
+
+def _shape(annotated: re.Match) -> str:
+    """Of an array's annotation what a reader needs: whole or complex numbers, and the shape."""
+    kind = next((word for word in ("complex", "int", "bool") if annotated[1].lower().startswith(word)), "")
+    sizes = annotated[3].split()
+    return f"{kind} ({', '.join(sizes)}{',' * (len(sizes) == 1)})".strip()
+
+
+def _as_written(read: griffe.Object) -> str:
     if read.is_class:
         fields = [
             f"{each.name}: {each.annotation}" + (f" = {each.value}" if each.value is not None else "")
@@ -229,17 +269,18 @@ def doc_html(doc: str, level: int = 2) -> str:
             html.append(_blocks(value.contents))
         else:
             head(kind.capitalize())
-            html.append(f"<dl>{''.join(_definition(each) for each in value)}</dl>")
+            groups = groupby(value, key=lambda each: (str(each.annotation or ""), each.description))
+            html.append(f"<dl>{''.join(_definition(list(some), *said) for said, some in groups)}</dl>")
     return "".join(html)
 
 
-def _definition(element) -> str:
-    """A name with its type, and what is said about it; a result has the type alone."""
-    name, kind = getattr(element, "name", ""), str(element.annotation or "")
-    shown = f"<code>{escape(name or kind)}</code>"
-    if name and kind:
+def _definition(elements: list, kind: str, description: str) -> str:
+    """Names with their type, and what is said about them; a result has the type alone."""
+    names = ", ".join(filter(None, (getattr(each, "name", "") for each in elements)))
+    shown = f"<code>{escape(names or kind)}</code>"
+    if names and kind:
         shown += f" <span>{_inline(kind)}</span>"
-    return f"<dt>{shown}</dt><dd>{_blocks(element.description)}</dd>"
+    return f"<dt>{shown}</dt><dd>{_blocks(description)}</dd>"
 
 
 def _blocks(text: str) -> str:
@@ -252,7 +293,7 @@ def _blocks(text: str) -> str:
         if rows[0].startswith(">>>") or all(row.startswith("    ") for row in rows):
             html.append(f'<pre tabindex="0">{escape(inspect.cleandoc(block))}</pre>')
         elif rows[0].startswith(".. math::"):
-            html.append(mathml(block.strip().removeprefix(".. math::"), block=True))
+            html.append(equation(block.strip().removeprefix(".. math::")))
         else:
             text = " ".join(row.strip() for row in rows)
             html.append(f"<p>{_inline(text[:-1] if text.endswith('::') else text)}</p>")

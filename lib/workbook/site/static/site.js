@@ -26,6 +26,19 @@ for (const link of document.querySelectorAll("a.zoom")) {
   });
 }
 
+// What an address leads to is shown: the folds around it open.
+const aimed = () => document.getElementById(decodeURIComponent(location.hash.slice(1)));
+
+const unfold = () => {
+  const target = aimed();
+  let fold = target?.closest("details:not([open])");
+  if (!fold) return;
+  for (; fold; fold = fold.parentElement.closest("details:not([open])")) fold.open = true;
+  target.scrollIntoView();
+};
+addEventListener("hashchange", unfold);
+unfold();
+
 const allCode = document.getElementById("all-code");
 
 if (allCode) {
@@ -68,7 +81,10 @@ const form = document.querySelector("form#filters"); // a function in the refere
 if (form) {
   const body = document.querySelector("#claims tbody");
   const rows = Array.from(body.rows);
-  const fields = ["topic", "counted", "verdict", "kind"];
+  const fields = ["topic", "notebook", "counted", "verdict", "kind"];
+  const more = document.getElementById("more");
+  const PAGE = 50; // rows that are shown at first, and more of them at a time
+  let limit = PAGE;
   const texts = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
 
   const distance = (row) => (row.dataset.deviation === "" ? null : Number(row.dataset.deviation));
@@ -90,22 +106,37 @@ if (form) {
       row.hidden =
         fields.some((name) => form.elements[name].value && form.elements[name].value !== row.dataset[name]) ||
         !wanted.every((word) => texts.get(row).includes(word));
+      row.classList.toggle("later", !row.hidden && shown >= limit);
       shown += !row.hidden;
       body.append(row);
     }
+    more.hidden = shown <= limit;
+    more.textContent = `Show ${Math.min(PAGE, shown - limit)} more of ${shown}`;
     document.getElementById("shown").textContent = `${shown} of ${rows.length} numbers`;
     toAddress(form);
   };
 
-  whenChanged(form, show);
-  form.addEventListener("reset", () => setTimeout(show));
+  const again = () => {
+    limit = PAGE;
+    show();
+  };
+  whenChanged(form, again);
+  form.addEventListener("reset", () => setTimeout(again));
+  more.addEventListener("click", () => {
+    limit += PAGE;
+    show();
+  });
   // A link to a row must not lead to a hidden one.
   const reveal = () => {
-    const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
-    if (target && target.hidden) {
-      form.reset();
-      setTimeout(() => target.scrollIntoView());
-    }
+    const target = aimed();
+    const row = target?.closest("#claims tr");
+    if (!row || !(row.hidden || row.classList.contains("later"))) return;
+    if (row.hidden) form.reset();
+    setTimeout(() => {
+      limit = Infinity;
+      show();
+      target.scrollIntoView();
+    });
   };
   window.addEventListener("hashchange", reveal);
   fromAddress(form);
@@ -135,21 +166,6 @@ if (gallery) {
   whenChanged(gallery, show);
   fromAddress(gallery);
   show();
-}
-
-// The claims of a notebook's page.
-
-for (const filter of document.querySelectorAll("form.claims-filter")) {
-  const rows = [...filter.nextElementSibling.querySelectorAll("tbody tr")];
-  const show = () => {
-    const wanted = wordsIn(filter.elements.q.value);
-    const verdict = filter.elements.verdict.value;
-    for (const row of rows)
-      row.hidden = (verdict && row.dataset.verdict !== verdict) || !wanted.every((word) => row.textContent.toLowerCase().includes(word));
-    filter.querySelector("output").textContent = `${rows.filter((row) => !row.hidden).length} of ${rows.length} claims`;
-  };
-  filter.hidden = false;
-  whenChanged(filter, show);
 }
 
 // Search; `rankedPlaces` of search.js finds and orders.
@@ -194,7 +210,7 @@ if (search) {
 
 // What is wider than its place, a formula or on a phone the line it stands in, scrolls by keys, too.
 const reachWide = () => {
-  for (const line of document.querySelectorAll("math[display='block'], :is(p, li, dd):has(> math)"))
+  for (const line of document.querySelectorAll(".equation, :is(p, li, dd):has(> math)"))
     if (getComputedStyle(line).overflowX === "auto" && line.scrollWidth > line.clientWidth) line.setAttribute("tabindex", "0");
     else line.removeAttribute("tabindex");
 };
