@@ -17,15 +17,13 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def new(kind: str, file: str) -> list[str]:
-    """Write templates of machines (``new budget``) or of an isolator (``new isolate FILE``)."""
-    if kind == "budget" and not file:
-        from stillwork.machine.budget import new_budget
+    """Write templates of three machines (``new budget``) or of one on an isolator (``new isolate FILE``): one format."""
+    from stillwork.machine.machine_toml import new_budget, new_isolator
 
+    if kind == "budget" and not file:
         return new_budget()
     if kind == "isolate" and file:
-        from stillwork.machine.isolate import new_file
-
-        return new_file(file)
+        return new_isolator(file)
     raise InputError(
         "new writes templates: new budget, or new isolate FILE; a result of a workbook is begun by "
         "python -m workbook new TOPIC NAME"
@@ -159,6 +157,7 @@ COMMANDS = {
             ),
             number("spread", "SHARE", "uncertainty of the isolator; default 0.05", float, default=0.05),
             _band("band-hz", "of the filtered error (default: chosen)"),
+            _VERBOSE,
         ),
     ),
     "budget": Command(
@@ -170,7 +169,14 @@ COMMANDS = {
             option(
                 "--design", default="", metavar="DIR", help="written by design: use its stage and controller"
             ),
+            option(
+                "--isolate",
+                default="",
+                metavar="DIR",
+                help="written by isolate: use its isolator and feedforward",
+            ),
             option("--out", default="", metavar="DIR", help="folder of the page; default: this folder"),
+            _VERBOSE,
         ),
     ),
     "new": Command(

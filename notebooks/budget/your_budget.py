@@ -9,7 +9,8 @@ from experiments.budget.waterfall import paint_waterfall
 from stillwork.control.budget_sources import criterion_floor
 from stillwork.control.error_budget import UnstableLoop, error_budget
 from stillwork.control.pid import Pid, PidFamily
-from stillwork.machine.budget import MachineFile, new_budget, open_machine
+from stillwork.machine.budget import MachineFile, open_machine
+from stillwork.machine.machine_toml import new_budget
 from workbook import figures
 
 

@@ -10,7 +10,7 @@ from experiments.isolation.recorded_floors import ground_spectrum
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_number
 from stillwork.estimation.mean_adaptation import mean_adaptation
-from stillwork.machine.isolate import SLOWEST_HZ, answer, at_sensors, facts_of, read_floor
+from stillwork.machine.isolate import SLOWEST_HZ, at_sensors, facts_of, findings, read_floor
 from stillwork.machine.isolation import FloorSpectra, Isolator
 from stillwork.machine.isolation_design import (
     IsolationDesign,
@@ -98,7 +98,7 @@ class Answer:
     def lines(self) -> list[str]:
         """As the command prints them."""
         facts = (": ".join(row) for row in facts_of(self.design, self.found, self.floor))
-        return [*facts, *answer(self.design, self.around, self.found, self.floor)]
+        return [*facts, *findings(self.design, self.around, self.found, self.floor)]
 
 
 def isolate(twin: Twin, floor: FloorSpectra, seed: int) -> Answer:

@@ -31,7 +31,7 @@ from stillwork.machine import isolation_design
 from stillwork.machine import replay as replay_module
 from stillwork.machine.c_code import FADE, isolation_code
 from stillwork.machine.inspect import inspect_file
-from stillwork.machine.isolate import isolate_file, new_file
+from stillwork.machine.isolate import isolate_file
 from stillwork.machine.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
 from stillwork.machine.isolation_design import (
     CUTOFFS_HZ,
@@ -44,6 +44,7 @@ from stillwork.machine.isolation_design import (
     paths_through,
     try_loop,
 )
+from stillwork.machine.machine_toml import new_isolator
 from stillwork.machine.path_fit import fit_path
 from workbook import paths
 
@@ -409,7 +410,7 @@ def test_a_measured_response_gives_the_isolator_and_is_what_the_path_is_judged_o
     f = np.linspace(2, 300, 600)
     np.savez(tmp_path / "h.npz", **{"frequency (Hz)": f, "h (m/s^2/N)": true.response(f)[:, 0, 0]})
     floor = write_floor(tmp_path, flat())
-    lines = isolate_file(str(tmp_path / "h.npz"), floor, str(tmp_path / "out"), RATE)
+    lines = isolate_file(str(tmp_path / "h.npz"), floor, str(tmp_path / "out"), RATE, verbose=True)
     assert any("fitted to 600 lines" in each for each in lines)
     wrong = "[estimate]\nstiffness = " + repr((9 * true.stiffness).tolist())
     (tmp_path / "m.toml").write_text('response = "h.npz"\n' + true.toml(wrong))
@@ -438,7 +439,7 @@ stiffness = [[1080e3, 72e3], [72e3, 1440e3]]
 @pytest.mark.slow
 def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
     """The slab under footfall: a crest of five, and a limit of four times the rms cost six times the highest motion."""
-    new_file(str(tmp_path / "m.toml"))
+    new_isolator(str(tmp_path / "m.toml"))
     slab = paths.data("isolation", "slab_footfall/slab_vertical.csv")
     files = str(tmp_path / "m.toml"), str(slab), str(tmp_path / "out")
     rate = 2000.0
@@ -477,8 +478,10 @@ def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("algorithm", "late"), [("FeRls", 1.4), ("FeLms", 0.0)])
-def test_without_a_compiler_the_record_runs_through_the_same_loop(tmp_path, monkeypatch, algorithm, late):
+@pytest.mark.parametrize(
+    ("algorithm", "late", "path_delay"), [("FeRls", 1.4, 2), ("FeRls", 1.0, None), ("FeLms", 0.0, 0)]
+)
+def test_without_a_compiler_the_record_runs_through_the_same_loop(monkeypatch, algorithm, late, path_delay):
     """The compiled C and the kernel in Python: the same commands, weights and samples at the limit."""
     true = draw_isolator(np.random.default_rng(5), 2, RATE)
     isolator = replace(isolator_of(true), delay=late / RATE)
@@ -487,6 +490,7 @@ def test_without_a_compiler_the_record_runs_through_the_same_loop(tmp_path, monk
     loop = replace(loop_of(isolator, 50.0), cutoff_hz=2.0)
     loop = replace(loop, beta=choose_beta(loop, floor))
     design = try_loop(loop, isolator, paths_through(isolator, RATE), floor, algorithm, 1.0, 1e-3)
+    design = replace(design, settings=replace(design.settings, path_delay=path_delay))
     files = isolation_code(loop, design.settings, design.steady.weights, 1e9, 0.05, "iso")
 
     def both(limit):
@@ -561,9 +565,12 @@ def test_a_floor_that_may_spoil_the_adaptation_is_reported_before_a_design(tmp_p
 @pytest.mark.slow
 def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
     guide = (paths.root() / "docs" / "isolate.md").read_text(encoding="utf-8")
-    new_file(str(tmp_path / "m.toml"))
-    assert re.search(r"```toml\n(.+?)```", guide, re.DOTALL)[1] == (tmp_path / "m.toml").read_text()
-    lines = isolate_file(str(tmp_path / "m.toml"), write_floor(tmp_path, flat()), str(tmp_path / "out"), RATE)
+    new_isolator(str(tmp_path / "m.toml"))
+    template = (tmp_path / "m.toml").read_text().splitlines()
+    assert set(re.search(r"```toml\n(.+?)```", guide, re.DOTALL)[1].splitlines()) <= {*template, ""}
+    files = str(tmp_path / "m.toml"), write_floor(tmp_path, flat()), str(tmp_path / "out")
+    lines = isolate_file(*files, RATE, verbose=True)
+    assert [each.split(" ")[0] for each in lines[:3]] == ["m.toml", "it", "C"]
     assert set(os.listdir(tmp_path / "out")) == {
         "isolator.c", "isolator.h", "isolator_adapt.c", "isolator_adapt.h", "isolator.json", "report.html",
     }  # fmt: skip

@@ -88,6 +88,7 @@ def test_the_page_answers_as_the_command(twin, tmp_path, few):
         str(tmp_path / "out"),
         twin.instruments.sample_rate,
         unit="m/s^2",
+        verbose=True,
     )
     assert len(own.lines()) > 15 and set(own.lines()) <= set(lines)
     gains = np.array([1e-3, 1.0, 10.0])

@@ -44,6 +44,10 @@ class FloorMachine:
         Acts on the stage's error; a StateModel from the stage sensor to the force, including its sign, sampled if the machine is.
     compensator : StateModel, optional
         Compensator of an observer, see `compensator`; sampled if the machine is.
+    isolator : StateModel, optional
+        From frame and floor sensor to the isolator's force, in place of skyhook and feedforward; sampled if the machine is.
+    isolator_pole_hz : float
+        First-order lag from the isolator's drive to its force; 0: none.
     skyhook : float
         Damping ratio that it adds.
     skyhook_hz : float
@@ -82,6 +86,8 @@ class FloorMachine:
     stage: ModalModel
     controller: Pid | StateModel
     compensator: StateModel | None = None
+    isolator: StateModel | None = None
+    isolator_pole_hz: NonNegative = 0.0
     skyhook: NonNegative = 0.0
     skyhook_hz: Positive = field(default=1 / (2 * np.pi))
     feedforward: float = 0.0
@@ -127,7 +133,18 @@ class FloorMachine:
         c = np.array([apart, frame, apart, frame, np.zeros(n + 2)])
         felt = b[1] + [1, 0, 0, 0, 0, 0]  # the frame's own acceleration, not relative to the floor's
         apart_at_once = float(stage.d[0, 0]) * np.array([0, 1, 0, 0, 1, 0]) - [0, 0, 0, 1, 0, 0]
-        return StateModel(a, b, c, np.array([apart_at_once, felt, apart_at_once, felt, [1, 0, 0, 0, 0, 0]]))
+        plant = StateModel(a, b, c, np.array([apart_at_once, felt, apart_at_once, felt, [1, 0, 0, 0, 0, 0]]))
+        return self._lagging(plant) if self.isolator_pole_hz else plant
+
+    def _lagging(self, plant: StateModel) -> StateModel:
+        """The plant with the isolator's drive, its last input, behind a lag."""
+        pole, one = 2 * np.pi * self.isolator_pole_hz, np.ones((1, 1))
+        lag = StateModel(-pole * one, one, pole * one, 0 * one)
+        inputs, outputs = plant.d.shape[1], len(plant.d)
+        feedback = np.zeros((inputs + 1, outputs + 1))
+        feedback[inputs - 1, outputs] = 1  # the last input of the plant from the lag
+        entering = np.eye(inputs + 1)[:, [*range(inputs - 1), inputs]]
+        return interconnect([plant, lag], feedback, entering, np.eye(outputs, outputs + 1))
 
     def _stage_law(self) -> StateModel:
         """From the stage sensor to the force on the stage."""
@@ -140,6 +157,8 @@ class FloorMachine:
 
     def _isolator_law(self) -> StateModel:
         """From frame and floor sensors to the isolator's force."""
+        if self.isolator is not None:
+            return self.isolator
         k, d, critical = self.suspension
         sky = 2 * np.pi * self.skyhook_hz
         lag = np.ones((1, 1))

@@ -4,14 +4,13 @@ import html
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.extras import require_package
-from stillwork.base.toml_files import Table, read_toml
+from stillwork.base.toml_files import Table
 from stillwork.base.validation import by_value
 from stillwork.control.budget_sources import (
     criterion_floor,
@@ -35,7 +34,9 @@ from stillwork.control.floor_machine import COMMANDS, DISTURBANCES, MEASUREMENTS
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.modal import ModalModel
 from stillwork.machine import pictures
+from stillwork.machine.budget_isolator import WrittenIsolator, read_isolator_design
 from stillwork.machine.html_page import page, picture, table
+from stillwork.machine.machine_toml import open_machine_toml
 from stillwork.machine.retest import model_of
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.densities import agreed_density, density_unit, frequency_axis, hertz_in, read_densities
@@ -46,7 +47,6 @@ from stillwork.signals.units import unit_factor
 PLACES = {**DISTURBANCES, **MEASUREMENTS, **COMMANDS}
 # Names that a file may hold; any other is refused, since a misspelt one would count as not given.
 FIELDS = {
-    "file": ("name", "band_hz", "exposure_s", "duration_s", "machine", "controller", "sources"),
     "machine": (
         *("frame_mass_kg", "suspension_hz", "suspension_damping"),
         *("stage_mass_kg", "modes_hz", "modes_share", "modes_damping", "modes_share_at"),
@@ -104,43 +104,21 @@ NUMBERS = {
     "stage mass": ("machine", "stage_mass_kg", 0.0),  # at the same bandwidth
 }
 OF_DESIGN = ("delay", "damping of the stage's modes", "bandwidth", "stage mass")  # fixed by a design's folder
+OF_ISOLATE = (  # likewise by an isolator's
+    *("suspension frequency", "passive damping", "skyhook"),
+    *("frame mass", "remainder of the feedforward"),
+)
 WAYS = {"lower": 0.9, "higher": 1.1}
 SEEN = 1e-3  # of the error, which is printed to three digits: a smaller change is not shown
 COUNTS, NOTHING = (
     7.0,
     1e6,
 )  # times the typical level: adds 2 % of the power; only rounding, so there is no path
-MACHINES = {
-    "wafer-stage": {
-        "name": "a wafer-like stage", "frame": 180.0, "suspension": 4.0, "damping": 0.05, "stage": 20.0,
-        "modes": "[450.0, 700.0]", "shares": "[0.15, -0.1]", "bandwidth": 80.0, "rate": 10000.0, "skyhook": 0.6,
-        "feedforward": 20.0, "floor": "VC-C", "sensor": "0.3 nm/sqrt(Hz)", "exposure": 0.01, "dac": "2 mN", "air": "0.2 mN/sqrt(Hz)",
-    },
-    "microscope-stage": {
-        "name": "a microscope stage on a laboratory floor", "frame": 60.0, "suspension": 1.5, "damping": 0.08, "stage": 0.8,
-        "modes": "[300.0]", "shares": "[0.2]", "bandwidth": 25.0, "rate": 2000.0, "skyhook": 0.0, "feedforward": 0.0,
-        "floor": "VC-A", "sensor": "1 nm/sqrt(Hz)", "exposure": 0.1, "dac": "0.1 mN", "air": "20 uN/sqrt(Hz)",
-    },
-    "telescope-mirror": {
-        "name": "a telescope mirror on its cell", "frame": 400.0, "suspension": 8.0, "damping": 0.01, "stage": 120.0,
-        "modes": "[60.0, 95.0]", "shares": "[0.1, 0.05]", "bandwidth": 10.0, "rate": 1000.0, "skyhook": 0.3,
-        "feedforward": 0.0, "floor": "VC-B", "sensor": "2 nm/sqrt(Hz)", "exposure": 1.0, "dac": "5 mN", "air": "5 mN/sqrt(Hz)",
-    },
-}  # fmt: skip
 
 
-def new_budget(folder: str = ".") -> list[str]:
-    """Write the commented template of each machine of `MACHINES`; returns their paths, and the next step."""
-    template = Template((Path(__file__).parent / "budget.toml").read_text(encoding="utf-8"))
-    files = [Path(folder) / f"{name}.toml" for name in MACHINES]
-    for file, values in zip(files, MACHINES.values(), strict=True):
-        if file.exists():
-            raise InputError(f"{file} exists; move it away, or start in another folder")
-        file.write_text(template.substitute(values), encoding="utf-8")
-    return [*map(str, files), f"enter your numbers, then: python -m stillwork budget {files[0]}"]
-
-
-def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") -> list[str]:
+def budget_file(
+    machine: str, floor: str = "", design: str = "", isolate: str = "", out: str = "", verbose: bool = False
+) -> list[str]:
     """Compute the error budget of a machine and write it on one page.
 
     Parameters
@@ -152,13 +130,18 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
     design : str
         Folder that ``stillwork design`` wrote, or one controller's JSON file in it: its model and controller replace the
         stage and its PID.
+    isolate : str
+        Folder that ``stillwork isolate`` wrote, or the JSON file in it, of one axis: its isolator and settled feedforward
+        replace the frame's mass, the suspension, skyhook and feedforward, and the noise of its sensors where the file has none.
     out : str
         Folder of the page; empty: the current folder.
+    verbose : bool
+        Whether to return all findings, which are on the page.
 
     Returns
     -------
     list of str
-        Total, parts, what to buy next and what is unknown, one line each.
+        How still it is, what limits it and what to buy next, and where the page is; with `verbose` then the findings.
 
     Raises
     ------
@@ -166,7 +149,7 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
         When a source has another unit than its place, a file cannot be used, or the loop is unstable.
     """
     require_package("matplotlib")
-    file = open_machine(machine, floor, design)
+    file = open_machine(machine, floor, design, isolate)
     entries, built, sources, band = file.entries, file.machine, file.sources, file.band
     target = Path(out or ".") / f"{Path(machine).stem}.budget.html"
     if target.exists():
@@ -180,45 +163,72 @@ def budget_file(machine: str, floor: str = "", design: str = "", out: str = "") 
         "what it is": _summary(entries, budget),
         "where it comes from": _parts(budget),
         "while it moves": _moving(network, sources, band),
-        "over the stage's positions": [] if design else _positions(entries, sources, band),
+        "over the stage's positions": [] if design else _positions(file),
         "what to buy next": purchases(file, budget),
         "what each method gives": waterfall(file),
         "what is not known": _unknown(network, sources, band, budget),
     }
     body = [f"<h2>{title.capitalize()}</h2>\n{table([], each)}" for title, each in rows.items() if each]
-    body.insert(2, picture(paint_budget(budget), "spectra and cumulative spectra of the error by source"))
+    body.insert(
+        min(2, len(body)),
+        picture(paint_budget(budget), "spectra and cumulative spectra of the error by source"),
+    )
     target.parent.mkdir(parents=True, exist_ok=True)
     held = html.escape(Path(machine).read_text(encoding="utf-8"))
     title = html.escape(str(entries.get("name", Path(machine).stem)))
+    answer = _answer(rows, str(entries.get("name", Path(machine).stem)))
+    body[:0] = [f"<p>{html.escape(line)}</p>" for line in answer]
     target.write_text(page("report.html", source=title, body="\n".join(body), held=held), encoding="utf-8")
+    answer = [*answer, f"page: {target}"]
+    if not verbose:
+        return answer
+    return [*answer, *(f"{name}: {'; '.join(map(' '.join, each))}" for name, each in rows.items() if each)]
+
+
+def _answer(rows: dict[str, list[list[str]]], name: str) -> list[str]:
+    """How still the machine is, what limits it and what to buy next."""
+    parts, bought = rows["where it comes from"], rows["what to buy next"]
+    still = ", ".join(map(" ".join, rows["what it is"]))
     return [
-        *(f"{title}: {'; '.join(' '.join(row) for row in each)}" for title, each in rows.items() if each),
-        f"written: {target}",
+        f"{name}: {still}",
+        f"it is limited by {parts[0][0]} ({parts[0][2]} of the power); "
+        + (
+            f"to buy next: {' '.join(bought[0][1:])}"
+            if bought
+            else "nothing that was tried saves a thousandth"
+        ),
     ]
 
 
 @by_value
 @dataclass(frozen=True)
 class MachineFile:
-    """A machine's TOML: its machine, sources and band, with the files of floor and design that replace parts of it."""
+    """A machine's TOML: its machine, sources and band, with the files of floor, design and isolator that replace parts."""
 
     entries: Table
     folder: Path  # of the files that it names
     floor: str = ""
     design: str = ""
+    isolate: str = ""
 
     @cached_property
     def machine(self) -> FloorMachine:
         """As `machine_of` builds it."""
-        return machine_of(self.entries, self.design)
+        return machine_of(self.entries, self.design, isolate=self.isolate)
 
     @cached_property
     def sources(self) -> list[Source]:
         """As `sources_of` reads them."""
         time = self.machine.sample_time
-        return sources_of(
+        found = sources_of(
             self.entries, self.floor, self.folder, 1 / time if time else 0.0, self.machine.stage_mass
         )
+        if self.isolate:
+            known = {place for source in found for place in source.places}
+            for place, level in read_isolator_design(self.isolate).noises.items():
+                if place not in known:
+                    found.append(white(f"the isolator's {place}", place, PLACES[place], level))
+        return found
 
     @property
     def band(self) -> tuple[float, float]:
@@ -235,7 +245,8 @@ class MachineFile:
         else:
             fresh = value * ratio
         sampled = bool(self.machine.sample_time)
-        if fresh <= 0 or (self.design and name in OF_DESIGN) or (name == "delay" and not sampled):
+        fixed = OF_DESIGN * bool(self.design) + OF_ISOLATE * bool(self.isolate)
+        if fresh <= 0 or name in fixed or (name == "delay" and not sampled):
             return None
         if name == "damping of the stage's modes" and not self.machine.stage.damping.any():
             return None
@@ -246,15 +257,15 @@ class MachineFile:
         return other
 
 
-def open_machine(file: str, floor: str = "", design: str = "") -> MachineFile:
+def open_machine(file: str, floor: str = "", design: str = "", isolate: str = "") -> MachineFile:
     """Read a machine's TOML."""
-    return MachineFile(read_toml(file), Path(file).parent, floor, design)
+    return MachineFile(open_machine_toml(file), Path(file).parent, floor, design, isolate)
 
 
-def machine_of(entries: Table, design: str = "", position: str = "") -> FloorMachine:
-    """The machine of a file, at one of its positions; with a folder of `design`, that stage and controller."""
+def machine_of(entries: Table, design: str = "", position: str = "", isolate: str = "") -> FloorMachine:
+    """The machine of a file, at one of its positions; with folders of `design` and `isolate`, with what these hold."""
     body, law = entries.table("machine"), entries.table("controller")
-    for name, fields in (("file", entries), ("machine", body), ("controller", law)):
+    for name, fields in (("machine", body), ("controller", law)):
         fields.require_known(FIELDS[name])
     for name in ("rate_hz", "delay_samples", "feedforward_db"):
         require_number(f"controller: {name}", law.get(name, 0.0), at_least=0.0)
@@ -294,11 +305,28 @@ def machine_of(entries: Table, design: str = "", position: str = "") -> FloorMac
         law_of_stage = PidFamily(mass)(
             require_number("controller: bandwidth_hz", law["bandwidth_hz"], above=0.0)
         )
+    if isolate:
+        return _isolated(read_isolator_design(isolate), stage, law_of_stage, settings)
     frame, hertz, damping = (
         float(require_number(f"machine: {name}", body[name]))
         for name in ("frame_mass_kg", "suspension_hz", "suspension_damping")
     )
     return FloorMachine(frame, hertz, damping, stage, law_of_stage, **settings)
+
+
+def _isolated(own: WrittenIsolator, stage: ModalModel, law, settings: dict[str, Any]) -> FloorMachine:
+    """A stage on the isolator that `isolate` designed for."""
+    if not settings["sample_time"]:
+        raise InputError("controller: rate_hz is 0, but isolate wrote a sampled loop; give rate_hz")
+    carried = float(1 / (stage.input_shapes[0, 0] * stage.output_shapes[0, 0]))
+    if own.mass <= carried:
+        raise InputError(
+            f"the isolator's mass is {own.mass:.4g} kg, the stage's {carried:.4g} kg; give isolate the mass of both together"
+        )
+    isolator = own.law(settings["sample_time"], settings["delay"])
+    settings = {name: value for name, value in settings.items() if name in ("sample_time", "delay")}
+    suspended = own.mass - carried, own.suspension_hz, own.suspension_damping
+    return FloorMachine(*suspended, stage, law, isolator=isolator, isolator_pole_hz=own.pole_hz, **settings)
 
 
 def _what_would_be_stable(built: FloorMachine) -> str:
@@ -511,13 +539,13 @@ def _moving(network: Network, sources: list[Source], band: tuple[float, float]) 
     return rows
 
 
-def _positions(entries: Table, sources: list[Source], band: tuple[float, float]) -> list[list[str]]:
+def _positions(file: MachineFile) -> list[list[str]]:
     """The error with the stage elsewhere, where its modes have other shares."""
-    rows, body = [], entries.table("machine")
+    rows, body = [], file.entries.table("machine")
     for position in body.table("modes_share_at") if "modes_share_at" in body else []:
         try:
-            network = machine_of(entries, position=position).network()
-            rows.append([position, nanometres(error_budget(network, sources, band).rms[0])])
+            network = machine_of(file.entries, position=position, isolate=file.isolate).network()
+            rows.append([position, nanometres(error_budget(network, file.sources, file.band).rms[0])])
         except UnstableLoop as error:
             rows.append([position, str(error)])
     return rows
@@ -605,6 +633,9 @@ def waterfall(file: MachineFile) -> list[list[str]]:
     A method that is offered comes with the noise of its sensor: that of the file, or the upper end of `TYPICAL`.
     """
     machine, sources, band = file.machine, file.sources, file.band
+    if machine.isolator is not None:
+        bare = _rms_of(replace(machine, isolator=None), sources, band)
+        return [["passive", bare], ["with what isolate wrote", _rms_of(machine, sources, band)]]
     steps = {
         "passive": {"skyhook": 0.0, "feedforward": 0.0},
         "skyhook": {"skyhook": machine.skyhook},

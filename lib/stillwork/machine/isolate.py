@@ -12,7 +12,7 @@ import numpy as np
 import stillwork
 from stillwork.base.checks import InputError, pluralise, require_array, require_number
 from stillwork.base.extras import require_package
-from stillwork.base.toml_files import Table, read_toml
+from stillwork.base.toml_files import Table
 from stillwork.control.isolation_filters import FrequencyNotch
 from stillwork.estimation.adaptive import FeRls
 from stillwork.identification.machine_files import complex_responses, load_machine
@@ -40,6 +40,7 @@ from stillwork.machine.isolation_design import (
     floor_spectra,
 )
 from stillwork.machine.isolation_prediction import IsolationPrediction, predict
+from stillwork.machine.machine_toml import open_machine_toml
 from stillwork.machine.path_fit import PathFit, fit_path
 from stillwork.machine.replay import Replay, paint_replay, replay, replay_rows, require_kept
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
@@ -55,7 +56,6 @@ SLOWEST_HZ = 0.02  # lowest frequency at which a floor is judged, and the resolu
 SLOW_RATIO = 5.0  # of slow motion per root Hz over that in band, above which it is reported (chosen)
 LISTENED_S = 60.0  # duration over which the motion predicted by spectra is judged
 PAUSES = 5.0  # of the band's slowest time constant, for which the weights are kept after the limit acted
-TEMPLATE = Path(__file__).with_name("isolate.toml")
 MECHANICS = ("mass", "damping", "stiffness", "actuator_pole_hz", "delay_s", "floor")
 
 
@@ -74,6 +74,7 @@ def isolate_file(
     band_hz: tuple[float, float] = (0.0, 0.0),
     name: str = "isolator",
     precision: str = "double",
+    verbose: bool = False,
 ) -> list[str]:
     """Design a self-tuned feedforward for an isolator on a floor; write it as C99 with a page into a new folder.
 
@@ -104,11 +105,13 @@ def isolate_file(
         Band of the filtered error, Hz; (0, 0): chosen.
     name, precision : str
         See `isolation_code`.
+    verbose : bool
+        Whether to return all findings, which are on the page.
 
     Returns
     -------
     list of str
-        The choices and the results, one line each.
+        What was chosen, what it promises and where it is, one line each; with `verbose` then the findings.
 
     Raises
     ------
@@ -167,22 +170,49 @@ def isolate_file(
         *(["assumed", each] for each in (*notes, *floor_notes)),
         *(["check the floor", each] for each in seen),
     ]
-    given = {"source": html.escape(Path(machine).name), "spread": f"{100 * spread:g}", "name": name}
+    answer = _answer(f"{Path(machine).name} on {spectra.source}", design, found, spectra, spread)
+    budget = f"budget {machine} --isolate {folder} --floor {floor} --out {folder}"
+    given = {
+        "answer": "".join(f"<p>{html.escape(line)}</p>" for line in answer),
+        "budget": html.escape(budget),
+        "link": html.escape(f"{Path(machine).stem}.budget.html"),
+    }
+    given |= {"source": html.escape(Path(machine).name), "spread": f"{100 * spread:g}", "name": name}
     given |= {"replay": _replayed(run, found, limit), "files": html.escape(", ".join(sorted(files)))}
     text = _report(design, around, found, spectra, facts, **given)
     (Path(folder) / "report.html").write_text(text, encoding="utf-8")
+    answer.append(f"C and reasons: {folder}: {', '.join(sorted([*files, 'report.html']))}")
+    if not verbose:
+        return answer
+    return [*answer, *(": ".join(row) for row in facts), *findings(design, around, found, spectra)]
+
+
+def _answer(
+    source: str, design: IsolationDesign, found: IsolationPrediction, spectra: FloorSpectra, spread: float
+) -> list[str]:
+    """What was chosen and what it promises, one line each."""
+    loop, rows = design.loop, remains_rows(found, spectra)
+    columns = [", ".join(row[k] for row in rows) for k in (1, 4, 5, 6)]
     return [
-        f"{Path(machine).name} on {spectra.source}",
-        *(": ".join(row) for row in facts),
-        *answer(design, around, found, spectra),
-        f"{folder}: {', '.join(sorted([*files, 'report.html']))}",
+        f"{source}: {type(design.settings).__name__} at {loop.shaping.highpass_hz:.3g} to {loop.shaping.lowpass_hz:.4g} Hz with a "
+        f"time constant of {design.time_constant:.3g} s, a skyhook of {loop.gain:.3g} N s/m",
+        f"it leaves at most {columns[2]} m/s^2 rms (at least {columns[1]}; {columns[0]} without control) at {found.band_hz[0]:g} to "
+        f"{found.band_hz[1]:.4g} Hz, anywhere within {100 * spread:g} %: {columns[3]}; the largest command is "
+        f"{_listed(found.force[2])} N",
     ]
 
 
 def _record_of(design: IsolationDesign, found: IsolationPrediction) -> dict:
     """The numbers of a design and its prediction, as the written JSON has them."""
-    loop = design.loop
+    loop, own = design.loop, design.isolator
     return {
+        "isolator": {
+            **{name: getattr(own, name).tolist() for name in ("mass", "damping", "stiffness", "floor")},
+            "actuator_pole_hz": own.actuator_pole / (2 * np.pi),
+            "delay_s": own.delay,
+            "floor_noise": own.floor_noise,
+            "platform_noise": own.platform_noise,
+        },
         "skyhook_gain": loop.gain,
         "cutoff_hz": loop.cutoff_hz,
         "beta": loop.beta,
@@ -284,7 +314,7 @@ def _condition(spectra: FloorSpectra) -> list[list[str]]:
     ]
 
 
-def answer(
+def findings(
     design: IsolationDesign, around: list[IsolationDesign], found: IsolationPrediction, spectra: FloorSpectra
 ) -> list[str]:
     """The certificate and what remains, one line each."""
@@ -311,13 +341,6 @@ def require_force(found: IsolationPrediction, limit: float, noise: float | np.nd
         )
 
 
-def new_file(file: str) -> list[str]:
-    """Write a commented template of an isolator (TOML) to a new `file`."""
-    with Path(file).open("x", encoding="utf-8") as out:
-        out.write(TEMPLATE.read_text(encoding="utf-8"))
-    return [f"{file}: fill it in, then python -m stillwork isolate {file} FLOOR --rate HZ --out DIR"]
-
-
 def read_isolator(file: str, rate: float):
     """Isolator, the controller's estimate of it, its measured response or None, frequencies to notch in Hz, and notes.
 
@@ -340,8 +363,7 @@ def read_isolator(file: str, rate: float):
             QUIET, QUIET,
         )  # fmt: skip
         return own, own, (f, seen), (), notes
-    whole = read_toml(file)
-    whole.require_known(("response", "notches_hz", "isolator", "estimate", "noise", "floor"))
+    whole = open_machine_toml(file)
     noise = whole.table("noise") if "noise" in whole else Table({}, whole.where)
     noise.require_known(("floor", "platform"))
     notes, measured = [], None

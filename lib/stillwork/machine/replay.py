@@ -153,10 +153,11 @@ def _run(design, files, name, limit, pause_s, floors, seen, begins):
                 ]
                 run(*whole, *arrays[:6], ctypes.c_double(limit), *arrays[6:])
                 return forces, flags, "the written C, compiled"
+    ago = design.settings.path_delay
     _run_kernel(
         design,
         limit,
-        (*waiting_samples(design.loop, pause_s), late, begins),
+        (*waiting_samples(design.loop, pause_s), late, begins, -1 if ago is None else ago),
         floors,
         seen,
         tuple(plant),
@@ -202,7 +203,7 @@ def _run_kernel(design, limit, spans, floors, seen, plant, forces, flags) -> Non
         if recursive
         else (settings.step_size, settings.regularisation, settings.trace_copies(len(weights)))
     )
-    filters = (loop.skyhook, *(np.ascontiguousarray(each) for each in loop.error))
+    filters = (loop.noise_shaping, loop.skyhook, *(np.ascontiguousarray(each) for each in loop.error))
     started = recursion.start(psi.shape[1])
     _step_through(
         weights, started, *started[-2:], recursive, rates, psi, filtered, seen, plant, filters, spans, float(limit), forces, flags
@@ -238,12 +239,13 @@ def _step_through(
 ):
     """Every sample: sensors, filtered error and skyhook, command and its limit, update, plant."""
     a, now, before_it, c = plant
-    skyhook, before, modes, after = filters
-    start, fade, pause, late, begins = spans
+    shaping, skyhook, before, modes, after = filters
+    start, fade, pause, late, begins, path_delay = spans
     matrix, form, forgetting, levels, allowance, gain, _, _ = recursion
     axes, states = seen.shape[1], len(a)
     x, damped, error, turned = np.zeros(states), np.zeros(axes), np.zeros(axes), np.zeros(axes)
     skies, errors = np.zeros((axes, len(skyhook), 2)), np.zeros((axes, modes.shape[1], 2))
+    sents, sent, turn = np.zeros((axes, len(shaping), 2)), np.zeros_like(seen), 0
     rest, wait = start + fade, start + fade + pause
     for k in range(len(seen)):
         for i in range(axes):
@@ -263,17 +265,26 @@ def _step_through(
             if not abs(forces[k, i]) <= limit:
                 forces[k, i] = np.copysign(limit, forces[k, i])
                 flags[k] = SATURATED
+            sent[k, i] = forces[k, i] + damped[i]
+            for m in range(len(shaping)):
+                sent[k, i] = _section(shaping[m], sents[i, m], sent[k, i])
+        regressor = filtered[k]
+        if path_delay >= 0:  # the modified error, of as many samples ago: nothing is updated before these
+            regressor = filtered[k - path_delay]
+            for i in range(axes):
+                error[i] += np.sum(weights[i] * regressor) - sent[k - path_delay, i]
         if flags[k]:
             wait = max(wait, pause)
         rest -= rest > 0
         if k < begins or wait > 0:
             wait -= wait > 0
         elif recursive:
+            turn += 1
             ferls_step(
-                weights, matrix, form, forgetting, levels, allowance, gain, inner, other, filtered[k], error, k
+                weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, turn - 1
             )  # fmt: skip
         else:
-            felms_update(weights, filtered[k], error, rates[0], rates[1], rates[2])
+            felms_update(weights, regressor, error, rates[0], rates[1], rates[2])
         following = a @ x
         if k >= late:
             following += now @ forces[k - late]
