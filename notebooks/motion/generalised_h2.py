@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
@@ -16,8 +17,10 @@ from experiments.motion.scan_study import output_rows, published_scan
 from stillwork.base.algebra import add_square, congruence
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import kernel
+from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.discretisation import zoh_modes
 from workbook import figures
+from workbook.studies import fraction
 
 SLACK = 1e-9  # relative, of what fulfils a strict inequality
 
@@ -142,9 +145,12 @@ def response_peak(system: ErrorSystem, disturbance: ArrayLike) -> float:
 
 
 @cache
-def _scaled_scan(sample_time: float):
-    """Sampled model and output rows of the published scan, states in displacements, lengths in nanometres."""
-    scan = published_scan(sample_time=sample_time)
+def scaled_scan(sample_time: float, spacing: float = 0.05):
+    """Sampled model and output rows of the published scan, states in displacements, lengths in nanometres.
+
+    A, B, the rows of C, and the deviations of force (N), sensor reference and sensor noise (m).
+    """
+    scan = published_scan(spacing=spacing, sample_time=sample_time)
     sampled = zoh_modes(scan.nominal, sample_time)
     flexible = scan.nominal.frequencies[1:]
     scale = np.array([1.0, flexible[0], *np.repeat(flexible, 2) ** np.array([0, 1, 0, 1])])
@@ -155,7 +161,7 @@ def _scaled_scan(sample_time: float):
 def paint_worst(force: float, detuning: float):
     """Explorer: what the worst disturbance does to a filter designed for `detuning` times the `force` (N)."""
     sample_time = 1e-3
-    a, b, c, (_, reference, sensor) = _scaled_scan(sample_time)
+    a, b, c, (_, reference, sensor) = scaled_scan(sample_time)
     noise = 1e18 * np.array([[reference**2 + sensor**2]])
     process = np.array([[force**2]])
     figure, (left, right) = figures.new(1, 2, height=2.8)
@@ -171,3 +177,96 @@ def paint_worst(force: float, detuning: float):
     figures.label((left, right), "time (s)")
     left.legend()
     return figure
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Other filters than the Kalman filter, by what they are."""
+
+    norms: dict[str, list[float]]  # over the Kalman filter's, one a filter
+    above: dict[str, list[bool]]  # whether the Gramian exceeds the Kalman filter's at every sample
+
+
+def other_filters(
+    a, b, c, process, noise, gains, found: PeakGain, trials: int, rng: np.random.Generator
+) -> Rivals:
+    """Randomly changed gains, the gain frozen at its last value, and a filter designed for a hundred times the force."""
+    tried: dict[str, list[np.ndarray]] = {
+        f"gains off by {part:.0%}": [
+            gains * (1 + part * rng.standard_normal(gains.shape)) for _ in range(trials // 3)
+        ]
+        for part in (0.01, 0.1, 0.3)
+    }
+    tried["last gain, frozen"] = [np.broadcast_to(gains[-1], gains.shape)]
+    tried["designed for 100 times the force"] = [predictor_gains(a, b, c, 1e4 * process, noise)]
+    rivals = Rivals({}, {})
+    for name, each in tried.items():
+        rivals.norms[name], rivals.above[name] = [], []
+        for other in each:
+            own = generalised_h2_norm(error_system(a, b, c, process, noise, other))
+            lowest = np.linalg.eigvalsh(own.gramians[1:] - found.gramians[1:])[:, 0]
+            largest = np.linalg.eigvalsh(own.gramians[1:])[:, -1]
+            rivals.norms[name].append(own.norm / found.norm)
+            rivals.above[name].append(bool(np.all(lowest >= -1e-10 * largest)))
+    return rivals
+
+
+def paint_worst_disturbance(system: ErrorSystem, found: PeakGain, sample_time: float):
+    """Largest peak possible over time, the error under the worst disturbance, and that disturbance before the peak."""
+    figure, (top, bottom) = figures.new(2, 1)
+    time = sample_time * np.arange(len(system.f))
+    possible = np.sqrt(np.linalg.eigvalsh(found.gramians[1:])[:, -1]) / found.norm
+    top.plot(time, possible, label="largest peak possible so far")
+    error, sizes = np.zeros(system.f.shape[1]), []
+    for f, d, n in zip(system.f, system.d, found.worst, strict=True):
+        error = f @ error + d @ n
+        sizes.append(np.linalg.norm(error) / found.norm)
+    top.plot(time, sizes, label="error under the worst disturbance")
+    top.set(title="the whole move", ylabel="size of the error\nover the norm")
+    top.legend()
+    bottom.plot(time, found.worst[:, 0], label="force")
+    bottom.plot(time, found.worst[:, 1], label="sensor")
+    last = time[found.sample] + np.array([-0.03, 0.005])  # s, around the largest peak
+    bottom.set(
+        title="the last 30 ms before the peak", xlim=last, ylabel="worst disturbance\n(standard deviations)"
+    )
+    figures.label((top, bottom), "time (s)")
+    bottom.legend()
+    return figure
+
+
+def appendix(page, *, system: ErrorSystem, found: PeakGain, rivals: Rivals, still: tuple) -> None:
+    """What the page of motion/22 judges beside its answer; `still` is (A, B, C, Q, R) with the sensor at rest."""
+    page.text("""## Any other filter is worse
+
+By the proof, at every sample the Gramian of any other predictor exceeds that of the Kalman filter in every direction. Norms over the
+Kalman filter's:""")
+    rows = {
+        name: (min(norms), float(np.median(norms)), float(np.mean(rivals.above[name])))
+        for name, norms in rivals.norms.items()
+    }
+    names = ["least norm over Kalman's", "median", "Gramian above, fraction"]
+    page.show(pd.DataFrame(rows, index=names).T.round(4))
+    page.check("motion.theorem-5-5-1.gramians", *fraction(np.concatenate(list(rivals.above.values()))))
+    page.text(r"""## The lemma and the corollary
+
+Lemma 5.5.2: a gain achieves a norm below $\gamma$ exactly if there are matrices $K_k$ with
+
+$$\begin{bmatrix}K_{k+1}&K_{k+1}F_k&K_{k+1}D_k\\ \cdot&K_k&0\\ \cdot&\cdot&\gamma I\end{bmatrix}\succ0,\qquad
+\begin{bmatrix}K_k&0&I\\ \cdot&I&0\\ \cdot&\cdot&\gamma I\end{bmatrix}\succ0 .$$
+
+We set $K_k=\gamma P_k^{-1}$ with $P_k$ slightly above the Gramian. For $\gamma$ 0.1 % above the Kalman filter's norm both hold at
+every sample. For $\gamma$ 0.1 % below it the second fails for every $K_k$, because the first forces $P_k$ above the Gramian.
+
+Corollary 5.5.2: with the sensor at rest, the recursion converges to the solution of the algebraic equation. It does, from zero and
+from a large covariance.""")
+    above, below = (inequality_margins(system, part * found.norm) for part in (1.001, 0.999))
+    page.check("motion.lemma-5-5-2.feasible", float(min(above) > 0))
+    page.check("motion.lemma-5-5-2.infeasible", float(below[1] < 0))
+    settled = discrete_gain(*still).covariance
+    size = np.sqrt(np.diag(settled))
+    apart = [
+        np.abs((settled_covariance(*still, start, 20_000) - settled) / np.outer(size, size)).max()
+        for start in (np.zeros_like(settled), 100 * np.diag(np.diag(settled)))
+    ]
+    page.check("motion.corollary-5-5-2.converges", max(apart))

@@ -5,12 +5,28 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Complex128, Float64
 from scipy.optimize import least_squares
 
 from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
-from experiments.motion.rig import EdgeDecoupling, Geometry, assumed_geometry, decoupling, rig_model
-from experiments.motion.rig_designs import RigSettings, frequencies, published_settings, rig_controllers
+from experiments.motion.rig import (
+    EdgeDecoupling,
+    Geometry,
+    assumed_geometry,
+    decoupling,
+    published,
+    rig_model,
+)
+from experiments.motion.rig_designs import (
+    RigSettings,
+    bandwidths,
+    frequencies,
+    model_errors,
+    published_settings,
+    rig_controllers,
+    rig_loops,
+)
 from experiments.motion.rig_loops import sampled_controller
 from stillwork.control.loops import channel, closed_loop
 from stillwork.estimation.observer import NoiseIntensities
@@ -344,7 +360,12 @@ def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray,
     }
     quantity = "actuator 1 to sensor\n(dB re 1 m/N)"
     figure, axes = paint_magnitudes(panels, quantity, rows=2, height=5.0, sharex=True, sharey=True)
-    figures.legend_below(axes[0, 0], 4)
+    for axis in axes.ravel():
+        low = {"transform": axis.get_xaxis_transform(), "markersize": 3}
+        figures.mark_published(
+            axis, published()["frequencies_hz"], np.full(8, 0.03), "published, Table 6.1", **low
+        )
+    figures.legend_below(axes[0, 0], 5, fontsize=7)
     return figure
 
 
@@ -359,5 +380,114 @@ def paint_identification(rms: float, averages: int, bandwidth_hz: float, sensor_
     add_magnitude(axis, omega, response[:, 2, 0], color=figures.BLUE, label="response")
     add_magnitude(axis, omega, deviation[:, 2, 0], ls="--", color=figures.BLACK, label="least deviation")
     axis.set(xlabel="frequency (Hz)", ylabel="actuator 1 to sensor 3 (dB re 1 m/N)")
+    axis.legend()
+    return figure
+
+
+# === The appendix =================================================================================================
+
+
+def appendix(
+    page,
+    *,
+    geometry: Geometry,
+    settings: RigSettings,
+    experiment: Experiment,
+    estimate: ResponseMatrix,
+    fit: ModalMatrixFit,
+    excitation: float,
+    averages: int,
+    band_hz: tuple[float, float],
+    wide_hz: float,
+    seed: int,
+) -> None:
+    """What the page of motion/26 shows beside its answer."""
+    page.text("""## Noise
+
+Spread over the realisations over the least deviation under this noise; it is larger, because force noise makes a free body drift:""")
+    rows = {}
+    for low, high in ((0.5, 3), (3, 20), (20, 100), (100, 400), (400, 1300)):
+        chosen = (estimate.omega > 2 * np.pi * low) & (estimate.omega < 2 * np.pi * high)
+        least = experiment.deviation(estimate.omega[chosen], excitation, averages)
+        rows[f"{low} to {high} Hz"] = np.sqrt(np.mean((estimate.deviation[chosen] / least) ** 2))
+    page.show(pd.Series(rows).round(2))
+    page.show(f"weighted misfit of the model: {fit.misfit:.2f} (1: only noise is left)")
+    page.text("## Table 6.1\n\nStandard deviations, and how far each residue matrix was from rank one.")
+    table = published()
+    columns = {
+        "published (Hz)": table["frequencies_hz"],
+        "identified (Hz)": (fit.model.frequencies[3:] / (2 * np.pi)).round(3),
+        "deviation (Hz)": (fit.deviation / (2 * np.pi)).round(4),
+        "published damping": table["damping"],
+        "identified": fit.model.damping[3:].round(5),
+        "deviation": fit.damping_deviation.round(6),
+        "not rank one": fit.rank_one.round(4),
+    }
+    page.show(pd.DataFrame(columns, index=pd.RangeIndex(1, 9, name="mode")))
+    _of_residues(page, geometry, settings, estimate, fit, band_hz, wide_hz)
+    page.text("""## Bandwidths with the identified model
+
+Observers from the identified model, from exact frequencies, and from frequencies off by the assumed half per cent.""")
+    models = {
+        "exact": {},
+        "identified": {"known": fit.model},
+        "frequencies 0.5 % off": {"errors": model_errors(np.random.default_rng(seed))},
+    }
+    reached = {
+        name: {
+            case: ", ".join(f"{f:.1f}" for f in design.crossing_hz.mean(axis=0))
+            for case, design in bandwidths(rig_loops(geometry, settings, **given), "diagonal").items()
+        }
+        for name, given in models.items()
+    }
+    page.show(pd.DataFrame(reached))
+
+
+def _of_residues(
+    page, geometry, settings, estimate: ResponseMatrix, fit: ModalMatrixFit, band_hz, wide_hz
+) -> None:
+    page.text("""## Residues and compliance
+
+Errors of the residues, and of the compliance of the modes above the band. A wider band leaves a larger truncation error, a narrower
+one more noise. "From noise": the standard deviation of all entries together.""")
+    truth = rig_model(geometry)
+    apart = {}
+    for k in range(3, 11):
+        found, exact = (
+            np.outer(each.output_shapes[:, k], each.input_shapes[k]) for each in (fit.model, truth)
+        )
+        apart[f"mode {k - 2}"] = f"{np.linalg.norm(found - exact) / np.linalg.norm(exact):.2%}"
+    page.show(pd.Series(apart))
+    compliance = truth.modes(slice(11, None)).compliance()
+    size, ends, (low_hz, high_hz) = np.linalg.norm(compliance), {}, band_hz
+    lines = (estimate.omega > 2 * np.pi * low_hz) & (estimate.omega < 2 * np.pi * wide_hz)
+    wide = fit_modal_matrix(
+        estimate.omega[lines],
+        estimate.response[lines],
+        smoothed_deviation(estimate)[lines],
+        len(fit.deviation),
+        settings.sample_time,
+        3,
+    )
+    for top, each in ((high_hz, fit), (wide_hz, wide)):
+        ends[f"band to {top:g} Hz"] = {
+            "error of the compliance": f"{np.linalg.norm(each.model.feedthrough - compliance) / size:.0%}",
+            "from noise": f"{each.compliance_deviation * np.sqrt(compliance.size) / size:.0%}",
+            "misfit": f"{each.misfit:.3f}",
+        }
+    page.show(pd.DataFrame(ends).T)
+    above = ", ".join(f"{w / (2 * np.pi):.0f}" for w in truth.frequencies[11:])
+    page.show(f"modes above the band (Hz): {above}")
+
+
+def paint_bias(counts: Sequence[int], errors: dict[str, list[float]]):
+    """Mean relative error below the bandwidth over the number of realisations, by each estimate."""
+    figure, axis = figures.new(1, 1, height=2.6)
+    for (name, each), colour in zip(errors.items(), (figures.BLUE, figures.RED), strict=True):
+        axis.loglog(counts, each, "o-", color=colour, label=name)
+    axis.set_xticks(counts, [str(count) for count in counts])
+    axis.minorticks_off()
+    axis.set_yticks([0.02, 0.05, 0.1, 0.2], ["0.02", "0.05", "0.1", "0.2"])
+    axis.set(xlabel="realisations in every experiment", ylabel="mean relative error")
     axis.legend()
     return figure
