@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 
 import numpy as np
+import pandas as pd
 
 from experiments.motion.pictures import decibel, paint_bode, paint_over_masses
 from stillwork.base.checks import InputError
@@ -17,6 +18,7 @@ from stillwork.control.machine_loops import (
 from stillwork.identification.machine import Machine
 from stillwork.lti.peaks import resonance_grid
 from stillwork.machine import design_page as designing
+from stillwork.machine.machine_designs import Designed
 from workbook import figures
 
 
@@ -47,6 +49,22 @@ def paint_machine(machine: Machine):
     return figure
 
 
+def modes_table(machine: Machine) -> pd.DataFrame:
+    """Frequencies, damping and shares of the rigid body, with intervals of 95 % where there was a fit."""
+    flexible = machine.sensors[0].modes(slice(1, None))
+    share = flexible.input_shapes[:, 0] * flexible.output_shapes[0] * machine.mass
+    columns = {
+        "frequency (Hz)": machine.resonances_hz.round(1),
+        "damping (%)": (100 * flexible.damping).round(3),
+        "share of the rigid body": share.round(3),
+    }
+    count = len(flexible.frequencies)
+    if machine.fit is not None:
+        columns["± (Hz)"] = (1.96 * machine.fit.deviation[-count:] / (2 * np.pi)).round(2)
+        columns["± (%)"] = (196 * machine.fit.damping_deviation[-count:]).round(3)
+    return pd.DataFrame(columns, index=range(1, count + 1))
+
+
 def envelope(x: np.ndarray, magnitude: np.ndarray) -> np.ndarray:
     """Index of the largest and the smallest magnitude in each of 500 logarithmic stretches: no peak is lost."""
     place = np.searchsorted(np.geomspace(x[0], x[-1], 501)[1:-1], x)
@@ -67,7 +85,8 @@ def paint_reached(found: Mapping[str, AchievableBandwidth]):
             face = {} if number == 0 else {"markerfacecolor": "none"}
             axis.plot(*np.transpose(points), marker, label=label, **face)
     axis.set_xticks(range(len(found)), list(found))
-    axis.set(xlim=(-0.5, len(found) - 0.4), ylim=(0, None), ylabel="first crossing (Hz)")
+    highest = max((hz for line in axis.lines for hz in line.get_ydata()), default=1.0)
+    axis.set(xlim=(-0.5, len(found) - 0.4), ylim=(0, 1.1 * highest), ylabel="first crossing (Hz)")
     axis.legend()
     return figure
 
@@ -113,3 +132,25 @@ def machine_explorer(
         return figure
 
     return paint
+
+
+def appendix(page, *, made: Designed, machine: Machine) -> None:
+    """What the page of motion/29 shows beside its answer."""
+    page.text("""## Where the modes come from
+
+Candidates are the poles that stay when the order of a polynomial fraction grows (poly-reference least-squares complex frequencies).
+A candidate becomes a mode if the fit without it errs by 50 % over its width, if noise could not have made it, and if it does not
+merely cancel another; `modes_hz` overrides that. The mass follows from the lines below half the first resonance, and includes a
+free body's rotation at the force. A response against the direction of the force gets the other sign.""")
+    if machine.fit is not None:
+        page.save("stabilisation", designing.paint_stabilisation(machine.fit))
+    page.text("## Output sensitivity at the limit")
+    page.save("sensitivities", paint_sensitivities(made.found, machine))
+    peaks = [
+        size
+        for each in made.found.values()
+        for pair in each.peaks_db().values()
+        for size in pair
+        if size is not None
+    ]
+    page.check("motion.your-machine.recommended", max([0.0, *(size - 6.0 for size in peaks)]))

@@ -131,20 +131,34 @@ def paint_machine(machine: Machine):
 
 @pictures.house_style()
 def paint_stabilisation(fit: ModalFit):
-    """Poles over the model order: those that stay from order to order, and those taken for modes, are marked."""
-    diagram = fit.diagram
-    figure, axis = pictures.new(1, 1, height=3.2)
-    for chosen, colour, label in (
-        (~diagram.stable, pictures.GREY, "pole that moves with the order"),
-        (diagram.stable, pictures.BLUE, "pole that stays"),
+    """Which poles became modes: the fitted accelerance over the poles of each order, those of a mode in its colour."""
+    diagram, modes = fit.diagram, fit.model.frequencies[fit.model.rigid_modes :]
+    figure, (upper, lower) = pictures.new(
+        2, 1, height=4.2, sharex=True, gridspec_kw={"height_ratios": [1, 2]}
+    )
+    hertz = fit.omega / (2 * np.pi)
+    level = -(fit.omega**2) * fit.model.frequency_response(fit.omega)[0, 0]
+    upper.plot(hertz, 20 * np.log10(np.abs(level)), color=pictures.BLACK, linewidth=0.8, label="fit")
+    upper.set_ylabel("fit (dB re 1/kg)")
+    near = np.abs(diagram.frequency[:, None] / modes - 1) < 0.005
+    taken = diagram.stable & near.any(axis=1)
+    for chosen, style, label in (
+        (~diagram.stable, {"color": pictures.GREY, "alpha": 0.25}, "pole that moves with the order"),
+        (
+            diagram.stable & ~taken,
+            {"color": pictures.BLUE, "alpha": 0.4},
+            "pole that stays, not needed by the fit",
+        ),
+        (taken, {"color": pictures.RED}, "pole that stays, taken as a mode"),
     ):
-        hertz = diagram.frequency[chosen] / (2 * np.pi)
-        axis.semilogx(hertz, diagram.order[chosen], ".", markersize=3, color=colour, label=label)
-    for number, hertz in enumerate(fit.model.frequencies[fit.model.rigid_modes :] / (2 * np.pi)):
-        label = "_mode" if number else "taken as a mode"
-        axis.axvline(hertz, color=pictures.RED, linewidth=0.8, zorder=1, label=label)
-    axis.set(xlabel="frequency (Hz)", ylabel="order of the polynomial fraction")
-    pictures.legend_below(axis, 3)
+        at = diagram.frequency[chosen] / (2 * np.pi)
+        lower.plot(at, diagram.order[chosen], ".", markersize=3, label=label, **style)
+    for number, mode in enumerate(modes / (2 * np.pi)):
+        for axis in (upper, lower):
+            label = "_mode" if number or axis is upper else "mode"
+            axis.axvline(mode, color=pictures.RED, linewidth=0.5, zorder=1, label=label)
+    lower.set(xlabel="frequency (Hz)", ylabel="order of the\npolynomial fraction")
+    pictures.legend_below(lower, 2)
     return figure
 
 
