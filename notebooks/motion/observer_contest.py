@@ -243,7 +243,16 @@ def _of_the_map(page, errors: pd.DataFrame) -> None:
 
 Errors of 5 %, then medians of all cells, and the leads over the thesis's Kalman filter, which has no setting:""")
     page.save("noise", paint_noise(errors, 0.05))
-    page.show(errors.groupby(["size", "noise"])[list(MAPPED)].median().round(2))
+    medians = errors.groupby(["size", "noise"])[list(MAPPED)].median()
+    page.show(medians.round(2))
+    small, large = (medians["Kalman"].loc[size, 1.0] for size in (0.005, 0.05))
+    page.conclude(
+        "Remark 5.4.3, that smaller model errors improve the estimate: at the published noise the Kalman filter errs {small:.2f} of "
+        "estimating zero with errors of 0.5 %, {large:.2f} with 5 %.",
+        when=small < large,
+        small=small,
+        large=large,
+    )
     page.save("leads-over-kalman", paint_leads(errors, "Kalman"))
     found = leads(errors)
     sure = found[(found["low"] > 0) & (found["error at most"] < SAYING)]
