@@ -265,10 +265,10 @@ PARTS = {
         "MovingPaths.noises",
         "MovingPaths.transmissibility",
     ),  # by `try_loop` and `predict`
-    *("moving_paths", "density_through", "jitter_density"),
+    *("moving_paths", "density_through", "jitter_density", "record_grid", "through"),
 }
 FOLDERS = ("signals", "lti", "identification", "estimation", "control", "machine")
-COMMANDS = "budget design desk design_page desk_page export hardware html_page inspect isolate noisy_peak pictures progress promise report retest waiting".split()
+COMMANDS = "budget budget_isolator design desk design_page desk_page export hardware html_page inspect isolate machine_toml noisy_peak pictures progress promise replay report retest waiting".split()
 
 
 def public_callables():

@@ -391,7 +391,8 @@ def isolation_code(
     )
 
 
-def waiting_samples(loop: FeedforwardLoop, pause_s: float) -> tuple[int, int, int]:
+@checked
+def waiting_samples(loop: FeedforwardLoop, pause_s: NonNegative) -> tuple[int, int, int]:
     """Samples until the floor sensors' filters have settled, in which the feedforward then rises, and of a pause."""
     start = round(max(loop.settling, pause_s) * loop.rate)
     return start, max(round(FADE * start), 1), round(pause_s * loop.rate)
