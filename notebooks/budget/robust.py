@@ -16,6 +16,8 @@ SIZES = (0.05, 0.1, 0.2)  # shares of each frequency, of mass and gain; see `box
 PLACES = 8
 RATE_HZ = 2e4  # of the controllers, designed for a delay of one sample; at 10 kHz AD is unstable with it
 PARTS = ("frequency", "damping", "gain", "mass", "delay")
+LEVEL = 0.05  # of the error: uses that are nearer to each other are level (chosen, as for a purchase)
+LOUD = ("VC-A", "VC-B", "slab under footfall")  # where some use of the observer leaves less than the PID
 
 
 def box(size: float, rate_hz: float, parts: tuple[str, ...] = PARTS) -> Uncertainty:
@@ -60,9 +62,36 @@ def _best(errors: list[np.ndarray]) -> np.ndarray:
     return np.argmin(np.where(np.isnan(errors), np.inf, errors), axis=0)
 
 
+def margins(errors: list[np.ndarray]) -> np.ndarray:
+    """Error of each design over the least at the same place, less 1, (designs, places, floors); infinite where unstable."""
+    whole = np.array([np.where(np.isnan(each), np.inf, each) for each in errors])
+    return whole / whole.min(axis=0) - 1
+
+
+@cache
+def nominal_and_box(
+    size: float, rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0
+) -> list[np.ndarray]:
+    """Errors of every design, (places, floors): at the nominal stage, then at the places of the box."""
+    ones = np.ones(len(stage().frequencies))
+    nominal = [Perturbation(ones, ones, ones)]
+    return [
+        np.vstack([errors_at(design, rate_hz, nominal)[0], boxed(design, size, rate_hz, places, seed)[0]])
+        for design in DESIGNS
+    ]
+
+
+def turned(errors: list[np.ndarray]) -> np.ndarray:
+    """Floors on which the use that is best at the first place is behind by more than `LEVEL` at another where it is stable."""
+    whole = margins(errors)
+    best = np.argmin(whole[:, 0], axis=0)
+    behind = (whole > LEVEL) & np.isfinite(whole)
+    return np.array([behind[k, 1:, column].any() for column, k in enumerate(best)])
+
+
 @cache
 def turned_by(part: str, size: float) -> np.ndarray:
-    """Floors on which the best use is another at either end of one part of the box than at the nominal stage."""
+    """As `turned`, between the nominal stage and either end of one part of the box."""
     places = [*corners(box(size, RATE_HZ, (part,))._of_modes(stage()))] if part != "mass" else []
     ones = np.ones(len(stage().frequencies))
     if part == "mass":
@@ -74,10 +103,8 @@ def turned_by(part: str, size: float) -> np.ndarray:
             "damping": Perturbation(ones, ones, ones * (1 + min(10 * size, 0.9))),
         }[part]
         places = [places[-1], low]
-    best = _best(
-        [errors_at(design, RATE_HZ, [Perturbation(ones, ones, ones), *places])[0] for design in DESIGNS]
-    )
-    return (best[1:] != best[0]).any(axis=0)
+    whole = [Perturbation(ones, ones, ones), *places]
+    return turned([errors_at(design, RATE_HZ, whole)[0] for design in DESIGNS])
 
 
 def one_sided(size: float, rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0) -> float:
@@ -92,7 +119,7 @@ def statements(rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0) ->
     how = (rate_hz, places, seed)
     return {
         "budget.robust.unstable": boxed("MC and AD", 0.2, *how)[1] / places,
-        "budget.robust.turns": float(np.mean(best_shares(0.1, *how).max(axis=0) < 1)),
+        "budget.robust.turns": float(np.mean(turned(nominal_and_box(0.1, *how)))),
         "budget.robust.observer-or-none": min(one_sided(0.05, *how), one_sided(0.1, *how)),
         "budget.robust.nothing-on-quiet": float(
             np.mean([best_shares(size, *how)[0][quiet] for size in SIZES])
@@ -105,32 +132,67 @@ def robust_study(control_rate: float, *, seed: int) -> dict[str, float]:
     return statements(control_rate, PLACES, seed)
 
 
+def apart(size: float) -> tuple[float, float]:
+    """Error with MC and AD over that with AD alone, less 1: least and largest on the loud floors, over the box."""
+    alone, both = (nominal_and_box(size)[DESIGNS.index(name)] for name in ("AD", "MC and AD"))
+    ratios = (both / alone - 1)[:, [FLOORS.index(name) for name in LOUD]]
+    return float(np.nanmin(ratios)), float(np.nanmax(ratios))
+
+
+def sense_of(least: float, most: float) -> str:
+    """In words, whether errors that are so much larger are level."""
+    if -LEVEL <= least and most <= LEVEL:
+        return "level"
+    return "level or behind" if -LEVEL <= least <= LEVEL else "behind" if least > LEVEL else "level or ahead"
+
+
+def best_at_nominal() -> dict[str, str]:
+    """By floor, the use that leaves least at the nominal stage."""
+    first = np.argmin([errors[0] for errors in nominal_and_box(SIZES[0])], axis=0)
+    return {name: DESIGNS[k] for name, k in zip(FLOORS, first, strict=True)}
+
+
+def lost() -> dict[float, int]:
+    """By size of the box, the places at which AD, alone or with MC, is unstable."""
+    return {size: max(boxed(design, size)[1] for design in ("AD", "MC and AD")) for size in SIZES}
+
+
+def in_nanometres(size: float):
+    """A row a floor: each design's error at the nominal stage and, behind it, its range over the box, nm."""
+    from pandas import DataFrame
+
+    columns = {}
+    for design, errors in zip(DESIGNS, nominal_and_box(size), strict=True):
+        low, high = 1e9 * np.nanmin(errors, axis=0), 1e9 * np.nanmax(errors, axis=0)
+        columns[design] = [
+            f"{1e9 * own:.3g} ({a:.3g} to {b:.3g})" for own, a, b in zip(errors[0], low, high, strict=True)
+        ]
+    return DataFrame(columns, index=list(FLOORS))
+
+
 def paint_box(size: float):
-    """Error of each design at each place, on three floors; numbers above: unstable places."""
-    shown = ("VC-A", "VC-C", "LIGO ground")
-    figure, axes = figures.new(1, len(shown), height=3.0)
-    for panel, name in zip(axes, shown, strict=True):
-        column = FLOORS.index(name)
-        for k, design in enumerate(DESIGNS):
-            errors, unstable = boxed(design, size)
-            good = 1e9 * errors[~np.isnan(errors[:, 0]), column]
-            panel.semilogy(np.full(len(good), k), good, "o", markersize=3, color=figures.BLUE)
-            panel.annotate(
-                f"{unstable}",
-                (k, 0.97),
-                xycoords=("data", "axes fraction"),
-                ha="center",
-                va="top",
-                fontsize=7,
-            )
-        panel.set_xticks(range(len(DESIGNS)), DESIGNS, fontsize=7)
-        panel.set(
-            title=name,
-            xlabel="use of the observer\n(above: unstable places)",
-            xlim=(-0.5, len(DESIGNS) - 0.5),
-        )
-        panel.margins(y=0.25)
-        for axis in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
-            axis("{x:.0f}")
-    figures.label(axes, y="error, rms (nm)")
+    """Error of each design over the least at the same place, by floor: the nominal stage and the places of the box."""
+    figure, axes = figures.new(height=3.4)
+    whole = 1 + margins(nominal_and_box(size))
+    colours, marks = (figures.GREY, figures.ORANGE, figures.BLUE, figures.GREEN), "sD^o"
+    places = np.arange(len(FLOORS))
+    for k, (design, colour, mark) in enumerate(zip(DESIGNS, colours, marks, strict=True)):
+        at = places + 0.2 * (k - 1.5)
+        stable = np.where(np.isinf(whole[k]), np.nan, whole[k])
+        low, high = np.nanmin(stable, axis=0), np.nanmax(stable, axis=0)
+        axes.vlines(at, low, high, color=colour, linewidth=3, alpha=0.5)
+        axes.plot(at, whole[k, 0], mark, color=colour, markersize=4.5, linestyle="none", label=design)
+    axes.axhspan(
+        1.0, 1 + LEVEL, color=figures.GREY, alpha=0.25, linewidth=0, label=f"level, within {LEVEL:.0%}"
+    )
+    axes.set_xticks(places, [name.split()[0] for name in FLOORS])
+    axes.set_yscale("log")
+    axes.set_yticks([1, 1.5, 2, 3, 4], ["1", "1.5", "2", "3", "4"])
+    axes.minorticks_off()
+    axes.set(
+        ylabel="error over the least\nat the same place",
+        xlabel=f"floor (mark: nominal stage; bar: stable places of the box of {size:.0%})",
+        xlim=(-0.6, len(FLOORS) - 0.4),
+    )
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return figure
