@@ -143,11 +143,12 @@ def hold_contest(
     machine: Sequence[str] = (),
     all: bool = False,
     tuned: bool = False,
+    verbose: bool = False,
     out: str | None = None,
 ) -> int:
-    """Run the observers in `files` and print where they stand in the committed table; without files print that.
+    """Run the observers in `files` and print where they stand in the committed table, with `verbose` that table, too.
 
-    Returns 1 when one was disqualified. `tuned` sets the knobs that a file declares by the official tuner first; `out` is
+    Without files the committed table is printed. Returns 1 when one was disqualified. `tuned` sets the knobs that a file declares by the official tuner first; `out` is
     written with the table and a column for each file.
     """
     for name in machine:
@@ -168,16 +169,32 @@ def hold_contest(
         else:
             joined, recorded = joined.join(found, how="inner"), pd.concat([recorded, own])
     joined = joined.reset_index()
-    print(standings(joined).to_string(index=False))
-    if all:
+    ranked = standings(joined)
+    for line in answers(ranked, [name for name in checked if name not in disqualified]):
+        print(line)
+    if verbose or not files:
+        print(ranked.to_string(index=False))
+    if all and (verbose or not files):
         print(f"\nOn the measured beam:\n{record_standings(recorded).to_string(index=False)}")
     for name, reason in disqualified.items():
         print(f"{name} is disqualified: {reason}")
     scans = joined[KEYS[1:]].drop_duplicates()
-    print(f"edition {EDITION}, {pluralise(len(scans), 'scan')}, {time.monotonic() - began:.0f} s")
+    rest = "" if verbose or not files else "; --verbose prints the table, docs/leaderboard.md explains it"
+    print(f"edition {EDITION}, {pluralise(len(scans), 'scan')}, {time.monotonic() - began:.0f} s{rest}")
     if out:
         joined.to_csv(out, index=False, float_format="%.4g", lineterminator="\n")
     return int(bool(disqualified))
+
+
+def answers(ranked: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """A line for each observer in `names`: its place among all, and its error beside the Kalman filter's."""
+    own, (first, *_) = ranked.set_index("observer"), ranked["observer"]
+    order = list(own.index)
+    return [
+        f"{name}: place {order.index(name) + 1} of {len(order)} by mean rank {own['mean rank'][name]}; "
+        f"error {own['error'][name]}, Kalman {own['error']['Kalman']}, best: {first} {own['error'][first]}"
+        for name in names
+    ]
 
 
 def main(again: bool) -> None:

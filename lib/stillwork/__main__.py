@@ -81,6 +81,7 @@ COMMANDS = {
             number("rate", "HZ", "of the controller (default: chosen and printed)", float, default=0.0),
             *_OF_A_MACHINE,
             *_OF_A_LOOP,
+            _VERBOSE,
         ),
     ),
     "design": Command(
@@ -243,6 +244,7 @@ COMMANDS = {
             ),
             flag("all", "run every scan of the table, with its closed loops, and the measured record"),
             flag("tuned", "first let the official tuner set the parameters that a file declares"),
+            flag("verbose", "print the whole table, too"),
             text("out", "FILE.csv", "write the table with a column for each file"),
         ),
     ),

@@ -101,7 +101,12 @@ def test_a_record_gets_its_spectra_and_its_coherence(tmp_path):
     columns = {"time": np.arange(4000) / 500, "drive (V)": shaken, "plate (g)": 0.5 * shaken}
     (tmp_path / "a.csv").write_text(csv(**columns))
     lines, text, pictures = page_of("a.csv")
-    assert "a record: 500 Hz, 8 s, 2 channels" in lines and pictures == 2
+    assert lines == [
+        "a record: 500 Hz, 8 s, 2 channels",
+        f"rms: drive (V) {shaken.std():.4g} V, plate (g) {0.5 * 9.80665 * shaken.std():.4g} m/s^2",
+        "written: page.html",
+    ]
+    assert pictures == 2
     rms = re.search(r"plate \(g\)</td><td>m/s\^2</td><td>([\d.]+)", text)
     assert float(rms[1]) == pytest.approx(0.5 * 9.80665 * shaken.std(), rel=1e-3)
     with pytest.raises(ValueError, match=r"page\.html\b"):
@@ -150,6 +155,7 @@ def test_an_end_of_the_input_is_no_answer(tmp_path, monkeypatch, capsys):
 def test_the_shipped_hammer_records_get_a_page():
     lines, text, pictures = page_of(HAMMER, response_unit="m/s^2", force_unit="N", fit_hz=(100.0, 3100.0))
     assert lines[0].startswith("hammer records of a machine of 0.8") and pictures == 2
+    assert "flexible modes at 810" in lines[0] and len(lines) == 3
     first = re.search(r"<tr><td>(8\d\d\.?\d*) ± [\d.]+</td><td>0\.\d+ ± ", text)
     assert float(first[1]) == pytest.approx(810.3, abs=0.3)
     assert "MC and AD" in text and "stopped by" in text

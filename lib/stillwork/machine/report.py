@@ -43,7 +43,12 @@ SEGMENTS = 16  # of a record, at least, in its spectra
 MOST_CHANNELS = 8  # of a record or of spectra on one page
 TRUSTED = 0.1  # noise over response by the coherence, up to which a line is trusted
 SMOOTH = 15  # lines of the running median of that
+LISTED = 4  # modes in the answer; the page has all
 NORMAL = 1.96  # standard deviations either side of a number, 95 %
+
+
+class Answer(str):
+    """A line that answers; the other findings are for who wants to know more."""
 
 
 class Missing(InputError):
@@ -76,8 +81,8 @@ def _number(text: str) -> float:
         raise InputError(f"{text!r} is not a number; give the rate in Hz") from None
 
 
-def report_file(file: str, out: str = "", **arguments) -> list[str]:
-    """Write a new page about the measurement in `file`; returns the findings, one line each.
+def report_file(file: str, out: str = "", *, verbose: bool = False, **arguments) -> list[str]:
+    """Write a new page about the measurement in `file`; returns what was found and where it is, with `verbose` all findings.
 
     `arguments` holds what the file may not state: `unit` of a record or of densities, `response_unit`, `force_unit`,
     `response`, `sample_rate` (Hz), `damping_ratio` and `fit_hz`; and the settings of the search for a controller, as in
@@ -114,11 +119,13 @@ def report_file(file: str, out: str = "", **arguments) -> list[str]:
             lines.append(part)
         else:
             sections.append(part)
-    body = [f"<p>{html.escape(line)}</p>" for line in lines]
+    answers = [line for line in lines if isinstance(line, Answer)]
+    others = [line for line in lines if not isinstance(line, Answer)]
+    body = [f"<p>{html.escape(line)}</p>" for line in (*answers, *others)]
     body += [f"<h2>{html.escape(title)}</h2>\n{content}" for title, content in sections]
     text = page("report.html", source=html.escape(source.name), body="\n".join(body), held=html.escape(held))
     target.write_text(text, encoding="utf-8")
-    return [*lines, f"written: {target}"]
+    return [*answers, f"written: {target}", *(others if verbose else [])]
 
 
 def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]:
@@ -147,7 +154,10 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
     machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
     print(believed(file, machine), file=sys.stderr, flush=True)
     known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
-    yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}{known}"
+    modes = [f"{hertz:.4g}" for hertz in machine.resonances_hz]
+    further = f" and {pluralise(len(modes) - LISTED, 'other')}" if len(modes) > LISTED else ""
+    flexible = f", flexible modes at {', '.join(modes[:LISTED])} Hz{further}" if modes else ""
+    yield Answer(f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}{known}{flexible}")
     yield from machine.notes
     yield from _trusted(machine)
     yield "Modes", _modes(machine) + picture(paint_machine(machine), "accelerance")
@@ -160,9 +170,10 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
         require_explained(source, file, machine, band, options)
         made = search_designs(machine, **asked, on_step=count_steps(EACH * USES, "report"))
     except InputError as error:
-        yield f"no loop was searched: {error}"
+        yield Answer(f"no loop was searched: {error}")
     else:
-        yield from made.lines()
+        yield Answer(made.ranking_line)
+        yield from made.lines()[:-1]
         yield "Bandwidth with a PID controller, and what an observer adds", uses_table(made)
 
 
@@ -220,7 +231,14 @@ def _record(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]:
     factors, units = zip(*map(unit_factor, units), strict=True)
     signals = record.signals * np.array(factors)[:, None]
     signals -= signals.mean(axis=1, keepdims=True)
-    yield f"a record: {record.sample_rate:.6g} Hz, {record.duration:.4g} s, {pluralise(len(units), 'channel')}"
+    yield Answer(
+        f"a record: {record.sample_rate:.6g} Hz, {record.duration:.4g} s, {pluralise(len(units), 'channel')}"
+    )
+    rms = [
+        f"{one_line(name)} {row.std():.4g} {unit}"
+        for name, row, unit in zip(record.names, signals, units, strict=True)
+    ]
+    yield Answer(f"rms: {', '.join(rms)}")
     yield from record.notes
     rows = []
     for name, unit, row in zip(record.names, units, signals, strict=True):
@@ -246,12 +264,15 @@ def _densities(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str
             "unit", f"{source.name} does not state the unit of its densities ({DENSITY_UNITS_TEXT})"
         )
     hertz, density = read_densities(source, unit, [], MOST_CHANNELS)
-    yield f"power spectral densities, {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, as accelerations"
+    yield Answer(
+        f"power spectral densities, {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, as accelerations"
+    )
     rows = []
     for name, row in zip(names, density, strict=True):
         motions = [row / (2 * np.pi * hertz) ** (2 * order) for order in (0, 1, 2)]
         powers = [band_power(hertz, motion, hertz[0], hertz[-1]) for motion in motions]
         rows.append([name, *(f"{np.sqrt(power):.4g}" for power in powers)])
+    yield Answer(f"rms: {', '.join(f'{one_line(name)} {rms} m/s^2' for name, rms, *_ in rows)}")
     yield "Root mean squares", table(["spectrum", "m/s^2", "m/s", "m"], rows)
     yield "Spectra", _densities_of(hertz, density, names, "m/s^2")
 
