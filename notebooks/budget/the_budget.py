@@ -93,18 +93,19 @@ def paint_spectra(budgets: dict[str, ErrorBudget]):
     return figure
 
 
-def table_of(budgets: dict[str, ErrorBudget], exposure: float) -> list[str]:
-    """A line a step: rms, interval, 3 sigma, peak in a minute, MA and MSD, nm."""
-    lines = [f"{'nm':14} {'rms':>7} {'95 %':>15} {'3 sigma':>8} {'peak':>7} {'MA':>7} {'MSD':>7}"]
-    for name, budget in budgets.items():
+def table_of(budgets: dict[str, ErrorBudget], exposure: float):
+    """A row a step: rms, interval, 3 sigma, peak in a minute, MA and MSD, nm."""
+    from pandas import DataFrame
+
+    rows = []
+    for budget in budgets.values():
         low, high = 1e9 * budget.interval()[:, 0]
-        average, deviation = (1e9 * each[0] for each in budget.moving(exposure))
-        rms = 1e9 * budget.rms[0]
-        lines.append(
-            f"{name:14} {rms:7.3g} {f'{low:.3g} to {high:.3g}':>15} {3 * rms:8.3g} {1e9 * budget.peak(60.0)[0]:7.3g} "
-            f"{average:7.3g} {deviation:7.3g}"
-        )
-    return lines
+        average, deviation = budget.moving(exposure)
+        rms, peak = budget.rms[0], budget.peak(60.0)[0]
+        sizes = [f"{1e9 * size:.3g}" for size in (rms, 3 * rms, peak, average[0], deviation[0])]
+        rows.append([sizes[0], f"{low:.3g} to {high:.3g}", *sizes[1:]])
+    head = ["rms (nm)", "95 %", "3 sigma", "peak", "MA", "MSD"]
+    return DataFrame(rows, index=list(budgets), columns=head)
 
 
 # === A machine that moves =========================================================================================

@@ -27,7 +27,8 @@ from stillwork.lti.discretisation import tustin
 from stillwork.lti.state_space import StateModel
 from workbook import figures
 
-METHODS = ("skyhook", "feedforward", "MC and AD")
+OBSERVERS = ("AD", "MC and AD")  # uses of the observer, of which one is bought
+METHODS = ("skyhook", "feedforward", *OBSERVERS)
 SENSORS = (0.014, 0.14, 1.4, 14.0)  # nm/sqrt(Hz)
 PAYLOADS = (0.0, 20.0, 60.0)  # kg on the frame
 ADVANTAGE = 0.05  # a method is bought when it lowers the error by more than this share (chosen)
@@ -40,7 +41,7 @@ def powers_of(
     bought: frozenset[str], payload: float, assumed: Assumed = AS_FILED
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean squares by floor and by the other sources, of the machine with these methods."""
-    used = "MC and AD" if "MC and AD" in bought else "PID"
+    used = next((name for name in OBSERVERS if name in bought), "PID")
     skyhook, feedforward = "skyhook" in bought, "feedforward" in bought
     return on_every_floor(
         machine(used, skyhook=skyhook, feedforward=feedforward, payload=payload, assumed=assumed)
@@ -62,13 +63,15 @@ def order_of_purchase(
     """Methods in the order in which each lowers the error most, as long as one lowers it by `advantage`."""
     bought: frozenset[str] = frozenset()
     order = []
-    while len(order) < len(METHODS):
+    while True:
         now = error(bought, place, sensor, payload, assumed)
         offers = {
             name: error(bought | {name}, place, sensor, payload, assumed)
             for name in METHODS
-            if name not in bought
+            if name not in bought and not (name in OBSERVERS and bought & set(OBSERVERS))
         }
+        if not offers:
+            break
         best = min(offers, key=lambda name: offers[name])
         if offers[best] > (1 - advantage) * now:
             break
@@ -93,8 +96,8 @@ def map_statements(assumed: Assumed = AS_FILED, advantage: float = ADVANTAGE) ->
     )
     firsts = [(order or ["nothing"])[0] for orders in maps for order in orders.ravel()]
     return {
-        "budget.pays.noisy-sensor-no-observer": float(np.mean(["MC and AD" not in order for order in poor])),
-        "budget.pays.good-sensor-observer": float(np.mean(["MC and AD" in order for order in good])),
+        "budget.pays.noisy-sensor-no-observer": float(np.mean([not observed(order) for order in poor])),
+        "budget.pays.good-sensor-observer": float(np.mean([observed(order) for order in good])),
         "budget.pays.first-purchases": float(len(set(firsts))),
         "budget.pays.feedforward-first": firsts.count("feedforward") / len(firsts),
     }
@@ -105,42 +108,73 @@ def map_study(frame: float, advantage: float, *, seed: int = 0) -> dict[str, flo
     return map_statements(Assumed(frame=frame), advantage)
 
 
+def observed(order: list[str]) -> bool:
+    """Whether an observer is among the purchases."""
+    return bool(set(OBSERVERS) & set(order))
+
+
+def with_both() -> tuple[float, float]:
+    """Error with MC and AD over that with AD alone, less 1: least and largest where the map buys either."""
+    ratios = []
+    for payload in PAYLOADS:
+        for (row, column), order in np.ndenumerate(purchase_map(payload)):
+            if observed(order):
+                others = frozenset(order) - set(OBSERVERS)
+                alone, both = (error(others | {name}, column, SENSORS[row], payload) for name in OBSERVERS)
+                ratios.append(both / alone - 1)
+    return min(ratios), max(ratios)
+
+
+def kinds_bought() -> dict[str, int]:
+    """Points of the map at which each method is bought first, the most frequent first."""
+    firsts = [(order or ["nothing"])[0] for payload in PAYLOADS for order in purchase_map(payload).ravel()]
+    return {name: firsts.count(name) for name in sorted(set(firsts), key=firsts.count, reverse=True)}
+
+
 def paint_map(payloads=PAYLOADS):
-    """First purchases as colours, the second in words, over floor and sensor, one panel a payload."""
+    """Over floor and sensor, one panel a payload: the square's colour is the first purchase, its dot the second."""
+    from matplotlib.lines import Line2D
+
     shades = {
-        "": figures.GREY,
         "skyhook": figures.SKY,
         "feedforward": figures.ORANGE,
-        "MC and AD": figures.GREEN,
+        "AD": figures.GREEN,
+        "MC and AD": figures.PURPLE,
+        "nothing": "#DDDDDD",
     }
-    short = {"": "none", "skyhook": "sky", "feedforward": "ff", "MC and AD": "obs"}
-    figure, axes = figures.new(len(payloads), 1, height=1.9 * len(payloads) + 0.6, sharex=True)
+    figure, axes = figures.new(len(payloads), 1, height=1.7 * len(payloads) + 0.9, sharex=True)
     for panel, payload in zip(np.atleast_1d(axes), payloads, strict=True):
         orders = purchase_map(payload)
         for name, shade in shades.items():
-            there = [(c, r) for (r, c), order in np.ndenumerate(orders) if (order or [""])[0] == name]
-            if there:
-                panel.plot(
-                    *np.array(there).T,
-                    "s",
-                    markersize=17,
-                    color=shade,
-                    alpha=0.5,
-                    label={"": "nothing", "MC and AD": "observer"}.get(name, name),
-                )
-        for (r, c), order in np.ndenumerate(orders):
-            panel.text(c, r, short[order[1]] if len(order) > 1 else "–", ha="center", va="center", fontsize=7)
+            for rank, style in (
+                (0, {"marker": "s", "markersize": 19}),
+                (1, {"marker": "o", "markersize": 8}),
+            ):
+                there = [
+                    (c, r)
+                    for (r, c), order in np.ndenumerate(orders)
+                    if [*order, "nothing"][rank:][:1] == [name]
+                ]
+                if there and (rank == 0 or name != "nothing"):
+                    edge = {
+                        "markeredgecolor": figures.BLACK,
+                        "markeredgewidth": 0.8 * rank,
+                        "zorder": 2 + rank,
+                    }
+                    panel.plot(*np.array(there).T, linestyle="none", color=shade, **style, **edge)
         panel.set_yticks(range(len(SENSORS)), [f"{sensor:g}" for sensor in SENSORS])
+        panel.grid(visible=False)
         panel.set(
             ylabel="stage sensor (nm/√Hz)",
-            title=f"payload {payload:g} kg; colour: first purchase, word: second",
+            title=f"payload {payload:g} kg",
+            xlim=(-0.6, len(FLOORS) - 0.4),
             ylim=(-0.6, len(SENSORS) - 0.4),
         )
-        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), markerscale=0.5)
-    np.atleast_1d(axes)[-1].set_xticks(range(len(FLOORS)), [name.split()[0] for name in FLOORS], rotation=30)
-    np.atleast_1d(axes)[-1].set_xlabel(
-        "floor (sky: skyhook, ff: feedforward, obs: observer, –: nothing more)"
-    )
+    np.atleast_1d(axes)[-1].set_xticks(range(len(FLOORS)), [name.split()[0] for name in FLOORS])
+    np.atleast_1d(axes)[-1].set_xlabel("floor (square: bought first; dot: bought second, none: nothing more)")
+    names = {"AD": "observer, AD", "MC and AD": "observer, MC and AD"}
+    keys = [Line2D([], [], marker="s", linestyle="none", color=shade) for shade in shades.values()]
+    figure.legend(keys, [names.get(name, name) for name in shades], loc="outside lower center", ncols=5)
     return figure
 
 
@@ -414,14 +448,19 @@ def velocity_choices(velocity_rate: float, velocity_delay: float, *, seed: int =
 
 def paint_velocity(errors: dict[float, dict[str, np.ndarray]]):
     """Error of each differentiator over that of the best, on each floor; one panel a sensor."""
-    figure, axes = figures.new(1, len(errors), height=3.0, sharey=True)
+    figure, axes = figures.new(len(errors), 1, height=1.5 * len(errors) + 0.9, sharex=True)
     for panel, (sensor, found) in zip(np.atleast_1d(axes), errors.items(), strict=True):
         least = np.min(list(found.values()), axis=0)
-        for mark, (name, row) in zip("osD^v", found.items(), strict=True):
-            style = {"markersize": 9 if name == "window" else 5, "mfc": "none", "linewidth": 0.8}
-            panel.plot(range(len(FLOORS)), row / least, f"{mark}-", label=name, **style)
-        panel.set_xticks(range(len(FLOORS)), [name.split()[0] for name in FLOORS], rotation=60)
-        panel.set(title=f"sensor {sensor:g} nm/√Hz")
-    np.atleast_1d(axes)[0].set_ylabel("error over the least")
-    figures.legend_below(np.atleast_1d(axes)[0], 3)
+        for k, (mark, (name, row)) in enumerate(zip("osD^v", found.items(), strict=True)):
+            at = np.arange(len(FLOORS)) + 0.15 * (k - 2)
+            panel.plot(at, row / least, mark, linestyle="none", markersize=4.5, label=name)
+        for edge in np.arange(len(FLOORS) - 1) + 0.5:
+            panel.axvline(edge, color=figures.GREY, linewidth=0.5, alpha=0.5)
+        panel.grid(visible=False, axis="x")
+        panel.set(
+            title=f"sensor {sensor:g} nm/√Hz", ylabel="error over\nthe least", xlim=(-0.5, len(FLOORS) - 0.5)
+        )
+    np.atleast_1d(axes)[-1].set_xticks(range(len(FLOORS)), [name.split()[0] for name in FLOORS])
+    np.atleast_1d(axes)[-1].set_xlabel("floor")
+    figures.legend_below(np.atleast_1d(axes)[0], 5)
     return figure

@@ -7,11 +7,12 @@ import numpy as np
 
 from experiments.budget.waterfall import paint_waterfall
 from stillwork.control.budget_sources import criterion_floor
-from stillwork.control.error_budget import UnstableLoop, error_budget
+from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.machine.budget import MachineFile, open_machine
-from stillwork.machine.machine_toml import new_budget
-from workbook import figures
+from stillwork.machine.isolate import isolate_file
+from stillwork.machine.machine_toml import new_budget, new_isolator
+from workbook import figures, paths
 
 
 def open_own(file: str, floor: str) -> MachineFile:
@@ -20,6 +21,28 @@ def open_own(file: str, floor: str) -> MachineFile:
         if not file:
             new_budget(folder)
         return open_machine(file or f"{folder}/wafer-stage.toml", floor)  # the template names no other file
+
+
+def chain(rate: float = 2000.0) -> dict[str, ErrorBudget]:
+    """The template's small stage on the shipped slab: passive, with the methods that its file assumes, and with `isolate`.
+
+    From the response of the isolator in [isolator] and the record of the floor to a feedforward in C, and to the budget.
+    """
+    slab = str(paths.data("isolation", "slab_footfall/slab_vertical.csv"))
+    with TemporaryDirectory() as folder:
+        file, written = f"{folder}/machine.toml", f"{folder}/isolator"
+        new_isolator(file)
+        isolate_file(file, slab, written, rate)
+        designed, assumed = (open_machine(file, slab, isolate=each) for each in (written, ""))
+        machines = {
+            "passive": replace(designed.machine, isolator=None),
+            "assumed 20 dB and skyhook": assumed.machine,
+            "with isolate": designed.machine,
+        }
+        return {
+            name: error_budget(each.network(), designed.sources, designed.band)
+            for name, each in machines.items()
+        }
 
 
 def promised_and_kept(own: MachineFile) -> float:

@@ -1,4 +1,4 @@
-"""The waterfall: the error without any method, with each paper's method alone, and with all, as bars by source."""
+"""The waterfall: the error without any method, with each paper's method alone, and with all, by source."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -19,21 +19,39 @@ STEPS = {
     "observer": {"used": "MC and AD"},
     "all": {"skyhook": True, "feedforward": True, "used": "MC and AD"},
 }
+# With the observer's other use, damping alone.
+ALTERNATIVES = {
+    "observer, AD": {"used": "AD"},
+    "all, AD": {"skyhook": True, "feedforward": True, "used": "AD"},
+}
+SHOWN = ("passive, PID", "skyhook", "feedforward", "observer", "observer, AD", "all", "all, AD")
 COLOURS = (figures.BLUE, figures.ORANGE, figures.GREEN, figures.PURPLE, figures.SKY)
 
 
 def waterfall(floor: str, sensor: float | None = None) -> dict[str, ErrorBudget]:
-    """The budget of each of `STEPS` on a floor."""
-    return {name: budget_of(machine(**step), floor, sensor) for name, step in STEPS.items()}
+    """The budget of each of `STEPS` and `ALTERNATIVES` on a floor."""
+    steps = STEPS | ALTERNATIVES
+    return {name: budget_of(machine(**steps[name]), floor, sensor) for name in SHOWN}
 
 
 def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
-    """Rms of the error by source for each step, all together as a bar, with its interval where the floor was measured."""
+    """Rms of the error by source for each step, and of all together, with its interval where the floor was measured."""
     figure, axes = figures.new(height=3.2)
     places = np.arange(len(budgets))
     total = np.array([1e9 * budget.rms[0] for budget in budgets.values()])
     ends = np.array([1e9 * budget.interval()[:, 0] for budget in budgets.values()])
-    axes.bar(places, total, color=figures.GREY, alpha=0.4, label="all sources")
+    axes.plot(
+        places, total, "_", markersize=26, markeredgewidth=1.5, color=figures.BLACK, label="all sources"
+    )
+    for place, size in zip(places, total, strict=True):
+        axes.annotate(
+            f"{size:.3g}" if size < 100 else f"{size:.0f}",
+            (place, size),
+            (0, 5),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
+        )
     if np.any(ends[:, 1] > 1.001 * total):
         axes.errorbar(
             places,
@@ -41,6 +59,7 @@ def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
             np.abs(ends.T - total),
             fmt="none",
             color=figures.BLACK,
+            linewidth=0.8,
             capsize=3,
             label="95 % interval",
         )
@@ -51,8 +70,8 @@ def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
             axes.plot(places, np.maximum(row, 1e-6), "o", markersize=4, color=colour, label=name)
     low = 10 ** np.floor(np.log10(max(0.03 * total.min(), 1e-3)))
     axes.set(yscale="log", ylim=(low, 3 * total.max()), ylabel="error, rms (nm)", title=title)
-    axes.set_xticks(places, list(budgets))
-    axes.set_xlabel("methods")
+    axes.set_xticks(places, [name.replace(" ", "\n") for name in budgets])
+    axes.set(xlabel="methods", xlim=(-0.6, len(places) - 0.4))
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return figure
 
