@@ -85,8 +85,8 @@ lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/notebooks/index.ipynb \
 		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 $(ARGS)
 
-site: $(READY) ## Write the static site to build/site/index.html
-	@$(BIN)/python -m workbook site
+site: $(READY) ## Write the static site to build/site/index.html; ARGS=--still leaves explorers as pictures
+	@$(BIN)/python -m workbook site $(ARGS)
 
 browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get install chromium chromium-driver)
 	$(BIN)/python -m pytest tests/browser $(ARGS)

@@ -160,6 +160,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--json", action="store_true", help="as JSON")
     add("--built", action="store_true", help="with the results of the last build, accepted or not")
 
+    still = "leave explorers that were not computed before as pictures, which takes half a minute"
+    own["site"].add_argument("--still", action="store_true", help=still)
+
     own["init"].add_argument("folder", metavar="DIR")
     add = own["new"].add_argument
     add("topic", metavar="TOPIC")

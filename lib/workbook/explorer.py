@@ -1,6 +1,8 @@
 """Explorers: turn a drawing function into sliders with live redraw, or a static picture in a build."""
 
-from collections.abc import Callable, Mapping
+import shlex
+import sys
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 from workbook.checks import InputError, is_refusal, nearest, require_choice, require_number
@@ -161,6 +163,29 @@ def whole_settings(
     return {name: start | settings for name, settings in presets.items()}
 
 
+def build_line(notebook: str, parameters: Collection[str], settings: Mapping, start: Mapping) -> str:
+    """The command that builds a notebook's page with the settings of its explorer; empty where none is a parameter of the page."""
+    if not set(parameters) & set(settings):
+        return ""
+    moved = {name: value for name, value in settings.items() if value != start[name]}
+    given = "".join(
+        f" -p {shlex.quote(f'{name}={value}')}" for name, value in moved.items() if name in parameters
+    )
+    rest = ", ".join(name for name in moved if name not in parameters)
+    return f'make figures ARGS="{notebook}{given}"' + (
+        f"  # the page has no parameter {rest}" if rest else ""
+    )
+
+
+def _own_page() -> tuple[str, Collection[str]]:
+    """The notebook that runs this, by its `page`, and its parameters; nothing where there is none."""
+    from workbook.conclusions import accepted_settings
+
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    notebook = getattr(shell and shell.user_ns.get("page"), "notebook", "")
+    return notebook, tuple(accepted_settings(notebook)) if notebook else ()
+
+
 @dataclass(frozen=True)
 class StaticPicture:
     """What stands where no widgets run."""
@@ -244,11 +269,13 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
 
     rows = {name: control.widget(name) for name, control in controls.items()}
     picture = widgets.Image(format="png", layout=widgets.Layout(max_width="100%"))
-    message = widgets.HTML()
+    message, line = widgets.HTML(), widgets.HTML()
+    notebook, parameters = _own_page()
     reset = widgets.Button(description="Back to the start", icon="undo")
 
     def redraw(_change=None):
         settings = {name: controls[name].read(row.value) for name, row in rows.items()}
+        line.value = f"<code>{_escaped(build_line(notebook, parameters, settings, start))}</code>"
         try:
             picture.value = picture_of(**settings)
             at_home = settings == start
@@ -280,7 +307,8 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
         for name, row in rows.items()
     ]
     named = [widgets.HBox(buttons)] if buttons else []
-    return widgets.VBox([*named, *marked, widgets.HBox([reset, message]), picture])
+    under = [line] if build_line(notebook, parameters, start, start) else []
+    return widgets.VBox([*named, *marked, widgets.HBox([reset, message]), picture, *under])
 
 
 def _escaped(text: str) -> str:

@@ -1,3 +1,5 @@
+import shlex
+
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import RendererAgg
@@ -6,7 +8,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from workbook import figures
 from workbook.checks import InputError
-from workbook.explorer import Choice, Slider, StaticPicture, explore
+from workbook.explorer import Choice, Slider, StaticPicture, build_line, explore
 from workbook.redraw import Redraw, RememberingRenderer
 
 CONTROLS = {
@@ -197,3 +199,22 @@ def test_remembered_texts_are_what_matplotlib_draws():
             drawn.append(np.array(renderer.buffer_rgba()))
         assert (drawn[0] != 255).any()
         np.testing.assert_array_equal(*drawn)
+
+
+def test_the_line_under_it_builds_the_page_with_what_is_shown():
+    start = {"gain": 2.0, "floor": "flat", "shown": 0}
+    at_home = build_line("isolation/01-first", ("gain", "floor"), start, start)
+    assert at_home == 'make figures ARGS="isolation/01-first"'
+    moved = start | {"gain": 0.25, "floor": "quite coloured", "shown": 1}
+    line = build_line("isolation/01-first", ("gain", "floor"), moved, start)
+    command, _, remark = line.partition("  # ")
+    assert remark == "the page has no parameter shown"
+    (arguments,) = shlex.split(command)[2:]
+    assert shlex.split(arguments.removeprefix("ARGS=")) == [
+        "isolation/01-first",
+        "-p",
+        "gain=0.25",
+        "-p",
+        "floor=quite coloured",
+    ]
+    assert build_line("isolation/01-first", ("other",), moved, start) == ""

@@ -12,7 +12,7 @@ from workbook.notebooks import Notebook
 from workbook.site import states as states_of
 from workbook.site.explorers import Explorer, read_explorer, statements
 from workbook.site.shapes import panels
-from workbook.site.states import kept_states, make_states, states
+from workbook.site.states import kept_states, make_states, missing_states, states
 from workbook.site.stops import ladder
 from workbook.tasks import tasks
 
@@ -50,6 +50,7 @@ def test_only_what_the_explorer_needs_runs():
     ]
     explorer = read_explorer(notebook(*cells))
     assert explorer.draw(3.0) == 6.0 + 3
+    assert explorer.parameters == ()
     assert explorer.controls == {"x": Slider(0.0, 1.0, 0)} and explorer.presets == {"one": {"x": 1.0}}
     assert len(statements(notebook(*cells).source)) == 9
     assert read_explorer(notebook("explored = 1")) is None
@@ -170,14 +171,16 @@ explore(draw, x=Slider(0, 4, 1))
 
 
 @pytest.mark.slow
-def test_pictures_are_computed_once_for_each_build(toy, monkeypatch):
+def test_pictures_are_computed_once_for_each_state_of_the_notebook(toy, monkeypatch, capsys):
     name = "isolation/01-first"
     toy.add(name, EXPLORER)
     environment_inputs()  # of this checkout, whose pins are not the toy's
     monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
-    assert make_states(tasks()) == {}  # not built: nobody knows what the notebook reads
-    toy.run("figures")
-    made = make_states(tasks())
+    assert kept_states(tasks()) == {}
+    assert [task.notebook.name for task in missing_states(tasks(), {})] == [name]
+    made = make_states(tasks())  # of a notebook that nobody has built
+    assert "computing the pictures of 1 explorers" in capsys.readouterr().out
+    assert missing_states(tasks(), made) == []
     assert made[name]["count"] == 5
     assert kept_states(tasks()) == made
     file = toy.root / "build" / "explorers" / f"{name}.json"

@@ -36,7 +36,7 @@ from workbook.site.metadata import about, address, binder, papers, project
 from workbook.site.pages import NotebookPage, read_page
 from workbook.site.settings import bars
 from workbook.site.specification import curves, said_of, sentence, status
-from workbook.site.states import kept_states, make_states
+from workbook.site.states import kept_states, make_states, missing_states
 from workbook.tasks import tasks
 from workbook.timings import benchmarks
 
@@ -52,10 +52,15 @@ OVERVIEWS = (
 SEARCHED = ("choices/", "settings/")  # folders of further ones
 
 
-def build_site() -> int:
-    """Write ``build/site``; returns 1, with a line for each, when a link of it leads nowhere."""
-    target = paths.root() / "build" / "site"
-    make_states(tasks())
+def build_site(still: bool = False) -> int:
+    """Write ``build/site``; returns 1, with a line for each, when a link of it leads nowhere.
+
+    With `still` the explorers of which nothing is kept are left as pictures, and said to be at the end.
+    """
+    target, wanted = paths.root() / "build" / "site", tasks()
+    lacking = missing_states(wanted, kept_states(wanted)) if still else []
+    if not still:
+        make_states(wanted)
     files = site_files()
     publish.replace_folder(target, files)
     broken = broken_links(target)
@@ -63,6 +68,8 @@ def build_site() -> int:
         print(line)
     pages = sum(name.endswith(".html") for name in files)
     print(f"{pages} pages, {len(broken)} broken links: {target / 'index.html'}")
+    if lacking:
+        print(f"{len(lacking)} explorers are still pictures: `make site` computes them (some minutes, once)")
     return int(bool(broken))
 
 

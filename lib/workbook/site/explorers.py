@@ -3,7 +3,7 @@
 import ast
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from workbook.explorer import Choice, Slider, whole_settings
 from workbook.notebooks import Notebook
@@ -18,6 +18,7 @@ class Explorer:
     draw: Callable
     controls: dict[str, Slider | Choice]
     presets: dict[str, dict] = field(default_factory=dict)
+    parameters: tuple[str, ...] = ()  # of the notebook
 
 
 def _taken(draw: Callable, presets: Mapping[str, Mapping] | None = None, **controls) -> Explorer:
@@ -36,7 +37,8 @@ def read_explorer(notebook: Notebook) -> Explorer | None:
     names: dict[str, object] = {"_taken": _taken}
     exec(compile(ast.Module(before, []), notebook.name, "exec"), names)
     last.value.func = ast.copy_location(ast.Name("_taken", ast.Load()), last.value)
-    return eval(compile(ast.Expression(last.value), notebook.name, "eval"), names)
+    found = eval(compile(ast.Expression(last.value), notebook.name, "eval"), names)
+    return replace(found, parameters=tuple(notebook.parameters))
 
 
 def statements(source: str) -> list[ast.stmt]:

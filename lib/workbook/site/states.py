@@ -16,7 +16,8 @@ from workbook.checks import is_refusal
 from workbook.explorer import Choice, Slider, basis_text, label
 from workbook.figures import house_style
 from workbook.notebooks import read_notebook
-from workbook.publish import digest, read_record, replace_file
+from workbook.progress import Progress
+from workbook.publish import digest, replace_file
 from workbook.site.explorers import Explorer, read_explorer, statements
 from workbook.site.shapes import panels
 from workbook.site.stops import Ladder, distance, ladder, shares
@@ -56,7 +57,7 @@ def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None
     Returns
     -------
     dict
-        ``controls`` (name, unit, stops, start, basis), ``joint`` (the two), ``states`` (for the stops of all controls,
+        ``controls`` (name, unit, stops, start, basis, and ``parameter`` where it is one of the page), ``joint`` (the two), ``states`` (for the stops of all controls,
         as ``"0.3.2"``, the place in ``pictures``), ``pictures`` and ``presets`` (name and stops of each named design).
 
     Raises
@@ -108,7 +109,11 @@ def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None
         place = pictures.setdefault(text, len(pictures))
         found[".".join(str(stop) for stop in {**home, **moved}.values())] = place
     return {
-        "controls": [_control(name, controls[name], ladders[name]) for name in controls],
+        "controls": [
+            _control(name, controls[name], ladders[name])
+            | ({"parameter": name} if name in explorer.parameters else {})
+            for name in controls
+        ],
         "joint": [list(controls).index(name) for name in pair],
         "states": found,
         "pictures": [json.loads(text) for text in pictures],
@@ -210,40 +215,42 @@ def _file(name: str) -> Path:
     return paths.root() / "build" / "explorers" / f"{name}.json"
 
 
-def _key(task: Task) -> str | None:
-    """Of a fresh build and of what computes the states from it; None where the notebook's build is not fresh."""
-    if (record := read_record(task.target)) is None or task.reasons():
-        return None
+def _key(task: Task) -> str:
+    """Of all that the notebook's results depend on, and of what computes the states."""
     here = Path(__file__).parent
     sources = [digest((here / each).read_bytes()) for each in SOURCES]
-    return digest(json.dumps([sorted(record[0].items()), sources]).encode())
+    return digest(json.dumps([sorted(task.inputs.items()), sources]).encode())
 
 
 def kept_states(of: list[Task]) -> dict[str, dict]:
-    """What `compute` gave for these notebooks, where their builds have not changed since."""
+    """What `compute` gave for these notebooks, where nothing that they depend on has changed since."""
     found = {}
     for task in of:
         with contextlib.suppress(OSError, ValueError):
             kept = json.loads(_file(task.notebook.name).read_text(encoding="utf-8"))
-            if (key := _key(task)) is not None and kept.pop("key") == key:
+            if kept.pop("key") == _key(task):
                 found[task.notebook.name] = kept
     return found
 
 
 def make_states(of: list[Task]) -> dict[str, dict]:
-    """`kept_states`, after computing those that are missing of notebooks whose builds are fresh."""
+    """`kept_states`, after computing those that are missing."""
     found = kept_states(of)
-    missing = {
-        task.notebook.name: key
-        for task in of
-        if task.notebook.name not in found and statements(task.notebook.source) and (key := _key(task))
-    }
+    missing = {task.notebook.name: _key(task) for task in missing_states(of, found)}
     if missing:
         print(f"computing the pictures of {len(missing)} explorers; they are kept for the next time")
-        with processes(min(cores(), len(missing))) as pool:
-            for name, made in zip(missing, pool.map(compute, missing), strict=True):
-                replace_file(_file(name), _text({"key": missing[name], **made}).encode())
-                found[name] = made
-                if "reason" in made:
-                    print(f"{name}: the explorer stands still: {made['reason']}")
+        jobs = min(cores(), len(missing))
+        with Progress(len(missing), task="explorers", unit="notebook", tenths=True) as progress:
+            with processes(jobs) as pool:
+                for name, made in zip(missing, pool.map(compute, missing), strict=True):
+                    replace_file(_file(name), _text({"key": missing[name], **made}).encode())
+                    found[name] = made
+                    if "reason" in made:
+                        progress.print_line(f"{name}: the explorer stands still: {made['reason']}")
+                    progress.step()
     return found
+
+
+def missing_states(of: list[Task], found: dict[str, dict]) -> list[Task]:
+    """Of these notebooks those with an explorer of which nothing is kept."""
+    return [task for task in of if task.notebook.name not in found and statements(task.notebook.source)]

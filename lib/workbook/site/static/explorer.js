@@ -233,7 +233,18 @@
     const told = make("p", { class: "told", "aria-live": "polite" });
     const unit = (control, at) => `${control.stops[at]}${control.unit ? ` ${control.unit}` : ""}`;
 
+    // The command that builds the page with the settings shown, where it has parameters for them.
+    const command = make("code", { class: "command" });
+    const quoted = (text) => (/^[\w.,=+-]*$/.test(text) ? text : `'${text}'`);
+    const buildLine = () => {
+      const moved = controls.filter((control, number) => stops[number] !== home[number]);
+      const given = moved.filter((control) => control.parameter).map((control) => ` -p ${quoted(`${control.parameter}=${control.stops[stops[controls.indexOf(control)]]}`)}`);
+      const rest = moved.filter((control) => !control.parameter).map((control) => control.name).join(", ");
+      return `make figures ARGS="${figure.dataset.notebook}${given.join("")}"${rest ? `  # the page has no parameter ${rest}` : ""}`;
+    };
+
     const show = () => {
+      command.textContent = buildLine();
       const begun = performance.now();
       const now = pictures[states[stops.join(".")]];
       const published = pictures[states[home.join(".")]];
@@ -294,6 +305,7 @@
       list.append(make("p", { class: "note" }, `${together} move together; every other control moves alone, from the start.`));
     }
     figure.querySelector(".zoom").replaceWith(list, area);
+    if (controls.some((control) => control.parameter)) area.after(command);
     show();
     let width = area.clientWidth;
     new ResizeObserver(() => {
