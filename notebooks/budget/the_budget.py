@@ -83,9 +83,10 @@ def waterfall_study(
 
 
 def paint_spectra(budgets: dict[str, ErrorBudget]):
-    """Backward cumulative spectra of all sources, one line a step: from the right, where the error comes from."""
+    """Backward cumulative spectra of all sources, one line for each of `STEPS`: from the right, where the error comes from."""
     figure, axes = figures.new(height=2.8)
-    for name, budget in budgets.items():
+    for name in STEPS:
+        budget = budgets[name]
         above = np.sqrt(budget.cumulative(backward=True)[:, 0].sum(axis=0))
         axes.loglog(budget.frequencies_hz, 1e9 * above, linewidth=1.0, label=name)
     axes.set(xlabel="frequency (Hz)", ylabel="rms error from all\nhigher frequencies (nm)", ylim=(0.3, None))

@@ -36,7 +36,7 @@ def chain(rate: float = 2000.0) -> dict[str, ErrorBudget]:
         designed, assumed = (open_machine(file, slab, isolate=each) for each in (written, ""))
         machines = {
             "passive": replace(designed.machine, isolator=None),
-            "assumed 20 dB and skyhook": assumed.machine,
+            "as assumed": assumed.machine,
             "with isolate": designed.machine,
         }
         return {

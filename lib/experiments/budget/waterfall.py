@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from itertools import cycle
+from itertools import cycle, product
 
 import numpy as np
 
@@ -65,12 +65,14 @@ def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
         )
     first = next(iter(budgets.values()))
     parts = np.array([1e9 * np.sqrt(budget.powers[:, 0]) for budget in budgets.values()])
-    for name, row, colour in zip(first.names, parts.T, cycle(COLOURS), strict=False):
+    styles = cycle(product("os^", COLOURS))
+    for k, (name, row, (mark, colour)) in enumerate(zip(first.names, parts.T, styles, strict=False)):
         if np.any(row > 1e-4 * total.max()):
-            axes.plot(places, np.maximum(row, 1e-6), "o", markersize=4, color=colour, label=name)
+            at = places + 0.05 * (k - (len(first.names) - 1) / 2)  # side by side: equal parts hide none
+            axes.plot(at, np.maximum(row, 1e-6), mark, markersize=4, color=colour, label=name)
     low = 10 ** np.floor(np.log10(max(0.03 * total.min(), 1e-3)))
     axes.set(yscale="log", ylim=(low, 3 * total.max()), ylabel="error, rms (nm)", title=title)
-    axes.set_xticks(places, [name.replace(" ", "\n") for name in budgets])
+    axes.set_xticks(places, [name.replace(" ", "\n", 1) for name in budgets])
     axes.set(xlabel="methods", xlim=(-0.6, len(places) - 0.4))
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return figure
