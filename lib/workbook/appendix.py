@@ -50,9 +50,14 @@ class Appendix:
         self.parts.append(markdown.strip())
 
     def show(self, *values, **options) -> None:
-        """Add words, numbers and tables, one below the other; `options` as of `workbook.page.Page.show`."""
+        """Add words, numbers and tables, one below the other, also of several calls; `options` as of `workbook.page.Page.show`."""
         lines = [each.to_string(**options) if hasattr(each, "to_string") else str(each) for each in values]
-        self.parts.append("```\n" + "\n".join(lines) + "\n```")
+        above = (
+            self.parts.pop().removesuffix("```")
+            if self.parts and self.parts[-1].startswith("```")
+            else "```\n"
+        )
+        self.parts.append(above + "\n".join(lines) + "\n```")
 
     def save(self, name: str, figure, rounding=None) -> None:
         """`workbook.page.Page.save`, shown here."""

@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 
-from experiments.fixedpoint.axes import log_axis
 from experiments.fixedpoint.oscillator import load_oscillator
 from stillwork.control import (
     Controller,
@@ -485,26 +484,52 @@ def best_share(found: dict[str, dict[str, np.ndarray]], law: str) -> tuple[float
     return float(np.mean(best)), (max(0.0, low), min(1.0, high))
 
 
+def by_machine(found: dict, law: str, other: str, case: str | None = None) -> list[float]:
+    """A law's error over another's on each machine, of the runs in which neither diverges."""
+    cases = CASES if case is None else (case,)
+    return [compared(found, law, other, (machine,), cases, held=True)[0] for machine in MACHINES]
+
+
+def range_of(ratios: list[float]) -> str:
+    """``0.5 to 0.8`` times."""
+    return f"{min(ratios):.2f} to {max(ratios):.2f} times"
+
+
 # === Pictures ======================================================================================================
 
 
-def paint_errors(found: dict[str, dict[str, np.ndarray]], criterion: str = "position"):
-    """Geometric mean of the error by case, a panel a machine; bars: from the best to the worst of plants and tunings."""
-    figure, panels = figures.new(1, len(found), height=3.6)
+def paint_ratios(found: dict[str, dict[str, np.ndarray]]):
+    """Error over computed torque's by case, a panel a machine: means and 95 % intervals over plants, and who diverged."""
+    figure, panels = figures.new(1, len(found), height=3.8, sharey=True, sharex=True)
     for axes, (machine, by_law) in zip(panels, found.items(), strict=True):
-        axes.axhline(1e3, color=figures.GREY, lw=1, ls=":", label="diverged (counts as 1 m or 1 rad)")
-        for number, (law, errors) in enumerate(by_law.items()):
-            flat = 1e3 * errors.reshape(len(CASES), -1)
-            places = np.arange(len(CASES)) + 0.16 * (number - (len(by_law) - 1) / 2)
-            axes.plot(places, np.exp(np.log(flat).mean(axis=1)), "o", ms=4, color=COLOURS[law], label=law)
-            axes.vlines(places, flat.min(axis=1), flat.max(axis=1), color=COLOURS[law], lw=1, label=f"_{law}")
-        unit = MACHINES[machine].unit
-        rate = "/s" if criterion == "velocity" else ""
-        axes.set(title=machine, yscale="log", ylabel=f"RMS error (m{unit}{rate})")
-        axes.set_xticks(range(len(CASES)), [case.replace(" ", "\n") for case in CASES], fontsize=7)
-        log_axis(axes.yaxis)
+        axes.axvline(1, color=figures.BLACK, lw=1, ls="--", label="computed torque")
+        for number, law in enumerate(LAWS[1:]):
+            places = np.arange(len(CASES)) + 0.22 * (number - 1)
+            pairs = [
+                compared({machine: by_law}, law, COMPUTED, (machine,), (case,), held=True) for case in CASES
+            ]
+            middle, ends = np.array([ratio for ratio, _ in pairs]), np.array([end for _, end in pairs])
+            axes.plot(middle, places, "o", ms=4, color=COLOURS[law], label=law)
+            axes.hlines(places, *ends.T, color=COLOURS[law], lw=1, label=f"{law}, 95 % interval")
+            for place, errors in zip(places, by_law[law], strict=True):
+                if lost := int((errors == 1.0).sum()):
+                    style = {"fontsize": 7, "color": COLOURS[law], "va": "center", "ha": "right"}
+                    axes.annotate(
+                        f"{lost} of {errors.size} diverge",
+                        (0.99, place),
+                        xycoords=("axes fraction", "data"),
+                        **style,
+                    )
+        axes.set(title=machine, xscale="log", xlim=(0.2, 9), ylim=(len(CASES) - 0.5, -0.5))
+        axes.set_xticks([0.25, 0.5, 1, 2, 4], ["1/4", "1/2", "1", "2", "4"])
+        axes.minorticks_off()
+        axes.set_yticks(range(len(CASES)), CASES)
+    figures.label(panels, "error of q over computed torque's")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    shown = [k for k, label in enumerate(labels) if "interval" not in label]
+    figure.legend(
+        [handles[k] for k in shown], [labels[k] for k in shown], loc="outside upper center", ncols=4
+    )
     return figure
 
 
@@ -530,6 +555,77 @@ def explorer(seed: int, tuning: int) -> Callable:
         return figure
 
     return paint
+
+
+# === What notebook 10 judges beside its answer =====================================================================
+
+ENTRIES = {OBSERVER: "observer", ADAPTIVE: "slotine-li", FIXED: "fixed-point", COMPUTED: "computed-torque"}
+SHORT = {"oscillator": "oscillator", "two-link arm": "two-link", "3-axis arm": "three-axis"}
+
+
+def appendix(
+    page, *, found: dict[str, dict[str, np.ndarray]], tunings: list[int], plants: int, seed: int
+) -> None:
+    """What this notebook judges beside its answer: by machine and case, tuned for q', and one filter for all axes.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    found : dict
+        Of `judged`, by machine.
+    tunings : list of int
+    plants, seed : int
+    """
+    page.text(
+        "## By machine and case\n\nErrors of $q$ over computed torque's; a diverged run counts as 1 m or rad."
+    )
+    for machine, name in SHORT.items():
+        for law, entry in ENTRIES.items():
+            if law == COMPUTED:
+                continue
+            value, interval = compared(found, law, COMPUTED, (machine,))
+            page.check(f"fixedpoint.beside.{name}.{entry}", value, interval)
+            each = (f"{case} {compared(found, law, COMPUTED, (machine,), (case,))[0]:.2f}" for case in CASES)
+            page.show(f"{machine}, {law}: {', '.join(each)}")
+    page.text("Of the runs in which neither diverges, by machine:")
+    for law, other, case in (
+        (ADAPTIVE, FIXED, "a payload"),
+        (FIXED, OBSERVER, "a force begins"),
+        (FIXED, COMPUTED, "a worse sensor"),
+        (ADAPTIVE, FROZEN, "a payload"),
+    ):
+        each = ", ".join(f"{ratio:.2f}" for ratio in by_machine(found, law, other, case))
+        page.show(f"{case}: {law} over {other} {each}")
+    page.text(
+        "## Tuned for the velocity\n\nShares of the runs in which a law errs least, tuned for $q$ and for $\\dot q$:"
+    )
+    fast = {name: judged(name, LAWS, tunings[:2], plants, seed, "velocity") for name in MACHINES}
+    page.check("fixedpoint.beside.best-share.velocity", *best_share(fast, FIXED))
+    for law in LAWS:
+        page.show(f"{law}: {best_share(found, law)[0]:.2f} and {best_share(fast, law)[0]:.2f}")
+    page.show("settings at an end of their range: " + ("; ".join(at_edge()) or "none"))
+    page.text(ONE_FILTER)
+    for machine in MACHINES:
+        ratio, _ = compared(found, EACH, FIXED, (machine,), held=True)
+        page.show(f"{machine}, neither diverges: {EACH} over the low pass {ratio:.2f}")
+    gains = []
+    for machine in ("two-link arm", "3-axis arm"):
+        gains.append(compared(found, ALL, EACH, (machine,)))
+        page.check(f"fixedpoint.beside.{SHORT[machine]}.joint-filter", *gains[-1])
+    page.conclude(
+        "One filter for all axes leaves {low:.2f} to {high:.2f} of the error of one an axis: it hardly pays.",
+        "One filter for all axes leaves {low:.2f} to {high:.2f} of the error of one an axis.",
+        when=min(ratio for ratio, _ in gains) > 0.9,
+        low=min(ratio for ratio, _ in gains),
+        high=max(ratio for ratio, _ in gains),
+    )
+
+
+ONE_FILTER = r"""## One filter for all axes
+
+The model of an extended Kalman filter with disturbances may be a free unit mass for each axis, moved by the commanded
+acceleration, or the coupled model with the forces $u = \hat M(\hat q)\,r + \hat h(\hat q, \hat{\dot q})$. The joint filter
+predicts $\hat M^{-1}(u - \hat h) = r$, as the single filters do; only its Jacobian and covariance are new."""
 
 
 if __name__ == "__main__":

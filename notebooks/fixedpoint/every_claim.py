@@ -16,7 +16,7 @@ from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW, 
 from experiments.fixedpoint.statements import LOW_PASS_BEST, NOISIEST, SMOOTHEST, WINDOW_PRECISE, statements
 from stillwork.control.controlled_run import ControlledRun
 from stillwork.control.fixed_point import Controller, simulate
-from stillwork.control.trajectory import asin_trajectory
+from stillwork.control.trajectory import Trajectory, asin_trajectory
 from stillwork.control.transformation import FlowTransformation
 from stillwork.estimation.coordinate_filters import MovingWindow, UnscentedKalman
 from workbook import figures
@@ -218,22 +218,32 @@ def coupled_logistic(gaussian: np.ndarray, deviation: float) -> np.ndarray:
     return deviation / LOGISTIC_DEVIATION * (special.log_ndtr(place) - special.log_ndtr(-place))
 
 
-def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], label: str):
-    """Fraction of runs that obey each statement, a row a statement, a column a setting."""
-    figure, axes = figures.new(1, height=0.34 * len(fractions) + 1.2)
+def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], label: str, chosen: str):
+    """Whether each statement holds, a row a statement, a column a setting; a share where it is in some records only."""
+    figure, axes = figures.new(1, height=0.34 * len(fractions) + 1.6)
     grid = np.array(list(fractions.values()), dtype=float)
-    rows = np.arange(len(fractions))
-    places, shades = np.arange(len(columns)), {"cmap": "Blues", "vmin": 0, "vmax": 1}
-    image = axes.pcolormesh(places, rows, grid, label="fraction of runs", **shades)
+    rows, places = np.arange(len(fractions)), np.arange(len(columns))
+    for word, held, face in (
+        ("in every record", grid == 1, figures.BLUE),
+        ("in no record", grid == 0, "none"),
+    ):
+        at = np.nonzero(held)
+        style = {"ms": 9, "color": figures.BLUE, "mfc": face, "label": f"the statement holds {word}"}
+        axes.plot(at[1], at[0], "o", **style)
+    some = np.nonzero((grid > 0) & (grid < 1))
+    axes.plot(some[1], some[0], "o", ms=9, color=figures.BLUE, mfc=figures.SKY, label="in some (share)")
+    for row, column in zip(*some, strict=True):
+        axes.annotate(
+            f"{grid[row, column]:.2g}", (column, row), (7, -3), textcoords="offset points", fontsize=7
+        )
+    axes.axvline(
+        columns.index(chosen), color=figures.GREY, lw=14, alpha=0.25, zorder=0, label="the other notebooks'"
+    )
     axes.set_yticks(rows, list(fractions))
-    axes.set_xticks(places, columns, fontsize=7)
-    axes.grid(False)
+    axes.set_xticks(places, columns, fontsize=8)
+    axes.set(xlim=(-0.6, len(columns) - 0.4), xlabel=label)
     axes.invert_yaxis()
-    axes.set_xlabel(label)
-    for (row, column), value in np.ndenumerate(grid):
-        style = {"ha": "center", "va": "center", "fontsize": 7, "color": "w" if value > 0.5 else "k"}
-        axes.text(column, row, f"{value:.2g}", **style)
-    figure.colorbar(image, ax=axes, label="fraction of runs that obey the statement")
+    figures.legend_below(axes, 2)
     return figure
 
 
@@ -323,3 +333,143 @@ def longest_replaced(gaps: list[float], studies: list[dict[str, Study]], kalman:
         if (np.isfinite(simple) & (simple <= study[kalman]["position"])).all():
             replaced.append(gap)
     return max(replaced)
+
+
+# === What the notebook judges beside its answer =====================================================================
+
+
+def appendix(
+    page,
+    *,
+    studies: dict[str, dict[str, Study]],
+    controllers: dict[str, Controller],
+    trajectory: Trajectory,
+    runs: int,
+    seed: int,
+    lost: dict[str, list[dict[str, Study]]],
+    lost_ms: list[float],
+    singles: dict[float, dict[str, Study]],
+) -> None:
+    """What this notebook judges beside its answer.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    studies : dict
+        By noise and controller.
+    controllers : dict of Controller
+        The paper's.
+    trajectory : Trajectory
+    runs, seed : int
+        Of the open choices tried here.
+    lost : dict
+        Studies over the lengths `lost_ms`, by what stands for a lost sample.
+    lost_ms : list of float
+    singles : dict
+        Studies by the percentage of samples lost at random.
+    """
+    page.text("""## The rankings, case by case
+
+Share of records in which each statement holds, with Wilson's 95 % interval.""")
+    page.show(table(studies, KALMAN, LITERAL))
+    page.text("By another measure of noisy, the RMS change of the error of $\\dot q$ in a sample:")
+    noisiest = {}
+    for case, study in studies.items():
+        if case != "no noise":
+            noisiest[case] = said.in_both_forms(study, NOISIEST, noisy_by="velocity_roughness").mean()
+            page.show(f"{case}: Kalman filter roughest in {noisiest[case]:.2f} of the records")
+    smooth = said.in_both_forms(studies["small Gaussian"], SMOOTHEST, noisy_by="velocity_roughness").mean()
+    page.show(f"small Gaussian: low pass smoothest in {smooth:.2f} of them, so the rest is the window")
+    page.check("fixedpoint.fig-6.noisy-by-velocity", noisiest["small Gaussian"])
+    _of_options(page, controllers, trajectory, runs, seed)
+    _of_losses(page, lost, lost_ms, singles)
+
+
+def options_tried(published: dict[str, Controller]) -> dict[str, tuple[dict[str, Controller], str, dict]]:
+    """Controllers, kind of noise and options of the loop, by what is read otherwise."""
+    thin = replace(load_oscillator()["approximate"], damping=0.0, drag=0.0).plant
+    thin_model = {
+        name: replace(published[name], signal_filter=UnscentedKalman(thin, literal=name == LITERAL))
+        for name in (KALMAN, LITERAL)
+    }
+    return {
+        "as above": (published, "logistic", {}),
+        "amplitude is the scale": (published, "logistic-scale", {}),
+        "explicit order": (published, "logistic", {"integration": "explicit"}),
+        "(10) without b2 and d": (published | thin_model, "logistic", {}),
+        "force at the filtered q": (published, "logistic", {"force_from_estimate": True}),
+        "error from the measured q": (controllers("measured", "(11)", 13), "logistic", {}),
+        "acceleration of the model": (controllers("estimate", "(11)", 13, "model"), "logistic", {}),
+    }
+
+
+def _of_options(page, published: dict[str, Controller], trajectory: Trajectory, runs: int, seed: int) -> None:
+    page.text("""## Six other options
+
+The logistic amplitude may be the scale of the distribution. Equation (10) as printed lacks $b_2$ and $d$. Section I takes the error
+from the measured $q$. With its model's acceleration the Kalman filter gives the iteration no response of the plant, so nothing
+adapts. RMS errors of $q$ in mm and of $\\dot q$ in mm/s, roughness in m/s², means over records of logistic noise:""")
+    exact = load_oscillator()["exact"].plant
+    found = {
+        size: {
+            option: compare(exact, who, trajectory, Noise(kind, amplitude), runs=runs, seed=seed, **options)
+            for option, (who, kind, options) in options_tried(published).items()
+        }
+        for size, amplitude in PRINTED_NOISE.items()
+    }
+    for size, by_option in found.items():
+        for option, study in by_option.items():
+            page.show(f"{size} noise, {option}")
+            for name, judged in study.items():
+                q, velocity = (1e3 * judged[quantity].mean() for quantity in ("position", "velocity"))
+                rough = judged["roughness"].mean()
+                page.show(f"  {name:22s} q {q:.3f}, q' {velocity:.2f}, roughness {rough:.3f}")
+            page.show(f"  changed: {changed(by_option['as above'], study, LITERAL)}")
+    forced, measured = (
+        [],
+        [],
+    )  # relative changes of the errors; the printed Kalman filter's over the best other
+    for by_option in found.values():
+        other, before = by_option["force at the filtered q"], by_option["as above"]
+        forced += [
+            abs(other[n][e].mean() / before[n][e].mean() - 1)
+            for n in before
+            for e in ("position", "velocity")
+        ]
+        q = {name: each["position"].mean() for name, each in by_option["error from the measured q"].items()}
+        measured.append(q[LITERAL] / min(q[WINDOW], q[LOW_PASS]))
+    page.check("fixedpoint.fig-1.force-from-filtered", max(forced))
+    page.check("fixedpoint.fig-1.error-from-measured", max(measured))
+    small, large = (by_option["acceleration of the model"] for by_option in found.values())
+    rough = small[KALMAN]["roughness"].mean() / small[WINDOW]["roughness"].mean()
+    speed = large[KALMAN]["velocity"].mean() / large[LOW_PASS]["velocity"].mean()
+    page.check("fixedpoint.kalman-acceleration.roughness", rough)
+    page.check("fixedpoint.kalman-acceleration.velocity", speed)
+    page.conclude(
+        "Two options reverse rankings: with the error from the measured coordinate the printed Kalman filter has {measured:.2f} of the "
+        "error of $q$ of window and low pass; with its model's acceleration it is {rough:.2f} times as rough as the window in small noise "
+        "and has {speed:.2f} of the low pass's error of $\\dot q$ in large noise.",
+        "With the error from the measured coordinate the printed Kalman filter has {measured:.2f} of the error of $q$ of window and low "
+        "pass; with its model's acceleration {rough:.2f} of the window's roughness and {speed:.2f} of the low pass's error of $\\dot q$.",
+        when=max(max(measured), rough, speed) < 1,
+        measured=max(measured),
+        rough=rough,
+        speed=speed,
+    )
+
+
+def _of_losses(page, lost: dict, lost_ms: list[float], singles: dict[float, dict[str, Study]]) -> None:
+    page.text("## Lost signals\n\nRMS error of $q$ in mm:")
+    for how, swept in lost.items():
+        for gap, study in zip(lost_ms, swept, strict=True):
+            errors = {name: 1e3 * each["position"].mean() for name, each in study.items()}
+            each = (
+                f"{name} {error:.2f}" if np.isfinite(error) else f"{name} diverges"
+                for name, error in errors.items()
+            )
+            page.show(f"{how} {gap:g} ms: {', '.join(each)}")
+    diverged = np.mean(~np.isfinite(lost["predict"][-1][LOW_PASS]["position"]))
+    page.show(f"at {lost_ms[-1]:g} ms the low pass diverges in {diverged:.2f} of the records")
+    for percent, study in singles.items():
+        each = ", ".join(f"{name} {1e3 * judged['position'].mean():.3f}" for name, judged in study.items())
+        page.show(f"single losses, {percent:g} %: {each}")

@@ -1,4 +1,4 @@
-"""Pictures of the iteration: contraction, filters' responses, stability, limit cycles."""
+"""Contraction, filters' responses, stability, limit cycles, divergence: what notebook 06 alone needs."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,11 +6,18 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.fixedpoint.axes import COLOURS, legend_above
-from experiments.fixedpoint.convergence_study import at_rest
+from experiments.fixedpoint.convergence_study import at_rest, remaining_motion
 from experiments.fixedpoint.metrics import noisy_run
 from experiments.fixedpoint.noise import Noise
-from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import INTEGRATION, LITERAL
+from experiments.fixedpoint.oscillator import load_oscillator, restoring_force
+from experiments.fixedpoint.published import (
+    INTEGRATION,
+    KALMAN,
+    LITERAL,
+    LOW_PASS,
+    WINDOW,
+    published_controllers,
+)
 from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.fixed_point_convergence import (
     LimitCycle,
@@ -18,12 +25,14 @@ from stillwork.control.fixed_point_convergence import (
     describing_function,
     iterate,
     limit_cycles,
+    random_gain,
     stable_range,
     strongest_oscillation,
 )
 from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop, linear_loop
 from stillwork.control.kinematics import KinematicDesign
-from stillwork.control.transformation import FlowTransformation, Transformation
+from stillwork.control.trajectory import asin_trajectory
+from stillwork.control.transformation import FlowTransformation, RobustTransformation, Transformation
 from stillwork.estimation.coordinate_filters import MovingWindow
 from stillwork.estimation.plant import Plant
 from workbook import figures
@@ -104,8 +113,8 @@ def paint_contraction(transformations: dict[str, Transformation], response_gain:
     return figure
 
 
-def paint_filter_responses(filters: dict[str, LinearFilter], sample_time: float):
-    """Frequency responses from the measured position to the three estimates, over the ideal derivatives."""
+def paint_filter_responses(filters: dict[str, LinearFilter], sample_time: float, continuous):
+    """Responses from the measured position to the three estimates, over the ideal derivatives; and of `continuous`, (7)."""
     figure, panels = figures.new(2, 3, height=5.2, sharex=True)
     frequency = np.geomspace(0.5, 499, 90)
     for name, device in filters.items():
@@ -116,6 +125,11 @@ def paint_filter_responses(filters: dict[str, LinearFilter], sample_time: float)
             panels[0, column].loglog(frequency, np.abs(ratio), line, color=COLOURS[name], label=name)
             angle = np.degrees(np.unwrap(np.angle(ratio)))
             panels[1, column].semilogx(frequency, angle, line, color=COLOURS[name], label=name)
+    ideal = continuous(2j * np.pi * frequency)  # the same for every derivative
+    for column in range(3):
+        style = {"color": figures.BLACK, "label": "(7), continuous"}
+        panels[0, column].loglog(frequency, np.abs(ideal), ":", **style)
+        panels[1, column].semilogx(frequency, np.degrees(np.unwrap(np.angle(ideal))), ":", **style)
     for column, title in enumerate(("estimate of q", "of q', over jω", "of q'', over (jω)²")):
         panels[0, column].set(title=title, ylim=(1e-3, 10))
         panels[1, column].set(xlabel="frequency (Hz)", ylim=(-400, 90))
@@ -234,3 +248,172 @@ def paint_limit_cycle(gain: float, window_length: int, exponent: float):
         f"cycles: {', '.join(said) or 'none'}"
     )
     return figure
+
+
+# === What the notebook judges beside its answer =====================================================================
+
+
+def appendix(
+    page,
+    *,
+    controllers: dict[str, Controller],
+    cycles: list[LimitCycle],
+    kept: dict[str, float],
+    flow: FlowTransformation,
+    robust: RobustTransformation,
+    noise_sweep_m: list[float],
+    runs: int,
+    seed: int,
+    sample_time: float,
+) -> None:
+    """What this notebook judges beside its answer.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    controllers : dict of Controller
+    cycles : list of LimitCycle
+        Of the window's loop.
+    kept : dict of float
+        What a kick leaves with (6), by filter.
+    flow, robust : Transformation
+        (6) and (8) as printed.
+    noise_sweep_m : list of float
+    runs, seed : int
+    sample_time : float
+    """
+    exact, approximate = (model.plant for model in load_oscillator().values())
+    _of_slow_parameters(page, sample_time)
+    right = replace(controllers[WINDOW], transformation=robust)
+    edges = [
+        stable_range(linear_loop(plant, right, sample_time, integration=INTEGRATION)).limits[1]
+        for plant in (exact, approximate)
+    ]
+    page.text("""## The weak edge
+
+The wrong model is not the reason: a right one makes the weak edges a third stronger, as $f'$ is 1 instead of 4/3.""")
+    page.show(f"weak edge with the window: {edges[0]:.4f}, with a right model {edges[1]:.4f}")
+    _of_cycles(page, exact, controllers[WINDOW], cycles, flow, sample_time)
+    page.text(
+        "## A property of the iteration?\n\nWith (6) in every loop, a kick of 1 mm/s leaves after seven seconds, in units of the kick:"
+    )
+    page.show(*(f"{name:22s} {f'{left:.2g}' if left > 1e-3 else 'nothing'}" for name, left in kept.items()))
+    heavier = replace(load_oscillator()["exact"], mass=load_oscillator()["approximate"].mass).plant
+    left = remaining_motion(heavier, replace(controllers[LOW_PASS], transformation=flow), 1e-3, sample_time)
+    page.show(f"low pass, the plant with the model's mass: {left:.2g}")
+    _of_noise(page, exact, controllers, flow, robust, noise_sweep_m, runs, seed, sample_time)
+
+
+def _of_slow_parameters(page, sample_time: float) -> None:
+    page.text("""## "Slow parameters", (3)
+
+The paper takes $q$ and $\\dot q$ as slow parameters of the response, because the command can jump and they cannot. Without noise, after
+2 s, with the low pass: the RMS change of the fixed point $r_*$ in a sample that $q$ and $\\dot q$ cause, that of the desired
+acceleration, and the RMS distance of the deformed acceleration from $r_*$.""")
+    ratios = []
+    for frequency in (0.1, 0.2, 0.5):
+        moved, desired, apart = fixed_point_motion(frequency, sample_time)
+        ratios.append(moved / desired)
+        page.show(
+            f"{frequency:g} Hz: by q and q' {moved:.4f} m/s² a sample, desired {desired:.4f}, distance {apart:.3f} m/s²"
+        )
+    page.check("fixedpoint.eq-3.slow", ratios[1], (min(ratios), max(ratios)))
+    page.conclude(
+        "Slow they are against the iteration, not against the desired acceleration: at 0.2 Hz they move the fixed point {ratio:.1f} times as "
+        "far in a sample as it does ({low:.1f} to {high:.1f} times from 0.5 to 0.1 Hz).",
+        "At 0.2 Hz they move the fixed point less than the desired acceleration does: {ratio:.1f} times as far in a sample ({low:.1f} to "
+        "{high:.1f} times from 0.5 to 0.1 Hz).",
+        when=ratios[1] > 1,
+        ratio=ratios[1],
+        low=min(ratios),
+        high=max(ratios),
+    )
+
+
+def fixed_point_motion(frequency_hz: float, sample_time: float) -> tuple[float, float, float]:
+    """RMS changes a sample of the fixed point by the state and by the desired acceleration, and of the distance to it, m/s^2.
+
+    The command r gives m q'' = m^ r + h^(q, q') - h(q, q'), so q'' is the desired one at r = (m q''_D + h - h^) / m^.
+    """
+    models = load_oscillator()
+    exact, approximate = (model.plant for model in models.values())
+    controller = published_controllers(approximate)[LOW_PASS]
+    trajectory = asin_trajectory(frequency_hz=frequency_hz, sample_time=sample_time)
+    run = simulate(exact, controller, trajectory, integration=INTEGRATION)
+    true, believed = (
+        np.array(
+            [restoring_force(q, v, plant.parameters) for q, v in zip(run.position, run.velocity, strict=True)]
+        )
+        for plant in (exact, approximate)
+    )
+    masses = models["exact"].mass, models["approximate"].mass
+    state, desired = (true - believed) / masses[1], run.desired * masses[0] / masses[1]
+    part = slice(round(2 / sample_time), None)
+    apart = (run.deformed - state - desired)[part]
+    return float(np.diff(state[part]).std()), float(np.diff(desired[part]).std()), float(apart.std())
+
+
+def _of_cycles(
+    page, exact: Plant, controller: Controller, cycles, flow: FlowTransformation, sample_time: float
+) -> None:
+    page.text("## The cycles, predicted and simulated")
+    for cycle in cycles:
+        kind = "stable" if cycle.stable else "unstable"
+        page.show(
+            f"predicted {kind} cycle: {cycle.frequency_hz:.2f} Hz, {cycle.iteration_error:.2f} m/s^2, velocity {cycle.velocity:.3f} m/s"
+        )
+    still, motion = at_rest(round(8 / sample_time), sample_time), asin_trajectory(sample_time=sample_time)
+    rest = simulate(exact, controller, still, start=(0.0, 1e-3), integration=INTEGRATION)
+    moving = simulate(exact, controller, motion, integration=INTEGRATION)
+    for name, run, after in (("at rest", rest, 4), ("in motion", moving, 2)):
+        tail = slice(round(after / sample_time), None)
+        seen = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], sample_time)
+        page.show(f"simulated {name}: {seen.frequency_hz:.2f} Hz, {seen.amplitude:.2f} m/s^2")
+    kicks = np.arange(0.05, 1.2, 0.05).tolist()
+    runs = (simulate(exact, controller, still, start=(0.0, kick), integration=INTEGRATION) for kick in kicks)
+    lost = [kick for kick, run in zip(kicks, runs, strict=True) if run.diverged_at is not None]
+    held = limit_cycles(linear_loop(exact, controller, sample_time), flow)[0]
+    page.show(
+        f"with the force held and the plant moved exactly: {held.frequency_hz:.2f} Hz, {held.iteration_error:.2f} m/s^2"
+    )
+    unstable = [cycle.velocity for cycle in cycles if not cycle.stable]
+    page.conclude(
+        "The unstable cycle is a poor border of divergence: its velocity is {velocity:.2f} m/s, and a kick of {kick:.2f} m/s is enough.",
+        velocity=min(unstable, default=np.nan),
+        kick=min(lost, default=np.nan),
+    )
+
+
+def _of_noise(
+    page, exact: Plant, controllers, flow, robust, noise_sweep_m, runs: int, seed: int, sample_time: float
+) -> None:
+    page.text("""## When (6) diverges with the Kalman filter
+
+The paper does not say which transformation goes with the Kalman filter. The linear loop with (6) is stable. But noise moves this
+filter's acceleration by far more than $w = 3\\,\\mathrm{m/s^2}$, and the sigmoid's mean slope falls below the weak edge. The vertical
+lines mark the standard deviation of response minus desired in the stable loop with (8), at the paper's two noises.""")
+    kalman = replace(controllers[KALMAN], transformation=flow)
+    weakest = -stable_range(linear_loop(exact, kalman, sample_time, integration=INTEGRATION)).limits[1]
+    deviations = np.geomspace(0.5, 1000, 60)
+    remaining = np.array([-flow.local_gain * random_gain(d / flow.width) for d in deviations])
+    marks = {
+        f"noise {1e3 * s:g} mm": response_noise(exact, controllers[KALMAN], s, seed, sample_time)
+        for s in (1e-5, 1e-4)
+    }
+    page.save("noise-gain", paint_noise_gain(deviations, remaining, weakest, marks))
+    trajectory = asin_trajectory(sample_time=sample_time)
+    with_eight = simulate(
+        exact, replace(controllers[WINDOW], transformation=robust), trajectory, integration=INTEGRATION
+    )
+    if with_eight.diverged_at is not None:
+        page.show(
+            f"window with (8), no noise: diverged at {with_eight.diverged_at:.2f} s, {with_eight.cause}"
+        )
+    fractions = [
+        divergence_by_noise(exact, loop, noise_sweep_m, runs, seed, sample_time)
+        for loop in (kalman, controllers[KALMAN])
+    ]
+    for deviation, six, eight in zip(noise_sweep_m, *fractions, strict=True):
+        page.show(
+            f"noise {deviation:.0e} m: Kalman loop diverges in {six:.0%} of the runs with (6), {eight:.0%} with (8)"
+        )

@@ -426,27 +426,32 @@ AGAINST = (
 )
 
 
+LEVELS = (1.0, 1.1, 1.5, 2.0, 4.0, 8.0, 100.0)  # of the map's colours
+
+
 def paint_map(names: list[str], errors: np.ndarray):
-    """Error over that of the best in its row, one panel an excitation; a dot where it is equal to the best."""
-    # two by two: with four panels side by side the methods' names would cover each other
-    figure, grid = figures.new(2, 2, height=0.5 * len(names) + 3.2, sharex=True, sharey=True)
-    behind, equal = np.log2(over_best(errors)), equal_to_best(errors)
+    """Largest error over that of the best, of the excitations, a row a setting; framed: the smallest of a row."""
+    from matplotlib.colors import BoundaryNorm
+
+    figure, axes = figures.new(height=0.33 * len(names) + 2.4)
+    largest = over_best(errors).max(axis=1)
     columns, rows = np.arange(len(METHODS)), np.arange(len(names))
-    for number, (axes, title) in enumerate(zip(grid.flat, EXCITATIONS, strict=True)):
-        shades = {"cmap": "Reds", "vmin": 0, "vmax": 5, "shading": "nearest"}
-        mesh = axes.pcolormesh(columns, rows, behind[:, number], **shades)
-        dots = np.nonzero(equal[:, number])[::-1]
-        label = f"within {100 * (MARGIN - 1):.0f} % of the best (whole 95 % interval)"
-        axes.plot(*dots, "o", markersize=4, color=figures.BLACK, label=label)
-        axes.set_title(title)
-        axes.set_xticks(columns, METHODS.values(), rotation=90)
-    grid[0, 0].set_yticks(rows, names)
-    grid[0, 0].set_ylim(len(names) - 0.5, -0.5)
+    norm = BoundaryNorm(LEVELS, 256)
+    axes.pcolormesh(columns, rows, largest, cmap="Reds", norm=norm, shading="nearest", alpha=0.75)
+    for row, column in np.ndindex(*largest.shape):
+        value = largest[row, column]
+        word = f"{value:.2f}" if value < 1.995 else f"{value:.1f}" if value < 9.95 else f"{value:.0f}"
+        ink = "white" if value >= LEVELS[-2] else "black"
+        axes.text(column, row, word, ha="center", va="center", fontsize=6.5, color=ink)
+    best = largest.argmin(axis=1)
+    axes.plot(best, rows, "s", ms=18, mfc="none", mec=figures.BLUE, mew=1.5, label="smallest of the row")
+    axes.set_xticks(columns, METHODS.values(), rotation=90)
+    axes.set_yticks(rows, names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.grid(visible=False)
     # Beside few rows there is no height for the whole label.
-    figures.label(grid, y="what is wrong (noise: input, output)" if len(names) > 8 else "what is wrong")
-    figures.legend_below(grid[0, 0], 1)
-    bar = figure.colorbar(mesh, ax=grid, label="error over that of the best", extend="max", ticks=range(6))
-    bar.ax.set_yticklabels(["1", "2", "4", "8", "16", "32"])
+    axes.set_ylabel("what is wrong (noise: input, output)" if len(names) > 8 else "what is wrong")
+    axes.set_title("error over that of the best, worst of four excitations")
     return figure
 
 
@@ -478,30 +483,27 @@ def paint_turning(noises, errors: np.ndarray):
 
 
 def paint_ratios(names: list[str], errors: np.ndarray):
-    """Error over that of least squares, geometric mean over runs with its 95 % interval, one panel an excitation."""
-    figure, grid = figures.new(2, 2, height=8.4, sharey=True, sharex=True)
-    logs, order = np.log(errors), list(METHODS)
-    ratios = logs - logs[..., order.index("least"), None]
-    for number, (axes, title) in enumerate(zip(grid.flat, EXCITATIONS, strict=True)):
-        for place, (method, colour) in enumerate(AGAINST):
-            rows = np.arange(len(names)) + 0.2 * (place - 1.5)
-            style = {"markersize": 3, "color": colour, "label": METHODS[method]}
-            _paint_geometric_means(axes, ratios[:, number, :, order.index(method)], rows, **style)
-        axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1, label="least squares")
-        axes.set(xscale="log", title=title)
-        axes.set_xticks([1 / 16, 1 / 4, 1, 4, 16, 64], ["1/16", "1/4", "1", "4", "16", "64"])
-        axes.minorticks_off()
-    grid[0, 0].set_yticks(np.arange(len(names)), names)
-    grid[0, 0].set_ylim(len(names) - 0.5, -0.5)
-    figures.label(grid, "error over that of least squares", "what is wrong (noise: input, output)")
-    figures.legend_below(grid[0, 0], len(AGAINST) + 1)
+    """Error over that of least squares, geometric mean over runs: the range over the excitations, a dot each."""
+    figure, axes = figures.new(height=0.42 * len(names) + 1.4)
+    logs, order = np.log(errors).mean(axis=2), list(METHODS)
+    ratios = np.exp(logs - logs[..., order.index("least"), None])
+    axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1, label="least squares")
+    for place, (method, colour) in enumerate(AGAINST):
+        rows = np.arange(len(names)) + 0.2 * (place - 1.5)
+        each = ratios[..., order.index(method)]
+        axes.hlines(rows, each.min(axis=1), each.max(axis=1), color=colour, lw=1, label=f"_{METHODS[method]}")
+        for number, excitation in enumerate(EXCITATIONS):
+            label = METHODS[method] if number == 0 else f"_{METHODS[method]}, {excitation}"
+            axes.plot(each[:, number], rows, "o", ms=3, color=colour, label=label)
+    axes.set(
+        xscale="log", xlabel="error over that of least squares", ylabel="what is wrong (noise: input, output)"
+    )
+    axes.set_xticks([1 / 16, 1 / 4, 1, 4, 16, 64], ["1/16", "1/4", "1", "4", "16", "64"])
+    axes.minorticks_off()
+    axes.set_yticks(np.arange(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    figures.legend_below(axes, 3)
     return figure
-
-
-def _paint_geometric_means(axes, logs: np.ndarray, rows: np.ndarray, **style):
-    """Of the runs in every row of `logs`, with their 95 % intervals."""
-    mean, ends = np.exp(logs.mean(axis=1)), np.exp([mean_interval(each) for each in logs]).T
-    axes.errorbar(mean, rows, xerr=np.abs(ends - mean), fmt="o", **style)
 
 
 def explore_comparison(input_noise: float, output_noise: float, gain: float, delay: float, taps: int):
@@ -541,3 +543,115 @@ def _comparison_figure():
     axes.invert_yaxis()
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="excitation")
     return figure, axes, bars
+
+
+# === What the notebook judges beside its answer =====================================================================
+
+
+def appendix(
+    page, *, found: dict[str, np.ndarray], said: dict, sweep: np.ndarray, structured: np.ndarray
+) -> None:
+    """What this notebook judges beside its answer.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    found : dict
+        Of `compare`, of all `SETTINGS`.
+    said : dict
+        Of `statements`.
+    sweep, structured : ndarray
+        Errors over the output noise, and of all `STRUCTURED`.
+    """
+    errors, methods = found["errors"], list(METHODS)
+    page.text(OTHER_METHODS)
+    _of_criterion(page, found, said)
+    page.text("""## The map
+
+How often a method is proved equal to the best of its cell, and its largest error over the best.""")
+    behind, equal = over_best(errors), equal_to_best(errors)
+    for number, name in enumerate(METHODS.values()):
+        share, most = equal[..., number].mean(), behind[..., number].max()
+        page.show(
+            f"{name:28s} equal to the best in {share:4.0%} of the cells, at most {most:.2g} times its error"
+        )
+    answered = ("equal-min-max", "worse-min-max", "hinfinity", "errors-in-variables", "largest-min-max")
+    for entry, value in said.items():
+        if "criterion" not in entry and entry.rpartition(".")[2] not in answered:
+            page.check(entry, *(value if isinstance(value, tuple) else (value,)))
+    entry = "worstcase.comparison.evidence-at-the-end"
+    page.check(entry, turning_points(sweep)[entry])
+    page.text("Over least squares, a dot an excitation. Left of the dashed line is better.")
+    page.save("ratios", paint_ratios(list(SETTINGS), errors))
+    apart = np.log(errors[..., methods.index("approximate")] / errors[..., methods.index("min_max")]).mean(
+        axis=-1
+    )
+    most = float(np.abs(np.expm1(apart)).max())
+    page.check("worstcase.comparison.approximate", most)
+    page.conclude("The approximate update (20) errs as the exact one does, to {most:.1%}.", most=most)
+    _of_structure(page, structured)
+    _of_recommendation(page, errors, structured)
+
+
+def _of_criterion(page, found: dict[str, np.ndarray], said: dict) -> None:
+    page.text("""## In its own criterion
+
+No estimate has a smaller worst case $\\|A_wx-b_w\\|+\\eta\\|x\\|$: "less conservative" holds by definition.""")
+    methods, names = list(METHODS), list(SETTINGS)
+    worst = found["worst"] / found["worst"][..., methods.index("min_max"), None] - 1
+    given_away = np.median(worst[..., methods.index("least")], axis=-1)
+    for entry in ("criterion", "criterion-least-squares"):
+        page.check(f"worstcase.comparison.{entry}", said[f"worstcase.comparison.{entry}"])
+    row, column = np.unravel_index(given_away.argmax(), given_away.shape)
+    page.conclude(
+        "Least squares costs {low:.1%} to {high:.0%} of the worst case (medians of the cells), most with {row}, {column}.",
+        low=given_away.min(),
+        high=given_away.max(),
+        row=names[row],
+        column=EXCITATIONS[column],
+    )
+
+
+def _of_structure(page, structured: np.ndarray) -> None:
+    page.text("""## Where something else decides
+
+Four more rows: a twentieth of the outputs with a hundred times the noise; two inputs that differ by a hundredth; a free decay with
+its own past as regressors (no excitation: its four cells are four draws); and a second sensor of the input, whose rows are the
+instruments. Below the picture the errors, the largest of the excitations.""")
+    page.save("structured", paint_map(list(STRUCTURED), structured))
+    sizes = np.exp(np.log(structured).mean(axis=2)).max(axis=1)
+    for name, row in zip(STRUCTURED, sizes, strict=True):
+        each = (f"{method} {size:.2g}" for method, size in zip(METHODS.values(), row, strict=True))
+        page.show(f"{name}: " + ", ".join(each))
+    for entry, value in structured_ratios(structured).items():
+        page.check(entry, value)
+
+
+def _of_recommendation(page, errors: np.ndarray, structured: np.ndarray) -> None:
+    page.text("""## The table
+
+For every row the method with the smallest error over the best at its worst excitation, found by every second run and judged by
+the others.""")
+    everything, names, methods = np.concatenate([errors, structured]), [*SETTINGS, *STRUCTURED], list(METHODS)
+    choice, proof = recommend(everything[:, :, ::2]), over_best(everything[:, :, 1::2])
+    judged = proof[np.arange(len(choice)), :, choice].max(axis=1)
+    for name, method, ratio, own in zip(
+        names, choice, judged, proof[..., methods.index("min_max")], strict=True
+    ):
+        best = METHODS[methods[method]]
+        page.show(f"{name:22s} {best:28s} at most {ratio:.2f} of the best; min-max {own.max():.2f}")
+    page.check("worstcase.comparison.recommended", judged.max())
+
+
+OTHER_METHODS = r"""## The other methods
+
+- ridge without such numbers: $c$ has the largest evidence (MacKay, 1992) or the smallest generalised cross-validation (Golub, Heath
+  and Wahba, 1979), which counts the memory $m$ or all samples as its rows;
+- Huber's estimate;
+- total least squares with both noises scaled to one size, $\min_x\|A_wx-b_w\|^2/(q\|x\|^2+r)$;
+- instrumental variables, with $2n$ older samples of the measured input;
+- the a-posteriori $H_\infty$ filter of the constant $x$ (Hassibi, Sayed and Kailath, 1999), 10 % above the smallest $\gamma$ for which
+  $P_t^{-1}-\gamma^{-2}I$ stays positive, with the information
+
+$$P_{t+1}^{-1}=\lambda\,(P_t^{-1}-\gamma^{-2}I)+\frac{m}{q+r}\,a_{t+1}a_{t+1}^T,\qquad P_0=I/n.$$
+"""

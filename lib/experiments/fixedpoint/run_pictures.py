@@ -64,21 +64,23 @@ def hardest_turn(nominal: Trajectory) -> float:
 
 
 def paint_phase(runs: dict[str, ControlledRun]):
-    """Phase trajectories over the last five seconds, whole and where the coordinate is largest."""
-    figure, (whole, corner) = figures.new(1, 2, height=3.6)
+    """Phase trajectories, a column a filter: over the last five seconds, and where the coordinate is largest."""
+    figure, panels = figures.new(2, len(runs), height=5.2, sharey="row", sharex="row")
     nominal = next(iter(runs.values())).trajectory
     first = max(0, len(nominal.position) - round(5.0 / nominal.sample_time))
     step = max(1, round(0.005 / nominal.sample_time))  # five points a cycle of 40 Hz
-    near = np.flatnonzero(nominal.position[first:] > 0.93 * nominal.position.max())[::3] + first
-    shown = ((whole, slice(first, None, step), "the last 5 s"), (corner, near, "at a corner"))
-    for axes, part, title in shown:
-        axes.plot(nominal.position[part], nominal.velocity[part], **NOMINAL)
-        for label, run in runs.items():
-            width, line = LINES[label]
-            style = {"color": COLOURS[label], "label": label, "linewidth": 0.8 * width}
-            axes.plot(run.position[part], run.velocity[part], line, **style)
-        axes.set(xlabel="q (m)", ylabel="q' (m/s)", title=title)
-    legend_above(whole)
+    near = np.flatnonzero(nominal.position[first:] > 0.97 * nominal.position.max())[::3] + first
+    for row, part in zip(panels, (slice(first, None, step), near), strict=True):
+        for axes, (label, run) in zip(row, runs.items(), strict=True):
+            axes.plot(nominal.position[part], nominal.velocity[part], **NOMINAL)
+            style = {"color": COLOURS[label], "label": label, "linewidth": 1.0}
+            axes.plot(run.position[part], run.velocity[part], **style)
+            axes.set_xlabel("q (m)")
+    for axes, label in zip(panels[0], runs, strict=True):
+        axes.set_title(label)
+    panels[0, 0].set_ylabel("q' (m/s), the last 5 s")
+    panels[1, 0].set_ylabel("q' (m/s), at a corner")
+    figure.legend(handles=panels[0, 0].lines[:1], loc="outside upper center")
     return figure
 
 
