@@ -679,3 +679,75 @@ def update_statements(small: Study, large: Study) -> dict[str, float | tuple[flo
         "single-iteration-largest": (np.median(largest), (largest.min(), largest.max())),
     }
     return {f"worstcase.updates.{name}": value for name, value in found.items()}
+
+
+# === What the notebook judges beside its answer =====================================================================
+
+
+def appendix(
+    page,
+    *,
+    row_error: float,
+    forgetting: float,
+    seed: int,
+    studies: dict[float, Study],
+    sizes: list[int],
+    slope_sizes: list[int],
+    times: dict[str, np.ndarray],
+) -> None:
+    """What this notebook judges beside its answer.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    row_error, forgetting : float
+    seed : int
+    studies : dict of Study
+        Of `recursion_trial`, by the bound.
+    sizes, slope_sizes : list of int
+        Numbers of unknowns of the picture and of the slopes of the counts.
+    times : dict of ndarray
+        Of `times_by_name`.
+    """
+    page.text(r"""## The bound under forgetting
+
+If each row is off by at most $\varepsilon$, the weighted perturbation stays below
+$\varepsilon\,(\sum_j \lambda^{t-j})^{1/2} \le \varepsilon/\sqrt{1-\lambda}$ (section 5). Rows that are all off in one direction attain
+it.""")
+    weighting = run_study(
+        weighting_trial, 500, seed, row_error=row_error, forgetting=forgetting, samples=60, progress=False
+    )
+    page.check("worstcase.updates.weighted-bound", np.mean(weighting["over_sum"] <= 1 + 1e-12))
+    page.check("worstcase.updates.weighted-limit", np.mean(weighting["over_limit"] <= 1))
+    page.show(
+        f"norm over the bound: from {weighting['over_sum'].min():.2f} to {weighting['over_sum'].max():.2f}"
+    )
+    page.text("## One step of (20), then two and three\n\nMedian errors of the penalty and of the estimate:")
+    for bound, study in studies.items():
+        alphas = " ".join(f"{np.nanmedian(study[f'alpha_{k}']):.1e}" for k in (1, 2, 3))
+        estimates = " ".join(f"{np.median(study[f'approximate_{k}'][:, 10:]):.1e}" for k in (1, 2, 3))
+        zero = np.isnan(study["alpha"][:, 5:]).mean()
+        page.show(f"η = {bound:g}: α {alphas}, estimate {estimates}; zero at {zero:.3f} of the instants")
+    page.text("""## The fast algorithm, and what $O(n^2)$ means
+
+A rank-one update of the eigenvectors of $R$ makes the *exact* root as cheap as one step of (20). The eigenvalues cost $O(n^2)$. The
+eigenvectors need a product of two $n\\times n$ matrices, $n^3$ multiplications. The paper's $O(n^2)$ rests on a cited fast multipole
+method, which we neither run nor judge: we count the form with the product (`cost-fast`), and tests count it in the running code.""")
+    page.save("multiplications", paint_counts(sizes, evaluations=2.0))
+    for entry, update in (
+        ("cost-as-it-stands", "approximate"),
+        ("cost-rls", "least squares"),
+        ("cost-fast", "fast"),
+    ):
+        page.check(
+            f"worstcase.updates.{entry}",
+            slope(slope_sizes, [multiplications(update, n, 1.0) for n in slope_sizes]),
+        )
+    page.text("Measured:")
+    page.check("worstcase.updates.time-fast", slope(times["unknowns"][3:], times["fast"][3:]))
+    page.check("worstcase.updates.time-crossing", times["unknowns"][times["fast"] < times["exact"]].min())
+    for name in ("RLS", "approximate 1", "exact", "fast", "SOCP"):
+        over, steep = times[name] / times["RLS"], slope(times["unknowns"][3:], times[name][3:])
+        page.show(
+            f"{name:14s} slope from n = 50 on {steep:.2f}, over RLS: {over[0]:.3g} at n = 5, {over[-1]:.3g} at n = 200"
+        )
