@@ -8,7 +8,8 @@ from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
 from stillwork.estimation.recursive import track
 from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
 from workbook import figures
-from workbook.studies import Study, fraction, mean_interval, run_study, spread_interval
+from workbook.conclusions import sense
+from workbook.studies import Study, fraction, mean_interval, proportion_interval, run_study, spread_interval
 
 
 def tracking_record(
@@ -374,3 +375,114 @@ def weighting(
     """`weighting_statements` for parameters of another size, over those of Fig. 2, and another forgetting."""
     truth = tuple(weighting_size * each for each in FIG_2_PARAMETERS)
     return weighting_statements(truth, 375, TRIALS, seed, weighting_forgetting, 0.25, fig_2_noise)
+
+
+# === What the notebook judges beside its answer =====================================================================
+
+
+def appendix(
+    page,
+    *,
+    studies: dict[float, Study],
+    repeated: dict[str, dict[str, np.ndarray]],
+    truth: tuple[float, ...],
+    samples: int,
+    trials: int,
+    seed: int,
+    settings: dict[str, float],
+) -> None:
+    """What this notebook judges beside its answer.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    studies : dict of Study
+        The trials of Fig. 2, by bound: the printed one, then that of epsilon.
+    repeated : dict
+        Of `repeated_draws`, by the ledger's names of these two.
+    truth : tuple of float
+    samples, trials, seed : int
+    settings : dict
+        Of `tracking_trial`.
+    """
+    forgetting, row_error = settings["forgetting"], settings["row_error"]
+    (printed_bound, printed), (derived_bound, derived) = studies.items()
+    page.text("## Two bounds")
+    page.show(
+        f"bound from epsilon and lambda: {derived_bound:.3f}; from epsilon = 0.30: {exponential_bound(0.30, forgetting):.3f}; "
+        f"the printed one from lambda = {1 - (row_error / printed_bound) ** 2:.4f}"
+    )
+    page.check("worstcase.tracking.norm-weighted", printed["weighted_norm"].max())
+    late = settled_from(forgetting)
+    for study, bound, name in (
+        (printed, printed_bound, "fig-2"),
+        (derived, derived_bound, "fig-2-consistent"),
+    ):
+        means = {m: study[m].mean(0)[late:] for m in ("min_max", "rls", "ridge")}
+        page.check(f"worstcase.tracking.{name}", np.mean(means["min_max"] < means["rls"]))
+        each = ", ".join(f"{m.replace('_', '-')} {values.mean():.4f}" for m, values in means.items())
+        page.show(
+            f"η = {bound:.4g}: {each} (mean error norms); zero estimate at {study['vanished'].mean():.3f} of the time"
+        )
+    _of_draws(page, repeated, list(studies), trials)
+    _of_kinds(page, studies, truth, samples, trials, seed, settings)
+
+
+def _of_draws(page, repeated: dict, bounds: list[float], trials: int) -> None:
+    page.text("""## The draw repeated
+
+How often does one curve lie below the other at every instant, in the mean and in the median, which depends less on the draw?""")
+    for (name, found), bound in zip(repeated.items(), bounds, strict=True):
+        always = found["below"].all(axis=1)
+        share = always.mean(), proportion_interval(always.sum(), len(always))
+        page.check(f"worstcase.tracking.{name}-repeated", *share)
+        page.check(f"worstcase.tracking.{name}-median", found["median"].mean())
+        page.conclude(
+            "With a bound of {bound:.4g} the mean of {trials} trials lies below that of RLS at every instant in {always:.0%} of the "
+            "draws, at {instants:.0%} of the instants in the median draw.",
+            bound=bound,
+            trials=trials,
+            always=always.mean(),
+            instants=np.median(found["below"].mean(axis=1)),
+        )
+
+
+def _of_kinds(page, studies, truth, samples: int, trials: int, seed: int, settings: dict[str, float]) -> None:
+    page.text("""## Other bounds, a jump, a drift
+
+The jump changes the sign of all parameters in the middle. The drift rotates the vector of the first two by one revolution. Errors are
+rms after three memory lengths, over those of RLS in the same trial.""")
+    forgetting, still = settings["forgetting"], path("constant", truth, samples)
+    printed_bound, derived_bound = studies
+    how = {"progress": False, **settings}
+    found = {f"η = {bound:.4g}": gains(study, forgetting) for bound, study in studies.items()}
+    moving = {
+        f"{kind}, η = {printed_bound:g}": run_study(
+            tracking_trial, trials, seed, truth=path(kind, truth, samples), bound=printed_bound, **how
+        )
+        for kind in ("jump", "drift")
+    }
+    others = {
+        f"η = {b:g}": run_study(tracking_trial, trials, seed, truth=still, bound=b, **how)
+        for b in (0.25, 0.5, 2.0)
+    }
+    page.save("fig-3-in-kind", paint_fig_2(moving))
+    page.save("fig-4-over-time", paint_fig_2(others))
+    found |= {name: gains(study, forgetting) for name, study in (others | moving).items()}
+    large = run_study(tracking_trial, trials, seed, truth=20 * still, bound=derived_bound, **how)
+    found["20 times x"] = gains(large, forgetting)
+    page.check("worstcase.tracking.fig-3-4", found[f"jump, η = {printed_bound:g}"]["min_max"][0])
+    for name, row in found.items():
+        mean, (low, high) = row["min_max"]
+        page.show(f"{name:21s} min-max over RLS {mean:.2f} ({low:.2f} .. {high:.2f})")
+    page.save("fig-4-in-kind", paint_gains(found))
+    own, (low, high) = found["20 times x"]["min_max"]
+    page.conclude(
+        "With parameters twenty times as large min-max is {sense} RLS, {own:.2f} times its error ({low:.2f} to {high:.2f}); ridge "
+        "with one fixed penalty has {ridge:.1f} times.",
+        sense=sense((low, high)),
+        own=own,
+        low=low,
+        high=high,
+        ridge=found["20 times x"]["ridge"][0],
+    )
