@@ -183,7 +183,7 @@ STYLES = {
     "RLS": (figures.BLACK, "-"),
     "total least squares": (figures.RED, ":"),
     "min-max, typical bound": (figures.BLUE, "-"),
-    "min-max, chosen bound": (figures.SKY, "--"),
+    "min-max, chosen bound": (figures.RED, "--"),
     "min-max, guaranteed bound": (figures.PURPLE, "-."),
 }
 USELESS = 1.5  # a residual beyond which a model is not drawn
@@ -211,22 +211,23 @@ def paint_pair(pair: Pair, spectra: Spectra):
 
 def paint_models(pair: Pair, fitted: Fitted):
     """Impulse responses, and predictions of the output on the first 80 samples of the part that is judged."""
-    figure, (left, right) = figures.new(1, 2, height=3.4)
+    figure, (left, right) = figures.new(2, 1, height=5.2)
     taps = len(next(iter(fitted.estimates.values())))
     lags = np.arange(taps) / pair.sample_rate * 1e3
     start = parts(len(pair.output))[2].start
     regressors = fir_regressors(pair.input, taps)
     stretch = slice(start, min(start + 80, len(pair.output)))
     times = np.arange(stretch.start, stretch.stop) / pair.sample_rate
-    right.plot(times, pair.output[stretch], color=figures.GREY, lw=2.5, label="measured")
-    useful = {name: one for name, one in fitted.estimates.items() if fitted.held_out[name] < USELESS}
-    for name, estimate in useful.items():
+    right.plot(times, pair.output[stretch], color=figures.GREY, lw=3.5, alpha=0.4, label="measured")
+    apart = []  # what the panels cannot show
+    for name, estimate in fitted.estimates.items():
+        if fitted.held_out[name] >= USELESS or not estimate.any():
+            apart.append(f"{name}: " + ("too far off to draw" if estimate.any() else "zero"))
+            continue
         colour, line = STYLES[name]
         left.plot(lags, estimate, line, color=colour, lw=1.1, label=name)
-        predicted = estimate @ regressors[:, stretch]
-        right.plot(times, predicted, line, color=colour, lw=1.0, label=f"_{name}")
-    for name in (name for name in fitted.estimates if name not in useful):
-        left.plot([], [], color=STYLES[name][0], ls=STYLES[name][1], label=f"{name}: too far off to draw")
+        right.plot(times, estimate @ regressors[:, stretch], line, color=colour, lw=1.2, label=f"_{name}")
+    left.text(0.02, 0.02, "\n".join(apart), transform=left.transAxes, va="bottom", fontsize=7)
     left.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})", title="models")
     right.set(xlabel="time (s)", ylabel=f"output ({_nice(pair.units[1])})")
     right.set(title="prediction on the last quarter")

@@ -89,23 +89,31 @@ def paint_windows(
     lengths: list[float], found: dict[str, list[np.ndarray]], label: str = "training window (samples)"
 ):
     """Out-of-sample residual against the length of the training window, or what `label` says; bars are quartiles."""
-    figure, axes = figures.new(height=3.6)
-    above = []
+    figure, axes = figures.new(height=3.8)
+    above, places = [], np.arange(len(lengths))
     for number, (name, colour, style) in enumerate(METHODS):
         low, middle, high = np.transpose([np.quantile(values, (0.25, 0.5, 0.75)) for values in found[name]])
-        if middle.min() > 1.6:
+        if middle.min() > 1.6:  # drawn by words alone
             above.append(f"{name}: above the frame, {middle.min():.2g} to {middle.max():.2g}")
-            name += " (above the frame)"
-        elif middle.max() > 1.6:
+            continue
+        if np.all(low == 1) and np.all(high == 1):
+            above.append(f"{name}: 1 everywhere, as predicting zero")
+            continue
+        if middle.max() > 1.6:
             name += " (leaves the frame)"
-        places = np.array(lengths) * 1.03 ** (number - 2)  # side by side
-        look = {"yerr": [middle - low, high - middle], "fmt": style, "markersize": 4, "color": colour}
-        axes.errorbar(places, middle, label=name, capsize=2, **look)
+        beside = places + 0.12 * (number - 2)
+        look = {
+            "yerr": [middle - low, high - middle],
+            "fmt": style[0],
+            "ms": 4,
+            "color": colour,
+            "elinewidth": 1,
+        }
+        axes.errorbar(beside, middle, label=name, **look)
     axes.axhline(1, color=figures.GREY, linewidth=0.8, label="predicting zero")
-    axes.set(xscale="log", xlabel=label, ylabel="rms residual / rms output")
-    axes.set(ylim=(0.4, 1.6))
+    axes.set(xlabel=label, ylabel="rms residual / rms output", ylim=(0.4, 1.6))
+    axes.set_xticks(places, [f"{length:g}" for length in lengths])
     if above:
         axes.text(0.01, 0.97, "\n".join(above), transform=axes.transAxes, va="top", fontsize=8)
-    drawn = [pair for pair in zip(*axes.get_legend_handles_labels(), strict=True) if "(above" not in pair[1]]
-    axes.legend(*zip(*drawn, strict=True), ncols=2, loc="upper right")
+    axes.legend(ncols=2, loc="upper right")
     return figure
