@@ -120,7 +120,8 @@ RELATIVE := import glob, os; \
 	folders = open(file, encoding="utf-8").read().splitlines(); \
 	print(*(os.path.relpath(each, os.path.dirname(file)) for each in folders), sep=chr(10), file=open(file, "w"))
 
-# The last line marks the environment as whole: one that was interrupted is made anew.
+# The last but two marks the environment as whole: one that was interrupted is made anew. What is compiled then is kept in
+# build/kernels; whatever is missing there is compiled when it is called.
 .venv/complete: environment.txt
 	@$(call path,$(PYTHON)) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || \
 		{ echo "$(PYTHON) is not a Python 3.11, 3.12, 3.13 or 3.14; name one: make PYTHON=/path/to/python3.12"; exit 1; }
@@ -130,3 +131,5 @@ RELATIVE := import glob, os; \
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@$(call path,$(PYTHON)) -c '$(RELATIVE)'
 	@touch .venv/complete
+	@echo "Compiling the estimators and filters (half a minute to one, once)"
+	@.venv/bin/python -m stillwork compile
