@@ -491,8 +491,8 @@ def by_machine(found: dict, law: str, other: str, case: str | None = None) -> li
 
 
 def range_of(ratios: list[float]) -> str:
-    """``0.5 to 0.8`` times."""
-    return f"{min(ratios):.2f} to {max(ratios):.2f} times"
+    """``0.5 to 0.8``."""
+    return f"{min(ratios):.2f} to {max(ratios):.2f}"
 
 
 # === Pictures ======================================================================================================
@@ -520,11 +520,11 @@ def paint_ratios(found: dict[str, dict[str, np.ndarray]]):
                         xycoords=("axes fraction", "data"),
                         **style,
                     )
-        axes.set(title=machine, xscale="log", xlim=(0.2, 9), ylim=(len(CASES) - 0.5, -0.5))
+        axes.set(title=machine, xscale="log", xlim=(0.2, 30), ylim=(len(CASES) - 0.5, -0.5))
         axes.set_xticks([0.25, 0.5, 1, 2, 4], ["1/4", "1/2", "1", "2", "4"])
         axes.minorticks_off()
         axes.set_yticks(range(len(CASES)), CASES)
-    figures.label(panels, "error of q over computed torque's")
+    panels[1].set_xlabel("error of q over computed torque's")
     handles, labels = panels[0].get_legend_handles_labels()
     shown = [k for k, label in enumerate(labels) if "interval" not in label]
     figure.legend(

@@ -231,14 +231,15 @@ def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], l
         style = {"ms": 9, "color": figures.BLUE, "mfc": face, "label": f"the statement holds {word}"}
         axes.plot(at[1], at[0], "o", **style)
     some = np.nonzero((grid > 0) & (grid < 1))
-    axes.plot(some[1], some[0], "o", ms=9, color=figures.BLUE, mfc=figures.SKY, label="in some (share)")
+    if len(some[0]):
+        axes.plot(some[1], some[0], "o", ms=9, color=figures.BLUE, mfc=figures.SKY, label="in some (share)")
     for row, column in zip(*some, strict=True):
         axes.annotate(
             f"{grid[row, column]:.2g}", (column, row), (7, -3), textcoords="offset points", fontsize=7
         )
-    axes.axvline(
-        columns.index(chosen), color=figures.GREY, lw=14, alpha=0.25, zorder=0, label="the other notebooks'"
-    )
+    place = columns.index(chosen)
+    shade = {"color": figures.GREY, "alpha": 0.25, "lw": 0, "zorder": 0}
+    axes.axvspan(place - 0.25, place + 0.25, label="the setting of the other notebooks", **shade)
     axes.set_yticks(rows, list(fractions))
     axes.set_xticks(places, columns, fontsize=8)
     axes.set(xlim=(-0.6, len(columns) - 0.4), xlabel=label)
