@@ -89,8 +89,9 @@ def _own_pages() -> dict[str, dict]:
 def site_files() -> dict[str, bytes]:
     """The site's files by path, with the explorers' states that are kept."""
     claims, wanted = judged_ledger(notes=True), tasks()
-    pages = [read_page(task, claims) for task in wanted]
     states, modules = kept_states(wanted), reference.read_modules()
+    starts = {name: base64.b64decode(kept.get("start", "")) for name, kept in states.items()}
+    pages = [read_page(task, claims, starts.get(task.notebook.name, b"")) for task in wanted]
     guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
     topics = [_topic(name, paper, claims, pages) for name, paper in papers().items()]
     own = _own_pages()

@@ -26,6 +26,7 @@ PRINTED = tuple(map(repr, HERE))
 # Small pictures are for lists of figures: a gallery of them in full size would weigh twenty megabytes.
 SMALL = 480  # pixels: two for each of a column's
 PICTURE = re.compile(r"!\[([\w.-]+)\]\(\1\.png\)\n?")
+AT_START = "explorer at its start"  # how an explorer is printed where no widgets run
 FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
 HEADING = re.compile(r'<h([1-6])\b[^>]*?\bid="([^"]*)"[^>]*>(.*?)</h\1>', re.DOTALL)
 ANCHOR = re.compile(r'<a class="anchor-link".*?</a>', re.DOTALL)
@@ -179,7 +180,7 @@ class NotebookPage:
         return next(iter([*named, *reversed(before)]), None)
 
 
-def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
+def read_page(task: Task, claims: list[Claim], start: bytes = b"") -> NotebookPage:
     """The page of a notebook: its last build where that is fresh, else what is committed.
 
     Parameters
@@ -188,6 +189,8 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
         The notebook at its published settings.
     claims : list of Claim
         The whole ledger.
+    start : bytes
+        Picture (PNG) of its explorer at the start, which a committed notebook does not hold.
     """
     notebook = task.notebook
     fresh = not task.reasons()
@@ -196,7 +199,7 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
         raw = with_outputs(raw, task.outputs())
     folder = paths.root() / "figures" / notebook.name
     mine = [claim for claim in claims if claim.notebook == notebook.name]
-    cells = _cells(notebook.name, raw, folder, mine)
+    cells = _cells(notebook.name, raw, folder, mine, start)
     comments = notebook_source.comments(notebook)
     record = folder / "provenance.json"
     return NotebookPage(
@@ -224,7 +227,7 @@ def with_outputs(cells: list[dict], gave: dict[str, list[dict]]) -> list[dict]:
     ]
 
 
-def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> list[PageCell]:
+def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim], start: bytes) -> list[PageCell]:
     pictures = sorted(file.stem for file in folder.glob("[!.]*.png"))
     by_id = {claim.entry.id: claim for claim in claims}
     drawn: set[str] = set()
@@ -245,6 +248,8 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
             table = source.strip() == "page.claims"
             for output in cell.get("outputs", []):
                 text, png = _shown(output)
+                if AT_START in text:
+                    png = png or start
                 data = output.get("data", {})
                 if APPENDIX in data:
                     apart = _appendix(name, anchor, "".join(data[APPENDIX]), folder)

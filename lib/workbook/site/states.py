@@ -18,6 +18,7 @@ from workbook.figures import house_style
 from workbook.notebooks import read_notebook
 from workbook.progress import Progress
 from workbook.publish import digest, replace_file
+from workbook.redraw import Redraw
 from workbook.site.explorers import Explorer, read_explorer, statements
 from workbook.site.shapes import panels
 from workbook.site.stops import Ladder, distance, ladder, shares
@@ -180,7 +181,7 @@ def packed(value: dict) -> str:
 
 
 def compute(name: str) -> dict:
-    """What a page holds of a notebook's explorer: ``states`` and their ``count``, or ``reason`` why it has none."""
+    """What a page holds of a notebook's explorer: ``states``, their ``count`` and the ``start`` as PNG, or ``reason`` why it has none."""
     with tempfile.TemporaryDirectory() as folder, _writing_to(folder), house_style():
         # What a drawing function trips over is told on its page, and does not stop the site.
         try:
@@ -192,7 +193,9 @@ def compute(name: str) -> dict:
                     reason = f"its pictures take more than {LONGEST_S:g} s to compute"
                     continue
                 if len(text := packed(found)) <= LARGEST:
-                    return {"states": text, "count": len(found["pictures"])}
+                    png = Redraw(explorer.draw)(**{k: each.start for k, each in explorer.controls.items()})
+                    start = base64.b64encode(png).decode()
+                    return {"states": text, "count": len(found["pictures"]), "start": start}
                 reason = f"its pictures take more than {LARGEST // 1000} kB"
         except Exception as error:
             reason = f"to compute its pictures failed: {type(error).__name__}: {error}"
