@@ -571,6 +571,7 @@ def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
     files = str(tmp_path / "m.toml"), write_floor(tmp_path, flat()), str(tmp_path / "out")
     lines = isolate_file(*files, RATE, verbose=True)
     assert [each.split(" ")[0] for each in lines[:3]] == ["m.toml", "it", "C"]
+    assert 'href="m.budget.html"' in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert set(os.listdir(tmp_path / "out")) == {
         "isolator.c", "isolator.h", "isolator_adapt.c", "isolator_adapt.h", "isolator.json", "report.html",
     }  # fmt: skip

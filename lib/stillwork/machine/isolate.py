@@ -171,11 +171,9 @@ def isolate_file(
         *(["check the floor", each] for each in seen),
     ]
     answer = _answer(f"{Path(machine).name} on {spectra.source}", design, found, spectra, spread)
-    budget = f"budget {machine} --isolate {folder} --floor {floor} --out {folder}"
     given = {
         "answer": "".join(f"<p>{html.escape(line)}</p>" for line in answer),
-        "budget": html.escape(budget),
-        "link": html.escape(f"{Path(machine).stem}.budget.html"),
+        "budget": _budget_link(machine, floor, folder) if isolator.axes == isolator.sensors == 1 else "",
     }
     given |= {"source": html.escape(Path(machine).name), "spread": f"{100 * spread:g}", "name": name}
     given |= {"replay": _replayed(run, found, limit), "files": html.escape(", ".join(sorted(files)))}
@@ -185,6 +183,17 @@ def isolate_file(
     if not verbose:
         return answer
     return [*answer, *(": ".join(row) for row in facts), *findings(design, around, found, spectra)]
+
+
+def _budget_link(machine: str, floor: str, folder: str) -> str:
+    """The part of the page on the budget of one axis, whose page stands beside it."""
+    file = machine if machine.lower().endswith(".toml") else "MACHINE.toml"
+    command = f"python -m stillwork budget {file} --isolate {folder} --floor {floor} --out {folder}"
+    return (
+        f"<h2>How still a stage on it stands</h2>\n<p><code>{html.escape(command)}</code> writes "
+        f'<a href="{html.escape(Path(file).stem)}.budget.html">the error budget</a> beside this page: the stage, its controller '
+        "and the other sources are tables of the TOML file.</p>"
+    )
 
 
 def _answer(
