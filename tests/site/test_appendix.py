@@ -20,7 +20,7 @@ def test_it_stands_behind_its_cell_with_the_pictures_where_they_were_saved(tmp_p
         {"output_type": "display_data", "data": {"text/plain": "Appendix: 1 picture.", KIND: TEXT}},
     ]
     raw = [{"cell_type": "code", "id": "last", "source": "page.appendix()", "outputs": outputs}]
-    cell, first, second = _cells("topic/01-x", raw, tmp_path, [])
+    cell, first, second = _cells("topic/01-x", raw, tmp_path, [], b"")
     assert cell.outputs == (Sentence("one *x*"),) and not cell.apart
     assert "<em>x</em>" in cell.shown[0]
     assert (first.apart, second.apart) == (True, True)
