@@ -106,7 +106,7 @@ def _parser(program: str, commands: dict[str, "Command"], more: list[ModuleType]
     )
     group = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, command in commands.items():
-        listed = {"help": command.help} if command.works_here else {}
+        listed: dict[str, Any] = {"help": command.help} if command.works_here else {}
         own = group.add_parser(name, allow_abbrev=False, **listed)
         own.set_defaults(command=command)
         for names, how in command.options:
