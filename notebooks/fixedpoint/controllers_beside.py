@@ -533,25 +533,34 @@ def paint_ratios(found: dict[str, dict[str, np.ndarray]]):
     return figure
 
 
+@cache
+def _explorer_figure(machine: str):
+    """Figure of a machine in the explorer, kept for its next move: only its data change."""
+    device = MACHINES[machine]
+    figure, panels = figures.new(device.axes, 1, height=1.4 + 1.5 * device.axes, sharex=True, squeeze=False)
+    for number, axes in enumerate(panels[:, 0]):
+        for law in LAWS:
+            axes.plot([], [], color=COLOURS[law], lw=0.9, label=law)
+        axes.set(ylabel=f"error, axis {number + 1} (m{device.unit})")
+    panels[-1, 0].set(xlabel="time (s)")
+    figure.legend(handles=panels[0, 0].lines, loc="outside upper center", ncols=len(LAWS))
+    return figure
+
+
 def explorer(seed: int, tuning: int) -> Callable:
     """Explorer: one fresh plant, the four laws, and what happens to it at half time."""
 
     def paint(machine: str, case: str, plant: int):
         device, rng = MACHINES[machine], np.random.default_rng([seed, len(machine)])
         scenario = [draw_scenario(device, rng) for _ in range(int(plant))][-1]
-        figure, panels = figures.new(
-            device.axes, 1, height=1.4 + 1.5 * device.axes, sharex=True, squeeze=False
-        )
-        for law in LAWS:
+        figure = _explorer_figure(machine)
+        for number, law in enumerate(LAWS):
             runs = drive(device, law_of(device, law, tuned(machine, law, tuning)), scenario, case)
-            for number, (axes, run) in enumerate(zip(panels[:, 0], runs, strict=True)):
-                axes.plot(
-                    run.time[::10], 1e3 * run.position_error[::10], color=COLOURS[law], lw=0.9, label=law
-                )
-                axes.set(ylabel=f"error, axis {number + 1} (m{device.unit})")
-        panels[-1, 0].set(xlabel="time (s)")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+            for axes, run in zip(figure.axes, runs, strict=True):
+                axes.lines[number].set_data(run.time[::10], 1e3 * run.position_error[::10])
+        for axes in figure.axes:
+            axes.relim()
+            axes.autoscale_view()
         return figure
 
     return paint

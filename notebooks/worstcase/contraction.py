@@ -1,5 +1,7 @@
 """The fixed-point map: convergence without contraction: what this notebook alone needs."""
 
+from functools import cache
+
 import numpy as np
 
 from experiments.worstcase.theory import counter_example, random_problem
@@ -116,14 +118,16 @@ def _paint_slope(axes, function: SecularFunction, alpha: np.ndarray):
     axes.legend(loc="upper right")
 
 
+STARTS = (  # decades over the root
+    (-5, "10⁻⁵", figures.BLUE),
+    (-2, "0.01", figures.SKY),
+    (1, "10", figures.ORANGE),
+    (3, "1000", figures.RED),
+)
+
+
 def _paint_iterates(axes, function: SecularFunction, root: float):
-    starts = (
-        (-5, "10⁻⁵", figures.BLUE),
-        (-2, "0.01", figures.SKY),
-        (1, "10", figures.ORANGE),
-        (3, "1000", figures.RED),
-    )
-    for decade, factor, colour in starts:
+    for decade, factor, colour in STARTS:
         style = {"markersize": 2.5, "lw": 0.8, "color": colour, "label": f"from {factor} × root"}
         axes.semilogy(function.iterates(root * 10.0**decade, 25), "o-", **style)
     axes.axhline(root, color=figures.BLACK, linewidth=0.8, label="root")
@@ -152,10 +156,30 @@ def explore_counter_example(bound: float, excess: float):
     """Slope and iterates of the counter-example for a bound and a distance of b from the column space."""
     function = counter_example(bound, excess)
     root, _ = function.root()
+    figure, left, right = _counter_figure()
+    alpha = np.geomspace(1e-6, 1e3, 201) * root
+    slopes = function.slope(alpha)
+    left.lines[0].set_data(alpha, slopes)
+    left.lines[1].set_data(alpha, alpha * slopes / function(alpha))
+    left.set_ylim(0, 1.5 * max(1.0, slopes.max()))
+    for line, (decade, *_) in zip(right.lines, STARTS, strict=False):
+        line.set_ydata(function.iterates(root * 10.0**decade, 25))
+    right.lines[len(STARTS)].set_ydata([root, root])
+    for axes in (left, right):
+        axes.relim()
+        axes.autoscale_view(scalex=axes is left, scaley=axes is right)
+    return figure
+
+
+@cache
+def _counter_figure():
+    """Figure and panels of the explorer, kept for its next move: only their data change."""
+    function = counter_example(0.5, 0.02)
+    root, _ = function.root()
     figure, (left, right) = figures.new(1, 2, height=3.0)
     _paint_slope(left, function, np.geomspace(1e-6, 1e3, 201) * root)
     _paint_iterates(right, function, root)
-    return figure
+    return figure, left, right
 
 
 # --- Section 8: Theorem 3 on random problems ----------------------------------------------------------------------
