@@ -5,6 +5,7 @@ from experiments.fixedpoint import Noise, steady_errors
 from notebooks.fixedpoint.differentiation_noise import (
     correlations,
     difference_quotient,
+    kalman_over_low_pass,
     quotient_autocorrelation,
     quotient_covariance,
     quotient_cross_correlation,
@@ -80,3 +81,14 @@ def test_white_and_independent_noise_is_what_the_filter_believes():
     F, Q, R = np.diag([0.9, 0.8]), np.diag([1.0, 2.0]), np.diag([0.5, 0.7])
     found = steady_errors(F, Q, R, 0.0, SAMPLE_TIME)
     assert (np.linalg.eigvalsh(found.computed - found.true) > 0).all()
+
+
+def test_a_kalman_filter_of_first_order_computes_what_the_scalar_riccati_equation_has():
+    rate, deviation = 1e-5, 1e-4
+    before = (rate**2 + np.sqrt(rate**4 + 4 * rate**2 * deviation**2)) / 2  # positive root of P^2 = q (P + r)
+    found = kalman_over_low_pass(1, rate, deviation, 1e-3, seed=3, samples=20_000)
+    assert found["computed"] == pytest.approx(
+        np.sqrt(before * deviation**2 / (before + deviation**2)), rel=1e-9
+    )
+    assert found["kalman"] == pytest.approx(found["computed"], rel=0.1)
+    assert found["ratio"] == found["kalman"] / found["low pass"] < 1
