@@ -66,7 +66,7 @@ def calls(checkout) -> list[str]:
     return [line for line in lines if not line.startswith("-c")]
 
 
-MADE = ["-m venv --clear .venv", "pip install -r", "pip install -e"]
+MADE = ["-m venv --clear .venv", "pip install -r", "pip install -e", "-m stillwork compile"]
 
 
 def short(lines: list[str]) -> list[str]:
