@@ -15,6 +15,7 @@ from experiments.isolation.performance import (
 )
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
+from notebooks.isolation import transmissibility
 from notebooks.isolation.floor_and_paths import suspension_modes
 from notebooks.isolation.power import floor_level_for, reduction_percent, without_lines
 from notebooks.isolation.transmissibility import band_means
@@ -131,3 +132,20 @@ def test_a_band_holds_the_lines_of_a_twelfth_of_an_octave_and_a_line_near_the_ma
     np.testing.assert_allclose(centres, [f[group].mean() for group in groups.values()])
     wanted = np.stack([response[:, :, group].mean(axis=2) for group in groups.values()], axis=2)
     np.testing.assert_allclose(means["r"], wanted)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damping, pole", [(65.0, 300.0), (5.0, 2400.0)])
+def test_more_is_amplified_than_reduced_where_zeros_lie_outside_the_circle(damping, pole):
+    """Jensen's formula, the zeros counted by the winding of the ratio's phase (argument principle)."""
+    twin = transmissibility.rigid_body(damping, pole)
+    weights = steady_state(twin, flat_floor(1500.0)).weights
+    f = np.append(np.arange(0.005, 2500.0, 0.02), 2499.999)
+    with_it, without = (
+        np.einsum("iif->if", exact_transmissibility(twin, f, weights=each)) for each in (weights, None)
+    )
+    half_turns = np.diff(np.unwrap(np.angle(with_it / without))[:, [0, -1]], axis=1)[:, 0] / np.pi
+    outside = -np.rint(half_turns)  # each zero outside takes half a turn from 0 to half the rate
+    reduced, amplified = transmissibility.amplification(twin, weights).T
+    assert np.array_equal(amplified > 1.001 * reduced, outside > 0)
+    assert np.all(amplified > 0.999 * reduced)
