@@ -671,6 +671,7 @@ def far_starts(multiples: ArrayLike, seed: int) -> tuple[np.ndarray, np.ndarray]
 EQUAL_MEMORY_S, EQUAL_STEP = 20.0, 2.1e-4  # at which FeRLS or FeLMS scatters as the printed other one (found)
 # P(-1) over its own steady value with a memory of 20 s: that value; what a memory of 10 s settles at; as printed
 STARTS = {"own": 1.0, "kept": EQUAL_MEMORY_S / MEMORY_S, "ten-times": 10.0}
+FADING_S = ((20.0, 40.0), (60.0, 120.0), (500.0, 600.0))  # parts of a run without forgetting
 MEMORIES_S, STEPS = (5.0, 10.0, 20.0, 40.0), (0.5e-4, 1e-4, EQUAL_STEP, 4e-4)  # of the curves
 
 
@@ -767,6 +768,79 @@ def scatter_of(seed: int, low_pass_hz: float, literal: bool = False) -> dict:
     return {names[name]: values for name, values in study.values.items()}
 
 
+def fading(seed: int, low_pass_hz: float) -> dict[tuple[float, float], float]:
+    """Variance of FeRLS without forgetting over that with the printed memory, by the part of the run it is taken over, s.
+
+    Geometric mean over w1 to w9 and eight runs from the fixed point.
+    """
+    twin, floor = load_twin("fitted"), flat_floor(low_pass_hz)
+    steady = steady_state(twin, floor)
+    endless = {"": FeRls(steady.covariance, 1.0, growth_limit=np.inf)}
+    seeds = range(seed, seed + TOGETHER)
+    runs = simulate_together(
+        twin, floor, FADING_S[-1][1], seeds=seeds, adaptations=endless, weights=steady.weights
+    )
+    printed = np.log(scatter_of(seed, low_pass_hz)["FeRLS", MEMORY_S]).mean()
+    found = {}
+    for low, high in FADING_S:
+        square = [
+            np.mean(
+                (run.weights[(run.time_s > low) & (run.time_s <= high), 0] - steady.weights[0]) ** 2, axis=0
+            )
+            for run in (each[""] for each in runs)
+        ]
+        found[low, high] = float(np.exp(np.log(square).mean() - printed))
+    return found
+
+
+def severe(seed: int, low_pass_hz: float) -> dict[str, dict[str, float]]:
+    """Variance around the fixed point over that of FeLMS as printed, by what makes it worse and by algorithm.
+
+    Poor SNR: four times the output noise; undermodelled: actuators to 150 Hz under an estimate that has 300 Hz.
+    """
+    fitted, floor = load_twin("fitted"), flat_floor(low_pass_hz)
+    noise = 4 * fitted.instruments.platform_noise
+    cases = {
+        "as printed": fitted,
+        "poor SNR": fitted.varied(platform_noise=noise),
+        "undermodelled": fitted.varied(actuator_pole_hz=150.0),
+    }
+    found = {}
+    for case, twin in cases.items():
+        steady = steady_state(twin, floor)
+        settled = {
+            "FeLMS": FeLms(step_size=STEP_SIZE),
+            "FeLMS, step × 4": FeLms(step_size=4 * STEP_SIZE),
+            "FeRLS": FeRls(steady.covariance, FORGETTING, growth_limit=np.inf),
+        }
+        options = {"twin": twin, "floor": floor, "steady": steady, "settled": settled, "duration_s": 120.0}
+        study = run_study(steady_trial, TOGETHER, seed, together=TOGETHER, progress=False, **options)
+        found[case] = {name: float(np.exp(np.log(study[name]).mean())) for name in settled}
+    printed = found["as printed"]["FeLMS"]
+    return {case: {name: each / printed for name, each in row.items()} for case, row in found.items()}
+
+
+def eigenvalue_spreads(low_pass_hz: float) -> dict[str, tuple[float, float]]:
+    """Fastest over slowest rate of the mean, and slowest time constant (s), of FeLMS, its variants and FeRLS.
+
+    *Normalised* divides each regressor by its power, *pre-whitened* flattens the floor that the sensors see, before N.
+    """
+    twin = load_twin("fitted")
+    steady, white = (
+        steady_state(twin, floor) for floor in (flat_floor(low_pass_hz), flat_floor(2400.0, high_pass_hz=0.1))
+    )
+    powers = np.kron(np.eye(twin.actuators), np.diag(1 / np.diag(steady.correlation)))
+    normalised = np.linalg.eigvals(powers @ steady.update).real / twin.regressors
+    printed = twin.sample_time / STEP_SIZE
+    rates = {
+        "FeLMS (trace)": (steady.lms_eigenvalues.real, printed),
+        "normalised": (normalised, printed),
+        "pre-whitened": (white.lms_eigenvalues.real, printed),
+        "FeRLS": (steady.rls_eigenvalues.real, MEMORY_S),
+    }
+    return {name: (each.max() / each.min(), unit / each.min()) for name, (each, unit) in rates.items()}
+
+
 def memory_ratio(forgetting: float) -> float:
     """Steady P at a forgetting factor over the one at that of the paper."""
     return (1 - forgetting) / (1 - FORGETTING)
@@ -838,7 +912,7 @@ def appendix(
     """
     fitted, rigid = load_twin("fitted"), load_twin("rigid_body")
     floor, time = flat_floor(low_pass_hz), np.arange(0.1, 300.0, 0.1)
-    _of_spectra(page, fitted, expected, given["step_size"])
+    _of_spectra(page, fitted, expected, given["step_size"], low_pass_hz)
     _of_section_5_1_1(page, given, low_pass_hz, seed, study, rigid_study)
     _of_actuators(page, rigid, floor, given, seed)
     _of_variance(page, given["trace"] == "literal", low_pass_hz, seed)
@@ -864,7 +938,9 @@ def _row(values: ArrayLike, form: str = ".1f") -> str:
     return " ".join(format(each, form) for each in np.asarray(values))
 
 
-def _of_spectra(page, fitted: Twin, expected: Mapping[str, Steady], step_size: float) -> None:
+def _of_spectra(
+    page, fitted: Twin, expected: Mapping[str, Steady], step_size: float, low_pass_hz: float
+) -> None:
     page.text("""## From spectra alone
 
 Weights w1 to w9 at which the mean of both algorithms stops, their distance from Wiener's solution (least $E[e'e]$), and the
@@ -876,6 +952,10 @@ slowest mode of FeLMS:""")
             f"{name}: {_row(steady.weights[0], '.3f')}",
             f"{apart:.4f} N per m/s² from Wiener, slowest FeLMS mode {slowest:.0f} s",
         )
+    page.text("""Fastest over slowest rate of the mean, and the slowest time constant, for FeLMS, for LMS with each regressor divided by its
+power (NLMS), for pre-whitened LMS, and for FeRLS:""")
+    for name, (spread, slowest) in eigenvalue_spreads(low_pass_hz).items():
+        page.show(f"{name}: {spread:.1f}, {slowest:.0f} s")
 
 
 def _of_section_5_1_1(page, given: Mapping, low_pass_hz: float, seed: int, study, rigid_study) -> None:
@@ -929,7 +1009,38 @@ FeLMS scatters as FeRLS does.""")
         page.show(f"{entry}: {ours:.2f} ({interval[0]:.2f} to {interval[1]:.2f})")
     page.show(
         f"FeRLS over FeLMS, w1 to w9: {_row(stats.gmean(ferls / felms, axis=0))}",
-        f"no forgetting over 10 s, w1 to w9: {_row(stats.gmean(scatter['FeRLS', 0.0] / ferls, axis=0), '.2f')}",
+    )
+    over = fading(seed, low_pass_hz)
+    page.show(*(f"no forgetting over 10 s, {a:.0f}-{b:.0f} s: {ratio:.3f}" for (a, b), ratio in over.items()))
+    late, early = over[FADING_S[-1]], over[FADING_S[0]]
+    page.conclude(
+        "Without forgetting the variance has no level of its own: it goes on falling, to {late:.3f} of that with 10 s between {low:.0f} "
+        "and {high:.0f} s, about as 1/t ({ratio:.0f} times less than between 20 and 40 s; 1/t gives {law:.0f}).",
+        "Without forgetting the variance is {late:.3f} of that with 10 s between {low:.0f} and {high:.0f} s, {ratio:.1f} times less than "
+        "between 20 and 40 s, where 1/t gives {law:.0f}.",
+        when=0.5 < early / late / (550 / 30) < 2,
+        late=late,
+        low=FADING_S[-1][0],
+        high=FADING_S[-1][1],
+        ratio=early / late,
+        law=550 / 30,
+    )
+    page.text("""The introduction has the variance of LMS *particularly severe in case of undermodeling or poor SNR in combination with
+a large adaptation rate*. Variance over that of FeLMS as printed, with four times the output noise, and with actuators to 150 Hz
+where the estimate has 300:""")
+    table = severe(seed, low_pass_hz)
+    for case, row in table.items():
+        page.show(f"{case}: " + ", ".join(f"{name} {value:.2g}" for name, value in row.items()))
+    noise, fast = table["poor SNR"]["FeLMS"], table["as printed"]["FeLMS, step × 4"]
+    page.conclude(
+        "For poor SNR it holds: noise alone makes it {noise:.0f} times as large, the step {fast:.1f} times, both {both:.0f} times; FeRLS "
+        "scatters {ferls:.0f} times as much with that noise as well.",
+        "Noise alone makes it {noise:.2g} times as large, the step {fast:.2g} times, both {both:.2g} times; FeRLS {ferls:.2g} times.",
+        when=table["poor SNR"]["FeLMS, step × 4"] > max(noise, fast),
+        noise=noise,
+        fast=fast,
+        both=table["poor SNR"]["FeLMS, step × 4"],
+        ferls=table["poor SNR"]["FeRLS"] / table["as printed"]["FeRLS"],
     )
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
+from stillwork.estimation import FeLms, FeRls, identify
 from workbook import figures
 
 FORMS = ("full inverse", "Newton", "block inverse")
@@ -97,7 +98,7 @@ def average_gain(forgetting: float, samples: int) -> Float64[np.ndarray, " sampl
 
 
 def multiplications(actuators: int, regressors: int) -> Mapping[str, int]:
-    """Multiplications and divisions of one update in each form, every matrix taken as dense.
+    """Multiplications and divisions of one update in each form, every matrix taken as dense; without filters.
 
     An inverse by Gauss and Jordan takes N³ of them.
     """
@@ -107,7 +108,9 @@ def multiplications(actuators: int, regressors: int) -> Mapping[str, int]:
     return {
         # lambda A, Psi' Psi, inverse, Psi' e, gain times that
         "full inverse": full**2 + full**2 * m + full**3 + full * m + full**2,
-        # the same for one block: lambda A, psi psi', inverse, P psi, W
+        # P Psi', Psi P Psi', inverse, gain, gain times (P Psi')', 1 / lambda, W: no block repeats
+        "FxRLS": 2 * full**2 * m + full**2 + 2 * full * m**2 + m**3 + full * m,
+        # the same as the first for one block: lambda A, psi psi', inverse, P psi, W
         "block inverse": 2 * n**2 + n**3 + n**2 + m * n,
         # P psi, psi' P psi, its share; two reciprocals; the triangle; W
         "recursion": n**2 + 2 * n + 2 + n + n * (n + 1) + m * n,
@@ -118,6 +121,7 @@ def multiplications(actuators: int, regressors: int) -> Mapping[str, int]:
 
 _NAMES = {
     "full inverse": "54 × 54 inverse, (25)-(26)",
+    "FxRLS": "FxRLS, 54 × 54 recursion",
     "block inverse": "9 × 9 inverse, (28)",
     "recursion": "9 × 9 recursion, (29)-(30)",
     "FeLMS": "FeLMS, (19)",
@@ -187,6 +191,7 @@ def explore_costs(actuators: int, regressors: int):
     counts = multiplications(actuators, regressors)
     names = {
         "full inverse": "inverse of all parameters",
+        "FxRLS": "FxRLS",
         "block inverse": "inverse of one block",
         "recursion": "recursion",
         "FeLMS": "FeLMS",
@@ -213,3 +218,115 @@ def _bars(axes, values: Mapping[str, float], text: str):
     axes.set_yticks(place, list(values))
     axes.set_ylim(len(values) - 0.4, -0.8)
     axes.grid(visible=False, axis="y")
+
+
+# === Appendix =====================================================================================================
+
+
+def hessian_of_felms(regressors: ArrayLike, regularisation: float = 1e-5) -> dict[str, float]:
+    """How far the Hessian (31) of FeLMS is from the mean of the regressors' products, for both reasons of section 4.4.
+
+    ``spread``: largest over smallest eigenvalue of the mean products, ``powers``: the same of their diagonal alone; both
+    are one in (31). ``scatter``: standard deviation over mean of the trace, ``inverse``: mean of its inverse over the
+    inverse of its mean.
+    """
+    psi = require_array("regressors", regressors, ndim=2)
+    traces = regularisation + np.sum(psi**2, axis=0)
+    powers = np.mean(psi**2, axis=1)
+    return {
+        "spread": float(np.linalg.cond(psi @ psi.T / psi.shape[1])),
+        "powers": float(powers.max() / powers.min()),
+        "scatter": float(traces.std() / traces.mean()),
+        "inverse": float(np.mean(1 / traces) * traces.mean()),
+    }
+
+
+def appendix(
+    page,
+    *,
+    run,
+    longer,
+    direct: Mapping[str, DirectRun],
+    recursion,
+    forgetting: float,
+    sample_time: float,
+) -> None:
+    """What this notebook judges beside its answer.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    run, longer : Run
+        The short record of the direct forms, and one of 20 s.
+    direct : mapping of str to DirectRun
+    recursion : Identification
+        Of the same record.
+    forgetting, sample_time : float
+    """
+    page.text("""## Block structure and the matrix inversion lemma: (27), Appendix A
+
+One block repeats on the diagonal, and the recursion's $P$ is the inverse that (A.5) defines.""")
+    blocks = direct["full inverse"].blocks
+    first, size = blocks[0, 0], np.abs(blocks[0, 0]).max()
+    elsewhere = ~np.eye(len(blocks), dtype=bool)
+    page.check("isolation.update.blocks.off-diagonal", float(np.abs(blocks[elsewhere]).max() / size))
+    repeated = blocks[range(len(blocks)), range(len(blocks))]
+    page.check("isolation.update.blocks.repeated", np.abs(repeated - first).max() / size)
+    page.check("isolation.update.appendix-a", np.abs(recursion.covariance - first).max() / size)
+    page.show(
+        f"{np.count_nonzero(blocks[elsewhere])} of {blocks[elsewhere].size} elements outside the diagonal blocks differ from zero"
+    )
+    page.text(r"""## The gain that makes an average: (22), Appendix B
+
+$\alpha(k)\sum_j\lambda^{k-j} = 1$ for every $k$; the gain falls from one to $1-\lambda$, or to zero without forgetting.""")
+    count = 200_000
+    alpha = average_gain(forgetting, count)
+    page.check(
+        "isolation.update.appendix-b", np.abs(alpha * np.cumsum(forgetting ** np.arange(count)) - 1).max()
+    )
+    page.check("isolation.update.gain-start", alpha[0])
+    page.check("isolation.update.gain-limit", average_gain(forgetting, 2_000_000)[-1] / (1 - forgetting))
+    page.save("gain", paint_gain(forgetting, 1_000_000, sample_time))
+    _of_newton(page, run.filtered_regressors, run.error)
+    _of_whitening(page, longer.filtered_regressors, longer.error, forgetting)
+
+
+def _of_newton(page, regressors: np.ndarray, disturbance: np.ndarray) -> None:
+    page.text(r"""## FeLMS is Newton's method with a poor Hessian: (31)
+
+With $A^{-1} = 54/(\varepsilon + \mathrm{Tr}(\Psi_N^T\Psi_N))\,I$ and the step $\bar\mu/54$, Newton's update (20) is (19): one step
+from zero weights on every sample.""")
+    felms = FeLms(step_size=1e-4, regularisation=1e-5, trace="literal")
+    parameters = disturbance.shape[0] * regressors.shape[0]
+    traces = disturbance.shape[0] * np.sum(regressors**2, axis=0)
+    inverse_hessians = parameters / (felms.regularisation + traces)
+    newton_steps = -(felms.step_size / parameters) * inverse_hessians * disturbance[:, None] * regressors
+    samples = zip(regressors.T, disturbance.T, strict=True)
+    steps = np.stack([identify(felms, psi[:, None], d[:, None]).weights for psi, d in samples], axis=-1)
+    page.check("isolation.update.equation-31", np.abs(steps - newton_steps).max() / np.abs(steps).max())
+
+
+def _of_whitening(page, psi: np.ndarray, d: np.ndarray, forgetting: float) -> None:
+    page.text(r"""## Neither whitening nor an orthonormal basis
+
+Section 6 concludes that the covariance makes both obsolete. With regressors $T\psi$, covariance $T^{-T}PT^{-1}$ and weights
+$WT^{-1}$, (29) and (30) give the same commands, as long as $P$ has no limit along axes (the printed algorithm). FeLMS has no such
+invariance. Share of the disturbance's power left in the last quarter of 20 s:""")
+    transform = np.linalg.inv(np.linalg.cholesky(psi @ psi.T / psi.shape[1]))
+    back = np.linalg.inv(transform)
+    start = np.diag((1 - forgetting) / np.mean(psi**2, axis=1))
+    bases = {"as they are": (psi, start), "orthonormal": (transform @ psi, back.T @ start @ back)}
+    commands, left = {}, {}
+    for name, (basis, covariance) in bases.items():
+        for settings in (FeRls(covariance, forgetting, np.inf), FeLms()):
+            history = identify(settings, basis, d, every=10).history
+            command = np.einsum("kar,rk->ak", history, basis[:, 9::10])
+            key = f"{type(settings).__name__}, {name}"
+            quarter = slice(-command.shape[1] // 4, None)
+            left[key] = np.mean((d[:, 9::10] + command)[:, quarter] ** 2) / np.mean(
+                d[:, 9::10][:, quarter] ** 2
+            )
+            commands[key] = command
+    one, other = (commands[f"FeRls, {name}"] for name in bases)
+    page.check("isolation.update.no-whitening", np.abs(one - other).max() / np.abs(one).max())
+    page.show(*(f"{name}: {100 * share:.2f} %" for name, share in left.items()))

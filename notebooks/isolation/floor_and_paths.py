@@ -5,16 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
-from scipy import optimize, signal
+from scipy import optimize
 
 from experiments.isolation.floors import ShapedFloor, coloured_floor, flat_floor
 from experiments.isolation.responses import responses, thinned
 from experiments.isolation.rig import Rig
 from experiments.isolation.twin import Twin, equal_struts
 from stillwork.base.checks import InputError, require_number
-from stillwork.control.isolation_filters import secondary_path
 from stillwork.signals.criteria import criterion_density, criterion_velocity, one_third_octave_velocity
-from stillwork.signals.spectra import Spectrum
+from stillwork.signals.spectra import Spectrum, band_power
 from workbook import figures
 
 
@@ -85,15 +84,7 @@ def suspension_modes(twin: Twin, feedback: bool = True) -> Modes:
 
 
 # === Path fit =====================================================================================================
-# The published fit (2) of the secondary path, compared with a twin's own path (section 2.1, Fig. 3).
-
-
-def parametric_fit(twin: Twin, frequencies_hz: ArrayLike) -> Complex128[np.ndarray, " frequencies"]:
-    """Eq. (2) as Fig. 3 draws it, discretised by Tustin's rule and with one sample of delay; m/s^2 per N."""
-    f = np.asarray(frequencies_hz, dtype=float)
-    path = secondary_path(twin.feedforward.path, twin.sample_time)
-    delay = np.exp(-2j * np.pi * f * twin.sample_time)
-    return signal.freqz_sos(path, f, fs=twin.instruments.sample_rate)[1] * delay
+# A fit of the secondary path, a discrete `control.TransferFunction`, compared with a twin's own path (section 2.1, Fig. 3).
 
 
 def diagonal_path(twin: Twin, frequencies_hz: ArrayLike) -> Complex128[np.ndarray, "actuators frequencies"]:
@@ -113,17 +104,17 @@ def dominance(twin: Twin, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " fr
         return (diagonal / (size.sum(axis=2) - diagonal)).min(axis=1)
 
 
-def fit_error_db(twin: Twin, frequencies_hz: ArrayLike) -> Float64[np.ndarray, "actuators frequencies"]:
+def fit_error_db(twin: Twin, frequencies_hz: ArrayLike, fit) -> Float64[np.ndarray, "actuators frequencies"]:
     """Magnitude of the path over that of the fit, dB."""
-    ratio = diagonal_path(twin, frequencies_hz) / parametric_fit(twin, frequencies_hz)
-    return 20 * np.log10(np.abs(ratio))
+    z = np.exp(2j * np.pi * np.asarray(frequencies_hz, dtype=float) * twin.sample_time)
+    return 20 * np.log10(np.abs(diagonal_path(twin, frequencies_hz) / fit(z)))
 
 
-def fit_reaches_hz(twin: Twin, above_hz: float, within_db: float = 3.0) -> float:
+def fit_reaches_hz(twin: Twin, above_hz: float, fit, within_db: float = 3.0) -> float:
     """Highest frequency up to which, from `above_hz` on, the fit's magnitude stays within `within_db`."""
     require_number("above_hz", above_hz, above=0.0, below=twin.instruments.sample_rate / 2)
     f = np.arange(above_hz, twin.instruments.sample_rate / 2, 1.0)
-    outside = np.any(np.abs(fit_error_db(twin, f)) > within_db, axis=0)
+    outside = np.any(np.abs(fit_error_db(twin, f, fit)) > within_db, axis=0)
     return float(f[np.argmax(outside)] if outside.any() else f[-1])
 
 
@@ -238,17 +229,20 @@ def paint_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], 
     return figure
 
 
-def paint_paths(twins: dict[str, Twin], frequencies_hz: np.ndarray):
+def paint_paths(twins: dict[str, Twin], frequencies_hz: np.ndarray, fit):
     """Fig. 3: the six diagonal elements from command to platform acceleration, and the fit (2)."""
     figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True, gridspec_kw={"height_ratios": [2, 1]})
     f = frequencies_hz
     for (name, twin), color in zip(twins.items(), (figures.BLUE, figures.RED), strict=False):
-        for k, (path, error) in enumerate(zip(diagonal_path(twin, f), fit_error_db(twin, f), strict=True), 1):
+        for k, (path, error) in enumerate(
+            zip(diagonal_path(twin, f), fit_error_db(twin, f, fit), strict=True), 1
+        ):
             label = name if k == 1 else f"_{name}, element {k}"
             upper.loglog(f, np.abs(path), color=color, lw=0.9, label=label)
             lower.semilogx(f, error, color=color, lw=0.9, label=f"_{name}, element {k}")
-    fit = parametric_fit(next(iter(twins.values())), f)
-    upper.loglog(f, np.abs(fit), "--", color=figures.BLACK, label="fit, eq. (2)")
+    upper.loglog(
+        f, np.abs(fit(np.exp(2j * np.pi * f * fit.dt))), "--", color=figures.BLACK, label="fit, eq. (2)"
+    )
     upper.axvline(962, color=figures.GREY, ls=":", lw=1)
     upper.annotate("published: 962 Hz", (930, 0.003), ha="right", fontsize=8, color=figures.GREY)
     lower.axvline(500, color=figures.GREY, ls=":", lw=1)
@@ -312,6 +306,57 @@ def follows_criteria(low_pass_hz: float) -> float:
     return float(np.mean(((velocity < upper) & (velocity > lower))[judged]))
 
 
+def between_criteria(floors: dict[str, ShapedFloor]) -> tuple[dict[str, float], dict[str, float]]:
+    """Rms acceleration from 4 to 80 Hz of each floor, and of BBN-B and BBN-C, m/s^2."""
+    grid = np.geomspace(1, 90, 2000)
+
+    def rms(density: np.ndarray) -> float:
+        return float(np.sqrt(band_power(grid, density, 4.0, 80.0)))
+
+    found = {name: rms(floor.density(grid)[0]) for name, floor in floors.items()}
+    return found, {name: rms(criterion_density(name, grid)) for name in ("BBN-B", "BBN-C")}
+
+
 def floor_bands(*, floor_upper_end: float, seed: int) -> dict[str, float]:
     """Fig. 2's flat floor beside the criteria."""
     return {"isolation.fig-2.flat-follows-criteria": follows_criteria(floor_upper_end)}
+
+
+# === Appendix =====================================================================================================
+
+
+def appendix(page, *, rigid: Twin, fitted: Twin, floors: dict[str, ShapedFloor], fit) -> None:
+    """What this notebook judges beside its answer.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    rigid, fitted : Twin
+    floors : dict of str to ShapedFloor
+    fit : control.TransferFunction
+        Equation (2), discrete.
+    """
+    page.text("""## Numbers of the rig and its floor
+
+Modes without and with the skyhook loop; what lag and delay of the sampled loop add to the damping dω/2k; rms acceleration at 4-80 Hz of the floors and the criteria; deviation from (2) at 5-500 Hz.""")
+    passive, closed = suspension_modes(rigid, feedback=False), suspension_modes(rigid)
+    more = 100 * (closed.damping / rigid.rig.damping_ratios(rigid.skyhook.gain) - 1)
+    rms, limits = between_criteria(floors)
+    band = np.linspace(5, 500, 500)
+    page.show(
+        f"passive, Hz: {passive.frequencies_hz.round(1)}, damping {passive.damping.round(2)}",
+        f"with skyhook, Hz: {closed.frequencies_hz.round(1)}, damping {closed.damping.round(2)}",
+        f"above dω/2k, %: {more.round().astype(int)}",
+        *(f"{name}: {value:.2g} m/s²" for name, value in {**rms, **limits}.items()),
+    )
+    for twin in (rigid, fitted):
+        error = np.abs(fit_error_db(twin, band, fit)).max(axis=0)
+        page.show(f"{twin.name}: up to {error.max():.1f} dB, at {band[error.argmax()]:.0f} Hz")
+    page.text("""## Is the path diagonally dominant?
+
+We test it on the open loop of the rigid body: each diagonal element against the sum of the others in its row. It is so at low
+frequencies only; above the suspension frequencies a diagonal element is about twice any other of its row, but less than their
+sum. Then the damping of (2).""")
+    page.check("isolation.setup.diagonal-dominance", rig_values(rigid)["isolation.setup.diagonal-dominance"])
+    path = rigid.feedforward.path
+    page.check("isolation.setup.damping-fit", path.damping / (2 * np.sqrt(path.stiffness * path.mass)))

@@ -759,16 +759,8 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
         others = {form: run for form, run in forms.items() if form != "one product"}
         errors = np.array([run.error for run in others.values()])
         t = next(iter(others.values())).time_constants
-        axes.fill_between(
-            t,
-            errors.min(axis=0),
-            errors.max(axis=0),
-            color=figures.BLUE,
-            alpha=0.3,
-            lw=0,
-            label=", ".join(others),
-        )
-        axes.semilogy(t, errors.max(axis=0), color=figures.BLUE, label="_largest of the others")
+        style = {"color": figures.BLUE, "alpha": 0.4, "lw": 1.2, "label": ", ".join(others)}
+        axes.fill_between(t, errors.min(axis=0), errors.max(axis=0), **style)
         unit = np.finfo(precision).eps
         guide = np.array([0.0, np.log(1 / unit)])
         style = {"color": figures.BLACK, "lw": 0.8, "ls": "--", "label": "rounding × exp(t / T)"}
@@ -777,7 +769,7 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
             axes.axvline(one.breakdown, color=figures.RED, lw=0.8, ls=":")
             text, side = f" indefinite\n at about {one.breakdown_tens():.0f} ", one.breakdown < t[-1] / 2
             look = {"fontsize": 8, "ha": "left" if side else "right", "color": figures.RED}
-            axes.annotate(text, (one.breakdown, 1e-10 if side else 1e-6), **look)
+            axes.annotate(text, (one.breakdown, 1e-10), **look)
         axes.set(title=precision, xlabel="time constants of the forgetting", ylim=(1e-17, 1e3))
         axes.set_yticks(10.0 ** np.arange(-15, 4, 3))
     grid[0].set(ylabel="relative error of P")

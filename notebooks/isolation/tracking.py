@@ -133,6 +133,16 @@ def expected_response(twin: Twin, switch: Switch, name: str, step_size: float, m
     return Response(time, course, switch)
 
 
+def expected_responses(
+    twin: Twin, switches: Mapping[str, Switch], step_size: float, memory_s: float
+) -> dict[str, dict[str, Response]]:
+    """`expected_response` by switch and algorithm."""
+    return {
+        title: {name: expected_response(twin, switch, name, step_size, memory_s) for name in ALGORITHMS}
+        for title, switch in switches.items()
+    }
+
+
 def tracking_trial(
     draws: Sequence[np.random.Generator], *, twin: Twin, switch: Switch, both: dict, duration_s: float
 ) -> list[dict[str, float]]:
@@ -323,3 +333,75 @@ def judged(into: Switched, back: Switched) -> dict[str, tuple[float, tuple[float
         "benefit-shrinks": shrinks,
     }
     return {f"isolation.tracking.{entry}": fraction(each) for entry, each in obeyed.items()}
+
+
+# === Appendix =====================================================================================================
+
+
+def appendix(
+    page,
+    *,
+    twin: Twin,
+    noisy: Twin,
+    switches: Mapping[str, Switch],
+    lost: Switch,
+    back: Switched,
+    expected: Mapping[str, Mapping[str, Response]],
+    duration_s: float,
+    settings: tuple[float, float, float],
+    seed: int,
+) -> None:
+    """What this notebook judges beside its answer.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    twin, noisy : Twin
+        The fitted twin with a quiet output and with that of Fig. 8.
+    switches : mapping of str to Switch
+        By title; `lost` is that of `noisy`.
+    back : Switched
+        Runs of the switch from coloured to flat.
+    expected : mapping
+        Mean courses by title and algorithm.
+    duration_s : float
+    settings : tuple of float
+        Step size, forgetting factor, and output noise of the quiet twin.
+    seed : int
+    """
+    step_size, forgetting, platform_noise = settings
+    _of_single_runs(page, switches, back, expected)
+    rigid = load_twin("rigid_body").varied(platform_noise=platform_noise)
+    first = next(iter(switches.values()))
+    page.text("""## The rigid body, and the noisy output
+
+The rigid body responds alike. With the output noise of Fig. 8 the noise hides the change of the floor: the fitted model then
+gives Table 1 but not Fig. 6; without that noise, Fig. 6 but far less power than Fig. 8.""")
+    others = {
+        "rigid body, flat to coloured": switch_between(rigid, first.before, first.after),
+        "fitted, output noise of Fig. 8, flat to coloured": lost,
+    }
+    found = {
+        title: respond(model, switch, settled(switch, step_size, forgetting), duration_s, [seed])[0]
+        for (title, switch), model in zip(others.items(), (rigid, noisy), strict=True)
+    }
+    page.save("fig-6-other-twins", paint_switches(found))
+    moved = [np.abs(each.shift).max() for each in (*switches.values(), *others.values())]
+    page.check("isolation.tracking.largest-shift", max(moved))
+
+
+def _of_single_runs(page, switches, back: Switched, expected) -> None:
+    page.text("""## Shifts, and single runs
+
+Shift of w1 to w9, 1e-4 N per m/s²; then the settling times of w4 to w6 from coloured to flat: mean course, and median (10 to
+90 %) of the runs that have settled. Which settles first changes with the floor's upper end, the trace *and* the bands'
+height.""")
+    title = list(switches)[1]
+    page.show(*(f"{name}: {(1e4 * each.shift).round().astype(int)}" for name, each in switches.items()))
+    for name in ALGORITHMS:
+        times = back.study[f"{name} w4-w6"]
+        low, middle, high = np.quantile(times[np.isfinite(times)], [0.1, 0.5, 0.9])
+        page.show(
+            f"{name}: mean course {expected[title][name].settling_s('w4-w6'):.0f} s, runs {middle:.0f} s ({low:.0f} to {high:.0f}), "
+            f"not settled {np.isinf(times).sum()} of {len(times)}"
+        )

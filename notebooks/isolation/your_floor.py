@@ -10,7 +10,14 @@ from experiments.isolation.recorded_floors import ground_spectrum
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_number
 from stillwork.estimation.mean_adaptation import mean_adaptation
-from stillwork.machine.isolate import SLOWEST_HZ, at_sensors, facts_of, findings, read_floor
+from stillwork.machine.isolate import (
+    SLOWEST_HZ,
+    at_sensors,
+    facts_of,
+    findings,
+    paint_transmissibility,
+    read_floor,
+)
 from stillwork.machine.isolation import FloorSpectra, Isolator
 from stillwork.machine.isolation_design import (
     IsolationDesign,
@@ -20,7 +27,7 @@ from stillwork.machine.isolation_design import (
 )
 from stillwork.machine.isolation_prediction import IsolationPrediction, predict
 from stillwork.signals.criteria import criterion_met, criterion_velocity, one_third_octave_velocity
-from workbook import figures
+from workbook import figures, paths
 
 COLOURS = {
     "floor": figures.RED,
@@ -239,3 +246,36 @@ def _criteria(axes) -> None:
         axes.loglog(defined, limit, "--", color=figures.GREY, lw=0.7, label=f"_{name}")
         style = {"color": figures.GREY, "fontsize": 7, "ha": "right", "va": "center", "annotation_clip": True}
         axes.annotate(name, (defined[0] / 1.1, limit[0]), **style)
+
+
+# === Appendix =====================================================================================================
+
+
+def appendix(page, *, twin: Twin, settings: dict, gains: np.ndarray, shipped: bool, seed: int) -> None:
+    """The shipped record, the same way.
+
+    Parameters
+    ----------
+    page : workbook.appendix.Appendix
+    twin : Twin
+    settings : dict
+        Of `open_floor`.
+    gains : array
+        How loud.
+    shipped : bool
+        Not beside a reader's own floor.
+    seed : int
+    """
+    if not shipped:
+        page.text("The shipped record of a slab stands here beside the shipped ground alone.")
+        return
+    page.text("""## A record, the same way
+
+Thirty seconds of a concrete slab under walking and jumping, by a smartphone at 425 Hz (`data/isolation/slab_footfall`), valid
+from 5 to 150 Hz.""")
+    file = paths.data("isolation", "slab_footfall/slab_vertical.csv")
+    floor, notes = open_floor(str(file), "m/s^2", 0.0, [], twin, **settings)
+    own = isolate(twin, floor, seed)
+    page.save("slab", paint_floor(floor))
+    page.save("slab-transmissibility", paint_transmissibility(own.design, own.found))
+    page.show(*described(floor, notes), *own.lines(), crossing(gains, residuals(own, gains)))

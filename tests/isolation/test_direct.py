@@ -59,6 +59,7 @@ def test_multiplications_are_those_of_the_update_written_out(actuators, n, monke
     expected = multiplications(actuators, n)
     assert expected["full inverse"] == _count_inverse(rng, actuators, actuators * n, actuators)
     assert expected["block inverse"] == _count_inverse(rng, actuators, n, 1)
+    assert expected["FxRLS"] == _count_fxrls(rng, actuators, actuators * n)
     psi, error = rng.standard_normal(n), rng.standard_normal(actuators)
     one = counting.Counted(1.0)
 
@@ -94,6 +95,25 @@ def test_multiplications_are_those_of_the_update_written_out(actuators, n, monke
         objects(np.zeros((actuators, n))), objects(psi), objects(error), one, one, one
     )
     assert counting.Counted.count == expected["FeLMS"]
+
+
+def _count_fxrls(rng, outputs, size):
+    """One update of recursive least squares with `outputs` rows of `size` filtered regressors."""
+    covariance = counting.counted(np.eye(size))
+    psi = counting.counted(rng.standard_normal((outputs, size)))
+    error = counting.counted(rng.standard_normal((outputs, 1)))
+    counting.Counted.count = 0
+    side = counting.product(covariance, list(zip(*psi, strict=True)))
+    innovation = counting.product(psi, side)
+    for i in range(outputs):
+        innovation[i][i] = innovation[i][i] + 0.9
+    gain = counting.product(side, counting.inverse(innovation))
+    taken = counting.product(gain, list(zip(*side, strict=True)))
+    for row, less in zip(covariance, taken, strict=True):
+        for a, b in zip(row, less, strict=True):
+            (a - b) / 0.9
+    counting.product(gain, error)
+    return counting.Counted.count
 
 
 def _count_inverse(rng, actuators, size, rows):
