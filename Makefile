@@ -1,4 +1,5 @@
-# The workbook's commands. The first one that needs Python makes .venv with the pinned packages.
+# The workbook's commands. The first one that needs Python makes .venv with the pinned packages; the first one that tests
+# adds to it what tests and benchmarks need.
 # Another interpreter: make PYTHON=python3.12 ...; an environment of your own: make ENVIRONMENT=/path/to/it ...
 
 PYTHON ?= python3
@@ -10,9 +11,11 @@ path = $(subst $() ,\ ,$(1))
 ifdef ENVIRONMENT
 BIN := $(call path,$(ENVIRONMENT))/bin
 READY :=
+TESTED :=
 else
 BIN := .venv/bin
 READY := .venv/complete
+TESTED := .venv/tests
 endif
 
 # The library, and the root for what stands beside the notebooks.
@@ -62,7 +65,7 @@ readings: # by its old name, for this version
 contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py --seeds N --jobs N"
 	@$(BIN)/python -m stillwork contest $(ARGS)
 
-test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
+test: $(TESTED) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
 	@mkdir -p build && rm -f $(PARTS)
 	$(call part,style,$(BIN)/ruff check . && $(BIN)/ruff format --check .)
 	$(call part,types,$(BIN)/python -m mypy)
@@ -75,10 +78,10 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 		-p no:nbval -p no:anyio -n logical --dist worksteal)
 	@awk '{ all += $$(NF - 2); print } END { printf "%-20s%6d s\n", "all of them", all }' $(PARTS) && ! grep -q FAILED $(PARTS)
 
-quick: $(READY) ## The unit tests that take less than a quarter of a second of CPU each
+quick: $(TESTED) ## The unit tests that take less than a quarter of a second of CPU each
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" $(ARGS)
 
-course: $(READY) ## Run the solutions of the course's exercises
+course: $(TESTED) ## Run the solutions of the course's exercises
 	$(UNDER_PINS) $(BIN)/python -m pytest tests/site/test_course.py -p no:nbval -p no:anyio $(ARGS)
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
@@ -88,14 +91,14 @@ lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 site: $(READY) ## Write the static site to build/site/index.html; ARGS=--still leaves explorers as pictures
 	@$(BIN)/python -m workbook site $(ARGS)
 
-browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get install chromium chromium-driver)
+browser: $(TESTED) ## Check the site and an explorer in Chromium (Debian: apt-get install chromium chromium-driver)
 	$(BIN)/python -m pytest tests/browser $(ARGS)
 
-bench: $(READY) ## Measure speed beside named peers
+bench: $(TESTED) ## Measure speed beside named peers
 	@for file in $$(grep -l 'make bench' benchmarks/*.py); do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
 
 
-dated: $(READY) ## Property tests on new examples, drawn from the day; DAY=20260101 for those of another
+dated: $(TESTED) ## Property tests on new examples, drawn from the day; DAY=20260101 for those of another
 	@echo "examples of --hypothesis-seed=$(DAY)"
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "hypothesis and not slow" --hypothesis-profile=search \
 		--hypothesis-seed=$(DAY) $(ARGS) || { echo "the same examples again: make dated DAY=$(DAY)"; exit 1; }
@@ -103,7 +106,7 @@ dated: $(READY) ## Property tests on new examples, drawn from the day; DAY=20260
 accept: $(READY) ## Copy a build into notebooks/ and figures/, and into what follows from them
 	@$(BIN)/python -m workbook accept
 
-release: $(READY) ## Write wheel, site and archive to build/release
+release: $(TESTED) ## Write wheel, site and archive to build/release
 	@$(BIN)/python benchmarks/release.py
 
 doctor: $(READY) ## Compare the environment with environment.txt
@@ -133,3 +136,8 @@ RELATIVE := import glob, os; \
 	@touch .venv/complete
 	@echo "Compiling the estimators and filters (half a minute to one, once)"
 	@.venv/bin/python -m stillwork compile
+
+.venv/tests: .venv/complete environment-tests.txt
+	@echo "Adding to .venv what the tests need"
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r environment-tests.txt
+	@touch .venv/tests

@@ -1,21 +1,25 @@
-"""What `environment.txt` pins for this Python, and how the installed packages differ from it."""
+"""What `environment.txt` pins for this Python, and how the installed packages differ from it.
+
+`environment-tests.txt` pins the same and what tests and benchmarks need besides.
+"""
 
 import contextlib
 import io
 import os
 import sys
 from importlib import metadata
+from pathlib import Path
 
 from workbook import paths
 from workbook.pinned import pins as processor_pins
 
 
-def pins() -> dict[str, str]:
+def pins(name: str = "environment.txt") -> dict[str, str]:
     """Package to exact version, for the Python and the platform that run this."""
     from packaging.requirements import Requirement
 
     wanted = {}
-    for line in (paths.root() / "environment.txt").read_text(encoding="utf-8").splitlines():
+    for line in (paths.root() / name).read_text(encoding="utf-8").splitlines():
         if line and not line.startswith((" ", "#", "-")):
             requirement = Requirement(line.rstrip(" \\"))
             if requirement.marker is None or requirement.marker.evaluate():
@@ -23,17 +27,17 @@ def pins() -> dict[str, str]:
     return wanted
 
 
-def drift() -> list[str]:
+def drift(pinned: str = "environment.txt") -> list[str]:
     """One line for each package that is missing or of another version than pinned."""
     lines = []
-    for name, wanted in pins().items():
+    for name, version in pins(pinned).items():
         try:
             found = metadata.version(name)
         except metadata.PackageNotFoundError:
-            lines.append(f"{name} is missing (pinned {wanted})")
+            lines.append(f"{name} is missing (pinned {version})")
             continue
-        if found != wanted:
-            lines.append(f"{name} is {found} (pinned {wanted})")
+        if found != version:
+            lines.append(f"{name} is {found} (pinned {version})")
     return lines
 
 
@@ -43,11 +47,12 @@ def doctor() -> int:
     print(f"BLAS     {_blas()}")
     for name, value in processor_pins().items():
         print(f"setting  {name} = {os.environ.get(name, 'unset')} here, {value} in a build")
-    wrong = drift()
+    tested = (Path(sys.prefix) / "tests").exists() and (paths.root() / "environment-tests.txt").exists()
+    name = "environment-tests.txt" if tested else "environment.txt"
+    count, wrong = len(pins(name)), drift(name)
     for line in wrong:
         print(f"DRIFT    {line}")
-    pinned = len(pins())
-    print(f"pins     {pinned - len(wrong)} of {pinned} packages as in environment.txt")
+    print(f"pins     {count - len(wrong)} of {count} packages as in {name}")
     if wrong:
         print(
             "To repair it: remove .venv and run make again, or install with the pip command in the Makefile."

@@ -24,6 +24,7 @@ from stillwork.control.loops import INPUTS, closed_loop
 from stillwork.control.pid import Pid, PidFamily, series
 from stillwork.estimation.h2 import H2Synthesis, h2_riccati, in_units, regularised, scaled_plant, verified
 from stillwork.estimation.observer import Observer, kalman_observer
+from stillwork.lti.cones import minimise
 from stillwork.lti.generalised_plant import GeneralisedPlant
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import h2_norm, hinf_norm
@@ -229,34 +230,54 @@ def h2_by_inequalities(
 
 def _solved_inequalities(regular: GeneralisedPlant, size: float) -> tuple[float, StateModel, str]:
     """Claimed norm, controller and the solver's status, the performance in units of `size`."""
-    import cvxpy as cp
-
     plant, units = scaled_plant(regular, size)
     a, b1, b2, c1, c2, _, d12, d21, d22 = plant.blocks
     n, one = len(a), np.eye(len(a))
-    x, y = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
-    a_hat, b_hat, c_hat = cp.Variable((n, n)), cp.Variable((n, len(c2))), cp.Variable((b2.shape[1], n))
-    q = cp.Variable((len(c1), len(c1)), symmetric=True)
-    upper, lower = a @ x + b2 @ c_hat, y @ a + b_hat @ c2
-    driven, seen = y @ b1 + b_hat @ d21, c1 @ x + d12 @ c_hat
-    dissipated = [
-        [upper + upper.T, a_hat.T + a, b1],
-        [a_hat + a.T, lower + lower.T, driven],
-        [b1.T, driven.T, -np.eye(b1.shape[1])],
-    ]
-    bounded = [[x, one, seen.T], [one, y, c1.T], [seen, c1, q]]
-    problem = cp.Problem(cp.Minimize(cp.trace(q)), [cp.bmat(dissipated) << 0, cp.bmat(bounded) >> 0])
-    problem.solve(solver=cp.CLARABEL)
-    if q.value is None:
-        raise InputError(f"the matrix inequalities have no solution: Clarabel reports {problem.status!r}")
+    performance, controls = d12.shape
+    triangles, shapes = (n, n, performance), ((n, n), (n, len(c2)), (controls, n))
+    ends = np.cumsum(
+        [order * (order + 1) // 2 for order in triangles] + [rows * columns for rows, columns in shapes]
+    )
+
+    def unknowns(vector: np.ndarray) -> list[np.ndarray]:
+        """X, Y, Q, and the controller's A, B and C of Theorem 5.1.1."""
+        pieces = np.split(vector, ends[:-1])
+        symmetric = [_symmetric(piece, order) for piece, order in zip(pieces[:3], triangles, strict=True)]
+        return symmetric + [piece.reshape(shape) for piece, shape in zip(pieces[3:], shapes, strict=True)]
+
+    def parts(vector: np.ndarray) -> list[np.ndarray]:
+        x, y, q, a_hat, b_hat, c_hat = unknowns(vector)
+        upper, lower = a @ x + b2 @ c_hat, y @ a + b_hat @ c2
+        driven, seen = y @ b1 + b_hat @ d21, c1 @ x + d12 @ c_hat
+        dissipated = [
+            [upper + upper.T, a_hat.T + a, b1],
+            [a_hat + a.T, lower + lower.T, driven],
+            [b1.T, driven.T, -np.eye(b1.shape[1])],
+        ]
+        return [-np.block(dissipated), np.block([[x, one, seen.T], [one, y, c1.T], [seen, c1, q]])]
+
+    costs = np.zeros(ends[-1])
+    costs[ends[1] : ends[2]] = np.eye(performance)[np.tril_indices(performance)]  # the trace of Q
+    found, status = minimise(costs, parts)
+    if found is None:
+        raise InputError(f"the matrix inequalities have no solution: Clarabel reports {status!r}")
     # Lemma 5.1.1, with D22 taken out of the measurement.
-    left, values, right = np.linalg.svd(one - x.value @ y.value)
+    x, y, q, a_hat, b_hat, c_hat = unknowns(found)
+    left, values, right = np.linalg.svd(one - x @ y)
     m, k = left * np.sqrt(values), right.T * np.sqrt(values)
-    c_o, b_o = np.linalg.solve(m, c_hat.value.T).T, np.linalg.solve(k, b_hat.value)
-    core = a_hat.value - b_hat.value @ c2 @ x.value - y.value @ b2 @ c_hat.value - y.value @ a @ x.value
+    c_o, b_o = np.linalg.solve(m, c_hat.T).T, np.linalg.solve(k, b_hat)
+    core = a_hat - b_hat @ c2 @ x - y @ b2 @ c_hat - y @ a @ x
     a_o = np.linalg.solve(k, np.linalg.solve(m, core.T).T)
     controller = in_units(units, a_o - b_o @ d22 @ c_o, b_o, c_o)
-    return size * float(np.sqrt(max(problem.value, 0.0))), controller, problem.status
+    return size * float(np.sqrt(max(np.trace(q), 0.0))), controller, status
+
+
+def _symmetric(triangle: np.ndarray, order: int) -> np.ndarray:
+    """The symmetric matrix of a triangle's entries, row by row."""
+    matrix = np.zeros((order, order))
+    row, column = np.tril_indices(order)
+    matrix[row, column] = matrix[column, row] = triangle
+    return matrix
 
 
 COLOURS = {"no observer": figures.GREY, "Kalman": figures.RED, "optimal": figures.GREEN}

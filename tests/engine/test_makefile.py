@@ -32,7 +32,7 @@ def checkout(tmp_path):
     """A folder with the Makefile and a Python that only notes how it was called; no path of it is a plain word."""
     root = tmp_path / "ein Ort für alle"
     root.mkdir()
-    for name in ("Makefile", "environment.txt", "pyproject.toml"):
+    for name in ("Makefile", "environment.txt", "environment-tests.txt", "pyproject.toml"):
         shutil.copy(ROOT / name, root)
     (root / FILE.relative_to(ROOT)).parent.mkdir(parents=True)
     shutil.copy(FILE, root / FILE.relative_to(ROOT))
@@ -66,7 +66,8 @@ def calls(checkout) -> list[str]:
     return [line for line in lines if not line.startswith("-c")]
 
 
-MADE = ["-m venv --clear .venv", "pip install -r", "pip install -e", "-m stillwork compile"]
+MADE = ["-m venv --clear .venv", "pip install -r environment.txt", "pip install -e", "-m stillwork compile"]
+ADDED = "pip install -r environment-tests.txt"
 
 
 def short(lines: list[str]) -> list[str]:
@@ -74,7 +75,8 @@ def short(lines: list[str]) -> list[str]:
     kept = []
     for line in lines:
         if "pip install" in line:
-            line = "pip install -r" if "--require-hashes -r environment.txt" in line else "pip install -e"
+            file = re.search(r"--require-hashes -r (\S+)", line)
+            line = f"pip install -r {file[1]}" if file else "pip install -e"
         kept.append(line)
     return kept
 
@@ -105,6 +107,21 @@ def test_another_pin_makes_the_environment_again(checkout):
     os.utime(checkout / "environment.txt", (later, later))
     assert make(checkout, "figures").returncode == 0
     assert short(calls(checkout))[: len(MADE)] == MADE
+
+
+def test_only_what_tests_adds_what_tests_need(checkout):
+    make(checkout, "figures")
+    assert ADDED not in short(calls(checkout))
+    make(checkout, "course")
+    assert short(calls(checkout))[:-1] == [ADDED]
+    make(checkout, "course")
+    assert len(calls(checkout)) == 1
+    later = (checkout / ".venv" / "tests").stat().st_mtime + 10
+    os.utime(checkout / "environment-tests.txt", (later, later))
+    make(checkout, "figures")
+    assert short(calls(checkout)) == ["-m workbook figures"]
+    make(checkout, "course")
+    assert short(calls(checkout))[:-1] == [ADDED]
 
 
 def test_another_python_is_refused(checkout):

@@ -10,8 +10,6 @@ from stillwork.control import PidFamily, closed_loop, uncertain_channel
 from stillwork.control.loops import channel as pick
 from stillwork.lti import StateModel, hinf_norm, prove_gain
 
-pytest.importorskip("cvxpy")
-
 
 def drawn(seed, numbers=3):
     """A random stable model of a few states with uncertain numbers that leave it stable."""

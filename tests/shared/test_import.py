@@ -4,7 +4,7 @@ import sys
 import pytest
 
 TOOLBOX = ("base", "signals", "lti", "identification", "estimation", "control", "machine")
-HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "cvxpy", "numpy", "papermill")
+HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "clarabel", "numpy", "papermill")
 
 
 @pytest.mark.parametrize(

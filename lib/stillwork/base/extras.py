@@ -9,7 +9,7 @@ BY_PACKAGE = {
     "pandas": "data",
     "pyuff": "data",
     "control": "control",
-    "cvxpy": "control",
+    "distributed": "cluster",
     "clarabel": "control",
     "sklearn": "regression",
     "matplotlib": "design",

@@ -6,16 +6,16 @@ there (Fan, Tits and Doyle, IEEE Trans. Automatic Control 36 (1991), 25-38). Ove
 scalings hold until a Hamiltonian matrix has an imaginary eigenvalue: so no grid is needed between.
 """
 
-import warnings
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import linalg
 
 from stillwork.base.bounds import Natural, Positive
 from stillwork.base.checks import InputError
-from stillwork.base.extras import require_package
 from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.lti.cones import minimise
 from stillwork.lti.state_space import StateModel
 
 MOST_INTERVALS = 2000  # of frequency, in one proof
@@ -83,7 +83,7 @@ def prove_gain(model: StateModel, uncertain: Natural, level: Positive) -> GainPr
     InputError
         When the model is unstable or in discrete time, or has no other inputs and outputs.
     MissingPackage
-        When cvxpy is not installed.
+        When clarabel is not installed.
 
     References
     ----------
@@ -105,14 +105,13 @@ def prove_gain(model: StateModel, uncertain: Natural, level: Positive) -> GainPr
         )
     if model.sample_time or not model.is_stable:
         raise InputError("model must be stable and in continuous time for this bound")
-    solver = _Scalings(uncertain, inputs, outputs)
     rate = float(np.abs(model.poles).max()) if len(model.a) else 1.0
     a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
     slow = StateModel(a, model.b / scale[:, None] / rate, model.c * scale, model.d)
     least = 1e-3 * float(np.abs(slow.poles).min()) if len(a) else 1.0
     at, proven_to, step, intervals = least, 0.0, STEP, 0
     while intervals < MOST_INTERVALS:
-        weights = solver.at(slow.frequency_response([at])[:, :, 0], level)
+        weights = _scalings(slow.frequency_response([at])[:, :, 0], level, uncertain)
         low, high = (at, at) if weights is None else _valid(slow, weights, at)
         if weights is None or low > proven_to:  # it does not reach back to what is proven
             if step < LEAST_STEP or at <= proven_to:
@@ -127,64 +126,50 @@ def prove_gain(model: StateModel, uncertain: Natural, level: Positive) -> GainPr
     return GainProof(False, level, at * rate, intervals)
 
 
-class _Scalings:
-    """The convex problem of one frequency: scalings that prove the level there, with a margin where there is one."""
-
-    def __init__(self, uncertain: int, inputs: int, outputs: int):
-        cp = self._cp = require_package("cvxpy")
-        self._uncertain, self._inputs, self._outputs = uncertain, inputs, outputs
-        size = 2 * inputs
-        self._d, self._g = cp.Variable(uncertain, nonneg=True), cp.Variable(uncertain)
-        self._parts = [
-            [cp.Parameter((size, size), symmetric=True) for _ in range(uncertain)] for _ in range(2)
+def _scalings(response: np.ndarray, level: float, n: int) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """D, G and 1 / level^2 at one frequency that prove the level there, with a margin where there is one; else None."""
+    scaled, unit = _balanced(response / np.r_[np.ones(n), np.full(len(response) - n, level)][:, None], n)
+    performance, inputs = scaled[n:].conj().T @ scaled[n:], scaled.shape[1]
+    crosses, squares = [], []
+    for row, one in zip(scaled, np.eye(n, inputs), strict=False):
+        crosses.append(_real(1j * (np.outer(one, row) - np.outer(row.conj(), one))))
+        squares.append(np.outer(row.conj(), row))
+    for margin in MARGINS:
+        fixed = _real(performance - np.diag(np.r_[np.zeros(n), np.full(inputs - n, 1 - margin)]))
+        if not n:
+            if np.linalg.eigvalsh(fixed)[-1] < 0:
+                return np.zeros(0), np.zeros(0), 1 / level**2
+            continue
+        own = [
+            _real(square - (1 - margin) * np.diag(one))
+            for square, one in zip(squares, np.eye(n, inputs), strict=True)
         ]
-        self._fixed = cp.Parameter((size, size), symmetric=True)
-        whole = self._fixed
-        for k in range(uncertain):
-            whole = whole + self._d[k] * self._parts[0][k] + self._g[k] * self._parts[1][k]
-        self._least = cp.Parameter(nonneg=True)  # a scaling near zero proves nothing beside its own frequency
-        self._problem = cp.Problem(cp.Minimize(cp.sum(self._d)), [whole << 0, self._d >= self._least])
+        least = LEAST_SCALING * margin  # a scaling near zero proves nothing beside its own frequency
+        parts = partial(_inequality, fixed=fixed, terms=np.array([*own, *crosses]), least=least)
+        found, _ = minimise(np.r_[np.ones(n), np.zeros(n)], parts)
+        if found is not None:
+            return np.maximum(found[:n], 0.0) * unit**2, found[n:] * unit**2, 1 / level**2
+    return None
 
-    def at(self, response: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray, float] | None:
-        """D, G and 1 / level^2 of a response; None where the level is not proven."""
-        n = self._uncertain
-        response = response.copy()
-        response[n:] /= level
-        unit = np.ones(n)
-        if n:
-            size = np.maximum(np.abs(response), 1e-14 * np.abs(response).max() + 1e-300)
-            whole = np.zeros((max(size.shape),) * 2)
-            whole[: size.shape[0], : size.shape[1]] = size
-            _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
-            unit = 1 / scale[:n] * scale[n]  # the performance keeps its unit
-        scaled = response.copy()
-        scaled[:n] *= unit[:, None]
-        scaled[:, :n] /= unit
-        performance = scaled[n:].conj().T @ scaled[n:]
-        for k in range(n):
-            cross = np.zeros((self._inputs,) * 2, complex)
-            cross[k] += 1j * scaled[k]
-            self._parts[1][k].value = _real(cross + cross.conj().T)
-        for margin in MARGINS:
-            self._least.value = LEAST_SCALING * margin
-            for k in range(n):
-                square = np.outer(scaled[k].conj(), scaled[k])
-                square[k, k] -= 1 - margin
-                self._parts[0][k].value = _real(square)
-            ends = np.r_[np.zeros(n), np.full(self._inputs - n, 1 - margin)]
-            self._fixed.value = _real(performance - np.diag(ends))
-            if not n:
-                if np.linalg.eigvalsh(self._fixed.value)[-1] < 0:
-                    return np.zeros(0), np.zeros(0), 1 / level**2
-                continue
-            try:
-                with warnings.catch_warnings(action="ignore"):
-                    self._problem.solve(solver="CLARABEL", warm_start=False)
-            except self._cp.error.SolverError:
-                continue
-            if self._problem.status in ("optimal", "optimal_inaccurate"):
-                return np.maximum(self._d.value, 0.0) * unit**2, self._g.value * unit**2, 1 / level**2
-        return None
+
+def _inequality(x: np.ndarray, fixed: np.ndarray, terms: np.ndarray, least: float) -> list[np.ndarray]:
+    """What must be definite of D, G = x, and by how much each D exceeds the least."""
+    return [-(fixed + np.tensordot(x, terms, 1)), *(x[: len(x) // 2, None] - least)]
+
+
+def _balanced(response: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """The response with its first n outputs and inputs in units that make rows and columns alike, and the units."""
+    if not n:
+        return response, np.ones(0)
+    size = np.maximum(np.abs(response), 1e-14 * np.abs(response).max() + 1e-300)
+    whole = np.zeros((max(size.shape),) * 2)
+    whole[: size.shape[0], : size.shape[1]] = size
+    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
+    unit = 1 / scale[:n] * scale[n]  # the performance keeps its unit
+    scaled = response.copy()
+    scaled[:n] *= unit[:, None]
+    scaled[:, :n] /= unit
+    return scaled, unit
 
 
 def _real(matrix: np.ndarray) -> np.ndarray:
