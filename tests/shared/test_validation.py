@@ -260,6 +260,7 @@ PARTS = {
         "least_share",
     ),  # by the regressor that holds the fitting triangle
     *("Numbers.terms", "Numbers.files"),  # by the functions that write C
+    "minimise",  # by the functions that make the cones
     *(
         "MovingPaths.commands",
         "MovingPaths.noises",
