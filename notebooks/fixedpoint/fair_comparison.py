@@ -557,7 +557,7 @@ def exchanged_settings(model: Plant, tuned: dict[str, dict[str, Controller]]) ->
     return found
 
 
-def scaled_covariances(model: Plant, factors: Sequence[float]) -> dict[str, Controller]:
+def scaled_covariances(model: Plant, factors: Sequence[float] | np.ndarray) -> dict[str, Controller]:
     """The paper's Kalman loop with multiples of its printed Q, then of its R, by names such as ``Q x 0.01``."""
     printed = published_controllers(model)[KALMAN]
     kalman, found = printed.signal_filter, {}

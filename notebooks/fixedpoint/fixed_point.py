@@ -39,7 +39,11 @@ from workbook import figures
 
 
 def cycles_over_gain(
-    plant: Plant, controller: Controller, strengths: Sequence[float], width: float, sample_time: float
+    plant: Plant,
+    controller: Controller,
+    strengths: Sequence[float] | np.ndarray,
+    width: float,
+    sample_time: float,
 ) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
     """Predicted and simulated limit cycle for each -A: frequency in Hz, amplitude in m/s^2; NaN without one."""
     predicted, simulated = [], []
@@ -60,7 +64,7 @@ def cycles_over_gain(
 def divergence_by_noise(
     plant: Plant,
     controller: Controller,
-    deviations: Sequence[float],
+    deviations: Sequence[float] | np.ndarray,
     runs: int,
     seed: int,
     sample_time: float = 1e-3,

@@ -6,7 +6,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 from numpy.typing import ArrayLike
 from scipy import signal
 
@@ -226,7 +226,7 @@ def motions_of(floor: ShapedFloor, seed: int) -> dict[str, ShapedFloor | Recorde
     return {FLAT: floor, COMMON: ground_floor(20.0, seed, gain=100.0, common=0.999), SLAB: record_floor(slab)}
 
 
-def regressors_on(twin: Twin, floor, memory_s: float, seed: int) -> Float64[np.ndarray, "n samples"]:
+def regressors_on(twin: Twin, floor, memory_s: float, seed: int) -> Float32[np.ndarray, "n samples"]:
     """A memory of filtered regressors; rounded, so that every machine starts from the same digits."""
     run = simulate(twin, floor, 2.0 + memory_s, signals_from_s=2.0, seed=seed)
     return run.filtered_regressors.astype(np.float32)

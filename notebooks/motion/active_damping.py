@@ -122,7 +122,7 @@ def appendix(
     redesign: str,
     target: float,
     selectivity: float,
-    selectivities: Sequence[float],
+    selectivities: Sequence[float] | np.ndarray,
     exposure: float,
     table: tuple[pd.DataFrame, pd.DataFrame],
     small: ModalModel,
@@ -239,7 +239,7 @@ def _of_selectivity(
     increase: float,
     position: int,
     selectivity: float,
-    selectivities: Sequence[float],
+    selectivities: Sequence[float] | np.ndarray,
 ) -> None:
     page.text(r"""
 ## Which selectivity, which gains

@@ -104,9 +104,9 @@ def appendix(
     static: np.ndarray,
     half_power: float,
     systems: Mapping[str, StateModel],
-    study: Mapping,
+    study,
     drawn: Sequence[str],
-    common_selectivities: Sequence[float],
+    common_selectivities: Sequence[float] | np.ndarray,
     runs: int,
     seed: int,
 ) -> None:
@@ -271,9 +271,7 @@ factors on the frequencies, with and without band-pass.""")
         page.check(claim, ours)
 
 
-def _of_geometries(
-    page, study: Mapping, drawn: Sequence[str], settings: Settings, runs: int, seed: int
-) -> None:
+def _of_geometries(page, study, drawn: Sequence[str], settings: Settings, runs: int, seed: int) -> None:
     page.text("""## Over geometries
 
 The off-diagonal peak over the undamped one, then the share of machines whose peak over-actuation raises, by the mode that the

@@ -250,7 +250,7 @@ def appendix(
     alone: Mapping[str, float],
     moves: Mapping[str, Setpoint],
     other: pd.DataFrame,
-    sizes: Sequence[float],
+    sizes: Sequence[float] | np.ndarray,
     plants: int,
     seed: int,
 ) -> None:

@@ -44,7 +44,9 @@ def crossing_of(omega: np.ndarray, gain: np.ndarray) -> float:
 # === High-pass or noise model =====================================================================================
 
 
-def departures(phases: Mapping[str, tuple], thresholds: Sequence[float]) -> dict[str, dict[float, float]]:
+def departures(
+    phases: Mapping[str, tuple], thresholds: Sequence[float] | np.ndarray
+) -> dict[str, dict[float, float]]:
     """Frequency (Hz) at which a distance from -180 degrees first exceeds each threshold (degrees), by label."""
     return {
         name: {each: float(hertz[np.argmax(away > each)]) for each in thresholds}

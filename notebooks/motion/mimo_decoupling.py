@@ -26,7 +26,7 @@ from stillwork.lti.state_space import StateModel
 from workbook import figures, proportion_interval
 
 
-def paint_beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
+def paint_beam_layout(actuators: Sequence[float] | np.ndarray, sensors: Sequence[float] | np.ndarray):
     """Flexible mode shapes of the uniform beam with the places of actuators and sensors."""
     published = beam_parameters()["published"]["frequencies_hz"]
     along = np.linspace(0, 1, 201)
@@ -73,10 +73,10 @@ class Moved(NamedTuple):
 
 
 def move_actuators(
-    actuators: Sequence[float],
-    sensors: Sequence[float],
+    actuators: Sequence[float] | np.ndarray,
+    sensors: Sequence[float] | np.ndarray,
     settings: Settings,
-    travel: Sequence[float],
+    travel: Sequence[float] | np.ndarray,
     taper: float = 0.0,
 ) -> Moved:
     """Both actuators at eleven places along `travel`."""
@@ -101,10 +101,10 @@ class Seen(NamedTuple):
 
 
 def move_sensors(
-    actuators: Sequence[float],
-    sensors: Sequence[float],
+    actuators: Sequence[float] | np.ndarray,
+    sensors: Sequence[float] | np.ndarray,
     settings: Settings,
-    travel: Sequence[float],
+    travel: Sequence[float] | np.ndarray,
     taper: float = 0.0,
 ) -> Seen:
     """Both sensors at six places along `travel`, with the C_f of each."""
@@ -144,8 +144,8 @@ def moving(*, second_actuator: float, beam_taper: float, seed: int) -> Values:
 
 def paint_moving(
     plant: ModalModel,
-    actuators: Sequence[float],
-    sensors: Sequence[float],
+    actuators: Sequence[float] | np.ndarray,
+    sensors: Sequence[float] | np.ndarray,
     settings: Settings,
     travel,
     moved: Moved,
@@ -191,10 +191,10 @@ def appendix(
     *,
     plant: ModalModel,
     settings: Settings,
-    study: Mapping,
+    study,
     systems: Mapping[str, StateModel],
-    actuators: Sequence[float],
-    sensors: Sequence[float],
+    actuators: Sequence[float] | np.ndarray,
+    sensors: Sequence[float] | np.ndarray,
     travel,
     sensor_travel,
 ) -> None:
@@ -215,7 +215,9 @@ A Kalman observer with all modes couples exactly as perfect estimates do.""")
     _of_geometries(page, study, settings.increase)
 
 
-def _of_noise_models(page, actuators: Sequence[float], sensors: Sequence[float], plant: ModalModel) -> None:
+def _of_noise_models(
+    page, actuators: Sequence[float] | np.ndarray, sensors: Sequence[float] | np.ndarray, plant: ModalModel
+) -> None:
     page.text("""## Noise models
 
 The rank test counts the constant forces that two sensors can distinguish: at most two, so more actuators than sensors cannot have
@@ -258,7 +260,7 @@ double integrator again.""")
     page.check("motion.section-4-3.kept-sensing", round(float(np.abs(seen.stale + 2).max()), 2))
 
 
-def _of_geometries(page, study: Mapping, increase: float) -> None:
+def _of_geometries(page, study, increase: float) -> None:
     page.text("""## Over geometries
 
 The coupling of (4.15) over its closed form, its onset (Hz), how the schemes couple and what (3.32) adds:""")

@@ -455,7 +455,7 @@ def optimum_values(
     kalman: float,
     norms: Sequence[tuple[float, float]],
     optimum: float,
-    left: Sequence[float],
+    left: Sequence[float] | np.ndarray,
     points: Sequence[FrontPoint],
     tracking_hz: np.ndarray,
 ) -> Values:
@@ -561,7 +561,10 @@ def paint_bandwidths(
 
 
 def paint_norms(
-    bandwidths_hz: Sequence[float], norms: Sequence[tuple[float, float]], still: float, bandwidth_hz: float
+    bandwidths_hz: Sequence[float] | np.ndarray,
+    norms: Sequence[tuple[float, float]],
+    still: float,
+    bandwidth_hz: float,
 ):
     """Fig. 5.5: two-norms over the controller's bandwidth, with those that Table 5.1 prints."""
     figure, axis = figures.new(1, 1, height=2.6)

@@ -376,10 +376,10 @@ cent; above 1200 Hz some grow. AD flattens the peaks.""")
     page.save("fig-6-5", compensated)
     for band in ((1200, 2000), (850, 910)):
         pairs = zip(without.axes, compensated.axes, strict=True)
-        grown = [highest(after, *band)[:, 1] - highest(before, *band)[:, 1] for before, after in pairs]
-        least, most = (end(grown, axis=0).round().astype(int).tolist() for end in (np.min, np.max))
+        grown = [highest(after, *band)[:4, 1] - highest(before, *band)[:4, 1] for before, after in pairs]
+        least, most = ([f"{each:.0f}" for each in end(grown, axis=0)] for end in (np.min, np.max))
         page.show(
-            f"{band[0]} to {band[1]} Hz, positions 1 to 4: highest points change by {least} to {most} dB"
+            f"{band[0]} to {band[1]} Hz, positions 1 to 4: highest points change by {', '.join(least)} to {', '.join(most)} dB"
         )
     page.save("fig-6-6", paint_decoupled_plants(shown["AD"]))
     page.save("fig-6-8", paint_one_entry(shown, 0))

@@ -910,7 +910,7 @@ def order(*, error_law: str, rigid_body_errs: bool, seed: int) -> Values:
     return order_values(stored_orders()[error_law, rigid_body_errs])
 
 
-def order_values(study: Mapping[str, np.ndarray]) -> Values:
+def order_values(study) -> Values:
     """Conclusion 5.4 as the ledger has it: by the Kalman filter that is tuned, and with the given noise."""
     return {
         "motion.conclusion-5-4.tuned-kalman-ahead": fraction(kalman_ahead(study)),

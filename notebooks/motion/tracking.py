@@ -204,11 +204,11 @@ def appendix(
     setpoint: Setpoint,
     errors: Mapping[str, np.ndarray],
     quiet: Mapping[str, float],
-    study: Mapping[str, np.ndarray],
+    study,
     feedforward: Feedforward,
     cases: Sequence[str],
     same: Sequence[str],
-    settled_nm: Sequence[float],
+    settled_nm: Sequence[float] | np.ndarray,
     exposure: float,
     sample_time: float,
     seed: int,
@@ -240,7 +240,7 @@ def _of_settling(
     setpoint: Setpoint,
     errors: Mapping[str, np.ndarray],
     same: Sequence[str],
-    settled_nm: Sequence[float],
+    settled_nm: Sequence[float] | np.ndarray,
 ) -> None:
     page.text("""
 ## How soon it settles
@@ -262,7 +262,7 @@ from the end of the acceleration until the error stays inside:
     page.check("motion.section-3-5-2.settling", np.mean(sooner))
 
 
-def _of_sentences(page, study: Mapping[str, np.ndarray]) -> None:
+def _of_sentences(page, study) -> None:
     page.text("""
 ## Two sentences of the text that contradict the table
 

@@ -229,7 +229,7 @@ def appendix(
     loops: Mapping[str, StateModel],
     found: Mapping[str, Identified],
     experiment: Mapping[str, float],
-    speeds: Sequence[float],
+    speeds: Sequence[float] | np.ndarray,
     table: pd.DataFrame,
     seed: int,
     settings: Mapping,

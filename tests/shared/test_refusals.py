@@ -9,7 +9,6 @@ import pytest
 from stillwork.base.checks import InputError
 from stillwork.control.controlled_run import ending, require_noise
 from stillwork.control.crossover import crossover
-from stillwork.control.digital import biquads
 from stillwork.control.feedback import fed_back
 from stillwork.control.feedforward import Feedforward
 from stillwork.control.fixed_point_convergence import LimitCycle, Oscillation
@@ -76,8 +75,6 @@ REFUSED = [
     (lambda: LimitCycle(np.nan, 1.0, 1.0, 1.0, True), "frequency_hz"),
     (lambda: ResponseEstimate("x", *np.ones((3, 1, 1, 1)), 1), "frequencies_hz"),
     (lambda: impact_response(HITS, HITS, 1e308), "rate"),
-    (lambda: biquads(constant([[1, 2], [3, 4]], 1e-3)), "model"),
-    (lambda: biquads(constant([[1]])), "model"),
     (lambda: semi_implicit_motion((1.0, 2.0, 3.0), 0.0), "sample_time"),
     (lambda: factor_of("triangle", np.ones((2, 3))), "covariance"),
     (lambda: end_point_weights(3, 5), "degree"),

@@ -47,7 +47,10 @@ def paint_rejections(
 
 
 def paint_over_first(
-    cases: Mapping[str, StateModel], omega: np.ndarray, resonances: Sequence[float], xlim: tuple[float, float]
+    cases: Mapping[str, StateModel],
+    omega: np.ndarray,
+    resonances: Sequence[float] | np.ndarray,
+    xlim: tuple[float, float],
 ):
     """Transfers to the true error over those of the first case (dB), from u_ff, w, v and d, with the `resonances` (Hz).
 

@@ -96,13 +96,6 @@ def weak_highpass(order: Count, cutoff: Positive, times: Count, sample_time: Pos
 
 
 @checked
-def secondary_path(path: SecondaryPath, sample_time: Positive) -> Sections:
-    """Secondary path s² / (m s² + d s + k) w_a / (s + w_a), without delay."""
-    poles = [*np.roots(path.suspension), -path.actuator_pole]
-    return tustin_sections([0, 0], poles, path.actuator_pole / path.mass, sample_time)
-
-
-@checked
 def noise_shaping(shaping: NoiseShaping, path: SecondaryPath, sample_time: Positive) -> Sections:
     """Noise shaping N = band x notches x s² / (m s² + d s + k) of the path."""
     zeros, poles, gain = _band(shaping, sample_time)
