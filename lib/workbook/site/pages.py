@@ -91,7 +91,12 @@ class PageCell:
     @property
     def html(self) -> Markup:
         """For a site's page; who derives a README or a manifest from a page does not wait for it."""
-        return _highlighted(self.source) if self.code else Markup(_prose(self.notebook, self.source))
+        if self.code:
+            return _highlighted(self.source)
+        text = _prose(self.notebook, self.source)
+        if self.apart:  # its headings may be those of the page
+            text = re.sub(r'(<h[1-6]\b[^>]*?\bid="|href="#)', r"\1appendix-", text)
+        return Markup(text)
 
     @property
     def shown(self) -> list[str]:
@@ -228,7 +233,8 @@ def with_outputs(cells: list[dict], gave: dict[str, list[dict]]) -> list[dict]:
 
 
 def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim], start: bytes) -> list[PageCell]:
-    pictures = sorted(file.stem for file in folder.glob("[!.]*.png"))
+    apart = "".join("".join(o.get("data", {}).get(APPENDIX, "")) for c in raw for o in c.get("outputs", []))
+    pictures = sorted(file.stem for file in folder.glob("[!.]*.png") if f"]({file.stem}.png)" not in apart)
     by_id = {claim.entry.id: claim for claim in claims}
     drawn: set[str] = set()
     judged: set[str] = set()
