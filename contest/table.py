@@ -148,8 +148,8 @@ def hold_contest(
 ) -> int:
     """Run the observers in `files` and print where they stand in the committed table, with `verbose` that table, too.
 
-    Without files the committed table is printed. Returns 1 when one was disqualified. `tuned` sets the knobs that a file declares by the official tuner first; `out` is
-    written with the table and a column for each file.
+    Without files the committed table is printed. Returns 1 when one was disqualified. `tuned` sets the knobs that a file
+    declares by the official tuner first; `out` is written with the table and a column for each file.
     """
     for name in machine:
         require_choice("machine", name, PLANTS)

@@ -15,7 +15,8 @@ from stillwork.base.checks import nearest, one_line
 from stillwork.base.extras import MissingPackage, missing
 
 # Modules of other packages whose commands are offered, too: each has ``COMMANDS`` (help by name), ``main(arguments)``,
-# ``offered()``, the names of those that work in this folder, and ``model_file(path)``, which says what uses a TOML file as a machine.
+# ``offered()``, the names of those that work in this folder, and ``model_file(path)``, which says what uses a TOML file
+# as a machine.
 OTHERS = "stillwork.commands"  # their group of entry points
 BESIDE = "workbook.__main__"  # of an environment that was installed before its distribution named it there
 

@@ -1,7 +1,8 @@
 """Filters of a self-tuned feedforward against floor vibration, after Beijen et al. (2018).
 
-They are designed in continuous time and discretised with Tustin's rule. Every design returns second-order sections as `scipy.signal.sosfilt` takes them. Products are formed from poles
-and zeros in continuous time, before Tustin's rule: terms that cancel analytically are never subject to rounding.
+They are designed in continuous time and discretised with Tustin's rule. Every design returns second-order sections as
+`scipy.signal.sosfilt` takes them. Products are formed from poles and zeros in continuous time, before Tustin's rule: terms
+that cancel analytically are never subject to rounding.
 """
 
 from dataclasses import dataclass

@@ -196,6 +196,7 @@ def adaptation_code(
         "one": write(1),
         "title": f"{name}: {actuators} x {regressors} weights by {type(settings).__name__}, {precision} precision.",
     }
+    values["shared"] = write._text("adaptation.c", values, marks).rstrip()
     if isinstance(settings, FeLms):
         values["fields"] = (
             f"    {name}_real rest[{actuators}][{regressors}]; /* what rounding has left of W */"
@@ -443,23 +444,24 @@ class Numbers:
         self, templates: tuple[str, str] | str, stem: str, values: dict, marks: dict | None = None
     ) -> dict[str, str]:
         """Header and source from templates of these names; lines that begin with a mark and | are used only where that mark is set."""
-        values |= {
+        header, source = (templates, templates) if isinstance(templates, str) else templates
+        return {
+            f"{stem}.{kind}": self._text(f"{file}.{kind}", values, marks or {})
+            for kind, file in (("h", header), ("c", source))
+        }
+
+    def _text(self, template: str, values: dict, marks: dict) -> str:
+        """A template of this name, filled; see `files`."""
+        lines = (TEMPLATES / template).read_text(encoding="utf-8").splitlines(keepends=True)
+        kept = [
+            line[2:] if line[1:2] == "|" else line for line in lines if line[1:2] != "|" or marks[line[0]]
+        ]
+        names = {
             "name": self.name,
             "guard": self.name.upper(),
             "real": "double" if self.type is np.float64 else "float",
         }
-        header, source = (templates, templates) if isinstance(templates, str) else templates
-        return {
-            f"{stem}.{kind}": Template(_marked(TEMPLATES / f"{file}.{kind}", marks or {})).substitute(values)
-            for kind, file in (("h", header), ("c", source))
-        }
-
-
-def _marked(template: Path, marks: dict) -> str:
-    lines = template.read_text(encoding="utf-8").splitlines(keepends=True)
-    return "".join(
-        line[2:] if line[1:2] == "|" else line for line in lines if line[1:2] != "|" or marks[line[0]]
-    )
+        return Template("".join(kept)).substitute(values | names)
 
 
 def _lines(statements, indent: int = 4) -> str:

@@ -63,7 +63,8 @@ def predict(
     """Motion and transmissibility of a design and of the loops around it, each with weights drawn from their scatter.
 
     Where `floor` has its record, that runs through every loop with frozen weights: its peaks are those of the commands
-    without sensor noise (`replay` adds that), and its scatter is that of the floor's spectra, too. Without it the spectra count as known, and the peaks are Rice's.
+    without sensor noise (`replay` adds that), and its scatter is that of the floor's spectra, too. Without it the spectra
+    count as known, and the peaks are Rice's.
     """
     if design.scatter is None:
         raise InputError(

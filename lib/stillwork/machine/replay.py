@@ -3,6 +3,7 @@
 import ctypes
 import shutil
 import subprocess
+from contextlib import contextmanager
 from pathlib import Path
 from string import Template
 from tempfile import TemporaryDirectory
@@ -92,20 +93,21 @@ def replay(
         return np.sqrt(_seconds(banded**2, rate, np.mean))
 
     passive = np.fft.rfft(moved, axis=1)
-    motions, peaks, saturated, ran = [left(passive)], [], [], ""
+    motions, peaks, saturated = [left(passive)], [], []
     counted = slice(lead, lead + count)
-    for begins in (len(order), 0):
-        forces, flags, ran = _run(design, files, name, limit, pause_s, floors, seen, begins)
-        if not np.isfinite(forces).all():
-            raise InputError(
-                "not to be switched on: on the record itself the weights run away; adapt more slowly"
-            )
-        peaks.append(_seconds(np.abs(forces[counted].T), rate, np.max))
-        saturated.append(int(np.count_nonzero(flags[counted] & SATURATED)))
-        # From rest to rest, with the rise before it and a fade after: else its lines had a step of the commands.
-        forces[lead + count :] *= np.linspace(1.0, 0.0, tail)[:, None]
-        motions.append(left(passive + through(f, np.fft.rfft(forces.T, axis=1), grid, held)))
-    alone, *_ = _run(design, files, name, np.inf, pause_s, quiet, still, len(order))
+    with _loop(design, files, name, pause_s) as (run, ran):
+        for begins in (len(order), 0):
+            forces, flags = run(floors, seen, limit, begins)
+            if not np.isfinite(forces).all():
+                raise InputError(
+                    "not to be switched on: on the record itself the weights run away; adapt more slowly"
+                )
+            peaks.append(_seconds(np.abs(forces[counted].T), rate, np.max))
+            saturated.append(int(np.count_nonzero(flags[counted] & SATURATED)))
+            # From rest to rest, with the rise before it and a fade after: else its lines had a step of the commands.
+            forces[lead + count :] *= np.linspace(1.0, 0.0, tail)[:, None]
+            motions.append(left(passive + through(f, np.fft.rfft(forces.T, axis=1), grid, held)))
+        alone, _ = run(quiet, still, np.inf, len(order))
     largest = np.abs(alone[counted]).max(axis=0)
     return Replay(ran, np.array(motions), np.array(peaks), (saturated[0], saturated[1]), largest)
 
@@ -136,35 +138,35 @@ def plant_matrices(isolator: Isolator, sample_time: float):
     return a, now, before, c, int(late)
 
 
-def _run(design, files, name, limit, pause_s, floors, seen, begins):
-    """Commands (samples, axes) and flags of each sample, and what ran; weights adapt from the sample `begins` on."""
+@contextmanager
+def _loop(design: IsolationDesign, files: dict[str, str], name: str, pause_s: float):
+    """What runs sensors through the loop, compiled once where a compiler is, and its name.
+
+    It gives commands (samples, axes) and flags of each sample; weights adapt from the sample `begins` on.
+    """
     *plant, late = plant_matrices(design.isolator, design.loop.sample_time)
-    forces, flags = np.zeros_like(seen), np.zeros(len(seen), np.uint8)
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
-    if compiler:
-        states = len(plant[0])
-        work = np.zeros(states), np.zeros(states)
-        with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            if run := _compiled(compiler, files, name, Path(folder)):
-                whole = (ctypes.c_long(len(seen)), states, ctypes.c_long(late), ctypes.c_long(begins))
-                arrays = [
-                    each.ctypes.data_as(ctypes.c_void_p)
-                    for each in (*plant, floors, seen, forces, flags, *work)
-                ]
-                run(*whole, *arrays[:6], ctypes.c_double(limit), *arrays[6:])
-                return forces, flags, "the written C, compiled"
-    ago = design.settings.path_delay
-    _run_kernel(
-        design,
-        limit,
-        (*waiting_samples(design.loop, pause_s), late, begins, -1 if ago is None else ago),
-        floors,
-        seen,
-        tuple(plant),
-        forces,
-        flags,
-    )
-    return forces, flags, "its kernel in Python, as no C compiler was found"
+    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        compiled = _compiled(compiler, files, name, Path(folder)) if compiler else None
+
+        def run(floors, seen, limit, begins):
+            forces, flags = np.zeros_like(seen), np.zeros(len(seen), np.uint8)
+            if compiled is None:
+                ago = design.settings.path_delay
+                spans = (*waiting_samples(design.loop, pause_s), late, begins, -1 if ago is None else ago)
+                _run_kernel(design, limit, spans, floors, seen, tuple(plant), forces, flags)
+                return forces, flags
+            states = len(plant[0])
+            work = np.zeros(states), np.zeros(states)
+            whole = (ctypes.c_long(len(seen)), states, ctypes.c_long(late), ctypes.c_long(begins))
+            arrays = [
+                each.ctypes.data_as(ctypes.c_void_p) for each in (*plant, floors, seen, forces, flags, *work)
+            ]
+            compiled(*whole, *arrays[:6], ctypes.c_double(limit), *arrays[6:])
+            return forces, flags
+
+        found = "the written C, compiled" if compiled else "its kernel in Python, as no C compiler was found"
+        yield run, found
 
 
 def _compiled(compiler: str, files: dict[str, str], name: str, folder: Path):

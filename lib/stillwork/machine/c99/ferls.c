@@ -7,11 +7,7 @@
 #error "the factors need IEEE arithmetic: compile without -ffast-math"
 #endif
 
-typedef ${name}_real real;
-
-#define A ${guard}_ACTUATORS
-#define N ${guard}_REGRESSORS
-m|#define PLACES $places /* of psi and N[u], of now and of the samples of the path's delay */
+$shared
 
 static const real forgetting = $forgetting;
 
@@ -24,7 +20,6 @@ $first
     int a;
     int i;
     int j;
-m|    int turn;
 
     for (i = 0; i < N; i++) {
         for (a = 0; a < A; a++) {
@@ -38,28 +33,7 @@ m|    int turn;
         s->held[i] = $zero;
     }
     s->axis = 0;
-m|    for (turn = 0; turn < PLACES; turn++) {
-m|        for (i = 0; i < N; i++) {
-m|            s->past[turn][i] = $zero;
-m|        }
-m|        for (a = 0; a < A; a++) {
-m|            s->sent[turn][a] = $zero;
-m|        }
-m|    }
-m|    s->turn = 0;
-}
-
-void ${name}_feed(const ${name}_state *s, const real regressor[N], real out[A])
-{
-    int a;
-    int i;
-
-    for (a = 0; a < A; a++) {
-        out[a] = $zero;
-        for (i = 0; i < N; i++) {
-            out[a] += s->weights[a][i] * regressor[i];
-        }
-    }
+m|    empty(s);
 }
 
 /* Bierman's update of U and D; gain becomes P psi of before, the result is forget + psi' P psi. */
@@ -118,39 +92,6 @@ static void hold(${name}_state *s, int axis)
     }
 }
 
-m|/* Keep psi and N[u] of this sample. */
-m|void ${name}_pass(${name}_state *s, const real regressor[N], const real command[A])
-m|{
-m|    int a;
-m|    int i;
-m|
-m|    for (i = 0; i < N; i++) {
-m|        s->past[s->turn][i] = regressor[i];
-m|    }
-m|    for (a = 0; a < A; a++) {
-m|        s->sent[s->turn][a] = command[a];
-m|    }
-m|    s->turn = (s->turn + 1) % PLACES;
-m|}
-m|
-m|/* psi of as many samples ago as the path is late, and the modified error of the weights of now. */
-m|static void modify(const ${name}_state *s, const real given[A], real regressor[N], real error[A])
-m|{
-m|    const int then = s->turn; /* the oldest place is the next one */
-m|    int a;
-m|    int i;
-m|
-m|    for (i = 0; i < N; i++) {
-m|        regressor[i] = s->past[then][i];
-m|    }
-m|    for (a = 0; a < A; a++) {
-m|        error[a] = given[a] - s->sent[then][a];
-m|        for (i = 0; i < N; i++) {
-m|            error[a] += s->weights[a][i] * regressor[i];
-m|        }
-m|    }
-m|}
-m|
 p|int ${name}_update(${name}_state *s, const real regressor[N], const real error[A])
 m|int ${name}_update(${name}_state *s, const real now[N], const real command[A], const real given[A])
 {
