@@ -1,7 +1,6 @@
 """Explorers: turn a drawing function into sliders with live redraw, or a static picture in a build."""
 
 import shlex
-import sys
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
@@ -180,10 +179,14 @@ def build_line(notebook: str, parameters: Collection[str], settings: Mapping, st
 def _own_page() -> tuple[str, Collection[str]]:
     """The notebook that runs this, by its `page`, and its parameters; nothing where there is none."""
     from workbook.conclusions import accepted_settings
+    from workbook.page import shell
 
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    notebook = getattr(shell and shell.user_ns.get("page"), "notebook", "")
+    here = shell()
+    notebook = getattr(here and here.user_ns.get("page"), "notebook", "")
     return notebook, tuple(accepted_settings(notebook)) if notebook else ()
+
+
+AT_START = "explorer at its start"  # how one is printed where no widgets run
 
 
 @dataclass(frozen=True)
@@ -197,7 +200,7 @@ class StaticPicture:
         return self.png
 
     def __repr__(self) -> str:
-        return f"explorer at its start: {self.settings}"
+        return f"{AT_START}: {self.settings}"
 
 
 def lines_of(figure) -> list[list]:

@@ -57,15 +57,15 @@ class Page:
 
         A build shows it where its settings are others, above its first claim.
         """
-        shell = _shell()
-        if shell is None:
+        here = shell()
+        if here is None:
             return
         from IPython.display import display
 
         from workbook.conclusions import banner, other_settings
         from workbook.headlines import claims_of, summary_of
 
-        settings = other_settings(self.notebook, shell.user_ns.get("In", ()))
+        settings = other_settings(self.notebook, here.user_ns.get("In", ()))
         if self._handle is None and paths.in_batch() and not settings:
             return
         with contextlib.suppress(InputError, OSError):  # of what is not written yet there is nothing to show
@@ -241,17 +241,17 @@ class Table:
 
 
 def _display(shown) -> None:
-    if _shell() is not None:
+    if shell() is not None:
         from IPython.display import display
 
         display(shown)
 
 
-def _shell():
+def shell():
     """IPython, where it runs this."""
     return sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
 
 
 def _in_jupyter() -> bool:
     """Whether a kernel of Jupyter runs this; `paths.in_batch` marks those of a build."""
-    return hasattr(_shell(), "kernel")
+    return hasattr(shell(), "kernel")

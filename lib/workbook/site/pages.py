@@ -18,6 +18,7 @@ from workbook.appendix import KIND as APPENDIX
 from workbook.checks import InputError
 from workbook.claims import HERE, VERDICTS, Claim
 from workbook.conclusions import Sentence
+from workbook.explorer import AT_START
 from workbook.notebooks import Notebook
 from workbook.tasks import Task
 
@@ -26,7 +27,6 @@ PRINTED = tuple(map(repr, HERE))
 # Small pictures are for lists of figures: a gallery of them in full size would weigh twenty megabytes.
 SMALL = 480  # pixels: two for each of a column's
 PICTURE = re.compile(r"!\[([\w.-]+)\]\(\1\.png\)\n?")
-AT_START = "explorer at its start"  # how an explorer is printed where no widgets run
 FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
 HEADING = re.compile(r'<h([1-6])\b[^>]*?\bid="([^"]*)"[^>]*>(.*?)</h\1>', re.DOTALL)
 ANCHOR = re.compile(r'<a class="anchor-link".*?</a>', re.DOTALL)
@@ -233,8 +233,9 @@ def with_outputs(cells: list[dict], gave: dict[str, list[dict]]) -> list[dict]:
 
 
 def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim], start: bytes) -> list[PageCell]:
-    apart = "".join("".join(o.get("data", {}).get(APPENDIX, "")) for c in raw for o in c.get("outputs", []))
-    pictures = sorted(file.stem for file in folder.glob("[!.]*.png") if f"]({file.stem}.png)" not in apart)
+    gave = [output.get("data", {}) for cell in raw for output in cell.get("outputs", [])]
+    elsewhere = {each[1] for data in gave for each in PICTURE.finditer("".join(data.get(APPENDIX, "")))}
+    pictures = sorted({file.stem for file in folder.glob("[!.]*.png")} - elsewhere)
     by_id = {claim.entry.id: claim for claim in claims}
     drawn: set[str] = set()
     judged: set[str] = set()
