@@ -1,10 +1,11 @@
 """Active damping: what notebook 07 alone needs, with its appendix."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from experiments.motion.designs import (
     DESIGNS,
@@ -122,7 +123,7 @@ def appendix(
     redesign: str,
     target: float,
     selectivity: float,
-    selectivities: Sequence[float] | np.ndarray,
+    selectivities: ArrayLike,
     exposure: float,
     table: tuple[pd.DataFrame, pd.DataFrame],
     small: ModalModel,
@@ -239,7 +240,7 @@ def _of_selectivity(
     increase: float,
     position: int,
     selectivity: float,
-    selectivities: Sequence[float] | np.ndarray,
+    selectivities: ArrayLike,
 ) -> None:
     page.text(r"""
 ## Which selectivity, which gains

@@ -28,6 +28,7 @@ from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import (
     SIX_DB,
     Bandwidth,
+    Loop,
     PeakConstraint,
     highest_peaks,
     make_loop,
@@ -42,9 +43,7 @@ from workbook import figures
 # The published bandwidths as a table and as a map over what the thesis leaves open (notebook 09).
 
 
-def paint_bandwidths(
-    found: Mapping[str, Bandwidth], position: int, published_hz: Sequence[float] | np.ndarray
-):
+def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz: ArrayLike):
     """First crossings at one mass with their range over the masses, and the design parameters, beside the published."""
     figure, axis = figures.new(1, 1, height=3.2)
     places, crossings = np.arange(len(found)), np.array([each.crossing_hz for each in found.values()])
@@ -98,12 +97,13 @@ def sensor_noise_alone() -> NoiseIntensities:
     return NoiseIntensities(sigma["w"] ** 2, sigma["d"] ** 2)
 
 
+COARSE = {"points": 2000, "around": 0, "low_hz": 1.0, "high_hz": 1e4}  # frequencies of a loop
 CHOICES = {
     "as published": {},
     "6 dB taken as 2": {"limit": 2.0},
     "R = sensor noise alone": {"noise": sensor_noise_alone},
-    "grid of 2000 points": {"points": 2000, "around": 0, "low_hz": 1.0, "high_hz": 1e4, "refine": False},
-    "grid of 10000 points": {"points": 10000, "around": 0, "low_hz": 1.0, "high_hz": 1e4, "refine": False},
+    "grid of 2000 points": {**COARSE, "refine": False},
+    "grid of 10000 points": {**COARSE, "points": 10000, "refine": False},
     "damping 0.1 %": {"damping_ratio": 0.001},
 }
 
@@ -176,8 +176,8 @@ def bandwidth_map(
 WAYS_OF_READING = {  # of the frequencies and of R; both are printed for none of the bandwidths
     "peaks refined": ({}, None),
     "peaks refined, half of R": ({}, sensor_noise_alone),
-    "2000 frequencies": (CHOICES["grid of 2000 points"], None),
-    "2000 frequencies, half of R": (CHOICES["grid of 2000 points"], sensor_noise_alone),
+    "2000 frequencies": (COARSE, None),
+    "2000 frequencies, half of R": (COARSE, sensor_noise_alone),
 }
 WRITTEN = {"rounded": (-0.5, 0.5), "cut off": (0.0, 1.0)}  # which f_bw are written as one hertz
 
@@ -198,25 +198,24 @@ def limit_windows(printed: Sequence[tuple[str, float]]) -> dict[str, dict[str, n
         By way of writing (`WRITTEN`) and way of reading (`WAYS_OF_READING`): lowest and highest limit.
     """
 
-    def window(name: str, hz: float, ends: tuple[float, float], way: str) -> list[float]:
-        grid, noise = WAYS_OF_READING[way]
-        return [_largest_peak(name, hz + end, noise and noise(), grid) for end in ends]
+    found = {written: {} for written in WRITTEN}
+    for way, (grid, noise) in WAYS_OF_READING.items():
+        given = noise and noise()
+        loops = {name: stage_loops(DESIGNS[name], given, **grid) for name in dict(printed)}
+        for written, ends in WRITTEN.items():
+            found[written][way] = np.array(
+                [
+                    [_largest_peak(loops[name], DESIGNS[name], hz + end, refined=not grid) for end in ends]
+                    for name, hz in printed
+                ]
+            )
+    return found
 
-    return {
-        written: {
-            way: np.array([window(name, hz, ends, way) for name, hz in printed]) for way in WAYS_OF_READING
-        }
-        for written, ends in WRITTEN.items()
-    }
 
-
-def _largest_peak(name: str, hz: float, noise: NoiseIntensities | None, grid: Mapping) -> float:
-    """Largest limited peak of a design at one f_bw, over the seven loops: refined, or the largest on a grid."""
-    design = DESIGNS[name]
+def _largest_peak(loops: Sequence[Loop], design: Design, hz: float, refined: bool) -> float:
+    """Largest limited peak of a design at one f_bw, over its loops: refined, or the largest on their grids."""
     controller = controllers(design)(hz)
-    grid = {key: value for key, value in grid.items() if key != "refine"}
-    loops = stage_loops(design, noise, **grid)
-    if not grid:
+    if refined:
         return max(peak.magnitude for peak in highest_peaks(loops, controller, design.constraints).values())
     responses = [getattr(each.at(controller), name) for each in loops for name in design.constraints]
     return float(np.abs(responses).max())
@@ -293,7 +292,7 @@ LOOPS = (*OPEN_LOOPS, "f_bw")
 WAYS = [(six, compensation) for six in SIX for compensation in COMPENSATIONS]  # the defaults first
 
 
-def agreeing(published_hz: Sequence[float] | np.ndarray, cut_off: bool = False) -> np.ndarray:
+def agreeing(published_hz: ArrayLike, cut_off: bool = False) -> np.ndarray:
     """Whether published values agree with ours, (loops, masses, ways, values): whole hertz rounded or cut off.
 
     `published_hz` are those of `BANDWIDTHS` in order, and the second one of MC with two constraints.

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy import linalg
 
 from experiments.motion.decoupled_damping import added_damping, band_passed, constrained_damping
@@ -28,6 +29,7 @@ from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 from workbook import figures, proportion_interval, run_study
+from workbook.studies import Study
 
 
 def minimal_order(gain: StateModel) -> int:
@@ -104,9 +106,9 @@ def appendix(
     static: np.ndarray,
     half_power: float,
     systems: Mapping[str, StateModel],
-    study,
+    study: Study,
     drawn: Sequence[str],
-    common_selectivities: Sequence[float] | np.ndarray,
+    common_selectivities: ArrayLike,
     runs: int,
     seed: int,
 ) -> None:
@@ -271,7 +273,9 @@ factors on the frequencies, with and without band-pass.""")
         page.check(claim, ours)
 
 
-def _of_geometries(page, study, drawn: Sequence[str], settings: Settings, runs: int, seed: int) -> None:
+def _of_geometries(
+    page, study: Study, drawn: Sequence[str], settings: Settings, runs: int, seed: int
+) -> None:
     page.text("""## Over geometries
 
 The off-diagonal peak over the undamped one, then the share of machines whose peak over-actuation raises, by the mode that the

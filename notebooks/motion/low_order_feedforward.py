@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 import pandas as pd
 from jaxtyping import Float64
+from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.machines import published_setpoint, stage
@@ -250,7 +251,7 @@ def appendix(
     alone: Mapping[str, float],
     moves: Mapping[str, Setpoint],
     other: pd.DataFrame,
-    sizes: Sequence[float] | np.ndarray,
+    sizes: ArrayLike,
     plants: int,
     seed: int,
 ) -> None:

@@ -1,11 +1,12 @@
 """Decoupling a machine with several inputs and outputs: what this notebook alone needs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float64
+from numpy.typing import ArrayLike
 
 from experiments.motion.beam import beam, beam_parameters, beam_shapes
 from experiments.motion.decoupled_damping import added_damping
@@ -24,9 +25,10 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel
 from workbook import figures, proportion_interval
+from workbook.studies import Study
 
 
-def paint_beam_layout(actuators: Sequence[float] | np.ndarray, sensors: Sequence[float] | np.ndarray):
+def paint_beam_layout(actuators: ArrayLike, sensors: ArrayLike):
     """Flexible mode shapes of the uniform beam with the places of actuators and sensors."""
     published = beam_parameters()["published"]["frequencies_hz"]
     along = np.linspace(0, 1, 201)
@@ -73,10 +75,10 @@ class Moved(NamedTuple):
 
 
 def move_actuators(
-    actuators: Sequence[float] | np.ndarray,
-    sensors: Sequence[float] | np.ndarray,
+    actuators: ArrayLike,
+    sensors: ArrayLike,
     settings: Settings,
-    travel: Sequence[float] | np.ndarray,
+    travel: ArrayLike,
     taper: float = 0.0,
 ) -> Moved:
     """Both actuators at eleven places along `travel`."""
@@ -101,10 +103,10 @@ class Seen(NamedTuple):
 
 
 def move_sensors(
-    actuators: Sequence[float] | np.ndarray,
-    sensors: Sequence[float] | np.ndarray,
+    actuators: ArrayLike,
+    sensors: ArrayLike,
     settings: Settings,
-    travel: Sequence[float] | np.ndarray,
+    travel: ArrayLike,
     taper: float = 0.0,
 ) -> Seen:
     """Both sensors at six places along `travel`, with the C_f of each."""
@@ -144,8 +146,8 @@ def moving(*, second_actuator: float, beam_taper: float, seed: int) -> Values:
 
 def paint_moving(
     plant: ModalModel,
-    actuators: Sequence[float] | np.ndarray,
-    sensors: Sequence[float] | np.ndarray,
+    actuators: ArrayLike,
+    sensors: ArrayLike,
     settings: Settings,
     travel,
     moved: Moved,
@@ -191,10 +193,10 @@ def appendix(
     *,
     plant: ModalModel,
     settings: Settings,
-    study,
+    study: Study,
     systems: Mapping[str, StateModel],
-    actuators: Sequence[float] | np.ndarray,
-    sensors: Sequence[float] | np.ndarray,
+    actuators: ArrayLike,
+    sensors: ArrayLike,
     travel,
     sensor_travel,
 ) -> None:
@@ -215,9 +217,7 @@ A Kalman observer with all modes couples exactly as perfect estimates do.""")
     _of_geometries(page, study, settings.increase)
 
 
-def _of_noise_models(
-    page, actuators: Sequence[float] | np.ndarray, sensors: Sequence[float] | np.ndarray, plant: ModalModel
-) -> None:
+def _of_noise_models(page, actuators: ArrayLike, sensors: ArrayLike, plant: ModalModel) -> None:
     page.text("""## Noise models
 
 The rank test counts the constant forces that two sensors can distinguish: at most two, so more actuators than sensors cannot have
@@ -260,7 +260,7 @@ double integrator again.""")
     page.check("motion.section-4-3.kept-sensing", round(float(np.abs(seen.stale + 2).max()), 2))
 
 
-def _of_geometries(page, study, increase: float) -> None:
+def _of_geometries(page, study: Study, increase: float) -> None:
     page.text("""## Over geometries
 
 The coupling of (4.15) over its closed form, its onset (Hz), how the schemes couple and what (3.32) adds:""")

@@ -455,7 +455,7 @@ def optimum_values(
     kalman: float,
     norms: Sequence[tuple[float, float]],
     optimum: float,
-    left: Sequence[float] | np.ndarray,
+    left: ArrayLike,
     points: Sequence[FrontPoint],
     tracking_hz: np.ndarray,
 ) -> Values:
@@ -561,7 +561,7 @@ def paint_bandwidths(
 
 
 def paint_norms(
-    bandwidths_hz: Sequence[float] | np.ndarray,
+    bandwidths_hz: ArrayLike,
     norms: Sequence[tuple[float, float]],
     still: float,
     bandwidth_hz: float,

@@ -32,7 +32,7 @@ from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 from workbook import figures, proportion_interval
 from workbook.claims import load_entries
-from workbook.studies import fraction
+from workbook.studies import Study, fraction
 
 DIRECTIONS = ("z", "rx", "ry")
 PRINTED_HZ = {"Original": (6.0, 8.0), "MC": (9.0, 11.0), "AD": (12.0, 13.0), "MC and AD": (17.0, 21.0)}
@@ -197,7 +197,7 @@ def ordered(crossing: np.ndarray) -> dict[str, np.ndarray]:
 # === The appendix =================================================================================================
 
 
-def appendix(page, *, study, measure: str, ratios: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+def appendix(page, *, study: Study, measure: str, ratios: Mapping[str, Mapping[str, np.ndarray]]) -> None:
     """What the page of motion/25 judges beside its answer."""
     which = MEASURES.index(measure)
     both = {name: study["crossing"][:, k] for k, name in enumerate(MEASURES)}
@@ -209,7 +209,7 @@ def appendix(page, *, study, measure: str, ratios: Mapping[str, Mapping[str, np.
     _of_printed_bandwidths(page, study, both, ratios)
 
 
-def _of_bandwidths(page, study, both: Mapping[str, np.ndarray], measure: str) -> None:
+def _of_bandwidths(page, study: Study, both: Mapping[str, np.ndarray], measure: str) -> None:
     page.text("""## Bandwidths under both measures of 6 dB
 
 Number of designs, least, largest and median bandwidth (Hz); then the order over all geometries (a case without a feasible bandwidth
@@ -239,7 +239,7 @@ exceeds none), and over those with all designs:""")
     page.show(pd.DataFrame(rows).T)
 
 
-def _of_limits(page, study, which: int) -> None:
+def _of_limits(page, study: Study, which: int) -> None:
     page.text("""## What limits each case
 
 Functions within 2 % of the limit, counted over geometries, under both measures.""")
@@ -255,7 +255,7 @@ Functions within 2 % of the limit, counted over geometries, under both measures.
     page.check("motion.section-6-4-1.ad-stopped-by-sensitivity", *fraction(near))
 
 
-def _of_peaks(page, study) -> None:
+def _of_peaks(page, study: Study) -> None:
     page.text(r"""## The resonances of the decoupled plant
 
 $\max\bar\sigma(P_{eq} - P_{rigid})/\max\bar\sigma(P - P_{rigid})$ within 5 % of each published mode (a band chosen after we had seen
@@ -281,7 +281,7 @@ numbers), over the four positions, $\bar\sigma$ being the largest singular value
     page.check("motion.section-6-4-2.mc-lowers-more-than-ad", *fraction(left[:, 0] < left[:, 1]))
 
 
-def _of_coupling(page, study) -> None:
+def _of_coupling(page, study: Study) -> None:
     page.text("""## The coupling
 
 The mean of the six off-diagonal entries (in motions of the edges) at a tenth of the first frequency, relative to that without
@@ -295,7 +295,7 @@ observer:""")
     page.check("motion.section-6-4-1.both-couple-like-mc", np.median(coupling[:, 3] / coupling[:, 1]))
 
 
-def _of_errors(page, study, which: int, ratios: Mapping) -> None:
+def _of_errors(page, study: Study, which: int, ratios: Mapping) -> None:
     page.text("""## Tables 6.3 and 6.4 in numbers
 
 Stable loops of each case; the share of the plates that are below the published ratio of Table 6.4:""")
@@ -335,7 +335,7 @@ Stable loops of each case; the share of the plates that are below the published 
     page.check("motion.table-6-4.ad-below-mc", *fraction(below))
 
 
-def _of_printed_bandwidths(page, study, both: Mapping, ratios: Mapping) -> None:
+def _of_printed_bandwidths(page, study: Study, both: Mapping, ratios: Mapping) -> None:
     page.text(r"""## At the printed bandwidths
 
 The plates miss or exceed the bandwidths of Table 6.2. With the printed ones, and errors read by encoders with a noise floor $n$ (a

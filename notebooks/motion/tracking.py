@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DESIGNS, as_read, design_controller, limit, stage_compensator
 from experiments.motion.intervals import Values, key
@@ -30,7 +31,7 @@ from stillwork.control.setpoint import Setpoint, segment_times
 from stillwork.lti.state_space import StateModel
 from stillwork.signals.moving_average import moving, rms
 from workbook import figures
-from workbook.studies import proportion_interval, run_study, spread_interval
+from workbook.studies import Study, proportion_interval, run_study, spread_interval
 
 
 def noisy_scan_trial(
@@ -204,11 +205,11 @@ def appendix(
     setpoint: Setpoint,
     errors: Mapping[str, np.ndarray],
     quiet: Mapping[str, float],
-    study,
+    study: Study,
     feedforward: Feedforward,
     cases: Sequence[str],
     same: Sequence[str],
-    settled_nm: Sequence[float] | np.ndarray,
+    settled_nm: ArrayLike,
     exposure: float,
     sample_time: float,
     seed: int,
@@ -240,7 +241,7 @@ def _of_settling(
     setpoint: Setpoint,
     errors: Mapping[str, np.ndarray],
     same: Sequence[str],
-    settled_nm: Sequence[float] | np.ndarray,
+    settled_nm: ArrayLike,
 ) -> None:
     page.text("""
 ## How soon it settles
@@ -262,7 +263,7 @@ from the end of the acceleration until the error stays inside:
     page.check("motion.section-3-5-2.settling", np.mean(sooner))
 
 
-def _of_sentences(page, study) -> None:
+def _of_sentences(page, study: Study) -> None:
     page.text("""
 ## Two sentences of the text that contradict the table
 

@@ -1,11 +1,12 @@
 """The two-inertia drive: what a model error leaves: what this notebook alone needs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float64
+from numpy.typing import ArrayLike
 from scipy.signal import csd, welch
 
 from experiments.motion.machines import Drive, drive
@@ -229,7 +230,7 @@ def appendix(
     loops: Mapping[str, StateModel],
     found: Mapping[str, Identified],
     experiment: Mapping[str, float],
-    speeds: Sequence[float] | np.ndarray,
+    speeds: ArrayLike,
     table: pd.DataFrame,
     seed: int,
     settings: Mapping,
