@@ -1,13 +1,12 @@
 """The fair comparison: every filter tuned with the same budget on the same training noise."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
 from experiments.fixedpoint.axes import COLOURS, METRICS, log_axis, points_with_intervals
 from experiments.fixedpoint.differentiation import steady_errors
@@ -558,7 +557,7 @@ def exchanged_settings(model: Plant, tuned: dict[str, dict[str, Controller]]) ->
     return found
 
 
-def scaled_covariances(model: Plant, factors: ArrayLike) -> dict[str, Controller]:
+def scaled_covariances(model: Plant, factors: Sequence[float] | np.ndarray) -> dict[str, Controller]:
     """The paper's Kalman loop with multiples of its printed Q, then of its R, by names such as ``Q x 0.01``."""
     printed = published_controllers(model)[KALMAN]
     kalman, found = printed.signal_filter, {}

@@ -1,9 +1,9 @@
 """Contraction, filters' responses, stability, limit cycles, divergence: what notebook 06 alone needs."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from experiments.fixedpoint.axes import COLOURS, legend_above
 from experiments.fixedpoint.convergence_study import at_rest, remaining_motion
@@ -41,7 +41,7 @@ from workbook import figures
 def cycles_over_gain(
     plant: Plant,
     controller: Controller,
-    strengths: ArrayLike,
+    strengths: Sequence[float] | np.ndarray,
     width: float,
     sample_time: float,
 ) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
@@ -64,7 +64,7 @@ def cycles_over_gain(
 def divergence_by_noise(
     plant: Plant,
     controller: Controller,
-    deviations: ArrayLike,
+    deviations: Sequence[float] | np.ndarray,
     runs: int,
     seed: int,
     sample_time: float = 1e-3,

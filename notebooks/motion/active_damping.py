@@ -1,11 +1,10 @@
 """Active damping: what notebook 07 alone needs, with its appendix."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from experiments.motion.designs import (
     DESIGNS,
@@ -123,7 +122,7 @@ def appendix(
     redesign: str,
     target: float,
     selectivity: float,
-    selectivities: ArrayLike,
+    selectivities: Sequence[float] | np.ndarray,
     exposure: float,
     table: tuple[pd.DataFrame, pd.DataFrame],
     small: ModalModel,
@@ -240,7 +239,7 @@ def _of_selectivity(
     increase: float,
     position: int,
     selectivity: float,
-    selectivities: ArrayLike,
+    selectivities: Sequence[float] | np.ndarray,
 ) -> None:
     page.text(r"""
 ## Which selectivity, which gains

@@ -43,7 +43,9 @@ from workbook import figures
 # The published bandwidths as a table and as a map over what the thesis leaves open (notebook 09).
 
 
-def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz: ArrayLike):
+def paint_bandwidths(
+    found: Mapping[str, Bandwidth], position: int, published_hz: Sequence[float] | np.ndarray
+):
     """First crossings at one mass with their range over the masses, and the design parameters, beside the published."""
     figure, axis = figures.new(1, 1, height=3.2)
     places, crossings = np.arange(len(found)), np.array([each.crossing_hz for each in found.values()])
@@ -292,7 +294,7 @@ LOOPS = (*OPEN_LOOPS, "f_bw")
 WAYS = [(six, compensation) for six in SIX for compensation in COMPENSATIONS]  # the defaults first
 
 
-def agreeing(published_hz: ArrayLike, cut_off: bool = False) -> np.ndarray:
+def agreeing(published_hz: Sequence[float] | np.ndarray, cut_off: bool = False) -> np.ndarray:
     """Whether published values agree with ours, (loops, masses, ways, values): whole hertz rounded or cut off.
 
     `published_hz` are those of `BANDWIDTHS` in order, and the second one of MC with two constraints.

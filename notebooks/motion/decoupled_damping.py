@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 from scipy import linalg
 
 from experiments.motion.decoupled_damping import added_damping, band_passed, constrained_damping
@@ -108,7 +107,7 @@ def appendix(
     systems: Mapping[str, StateModel],
     study: Study,
     drawn: Sequence[str],
-    common_selectivities: ArrayLike,
+    common_selectivities: Sequence[float] | np.ndarray,
     runs: int,
     seed: int,
 ) -> None:

@@ -109,7 +109,7 @@ def equivalent_plant(plant: StateModel, block: StateModel) -> StateModel:
     return StateModel(seen.a, seen.b, -seen.c, -seen.d, seen.sample_time)
 
 
-def paint_placement(rates_khz: ArrayLike, errors: Mapping[str, Sequence[float]]) -> tuple:
+def paint_placement(rates_khz: Sequence[float] | np.ndarray, errors: Mapping[str, Sequence[float]]) -> tuple:
     """Errors of the poles over the sampling frequency, a gap where not controllable to rounding; and which lines are rounding."""
     figure, axis = figures.new(1, 1, height=3.2)
     for (name, values), marker in zip(errors.items(), "osv^", strict=True):
@@ -181,7 +181,7 @@ def appendix(
     *,
     plant: ModalModel,
     reduced: ModalModel,
-    rates_khz: ArrayLike,
+    rates_khz: Sequence[float] | np.ndarray,
     sample_time: float,
     noise_model: float,
     errors: Mapping[str, Sequence[float]],
@@ -224,7 +224,7 @@ $u$ to $\hat y_{flex}$ vanishes as $z\to1$, which requires the noise model. In d
 def _of_placement(
     page,
     reduced: ModalModel,
-    rates_khz: ArrayLike,
+    rates_khz: Sequence[float] | np.ndarray,
     sample_time: float,
     errors: Mapping[str, Sequence[float]],
 ) -> None:

@@ -12,7 +12,6 @@ from functools import cache
 import numpy as np
 import pandas as pd
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.machines import published_setpoint, stage
@@ -251,7 +250,7 @@ def appendix(
     alone: Mapping[str, float],
     moves: Mapping[str, Setpoint],
     other: pd.DataFrame,
-    sizes: ArrayLike,
+    sizes: Sequence[float] | np.ndarray,
     plants: int,
     seed: int,
 ) -> None:

@@ -1,12 +1,11 @@
 """Decoupling a machine with several inputs and outputs: what this notebook alone needs."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float64
-from numpy.typing import ArrayLike
 
 from experiments.motion.beam import beam, beam_parameters, beam_shapes
 from experiments.motion.decoupled_damping import added_damping
@@ -28,7 +27,7 @@ from workbook import figures, proportion_interval
 from workbook.studies import Study
 
 
-def paint_beam_layout(actuators: ArrayLike, sensors: ArrayLike):
+def paint_beam_layout(actuators: Sequence[float] | np.ndarray, sensors: Sequence[float] | np.ndarray):
     """Flexible mode shapes of the uniform beam with the places of actuators and sensors."""
     published = beam_parameters()["published"]["frequencies_hz"]
     along = np.linspace(0, 1, 201)
@@ -75,10 +74,10 @@ class Moved(NamedTuple):
 
 
 def move_actuators(
-    actuators: ArrayLike,
-    sensors: ArrayLike,
+    actuators: Sequence[float] | np.ndarray,
+    sensors: Sequence[float] | np.ndarray,
     settings: Settings,
-    travel: ArrayLike,
+    travel: Sequence[float] | np.ndarray,
     taper: float = 0.0,
 ) -> Moved:
     """Both actuators at eleven places along `travel`."""
@@ -103,10 +102,10 @@ class Seen(NamedTuple):
 
 
 def move_sensors(
-    actuators: ArrayLike,
-    sensors: ArrayLike,
+    actuators: Sequence[float] | np.ndarray,
+    sensors: Sequence[float] | np.ndarray,
     settings: Settings,
-    travel: ArrayLike,
+    travel: Sequence[float] | np.ndarray,
     taper: float = 0.0,
 ) -> Seen:
     """Both sensors at six places along `travel`, with the C_f of each."""
@@ -146,8 +145,8 @@ def moving(*, second_actuator: float, beam_taper: float, seed: int) -> Values:
 
 def paint_moving(
     plant: ModalModel,
-    actuators: ArrayLike,
-    sensors: ArrayLike,
+    actuators: Sequence[float] | np.ndarray,
+    sensors: Sequence[float] | np.ndarray,
     settings: Settings,
     travel,
     moved: Moved,
@@ -195,8 +194,8 @@ def appendix(
     settings: Settings,
     study: Study,
     systems: Mapping[str, StateModel],
-    actuators: ArrayLike,
-    sensors: ArrayLike,
+    actuators: Sequence[float] | np.ndarray,
+    sensors: Sequence[float] | np.ndarray,
     travel,
     sensor_travel,
 ) -> None:
@@ -217,7 +216,9 @@ A Kalman observer with all modes couples exactly as perfect estimates do.""")
     _of_geometries(page, study, settings.increase)
 
 
-def _of_noise_models(page, actuators: ArrayLike, sensors: ArrayLike, plant: ModalModel) -> None:
+def _of_noise_models(
+    page, actuators: Sequence[float] | np.ndarray, sensors: Sequence[float] | np.ndarray, plant: ModalModel
+) -> None:
     page.text("""## Noise models
 
 The rank test counts the constant forces that two sensors can distinguish: at most two, so more actuators than sensors cannot have

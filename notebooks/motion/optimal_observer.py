@@ -455,7 +455,7 @@ def optimum_values(
     kalman: float,
     norms: Sequence[tuple[float, float]],
     optimum: float,
-    left: ArrayLike,
+    left: Sequence[float] | np.ndarray,
     points: Sequence[FrontPoint],
     tracking_hz: np.ndarray,
 ) -> Values:
@@ -561,7 +561,7 @@ def paint_bandwidths(
 
 
 def paint_norms(
-    bandwidths_hz: ArrayLike,
+    bandwidths_hz: Sequence[float] | np.ndarray,
     norms: Sequence[tuple[float, float]],
     still: float,
     bandwidth_hz: float,

@@ -291,7 +291,7 @@ def appendix(
     cases: Mapping,
     setpoints: Mapping[str, Setpoint],
     mass_spacing: float,
-    other_spacings: ArrayLike,
+    other_spacings: Sequence[float] | np.ndarray,
     table_spacing: float,
     seed: int,
     other_seeds: Sequence[int],

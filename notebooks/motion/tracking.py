@@ -5,7 +5,6 @@ from functools import lru_cache
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DESIGNS, as_read, design_controller, limit, stage_compensator
 from experiments.motion.intervals import Values, key
@@ -209,7 +208,7 @@ def appendix(
     feedforward: Feedforward,
     cases: Sequence[str],
     same: Sequence[str],
-    settled_nm: ArrayLike,
+    settled_nm: Sequence[float] | np.ndarray,
     exposure: float,
     sample_time: float,
     seed: int,
@@ -241,7 +240,7 @@ def _of_settling(
     setpoint: Setpoint,
     errors: Mapping[str, np.ndarray],
     same: Sequence[str],
-    settled_nm: ArrayLike,
+    settled_nm: Sequence[float] | np.ndarray,
 ) -> None:
     page.text("""
 ## How soon it settles

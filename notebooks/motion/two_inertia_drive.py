@@ -1,12 +1,11 @@
 """The two-inertia drive: what a model error leaves: what this notebook alone needs."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 from scipy.signal import csd, welch
 
 from experiments.motion.machines import Drive, drive
@@ -230,7 +229,7 @@ def appendix(
     loops: Mapping[str, StateModel],
     found: Mapping[str, Identified],
     experiment: Mapping[str, float],
-    speeds: ArrayLike,
+    speeds: Sequence[float] | np.ndarray,
     table: pd.DataFrame,
     seed: int,
     settings: Mapping,

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from experiments.motion.loop_conditions import slope
 from experiments.motion.pictures import add_magnitude, case_styles, labelled_lines
@@ -50,7 +49,7 @@ def paint_rejections(
 def paint_over_first(
     cases: Mapping[str, StateModel],
     omega: np.ndarray,
-    resonances: ArrayLike,
+    resonances: Sequence[float] | np.ndarray,
     xlim: tuple[float, float],
 ):
     """Transfers to the true error over those of the first case (dB), from u_ff, w, v and d, with the `resonances` (Hz).

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.pid import Pid
@@ -68,7 +67,9 @@ def mark_slope(axis, slope: float, hertz: tuple[float, float], level: float, lab
     axis.plot(hertz, ends, color=figures.BLACK, linewidth=1.1, linestyle=(0, (6, 2)), label=label)
 
 
-def add_zoom(axis, place: ArrayLike, x: tuple[float, float], y: tuple[float, float]) -> None:
+def add_zoom(
+    axis, place: Sequence[float] | np.ndarray, x: tuple[float, float], y: tuple[float, float]
+) -> None:
     """Repeat a panel's labelled lines from `x` to `y` in an inset at `place`: left, bottom, width, height in parts."""
     inset = axis.inset_axes(place, xlim=x, ylim=y)
     for line in axis.get_legend_handles_labels()[0]:
