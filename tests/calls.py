@@ -218,6 +218,7 @@ def catalogue() -> dict:
         "ModalModel.state_space": (model.state_space, {}),
         "lti.StateModel": (lti.StateModel, fields(state)),
         "StateModel.frequency_response": (state.frequency_response, {"omega": omega}),
+        "StateModel.__call__": (state.__call__, {"s": 1j * omega}),
         "StateModel.zeros": (lambda **named: lti.StateModel(**named).zeros, fields(state)),
         "ModalModel.compliance": (lambda **named: lti.ModalModel(**named).compliance(), fields(model)),
         "StateModel.select": (state.select, {"inputs": [0], "outputs": [0]}),

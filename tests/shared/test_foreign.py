@@ -59,6 +59,57 @@ def test_sums_products_and_feedback_are_those_of_python_control_from_either_side
         assert agrees(mixed, theirs)
     closed = ct.feedback(one, back)
     assert agrees(a.feedback(back), closed) and agrees(ct.feedback(a, back), closed)
+    single, square = drawn(rng, 1, 1), drawn(rng, p, p)
+    s, q = lti.from_control(single), lti.from_control(square)
+    for mixed, theirs in (
+        *((each, single * one) for each in (s * a, single * a, s * one)),
+        *((each, one * single) for each in (a * s, one * s, a * single)),
+        *((each, single + one) for each in (s + a, single + a, a + single)),
+        *((q**n, square**n) for n in (-1, 0, 1, 3)),
+        (q / s, square * (1 / single)),
+        (single / s, ct.ss([], [], [], 1.0)),
+        (2 / q, 2 * square**-1),
+    ):
+        assert agrees(mixed, theirs, 1e-6)
+    plane = rng.normal(size=(2, 3)) + 1j * rng.normal(size=(2, 3))
+    np.testing.assert_allclose(s(plane).ravel(), single(plane.ravel()), rtol=1e-8)
+    np.testing.assert_allclose(a(plane[0]), one(plane[0]), rtol=1e-7, atol=1e-9)
+    assert s(1j) == pytest.approx(single(1j)) and np.shape(a(1j)) == (() if p == m == 1 else (p, m))
+    measured = ct.frd(square, W)
+    for mixed, theirs in (
+        (q * measured, square * square),
+        (q + measured, 2 * square),
+        (s / ct.frd(single, W), ct.ss([], [], [], 1.0)),
+    ):
+        np.testing.assert_allclose(mixed.frdata, theirs(1j * W, squeeze=False), rtol=1e-6, atol=1e-9)
+
+
+def test_what_has_no_power_and_no_value_is_refused():
+    lag = lti.from_control(ct.tf([1.0], [1.0, 1.0]))
+    for wrong, said in (
+        (lambda: lag**0.5, "no power 0.5"),
+        (lambda: 1 / lag, "d is singular"),
+        (lambda: lag / 0, "d is singular"),
+        (lambda: lti.from_control(ct.ss(-1.0, [[1.0, 1.0]], 1.0, 0)) ** 2, "as many inputs as outputs"),
+        (lambda: lag(-1.0), "s holds a pole"),
+        (lambda: lag([]), "s is empty"),
+        (lambda: lag("fast"), "s is not an array"),
+    ):
+        with pytest.raises(InputError, match=said):
+            wrong()
+
+
+def test_states_keep_their_names_while_these_differ():
+    one = ct.ss(-1.0, 1.0, 1.0, 0.0, inputs="F", outputs="x", states="slow")
+    other = ct.ss(-9.0, 1.0, 1.0, 0.0, inputs="u", outputs="F", states="fast")
+    a, b = lti.from_control(one), lti.from_control(other)
+    assert (a * b).state_labels == ("fast", "slow") and (a + b).state_labels == ("slow", "fast")
+    assert a.feedback(b).state_labels == ("slow", "fast") == (a - other).state_labels
+    assert (a * b).input_labels == ("u",) and (a * b).output_labels == ("x",)
+    assert (2 * a).state_labels == ("slow",) == a.feedback().state_labels == (a + 1).state_labels
+    assert (a + a).state_labels == () == (a * lti.StateModel(b.a, b.b, b.c, b.d)).state_labels
+    inverse = (a + 1) ** -1
+    assert (inverse.input_labels, inverse.output_labels, inverse.state_labels) == (("x",), ("F",), ("slow",))
 
 
 @settings(max_examples=30)

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
+from operator import mul
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -45,7 +46,8 @@ class StateModel:
 
     Notes
     -----
-    Sums, products and `feedback` are those of python-control: ``g * h`` feeds the outputs of h to g. Where a function of
+    ``+ - * / **``, `feedback` and ``g(s)`` are those of python-control: ``g * h`` feeds the outputs of h to g, and a model
+    of one channel serves each of another's. What they give keeps names of states while these differ. Where a function of
     this library takes a model, it takes one of python-control or of `scipy.signal` as well, or a tuple of arrays.
 
     Examples
@@ -200,10 +202,45 @@ class StateModel:
         >>> low_pass.frequency_response([10.0]).round(3)  # at its corner, 10 rad/s
         array([[[0.5-0.5j]]])
         """
-        if not len(omega):
-            raise InputError("omega is empty; give at least one frequency")
-        point = np.exp(1j * omega * self.sample_time) if self.sample_time else 1j * omega
-        response = np.repeat(self.d[:, :, None].astype(complex), len(omega), axis=2)
+        return self._values(
+            np.exp(1j * omega * self.sample_time) if self.sample_time else 1j * omega, "omega"
+        )
+
+    @checked
+    def __call__(self, s: Complex128[np.ndarray, "..."]) -> complex | Complex128[np.ndarray, "..."]:
+        """The transfer function at s, in discrete time at z, as python-control has it.
+
+        Parameters
+        ----------
+        s : complex or array_like
+            rad/s.
+
+        Returns
+        -------
+        complex or ndarray, shape (outputs, inputs) and that of s
+            Of a model of one input and one output of the shape of s alone.
+
+        Raises
+        ------
+        InputError
+            When s is empty, or one of it is a pole.
+
+        Examples
+        --------
+        >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]])
+        >>> low_pass(0), low_pass([-5.0, 10j]).round(3)
+        (1.0, array([2. +0.j , 0.5-0.5j]))
+        """
+        values = self._values(s.ravel(), "s").reshape(*self.d.shape, *s.shape)
+        if not np.isfinite(values).all():
+            raise InputError("s holds a pole of the model; leave it out")
+        return values if self.d.size > 1 else values[0, 0] if s.ndim else values.item()
+
+    def _values(self, point: np.ndarray, name: str) -> np.ndarray:
+        """The transfer function at points of the plane."""
+        if not len(point):
+            raise InputError(f"{name} is empty; give at least one frequency")
+        response = np.repeat(self.d[:, :, None].astype(complex), len(point), axis=2)
         if not len(self.a):
             return response
         poles, residues = self._residues
@@ -212,7 +249,7 @@ class StateModel:
                 return response + residues @ (1 / (point[None, :] - poles[:, None]))
         scale, a, _, _ = self._decomposed
         b, c = self.b / scale[:, None], self.c * scale
-        solved = np.zeros((len(omega), *b.shape), complex)
+        solved = np.zeros((len(point), *b.shape), complex)
         # Each part drives only later ones: a line of delays is as many as it has samples.
         for part in self._coupled:
             shifted = point[:, None, None] * np.eye(len(part)) - a[np.ix_(part, part)]
@@ -302,84 +339,129 @@ class StateModel:
         >>> integrator.feedback().poles.real
         array([-5.])
         """
-        back = self._operand(1.0 if other is None else other, self.d.shape[::-1])
-        if sign not in (-1, 1) or back is None:
+        back = self._operand(1.0 if other is None else other)
+        if sign not in (-1, 1) or not isinstance(back, StateModel):
             raise InputError(f"sign is {sign} or other no model; give -1 or 1, and a model or a gain")
         (outputs, inputs), n = self.d.shape, sum(self.d.shape)
+        if back.d.size == 1:
+            back = back._repeated(inputs)
         if back.d.shape != (inputs, outputs):
             raise InputError(f"other has shape {back.d.shape}; give {inputs} outputs and {outputs} inputs")
         turn = np.zeros((n, n))
         turn[:inputs, outputs:], turn[inputs:, :outputs] = sign * np.eye(inputs), np.eye(outputs)
         loop = interconnect([self, back], turn, np.eye(n, inputs), np.eye(outputs, n))
-        return replace(loop, input_labels=self.input_labels, output_labels=self.output_labels)
+        return self._named(loop, self)
 
-    def _operand(self, other, shape: tuple[int, int]) -> "StateModel | None":
-        """What this model is added to or multiplied with, as a model; a number is a gain in each channel of `shape`."""
-        if isinstance(other, int | float | np.integer | np.floating):
-            other = float(other) * (np.eye(*shape) if shape[0] == shape[1] else np.ones(shape))
-        if isinstance(other, np.ndarray):
+    def _operand(self, other):
+        """What this model is added to or multiplied with, as a model; a measured response of python-control as it is."""
+        if isinstance(other, int | float | np.integer | np.floating | np.ndarray):
             return constant(np.atleast_2d(other), self.sample_time)
+        if hasattr(other, "frdata"):
+            return other
         try:
-            model = StateModel.converted("the other model", other)
-            return model if len(model.a) else replace(model, sample_time=self.sample_time)
+            return StateModel.converted("the other model", other)
         except InputError:
-            if hasattr(other, "dt") or isinstance(other, StateModel | tuple):
+            if hasattr(other, "dt") or isinstance(other, tuple):
                 raise
             return None
+
+    def _repeated(self, count: int) -> "StateModel":
+        """A model of one channel in each of `count` channels."""
+        if count == 1:
+            return self
+        a, b, c, d = (np.kron(np.eye(count), each) for each in (self.a, self.b, self.c, self.d))
+        return StateModel(a, b, c, d, self.sample_time)
+
+    def _spread(self, shape: tuple[int, int]) -> "StateModel":
+        """A model of one channel from every input to every output; another as it is."""
+        if self.d.size > 1 or shape == (1, 1):
+            return self
+        column, row = np.ones((shape[0], 1)), np.ones((1, shape[1]))
+        return replace(
+            self,
+            b=self.b @ row,
+            c=column @ self.c,
+            d=column @ self.d @ row,
+            input_labels=(),
+            output_labels=(),
+        )
 
     def __neg__(self) -> "StateModel":
         return replace(self, c=-self.c, d=-self.d)
 
-    def __add__(self, other) -> "StateModel":
-        other = self._operand(np.full(self.d.shape, other) if np.isscalar(other) else other, self.d.shape)
-        if other is None:
-            return NotImplemented
-        if other.d.shape != self.d.shape:
+    def __add__(self, other):
+        other = self._operand(other)
+        if not isinstance(other, StateModel):
+            return NotImplemented if other is None else self.to_control() + other
+        one, other = self._spread(other.d.shape), other._spread(self.d.shape)
+        if other.d.shape != one.d.shape:
             raise InputError(
-                f"models of shapes {self.d.shape} and {other.d.shape} cannot be added; give equal ones"
+                f"models of shapes {one.d.shape} and {other.d.shape} cannot be added; give equal ones"
             )
-        outputs, inputs = (np.eye(size) for size in self.d.shape)
+        outputs, inputs = (np.eye(size) for size in one.d.shape)
         apart = np.zeros((2 * len(inputs), 2 * len(outputs)))
         both = np.vstack([inputs, inputs]), np.hstack([outputs, outputs])
-        return self._named(interconnect([self, other], apart, *both), self)
+        return one._named(interconnect([one, other], apart, *both), one)
 
     __radd__ = __add__
 
-    def __truediv__(self, other) -> "StateModel":
-        if not isinstance(other, int | float | np.integer | np.floating) or not other:
-            raise InputError(
-                "a model is divided by a number that is not zero; multiply by the inverse of a model"
-            )
-        return self * (1 / float(other))
+    def __sub__(self, other):
+        other = self._operand(other)
+        return NotImplemented if other is None else self + -other
 
-    def __sub__(self, other) -> "StateModel":
-        return self + -other
-
-    def __rsub__(self, other) -> "StateModel":
+    def __rsub__(self, other):
         return -self + other
 
-    def __mul__(self, other) -> "StateModel":
-        inputs = self.d.shape[1]
-        other = self._operand(other, (inputs, inputs))
-        return NotImplemented if other is None else self._after(other)
+    def __mul__(self, other):
+        other = self._operand(other)
+        if not isinstance(other, StateModel):
+            return NotImplemented if other is None else self.to_control() * other
+        return self._after(other)
 
-    def __rmul__(self, other) -> "StateModel":
-        outputs = len(self.d)
-        other = self._operand(other, (outputs, outputs))
-        return NotImplemented if other is None else other._after(self)
+    def __rmul__(self, other):
+        other = self._operand(other)
+        return other._after(self) if isinstance(other, StateModel) else NotImplemented
+
+    def __truediv__(self, other):
+        other = self._operand(other)
+        return NotImplemented if other is None else self * other**-1
+
+    def __rtruediv__(self, other):
+        return other * self**-1
+
+    def __pow__(self, power):
+        """So many of this model in series; below zero of its inverse."""
+        if not isinstance(power, int | np.integer) or len(set(self.d.shape)) > 1:
+            raise InputError(
+                f"a model of shape {self.d.shape} has no power {power}; give a whole number, and as many inputs as outputs"
+            )
+        if not power:
+            return constant(np.eye(len(self.d)), self.sample_time)
+        return reduce(mul, [self if power > 0 else self._inverse()] * abs(power))
+
+    def _inverse(self) -> "StateModel":
+        if _least_condition(self.d) > 1e12:
+            raise InputError(
+                "d is singular: the inverse is improper; add a direct part, or a pole to what divides it"
+            )
+        c, d = np.linalg.solve(self.d, self.c), np.linalg.inv(self.d)
+        inverse = replace(self, a=self.a - self.b @ c, b=self.b @ d, c=-c, d=d)
+        return replace(inverse, input_labels=self.output_labels, output_labels=self.input_labels)
 
     def _after(self, first: "StateModel") -> "StateModel":
-        """`first`, then this."""
-        if len(first.d) != self.d.shape[1]:
+        """`first`, then this; a model of one channel is repeated in each of the other's."""
+        last = self._repeated(len(first.d)) if self.d.size == 1 else self
+        first = first._repeated(last.d.shape[1]) if first.d.size == 1 else first
+        if len(first.d) != last.d.shape[1]:
             raise InputError(
-                f"models of shapes {self.d.shape} and {first.d.shape} are no product; give as many "
+                f"models of shapes {last.d.shape} and {first.d.shape} are no product; give as many "
                 "outputs of the second as inputs of the first"
             )
-        inner, inputs, outputs = len(first.d), first.d.shape[1], len(self.d)
+        inner, inputs, outputs = len(first.d), first.d.shape[1], len(last.d)
         turn = np.zeros((inputs + inner, inner + outputs))
         turn[inputs:, :inner] = np.eye(inner)
         ends = np.eye(inputs + inner, inputs), np.eye(inner + outputs)[inner:]
-        return self._named(interconnect([first, self], turn, *ends), first)
+        return last._named(interconnect([first, last], turn, *ends), first)
 
     def _named(self, model: "StateModel", first: "StateModel") -> "StateModel":
         return replace(model, input_labels=first.input_labels, output_labels=self.output_labels)
@@ -670,7 +752,7 @@ def interconnect(
     Returns
     -------
     StateModel
-        From r to z.
+        From r to z; with the names of the states where all have one and no two the same.
 
     Raises
     ------
@@ -689,8 +771,12 @@ def interconnect(
     """
     if not models:
         raise InputError("models is empty; give at least one")
-    if len({model.sample_time for model in models}) != 1:
+    times = {model.sample_time for model in models if len(model.a)} or {
+        models[0].sample_time
+    }  # a gain has any
+    if len(times) != 1:
         raise InputError("models have different sample times; discretise them with the same one first")
+    names = tuple(name for model in models for name in model.state_labels)
     a, b, c, d = (_block_diagonal([getattr(model, name) for model in models]) for name in "abcd")
     if direct is None:
         direct = np.zeros((len(outputs), inputs.shape[1]))
@@ -713,7 +799,8 @@ def interconnect(
         b @ (inputs + feedback @ d_in),
         outputs @ c,
         outputs @ d_in + direct,
-        models[0].sample_time,
+        times.pop(),
+        state_labels=names if len(set(names)) == len(a) else (),
     )
 
 
