@@ -6,21 +6,24 @@ import re
 import numpy as np
 import pytest
 
-from stillwork.__main__ import main, new
+from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 from stillwork.control.digital import DigitalController
 from stillwork.control.error_budget import error_budget, tone_response
 from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import tustin
-from stillwork.machine.budget import budget_file, machine_of, measured_at, open_machine, sources_of
+from stillwork.machine import budget
+from stillwork.machine.budget import machine_of, measured_at, open_machine, sources_of
 from stillwork.machine.isolate import isolate_file, read_isolator
 from stillwork.machine.machine_toml import MACHINES, new_budget, new_isolator
 from workbook import paths
 
 
 @pytest.fixture
-def files(tmp_path):
+def files(tmp_path, monkeypatch):
+    """The templates; without the page's picture, which is half of a run and painted once, at the command line."""
+    monkeypatch.setattr(budget, "picture", lambda *_: "")
     new_budget(str(tmp_path))
     return {name: tmp_path / f"{name}.toml" for name in MACHINES}
 
@@ -36,7 +39,7 @@ def change(file, *pairs):
 
 def findings(*arguments, **options):
     """All findings, without the answer before them."""
-    return budget_file(*arguments, verbose=True, **options)[3:]
+    return budget.budget_file(*arguments, verbose=True, **options)[3:]
 
 
 def rms(lines):
@@ -45,23 +48,16 @@ def rms(lines):
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_a_template_gives_a_page_that_says_what_limits(name, files, tmp_path):
-    lines = findings(str(files[name]), out=str(tmp_path / "out"))
+    found = budget.budget_file(str(files[name]), out=str(tmp_path / "out"), verbose=True)
+    answer, lines = found[:3], found[3:]
     assert [line.split(":")[0] for line in lines[:3]] == [
         "what it is",
         "where it comes from",
         "what to buy next",
     ]
     assert any("isolator drive: no source given" in line and "typical" in line for line in lines)
-    text = (tmp_path / "out" / f"{name}.budget.html").read_text()
-    assert "<img" in text and "What to buy next" in text
-    with pytest.raises(InputError, match="exists; move it away"):
-        findings(str(files[name]), out=str(tmp_path / "out"))
-    answer = budget_file(str(files[name]), out=str(tmp_path / "answer"))
-    assert (
-        len(answer) == 3
-        and f"rms {rms(lines):.3g} nm" in answer[0]
-        and answer[2].endswith(f"{name}.budget.html")
-    )
+    assert "What to buy next" in (tmp_path / "out" / f"{name}.budget.html").read_text()
+    assert f"rms {rms(lines):.3g} nm" in answer[0] and answer[2].endswith(f"{name}.budget.html")
     first = re.search(r"what to buy next: 1\. (.+?)(;|$)", "\n".join(lines))[1]
     assert f"to buy next: {first}" in answer[1] and answer[1].split(" (")[0][17:] in lines[1].split(";")[0]
 
@@ -83,7 +79,6 @@ SCAN = '\n[sources.scan]\nplace = "setpoint"\nmove = "20 mm"\nmove_s = 0.2\nrest
 @pytest.mark.parametrize(
     "more",
     [
-        "",
         SCAN,  # its feedforward assumes the stage's mass: 2 % more would save, 10 % more does not
         SCAN + "feedforward_mass_kg = 20.0\n",
         '[sources.pump]\nplace = "frame force"\ntone_hz = 4.2\namplitude = "1 N"\n',  # beside the suspension
@@ -215,24 +210,15 @@ def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
             'white = "0.3 nm"',
             r"^stage sensor: unit is 'nm', but 'stage sensor' needs m/sqrt",
         ),
-        ('white = "0.3 nm/sqrt(Hz)"', 'white = "0.3 mN/sqrt(Hz)"', r"^stage sensor: unit is 'mN/sqrt\(Hz\)'"),
         ('place = "stage drive"', 'place = "stage drve"', r"^amplifier: place.*did you mean 'stage drive'"),
         ('criterion = "VC-C"', "", "^floor: holds no kind"),
-        (
-            "bandwidth_hz = 80.0",
-            "bandwidth_hz = 2000.0",
-            r"^the closed loop is unstable.*bandwidth of \d+ Hz$",
-        ),
         (
             "skyhook_damping = 0.6",
             "skyhook_damping = 600.0",
             "^the closed loop is unstable.*without the skyhook",
         ),
         ("modes_share = [0.15, -0.1]", "modes_share = [-6e6, -0.1]", "^the closed loop is unstable.*signs$"),
-        ("modes_share = [0.15, -0.1]", "modes_share = [0.15]", "^machine: modes_share"),
-        ('place = "stage drive"', 'place = "stage drive"\ncorner = 9.0', "corner.*did you mean 'corner_hz'"),
         ('quantiser = "2 mN"', 'move = "2 mm"', "^DAC: move is not for the place 'stage drive'; give file"),
-        ('criterion = "VC-C"', 'file = "none.csv"', "none.csv"),
     ],
 )
 def test_bad_files_are_refused_by_name(old, fresh, message, files, tmp_path):
@@ -244,10 +230,11 @@ def test_the_command_line_begins_templates_and_refuses_to_overwrite(tmp_path, mo
     monkeypatch.chdir(tmp_path)
     assert main(["new", "budget"]) == 0 and len(list(tmp_path.glob("*.toml"))) == len(MACHINES)
     assert main(["new", "budget"]) == 2
-    assert main(["budget", "telescope-mirror.toml"]) == 0
+    assert main(["budget", "wafer-stage.toml"]) == 0
     assert "; to buy next: " in capsys.readouterr().out
-    with pytest.raises(InputError):
-        new("motion", "")
+    assert "<img" in (tmp_path / "wafer-stage.budget.html").read_text()
+    assert main(["budget", "wafer-stage.toml"]) == 2
+    assert "exists; move it away" in capsys.readouterr().err
 
 
 def add(file, *lines):
@@ -339,11 +326,10 @@ SENSORS = "".join(
 )
 
 
-@pytest.mark.parametrize("floor", ["VC-A", "VC-G"])
-def test_a_method_that_the_machine_lacks_leaves_what_is_said_with_its_sensors_noise(floor, files, tmp_path):
+def test_a_method_that_the_machine_lacks_leaves_what_is_said_with_its_sensors_noise(files, tmp_path):
     """A sensor whose method is not there moves nothing, so that both may stand in the file."""
     file = files["microscope-stage"]
-    change(file, ('"VC-A"', f'"{floor}"'), ("20 uN", "0.2 uN"), ("0.1 mN/", "1 uN/"))
+    change(file, ('"VC-A"', '"VC-G"'), ("20 uN", "0.2 uN"), ("0.1 mN/", "1 uN/"))
     lines = "\n".join(findings(str(file), out=str(tmp_path / "1")))
     said = {
         name: float(
@@ -364,11 +350,10 @@ def test_a_method_that_the_machine_lacks_leaves_what_is_said_with_its_sensors_no
     assert rms(findings(str(file), out=str(tmp_path / "4"))) == said["a feedforward of 20 dB"]
 
 
-@pytest.mark.parametrize("stated", ["V/sqrt(Hz)", "mN/sqrt(Hz)", "lbf"])
-def test_a_density_that_states_another_unit_than_the_one_given_is_refused(tmp_path, stated):
+def test_a_density_that_states_another_unit_than_the_one_given_is_refused(tmp_path):
     file = tmp_path / "noise.npz"
-    np.savez(file, **{"frequency": np.array([1.0, 10.0]), f"x ({stated})": np.ones(2)})
-    with pytest.raises(InputError, match=re.escape(stated)):
+    np.savez(file, **{"frequency": np.array([1.0, 10.0]), "x (mN/sqrt(Hz))": np.ones(2)})
+    with pytest.raises(InputError, match=r"mN/sqrt\(Hz\)"):
         measured_at("noise", file, "N/sqrt(Hz)", "stage force")
 
 

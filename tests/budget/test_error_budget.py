@@ -295,8 +295,8 @@ def test_a_tone_through_a_sampled_loop_leaves_its_images():
     rate, every = 250.0, 16
     network = machine(0, sample_time=1 / rate, delay=1.0).network()
     fine = rate * every
-    t = np.arange(int(8 * fine)) / fine
-    tone = np.minimum(t / 3, 1) * 40.0 * np.sin(2 * np.pi * 205.0 * t)
+    t = np.arange(int(4 * fine)) / fine
+    tone = np.minimum(t / 1.5, 1) * 40.0 * np.sin(2 * np.pi * 205.0 * t)
     hum = control.Source("hum", ("floor",), "m/s^2", tones=((205.0, 40.0),))
     budget = control.error_budget(network, [hum], (0.5, fine / 2))
     error = simulate(network, tone[None], np.zeros((1, len(t))), 1 / fine, every)[0, -int(fine) :]
