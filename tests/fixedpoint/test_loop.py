@@ -6,10 +6,9 @@ from experiments.fixedpoint import Noise, added_controllers, compare, judge, pub
 from naive import fixedpoint as naive
 from stillwork.base.checks import InputError
 from stillwork.control import Controller, FlowTransformation, KinematicDesign, asin_trajectory, simulate
-from stillwork.control.fixed_point import IntegrationWarning
 from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation import LowPass, Plant
-from stillwork.estimation.coordinate_filters import MovingWindow, SavitzkyGolay, UnscentedKalman
+from stillwork.estimation.coordinate_filters import MovingWindow, SavitzkyGolay
 from workbook.studies import Study
 
 SAMPLE_TIME = 1e-3
@@ -116,13 +115,6 @@ def test_the_plant_moves_as_a_solver_moves_it_under_the_held_force(mode_hz):
             simulate(plant, controller, path, **given)
 
 
-def test_a_long_euler_step_is_reported(short):
-    plant = Plant(van_der_pol, van_der_pol_force, [1.0, (2 * np.pi * 60) ** 2])
-    controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), plant)
-    with pytest.warns(IntegrationWarning, match="integration"):
-        simulate(plant, controller, short, integration="semi-implicit")
-
-
 def test_divergence_is_reported_with_time_and_cause(exact, approximate, short):
     wild = Controller(SavitzkyGolay(40), RobustTransformation(), KinematicDesign(36.0), approximate)
     run = simulate(exact, wild, short, start=(0.0, 0.0))
@@ -131,15 +123,6 @@ def test_divergence_is_reported_with_time_and_cause(exact, approximate, short):
     done = round(run.diverged_at / SAMPLE_TIME)
     assert np.isfinite(run.position[:done]).all() and np.isnan(run.position[done + 1 :]).all()
     assert all(np.isinf(value) for value in judge(run, settle=0.1).values())
-
-
-def test_a_lost_covariance_is_reported(exact, approximate, short):
-    kalman = UnscentedKalman(approximate, literal=True, initial_variance=1.0)
-    run = simulate(
-        exact, Controller(kalman, RobustTransformation(), KinematicDesign(36.0), approximate), short
-    )
-    assert run.diverged_at == pytest.approx(SAMPLE_TIME)
-    assert run.cause == "the filter's covariance is no longer positive definite"
 
 
 def infinite_force(position, velocity, acceleration, parameters):
@@ -155,18 +138,6 @@ def test_an_infinite_force_is_reported(exact, approximate, short):
     controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), model)
     run = simulate(exact, controller, short)
     assert "force" in run.cause and "finite" in run.cause
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"noise": np.full(600, np.nan)}, r"^noise\b"),
-    ],
-)
-def test_bad_input(change, message, exact, approximate, short):
-    controller = published_controllers(approximate)["low pass"]
-    with pytest.raises(InputError, match=message):
-        simulate(exact, controller, short, **change)
 
 
 def test_wrong_controllers(exact, approximate, short):
@@ -192,17 +163,6 @@ def test_every_controller_sees_the_same_noise(exact, approximate):
     assert isinstance(found["one"], Study)
     assert (found["one"]["position"] == found["two"]["position"]).all()
     assert len(set(found["one"]["position"])) == 3
-
-
-def test_without_noise_every_record_is_the_one_run(exact, approximate):
-    controllers, trajectory = published_controllers(approximate), asin_trajectory(duration=2.2)
-    found = compare(exact, {"low pass": controllers["low pass"]}, trajectory, Noise(), runs=3, seed=1)[
-        "low pass"
-    ]
-    for quantity, value in judge(
-        simulate(exact, controllers["low pass"], trajectory, integration="semi-implicit")
-    ).items():
-        np.testing.assert_array_equal(found[quantity], np.full(3, value), err_msg=quantity)
 
 
 def test_judge_by_hand(exact, approximate, short):

@@ -7,10 +7,9 @@ from experiments.fixedpoint.statements import (
     NOISIEST,
     SMOOTHEST,
     WINDOW_PRECISE,
-    figure_statements,
     statements,
 )
-from notebooks.fixedpoint.every_claim import longest_replaced, rankings
+from notebooks.fixedpoint.every_claim import longest_replaced
 from workbook.studies import Study
 
 
@@ -39,31 +38,6 @@ def test_statements_by_hand():
     # The other form of the Kalman filter changes the ranking, its own form takes no part.
     assert list(statements(CASE, LITERAL)[WINDOW_PRECISE]) == [False, False]
     assert list(statements(CASE, LITERAL)[KALMAN_WORST]) == [False, True]
-
-
-def test_what_figures_are_said_to_show():
-    found = figure_statements(CASE, "small", "gaussian")
-    assert {name: list(obeyed) for name, obeyed in found.items()} == {
-        "6.kalman-noisiest": [True, False],
-        "5.smoothest": [True, False],
-        "5.window-most-precise.printed": [False, False],
-        "6.window-most-precise.printed": [False, True],
-        "5.window-most-precise.corrected": [True, False],
-    }
-    large = figure_statements(CASE, "large", "logistic")
-    assert list(large) == ["15.kalman-noisiest", "14.low-pass-best.printed", "15.low-pass-best.printed"]
-    assert list(large["14.low-pass-best.printed"]) == [False, True]
-
-
-def test_rankings_take_each_statement_in_its_noise():
-    quiet = {name: study([1, 1], [1, 1]) for name in CASE}
-    found = rankings([CASE, quiet], [quiet, CASE])
-    assert found["small noise: low pass smoothest"][0] == 0.5
-    assert found["small noise: window most precise, (14) corrected"][0] == 0.5
-    assert found["small noise: window most precise, (14) printed"][0] == 0.0
-    assert found["small noise: window most precise in q', (14) printed"][0] == 0.5
-    assert found["large noise: low pass best, (14) corrected"][1] == 0.5
-    assert all(len(row) == 2 for row in found.values())
 
 
 def test_the_longest_gap_that_a_simple_filter_bridges_as_well_by_hand():

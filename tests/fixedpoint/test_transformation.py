@@ -62,15 +62,6 @@ def test_multiplier_near_the_fixed_point():
         assert errors[1] / errors[0] == pytest.approx(1 + transformation.local_gain * 4 / 3, abs=1e-4)
 
 
-@pytest.mark.parametrize("integrals", [0, 1, 2, 3])
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_kinematics_places_all_poles(integrals, order):
-    gains = KinematicDesign(7.0, integrals, order).gains
-    assert len(gains) == order + integrals
-    expected = np.poly(np.full(order + integrals, -7.0))
-    assert [1.0, *gains[::-1]] == pytest.approx(expected, rel=1e-12)
-
-
 def test_a_gain_outside_the_range_warns_with_the_range(exact, approximate):
     assert response_gain(exact, approximate) == pytest.approx(2.0 / 1.5)
     strong = Controller(LowPass(), FlowTransformation(gain=-6.0), KinematicDesign(16.0), approximate)

@@ -24,7 +24,6 @@ from notebooks.fixedpoint.your_plant import (
 )
 from stillwork.base.checks import InputError
 from stillwork.control.trajectory import sine_trajectory
-from stillwork.machine.inspect import outline
 from workbook import paths
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")
@@ -75,12 +74,6 @@ def test_published_gains_neither_warn_nor_leave_the_stable_range_of_low_pass_and
     assert stable == {"moving window": False, "low pass": True, "Kalman filter": True}
     radii = largest_radii(models, chosen, trajectories)
     assert {name: radius < 1 for name, radius in radii.items()} == stable
-
-
-def test_a_gain_that_changes_its_sign_leaves_no_range(cam):
-    models, trajectories, _ = cam
-    found = contraction_along(models, trajectories)
-    assert np.isnan(found._replace(response=np.array([[[1.0]], [[-1.0]]])).allowed(np.array([-0.1]))).all()
 
 
 @pytest.mark.slow
@@ -144,20 +137,6 @@ def test_a_low_pass_takes_the_noise_out_of_the_acceleration(tmp_path):
     assert np.abs(smooth - true)[500:-500].max() < 0.1 * np.abs(raw - true)[500:-500].max()
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"record": str(MOTION), "unit": "mm/s"}, r"^unit\b"),
-        ({"record": str(MOTION), "unit": "mm", "channel": "positon"}, r"^channel\b.*'position"),
-        ({"record": str(MOTION), "unit": "mm", "low_pass_hz": 30.0}, r"^low_pass_hz\b"),
-        ({"record": "none.csv"}, r"none\.csv"),
-    ],
-)
-def test_motions_that_cannot_be_used(options, message):
-    with pytest.raises(InputError, match=message):
-        open_trajectory(**options)
-
-
 # ---------------------------------------------------------------------------------------------------- bad plants
 
 
@@ -169,16 +148,13 @@ def test_motions_that_cannot_be_used(options, message):
             r"\bforce\b",
         ),
         (("APPROXIMATE =", "GUESS ="), "APPROXIMATE"),
-        (('"m1": 0.0', '"mm": 0.0'), r"\bEXACT\b.*\bAPPROXIMATE\b"),
         (('"m0": 1.4', '"m0": "1.4 kg"'), r"\bAPPROXIMATE\['m0'\]"),
         (
             ("return mass * acceleration + resistance", "return mass * acceleration"),
             r"\bforce\b",
         ),
         (("parameters[4] * math.tanh", "eval('1.0') * parameters[4] * math.tanh"), r"\bacceleration\b"),
-        (("import math", "import no_such_module_here"), "ModuleNotFoundError"),
         (("import math", "import math ("), r"^mine\.py.*line 12\b"),
-        (("EXACT = {", "EXACT = 3\nOTHER = {"), r"\bEXACT\b"),
         (
             ("def acceleration", "def approximate_force(q, v, a, p):\n    return a\n\n\ndef acceleration"),
             "approximate_(force|bias)",
@@ -243,24 +219,10 @@ def test_a_recorded_motion_of_two_joints(tmp_path):
     ("change", "message"),
     [
         (("UNITS =", "UNIT ="), r"\bUNITS\b"),
-        (('UNITS = ("rad", "rad")', 'UNITS = ("deg", "deg")'), r"\bUNITS\b"),
         (('UNITS = ("rad", "rad")', 'UNITS = ("rad",)'), r"\binertia or bias\b.*\b1\b"),
-        (("def bias(", "def biased("), r"\bbias\b"),
-        (
-            ("def inertia(position, parameters, out)", "def inertia(position, out)"),
-            r"\binertia\b",
-        ),
         (("out[1, 0] = out[0, 1]", "out[1, 0] = 0.0"), r"\binertia\b"),
         (("out[1, 1] = m2", "out[1, 1] = math.nan * m2"), r"\binertia or bias\b.*q = "),
         (("out[1, 1] = m2", "print(eval('m2')); out[1, 1] = m2"), r"\binertia\b"),
-        (
-            ("\n\ndef bias", "\n\ndef approximate_bias(q, v, p, out):\n    out[:] = 0.0\n\n\ndef bias"),
-            "approximate_(force|bias)",
-        ),
-        (
-            ("import math", "import math\nacceleration = force = inertia = None"),
-            r"\bUNITS\b",
-        ),
     ],
 )
 def test_mechanisms_that_cannot_be_used_say_why(tmp_path, change, message):
@@ -271,40 +233,9 @@ def test_mechanisms_that_cannot_be_used_say_why(tmp_path, change, message):
         load_models(str(tmp_path / "mine.py"))
 
 
-def test_a_plant_of_one_coordinate_takes_no_two_units(tmp_path):
-    (tmp_path / "a.py").write_text(
-        TEMPLATE.read_text(encoding="utf-8") + "\nUNITS = ('m', 'm')\n", encoding="utf-8"
-    )
-    with pytest.raises(InputError, match=r"\bUNITS\b"):
-        load_models(str(tmp_path / "a.py"))
-
-
 def test_lost_signals_come_back():
     noise = drop_samples(np.zeros((2, 100)), 1e-3, 0.05, 0.01)
     assert np.isnan(noise[:, 40:50]).all() and np.isnan(noise).sum() == 40
     assert drop_samples(noise, 1e-3, 0.0, 0.01) is noise
     with pytest.raises(InputError, match=r"^lost_for\b"):
         drop_samples(noise, 1e-3, 0.01, 0.01)
-
-
-@pytest.mark.slow
-def test_a_plant_that_is_nowhere(tmp_path):
-    with pytest.raises(InputError, match=r"no_such\.module"):
-        load_models("no_such.module")
-    with pytest.raises(InputError, match=r"none\.py"):
-        load_models(str(tmp_path / "none.py"))
-    with pytest.raises(InputError, match=r"^exponents\b"):
-        controllers(load_models(), Numbers(exponents=[1.0, 2.0]))
-    with pytest.raises(InputError, match=r"^flow_gains\b"):
-        controllers(load_models(), Numbers(flow_gains=[-1.0, -2.0]))
-
-
-def test_an_outline_executes_nothing(tmp_path):
-    (tmp_path / "a.py").write_text("raise SystemExit('executed')\n")
-    assert outline(tmp_path / "a.py") == [
-        "no function acceleration",
-        "no function force",
-        "no table EXACT",
-        "no table APPROXIMATE",
-    ]
-    assert outline(TEMPLATE) == []
