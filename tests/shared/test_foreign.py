@@ -445,8 +445,35 @@ def test_responses_of_python_control_are_read_and_written():
         np.testing.assert_allclose(read.accelerance.omega, omega, rtol=1e-12)
     with pytest.raises(InputError, match="give a path"):
         identification.load_machine(5)
+    accelerance = ct.tf([1.0, 0.0, 0.0], [8.0, 0.0, 0.0]) + ct.tf([0.05, 0.0, 0.0], [1.0, 12.0, 1256.0**2])
+    for response in (ct.frd(accelerance, omega), (omega / 2 / np.pi, accelerance(1j * omega))):
+        fit = identification.identify_modes(response, (20.0, 450.0))
+        np.testing.assert_allclose(fit.model.frequencies, [0.0, 1256.0], rtol=1e-6)
+    for wrong, said in (
+        (5, "measured is 5; give a control"),
+        (ct.frd(np.ones((2, 1, 2)), [1.0, 2.0]), "2 channels"),
+    ):
+        with pytest.raises(InputError, match=said):
+            identification.identify_modes(wrong, (20.0, 450.0))
     noise = np.random.default_rng(2).normal(size=(2, 4000))
     found = signals.estimate_response(noise, np.array([[1.0, 2.0], [0.0, 3.0]]) @ noise, 100.0, 1.0)
     theirs = found.to_control()
     np.testing.assert_allclose(theirs.omega, 2 * np.pi * found.frequencies_hz)
     np.testing.assert_allclose(theirs(1j * theirs.omega[20], squeeze=False), [[1, 2], [0, 3]], atol=1e-9)
+
+
+@pytest.mark.parametrize("quarters", [1, 3, 4, 7, 8, 13])
+def test_a_delay_of_any_part_of_a_sample_is_that_of_four_times_the_rate(quarters):
+    plant = ct.ss(drawn(np.random.default_rng(quarters), 2, 2), inputs=["F", "G"])
+    held = np.random.default_rng(1).normal(size=(2, 120))
+    fine = np.repeat(held, 4, axis=1)
+    late = np.hstack([np.zeros((2, quarters)), fine[:, :-quarters]])
+    wanted = ct.forced_response(ct.sample_system(plant, 0.01), inputs=late).outputs[:, ::4]
+    model = lti.zoh(plant, 0.04, delay=0.01 * quarters)
+    np.testing.assert_allclose(lti.simulate(model, held), wanted, atol=1e-11)
+    assert model.input_labels == ("F", "G")
+
+
+def test_a_record_of_one_input_may_be_a_row():
+    lag = lti.zoh(ct.tf([1.0], [1.0, 1.0]), 0.1)
+    np.testing.assert_array_equal(lti.simulate(lag, np.ones(9)), lti.simulate(lag, np.ones((1, 9))))

@@ -1,6 +1,6 @@
 """Frequency responses from hits: cross spectra averaged over them, with their coherence."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.bounds import Matrix, Positive
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import checked
+from stillwork.signals.spectra import response_arrays
 
 SILENT = 1e-6  # of the force's largest amplitude, below which a line holds rounding alone: no sensor's range is wider
 
@@ -40,6 +41,43 @@ class Identified(NamedTuple):
     omega: Float64[np.ndarray, " frequencies"]  # rad/s, without zero
     response: Complex128[np.ndarray, " frequencies"]
     coherence: Float64[np.ndarray, " frequencies"]  # of the excitation with the output
+
+    @classmethod
+    def converted(cls, name: str, measured: Any) -> "Identified":
+        """A response of another library as this one, without a line at rest; one without coherence counts as coherent.
+
+        Parameters
+        ----------
+        name : str
+            What errors call it.
+        measured : Identified or control.FrequencyResponseData or ResponseEstimate or tuple
+            Of one channel; a tuple holds the frequencies in Hz and the response.
+
+        Returns
+        -------
+        Identified
+
+        Raises
+        ------
+        InputError
+            When it is no response of one channel.
+
+        Examples
+        --------
+        >>> identification.Identified.converted("measured", ([0.0, 1.0], [0.1, 0.1])).omega.round(3)
+        array([6.283])
+        """
+        if isinstance(measured, cls):
+            return measured
+        arrays = response_arrays(measured, name)
+        (unit, lines), (_, response) = arrays.items()
+        if response.ndim > 1:
+            raise InputError(
+                f"{name} has {response[0].size} channels; give one, as with python-control response[0, 0]"
+            )
+        omega = lines * (2 * np.pi if "Hz" in unit else 1.0)
+        coherence = np.ravel(getattr(measured, "coherence", np.ones(len(omega))))
+        return cls(*(each[omega > 0] for each in (omega, response, coherence)))
 
 
 @checked(missing=True)

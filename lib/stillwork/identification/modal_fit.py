@@ -94,7 +94,7 @@ def fit_modes(measured: Identified, guesses_hz: Vector, band_hz: tuple[float, fl
 
     Parameters
     ----------
-    measured : Identified
+    measured : Identified or control.FrequencyResponseData or (frequencies in Hz, response)
         Accelerance, 1/kg. Lines with little coherence weigh less.
     guesses_hz : array_like
         Approximate frequencies, one entry per mode.
@@ -149,7 +149,7 @@ def identify_modes(measured: Identified, band_hz: tuple[float, float], guesses_h
 
     Parameters
     ----------
-    measured : Identified
+    measured : Identified or control.FrequencyResponseData or (frequencies in Hz, response)
         Accelerance at one point, with its coherence.
     band_hz : tuple of float
         Lines that count; the mass comes from those below half the first resonance.

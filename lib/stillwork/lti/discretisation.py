@@ -10,9 +10,10 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg, signal
 
-from stillwork.base.bounds import Positive, within
+from stillwork.base.bounds import NonNegative, Positive, within
 from stillwork.base.checks import InputError, pluralise, require_array, require_number
 from stillwork.base.validation import checked
+from stillwork.lti.delays import delayed, split_delay
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
@@ -92,7 +93,7 @@ def _held(
 
 
 @checked
-def zoh(model: StateModel, sample_time: Positive) -> StateModel:
+def zoh(model: StateModel, sample_time: Positive, delay: NonNegative = 0.0) -> StateModel:
     """Zero-order-hold discretisation by the exponential of the balanced [A B; 0 0].
 
     Parameters
@@ -101,11 +102,14 @@ def zoh(model: StateModel, sample_time: Positive) -> StateModel:
         In continuous time.
     sample_time : float
         Sample time, s.
+    delay : float
+        s, by which the inputs act later: any part of a sample, or more. No approximation by Padé is made.
 
     Returns
     -------
     StateModel
-        In discrete time, with as many states; exact for an input that is held between samples.
+        In discrete time, with as many states, and with a delay those that hold earlier inputs; exact for an input that is
+        held between samples.
 
     Raises
     ------
@@ -114,7 +118,8 @@ def zoh(model: StateModel, sample_time: Positive) -> StateModel:
 
     References
     ----------
-    Van Loan, Computing integrals involving the matrix exponential (1978).
+    Van Loan, Computing integrals involving the matrix exponential (1978); Astrom and Wittenmark, Computer-Controlled
+    Systems (1997), section 2.3.
 
     Examples
     --------
@@ -123,13 +128,35 @@ def zoh(model: StateModel, sample_time: Positive) -> StateModel:
     array([[0.368]])
     """
     _require_continuous(model)
+    a, b = _exponential(model, sample_time)
+    held = replace(model, a=a, b=b, sample_time=sample_time)
+    if not delay:
+        return held
+    whole, late = split_delay(delay / sample_time)
+    if late:  # until the new input acts, that of the sample before does: it is a state
+        n, m = b.shape
+        after, new = _exponential(model, (1 - late) * sample_time)
+        old = after @ _exponential(model, late * sample_time)[1]
+        a = np.block([[a, old], [np.zeros((m, n + m))]])
+        c = np.hstack([model.c, model.d])
+        held = StateModel(a, np.vstack([new, np.eye(m)]), c, np.zeros_like(model.d), sample_time)
+    return replace(
+        delayed(held, whole),
+        input_labels=model.input_labels,
+        output_labels=model.output_labels,
+        state_labels=(),
+    )
+
+
+def _exponential(model: StateModel, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition and input matrix over a time in which the input is held."""
     n, m = model.b.shape
     whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[:n, n:] = model.a * sample_time, model.b * sample_time
+    whole[:n, :n], whole[:n, n:] = model.a * time, model.b * time
     # Unbalanced, the exponential of a stiff motion system is silently wrong.
     balanced, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
     held = linalg.expm(balanced) * scale[:, None] / scale
-    return replace(model, a=held[:n, :n], b=held[:n, n:], sample_time=sample_time)
+    return held[:n, :n], held[:n, n:]
 
 
 @checked

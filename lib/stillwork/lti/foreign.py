@@ -79,7 +79,8 @@ def _paired(name: str, roots: Any) -> np.ndarray:
 def _of_arrays(system: tuple, name: str) -> dict[str, Any]:
     if len(system) not in (4, 5):
         raise InputError(
-            f"{name} is a tuple of {len(system)}; give (A, B, C, D), or (A, B, C, D, sample time in s)"
+            f"{name} is a tuple of {len(system)}; give (A, B, C, D), or (A, B, C, D, sample time in s), and coefficients "
+            "or roots as scipy.signal.lti(*them)"
         )
     a, b, c, d = (_real(f"{name}[{place}]", each, 2) for place, each in enumerate(system[:4]))
     time = require_number(f"{name}[4]", system[4], at_least=0.0) if len(system) == 5 else 0.0

@@ -24,7 +24,7 @@ def simulate(
     ----------
     model : StateModel
         In discrete time.
-    inputs : array_like, shape (inputs, samples)
+    inputs : array_like, shape (inputs, samples), of one input (samples,)
     initial : array_like, shape (states,), optional
 
     Returns
@@ -44,6 +44,7 @@ def simulate(
     """
     if not model.sample_time:
         raise InputError("model is in continuous time; discretise it with zoh first")
+    inputs = [inputs] if np.ndim(inputs) == 1 else inputs
     inputs = require_array("inputs", inputs, shape=(model.b.shape[1], None))
     initial = np.zeros(len(model.a)) if initial is None else initial
     initial = require_array("initial", initial, shape=(len(model.a),))

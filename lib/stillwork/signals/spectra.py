@@ -98,20 +98,21 @@ class ResponseEstimate:
         )
 
 
-def response_arrays(response: Any) -> dict[str, np.ndarray]:
+def response_arrays(response: Any, name: str = "file") -> dict[str, np.ndarray]:
     """A frequency response of python-control, or (frequencies in Hz, response), as a file would hold it."""
     if hasattr(response, "omega") and hasattr(response, "frdata"):
         return {"frequency (rad/s)": np.asarray(response.omega), "response": _one(response.frdata)}
     if hasattr(response, "frequencies_hz") and hasattr(response, "response"):
         return {"frequency (Hz)": response.frequencies_hz, "response": _one(response.response)}
     if isinstance(response, tuple) and len(response) == 2:
-        hertz = require_array("file[0]", response[0], shape=(None,))
+        hertz = require_array(f"{name}[0]", response[0], shape=(None,))
         return {
             "frequency (Hz)": hertz,
-            "response": require_array("file[1]", response[1], shape=hertz.shape, dtype=complex),
+            "response": require_array(f"{name}[1]", response[1], shape=hertz.shape, dtype=complex),
         }
     raise InputError(
-        f"file is {short_repr(response)}; give a path, a control.FrequencyResponseData, or (frequencies in Hz, response)"
+        f"{name} is {short_repr(response)}; give {'a path, ' * (name == 'file')}a control.FrequencyResponseData, or "
+        "(frequencies in Hz, response)"
     )
 
 
