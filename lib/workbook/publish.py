@@ -146,10 +146,9 @@ def replace_file(target: Path, content: bytes) -> None:
 def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]]) -> None:
     """Change many files below `root` as one, unless another process has changed one of them.
 
-    All are written beside their places before the first is put in its own, so that a full disk changes nothing. What
-    stands in a place is looked at until just before it is replaced; where that is not what it should be, or an error
-    comes, all is taken back. Only a kill within the milliseconds of the renames leaves some old and some new: the same
-    change again writes the rest, and `git restore` takes it back.
+    All are written beside their places, and what stands in these is looked at again, before the first is put in its own:
+    a full disk, or an editor that saved meanwhile, changes nothing. Only a kill or an error within the milliseconds of the
+    renames leaves some old and some new: the same change again writes the rest, and `git restore` takes it back.
 
     Parameters
     ----------
@@ -164,53 +163,38 @@ def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]
     Edited
         When another process changed a file; then none was changed.
     InputError
-        When the disk refuses to take back, too.
+        When the disk refuses a rename, with some done.
     """
-    if others := [name for name, (before, _) in sorted(changed.items()) if _content(root / name) != before]:
-        raise Edited(others)
     new = {
         name: _beside(root / name, "accepting") for name, (_, after) in changed.items() if after is not None
     }
-    done: list[str] = []
     try:
         for name, beside in new.items():
             _write(beside, changed[name][1])
             with contextlib.suppress(FileNotFoundError):
                 shutil.copymode(root / name, beside)
-        for name, (before, _) in changed.items():
-            if _content(root / name) != before:
-                raise Edited([name])
-            done.append(name)
+        if others := [
+            each for each, (before, _) in sorted(changed.items()) if _content(root / each) != before
+        ]:
+            raise Edited(others)
+    except BaseException:
+        for name, beside in new.items():
+            with contextlib.suppress(OSError):  # a folder that holds something stays
+                beside.unlink(missing_ok=True)
+                for folder in [*Path(name).parents][:-1]:
+                    (root / folder).rmdir()
+        raise
+    try:
+        for name in changed:
             if name in new:
                 os.replace(new[name], root / name)
             else:
-                (root / name).unlink()
-    except BaseException:
-        try:
-            for name in done:
-                _take_back(root, name, *changed[name])
-        except OSError as error:
-            raise InputError(
-                f"accepted in part, as the disk refuses more ({error}): `make accept` writes the rest, "
-                "`git restore` takes it back"
-            ) from None
-        finally:
-            for name, beside in new.items():
-                with contextlib.suppress(OSError):  # a folder that holds something stays
-                    beside.unlink(missing_ok=True)
-                    for folder in [*Path(name).parents][:-1]:
-                        (root / folder).rmdir()
-        raise
-
-
-def _take_back(root: Path, name: str, before: bytes | None, after: bytes | None) -> None:
-    """Put back what stood in a place, unless others have put something there since."""
-    if _content(root / name) != after:
-        return
-    if before is not None:
-        replace_file(root / name, before)
-    elif after is not None:
-        (root / name).unlink()
+                (root / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"accepted in part, as the disk refuses more ({error}): `make accept` writes the rest, "
+            "`git restore` takes it back"
+        ) from None
 
 
 class Edited(InputError):
@@ -223,10 +207,6 @@ class Edited(InputError):
 
 def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-def _digest(content: bytes | None) -> str | None:
-    return None if content is None else digest(content)
 
 
 def _raise(error: OSError) -> NoReturn:
@@ -255,7 +235,9 @@ def _mode(path: Path) -> int | None:
 
 def _state(file: Path) -> str | None:
     """Digest of what stands there: None for nothing, empty for what is no file."""
-    return None if _mode(file) is None else _digest(_content(file)) or ""
+    if _mode(file) is None:
+        return None
+    return "" if (content := _content(file)) is None else digest(content)
 
 
 def _write(file: Path, content: bytes) -> None:

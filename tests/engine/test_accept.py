@@ -9,6 +9,7 @@ import pytest
 
 from engine import toy as toys
 from engine.toy import cell
+from workbook.__main__ import main
 from workbook.notebooks import cleaned
 
 pytestmark = pytest.mark.slow
@@ -18,11 +19,11 @@ README = "# Toy\n\n<!-- ledger:begin -->\nold\n<!-- ledger:end -->\n\nThe end.\n
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    """A workbook of one page, built once and not accepted."""
+    """A workbook of a page and another notebook, built once and not accepted."""
     made = toys.make(tmp_path_factory.mktemp("page"))
     made.add_page("isolation/01-first")
+    made.add("motion/01-first", "print('hello')")
     made.write("README.md", README)
-    (made.root / "data/motion/published.toml").unlink()
     assert made.run("figures").returncode == 0
     yield made
     toys.clean_up(made)
@@ -49,17 +50,10 @@ def accepted(accepted_page, tmp_path):
         yield copy
 
 
-def test_accepts_a_build(toy):
-    toy.add_page("isolation/01-first")
-    toy.add("motion/01-first", "print('hello')")
-    toy.write("README.md", README)
+def test_accepts_a_build(built):
+    toy = built
     toy.write("figures/motion/00-gone/fig-1.csv", "panel,series,x,y,z\n")
-
     ledger = toy.files("data")
-    refused = toy.run("accept")
-    assert refused.returncode == 1
-    assert "stale: isolation/01-first: never built" in refused.stdout
-    assert toy.run("figures").returncode == 0
     done = toy.run("accept")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
@@ -88,7 +82,7 @@ def test_accepts_a_build(toy):
     assert "| `isolation` | 1 | 1 |" in readme
     assert readme.endswith("<!-- ledger:end -->\n\nThe end.\n")
 
-    assert toy.run("figures").stdout.startswith("nothing to do: 2 ")
+    assert toy.reasons() == {}
     before = toy.stamps("notebooks", "data", "figures", "README.md")
     assert toy.run("accept").stdout.endswith("2 ledger entries: 0 files changed\n")
     assert toy.stamps("notebooks", "data", "figures", "README.md") == before
@@ -102,29 +96,35 @@ def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(accepted):
     toy.replace("lib/experiments/isolation/model.py", "2.0", "2.0 * (1 + 1e-9)")
     done = toy.run("figures")
     assert (
-        "1 pictures agree with the committed ones (worst 0e+00 of the range), 0 verdicts moved" in done.stdout
+        "2 pictures agree with the committed ones (worst 0e+00 of the range), 0 verdicts moved" in done.stdout
     )
     assert toy.run("accept").stdout.endswith("0 files changed\n")
     assert toy.stamps("notebooks", "data", "figures", "README.md") == before
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_an_accept_that_is_ended_leaves_nothing_to_the_next_reader(built, number):
+def test_what_is_stale_is_not_accepted(built):
+    before = built.stamps("notebooks", "data", "figures", "README.md")
+    built.replace("lib/experiments/isolation/model.py", "2.0", "2.5")
+    refused = built.run("accept")
+    assert refused.returncode == 1
+    assert "stale: isolation/01-first: lib/experiments/isolation/model.py changed" in refused.stdout
+    assert built.stamps("notebooks", "data", "figures", "README.md") == before
+
+
+def test_an_accept_that_is_ended_leaves_nothing_to_the_next_reader(built):
     script = f"""
 import os
 from stillwork.__main__ import main
 from workbook.site import derived
-derived.refresh = lambda: os.kill(os.getpid(), {int(number)})
+derived.refresh = lambda: os.kill(os.getpid(), {int(signal.SIGTERM)})
 raise SystemExit(main(["accept"]))
 """
-    toy = built
-    before = toy.stamps("notebooks", "data", "figures", "README.md")
-    done = toy.run(script=script, preexec_fn=toys.set_signals)
-    assert done.returncode == (-number if number == signal.SIGKILL else 128 + number)
+    before = built.stamps("notebooks", "data", "figures", "README.md")
+    done = built.run(script=script, preexec_fn=toys.set_signals)
+    assert done.returncode == 128 + signal.SIGTERM
     assert "Traceback" not in done.stderr
-    assert number == signal.SIGKILL or toy.leftovers() == []
-    assert toy.run("claims").returncode == 0
-    assert toy.stamps("notebooks", "data", "figures", "README.md") == before
+    assert built.leftovers() == []
+    assert built.stamps("notebooks", "data", "figures", "README.md") == before
 
 
 def test_what_moved_is_said_by_the_build_and_taken_over(accepted):
@@ -134,7 +134,7 @@ def test_what_moved_is_said_by_the_build_and_taken_over(accepted):
     said = toy.run("figures").stdout.splitlines()
     assert "moved: isolation/01-first: figure fig-1, cell claim, cell claims, claim isolation.gain" in said
     assert "verdict moved: isolation.gain: inside -> outside" in said
-    assert said[-1].startswith("0 of 1 pictures agree") and "1 verdicts moved" in said[-1]
+    assert said[-1].startswith("1 of 2 pictures agree") and "1 verdicts moved" in said[-1]
     done = toy.run("accept")
     assert done.returncode == 0
     assert "moved: isolation.gain: 2 -> 2.1\n" in done.stdout
@@ -154,13 +154,15 @@ def test_a_value_that_agrees_keeps_the_accepted_one_though_another_claim_moved(a
     assert json.loads((accepted.root / file).read_text()) == kept
 
 
-def test_two_at_once_are_refused(toy):
-    toy.write("build/lock", "")
-    with (toy.root / "build/lock").open("a") as lock:
+@pytest.mark.parametrize("command", ["accept", "figures"])
+def test_two_at_once_are_refused(tmp_path, monkeypatch, capsys, command):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "build").mkdir()
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
+    with (tmp_path / "build/lock").open("a") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        done = toy.run("accept")
-    assert done.returncode == 2
-    assert "running" in done.stderr
+        assert main([command]) == 2
+    assert "another build or accept of this checkout is running" in capsys.readouterr().err
 
 
 def test_cleaning_keeps_text_only():

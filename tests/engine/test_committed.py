@@ -1,5 +1,6 @@
-"""`tests/committed` passes on an accepted workbook and notices what differs."""
+"""`tests/committed` passes on an accepted workbook and on what a contributor adds first, and notices what differs."""
 
+import json
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import pytest
 from nbval.plugin import get_sanitize_patterns
 
 from engine import toy as toys
+from layering import modules
 
 pytestmark = pytest.mark.slow
 
@@ -78,12 +80,12 @@ def accepted(tmp_path_factory):
     end = ', {"cell_type": "markdown", "id": "end", "metadata": {}, "source": "All agrees."}]}'
     cells.write_text(cells.read_text().removesuffix("]}") + end)
     (toy.root / "data/motion/published.toml").unlink()
+    toy.write("data/isolation/paper.toml", "order = 1\n")
     (toy.root / "environment.txt").write_text("")
     toy.write("README.md", README)
     toy.write(".gitignore", "build/\n__pycache__/\n")
     toy.commit()
-    assert toy.run("figures").returncode == 0
-    assert toy.run("accept").returncode == 0
+    build_and_accept(toy)
     done = nbval(toy)
     assert done.returncode == 0, done.stdout
     yield toy
@@ -91,27 +93,10 @@ def accepted(tmp_path_factory):
 
 
 @pytest.fixture
-def toy(accepted):
-    """The accepted workbook; what a test does to it is undone."""
-    before = accepted.files("figures", "data", "notebooks", "build/figures") | {
-        "README.md": (accepted.root / "README.md").read_bytes()
-    }
-    yield accepted
-    for name in accepted.files("figures", "data", "notebooks", "build/figures"):
-        if name not in before:
-            (accepted.root / name).unlink()
-    for name, content in before.items():
-        (accepted.root / name).write_bytes(content)
-
-
-def test_an_accepted_workbook_passes(toy, monkeypatch):
-    outcomes = committed(toy, monkeypatch)
-    assert outcomes.failed == set()
-    # It has no topic with studies of open choices.
-    assert outcomes.skipped <= {
-        "test_settings_are_those_of_these_combinations",
-        "test_the_window_whose_turn_it_is_today_comes_out_again",
-    }
+def toy(accepted, tmp_path):
+    """A copy of the accepted workbook that a test may change."""
+    with toys.copy_of(accepted, tmp_path) as copy:
+        yield copy
 
 
 @pytest.mark.parametrize(
@@ -144,60 +129,113 @@ def scale_a_number(toy, factor, more=0.0):
     file.write_text("\n".join(lines) + "\n")
 
 
-def drop_a_figure(toy):
+def test_an_accepted_workbook_passes_on_another_machine(toy, monkeypatch):
+    scale_a_number(toy, 1 + 1e-5)
+    outcomes = committed(toy, monkeypatch)
+    assert outcomes.failed == set()
+    # It has no topic with studies of open choices.
+    assert outcomes.skipped <= {
+        "test_settings_are_those_of_these_combinations",
+        "test_the_window_whose_turn_it_is_today_comes_out_again",
+    }
+
+
+def test_what_a_fresh_run_gives_otherwise_is_noticed(toy, monkeypatch):
+    scale_a_number(toy, 1.0, 0.01)
+    toy.replace(f"figures/{NAME}/claims.json", '"ours": 2.0', '"ours": 2.01')
+    toy.add_page(NAME)  # as its author wrote it, without outputs
+    toy.replace(f"figures/{NAME}/provenance.json", '"environment_sha256": "', '"environment_sha256": "0')
+    assert committed(toy, monkeypatch).failed == {
+        "test_a_fresh_run_plots_the_committed_numbers",
+        "test_a_fresh_run_finds_the_accepted_value_and_verdict",
+        "test_was_accepted_with_clean_text_outputs",
+        "test_a_fresh_run_prints_what_is_committed",
+        "test_its_file_is_the_one_that_accept_writes",
+        "test_figures_come_from_a_commit_and_the_pinned_environment",
+    }
+
+
+def test_what_is_missing_or_not_current_is_noticed(toy, monkeypatch):
     (toy.root / f"figures/{NAME}/fig-1.csv").unlink()
     toy.write(f"figures/{NAME}/fig-2.csv", "panel,series,x,y,z\n")
+    toy.replace("data/isolation/published.toml", "published = 2.0", "published = 2.5")
+    toy.replace("README.md", "| `isolation` | 1 |", "| `isolation` | 2 |")
+    toy.replace(f"notebooks/{NAME}.ipynb", "/01-first')", "/01-frst')")
+    assert committed(toy, monkeypatch).failed == {
+        "test_every_figure_was_rebuilt_and_every_rebuilt_one_is_committed",
+        "test_every_table_has_its_picture",
+        "test_a_fresh_run_plots_the_committed_numbers",
+        "test_every_entry_is_accepted_and_explained",
+        "test_a_derived_file_is_current",
+        "test_its_page_is_named_after_its_file",
+    }
 
 
-def add_an_entry(toy):
-    ledger = toy.root / "data/isolation/published.toml"
-    ledger.write_text(ledger.read_text() + toys.LEDGER.format(topic="isolation").replace(".gain", ".other"))
+# As Jupyter saves them: ids of chance, lines as a list; it leaves an empty cell behind the last that was run.
+ADDED = [
+    {"id": "3f2a9c1b", "source": ["def double(value):\n", "    return 2*value\n", "double( 2 )"]},
+    {
+        "id": "0c41d7aa",
+        "source": [
+            "import os, sys\n",
+            "import  math\n",
+            "f = lambda x: x; x = [1]; x\n",
+            "%time 1+1\n",
+            "!true",
+        ],
+    },
+    {"id": "70b1e4d2-9a51-4c0e", "source": []},
+]
 
 
-def forget_the_outputs(toy):
-    toy.add_page(NAME)
+def build_and_accept(toy):
+    for command in ("figures", "accept"):
+        done = toy.run(command)
+        assert done.returncode == 0, done.stdout + done.stderr
+    toy.commit()
 
 
-def replaced(*text: str):
-    return lambda toy: toy.replace(*text)
+def require_style(toy, *places):
+    """The style of this checkout; the toy has a library of its own, which ruff takes for the first party's."""
+    settings = ["--config", f"{Path(__file__).parents[2]}/pyproject.toml"]
+    settings += ["--config", 'lint.isort.known-first-party=["notebooks", "workbook"]']
+    for style in (["format", "--check"], ["check"]):
+        done = subprocess.run([sys.executable, "-m", "ruff", *style, *settings, *places], cwd=toy.root)
+        assert done.returncode == 0
 
 
-def moved(factor: float, more: float = 0.0):
-    return lambda toy: scale_a_number(toy, factor, more)
+def test_a_cell_added_in_jupyter_is_accepted_as_it_is(toy, monkeypatch):
+    file = toy.root / f"notebooks/{NAME}.ipynb"
+    notebook = json.loads(file.read_text(encoding="utf-8"))
+    for cell in ADDED:
+        made = {"cell_type": "code", "metadata": {}, "outputs": [], "execution_count": None}
+        notebook["cells"].append(made | cell)
+    file.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    toy.commit()
+    build_and_accept(toy)
+    cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+    assert [cell["id"] for cell in cells[-3:]] == [cell["id"] for cell in ADDED]
+    assert cells[-3]["outputs"][0]["data"] == {"text/plain": ["4"]}
+    assert committed(toy, monkeypatch).failed == set()
+    require_style(toy, "notebooks")
+    assert f"notebooks.{NAME.replace('/', '.')}" in modules(toy.root)  # the rules of imports read it
 
 
-LEDGER, FRESH = (
-    "test_every_entry_is_accepted_and_explained",
-    "test_a_fresh_run_finds_the_accepted_value_and_verdict",
-)
-DERIVED, PLOTTED = "test_a_derived_file_is_current", "test_a_fresh_run_plots_the_committed_numbers"
-REBUILT = "test_every_figure_was_rebuilt_and_every_rebuilt_one_is_committed"
-CLEAN, PRINTED = "test_was_accepted_with_clean_text_outputs", "test_a_fresh_run_prints_what_is_committed"
-BOOK, FOUND, MADE = (
-    f"notebooks/{NAME}.ipynb",
-    f"figures/{NAME}/claims.json",
-    f"figures/{NAME}/provenance.json",
-)
-
-
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        (moved(1 + 1e-5), set()),
-        (moved(1.0, 0.01), {PLOTTED}),
-        (drop_a_figure, {REBUILT, "test_every_table_has_its_picture", PLOTTED}),
-        (replaced(FOUND, '"ours": 2.0', '"ours": 2.01'), {FRESH}),
-        (add_an_entry, {LEDGER, DERIVED}),
-        (replaced("data/isolation/published.toml", "published = 2.0", "published = 2.5"), {LEDGER, DERIVED}),
-        (replaced("README.md", "| `isolation` | 1 |", "| `isolation` | 2 |"), {DERIVED}),
-        (forget_the_outputs, {CLEAN, PRINTED, "test_its_file_is_the_one_that_accept_writes"}),
-        (replaced(BOOK, "/01-first')", "/01-frst')"), {"test_its_page_is_named_after_its_file"}),
-        (
-            replaced(MADE, '"environment_sha256": "', '"environment_sha256": "0'),
-            {"test_figures_come_from_a_commit_and_the_pinned_environment"},
-        ),
-    ],
-)
-def test_what_differs_is_noticed(toy, monkeypatch, change, expected):
-    change(toy)
-    assert committed(toy, monkeypatch).failed == expected
+def test_a_new_result_and_a_new_topic_pass_as_they_are_written(toy, monkeypatch):
+    first = toy.run("new", "isolation", "09-payload")
+    assert first.returncode == 0, first.stderr
+    other = toy.run("new", "crane", "01-sway", "--create")
+    assert other.returncode == 0, other.stderr
+    toy.commit()
+    assert toy.reasons().keys() == {"isolation/09-payload", "crane/01-sway"}
+    build_and_accept(toy)
+    assert committed(toy, monkeypatch).failed == set()
+    readme = (toy.root / "README.md").read_text(encoding="utf-8")
+    assert readme.index("| `isolation` | 2 |") < readme.index("| `crane` | 1 |")
+    index = (toy.root / "notebooks/index.ipynb").read_text(encoding="utf-8")
+    assert "## Crane (`crane`)" in index and "(crane/01-sway.ipynb)" in index
+    require_style(toy, "notebooks", "tests")
+    options = [*"-p no:cacheprovider -o addopts= -o".split(), "pythonpath=lib ."]
+    command = [sys.executable, "-m", "pytest", *options, "tests"]
+    done = subprocess.run(command, cwd=toy.root, env=toy.environment(), capture_output=True, text=True)
+    assert "4 passed" in done.stdout, done.stdout

@@ -112,16 +112,9 @@ def test_another_pin_makes_the_environment_again(checkout):
 def test_only_what_tests_adds_what_tests_need(checkout):
     make(checkout, "figures")
     assert ADDED not in short(calls(checkout))
-    make(checkout, "course")
-    assert short(calls(checkout))[:-1] == [ADDED]
-    make(checkout, "course")
-    assert len(calls(checkout)) == 1
-    later = (checkout / ".venv" / "tests").stat().st_mtime + 10
-    os.utime(checkout / "environment-tests.txt", (later, later))
-    make(checkout, "figures")
-    assert short(calls(checkout)) == ["-m workbook figures"]
-    make(checkout, "course")
-    assert short(calls(checkout))[:-1] == [ADDED]
+    for _ in range(2):
+        make(checkout, "course")
+    assert short(calls(checkout)).count(ADDED) == 1
 
 
 def test_another_python_is_refused(checkout):

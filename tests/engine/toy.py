@@ -1,5 +1,7 @@
 """A small workbook with a copy of the shared library, in a folder of its own, to run the runner on."""
 
+import contextlib
+import io
 import json
 import os
 import shutil
@@ -16,6 +18,10 @@ from importlib import metadata
 from pathlib import Path
 
 import psutil
+import pytest
+
+from workbook import dependencies, inputs, paths
+from workbook.__main__ import main
 
 LIBRARY = Path(__file__).parents[2] / "lib"
 
@@ -143,10 +149,14 @@ class Toy:
         )
 
     def reasons(self, *arguments: str) -> dict[str, str]:
-        """What ``--why`` says, by notebook, without those that are up to date."""
-        done = self.run("figures", "--why", *arguments)
-        assert done.returncode == 0, done.stderr
-        lines = (line.split(": ", 1) for line in done.stdout.splitlines())
+        """What ``--why`` says, by notebook, without those that are up to date; by this process, without one of its own."""
+        dependencies.look_again()
+        inputs._pins.cache_clear()  # by folder, in which a test may change them
+        with paths.rooted(self.root), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "path", [str(self.root / "lib"), str(self.root), *sys.path])
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                assert main(["figures", "--why", *arguments]) == 0
+        lines = (line.split(": ", 1) for line in printed.getvalue().splitlines())
         return {name: reason for name, reason in lines if reason != "up to date"}
 
     def start(self, *arguments: str, ignored: tuple[int, ...] = ()) -> subprocess.Popen:
