@@ -7,6 +7,7 @@ import re
 from workbook import paths
 from workbook.notebooks import Notebook
 
+BARE = r"(\w+\\.)?\.\+"  # the pattern of a variable, with or without the topic before it
 PACKAGES = ("stillwork", "workbook", "experiments", "notebooks")  # and those of the workbook's own
 
 
@@ -21,15 +22,22 @@ def claims_checked(source: str, available: list[str]) -> list[str]:
 
 
 def _named(source: str, method: str, available: list[str]) -> list[str]:
-    """Those `available` that a first argument of ``page.<method>(...)`` can mean, in the order of the calls."""
-    found = []
-    for node in ast.walk(_parsed(source)):
+    """Those `available` that a first argument of ``page.<method>(...)`` can mean, in the order of the calls.
+
+    A variable means those that the cell writes out, whole or without the topic; what a function gives is not seen.
+    """
+    tree, found = _parsed(source), []
+    written = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)} - {""}
+    for node in ast.walk(tree):
         match node:
             case ast.Call(func=ast.Attribute(value=ast.Name(id="page"), attr=name), args=[first, *_]) if (
                 name == method
             ):
-                pattern = re.compile(_pattern(first))
-                found += [each for each in available if pattern.fullmatch(each) and each not in found]
+                pattern = _pattern(first)
+                named = [each for each in available if re.fullmatch(pattern, each) and each not in found]
+                if re.fullmatch(BARE, pattern):
+                    named = [each for each in named if {each, each.partition(".")[2]} & written]
+                found += named
     return found
 
 

@@ -28,6 +28,19 @@ def test_claims_and_figures_are_found_in_their_order():
     assert notebook_source.figures_saved('page.save("fig-5", figure)', ["fig-5", "fig-55"]) == ["fig-5"]
 
 
+@pytest.mark.parametrize(
+    ("source", "named"),
+    [
+        ("for name, value in found.items():\n    page.check(name, value)", []),
+        ('for name in ("topic.fig-1.b", "topic.else"):\n    page.check(name, 1)', ["topic.fig-1.b"]),
+        ('for name in ("fig-1.a", "fig-1.c"):\n    page.check(f"topic.{name}", 1)', ["topic.fig-1.a"]),
+        ('page.check(f"topic.fig-1.{name}", 1)', ["topic.fig-1.a", "topic.fig-1.b"]),
+    ],
+)
+def test_a_variable_names_no_claim_but_those_that_its_cell_writes_out(source, named):
+    assert notebook_source.claims_checked(source, IDS) == named
+
+
 @pytest.mark.slow
 def test_every_name_of_a_module_has_a_place():
     modules = reference.read_modules()
