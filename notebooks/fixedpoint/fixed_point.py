@@ -376,15 +376,19 @@ def _of_cycles(
     kicks = np.arange(0.05, 1.2, 0.05).tolist()
     runs = (simulate(exact, controller, still, start=(0.0, kick), integration=INTEGRATION) for kick in kicks)
     lost = [kick for kick, run in zip(kicks, runs, strict=True) if run.diverged_at is not None]
-    held = limit_cycles(linear_loop(exact, controller, sample_time), flow)[0]
-    page.show(
-        f"with the force held and the plant moved exactly: {held.frequency_hz:.2f} Hz, {held.iteration_error:.2f} m/s^2"
-    )
+    for held in limit_cycles(linear_loop(exact, controller, sample_time), flow):
+        if held.stable:
+            page.show(
+                f"with the force held and the plant moved exactly: {held.frequency_hz:.2f} Hz, {held.iteration_error:.2f} m/s^2"
+            )
     unstable = [cycle.velocity for cycle in cycles if not cycle.stable]
     page.conclude(
         "The unstable cycle is a poor border of divergence: its velocity is {velocity:.2f} m/s, and a kick of {kick:.2f} m/s is enough.",
+        "No border of divergence is met by kicks of up to {most:.2f} m/s.",
+        when=bool(unstable and lost),
         velocity=min(unstable, default=np.nan),
         kick=min(lost, default=np.nan),
+        most=kicks[-1],
     )
 
 

@@ -768,10 +768,10 @@ def scatter_of(seed: int, low_pass_hz: float, literal: bool = False) -> dict:
     return {names[name]: values for name, values in study.values.items()}
 
 
-def fading(seed: int, low_pass_hz: float) -> dict[tuple[float, float], float]:
-    """Variance of FeRLS without forgetting over that with the printed memory, by the part of the run it is taken over, s.
+def fading(seed: int, low_pass_hz: float) -> dict[tuple[float, float], np.ndarray]:
+    """Mean square of w1 to w9 around the fixed point without forgetting, (runs, 9), by the part of the run, s.
 
-    Geometric mean over w1 to w9 and eight runs from the fixed point.
+    FeRLS starts at the fixed point, from the steady P of the printed memory.
     """
     twin, floor = load_twin("fitted"), flat_floor(low_pass_hz)
     steady = steady_state(twin, floor)
@@ -780,17 +780,27 @@ def fading(seed: int, low_pass_hz: float) -> dict[tuple[float, float], float]:
     runs = simulate_together(
         twin, floor, FADING_S[-1][1], seeds=seeds, adaptations=endless, weights=steady.weights
     )
-    printed = np.log(scatter_of(seed, low_pass_hz)["FeRLS", MEMORY_S]).mean()
-    found = {}
-    for low, high in FADING_S:
-        square = [
-            np.mean(
-                (run.weights[(run.time_s > low) & (run.time_s <= high), 0] - steady.weights[0]) ** 2, axis=0
-            )
-            for run in (each[""] for each in runs)
-        ]
-        found[low, high] = float(np.exp(np.log(square).mean() - printed))
-    return found
+    return {
+        (low, high): np.array(
+            [
+                np.mean(
+                    (run.weights[(run.time_s > low) & (run.time_s <= high), 0] - steady.weights[0]) ** 2,
+                    axis=0,
+                )
+                for run in (each[""] for each in runs)
+            ]
+        )
+        for low, high in FADING_S
+    }
+
+
+def mean_of_law(low: float, high: float, memory_s: float) -> float:
+    """Mean of t / (t + T)^2 from `low` to `high`, with the memory T."""
+
+    def integral(t: float) -> float:
+        return np.log(t + memory_s) + memory_s / (t + memory_s)
+
+    return float((integral(high) - integral(low)) / (high - low))
 
 
 def severe(seed: int, low_pass_hz: float) -> dict[str, dict[str, float]]:
@@ -1010,20 +1020,29 @@ FeLMS scatters as FeRLS does.""")
     page.show(
         f"FeRLS over FeLMS, w1 to w9: {_row(stats.gmean(ferls / felms, axis=0))}",
     )
-    over = fading(seed, low_pass_hz)
-    page.show(*(f"no forgetting over 10 s, {a:.0f}-{b:.0f} s: {ratio:.3f}" for (a, b), ratio in over.items()))
-    late, early = over[FADING_S[-1]], over[FADING_S[0]]
+    page.text(r"""Without forgetting $P^{-1}$ starts as the steady one of $T = 10$ s and goes on growing, by $\psi_N\psi_N^T$ a sample, so
+$P \propto 1/(t + T)$. The noise of the sum that $P$ multiplies grows with $t$. So the variance has no level of its own; it falls as
+$t/(t + T)^2$.""")
+    faded, (early, late) = fading(seed, low_pass_hz), (FADING_S[0], FADING_S[-1])
+    for (low, high), square in faded.items():
+        over = np.exp(np.log(square).mean() - np.log(ferls).mean())
+        page.show(f"no forgetting over 10 s, {low:.0f}-{high:.0f} s: {over:.3f}")
+    ratio, interval = scatter_ratio(faded[early], faded[late])
+    law = mean_of_law(*early, MEMORY_S) / mean_of_law(*late, MEMORY_S)
     page.conclude(
-        "Without forgetting the variance has no level of its own: it goes on falling, to {late:.3f} of that with 10 s between {low:.0f} "
-        "and {high:.0f} s, about as 1/t ({ratio:.0f} times less than between 20 and 40 s; 1/t gives {law:.0f}).",
-        "Without forgetting the variance is {late:.3f} of that with 10 s between {low:.0f} and {high:.0f} s, {ratio:.1f} times less than "
-        "between 20 and 40 s, where 1/t gives {law:.0f}.",
-        when=0.5 < early / late / (550 / 30) < 2,
-        late=late,
-        low=FADING_S[-1][0],
-        high=FADING_S[-1][1],
-        ratio=early / late,
-        law=550 / 30,
+        "Between {low:.0f} and {high:.0f} s it is {ratio:.0f} times less than between {first:.0f} and {last:.0f} s ({least:.1f} to {most:.1f} "
+        "over the runs), as this law gives: {law:.1f}.",
+        "Between {low:.0f} and {high:.0f} s it is {ratio:.0f} times less than between {first:.0f} and {last:.0f} s ({least:.1f} to {most:.1f} "
+        "over the runs), where this law gives {law:.1f}.",
+        when=interval[0] < law < interval[1],
+        low=late[0],
+        high=late[1],
+        first=early[0],
+        last=early[1],
+        ratio=ratio,
+        least=interval[0],
+        most=interval[1],
+        law=law,
     )
     page.text("""The introduction has the variance of LMS *particularly severe in case of undermodeling or poor SNR in combination with
 a large adaptation rate*. Variance over that of FeLMS as printed, with four times the output noise, and with actuators to 150 Hz

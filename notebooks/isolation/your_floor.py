@@ -102,6 +102,14 @@ class Answer:
     around: list[IsolationDesign]
     found: IsolationPrediction
 
+    def in_short(self) -> str:
+        """What was chosen, in a sentence."""
+        loop, algorithm = self.design.loop, type(self.design.settings).__name__
+        return (
+            f"We take a skyhook gain of {loop.gain:.3g} N s/m on each axis, weak integrators with a cut-off of {loop.cutoff_hz:g} Hz, and "
+            f"{algorithm} with a time constant of {self.design.time_constant:.2g} s; the appendix has all that the command prints."
+        )
+
     def lines(self) -> list[str]:
         """As the command prints them."""
         facts = (": ".join(row) for row in facts_of(self.design, self.found, self.floor))
@@ -251,12 +259,16 @@ def _criteria(axes) -> None:
 # === Appendix =====================================================================================================
 
 
-def appendix(page, *, twin: Twin, settings: dict, gains: np.ndarray, shipped: bool, seed: int) -> None:
-    """The shipped record, the same way.
+def appendix(
+    page, *, own: Answer, twin: Twin, settings: dict, gains: np.ndarray, shipped: bool, seed: int
+) -> None:
+    """The design in full, and the shipped record the same way.
 
     Parameters
     ----------
     page : workbook.appendix.Appendix
+    own : Answer
+        On the page's floor.
     twin : Twin
     settings : dict
         Of `open_floor`.
@@ -266,6 +278,10 @@ def appendix(page, *, twin: Twin, settings: dict, gains: np.ndarray, shipped: bo
         Not beside a reader's own floor.
     seed : int
     """
+    page.text("""## The design in full
+
+All that is called highest holds over a time as long as the record.""")
+    page.show(*own.lines())
     if not shipped:
         page.text("The shipped record of a slab stands here beside the shipped ground alone.")
         return
@@ -275,7 +291,7 @@ Thirty seconds of a concrete slab under walking and jumping, by a smartphone at 
 from 5 to 150 Hz.""")
     file = paths.data("isolation", "slab_footfall/slab_vertical.csv")
     floor, notes = open_floor(str(file), "m/s^2", 0.0, [], twin, **settings)
-    own = isolate(twin, floor, seed)
+    slab = isolate(twin, floor, seed)
     page.save("slab", paint_floor(floor))
-    page.save("slab-transmissibility", paint_transmissibility(own.design, own.found))
-    page.show(*described(floor, notes), *own.lines(), crossing(gains, residuals(own, gains)))
+    page.save("slab-transmissibility", paint_transmissibility(slab.design, slab.found))
+    page.show(*described(floor, notes), *slab.lines(), crossing(gains, residuals(slab, gains)))

@@ -118,15 +118,18 @@ def paint_leads(errors: pd.DataFrame, over: str):
         lead, sure = own["lead"], (own["low"] > 0) & (own["error at most"] < SAYING)
         columns, rows = np.arange(lead.shape[1]), np.arange(lead.shape[0])
         mesh = axis.pcolormesh(columns, rows, lead.to_numpy(), cmap="coolwarm_r", vmin=-0.25, vmax=0.25)
-        for (row, column), value in np.ndenumerate(lead.to_numpy().round(2) + 0.0):
+        for (row, column), value in np.ndenumerate(lead.to_numpy()):
             style = {"weight": "bold"} if sure.to_numpy()[row, column] else {}
             style["color"] = "white" if value > 0.2 else figures.BLACK
-            axis.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=6, **style)
+            text = (
+                f"{value:.2f}" if abs(value) >= 0.01 else f"{round(value, 3) + 0.0:.3f}"
+            )  # no sure lead of 0.00
+            axis.text(column, row, text, ha="center", va="center", fontsize=6, **style)
         axis.set_xticks(columns, [f"{noise:g}" for noise in lead.columns])
         axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
         axis.set_title(f"{name} over {'tuned ' * (over != 'Kalman')}Kalman", fontsize=8)
     figures.label(axes, "sensor noise over the thesis's", "size of the errors (%)")
-    figure.colorbar(mesh, ax=axes, label="lead (of error over that of zero)", extend="max")
+    figure.colorbar(mesh, ax=axes, label="error saved (that of zero: 1)", extend="max")
     return figure
 
 

@@ -35,11 +35,10 @@ def waterfall(floor: str, sensor: float | None = None) -> dict[str, ErrorBudget]
 
 
 def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
-    """Rms of the error by source for each step, and of all together, with its interval where the floor was measured."""
+    """Rms of the error by source for each step, and of all together."""
     figure, axes = figures.new(height=3.2)
     places = np.arange(len(budgets))
     total = np.array([1e9 * budget.rms[0] for budget in budgets.values()])
-    ends = np.array([1e9 * budget.interval()[:, 0] for budget in budgets.values()])
     axes.plot(
         places, total, "_", markersize=26, markeredgewidth=1.5, color=figures.BLACK, label="all sources"
     )
@@ -51,17 +50,6 @@ def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):
             textcoords="offset points",
             ha="center",
             fontsize=8,
-        )
-    if np.any(ends[:, 1] > 1.001 * total):
-        axes.errorbar(
-            places,
-            total,
-            np.abs(ends.T - total),
-            fmt="none",
-            color=figures.BLACK,
-            linewidth=0.8,
-            capsize=3,
-            label="95 % interval",
         )
     first = next(iter(budgets.values()))
     parts = np.array([1e9 * np.sqrt(budget.powers[:, 0]) for budget in budgets.values()])

@@ -617,10 +617,13 @@ def paint_transmissibility(design: IsolationDesign, found: IsolationPrediction):
     for k, axis in enumerate(panels.flat[:axes_count]):
         low, expected, high = found.transmissibility[:, k]
         axis.fill_between(
-            f[shown], decibels(low), decibels(high), color=pictures.SKY, alpha=0.5, label="band"
+            f[shown], decibels(low), decibels(high), color=pictures.SKY, alpha=0.5, label="over the box"
         )
         axis.semilogx(
-            f[shown], decibels(found.without_transmissibility[k]), color=pictures.GREY, label="without"
+            f[shown],
+            decibels(found.without_transmissibility[k]),
+            color=pictures.GREY,
+            label="without control",
         )
         axis.semilogx(f[shown], decibels(expected), color=pictures.BLUE, label="expected")
         axis.set(title=f"axis {k + 1}", xlabel="frequency (Hz)")
