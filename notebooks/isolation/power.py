@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -123,6 +124,13 @@ def paint_removed(study, published: tuple[float, float, float]):
     return figure
 
 
+CAUSES = {
+    "floor": figures.GREEN,
+    "floor noise": figures.ORANGE,
+    "output noise": figures.RED,
+}  # of the explorer
+
+
 def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
     """Explorer: what is left of the power in z and θx with optimum weights, by cause."""
     twin = load_twin("rigid_body").varied(
@@ -136,16 +144,27 @@ def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
     causes = expected_density(twin, floor, f, weights=weights)
     after = sum(causes.values())
     removed = reduction_percent(f, before, after)
-    colors = {"floor": figures.GREEN, "floor noise": figures.ORANGE, "output noise": figures.RED}
-    figure, axes = figures.new(1, 2, height=3.0)
-    for k, panel in enumerate(axes):
-        panel.loglog(f, before[k], color=figures.BLUE, label="feedback")
-        panel.loglog(f, after[k], color=figures.BLACK, label="with feedforward")
-        for cause, color in colors.items():
-            panel.loglog(f, causes[cause][k], ":", color=color, label=f"left by {cause}")
+    figure = _explorer_figure()
+    for k, panel in enumerate(figure.axes):
+        for line, density in zip(
+            panel.lines, (before, after, *(causes[cause] for cause in CAUSES)), strict=True
+        ):
+            line.set_data(f, density[k])
         top = before[k].max()
-        panel.set(title=f"{DIRECTIONS[k]}: {removed[k]:.1f} % removed", xlabel="frequency (Hz)")
-        panel.set(ylim=(top * 1e-7, top * 3))
+        panel.set(title=f"{DIRECTIONS[k]}: {removed[k]:.1f} % removed", ylim=(top * 1e-7, top * 3))
+    return figure
+
+
+@cache
+def _explorer_figure():
+    """Figure of the explorer, kept for its next move: only its data change."""
+    figure, axes = figures.new(1, 2, height=3.0)
+    for panel in axes:
+        panel.loglog([], [], color=figures.BLUE, label="feedback")
+        panel.loglog([], [], color=figures.BLACK, label="with feedforward")
+        for cause, color in CAUSES.items():
+            panel.loglog([], [], ":", color=color, label=f"left by {cause}")
+        panel.set(xlabel="frequency (Hz)", xlim=BAND_HZ)
     axes[0].set_ylabel("PSD ((m/s²)²/Hz, (rad/s²)²/Hz)")
     figures.legend_below(axes[0], 3)
     return figure
