@@ -96,3 +96,14 @@ def test_beta_on_signals_follows_the_floor():
         density = floor.density(f)[0]
         found.append(np.sqrt(np.trapezoid(density, f) / np.trapezoid(density * np.abs(gain) ** 2, f)))
     assert found == pytest.approx([90, 417], rel=0.02)
+
+
+def test_the_variance_without_forgetting_falls_by_its_law():
+    rate, memory, rng = 4, 10.0, np.random.default_rng(0)  # samples a second, s
+    regressors, noise = rng.standard_normal((2, 600 * rate, 2000))
+    inverse = rate * memory + np.cumsum(regressors**2, axis=0)  # P^-1 from the steady one of that memory
+    square = np.mean((np.cumsum(regressors * noise, axis=0) / inverse) ** 2, axis=1)
+    early, late = (20.0, 40.0), (500.0, 600.0)
+    means = [square[round(low * rate) : round(high * rate)].mean() for low, high in (early, late)]
+    law = [convergence.mean_of_law(*part, memory) for part in (early, late)]
+    assert means[0] / means[1] == pytest.approx(law[0] / law[1], rel=0.1)
