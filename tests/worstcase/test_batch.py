@@ -29,19 +29,20 @@ def cost(A, b, bound, x):
     return np.linalg.norm(A @ x - b) + bound * np.linalg.norm(x)
 
 
-@pytest.mark.parametrize("share", [0.01, 0.2, 0.7, 0.97])
-@pytest.mark.parametrize("shape", [(5, 1), (12, 3), (40, 8)])
+@pytest.mark.parametrize("share", [1e-9, 0.01, 0.5, 0.97, 1 - 1e-6])
+@pytest.mark.parametrize("shape", [(5, 1), (40, 8)])
 def test_solution_agrees_with_bisection(shape, share):
     A, b = problem(1, *shape, conditioning=1.0)
     bound = share * threshold(A, b)
     found = min_max_solve(A, b, bound)
     x, alpha = naive.min_max(A, b, bound)
     assert found.case == "regularised"
-    assert found.alpha == pytest.approx(alpha, rel=1e-10)
-    assert found.estimate == pytest.approx(x, rel=1e-10)
+    tolerance = 1e-10 if 0.01 <= share <= 0.97 else 1e-5
+    assert found.alpha == pytest.approx(alpha, rel=tolerance)
+    assert found.estimate == pytest.approx(x, rel=tolerance)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_cost_is_that_of_the_cone_program(seed):
     A, b = problem(seed, 20, 4)
     for share in (0.1, 0.5, 0.9, 1.5):
@@ -63,7 +64,7 @@ def test_worst_perturbation_attains_the_cost_and_random_ones_do_not_exceed_it():
     assert np.linalg.norm(found.perturbation, 2) == pytest.approx(bound, rel=1e-12)
     attained = np.linalg.norm((A + found.perturbation) @ found.estimate - b)
     assert attained == pytest.approx(found.worst_case_residual, rel=1e-12)
-    for _ in range(2000):
+    for _ in range(300):
         dA = rng.normal(size=A.shape)
         dA *= bound / np.linalg.norm(dA, 2)
         assert np.linalg.norm((A + dA) @ found.estimate - b) <= found.worst_case_residual * (1 + 1e-12)
@@ -71,17 +72,10 @@ def test_worst_perturbation_attains_the_cost_and_random_ones_do_not_exceed_it():
 
 def test_newton_needs_few_evaluations_over_many_problems():
     counts = []
-    for seed in range(200):
+    for seed in range(63):  # every noise with every share
         A, b = problem(seed, 15, 5, noise=10.0 ** (seed % 9 - 6), conditioning=seed % 5)
         counts.append(solve_silently(A, b, threshold(A, b) * (0.005 + 0.99 * (seed % 7) / 7)).evaluations)
     assert max(counts) <= 12
-
-
-def test_extreme_bounds_still_have_accurate_roots():
-    A, b = problem(5)
-    for share in (1e-9, 1 - 1e-6):
-        bound = share * threshold(A, b)
-        assert min_max_solve(A, b, bound).alpha == pytest.approx(naive.min_max(A, b, bound)[1], rel=1e-5)
 
 
 # b in the column space of A
@@ -244,22 +238,6 @@ def test_secular_function_without_a_root_says_so():
         secular_function(A, b, 2 * threshold(A, b)).root()
     with pytest.raises(InputError, match=r"^target\b"):
         secular_function(np.array([[1.0], [0.0]]), [0.0, 1.0], 0.1)
-
-
-# bad input
-
-
-@pytest.mark.parametrize(
-    ("A", "b", "bound", "message"),
-    [
-        (np.ones((2, 3)), np.ones(2), 1.0, r"^matrix\b.*\b2 rows"),
-        (np.ones((3, 0)), np.ones(3), 1.0, r"^matrix\b.*columns"),
-        (np.ones((3, 1)), np.ones(4), 1.0, r"^target\b"),
-    ],
-)
-def test_bad_input_is_named(A, b, bound, message):
-    with pytest.raises(InputError, match=message):
-        min_max_solve(A, b, bound)
 
 
 def test_a_sweep_is_its_bounds_one_by_one():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from stillwork.base.checks import InputError
 from stillwork.identification import coloured_noise_bound, fir_regressors
 from stillwork.signals import estimate_spectrum
 from stillwork.signals.spectra import Spectrum
@@ -69,21 +68,3 @@ def test_the_bound_of_one_tap_is_that_of_a_weighted_sum_of_squares():
     assert found == pytest.approx(
         1000, abs=1 + 3 * 1.25 * deviation / 20
     )  # of the median of 400, and what 7 memories cut off
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: coloured_noise_bound(Spectrum(np.arange(3.0), np.ones((2, 3)), 1), 4, 0.9),
-            r"^noise\b.*\b2 channels",
-        ),
-        (
-            lambda: coloured_noise_bound(Spectrum(np.arange(3.0), np.ones((1, 3)), 1), 4, 1.0),
-            r"^forgetting\b",
-        ),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()

@@ -56,16 +56,6 @@ def test_total_least_squares_take_the_smallest_correction():
     assert np.linalg.norm(A @ x - b) / np.hypot(1, np.linalg.norm(x)) == pytest.approx(sigma)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: total_least_squares(np.eye(2), np.ones(2)), r"^matrix\b.*\b2 rows"),
-        (
-            lambda: total_least_squares([[1.0, 1.0], [1.0, 1.0], [0.0, 0.0]], [1.0, 2.0, 3.0]),
-            r"^total\b.*matrix",
-        ),
-    ],
-)
-def test_bad_input_is_named(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
+def test_an_exact_fit_of_dependent_columns_is_refused():
+    with pytest.raises(InputError, match=r"^total\b.*matrix"):
+        total_least_squares([[1.0, 1.0], [1.0, 1.0], [0.0, 0.0]], [1.0, 2.0, 3.0])

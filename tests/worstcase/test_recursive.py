@@ -29,8 +29,7 @@ def through_zero():
     return rows, outputs
 
 
-@pytest.mark.parametrize("bound", [0.05, 0.8, 1.5])
-@pytest.mark.parametrize("unknowns", [1, 2, 5])
+@pytest.mark.parametrize(("bound", "unknowns"), [(0.05, 5), (0.8, 1), (0.8, 2), (1.5, 5)])
 def test_exact_recursion_is_the_batch_solution_at_every_step(bound, unknowns):
     rows, outputs = record(unknowns=unknowns)
     estimates, alphas = naive.batch_estimates(rows, outputs, FORGETTING, np.full(60, bound))
@@ -52,8 +51,7 @@ def test_exact_recursion_leaves_and_reenters_through_the_zero_solution():
     assert found.estimates.T == pytest.approx(estimates, rel=1e-8, abs=1e-11)
 
 
-@pytest.mark.parametrize("iterations", [1, 2, 3])
-@pytest.mark.parametrize("bound", [0.1, 1.0, 1.6])
+@pytest.mark.parametrize(("iterations", "bound"), [(1, 0.1), (1, 1.6), (2, 1.0), (3, 1.6)])
 def test_approximate_update_is_algorithm_20(iterations, bound):
     rows, outputs = through_zero()
     estimates, alphas = naive.iterative_algorithm(rows, outputs, FORGETTING, bound, iterations)
@@ -88,24 +86,14 @@ def test_least_squares_and_ridge_agree_with_augmented_problems():
 
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.floats(-8, 8), st.floats(-8, 8))
-def test_tracks_do_not_depend_on_units(seed, unit_a, unit_y):
+def test_tracks_do_not_depend_on_units_and_rotate_with_the_parameters(seed, unit_a, unit_y):
     rows, outputs = record(seed)
     p, q = 10.0**unit_a, 10.0**unit_y
-    for iterations in ITERATIONS:
-        first = track(rows.T, outputs, FORGETTING, bound=0.6, iterations=iterations)
-        second = track(p * rows.T, q * outputs, FORGETTING, bound=0.6 * p, iterations=iterations)
-        assert second.estimates * (p / q) == pytest.approx(first.estimates, rel=1e-6, abs=1e-9)
-
-
-@settings(max_examples=25)
-@given(st.integers(0, 2**32 - 1))
-def test_tracks_rotate_with_the_parameters(seed):
-    rows, outputs = record(seed)
     W = np.linalg.qr(np.random.default_rng(seed).normal(size=(4, 4)))[0]
     for iterations in ITERATIONS:
         first = track(rows.T, outputs, FORGETTING, bound=0.6, iterations=iterations)
-        second = track((rows @ W).T, outputs, FORGETTING, bound=0.6, iterations=iterations)
-        assert W @ second.estimates == pytest.approx(first.estimates, rel=1e-6, abs=1e-8)
+        second = track(p * (rows @ W).T, q * outputs, FORGETTING, bound=0.6 * p, iterations=iterations)
+        assert W @ second.estimates * (p / q) == pytest.approx(first.estimates, rel=1e-6, abs=1e-8)
 
 
 @pytest.mark.parametrize("iterations", ITERATIONS)
@@ -124,8 +112,8 @@ def test_noise_free_and_rank_deficient_records_stay_finite(iterations):
 
 def test_long_records_lose_no_digits():
     rng = np.random.default_rng(14)
-    rows = rng.normal(size=(100_000, 3))
-    outputs = rows @ rng.normal(size=3) + 0.1 * rng.normal(size=100_000)
+    rows = rng.normal(size=(20_000, 3))
+    outputs = rows @ rng.normal(size=3) + 0.1 * rng.normal(size=20_000)
     found = track(rows.T, outputs, 0.95, bound=0.5)
     A, b = naive.weighted(rows[-2000:], outputs[-2000:], 0.95)
     assert found.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=1e-11)
@@ -181,31 +169,19 @@ def test_a_limit_that_acts_at_the_end_is_reported():
 
 @pytest.mark.parametrize(
     "how",
-    [{}, {"penalty": 1e-3}, *({"bound": each, "iterations": k} for k in ITERATIONS for each in (0.0, 0.01))],
+    [{}, {"penalty": 1e-3}, *({"bound": 0.01, "iterations": k} for k in ITERATIONS)],
     ids=str,
 )
 def test_endless_silent_samples_stay_finite_and_tracking_resumes(how):
     """0.95 to that power is zero: what it forgets is below all numbers after 15,000 samples."""
     rng = np.random.default_rng(18)
     before, after = rng.normal(size=3), rng.normal(size=3)
-    rows = np.zeros((100_800, 3))
+    rows = np.zeros((20_800, 3))
     rows[:400], rows[-400:] = rng.normal(size=(2, 400, 3))
     outputs = np.append(rows[:400] @ before, rows[400:] @ after)
     found = track(rows.T, outputs, 0.95, **how)
     assert np.isfinite(found.estimates).all() and np.isfinite(found.errors).all()
     assert found.estimates[:, -1] == pytest.approx(after, rel=1e-4, abs=1e-4)
-
-
-@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
-def test_least_squares_resume_with_the_digits_they_had(scale):
-    rng = np.random.default_rng(19)
-    rows, parameters = scale * rng.normal(size=(20_400, 5)), rng.normal(size=5)
-    rows[200:20_000] = 0
-    outputs = rows @ parameters + scale * 0.1 * rng.normal(size=20_400)
-    found = track(rows.T, outputs, 0.95)
-    A, b = naive.weighted(rows[-400:], outputs[-400:], 0.95)
-    expected = np.linalg.lstsq(A, b, rcond=None)[0]
-    assert found.estimates[:, -1] == pytest.approx(expected, rel=1e-5)
 
 
 def test_worst_case_residuals_are_the_criterion():
@@ -230,24 +206,11 @@ def test_a_bound_that_explains_everything_away_warns():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: track(np.ones((2, 9)), np.ones(9), bound=1.0, iterations=-1), r"^iterations\b"),
         (lambda: track(np.ones((2, 9)), np.ones(9), bound=1.0, penalty=1.0), r"^penalty\b.*bound"),
         (lambda: track(np.ones((2, 9)), np.ones(9), bound=-np.ones(9)), r"^bound\b"),
-        (lambda: track(np.ones((2, 9)), np.ones(9), initial_covariance=0.0), r"^initial_covariance\b"),
-        (lambda: track(np.ones((2, 9)), np.ones(9), growth_limit=0.5), r"^growth_limit\b"),
-        (lambda: track(np.ones((2, 9)), np.full(9, np.nan)), r"^outputs\b"),
-        (
-            lambda: track(np.full((2, 9), 1e99), np.ones(9)),
-            r"^regressors\b",
-        ),
+        (lambda: track(np.full((2, 9), 1e99), np.ones(9)), r"^regressors\b"),
         (lambda: track(np.ones((2, 9)), np.full(9, 1e-99)), r"^outputs\b"),
-        (
-            lambda: worst_case_residuals(np.ones((2, 9)), np.ones(9), np.ones((2, 9)), np.full(9, -1.0), 0.9),
-            r"^bounds\b",
-        ),
         (lambda: track(np.ones((3, 3)), np.ones(3)), r"^regressors\b.*\b3 samples"),
-        (lambda: track(np.ones((3, 9)), np.ones(8)), r"^outputs\b"),
-        (lambda: track(np.ones((0, 9)), np.ones(9)), r"^regressors\b.*rows"),
     ],
 )
 def test_bad_input_is_named(make, message):

@@ -1,36 +1,26 @@
-import pickle
 import warnings
 
 import cvxpy
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn import config_context
 from sklearn.metrics import r2_score
-from sklearn.model_selection import GridSearchCV
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator
 
 from stillwork.base.checks import InputError
 from stillwork.estimation import (
-    FeRls,
     LeastMeanSquares,
     MinMaxRegressor,
     RecursiveLeastSquares,
-    identify,
-    track,
 )
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive import GrowthLimitWarning
-from stillwork.estimation.regression import UnlikeScalesWarning, UnweightedRegressor
+from stillwork.estimation.regression import UnlikeScalesWarning
 
 EVERY = [
     LeastMeanSquares(),
     RecursiveLeastSquares(),
     RecursiveLeastSquares(window=40),
-    MinMaxRegressor(bound=0.0),
-    MinMaxRegressor(bound=0.1),
     MinMaxRegressor(bound=0.01, bound_on="sample", initial_covariance=100.0),
 ]
 KINDS = [
@@ -64,143 +54,12 @@ def weighted(X, y, forgetting, weights=1.0):
 
 def assert_cone_program(found, X, y, bounds):
     """The min-max problem as a second-order cone program, with `bounds` on the columns: same cost, same point."""
-    coef = cvxpy.Variable(X.shape[1], complex=np.iscomplexobj(X))
+    coef = cvxpy.Variable(X.shape[1])
     cost = cvxpy.norm(y - X @ coef) + cvxpy.norm(cvxpy.multiply(bounds, coef))
     least = cvxpy.Problem(cvxpy.Minimize(cost)).solve(solver="CLARABEL", tol_gap_abs=1e-10, tol_gap_rel=1e-10)
     assert np.linalg.norm(y - X @ found) + np.linalg.norm(bounds * found) <= least * (1 + 1e-9)
     # the cost is flat: the solver's gap of 1e-10 lets the point move by its root
     assert found == pytest.approx(coef.value, abs=1e-4)
-
-
-@pytest.mark.parametrize("outputs", [None, 2])
-@pytest.mark.parametrize("forgetting", [0.9, 1.0])
-def test_an_intercept_is_that_of_weighted_least_squares(forgetting, outputs):
-    X, y = record(23, outputs=outputs)
-    y = y + (1e3 if outputs is None else np.array([1e3, -70.0]))
-    weights = np.random.default_rng(24).uniform(0, 3, len(X))
-    A, b = weighted(np.column_stack([X, np.ones(len(X))]), y, forgetting, weights)
-    expected = np.linalg.lstsq(A, b)[0]
-    for estimator, tolerance in (
-        (RecursiveLeastSquares(forgetting=forgetting), 1e-9),
-        (MinMaxRegressor(0.0, forgetting=forgetting), 1e-9),
-    ):
-        found = estimator.fit(X, y, weights)
-        assert found.coef_ == pytest.approx(expected[:3].T, rel=tolerance, abs=tolerance)
-        assert found.intercept_ == pytest.approx(expected[3], rel=tolerance)
-        assert found.score(X, y) > 0.7
-
-
-def test_an_intercept_of_min_max_is_a_known_column_of_ones():
-    X, y = record(25)
-    ones = MinMaxRegressor([0.4, 0.4, 0.4, 0.0], fit_intercept=False).fit(
-        np.column_stack([X, np.ones(60)]), y + 9
-    )
-    found = MinMaxRegressor(0.4).fit(X, y + 9)
-    assert np.append(found.coef_, found.intercept_) == pytest.approx(ones.coef_, rel=1e-12)
-    assert_cone_program(ones.coef_, np.column_stack([X, np.ones(60)]), y + 9, np.array([0.4, 0.4, 0.4, 0.0]))
-
-
-def test_least_mean_squares_learn_an_offset():
-    X, _ = record(26, samples=3000)
-    found = LeastMeanSquares(step_size=0.2).fit(1e-6 * X, X @ [1.0, -2.0, 3.0] + 5.0)
-    assert 1e-6 * found.coef_ == pytest.approx([1.0, -2.0, 3.0], rel=1e-6)
-    assert found.intercept_ == pytest.approx(5.0, rel=1e-6)
-
-
-def test_sample_weight_is_routed_to_the_last_step():
-    X, y = record(28)
-    weights = np.random.default_rng(29).uniform(0, 3, len(X))
-    with config_context(enable_metadata_routing=True):
-        line = make_pipeline(
-            StandardScaler().set_fit_request(sample_weight=False),
-            RecursiveLeastSquares().set_fit_request(sample_weight=True),
-        )
-        line.fit(X, y, sample_weight=weights)
-    scaled = StandardScaler().fit_transform(X)
-    assert line[-1].coef_ == pytest.approx(RecursiveLeastSquares().fit(scaled, y, weights).coef_, rel=1e-9)
-
-
-@pytest.mark.parametrize("outputs", [None, 2])
-@pytest.mark.parametrize("forgetting", [0.9, 1.0])
-def test_recursive_least_squares_are_weighted_least_squares(forgetting, outputs):
-    X, y = record(1, outputs=outputs)
-    weights = np.random.default_rng(2).uniform(0, 3, len(X))
-    prior, start = np.array([2.0, 5.0, 0.5]), np.arange(3.0) if outputs is None else np.ones((2, 3))
-    found = RecursiveLeastSquares(
-        forgetting=forgetting,
-        initial_coef=start,
-        initial_covariance=prior,
-        growth_limit=np.inf,
-        fit_intercept=False,
-    ).fit(X, y, weights)
-    root = np.sqrt(forgetting ** len(X) / prior)
-    A, b = weighted(X, y, forgetting, weights)
-    A, b = np.vstack([A, np.diag(root)]), np.concatenate([b, (root * start).T])
-    assert found.coef_ == pytest.approx(np.linalg.lstsq(A, b)[0].T, rel=1e-9)
-    assert found.covariance_ == pytest.approx(np.linalg.inv(A.T @ A), rel=1e-8, abs=1e-12)
-
-
-SCALED = [
-    LeastMeanSquares(fit_intercept=False),
-    RecursiveLeastSquares(fit_intercept=False),
-    RecursiveLeastSquares(forgetting=0.9, fit_intercept=False),
-    RecursiveLeastSquares(window=30, fit_intercept=False),
-    MinMaxRegressor(0.0, fit_intercept=False),
-    MinMaxRegressor(0.3, forgetting=0.9, fit_intercept=False),
-    MinMaxRegressor([0.3, 0.0, 0.1], "sample"),
-]
-
-
-def learn(estimator, X, y, stream):
-    """At once, or a few samples and then one at a time; what least means is found in the first ones, they are many."""
-    if not stream:
-        return estimator.fit(X, y)
-    for part, target in zip(np.split(X, range(30, len(X))), np.split(y, range(30, len(X))), strict=True):
-        estimator.partial_fit(part, target)
-    return estimator
-
-
-@pytest.mark.parametrize("fit_intercept", [False, True])
-@pytest.mark.parametrize("estimator", SCALED, ids=repr)
-def test_a_prediction_is_the_same_in_any_unit(estimator, fit_intercept):
-    X, y = record(20)
-    estimator = clone(estimator).set_params(fit_intercept=fit_intercept)
-    given = estimator.get_params()
-    for stream in (False, True):
-        expected = learn(clone(estimator), X, y, stream).predict(X)
-        for size in (1e-9, 1e-4, 1e-3, 1e3, 1e9):
-            own = {"bound": np.multiply(given["bound"], size)} if "bound" in given else {}
-            again = learn(clone(estimator).set_params(**own), X * size, y, stream)
-            assert again.predict(X * size) == pytest.approx(expected, rel=1e-7)
-            again = learn(clone(estimator), X, y * size, stream)
-            assert again.predict(X) / size == pytest.approx(expected, rel=1e-7)
-
-
-@pytest.mark.parametrize("seed", range(40, 45))
-@pytest.mark.parametrize("fit_intercept", [False, True])
-def test_unlike_units_that_change_a_prediction_are_warned_of(fit_intercept, seed):
-    """Of least mean squares, whose one step meets all features."""
-    X, y = record(seed)
-    y = y + 0.3 * np.random.default_rng(seed).standard_normal(y.shape)
-    estimator = LeastMeanSquares(fit_intercept=fit_intercept)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        expected = clone(estimator).fit(X, y)
-    assert expected.scale_ratio_ < 10
-    rng = np.random.default_rng(seed)
-    for ratio in (1e3, 1e5, 1e8):
-        units = rng.permutation([1.0, 1.0, ratio]) * 10 ** rng.uniform(-5, 5)
-        with pytest.warns(UnlikeScalesWarning):
-            found = clone(estimator).fit(X * units, y)
-        assert 0.1 * ratio < found.scale_ratio_ < 10 * ratio
-
-
-def test_a_variance_that_was_held_down_is_reported():
-    X, y = record(22, samples=300)
-    X[100:, 1] = 0
-    with pytest.warns(GrowthLimitWarning, match="growth_limit"):
-        found = RecursiveLeastSquares(forgetting=0.8, fit_intercept=False).fit(X, y)
-    assert found.held_ == pytest.approx([0, 1, 0], abs=1e-3)
 
 
 def test_least_mean_squares_take_the_published_step():
@@ -216,21 +75,23 @@ def test_least_mean_squares_take_the_published_step():
 
 
 @pytest.mark.filterwarnings("ignore::stillwork.estimation.min_max.ZeroEstimateWarning")
-@pytest.mark.parametrize("bound", [0.0, 0.4, [0.4, 0.0, 0.0], [0.0, 2.0, 0.3], [0.1, 0.2, 0.3]])
-@pytest.mark.parametrize("bound_on", ["record", "sample"])
-def test_min_max_is_the_cone_program(bound, bound_on):
+@pytest.mark.parametrize("bound", [0.0, 0.4, [0.4, 0.0, 0.0], [0.0, 2.0, 0.3]])
+@pytest.mark.parametrize(("bound_on", "intercept"), [("record", False), ("sample", True)])
+def test_min_max_is_the_cone_program(bound, bound_on, intercept):
+    """An intercept is a column of ones that is known."""
     X, y = record(4, samples=20, outputs=2)
     weights = np.random.default_rng(5).uniform(0, 3, len(X))
-    A, b = weighted(X, y, 0.9, weights)
+    A, b = weighted(np.column_stack([X, np.ones(20)]) if intercept else X, y + 9 * intercept, 0.9, weights)
     growth = 1.0 if bound_on == "record" else np.sqrt(weights @ 0.9 ** np.arange(19, -1, -1))
-    bounds = growth * np.broadcast_to(bound, 3)
-    found = MinMaxRegressor(bound, bound_on, forgetting=0.9, fit_intercept=False).fit(X, y, weights)
-    for coef, target in zip(found.coef_, b.T, strict=True):
-        assert_cone_program(coef, A, target, bounds)
+    bounds = growth * np.append(np.broadcast_to(bound, 3), [0.0] * intercept)
+    found = MinMaxRegressor(bound, bound_on, forgetting=0.9, fit_intercept=intercept)
+    found.fit(X, y + 9 * intercept, weights)
+    for coef, constant, target in zip(found.coef_, np.broadcast_to(found.intercept_, 2), b.T, strict=True):
+        assert_cone_program(np.append(coef, [constant] * intercept), A, target, bounds)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(15))
 def test_min_max_of_one_sample_at_a_time_is_that_of_all(seed):
     # the kernel of a row against the singular values of the whole record
     rng = np.random.default_rng([11, seed])
@@ -286,12 +147,11 @@ def test_a_known_column_that_says_nothing_new_does_no_harm():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
-@pytest.mark.parametrize("outputs", [None, 2])
-def test_a_stream_is_its_batch(estimator, outputs):
-    X, y = record(9, samples=200, outputs=outputs)
+def test_a_stream_is_its_batch(estimator):
+    X, y = record(9, samples=200, outputs=2)
     X[17], y[40] = np.nan, np.nan
     whole = clone(estimator).fit(X, y)
-    for pieces in (np.arange(1, 200), [3, 18, 150], []):
+    for pieces in (np.arange(1, 200), [3, 18, 150]):
         stream = clone(estimator)
         for part, target in zip(np.split(X, pieces), np.split(y, pieces), strict=True):
             assert stream.partial_fit(part, target) is stream
@@ -320,45 +180,29 @@ def clone(estimator):
     return type(estimator)(**estimator.get_params())
 
 
-def test_the_recursions_are_those_of_the_toolbox():
-    X, y = record(10, samples=300)
-    found = RecursiveLeastSquares(forgetting=0.95, initial_covariance=7.0, fit_intercept=False).fit(X, y)
-    twin = identify(FeRls(7.0, forgetting=0.95, growth_limit=20.0), X.T, -y[None])
-    assert found.coef_ == pytest.approx(twin.weights[0], rel=1e-9)
-    bounded = track(X.T, y, 0.95, bound=0.5).estimates[:, -1]
-    assert MinMaxRegressor(0.5, forgetting=0.95, fit_intercept=False).fit(X, y).coef_ == pytest.approx(
-        bounded, rel=1e-12
-    )
-
-
 @pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
 def test_a_lost_sample_is_time_without_news(estimator):
     X, y = record(11, outputs=2)
-    lost = [5, 20, 21, 59]
-    gone = np.ones(60)
-    gone[lost] = 0
+    gone = np.isin(np.arange(60), [5, 20, 21, 59])
+    silent = (
+        X * ~gone[:, None],
+        y * ~gone[:, None],
+        *([] if isinstance(estimator, LeastMeanSquares) else [~gone * 1.0]),
+    )
+    expected = clone(estimator).fit(*silent).coef_
     for spoiled, target in ((X.copy(), y), (X, y.copy())):
-        (spoiled if target is y else target)[lost, 0] = np.nan
+        (spoiled if target is y else target)[gone, 0] = np.nan
         found = clone(estimator).fit(spoiled, target)
-        silent_X, silent_y = X * gone[:, None], y * gone[:, None]
-        if isinstance(estimator, UnweightedRegressor):
-            expected = clone(estimator).fit(silent_X, silent_y)
-        else:
-            expected = clone(estimator).fit(X, y, gone)
-            assert np.array_equal(found.coef_, clone(estimator).fit(silent_X, silent_y, gone).coef_)
-        assert np.array_equal(found.coef_, expected.coef_)
+        assert np.array_equal(found.coef_, expected)
         assert np.array_equal(np.isnan(found.predict(spoiled)).any(axis=1), np.isnan(spoiled).any(axis=1))
-    assert found.score(X, target) == pytest.approx(r2_score(y[gone > 0], found.predict(X)[gone > 0]))
+    assert found.score(X, target) == pytest.approx(r2_score(y[~gone], found.predict(X)[~gone]))
 
 
 @pytest.mark.parametrize(
     "estimator",
     [
         LeastMeanSquares(step_size=0.5, fit_intercept=False),
-        RecursiveLeastSquares(fit_intercept=False),
-        RecursiveLeastSquares(forgetting=0.95, fit_intercept=False),
         RecursiveLeastSquares(forgetting=0.95, initial_covariance=1.0, fit_intercept=False),
-        MinMaxRegressor(1e-3, forgetting=0.95, fit_intercept=False),
         MinMaxRegressor(1e-3, "sample", forgetting=0.95, initial_covariance=1.0, fit_intercept=False),
     ],
     ids=lambda e: type(e).__name__,
@@ -371,10 +215,9 @@ def test_endless_unexcited_samples_stay_finite_and_learning_resumes(estimator, l
     estimator.partial_fit(np.full((100_000, 3), lost), np.zeros(100_000))
     assert np.isfinite(estimator.coef_).all()
     estimator.partial_fit(X[400:], y[400:])
-    X, y = (X, y) if getattr(estimator, "forgetting", 0) == 1 else (X[400:], y[400:])
     # what 0.95 forgets, the initial estimate and the little uncertainty all count for less than a thousandth
     tolerance = 0.3 if isinstance(estimator, LeastMeanSquares) else 2e-3
-    A, b = weighted(X, y, getattr(estimator, "forgetting", 1.0))
+    A, b = weighted(X[400:], y[400:], getattr(estimator, "forgetting", 1.0))
     assert estimator.coef_ == pytest.approx(np.linalg.lstsq(A, b)[0], abs=tolerance)
 
 
@@ -418,58 +261,17 @@ def test_a_refused_call_changes_nothing(estimator):
     assert np.array_equal(refused.partial_fit(X, y).coef_, twin.partial_fit(X, y).coef_)
 
 
-def test_it_stands_in_a_search_and_in_a_pickle():
-    X, y = record(18, samples=200)
-    search = GridSearchCV(
-        MinMaxRegressor(0.1, fit_intercept=False), {"bound": [0.0, 0.5, 100.0]}, error_score="raise"
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ZeroEstimateWarning)
-        assert search.fit(X, y).best_params_["bound"] < 100
-    again = pickle.loads(pickle.dumps(search.best_estimator_))
-    assert np.array_equal(again.partial_fit(X, y).coef_, search.best_estimator_.partial_fit(X, y).coef_)
-
-
-@pytest.mark.parametrize(
-    "estimator",
-    [
-        LeastMeanSquares(fit_intercept=False),
-        RecursiveLeastSquares(fit_intercept=False),
-        MinMaxRegressor(0.1, fit_intercept=False),
-    ],
-    ids=repr,
-)
-def test_a_frame_with_other_columns_is_refused(estimator):
-    X = pd.DataFrame(np.random.default_rng(31).standard_normal((50, 2)), columns=["drive", "floor"])
-    fitted = clone(estimator).fit(X, X["drive"])
-    assert fitted.feature_names_in_.tolist() == ["drive", "floor"]
-    learned = fitted.coef_.copy()
-    for call in (fitted.predict, lambda table: fitted.score(table, X["drive"])):
-        with pytest.raises(InputError, match=r"^X\b.*same order"):
-            call(X[["floor", "drive"]])
-    with pytest.raises(InputError, match=r"^X\b.*same order"):
-        fitted.partial_fit(X[["floor", "drive"]], X["drive"])
-    assert np.array_equal(fitted.coef_, learned)
-    assert np.array_equal(fitted.predict(X), fitted.predict(X.to_numpy()))
-    assert not hasattr(fitted.fit(X.to_numpy(), X["drive"]), "feature_names_in_")
-
-
-@pytest.mark.parametrize(
-    "estimator",
-    [
-        LeastMeanSquares(fit_intercept=False),
-        RecursiveLeastSquares(fit_intercept=False),
-        MinMaxRegressor(0.1, fit_intercept=False),
-    ],
-    ids=repr,
-)
-def test_what_a_frame_calls_missing_is_lost(estimator):
+def test_what_a_frame_calls_missing_is_lost():
     X = pd.DataFrame(np.random.default_rng(32).standard_normal((50, 2)), columns=["drive", "floor"])
     y = X @ [3.0, -5.0]
     X.iloc[5, 0] = y[7] = np.nan
     missing = X.convert_dtypes(), y.convert_dtypes()
     assert missing[0].iloc[5, 0] is pd.NA
-    assert np.array_equal(clone(estimator).fit(*missing).coef_, clone(estimator).fit(X, y).coef_)
+    found, expected = (RecursiveLeastSquares().fit(*each) for each in (missing, (X, y)))
+    assert np.array_equal(found.coef_, expected.coef_)
+    assert found.feature_names_in_.tolist() == ["drive", "floor"]
+    with pytest.raises(InputError, match=r"^X\b.*same order"):
+        found.predict(X[["floor", "drive"]])
 
 
 def test_a_bound_that_explains_everything_away_warns():
@@ -478,47 +280,25 @@ def test_a_bound_that_explains_everything_away_warns():
         assert not MinMaxRegressor(50.0, fit_intercept=False).fit(X, y).coef_.any()
 
 
+def fitted(kind, *args, table=None, **settings):
+    return kind(*args, fit_intercept=False, **settings).fit(*table or record())
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: MinMaxRegressor(-1.0, fit_intercept=False).fit(*record()), r"^bound\b"),
-        (lambda: MinMaxRegressor([1.0, 2.0], fit_intercept=False).fit(*record()), r"^bound\b"),
+        (lambda: fitted(MinMaxRegressor, [1.0, 2.0]), r"^bound\b"),
+        (lambda: fitted(MinMaxRegressor, 1.0, initial_coef=np.ones(3)), r"^initial_covariance\b"),
+        (lambda: fitted(RecursiveLeastSquares, initial_coef=np.ones(2)), r"^initial_coef\b"),
         (
-            lambda: MinMaxRegressor(1.0, "row", fit_intercept=False).fit(*record()),
-            r"^bound_on\b",
-        ),
-        (
-            lambda: MinMaxRegressor(1.0, initial_coef=np.ones(3), fit_intercept=False).fit(*record()),
-            r"^initial_covariance\b",
-        ),
-        (lambda: MinMaxRegressor(1.0, forgetting=1.1, fit_intercept=False).fit(*record()), r"^forgetting\b"),
-        (lambda: RecursiveLeastSquares(forgetting=0.0, fit_intercept=False).fit(*record()), r"^forgetting\b"),
-        (
-            lambda: RecursiveLeastSquares(initial_coef=np.ones(2), fit_intercept=False).fit(*record()),
-            r"^initial_coef\b",
-        ),
-        (lambda: RecursiveLeastSquares(window=0).fit(*record()), r"^window\b"),
-        (
-            lambda: RecursiveLeastSquares(window=9, initial_covariance=1.0).fit(*record()),
+            lambda: fitted(RecursiveLeastSquares, window=9, initial_covariance=1.0),
             r"^initial_covariance\b.*window",
         ),
-        (lambda: LeastMeanSquares(step_size=2.0, fit_intercept=False).fit(*record()), r"^step_size\b"),
+        (lambda: fitted(RecursiveLeastSquares, table=(*record(), -np.ones(60))), r"^sample_weight\b"),
+        (lambda: fitted(LeastMeanSquares, table=(np.full((5, 2), np.nan), np.ones(5))), r"^X and y\b.*NaN"),
         (
-            lambda: LeastMeanSquares(fit_intercept=False).fit(np.full((5, 2), np.nan), np.ones(5)),
-            r"^X and y\b.*NaN",
-        ),
-        (lambda: LeastMeanSquares(fit_intercept=False).fit(np.ones((5, 2)), np.full(5, np.inf)), r"^y\b"),
-        (lambda: LeastMeanSquares(fit_intercept=False).fit(np.ones((5, 2)), np.ones(4)), r"^y\b"),
-        (lambda: LeastMeanSquares(fit_intercept=False).fit([["a"]], [1.0]), r"^X\b"),
-        (
-            lambda: LeastMeanSquares(fit_intercept=False).fit(
-                np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0]
-            ),
+            lambda: fitted(LeastMeanSquares, table=(np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0])),
             r"^X\b",
-        ),
-        (
-            lambda: RecursiveLeastSquares(fit_intercept=False).fit(*record(), -np.ones(60)),
-            r"^sample_weight\b",
         ),
     ],
 )
@@ -528,9 +308,11 @@ def test_bad_input_is_named(call, message):
 
 
 @pytest.mark.parametrize("how", ["drift", "alike", "sizes"])
-def test_lms_warns_of_what_it_has_not_learned(how):
+def test_lms_warns_of_what_it_has_not_learned_alone(how):
     rng = np.random.default_rng(8)
     x = rng.standard_normal((2000, 2))
+    with warnings.catch_warnings(action="error"):
+        assert LeastMeanSquares().fit(x, x @ [2.0, 3.0]).scale_ratio_ < 10
     if how == "drift":
         x[:, 0] = 1e5 + np.arange(2000.0)
     elif how == "alike":
