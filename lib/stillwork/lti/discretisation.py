@@ -6,9 +6,10 @@ from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
+import scipy  # its `signal` is loaded where it is called: it takes half a second
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
-from scipy import linalg, signal
+from scipy import linalg
 
 from stillwork.base.bounds import NonNegative, Positive, within
 from stillwork.base.checks import InputError, pluralise, require_array, require_number
@@ -226,7 +227,7 @@ def tustin_sections(
             f"zeros holds {len(zeros)} values for {pluralise(len(poles), 'pole')}; give at most as many"
         )
     with np.errstate(all="ignore"):  # a pole at twice the rate has no equivalent, which validation reports
-        return signal.zpk2sos(*signal.bilinear_zpk(zeros, poles, gain, 1 / sample_time))
+        return scipy.signal.zpk2sos(*scipy.signal.bilinear_zpk(zeros, poles, gain, 1 / sample_time))
 
 
 @checked

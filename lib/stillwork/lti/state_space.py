@@ -6,8 +6,9 @@ from functools import cached_property, lru_cache, reduce
 from operator import mul
 
 import numpy as np
+import scipy  # its `signal` is loaded where it is called: it takes half a second
 from jaxtyping import Complex128, Float64
-from scipy import linalg, signal
+from scipy import linalg
 from scipy.sparse import csgraph
 
 from stillwork.base.bounds import NonNegative, Positive, Vector
@@ -508,7 +509,7 @@ class StateModel:
         array([-10.])
         """
         time = {"dt": self.sample_time} if self.sample_time else {}
-        return signal.StateSpace(self.a, self.b, self.c, self.d, **time)
+        return scipy.signal.StateSpace(self.a, self.b, self.c, self.d, **time)
 
 
 # Models that differ in their inputs and outputs alone, as the channels of a loop or the gains of a feedforward, have
